@@ -1,0 +1,1 @@
+"""occmap: 2D occupancy grid maps from recorded laser scans with known poses."""

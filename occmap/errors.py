@@ -1,0 +1,59 @@
+"""The errors that occmap raises: each writes its own sentence and knows its exit code."""
+
+from typing import ClassVar
+
+
+class OccmapError(Exception):
+    """Something a person can mend; the message is one line.
+
+    Parameters
+    ----------
+    found
+        What is wrong, as a sentence without a full stop.
+    where
+        The file, and the line, byte or topic in it.
+    fix
+        What to do or type next.
+    """
+
+    exit_code: ClassVar[int] = 1
+
+    def __init__(self, found: str, *, where: object = "", fix: str = "") -> None:
+        super().__init__(found, where, fix)
+        self.found = found
+        self.where = str(where)
+        self.fix = fix
+
+    def __str__(self) -> str:
+        sentence = f"{self.where}: {self.found}" if self.where else self.found
+        if self.fix:
+            sentence = f"{sentence}; {self.fix}"
+        return " ".join(sentence.split())
+
+
+class LogError(OccmapError):
+    """A log cannot be read, or holds no scans."""
+
+
+class PoseError(OccmapError):
+    """Scans have no pose in the map frame."""
+
+
+class MapError(OccmapError):
+    """A map cannot be made from what was observed: nothing there, or too large."""
+
+
+class OutputError(OccmapError):
+    """A file cannot be written."""
+
+
+class UsageError(OccmapError):
+    """An option or a name that occmap does not know, or a value out of its range."""
+
+    exit_code = 2
+
+
+class GateError(OccmapError):
+    """A limit that the user set was not met."""
+
+    exit_code = 3

@@ -1,0 +1,1 @@
+"""The grid engine: rays in, sparse integer evidence out."""

@@ -1,0 +1,45 @@
+"""How readers, sensor models and writers are found: through entry points, loaded on use."""
+
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Literal
+
+Group = Literal["occmap.readers", "occmap.models", "occmap.writers"]
+
+
+@dataclass(frozen=True)
+class Broken:
+    """A plugin that did not import: named and skipped, never fatal."""
+
+    name: str
+    reason: str
+
+
+@cache
+def list_plugins(group: Group) -> tuple[EntryPoint, ...]:
+    """List what is installed in a group, by name, without importing any of it."""
+    return tuple(sorted(entry_points(group=group), key=lambda entry: entry.name))
+
+
+def load_plugins(group: Group) -> tuple[dict[str, Any], list[Broken]]:
+    """Import every plugin of a group; those that fail are returned with the reason."""
+    loaded: dict[str, Any] = {}
+    broken: list[Broken] = []
+    for entry in list_plugins(group):
+        try:
+            loaded[entry.name] = entry.load()
+        except Exception as error:  # noqa: BLE001  a foreign plugin may raise anything at import
+            broken.append(Broken(entry.name, f"{type(error).__name__}: {error}"))
+    return loaded, broken
+
+
+def load_plugin(group: Group, name: str) -> Any | None:
+    """Import one plugin; None where no plugin has that name or it does not import."""
+    for entry in list_plugins(group):
+        if entry.name == name:
+            try:
+                return entry.load()
+            except Exception:  # noqa: BLE001  as above
+                return None
+    return None

@@ -1,0 +1,1 @@
+"""Where each scan was taken: transform tree, trajectories, and their interpolation."""

@@ -1,0 +1,180 @@
+"""The values that flow through occmap, in the order in which they appear.
+
+    path --reader--> Scan, PoseSample --posing--> PosedScans --sensor--> Rays --grid--> evidence
+         --model--> OccupancyMap --writer--> files
+
+All are frozen. Lengths are metres, angles radians, times integer nanoseconds unless a name says
+otherwise. Frames follow REP 103 and REP 105: x forward, y left, z up, yaw counter-clockwise.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple, Self, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32: TypeAlias = NDArray[np.float32]
+Float64: TypeAlias = NDArray[np.float64]
+Int64: TypeAlias = NDArray[np.int64]
+UInt8: TypeAlias = NDArray[np.uint8]
+Bool: TypeAlias = NDArray[np.bool_]
+
+
+class Pose(NamedTuple):
+    """A rigid transform: position in metres, rotation as a unit quaternion."""
+
+    x: float
+    y: float
+    z: float
+    qx: float
+    qy: float
+    qz: float
+    qw: float
+
+    @classmethod
+    def from_xyzrpy(cls, xyz: tuple[float, float, float], rpy: tuple[float, float, float]) -> Self:
+        """Build from a position and roll, pitch, yaw about fixed axes (REP 103), in radians."""
+        (sr, sp, sy) = (math.sin(angle / 2) for angle in rpy)
+        (cr, cp, cy) = (math.cos(angle / 2) for angle in rpy)
+        return cls(
+            *xyz,
+            qx=sr * cp * cy - cr * sp * sy,
+            qy=cr * sp * cy + sr * cp * sy,
+            qz=cr * cp * sy - sr * sp * cy,
+            qw=cr * cp * cy + sr * sp * sy,
+        )
+
+    @classmethod
+    def planar(cls, x: float, y: float, yaw: float) -> Self:
+        """Build from a pose in the plane (m, m, rad); the heading may be unwrapped."""
+        return cls(x, y, 0.0, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+
+
+class Scan(NamedTuple):
+    """One turn of a laser as it was recorded: no value is interpreted yet.
+
+    A NamedTuple and not a dataclass: a log holds tens of thousands, and these are made six times
+    faster.
+    """
+
+    stamp_ns: int
+    frame: str
+    angle_min: float
+    """Bearing of the first beam in `frame` (rad)."""
+    angle_increment: float
+    """From one beam to the next (rad); negative for a clockwise or upside-down driver."""
+    ranges: Float32
+    """(B,) m, with whatever the driver wrote where nothing came back."""
+    range_min: float
+    range_max: float
+    """Limits of the sensor (m); 0 and inf where the log states none."""
+    time_increment: float = 0.0
+    """Between beams (s)."""
+    pose: Pose | None = None
+    """The sensor in the map frame, where the log states it beside the scan."""
+    topic: str = ""
+    """The stream in its log that the scan came from."""
+    record_ns: int = 0
+    """When the recorder stored it; equal to `stamp_ns` in formats that hold one time only."""
+
+
+class PoseSample(NamedTuple):
+    """Where frame `child` was in frame `parent` at one moment, from any kind of source."""
+
+    stamp_ns: int
+    parent: str
+    child: str
+    """"" where the source does not name what moved (PoseStamped, Path, a TUM file)."""
+    pose: Pose
+    static: bool = False
+    """True: holds at all times, the stamp says nothing."""
+    topic: str = ""
+    record_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ScanBatch:
+    """Scans of one sensor with equal geometry, stacked so that NumPy sees many at once."""
+
+    frame: str
+    angle_min: float
+    angle_increment: float
+    range_min: float
+    range_max: float
+    time_increment: float
+    stamp_ns: Int64
+    """(S,)"""
+    ranges: Float32
+    """(S, B) m"""
+    pose: Float64 | None
+    """(S, 7) x y z qx qy qz qw of the sensor, where the log states it beside the scans."""
+
+
+@dataclass(frozen=True, slots=True)
+class PosedScans:
+    """A batch and where its sensor was. 3D inside, so that tilted and inverted lidars are right."""
+
+    batch: ScanBatch
+    position: Float64
+    """(S, 3) m in the map frame, or (S, B, 3) with a pose for each beam (de-skewed)."""
+    rotation: Float64
+    """(S, 3, 3) from the sensor to the map frame, or (S, B, 3, 3)."""
+
+
+class Kind(IntEnum):
+    """What a range value means for the map."""
+
+    SKIP = 0
+    """Nothing: not measured, or not to be trusted."""
+    FREE = 1
+    """The beam saw nothing up to its end."""
+    HIT = 2
+    """The beam ended on something."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rays:
+    """Beams of S scans in the map frame; what each range value means is decided.
+
+    `origin` has K = 1 where a scan has one viewpoint, or K = B where every beam has its own.
+    Where `kind` is SKIP, `end` and `distance` are finite but mean nothing.
+    """
+
+    origin: Float64
+    """(S, K, 2) m"""
+    end: Float64
+    """(S, B, 2) m"""
+    distance: Float64
+    """(S, B) m from origin to end in the map plane"""
+    kind: UInt8
+    """(S, B) of Kind"""
+    angle_increment: float
+    """From one beam to the next (rad); its size alone says whether a scan goes all the way round"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OccupancyMap:
+    """An occupancy grid. Row 0 is the lowest y and column 0 the lowest x; only writers flip."""
+
+    log_odds: Float32
+    """(H, W) of being occupied; the prior where nothing was observed"""
+    observed: Bool
+    """(H, W): unknown is what nothing observed, whatever its log-odds"""
+    resolution: float
+    """Side of a cell (m)"""
+    origin: tuple[float, float]
+    """x, y of the lower-left corner of cell (0, 0) (m)"""
+
+    @property
+    def probability(self) -> Float32:
+        """(H, W) probability of being occupied, 1 / (1 + exp(-log_odds))."""
+        odds = np.exp(-np.abs(self.log_odds))
+        return np.where(self.log_odds < 0, odds, np.float32(1)) / (1 + odds)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        rows, cols = self.log_odds.shape
+        return rows, cols
