@@ -34,7 +34,7 @@ def load_plugins(group: Group) -> tuple[dict[str, Any], list[Broken]]:
     return loaded, broken
 
 
-def load_plugin(group: Group, name: str) -> Any | None:
+def load_plugin(group: Group, name: str) -> Any:
     """Import one plugin; None where no plugin has that name or it does not import."""
     for entry in list_plugins(group):
         if entry.name == name:

@@ -171,7 +171,8 @@ class OccupancyMap:
     def probability(self) -> Float32:
         """(H, W) probability of being occupied, 1 / (1 + exp(-log_odds))."""
         odds = np.exp(-np.abs(self.log_odds))
-        return np.where(self.log_odds < 0, odds, np.float32(1)) / (1 + odds)
+        numerator: Float32 = np.where(self.log_odds < 0, odds, np.float32(1))
+        return numerator / (1 + odds)
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -48,12 +48,22 @@ class Probe:
     """The same after gzip, where the file is gzip."""
 
 
+@dataclass(frozen=True)
+class Note:
+    """Something about a log that its user should know: lines passed over, a limit found, damage."""
+
+    text: str
+    """One sentence, without the path."""
+    damage: bool = False
+    """True: something that the log should hold is lost; `text` says how much and where."""
+
+
 class Log(Protocol):
     """An opened log. Both iterators may be called more than once and start at the beginning."""
 
     path: Path
-    notes: list[str]
-    """What a person should know: lines passed over, limits found, damage. Grows while reading."""
+    notes: list[Note]
+    """Grows while reading; a note appears once, however often the log is read."""
 
     @property
     def streams(self) -> Sequence[Stream]:
