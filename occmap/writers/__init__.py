@@ -1,5 +1,115 @@
 """Writers: one file per map format, found through entry points and chosen by suffix.
 
-A writer is a class with a `name`, a one-line `description`, its `suffixes`, and a
-`write(path, map, options)` that returns the files it wrote.
+A writer is registered under its suffix without the dot and is a class with a `description`, a
+`targets(path)` and a `write(path, grid, options)`. Nothing here imports PIL: a writer is loaded on
+use.
 """
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Protocol, cast
+
+from occmap.errors import UsageError
+from occmap.plugins import list_plugins, load_plugin
+from occmap.types import OccupancyMap
+
+BAND_CELLS = 1 << 22
+"""Cells that are turned into pixels at once, so that a large map needs no second copy in floats."""
+
+
+class MapMode(StrEnum):
+    """How the pixels of a map image are to be read (the map_server YAML's `mode`)."""
+
+    TRINARY = "trinary"
+    """Occupied, free or unknown."""
+    SCALE = "scale"
+    """Grey says how occupied a cell is between the two thresholds."""
+    RAW = "raw"
+    """The pixel is the value of the ROS OccupancyGrid: 0 to 100, and 255 for unknown."""
+
+
+class Shade(StrEnum):
+    """Which end of the grey scale of a probability image is occupied."""
+
+    DARK_OCCUPIED = "dark"
+    LIGHT_OCCUPIED = "light"
+    """As in Elfes' figures (1989)."""
+
+
+@dataclass(frozen=True)
+class WriteOptions:
+    """What a user may choose about the files of a map.
+
+    A cell is occupied from `occupied_thresh` up and free from `free_thresh` down, both inclusive,
+    as nav2's map_saver has it.
+
+    Raises
+    ------
+    UsageError
+        The thresholds are not in the order 0 < free < occupied < 1, or are too near each other.
+    """
+
+    mode: MapMode = MapMode.TRINARY
+    occupied_thresh: float = 0.65
+    free_thresh: float = 0.196
+    shade: Shade = Shade.DARK_OCCUPIED
+
+    def __post_init__(self) -> None:
+        found = f"--occupied-thresh is {self.occupied_thresh}, --free-thresh is {self.free_thresh}"
+        if not 0 < self.free_thresh < self.occupied_thresh < 1:
+            raise UsageError(found, fix="they must satisfy 0 < free < occupied < 1")
+        # Two grey levels: else no grey may be left for a cell that is neither free nor occupied.
+        if self.mode is MapMode.SCALE and self.occupied_thresh - self.free_thresh < 2 / 255:
+            raise UsageError(found, fix="with --mode scale they must be at least 0.008 apart")
+
+
+class Writer(Protocol):
+    """A map format."""
+
+    description: str
+
+    def targets(self, path: Path) -> tuple[Path, ...]:
+        """Every file that `write` makes, so that all can be checked before the work starts."""
+
+    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
+        """Write a map; return the files written.
+
+        Raises
+        ------
+        OutputError
+            A file cannot be written; then none is left behind.
+        """
+
+
+def find_writer(path: Path) -> Writer:
+    """Find the writer for a file name by its suffix, upper or lower case.
+
+    Raises
+    ------
+    UsageError
+        No installed writer has that suffix, or it does not load.
+    """
+    known = [entry.name for entry in list_plugins("occmap.writers")]
+    name = path.suffix.lower().removeprefix(".")
+    listing = "occmap writes " + ", ".join(f".{each}" for each in known)
+    if name not in known:
+        found = f"unknown suffix {path.suffix!r}" if name else "the file name has no suffix"
+        raise UsageError(found, where=path, fix=listing)
+    writer_class = load_plugin("occmap.writers", name)
+    if writer_class is None:
+        raise UsageError(f"the writer for .{name} does not load", where=path, fix=listing)
+    return cast(Writer, writer_class())
+
+
+def bands_from_top(grid: OccupancyMap) -> Iterator[OccupancyMap]:
+    """Cut a map into bands of whole rows, highest y first; each is a view, not a copy."""
+    rows, cols = grid.shape
+    height = max(1, BAND_CELLS // max(1, cols))
+    for stop in range(rows, 0, -height):
+        start = max(0, stop - height)
+        origin = (grid.origin[0], grid.origin[1] + start * grid.resolution)
+        yield OccupancyMap(
+            grid.log_odds[start:stop], grid.observed[start:stop], grid.resolution, origin
+        )

@@ -1,0 +1,149 @@
+"""PGM images with a YAML beside them: the maps that ROS 1 map_server and nav2 load.
+
+The two loaders disagree at the thresholds: map_server compares strictly, nav2 inclusively and lets
+free win. So no pixel written here lies on a threshold, and every class survives both.
+"""
+
+import math
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from occmap.types import Bool, OccupancyMap, UInt8
+from occmap.writers import MapMode, WriteOptions, bands_from_top
+from occmap.writers.atomic import open_atomic
+
+OCCUPIED, UNKNOWN, FREE = 0, 205, 254
+SCALE_UNKNOWN = 127
+"""nav2's grey for unknown in scale mode. PGM has no transparency to tell it from a measured 0.5."""
+RAW_UNKNOWN = 255
+THRESHOLD_MARGIN = 1e-3
+"""In grey levels; loaders compare in single precision."""
+
+
+class PgmWriter:
+    """8-bit binary PGM, first row = largest y, with the map_server YAML of the same stem."""
+
+    description = "PGM image and YAML for ROS 1 map_server and nav2"
+
+    def targets(self, path: Path) -> tuple[Path, ...]:
+        """Return the image and the YAML."""
+        return path, path.with_suffix(".yaml")
+
+    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
+        """Write the image and the YAML; return both paths.
+
+        Raises
+        ------
+        OutputError
+            One of them cannot be written; then neither is left behind.
+        """
+        image_path, yaml_path = self.targets(path)
+        # The image is renamed first: a YAML never names an image that is not there.
+        with open_atomic(yaml_path) as yaml, open_atomic(image_path) as image:
+            _write_image(image, grid, options)
+            _write_yaml(yaml, describe_map(image_path.name, grid, options))
+        return image_path, yaml_path
+
+
+def describe_map(image_name: str, grid: OccupancyMap, options: WriteOptions) -> dict[str, object]:
+    """Return the fields of the map_server YAML, in its order."""
+    occupied_thresh, free_thresh = written_thresholds(options)
+    return {
+        "image": image_name,
+        "mode": options.mode.value,
+        "resolution": float(grid.resolution),
+        "origin": [float(grid.origin[0]), float(grid.origin[1]), 0.0],
+        "negate": 0,
+        "occupied_thresh": occupied_thresh,
+        "free_thresh": free_thresh,
+    }
+
+
+def written_thresholds(options: WriteOptions) -> tuple[float, float]:
+    """Return the occupied and free thresholds under which a loader finds the classes again.
+
+    In trinary mode the cells are classified already, and the thresholds only tell the three greys
+    apart: occupied is 1.0, unknown 0.196078 and free 0.003922 to a loader. A user's threshold that
+    would mix them up (free 0.25 makes every unknown cell free) is brought back between them.
+    """
+    if options.mode is not MapMode.TRINARY:
+        return float(options.occupied_thresh), float(options.free_thresh)
+    return min(max(options.occupied_thresh, 0.2), 0.99), min(max(options.free_thresh, 0.01), 0.196)
+
+
+def _write_image(file: BinaryIO, grid: OccupancyMap, options: WriteOptions) -> None:
+    rows, cols = grid.shape
+    file.write(f"P5\n{cols} {rows}\n255\n".encode("ascii"))
+    to_pixels = {MapMode.TRINARY: _trinary, MapMode.SCALE: _scale, MapMode.RAW: _raw}[options.mode]
+    for band in bands_from_top(grid):
+        file.write(to_pixels(band, options)[::-1].tobytes())
+
+
+def _classify(grid: OccupancyMap, options: WriteOptions) -> tuple[Bool, Bool]:
+    """Return which cells are occupied and which are free.
+
+    In log-odds, where one hit of probability 0.65 equals the threshold 0.65 exactly.
+    """
+    occupied = grid.observed & (grid.log_odds >= np.float32(_logit(options.occupied_thresh)))
+    free = grid.observed & (grid.log_odds <= np.float32(_logit(options.free_thresh)))
+    return occupied, free
+
+
+def _trinary(grid: OccupancyMap, options: WriteOptions) -> UInt8:
+    occupied, free = _classify(grid, options)
+    pixels = np.full(grid.shape, UNKNOWN, np.uint8)
+    pixels[free] = FREE
+    pixels[occupied] = OCCUPIED
+    return pixels
+
+
+def _scale(grid: OccupancyMap, options: WriteOptions) -> UInt8:
+    """Shade as nav2 does, by whole per cents, but never across a threshold by rounding."""
+    occupied, free = _classify(grid, options)
+    # (100 - per cent) / 100 of 255 with halves rounded down, as GraphicsMagick does for nav2.
+    grey = (51 * (100 - _percent(grid).astype(np.int16)) + 9) // 20
+    shade = np.where(grid.observed, grey, SCALE_UNKNOWN)
+    darkest_free, lightest_occupied, between = _grey_limits(options)
+    lowest = np.select([free, occupied], [darkest_free, 0], between[0])
+    highest = np.select([free, occupied], [255, lightest_occupied], between[1])
+    pixels: UInt8 = np.clip(shade, lowest, highest).astype(np.uint8)
+    return pixels
+
+
+def _grey_limits(options: WriteOptions) -> tuple[int, int, tuple[int, int]]:
+    """Return the darkest grey that is free, the lightest that is occupied, and those between."""
+    at_free = 255 * (1 - options.free_thresh)
+    at_occupied = 255 * (1 - options.occupied_thresh)
+    between = (
+        math.floor(at_occupied + THRESHOLD_MARGIN) + 1,
+        math.ceil(at_free - THRESHOLD_MARGIN) - 1,
+    )
+    darkest_free = math.floor(at_free + THRESHOLD_MARGIN) + 1
+    lightest_occupied = math.ceil(at_occupied - THRESHOLD_MARGIN) - 1
+    return min(darkest_free, 255), max(lightest_occupied, 0), between
+
+
+def _raw(grid: OccupancyMap, _options: WriteOptions) -> UInt8:
+    pixels: UInt8 = np.where(grid.observed, _percent(grid), RAW_UNKNOWN).astype(np.uint8)
+    return pixels
+
+
+def _percent(grid: OccupancyMap) -> UInt8:
+    """Return the occupancy as ROS's OccupancyGrid holds it: 0 to 100."""
+    percent: UInt8 = np.rint(100 * grid.probability).astype(np.uint8)
+    return percent
+
+
+def _write_yaml(file: BinaryIO, fields: dict[str, object]) -> None:
+    from ruamel.yaml import YAML  # noqa: PLC0415  slow to import, and only needed here
+
+    yaml = YAML(typ="rt")  # keeps the order of the fields
+    yaml.default_flow_style = None  # the origin in one line, the rest a line each
+    yaml.width = 4096  # a long file name is not folded
+    yaml.dump(fields, file)
+
+
+def _logit(probability: float) -> float:
+    return math.log(probability / (1 - probability))

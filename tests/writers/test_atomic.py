@@ -1,0 +1,88 @@
+import os
+from pathlib import Path
+
+import pytest
+
+from occmap.errors import OutputError
+from occmap.writers.atomic import check_target, open_atomic
+
+
+def test_writes_the_file_and_nothing_else(tmp_path: Path) -> None:
+    with open_atomic(tmp_path / "map.pgm") as file:
+        file.write(b"new")
+        assert not (tmp_path / "map.pgm").exists()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["map.pgm"]
+    assert (tmp_path / "map.pgm").read_bytes() == b"new"
+
+
+def test_file_has_the_permissions_of_any_new_file(tmp_path: Path) -> None:
+    with open_atomic(tmp_path / "a") as file:
+        file.write(b"")
+    (tmp_path / "b").write_bytes(b"")
+    assert (tmp_path / "a").stat().st_mode == (tmp_path / "b").stat().st_mode
+
+
+@pytest.mark.parametrize("failure", [KeyboardInterrupt, ValueError])
+def test_an_interrupted_write_keeps_the_old_file(
+    tmp_path: Path, failure: type[BaseException]
+) -> None:
+    target = tmp_path / "map.pgm"
+    target.write_bytes(b"old")
+
+    def interrupt_halfway() -> None:
+        with open_atomic(target) as file:
+            file.write(b"half")
+            raise failure
+
+    with pytest.raises(failure):
+        interrupt_halfway()
+    assert target.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_full_disk_is_one_sentence(tmp_path: Path) -> None:
+    target = tmp_path / "map.pgm"
+    with pytest.raises(OutputError) as caught, open_atomic(target):
+        raise OSError(28, "No space left on device")
+    assert str(caught.value) == f"{target}: cannot be written (No space left on device)"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_check_passes_for_a_new_and_an_existing_file(tmp_path: Path) -> None:
+    check_target(tmp_path / "new.pgm")
+    (tmp_path / "old.pgm").write_bytes(b"")
+    check_target(tmp_path / "old.pgm")
+
+
+def test_missing_folder(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"does not exist; create it: mkdir -p .*nowhere"):
+        check_target(tmp_path / "nowhere" / "map.pgm")
+    with pytest.raises(OutputError), open_atomic(tmp_path / "nowhere" / "map.pgm"):
+        pytest.fail("the block must not run")
+
+
+def test_folder_that_is_a_file(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(OutputError, match="is a file, not a folder"):
+        check_target(tmp_path / "file" / "map.pgm")
+
+
+def test_target_that_is_a_folder(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="is a folder, not a file"):
+        check_target(tmp_path)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write into any folder")
+def test_folder_without_permission(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    try:
+        with pytest.raises(OutputError, match="no permission to write"):
+            check_target(tmp_path / "map.pgm")
+    finally:
+        tmp_path.chmod(0o700)
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no /proc on this system")
+def test_folder_that_refuses_new_files() -> None:
+    with pytest.raises(OutputError), open_atomic(Path("/proc/map.pgm")):
+        pytest.fail("the block must not run")

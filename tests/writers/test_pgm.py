@@ -1,0 +1,207 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ruamel.yaml import YAML
+
+from occmap import writers
+from occmap.errors import OutputError
+from occmap.types import OccupancyMap
+from occmap.writers import MapMode, WriteOptions
+from occmap.writers.pgm import PgmWriter, describe_map, written_thresholds
+from tests.map_loaders import load_nav2, load_ros1, read_pgm
+from tests.writers.maps import map_of, map_of_art
+
+ART = """
+##?.
+#-..
+?..#
+"""
+TRINARY = WriteOptions()
+
+
+def write(folder: Path, grid: OccupancyMap, options: WriteOptions) -> Path:
+    image, yaml = PgmWriter().write(folder / "map.pgm", grid, options)
+    assert image == folder / "map.pgm"
+    assert yaml == folder / "map.yaml"
+    return yaml
+
+
+def expected_classes(grid: OccupancyMap, options: WriteOptions) -> list[list[int]]:
+    """Classify cell by cell, in the probabilities that the map holds."""
+
+    def classify(log_odds: float, observed: bool) -> int:
+        p = 1 / (1 + np.exp(-float(log_odds)))
+        if not observed:
+            return -1
+        return 100 if p >= options.occupied_thresh else 0 if p <= options.free_thresh else -1
+
+    rows = zip(grid.log_odds, grid.observed, strict=True)
+    return [[classify(lo, seen) for lo, seen in zip(*row, strict=True)] for row in rows]
+
+
+def test_golden_file(tmp_path: Path) -> None:
+    write(tmp_path, map_of_art(ART), TRINARY)
+    black, grey, white = b"\x00", b"\xcd", b"\xfe"
+    assert (tmp_path / "map.pgm").read_bytes() == (
+        b"P5\n4 3\n255\n"
+        + (black + black + grey + white)
+        + (black + grey + white + white)
+        + (grey + white + white + black)
+    )
+
+
+def test_golden_yaml(tmp_path: Path) -> None:
+    yaml = write(tmp_path, map_of([[0.5]], origin=(-12.350000000000001, 1e5)), TRINARY)
+    assert yaml.read_text() == (
+        "image: map.pgm\n"
+        "mode: trinary\n"
+        "resolution: 0.05\n"
+        "origin: [-12.350000000000001, 100000.0, 0.0]\n"
+        "negate: 0\n"
+        "occupied_thresh: 0.65\n"
+        "free_thresh: 0.196\n"
+    )
+
+
+@pytest.mark.parametrize(
+    "name", ["12.pgm", "a: b.pgm", "grüße.PGM", "v1.2.pgm", "x " * 60 + ".pgm"]
+)
+def test_yaml_names_the_image_whatever_it_is_called(tmp_path: Path, name: str) -> None:
+    image, yaml = PgmWriter().write(tmp_path / name, map_of([[0.5]]), TRINARY)
+    assert YAML(typ="safe").load(yaml)["image"] == name
+    assert image.name == name
+    assert yaml.stem == image.stem
+
+
+def test_numbers_are_python_floats_in_full() -> None:
+    grid = OccupancyMap(
+        np.zeros((1, 1), np.float32),
+        np.ones((1, 1), np.bool_),
+        float(np.float64(0.0125)),
+        (float(np.float64(1 / 3)), 0.1 + 0.2),
+    )
+    fields = describe_map("m.pgm", grid, TRINARY)
+    assert fields["resolution"] == 0.0125
+    assert fields["origin"] == [1 / 3, 0.30000000000000004, 0.0]
+
+
+# A quarter per cent around the default thresholds, and well inside each class.
+AROUND = [0.01, 0.19, 0.1935, 0.1985, 0.2, 0.5, 0.6475, 0.6525, 0.66, 0.99, np.nan]
+
+
+@pytest.mark.parametrize("load", [load_ros1, load_nav2])
+@pytest.mark.parametrize(
+    ("occupied", "free"),
+    [(0.65, 0.196), (0.65, 0.25), (0.9, 0.4), (0.3, 0.1), (0.15, 0.05), (0.9999, 1e-4)],
+)
+def test_trinary_classes_survive_both_loaders(
+    tmp_path: Path, load: object, occupied: float, free: float
+) -> None:
+    assert callable(load)
+    options = WriteOptions(MapMode.TRINARY, occupied, free)
+    grid = map_of([AROUND, AROUND[::-1]])
+    assert load(write(tmp_path, grid, options)).tolist() == expected_classes(grid, options)
+
+
+@pytest.mark.parametrize("load", [load_ros1, load_nav2])
+def test_a_cell_on_a_threshold_belongs_to_the_class_it_bounds(tmp_path: Path, load: object) -> None:
+    assert callable(load)
+    for mode in (MapMode.TRINARY, MapMode.SCALE):
+        # 0.2 is exactly the grey 204: no loader agrees with the other on that pixel.
+        yaml = write(tmp_path, map_of([[0.6, 0.2]]), WriteOptions(mode, 0.6, 0.2))
+        assert load(yaml).tolist() == [[100, 0]]
+
+
+@settings(max_examples=60)
+@given(
+    probabilities=st.lists(st.floats(0.001, 0.999), min_size=1, max_size=30),
+    thresholds=st.tuples(st.floats(0.02, 0.98), st.floats(0.02, 0.98)).map(sorted),
+)
+def test_scale_classes_survive_both_loaders(
+    tmp_path_factory: pytest.TempPathFactory, probabilities: list[float], thresholds: list[float]
+) -> None:
+    free, occupied = thresholds[0], max(thresholds[1], thresholds[0] + 0.008)
+    options = WriteOptions(MapMode.SCALE, occupied, free)
+    # Not nearer to a threshold than single precision can tell.
+    kept = [p for p in probabilities if min(abs(p - free), abs(p - occupied)) > 1e-6]
+    grid = map_of([[*kept, 0.999]])
+    yaml = write(tmp_path_factory.mktemp("scale"), grid, options)
+    pixels = read_pgm(yaml.with_suffix(".pgm"))[0]
+    occupancy = 1 - pixels / 255
+    for p, o in zip([*kept, 0.999], occupancy, strict=True):
+        assert (o > occupied) == (p >= occupied)
+        assert (o < free) == (p <= free)
+        assert o == pytest.approx(p, abs=0.5 / 255 + 0.005 + 1.1 / 255)
+    assert ((load_ros1(yaml) == 100) == (load_nav2(yaml) == 100)).all()
+    assert ((load_ros1(yaml) == 0) <= (load_nav2(yaml) == 0)).all()
+
+
+def test_scale_has_nav2s_greys(tmp_path: Path) -> None:
+    # nav2: grey = (100 - per cent) / 100 of 255 = 229.5, 127.5, 25.5, each rounded down by its
+    # image library; unknown is half, for PGM has no transparency.
+    yaml = write(tmp_path, map_of([[0.1, 0.5, 0.9, np.nan]]), WriteOptions(MapMode.SCALE))
+    pixels = read_pgm(yaml.with_suffix(".pgm"))[0].tolist()
+    assert pixels == [229, 127, 25, 127]
+    assert load_nav2(yaml)[0].tolist() == [0, 67, 100, 67]
+
+
+def test_scale_with_thresholds_at_the_ends(tmp_path: Path) -> None:
+    options = WriteOptions(MapMode.SCALE, 1 - 1e-9, 1e-9)
+    yaml = write(tmp_path, map_of([[0.002, 0.5, 0.998]]), options)
+    assert read_pgm(yaml.with_suffix(".pgm")).tolist() == [[254, 127, 1]]
+
+
+@pytest.mark.parametrize("free", [0.55, 0.05])
+def test_unknown_is_never_a_class_in_scale(tmp_path: Path, free: float) -> None:
+    yaml = write(tmp_path, map_of([[np.nan]]), WriteOptions(MapMode.SCALE, free + 0.1, free))
+    assert 0 < load_ros1(yaml)[0, 0] < 100
+    assert 0 < load_nav2(yaml)[0, 0] < 100
+
+
+@pytest.mark.parametrize("load", [load_ros1, load_nav2])
+def test_raw_is_per_cent_and_255(tmp_path: Path, load: object) -> None:
+    assert callable(load)
+    yaml = write(
+        tmp_path, map_of([[0.003, 0.196, 0.5, 0.651, 0.999, np.nan]]), WriteOptions(MapMode.RAW)
+    )
+    assert load(yaml).tolist() == [[0, 20, 50, 65, 100, -1]]
+    assert read_pgm(yaml.with_suffix(".pgm"))[0, -1] == 255
+
+
+def test_one_hit_at_the_threshold_is_occupied(tmp_path: Path) -> None:
+    log_odds = np.array([[np.log(0.65 / 0.35)]], np.float32)
+    grid = OccupancyMap(log_odds, np.ones((1, 1), np.bool_), 0.05, (0.0, 0.0))
+    assert load_nav2(write(tmp_path, grid, TRINARY)).tolist() == [[100]]
+
+
+def test_extreme_log_odds(tmp_path: Path) -> None:
+    grid = OccupancyMap(
+        np.array([[-3e38, 3e38, -1e4, 1e4]], np.float32), np.ones((1, 4), np.bool_), 1.0, (0.0, 0.0)
+    )
+    for mode in MapMode:
+        yaml = write(tmp_path, grid, WriteOptions(mode))
+        assert load_nav2(yaml).tolist() == [[0, 100, 0, 100]]
+
+
+def test_written_thresholds_keep_the_users_where_the_greys_allow() -> None:
+    assert written_thresholds(WriteOptions(MapMode.TRINARY, 0.8, 0.1)) == (0.8, 0.1)
+    assert written_thresholds(WriteOptions(MapMode.TRINARY, 0.8, 0.25)) == (0.8, 0.196)
+    assert written_thresholds(WriteOptions(MapMode.SCALE, 0.8, 0.25)) == (0.8, 0.25)
+
+
+@pytest.mark.parametrize("mode", list(MapMode))
+def test_bands_do_not_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: MapMode) -> None:
+    grid = map_of(np.random.default_rng(1).uniform(0.01, 0.99, (37, 11)))
+    whole = write(tmp_path, grid, WriteOptions(mode)).with_suffix(".pgm").read_bytes()
+    monkeypatch.setattr(writers, "BAND_CELLS", 25)
+    assert write(tmp_path, grid, WriteOptions(mode)).with_suffix(".pgm").read_bytes() == whole
+
+
+def test_when_the_yaml_cannot_be_written_there_is_no_image_either(tmp_path: Path) -> None:
+    (tmp_path / "map.yaml").mkdir()
+    with pytest.raises(OutputError, match=r"map\.yaml: is a folder"):
+        PgmWriter().write(tmp_path / "map.pgm", map_of([[0.5]]), TRINARY)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["map.yaml"]

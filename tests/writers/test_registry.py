@@ -1,0 +1,52 @@
+from pathlib import Path
+
+import pytest
+
+from occmap import writers
+from occmap.errors import UsageError
+from occmap.writers import MapMode, WriteOptions, find_writer
+from occmap.writers.pgm import PgmWriter
+from occmap.writers.png import PngWriter
+
+
+def test_the_suffix_picks_the_writer() -> None:
+    assert isinstance(find_writer(Path("maps/a.b.pgm")), PgmWriter)
+    assert isinstance(find_writer(Path("MAP.PNG")), PngWriter)
+
+
+def test_targets_are_known_before_writing() -> None:
+    assert find_writer(Path("a/m.pgm")).targets(Path("a/m.pgm")) == (
+        Path("a/m.pgm"),
+        Path("a/m.yaml"),
+    )
+    assert find_writer(Path("m.png")).targets(Path("m.png")) == (Path("m.png"),)
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [("map.jpg", "unknown suffix '.jpg'"), ("map", "no suffix"), ("map.", "no suffix")],
+)
+def test_unknown_suffix_lists_the_known_ones(name: str, found: str) -> None:
+    with pytest.raises(UsageError, match=rf"{name}: .*{found}; occmap writes \.pgm, \.png"):
+        find_writer(Path(name))
+
+
+def test_a_writer_that_does_not_load_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(writers, "load_plugin", lambda _group, _name: None)
+    with pytest.raises(UsageError, match=r"the writer for \.png does not load"):
+        find_writer(Path("map.png"))
+
+
+@pytest.mark.parametrize(
+    ("occupied", "free"),
+    [(0.2, 0.6), (0.5, 0.5), (1.0, 0.2), (0.65, 0.0), (float("nan"), 0.2), (0.65, -1.0)],
+)
+def test_thresholds_out_of_order_name_the_flags(occupied: float, free: float) -> None:
+    with pytest.raises(UsageError, match=r"--occupied-thresh.*--free-thresh.*0 < free < occ"):
+        WriteOptions(occupied_thresh=occupied, free_thresh=free)
+
+
+def test_scale_needs_a_grey_between_the_thresholds() -> None:
+    WriteOptions(MapMode.TRINARY, 0.5001, 0.5)
+    with pytest.raises(UsageError, match=r"at least 0\.008 apart"):
+        WriteOptions(MapMode.SCALE, 0.5001, 0.5)
