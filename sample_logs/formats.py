@@ -1,0 +1,191 @@
+"""The drive in every log format that occmap reads."""
+
+import math
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from drive import (
+    ANGLE_INCREMENT,
+    ANGLE_MIN,
+    BEAMS,
+    LASER_MOUNT,
+    MAP_TO_ODOM,
+    NOISE_SIGMA,
+    RANGE_MAX,
+    RANGE_MIN,
+    SCAN_INTERVAL_NS,
+    START_NS,
+    Drive,
+    Planar,
+    compose,
+    invert,
+)
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from numpy.typing import NDArray
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+CARMEN_NO_RETURN = "81.910"
+"""SICK drivers write this; it is above RANGE_MAX, so it means what `inf` means elsewhere."""
+CHUNK_BYTES = 64 * 1024
+
+
+def write_csv(drive: Drive, path: Path) -> None:
+    """Write occmap's own CSV dialect."""
+    constants = {
+        "angle_min": ANGLE_MIN,
+        "angle_increment": ANGLE_INCREMENT,
+        "range_min": RANGE_MIN,
+        "range_max": RANGE_MAX,
+    }
+    lines = [f"# {name}: {value!r}" for name, value in constants.items()]
+    lines.append("stamp,x,y,yaw," + ",".join(f"r{i}" for i in range(BEAMS)))
+    for stamp_ns, pose, ranges in zip(drive.stamp_ns, drive.laser, drive.ranges, strict=True):
+        place = f"{pose.x:.4f},{pose.y:.4f},{pose.yaw:.4f}"
+        lines.append(f"{_seconds(stamp_ns)},{place}," + ",".join(f"{r:.3f}" for r in ranges))
+    _write_lines(path, lines)
+
+
+def write_carmen(drive: Drive, path: Path) -> None:
+    """Write ROBOTLASER1 lines."""
+    lines = ["# CARMEN log: message_name [contents] ipc_timestamp ipc_hostname logger_timestamp"]
+    fov = (BEAMS - 1) * ANGLE_INCREMENT
+    head = f"ROBOTLASER1 0 {ANGLE_MIN!r} {fov!r} {ANGLE_INCREMENT!r} {RANGE_MAX} {NOISE_SIGMA} 0"
+    for stamp_ns, pose, ranges in zip(drive.stamp_ns, drive.laser, drive.ranges, strict=True):
+        beams = " ".join(f"{r:.3f}" if r < RANGE_MAX else CARMEN_NO_RETURN for r in ranges)
+        robot = compose(pose, invert(LASER_MOUNT))
+        poses = f"{pose.x:.4f} {pose.y:.4f} {pose.yaw:.4f} {robot.x} {robot.y} {robot.yaw:.4f}"
+        times = f"{_seconds(stamp_ns)} robot {_seconds(stamp_ns - START_NS)}"
+        lines.append(f"{head} {BEAMS} {beams} 0 {poses} 1.0 0.0 0.3 0.3 10.0 {times}")
+    _write_lines(path, lines)
+
+
+def _seconds(stamp_ns: int) -> str:
+    return f"{stamp_ns // 10**9}.{stamp_ns % 10**9 // 1000:06d}"
+
+
+def _write_lines(path: Path, lines: list[str]) -> None:
+    path.write_text("\n".join(lines) + "\n", encoding="ascii", newline="\n")
+
+
+Message: TypeAlias = tuple[str, int, Any]
+"""Topic, stamp (ns) and the message."""
+TF_TYPE, TF_DEFINITION = "tf2_msgs/msg/TFMessage", "geometry_msgs/TransformStamped[] transforms"
+TOPIC_TYPES = {"/tf_static": TF_TYPE, "/tf": TF_TYPE, "/scan": "sensor_msgs/msg/LaserScan"}
+
+
+class RosMessages:
+    """The drive as messages of one ROS version."""
+
+    def __init__(self, store: Stores) -> None:
+        self.store = get_typestore(store)
+        if TF_TYPE not in self.store.types:  # no part of rosbags' ROS 1 types
+            self.store.register(get_types_from_msg(TF_DEFINITION, TF_TYPE))
+        self._types: dict[str, Any] = dict(self.store.types)
+        # Only ROS 1 headers count messages.
+        has_seq = "seq" in self._types["std_msgs/msg/Header"].__annotations__
+        self._sequence = {"seq": 0} if has_seq else {}
+
+    def of(self, drive: Drive) -> Iterator[Message]:
+        """Yield the mount once, then for every scan the poses and the scan itself."""
+        yield "/tf_static", START_NS, self._tf(START_NS, {("base_link", "laser"): LASER_MOUNT})
+        to_odom = invert(MAP_TO_ODOM)
+        for stamp_ns, laser, ranges in zip(drive.stamp_ns, drive.laser, drive.ranges, strict=True):
+            base = compose(to_odom, compose(laser, invert(LASER_MOUNT)))
+            edges = {("map", "odom"): MAP_TO_ODOM, ("odom", "base_link"): base}
+            yield "/tf", stamp_ns, self._tf(stamp_ns, edges)
+            yield "/scan", stamp_ns, self._scan(stamp_ns, ranges)
+
+    def _tf(self, stamp_ns: int, edges: dict[tuple[str, str], Planar]) -> Any:
+        transforms = [
+            self._types["geometry_msgs/msg/TransformStamped"](
+                header=self._header(stamp_ns, parent),
+                child_frame_id=child,
+                transform=self._transform(pose),
+            )
+            for (parent, child), pose in edges.items()
+        ]
+        return self._types[TF_TYPE](transforms=transforms)
+
+    def _transform(self, pose: Planar) -> Any:
+        qz, qw = round(math.sin(pose.yaw / 2), 12), round(math.cos(pose.yaw / 2), 12)
+        return self._types["geometry_msgs/msg/Transform"](
+            translation=self._types["geometry_msgs/msg/Vector3"](x=pose.x, y=pose.y, z=0.0),
+            rotation=self._types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=qz, w=qw),
+        )
+
+    def _scan(self, stamp_ns: int, ranges: NDArray[np.float64]) -> Any:
+        return self._types["sensor_msgs/msg/LaserScan"](
+            header=self._header(stamp_ns, "laser"),
+            angle_min=ANGLE_MIN,
+            angle_max=ANGLE_MIN + (BEAMS - 1) * ANGLE_INCREMENT,
+            angle_increment=ANGLE_INCREMENT,
+            time_increment=0.0,
+            scan_time=SCAN_INTERVAL_NS / 1e9,
+            range_min=RANGE_MIN,
+            range_max=RANGE_MAX,
+            ranges=ranges.astype(np.float32),
+            intensities=np.empty(0, np.float32),
+        )
+
+    def _header(self, stamp_ns: int, frame: str) -> Any:
+        sec, nanosec = divmod(stamp_ns, 10**9)
+        stamp = self._types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
+        return self._types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame, **self._sequence)
+
+
+def write_ros1(drive: Drive, path: Path) -> None:
+    """Write a ROS 1 bag."""
+    path.unlink(missing_ok=True)
+    messages = RosMessages(Stores.ROS1_NOETIC)
+    writer = Ros1Writer(path)
+    writer.chunk_threshold = CHUNK_BYTES
+    with writer:
+        connections = {
+            topic: writer.add_connection(topic, name, typestore=messages.store)
+            for topic, name in TOPIC_TYPES.items()
+        }
+        for topic, stamp_ns, message in messages.of(drive):
+            data = messages.store.serialize_ros1(message, TOPIC_TYPES[topic])
+            writer.write(connections[topic], stamp_ns, data)
+
+
+def write_ros2(drive: Drive, path: Path) -> None:
+    """Write a ROS 2 bag, a folder with sqlite3 storage."""
+    shutil.rmtree(path, ignore_errors=True)
+    messages = RosMessages(Stores.ROS2_JAZZY)
+    with Ros2Writer(path, version=9) as writer:
+        connections = {
+            topic: writer.add_connection(topic, name, typestore=messages.store)
+            for topic, name in TOPIC_TYPES.items()
+        }
+        for topic, stamp_ns, message in messages.of(drive):
+            data = messages.store.serialize_cdr(message, TOPIC_TYPES[topic])
+            writer.write(connections[topic], stamp_ns, data)
+
+
+def write_mcap(drive: Drive, path: Path) -> None:
+    """Write the ROS 2 messages into one MCAP file."""
+    messages = RosMessages(Stores.ROS2_JAZZY)
+    with path.open("wb") as file:
+        writer = McapWriter(file, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
+        writer.start(profile="ros2", library="occmap sample log")
+        schemas = {
+            name: writer.register_schema(
+                name, "ros2msg", messages.store.generate_msgdef(name, ros_version=2)[0].encode()
+            )
+            for name in dict.fromkeys(TOPIC_TYPES.values())
+        }
+        channels = {
+            topic: writer.register_channel(topic, "cdr", schemas[name])
+            for topic, name in TOPIC_TYPES.items()
+        }
+        for topic, stamp_ns, message in messages.of(drive):
+            data = bytes(messages.store.serialize_cdr(message, TOPIC_TYPES[topic]))
+            writer.add_message(channels[topic], stamp_ns, data, publish_time=stamp_ns)
+        writer.finish()  # type: ignore[no-untyped-call]  # the library's gap
