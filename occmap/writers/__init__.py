@@ -61,7 +61,7 @@ class WriteOptions:
         if not 0 < self.free_thresh < self.occupied_thresh < 1:
             raise UsageError(found, fix="they must satisfy 0 < free < occupied < 1")
         # Two grey levels: else no grey may be left for a cell that is neither free nor occupied.
-        if self.mode is MapMode.SCALE and self.occupied_thresh - self.free_thresh < 2 / 255:
+        if self.mode is MapMode.SCALE and self.occupied_thresh - self.free_thresh < 0.008:
             raise UsageError(found, fix="with --mode scale they must be at least 0.008 apart")
 
 

@@ -116,10 +116,9 @@ def _grey_limits(options: WriteOptions) -> tuple[int, int, tuple[int, int]]:
     """Return the darkest grey that is free, the lightest that is occupied, and those between."""
     at_free = 255 * (1 - options.free_thresh)
     at_occupied = 255 * (1 - options.occupied_thresh)
-    between = (
-        math.floor(at_occupied + THRESHOLD_MARGIN) + 1,
-        math.ceil(at_free - THRESHOLD_MARGIN) - 1,
-    )
+    # nav2 spreads these over 0 to 100 and rounds: the outer half per cent would become a class.
+    inset = (at_free - at_occupied) / 200 + THRESHOLD_MARGIN
+    between = math.floor(at_occupied + inset) + 1, math.ceil(at_free - inset) - 1
     darkest_free = math.floor(at_free + THRESHOLD_MARGIN) + 1
     lightest_occupied = math.ceil(at_occupied - THRESHOLD_MARGIN) - 1
     return min(darkest_free, 255), max(lightest_occupied, 0), between
