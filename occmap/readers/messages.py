@@ -1,0 +1,144 @@
+"""ROS messages as scans and pose samples: the types that occmap understands, and what each becomes.
+
+A type is listed under its ROS 2 name; ROS 1 names are brought to that form. To support another
+type, write its converter and add a line to `SCAN_TYPES` or `POSE_TYPES`: the table that a type
+stands in is its role.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from occmap.readers import Role
+from occmap.types import Pose, PoseSample, Scan
+
+ToScan = Callable[[Any, str, int], Scan]
+"""From a decoded message, its topic and its record time in ns."""
+ToPoses = Callable[[Any, str, int], list[PoseSample]]
+
+
+def normalise_type(name: str) -> str:
+    """Bring a message type to its ROS 2 form: `tf/tfMessage` becomes `tf/msg/tfMessage`."""
+    package, _, base = name.rpartition("/")
+    return name if package.endswith("/msg") else f"{package}/msg/{base}"
+
+
+def find_role(name: str) -> Role:
+    """Say what messages of a type, in its ROS 1 or ROS 2 form, can be used for."""
+    normal = normalise_type(name)
+    if normal in SCAN_TYPES:
+        return Role.SCAN
+    return Role.POSE if normal in POSE_TYPES else Role.OTHER
+
+
+def is_static_topic(topic: str) -> bool:
+    """Say whether the transforms of a topic hold at all times: /tf_static, with any namespace."""
+    return topic.rpartition("/")[2] == "tf_static"
+
+
+def convert_laser_scan(message: Any, topic: str, record_ns: int) -> Scan:
+    """Convert a sensor_msgs/LaserScan."""
+    return Scan(
+        stamp_ns=_read_stamp(message.header),
+        frame=_read_frame(message.header.frame_id),
+        angle_min=message.angle_min,
+        angle_increment=message.angle_increment,
+        # A copy, since the message is a view of all bytes that were read with it.
+        ranges=np.array(message.ranges, dtype=np.float32),
+        range_min=message.range_min,
+        range_max=message.range_max,
+        time_increment=message.time_increment,
+        topic=topic,
+        record_ns=record_ns,
+    )
+
+
+def convert_transforms(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
+    """Convert a tf2_msgs/TFMessage or the older tf/tfMessage: each transform is a sample."""
+    static = is_static_topic(topic)
+    return [
+        PoseSample(
+            stamp_ns=_read_stamp(transform.header),
+            parent=_read_frame(transform.header.frame_id),
+            child=_read_frame(transform.child_frame_id),
+            pose=_read_pose(transform.transform.translation, transform.transform.rotation),
+            static=static,
+            topic=topic,
+            record_ns=record_ns,
+        )
+        for transform in message.transforms
+    ]
+
+
+def convert_odometry(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
+    """Convert a nav_msgs/Odometry, which names both of its frames."""
+    return [
+        PoseSample(
+            stamp_ns=_read_stamp(message.header),
+            parent=_read_frame(message.header.frame_id),
+            child=_read_frame(message.child_frame_id),
+            pose=_read_pose(message.pose.pose.position, message.pose.pose.orientation),
+            topic=topic,
+            record_ns=record_ns,
+        )
+    ]
+
+
+def convert_pose(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
+    """Convert a geometry_msgs/PoseStamped, which does not name what moved."""
+    return [_make_sample(message.header, message.pose, topic, record_ns)]
+
+
+def convert_pose_with_covariance(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
+    """Convert a geometry_msgs/PoseWithCovarianceStamped; the covariance is not used."""
+    return [_make_sample(message.header, message.pose.pose, topic, record_ns)]
+
+
+def convert_path(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
+    """Convert a nav_msgs/Path: each pose is a sample, in the path's frame where it names none."""
+    frame = _read_frame(message.header.frame_id)
+    samples = (_make_sample(item.header, item.pose, topic, record_ns) for item in message.poses)
+    return [sample if sample.parent else sample._replace(parent=frame) for sample in samples]
+
+
+def _make_sample(header: Any, pose: Any, topic: str, record_ns: int) -> PoseSample:
+    """Build the sample of a pose that has a header and no name for what moved."""
+    return PoseSample(
+        stamp_ns=_read_stamp(header),
+        parent=_read_frame(header.frame_id),
+        child="",
+        pose=_read_pose(pose.position, pose.orientation),
+        topic=topic,
+        record_ns=record_ns,
+    )
+
+
+def _read_stamp(header: Any) -> int:
+    """Read a header's stamp, in ns."""
+    stamp_ns: int = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+    return stamp_ns
+
+
+def _read_frame(name: str) -> str:
+    """Read a frame's name; old logs write `/laser` in one place and `laser` in another."""
+    return name.lstrip("/")
+
+
+def _read_pose(position: Any, rotation: Any) -> Pose:
+    """Read a point (or vector) and a quaternion."""
+    return Pose(position.x, position.y, position.z, rotation.x, rotation.y, rotation.z, rotation.w)
+
+
+SCAN_TYPES: Mapping[str, ToScan] = {
+    "sensor_msgs/msg/LaserScan": convert_laser_scan,
+}
+
+POSE_TYPES: Mapping[str, ToPoses] = {
+    "tf2_msgs/msg/TFMessage": convert_transforms,
+    "tf/msg/tfMessage": convert_transforms,
+    "nav_msgs/msg/Odometry": convert_odometry,
+    "geometry_msgs/msg/PoseStamped": convert_pose,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": convert_pose_with_covariance,
+    "nav_msgs/msg/Path": convert_path,
+}

@@ -1,0 +1,117 @@
+"""From the bytes of a ROS message to scans and pose samples, by the log's own definitions."""
+
+import re
+from collections.abc import Callable
+from typing import Any, TypeAlias, TypeVar
+
+from rosbags.typesys import (
+    Stores,
+    TypesysError,
+    get_types_from_idl,
+    get_types_from_msg,
+    get_typestore,
+)
+from rosbags.typesys.store import Typestore
+
+from occmap.errors import LogError
+from occmap.readers.inflate import inflate_message
+from occmap.readers.messages import POSE_TYPES, SCAN_TYPES, normalise_type
+from occmap.readers.ros_cdr import (
+    STANDARD_DEFINITIONS,
+    is_standard,
+    read_laser_scan,
+    read_transforms,
+)
+from occmap.readers.ros_source import Channel
+from occmap.types import PoseSample, Scan
+
+T = TypeVar("T")
+FromBytes: TypeAlias = Callable[[memoryview, int], T]
+"""From a message's bytes and its record time in ns."""
+
+# rosbags' parser and the code it generates raise these on definitions that are not well formed.
+_DEFINITION_ERRORS = (TypesysError, AssertionError, LookupError, SyntaxError, TypeError, ValueError)
+_IDL_SEPARATOR = "=" * 80 + "\n"
+
+
+def make_scan_reader(channel: Channel) -> FromBytes[Scan]:
+    """Build the function that reads a channel's messages as scans.
+
+    Raises
+    ------
+    LogError
+        The channel's message definition cannot be understood.
+    """
+    convert = SCAN_TYPES[normalise_type(channel.type)]
+    return _make_reader(channel, convert, read_laser_scan)
+
+
+def make_pose_reader(channel: Channel) -> FromBytes[list[PoseSample]]:
+    """Build the function that reads a channel's messages as pose samples.
+
+    Raises
+    ------
+    LogError
+        The channel's message definition cannot be understood.
+    """
+    convert = POSE_TYPES[normalise_type(channel.type)]
+    return _make_reader(channel, convert, read_transforms)
+
+
+def _make_reader(
+    channel: Channel,
+    convert: Callable[[Any, str, int], T],
+    read_standard: Callable[[memoryview, str, int], T],
+) -> FromBytes[T]:
+    """Combine decoding and conversion, by the short way where the definition is standard."""
+    name, topic = normalise_type(channel.type), channel.topic
+    try:
+        store = _load_types(channel, name)
+        short = channel.wire == "cdr" and is_standard(name, store.fielddefs)
+        if not short:
+            store.get_msgdef(name)
+    except _DEFINITION_ERRORS as error:
+        raise LogError(
+            f"the definition of {channel.type} cannot be understood ({type(error).__name__})",
+            where=topic,
+        ) from error
+    decode = store.deserialize_ros1 if channel.wire == "ros1" else store.deserialize_cdr
+
+    def read_any(data: memoryview, record_ns: int) -> T:
+        return convert(decode(data, name), topic, record_ns)
+
+    def read_short(data: memoryview, record_ns: int) -> T:
+        if data[0] == 0 and data[1] == 1:
+            return read_standard(data, topic, record_ns)
+        return read_any(data, record_ns)
+
+    read = read_short if short else read_any
+    return _unzip_first(read) if channel.zipped else read
+
+
+def _unzip_first(read: FromBytes[T]) -> FromBytes[T]:
+    """Decompress each message before it is read."""
+    return lambda data, record_ns: read(inflate_message(data), record_ns)
+
+
+def _load_types(channel: Channel, name: str) -> Typestore:
+    """Load the log's own definition of a message type, or the standard one where it has none."""
+    if channel.definition:
+        return _parse_definition(channel.definition, name, channel.syntax)
+    if channel.wire == "cdr" and name in STANDARD_DEFINITIONS:
+        return _parse_definition(STANDARD_DEFINITIONS[name], name, "msg")
+    return get_typestore(Stores.ROS1_NOETIC if channel.wire == "ros1" else Stores.ROS2_HUMBLE)
+
+
+def _parse_definition(definition: str, name: str, syntax: str) -> Typestore:
+    """Parse a definition and those appended to it."""
+    store = get_typestore(Stores.EMPTY)
+    if syntax == "msg":
+        # Bags from before 2011 call the header by the package that it then was in.
+        renamed = definition.replace("MSG: roslib/Header", "MSG: std_msgs/Header")
+        store.register(get_types_from_msg(renamed, name))
+        return store
+    for part in definition.split(_IDL_SEPARATOR):
+        # Where there are several, each is headed by a line that names it.
+        store.register(get_types_from_idl(re.sub(r"\AIDL: .*\n", "", part)))
+    return store

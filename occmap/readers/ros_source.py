@@ -1,0 +1,61 @@
+"""What every container of ROS messages gives: channels, and the raw messages of some of them."""
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol, TypeAlias
+
+from occmap.readers import Note, Role
+from occmap.readers.messages import find_role
+
+Wire: TypeAlias = Literal["cdr", "ros1", ""]
+"""How messages are written as bytes; "" for what occmap does not read."""
+Syntax: TypeAlias = Literal["msg", "idl", ""]
+"""The language of a message definition; "" for none."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Channel:
+    """One publisher's messages on a topic. Compared by identity: two may look alike."""
+
+    topic: str
+    type: str
+    """As recorded, in ROS 1 or ROS 2 form."""
+    wire: Wire
+    definition: str = ""
+    """The text of the message type and those it is made of, where the log holds it."""
+    syntax: Syntax = ""
+    count: int = 0
+    """Messages in the log."""
+    zipped: bool = False
+    """Each message is compressed with zstd on its own."""
+
+    @property
+    def role(self) -> Role:
+        """What the messages can be used for."""
+        return find_role(self.type) if self.wire else Role.OTHER
+
+
+RawMessage: TypeAlias = tuple[Channel, int, memoryview]
+"""The channel, when it was recorded (ns), and its bytes; these are valid until the next one."""
+
+
+class Source(Protocol):
+    """A container of ROS messages."""
+
+    path: Path
+    notes: list[Note]
+
+    @property
+    def channels(self) -> Sequence[Channel]:
+        """Every channel, also those that no map needs."""
+
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+        """Give the messages of some channels, in file order."""
+
+
+def add_note(notes: list[Note], text: str) -> None:
+    """Note damage, once however often the log is read."""
+    note = Note(text, damage=True)
+    if note not in notes:
+        notes.append(note)

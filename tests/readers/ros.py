@@ -1,0 +1,157 @@
+"""Small ROS logs in every container, and what is in them."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from occmap.types import Float32
+
+ROS1: Typestore = get_typestore(Stores.ROS1_NOETIC)
+ROS2: Typestore = get_typestore(Stores.ROS2_HUMBLE)
+ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf/msg/tfMessage"))
+
+SCAN = "sensor_msgs/msg/LaserScan"
+TF = "tf2_msgs/msg/TFMessage"
+RANGES: Float32 = np.array([1.0, 2.5, np.inf, np.nan, 0.0], dtype=np.float32)
+SECOND = 1_000_000_000
+
+
+class Written(NamedTuple):
+    """A message and when and where it was recorded."""
+
+    topic: str
+    record_ns: int
+    message: Any
+
+
+Write = Callable[[Path, Sequence[Written]], Path]
+
+
+def header(store: Typestore, stamp_ns: int, frame: str) -> Any:
+    time = store.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, SECOND))
+    make = store.types["std_msgs/msg/Header"]
+    return make(seq=7, stamp=time, frame_id=frame) if store is ROS1 else make(time, frame)
+
+
+def scan(store: Typestore, stamp_ns: int, frame: str = "laser", ranges: Float32 = RANGES) -> Any:
+    return store.types[SCAN](
+        header=header(store, stamp_ns, frame),
+        angle_min=-1.5,
+        angle_max=1.5,
+        angle_increment=0.75,
+        time_increment=0.125,
+        scan_time=0.5,
+        range_min=0.25,
+        range_max=30.0,
+        ranges=ranges,
+        intensities=np.ones(3, dtype=np.float32),
+    )
+
+
+def pose(store: Typestore, x: float) -> Any:
+    """At (x, 2, 3), turned half round about z."""
+    types = store.types
+    point = types["geometry_msgs/msg/Point"](x, 2.0, 3.0)
+    return types["geometry_msgs/msg/Pose"](
+        point, types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 1.0, 0.0)
+    )
+
+
+def transforms(
+    store: Typestore, stamp_ns: int, edges: Iterable[tuple[str, str, float]], kind: str = TF
+) -> Any:
+    types = store.types
+    rotation = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 1.0, 0.0)
+    return types[kind](
+        [
+            types["geometry_msgs/msg/TransformStamped"](
+                header(store, stamp_ns, parent),
+                child,
+                types["geometry_msgs/msg/Transform"](
+                    types["geometry_msgs/msg/Vector3"](x, 2.0, 3.0), rotation
+                ),
+            )
+            for parent, child, x in edges
+        ]
+    )
+
+
+def drive(store: Typestore, scans: int = 6) -> list[Written]:
+    """Go 0.5 m a second; scan k lies at second k + 1 and is recorded half a second later."""
+    log = [Written("/tf_static", SECOND, transforms(store, SECOND, [("base", "/laser", 0.25)]))]
+    for k in range(scans):
+        stamp = (k + 1) * SECOND + 5
+        log += [
+            Written("/tf", stamp, transforms(store, stamp, [("/odom", "base", 0.5 * k)])),
+            Written("/scan", stamp + SECOND // 2, scan(store, stamp, "/laser", RANGES + k)),
+        ]
+    return log
+
+
+def write_bag1(path: Path, log: Sequence[Written], compression: str = "none") -> Path:
+    writer = Writer1(path)
+    if compression != "none":
+        writer.set_compression(Writer1.CompressionFormat[compression.upper()])
+    with writer:
+        connections: dict[str, Any] = {}
+        for topic, record_ns, message in log:
+            kind = message.__msgtype__
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=ROS1)
+            writer.write(connections[topic], record_ns, ROS1.serialize_ros1(message, kind))
+    return path
+
+
+class Bag2(NamedTuple):
+    storage: StoragePlugin
+    zipped: CompressionMode = CompressionMode.NONE
+
+    def write(self, path: Path, log: Sequence[Written]) -> Path:
+        writer = Writer2(path, version=9, storage_plugin=self.storage)
+        if self.zipped is not CompressionMode.NONE:
+            writer.set_compression(self.zipped, CompressionFormat.ZSTD)
+        with writer:
+            connections: dict[str, Any] = {}
+            for topic, record_ns, message in log:
+                kind = message.__msgtype__
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, kind, typestore=ROS2)
+                writer.write(connections[topic], record_ns, ROS2.serialize_cdr(message, kind))
+        return path
+
+
+def write_mcap(
+    path: Path,
+    log: Sequence[Written],
+    store: Typestore = ROS2,
+    options: Mapping[str, Any] | None = None,
+) -> Path:
+    """Write an MCAP file, in ROS 1 form where the store is of ROS 1."""
+    ros1 = store is ROS1
+    with path.open("wb") as file:
+        writer = McapWriter(file, **(options or {"compression": CompressionType.NONE}))
+        writer.start(profile="ros1" if ros1 else "ros2", library="occmap's tests")
+        channels: dict[str, int] = {}
+        for topic, record_ns, message in log:
+            kind = message.__msgtype__
+            if topic not in channels:
+                text, _ = store.generate_msgdef(kind, ros_version=1 if ros1 else 2)
+                schema = writer.register_schema(
+                    kind.replace("/msg/", "/") if ros1 else kind,
+                    "ros1msg" if ros1 else "ros2msg",
+                    text.encode(),
+                )
+                channels[topic] = writer.register_channel(topic, "ros1" if ros1 else "cdr", schema)
+            write = store.serialize_ros1 if ros1 else store.serialize_cdr
+            writer.add_message(channels[topic], record_ns, bytes(write(message, kind)), record_ns)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path

@@ -1,0 +1,141 @@
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.typesys.store import Typestore
+
+from occmap.readers import Role
+from occmap.readers.messages import (
+    POSE_TYPES,
+    SCAN_TYPES,
+    convert_laser_scan,
+    find_role,
+    is_static_topic,
+    normalise_type,
+)
+from occmap.types import Pose, PoseSample
+from tests.readers.ros import RANGES, ROS1, ROS2, header, pose, scan, transforms
+
+STAMP = 1_600_000_000_123_456_789
+HALF_TURN = Pose(1.0, 2.0, 3.0, 0.0, 0.0, 1.0, 0.0)
+
+
+def convert(kind: str, message: Any) -> list[PoseSample]:
+    return POSE_TYPES[kind](message, "/topic", 42)
+
+
+@pytest.fixture(params=[ROS1, ROS2], ids=["ros1", "ros2"])
+def store(request: pytest.FixtureRequest) -> Typestore:
+    chosen: Typestore = request.param
+    return chosen
+
+
+def test_laser_scan_becomes_a_scan(store: Typestore) -> None:
+    result = convert_laser_scan(scan(store, STAMP, "//robot/laser"), "/scan", 42)
+
+    np.testing.assert_array_equal(result.ranges, RANGES)
+    assert result.ranges.dtype == np.float32
+    assert result._replace(ranges=RANGES) == (
+        STAMP, "robot/laser", -1.5, 0.75, RANGES, 0.25, 30.0, 0.125, None, "/scan", 42,
+    )  # fmt: skip
+
+
+def test_ranges_are_a_copy(store: Typestore) -> None:
+    message = scan(store, STAMP)
+
+    assert not np.shares_memory(convert_laser_scan(message, "/scan", 42).ranges, message.ranges)
+
+
+@pytest.mark.parametrize("kind", ["tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"])
+def test_each_transform_is_a_sample_without_leading_slashes(kind: str) -> None:
+    store = ROS1 if kind == "tf/msg/tfMessage" else ROS2
+    message = transforms(store, STAMP, [("/map", "/odom", 1.0), ("odom", "//base", 1.0)], kind)
+
+    assert convert(kind, message) == [
+        PoseSample(STAMP, "map", "odom", HALF_TURN, False, "/topic", 42),
+        PoseSample(STAMP, "odom", "base", HALF_TURN, False, "/topic", 42),
+    ]
+
+
+def test_transforms_on_a_static_topic_hold_at_all_times() -> None:
+    message = transforms(ROS2, STAMP, [("base", "laser", 1.0)])
+
+    (sample,) = POSE_TYPES["tf2_msgs/msg/TFMessage"](message, "/robot1/tf_static", 42)
+
+    assert sample.static
+
+
+def test_odometry_names_both_frames(store: Typestore) -> None:
+    types = store.types
+    zero = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
+    message = types["nav_msgs/msg/Odometry"](
+        header(store, STAMP, "/odom"),
+        "/base",
+        types["geometry_msgs/msg/PoseWithCovariance"](pose(store, 1.0), np.zeros(36)),
+        types["geometry_msgs/msg/TwistWithCovariance"](
+            types["geometry_msgs/msg/Twist"](zero, zero), np.zeros(36)
+        ),
+    )
+
+    assert convert("nav_msgs/msg/Odometry", message) == [
+        PoseSample(STAMP, "odom", "base", HALF_TURN, False, "/topic", 42)
+    ]
+
+
+def test_stamped_poses_do_not_name_what_moved(store: Typestore) -> None:
+    types = store.types
+    covariance = types["geometry_msgs/msg/PoseWithCovariance"](pose(store, 1.0), np.zeros(36))
+    head = header(store, STAMP, "/map")
+    expected = [PoseSample(STAMP, "map", "", HALF_TURN, False, "/topic", 42)]
+
+    stamped = types["geometry_msgs/msg/PoseStamped"](head, pose(store, 1.0))
+    assert convert("geometry_msgs/msg/PoseStamped", stamped) == expected
+    uncertain = types["geometry_msgs/msg/PoseWithCovarianceStamped"](head, covariance)
+    assert convert("geometry_msgs/msg/PoseWithCovarianceStamped", uncertain) == expected
+
+
+def test_each_pose_of_a_path_is_a_sample_with_its_own_stamp(store: Typestore) -> None:
+    stamped = store.types["geometry_msgs/msg/PoseStamped"]
+    message = store.types["nav_msgs/msg/Path"](
+        header(store, STAMP, "/map"),
+        [
+            stamped(header(store, STAMP + 1, "/world"), pose(store, 1.0)),
+            stamped(header(store, STAMP + 2, ""), pose(store, 5.0)),
+        ],
+    )
+
+    assert convert("nav_msgs/msg/Path", message) == [
+        PoseSample(STAMP + 1, "world", "", HALF_TURN, False, "/topic", 42),
+        PoseSample(STAMP + 2, "map", "", HALF_TURN._replace(x=5.0), False, "/topic", 42),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "role"),
+    [
+        ("sensor_msgs/LaserScan", Role.SCAN),
+        ("sensor_msgs/msg/LaserScan", Role.SCAN),
+        ("tf/tfMessage", Role.POSE),
+        ("nav_msgs/msg/Path", Role.POSE),
+        ("sensor_msgs/Image", Role.OTHER),
+        ("foxglove.LaserScan", Role.OTHER),
+        ("", Role.OTHER),
+    ],
+)
+def test_the_type_decides_the_role(name: str, role: Role) -> None:
+    assert find_role(name) is role
+
+
+def test_no_type_is_both_a_scan_and_a_pose() -> None:
+    tables: list[dict[str, Callable[..., Any]]] = [dict(SCAN_TYPES), dict(POSE_TYPES)]
+    assert not set(tables[0]) & set(tables[1])
+    assert all(normalise_type(name) == name for table in tables for name in table)
+
+
+@pytest.mark.parametrize(
+    ("topic", "static"),
+    [("/tf_static", True), ("/robot1/tf_static", True), ("tf_static", True), ("/tf", False)],
+)
+def test_static_topics_are_known_by_their_last_part(topic: str, static: bool) -> None:
+    assert is_static_topic(topic) is static
