@@ -1,0 +1,134 @@
+"""What the text formats share: lines of a plain or gzip file, exact times, notes on damage."""
+
+import gzip
+import zlib
+from collections.abc import Iterator
+from decimal import Decimal
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from occmap.errors import LogError
+from occmap.readers import Note, Probe
+from occmap.types import Float32
+
+MAX_LINE_BYTES = 1 << 24
+"""A scan of a million beams is shorter; a longer line is no text log."""
+MAX_EXPANSION = 100
+"""Text logs shrink to a tenth with gzip; what grows a hundredfold is not one."""
+FREE_EXPANSION_BYTES = 1 << 30
+"""Below this size gzip may expand as it likes: a robot that stands still repeats itself."""
+
+NO_LOG = "this is no text log; check what the file is"
+
+
+class Line(NamedTuple):
+    """One line of a text log."""
+
+    number: int
+    text: str
+    """Without its line end."""
+    ended: bool
+    """False for a last line without a line end: the file may be cut within it."""
+
+
+def read_lines(path: Path, notes: list[Note]) -> Iterator[Line]:
+    """Yield the lines of a UTF-8 text file, plain or gzip, one at a time.
+
+    Bytes that are no UTF-8 become U+FFFD, for whoever reads the line to reject. Where gzip data
+    is cut or corrupt, every complete line before the damage is given and a note says the rest.
+
+    Raises
+    ------
+    LogError
+        The file cannot be read, has a line beyond reason, or is a gzip bomb.
+    """
+    number = 0
+    try:
+        with _open_bytes(path) as file:
+            for number, raw in enumerate(_split_lines(file, path), start=1):
+                text = raw.decode("utf-8", "replace").rstrip("\r\n")
+                yield Line(number, _strip_mark(text, number), raw.endswith(b"\n"))
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        reason = "cut short" if isinstance(error, EOFError) else f"corrupt: {error}"
+        text = f"the gzip data is {reason}; all after line {number} is lost"
+        add_note(notes, Note(text, damage=True))
+    except OSError as error:
+        raise LogError(f"cannot be read ({error.strerror})", where=path) from None
+
+
+def _open_bytes(path: Path) -> BinaryIO:
+    with path.open("rb") as file:
+        magic = file.read(2)
+    return gzip.open(path) if magic == b"\x1f\x8b" else path.open("rb")  # type: ignore[return-value]
+
+
+def _split_lines(file: BinaryIO, path: Path) -> Iterator[bytes]:
+    """Read line by line within bounds, as a bomb may hide in one line or in many."""
+    limit = max(FREE_EXPANSION_BYTES, MAX_EXPANSION * path.stat().st_size)
+    total = 0
+    while raw := file.readline(MAX_LINE_BYTES):
+        total += len(raw)
+        if len(raw) == MAX_LINE_BYTES:
+            raise LogError(f"no end of line within {len(raw)} bytes", where=path, fix=NO_LOG)
+        if total > limit:
+            raise LogError(f"grows more than {MAX_EXPANSION}-fold", where=path, fix=NO_LOG)
+        yield raw
+
+
+def _strip_mark(text: str, number: int) -> str:
+    return text.removeprefix("\ufeff") if number == 1 else text
+
+
+def parse_stamp(text: str) -> int:
+    """Convert seconds, as text, to nanoseconds exactly; a float would round to 0.2 us.
+
+    Raises
+    ------
+    ValueError
+        The text is no number, or none that fits 64 bits of nanoseconds.
+    """
+    try:
+        nanoseconds = Decimal(text).scaleb(9)
+        if abs(nanoseconds) < 2**63:
+            return round(nanoseconds)
+    except ArithmeticError:  # what decimal raises for words and for NaN
+        pass
+    raise ValueError(f"{shorten(text)} is no time in seconds")
+
+
+def as_float32(values: ArrayLike) -> Float32:
+    """Round to float32; what is too large for it becomes infinite, without a warning."""
+    with np.errstate(over="ignore"):
+        return np.asarray(values).astype(np.float32)
+
+
+def round_limit(limit: float) -> float:
+    """Round a range limit as the ranges are, so that a range at the limit compares as equal."""
+    return float(as_float32(limit))
+
+
+def shorten(text: str) -> str:
+    """Quote what was found, for a message of one line."""
+    return repr(text if len(text) <= 40 else f"{text[:37]}...")
+
+
+def add_note(notes: list[Note], note: Note) -> None:
+    """Add a note unless an earlier reading of the log has added it."""
+    if note not in notes:
+        notes.append(note)
+
+
+def probe_lines(probe: Probe) -> list[str]:
+    """Return the first lines of a file that may be text; the probe may end within the last."""
+    if b"\0" in probe.content:
+        return []
+    return probe.content.decode("utf-8-sig", "replace").splitlines()
+
+
+def note_cut_line(notes: list[Note], line: Line) -> None:
+    """Say that the last line is not whole and was not used."""
+    text = f"the file ends in the middle of line {line.number}; this line is lost"
+    add_note(notes, Note(text, damage=True))

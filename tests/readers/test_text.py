@@ -1,0 +1,131 @@
+"""Lines of text logs: line ends, damage, times to the nanosecond."""
+
+import gzip
+from pathlib import Path
+
+import pytest
+
+from occmap.errors import LogError
+from occmap.readers import Note, text
+from occmap.readers.text import Line, parse_stamp, read_lines, shorten
+
+
+def read(path: Path) -> tuple[list[Line], list[Note]]:
+    notes: list[Note] = []
+    return list(read_lines(path, notes)), notes
+
+
+def test_lines_have_numbers_and_no_ends(tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    path.write_bytes(b"\xef\xbb\xbfone\r\n\ntwo\nlast")
+    lines, notes = read(path)
+    assert lines == [
+        Line(1, "one", ended=True),
+        Line(2, "", ended=True),
+        Line(3, "two", ended=True),
+        Line(4, "last", ended=False),
+    ]
+    assert notes == []
+
+
+def test_gzip_and_plain_give_the_same_lines(tmp_path: Path) -> None:
+    content = b"a b\nc\n" * 1000
+    (tmp_path / "plain").write_bytes(content)
+    (tmp_path / "packed").write_bytes(gzip.compress(content))
+    assert read(tmp_path / "plain") == read(tmp_path / "packed")
+
+
+def test_what_is_no_utf8_is_marked_and_not_fatal(tmp_path: Path) -> None:
+    (tmp_path / "log").write_bytes(b"a\xff\n")
+    assert read(tmp_path / "log")[0] == [Line(1, "a\ufffd", ended=True)]
+
+
+@pytest.mark.parametrize("cut", [200, 1000, 2000])
+def test_a_cut_gzip_gives_complete_lines_and_one_note(tmp_path: Path, cut: int) -> None:
+    lines = [f"{number} {number**7 % 999983}" for number in range(2000)]
+    packed = gzip.compress("\n".join([*lines, ""]).encode())
+    path = tmp_path / "log.gz"
+    path.write_bytes(packed[:cut])
+    found, notes = read(path)
+    assert [line.text for line in found] == lines[: len(found)]
+    assert all(line.ended for line in found)
+    assert notes == [
+        Note(f"the gzip data is cut short; all after line {len(found)} is lost", damage=True)
+    ]
+
+
+def test_a_wrong_gzip_checksum_is_damage(tmp_path: Path) -> None:
+    packed = bytearray(gzip.compress(b"one\ntwo\n"))
+    packed[-8] ^= 1
+    path = tmp_path / "log.gz"
+    path.write_bytes(packed)
+    lines, notes = read(path)
+    assert [line.text for line in lines] == ["one", "two"]
+    assert [note.damage for note in notes] == [True]
+
+
+def test_flipped_bytes_in_gzip_raise_nothing(tmp_path: Path) -> None:
+    packed = gzip.compress("".join(f"line {n * n}\n" for n in range(3000)).encode())
+    path = tmp_path / "log.gz"
+    for at in range(2, len(packed), 211):
+        flipped = bytearray(packed)
+        flipped[at] ^= 0x40
+        path.write_bytes(flipped)
+        read(path)
+
+
+def test_a_note_is_given_once_for_two_readings(tmp_path: Path) -> None:
+    path = tmp_path / "log.gz"
+    path.write_bytes(gzip.compress(b"one\n" * 999)[:-9])
+    notes: list[Note] = []
+    list(read_lines(path, notes))
+    list(read_lines(path, notes))
+    assert len(notes) == 1
+
+
+def test_a_line_without_end_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(text, "MAX_LINE_BYTES", 100)
+    (tmp_path / "log").write_bytes(b"1 " * 51)
+    with pytest.raises(LogError, match="no end of line within 100 bytes"):
+        read(tmp_path / "log")
+
+
+def test_a_gzip_bomb_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(text, "FREE_EXPANSION_BYTES", 10_000)
+    path = tmp_path / "bomb.gz"
+    path.write_bytes(gzip.compress(b"0\n" * 1_000_000))
+    with pytest.raises(LogError, match="grows more than 100-fold"):
+        read(path)
+
+
+def test_a_missing_file_is_a_log_error(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"log: cannot be read"):
+        read(tmp_path / "log")
+
+
+@pytest.mark.parametrize(
+    ("seconds", "nanoseconds"),
+    [
+        ("1700000000.123456789", 1_700_000_000_123_456_789),
+        ("0", 0),
+        ("-1.5", -1_500_000_000),
+        ("1.13486e+09", 1_134_860_000_000_000_000),
+        ("0.0000000014", 1),
+        (" 2.5 ", 2_500_000_000),
+    ],
+)
+def test_stamps_are_exact(seconds: str, nanoseconds: int) -> None:
+    assert parse_stamp(seconds) == nanoseconds
+
+
+@pytest.mark.parametrize(
+    "wrong", ["", "noon", "nan", "inf", "1e999999999", "1e10", "1,5", "\ufffd"]
+)
+def test_what_is_no_stamp_is_a_value_error(wrong: str) -> None:
+    with pytest.raises(ValueError, match="no time in seconds"):
+        parse_stamp(wrong)
+
+
+def test_long_findings_are_shortened() -> None:
+    assert shorten("x" * 1000) == repr("x" * 37 + "...")
+    assert shorten("a\nb") == r"'a\nb'"
