@@ -1,0 +1,226 @@
+"""Reads logs of the CARMEN toolkit: text, one message a line; `carmen_lines` has the formats."""
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Iterator, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from occmap.errors import LogError
+from occmap.readers import Note, Probe, Role, Stream
+from occmap.readers.carmen_lines import (
+    FRAMES,
+    FRONT,
+    IMPLIED_INCREMENTS,
+    PLAIN_FRAMES,
+    RAW_FRAMES,
+    imply_increment,
+    parse_front_offset,
+    parse_odometry,
+    parse_scan,
+)
+from occmap.readers.no_return import RangeTally, find_limit
+from occmap.readers.text import Line, add_note, note_cut_line, probe_lines, read_lines, shorten
+from occmap.types import Pose, PoseSample, Scan
+
+Parsed = TypeVar("Parsed")
+
+# fmt: off
+OTHER_WORDS = frozenset({
+    "PARAM", "SYNC", "COMMENT", "TRUEPOS", "GLOBALPOS", "NEFF", "SONAR", "BUMPER", "IMU", "LASER3",
+    "LASER4", "RAWLASER3", "RAWLASER4", "SCANMARK", "POSITIONLASER", "NMEAGGA", "NMEARMC",
+    "VERTEX2", "EDGE2", "VERTEX_SE2", "EDGE_SE2",
+})
+# fmt: on
+"""Lines that are common in these logs (the last ones are g2o's) and hold no scan or pose."""
+MAX_WORDS = 100
+"""Kinds of line that are counted each by itself; garbage must not fill the memory."""
+MAX_KEPT_RANGES = 1 << 24
+"""A log of up to so many ranges (64 MB) is parsed once and kept; a larger one is parsed twice."""
+
+
+class CarmenReader:
+    """CARMEN logs."""
+
+    name = "carmen"
+    description = "CARMEN text logs (FLASER, RLASER, ROBOTLASER1, RAWLASER1 + ODOM), plain or gzip"
+
+    def recognises(self, probe: Probe) -> bool:
+        """Whether the first lines are CARMEN messages; a keyword within a text is none."""
+        lines = probe_lines(probe)
+        if any(line.startswith("#") and "message formats defined" in line for line in lines):
+            return True
+        heads = [line.split(None, 2)[:2] for line in lines if line.strip() and line[0] != "#"]
+        if any(_starts_message(head) for head in heads):
+            return True
+        # A log may begin with pages of parameters; the probe may end within its last line.
+        return len(heads) > 3 and all(head[0] in OTHER_WORDS for head in heads[:-1])
+
+    def open(self, path: Path) -> "CarmenLog":
+        """Open a log and read it once.
+
+        Raises
+        ------
+        LogError
+            A scan line, other than the last of a cut file, is malformed.
+        """
+        return CarmenLog(path)
+
+
+class CarmenLog:
+    """An opened CARMEN log; a stream is a keyword."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.notes: list[Note] = []
+        self._words: Counter[str] = Counter()
+        self._tallies: defaultdict[str, RangeTally] = defaultdict(RangeTally)
+        self._front_offset: float | None = None
+        self._kept: list[Scan] | None = []
+        self._survey()
+        self._limits = {word: self._find_limit(word) for word in self._tallies}
+        self._note_other_lines()
+
+    @property
+    def streams(self) -> Sequence[Stream]:
+        """One stream for each keyword, in order of first appearance."""
+        words = ((word, n) for word, n in self._words.items() if word != "#")
+        return [Stream(word, word, n, self._find_role(word)) for word, n in words]
+
+    def poses(self) -> Iterator[PoseSample]:
+        """The front laser's offset, where a PARAM states it, then the odometry."""
+        if self._front_offset is not None:
+            offset = Pose.planar(self._front_offset, 0.0, 0.0)
+            yield PoseSample(0, "base_link", FRONT, offset, static=True, topic="PARAM")
+        if not self._words["ODOM"]:
+            return
+        for word, line in self._walk():
+            if word == "ODOM" and (sample := self._parse(line, parse_odometry)):
+                yield sample
+
+    def scans(self, topics: Collection[str]) -> Iterator[Scan]:
+        """The scans of these keywords; range_max is the no-return value, where one was found."""
+        for scan in self._stream_scans() if self._kept is None else self._kept:
+            if scan.topic in topics:
+                yield scan._replace(range_max=min(scan.range_max, self._limits[scan.topic]))
+
+    def _walk(self) -> Iterator[tuple[str, Line]]:
+        """Yield every line that is not blank with its keyword; every comment has `#`."""
+        for line in read_lines(self.path, self.notes):
+            head = line.text.split(None, 1)
+            if head:
+                yield ("#" if head[0].startswith("#") else head[0]), line
+
+    def _stream_scans(self) -> Iterator[Scan]:
+        for word, line in self._walk():
+            if word in FRAMES:
+                scan = self._parse(line, parse_scan)
+                if scan is not None and scan.ranges.size:
+                    yield scan
+
+    def _parse(self, line: Line, parse: Callable[[str], Parsed]) -> Parsed | None:
+        """Parse a line; a last line that is cut gives None and a note."""
+        try:
+            return parse(line.text)
+        except ValueError as error:
+            if not line.ended:
+                note_cut_line(self.notes, line)
+                return None
+            raise LogError(
+                f"malformed {line.text.split(None, 1)[0]} line: {error}",
+                where=f"{self.path}:{line.number}",
+                fix="correct or delete this line",
+            ) from None
+
+    def _survey(self) -> None:
+        """Read the log once: count its lines, tally its ranges, keep its scans if they are few."""
+        for word, line in self._walk():
+            if word in FRAMES:
+                scan = self._parse(line, parse_scan)
+                if scan is not None:
+                    self._survey_scan(scan)
+            else:
+                self._survey_other(word, line)
+
+    def _survey_scan(self, scan: Scan) -> None:
+        if not scan.ranges.size:
+            self._words[f"{scan.topic} without beams"] += 1
+            return
+        self._words[scan.topic] += 1
+        self._tallies[scan.topic].add(scan)
+        if sum(tally.total for tally in self._tallies.values()) > MAX_KEPT_RANGES:
+            self._kept = None
+        if self._kept is not None:
+            self._kept.append(scan)
+        self._note_angles(scan)
+
+    def _survey_other(self, word: str, line: Line) -> None:
+        if not line.ended and _is_cut(word, line.text):
+            note_cut_line(self.notes, line)
+            return
+        if word == "PARAM" and self._front_offset is None:
+            self._front_offset = self._parse(line, parse_front_offset)
+        known = word in self._words or len(self._words) < MAX_WORDS
+        self._words[word[:40] if known else "other"] += 1
+
+    def _note_angles(self, scan: Scan) -> None:
+        beams = scan.ranges.size
+        if scan.topic in PLAIN_FRAMES and beams not in IMPLIED_INCREMENTS:
+            spacing = math.degrees(imply_increment(beams))
+            text = f"{scan.topic} states no angles: {beams} beams are read as {spacing:g} deg apart"
+            add_note(self.notes, Note(f"{text}, from -90 deg"))
+
+    def _find_limit(self, word: str) -> float:
+        limit, note = find_limit(word, self._tallies[word])
+        if note is not None:
+            add_note(self.notes, note)
+        return limit
+
+    def _find_role(self, word: str) -> Role:
+        if word == "ODOM":
+            return Role.POSE
+        if word not in FRAMES or self._is_repeated(word):
+            return Role.OTHER
+        return Role.SCAN
+
+    def _is_repeated(self, word: str) -> bool:
+        """Whether the scans of a RAWLASER stream are in the log once more, with their pose."""
+        return word in RAW_FRAMES and any(
+            FRAMES.get(other) == FRAMES[word] and other not in RAW_FRAMES for other in self._words
+        )
+
+    def _note_other_lines(self) -> None:
+        for word in filter(self._is_repeated, self._words):
+            text = f"{word} repeats scans that the log holds with their pose; it is left out"
+            add_note(self.notes, Note(text))
+        used = {*FRAMES, "ODOM"}
+        others = Counter({word: n for word, n in self._words.items() if word not in used})
+        if others:
+            top = ", ".join(f"{n} {_name_word(word)}" for word, n in others.most_common(5))
+            text = f"{others.total()} lines without scan or pose are passed over: {top}"
+            add_note(self.notes, Note(text + (", ..." if len(others) > 5 else "")))
+
+
+def _name_word(word: str) -> str:
+    """Name a keyword for a note; garbage is quoted."""
+    if word == "#":
+        return "comments"
+    return word if word.isascii() and word.isprintable() else shorten(word)
+
+
+def _starts_message(head: list[str]) -> bool:
+    """Whether a line starts as a scan or odometry message does: a keyword and a number."""
+    if len(head) < 2 or head[0] not in {*FRAMES, "ODOM"}:
+        return False
+    return head[1].lstrip("-").replace(".", "", 1)[:1].isdigit()
+
+
+def _is_cut(word: str, text: str) -> bool:
+    """Whether a last line without a line end is the start of one that would have been used."""
+    if word != "ODOM":
+        return any(used.startswith(word) for used in (*FRAMES, "ODOM"))
+    try:
+        parse_odometry(text)
+    except ValueError:
+        return True
+    return False

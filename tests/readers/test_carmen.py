@@ -1,0 +1,266 @@
+"""CARMEN logs: files written by hand, and the real ones."""
+
+import gzip
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from occmap.errors import LogError
+from occmap.readers import Log, Note, Probe, Role, Stream, carmen, probe_path
+from occmap.readers.carmen import CarmenReader
+from occmap.types import Pose, PoseSample
+
+REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", "../shared/logs")) / "carmen"
+
+
+def flaser(stamp: float, ranges: str = "1.5 2.5 3.5", word: str = "FLASER") -> str:
+    return f"{word} {len(ranges.split())} {ranges} 1 2 0 1 2 0 {stamp} host {stamp}\n"
+
+
+def raw(stamp: float) -> str:
+    return f"RAWLASER1 0 -1 2 0.5 8 0 0 2 1.5 2.5 0 {stamp} host {stamp}\n"
+
+
+HEADER = "# message formats defined: PARAM SYNC ODOM FLASER RLASER\n"
+ODOM = "ODOM 1 0 0 0 0 0 {0} host {0}\n"
+OFFSET = "PARAM robot_frontlaser_offset 0.25 nohost 0\n"
+
+
+def open_text(tmp_path: Path, content: str) -> Log:
+    path = tmp_path / "hand.log"
+    path.write_text(content)
+    return CarmenReader().open(path)
+
+
+def stamps(log: Log, *topics: str) -> list[float]:
+    return [scan.stamp_ns / 1e9 for scan in log.scans(topics or ("FLASER",))]
+
+
+def test_a_small_log(tmp_path: Path) -> None:
+    content = HEADER + OFFSET + ODOM.format(1) + flaser(2) + "\n" + flaser(3) + "SYNC x 4 host 4\n"
+    log = open_text(tmp_path, content)
+    assert log.streams == [
+        Stream("PARAM", "PARAM", 1, Role.OTHER),
+        Stream("ODOM", "ODOM", 1, Role.POSE),
+        Stream("FLASER", "FLASER", 2, Role.SCAN),
+        Stream("SYNC", "SYNC", 1, Role.OTHER),
+    ]
+    assert stamps(log) == [2, 3]
+    assert stamps(log) == [2, 3], "a second reading begins at the start"
+    static, moved = log.poses()
+    assert static == PoseSample(
+        0, "base_link", "front_laser", Pose(0.25, 0, 0, 0, 0, 0, 1), static=True, topic="PARAM"
+    )
+    assert (moved.parent, moved.child, moved.pose.x) == ("odom", "base_link", 1)
+    assert [note.damage for note in log.notes] == [False] * 3
+
+
+def test_no_transform_is_invented(tmp_path: Path) -> None:
+    log = open_text(tmp_path, raw(1) + ODOM.format(1))
+    assert [sample.topic for sample in log.poses()] == ["ODOM"]
+
+
+def test_only_the_topics_asked_for(tmp_path: Path) -> None:
+    log = open_text(tmp_path, flaser(1) + flaser(2, word="RLASER") + flaser(3))
+    assert stamps(log, "RLASER") == [2]
+    assert stamps(log, "FLASER", "RLASER") == [1, 2, 3]
+    assert stamps(log, "scan") == []
+
+
+def test_the_no_return_value_becomes_the_limit(tmp_path: Path) -> None:
+    ranges = " ".join(f"{1 + beam / 100:.2f}" for beam in range(168)) + " 32.767" * 12
+    log = open_text(tmp_path, flaser(1, ranges))
+    (scan,) = log.scans(["FLASER"])
+    assert scan.range_max == float(np.float32(32.767))
+    assert np.count_nonzero(scan.ranges >= scan.range_max) == 12
+    assert any("12 of 180 ranges read 32.767 m" in note.text for note in log.notes)
+
+
+def test_each_laser_has_its_own_limit(tmp_path: Path) -> None:
+    log = open_text(tmp_path, flaser(1, "1 81.83") + flaser(2, "1 81.91", word="RLASER"))
+    limits = [scan.range_max for scan in log.scans(["FLASER", "RLASER"])]
+    assert limits == [float(np.float32(81.83)), float(np.float32(81.91))]
+
+
+def test_without_a_marker_there_is_no_limit(tmp_path: Path) -> None:
+    log = open_text(tmp_path, flaser(1))
+    assert [scan.range_max for scan in log.scans(["FLASER"])] == [math.inf]
+    assert any("--range-max sets one" in note.text for note in log.notes)
+
+
+def test_unknown_beam_counts_are_noted_once(tmp_path: Path) -> None:
+    log = open_text(tmp_path, flaser(1) + flaser(2))
+    (note,) = (note for note in log.notes if "no angles" in note.text)
+    assert note.text == "FLASER states no angles: 3 beams are read as 90 deg apart, from -90 deg"
+
+
+def test_raw_scans_are_left_out_beside_posed_ones(tmp_path: Path) -> None:
+    log = open_text(tmp_path, flaser(1) + raw(1))
+    assert [stream.role for stream in log.streams] == [Role.SCAN, Role.OTHER]
+    assert any(note.text.startswith("RAWLASER1 repeats") for note in log.notes)
+
+
+def test_raw_scans_alone_are_scans(tmp_path: Path) -> None:
+    (stream,) = open_text(tmp_path, raw(1)).streams
+    assert stream == Stream("RAWLASER1", "RAWLASER1", 1, Role.SCAN)
+
+
+def test_scans_of_no_beams_are_passed_over(tmp_path: Path) -> None:
+    log = open_text(tmp_path, flaser(1) + flaser(2, ranges=""))
+    assert stamps(log) == [1]
+    assert any("1 FLASER without beams" in note.text for note in log.notes)
+
+
+def test_other_lines_are_counted(tmp_path: Path) -> None:
+    content = flaser(1) + "# a\n#b\n" + "VERTEX2 0 0 0 0\n" * 3 + "gr\u00fcn 1\n"
+    log = open_text(tmp_path, content)
+    expected = "6 lines without scan or pose are passed over: 3 VERTEX2, 2 comments, 1 'gr\u00fcn'"
+    assert Note(expected) in log.notes
+
+
+def test_garbage_words_do_not_fill_the_memory(tmp_path: Path) -> None:
+    log = open_text(tmp_path, flaser(1) + "".join(f"word{n} 1\n" for n in range(1000)))
+    assert len(log.streams) <= carmen.MAX_WORDS + 1
+    assert sum(stream.count for stream in log.streams) == 1001
+
+
+def test_a_malformed_line_names_file_and_line(tmp_path: Path) -> None:
+    content = HEADER + flaser(1) + flaser(2).replace("2.5", "2,5") + flaser(3)
+    with pytest.raises(LogError) as caught:
+        open_text(tmp_path, content)
+    assert str(caught.value) == (
+        f"{tmp_path}/hand.log:3: malformed FLASER line: '2,5' where a number belongs; "
+        "correct or delete this line"
+    )
+
+
+def test_a_malformed_odometry_line_names_file_and_line(tmp_path: Path) -> None:
+    log = open_text(tmp_path, flaser(1) + "ODOM 1 2 three 0 0 0 1 host 1\n" + flaser(2))
+    with pytest.raises(LogError, match=r"hand.log:2: malformed ODOM line: 'three' where"):
+        list(log.poses())
+
+
+def test_a_last_line_cut_anywhere(tmp_path: Path) -> None:
+    whole, last = HEADER + flaser(1) + flaser(2), flaser(3).rstrip()
+    for cut in range(1, len(last)):
+        log = open_text(tmp_path, whole + last[:cut])
+        damage = [note.text for note in log.notes if note.damage]
+        if stamps(log) == [1, 2]:
+            assert damage == ["the file ends in the middle of line 4; this line is lost"]
+        else:
+            assert stamps(log) == [1, 2, 3]
+            assert last[:cut].split()[:-1] == last.split()[:-1], "only the second time is cut"
+        assert log.streams[0].count == len(stamps(log))
+
+
+def test_a_cut_odometry_line_is_damage(tmp_path: Path) -> None:
+    log = open_text(tmp_path, flaser(1) + ODOM.format(1) + "ODOM 1 0 0 0 0 0")
+    assert [note.damage for note in log.notes].count(True) == 1
+    assert len(list(log.poses())) == 1
+    assert [note.damage for note in log.notes].count(True) == 1
+
+
+def test_a_cut_gzip_log_keeps_what_is_before(tmp_path: Path) -> None:
+    packed = gzip.compress("".join(flaser(stamp / 7) for stamp in range(500)).encode())
+    path = tmp_path / "cut.log.gz"
+    path.write_bytes(packed[: len(packed) // 2])
+    log = CarmenReader().open(path)
+    found = stamps(log)
+    assert found == pytest.approx([stamp / 7 for stamp in range(len(found))])
+    assert 100 < len(found) < 400
+    assert [note.text for note in log.notes if note.damage] == [
+        f"the gzip data is cut short; all after line {len(found)} is lost"
+    ]
+
+
+def test_a_large_log_is_streamed_with_the_same_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    content = "".join(flaser(stamp, "1.5 81.91") for stamp in range(20)) + "FLASER 2 1"
+    kept = open_text(tmp_path, content)
+    monkeypatch.setattr(carmen, "MAX_KEPT_RANGES", 10)
+    streamed = open_text(tmp_path, content)
+    for one, other in zip(kept.scans(["FLASER"]), streamed.scans(["FLASER"]), strict=True):
+        np.testing.assert_array_equal(one.ranges, other.ranges)
+        assert one._replace(ranges=other.ranges) == other
+    assert kept.notes == streamed.notes
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        HEADER + "# nothing else yet\n",
+        "FLASER 180 1.5 1.5",
+        "ODOM -0.5 0 0 0 0 0 1 host 1\n",
+        "VERTEX2 0 0 0 0\nROBOTLASER1 0 -1.57 3.14 0.0087 50 0.1 0 360 1.67",
+        "PARAM robot_length 1 2 host 3\n" * 200,
+        "# a comment\n" * 10 + "VERTEX2 1 2 3 4\n" * 300,
+    ],
+)
+def test_recognises_carmen_by_content(content: str) -> None:
+    data = content.encode()[:4096]
+    assert CarmenReader().recognises(Probe(Path("any"), data, data))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\n\n",
+        b"The FLASER 180 of a robot\nwrites ODOM lines.\n",
+        b"FLASER is a word\nODOM too\n",
+        b"stamp,angle_min,angle_increment,r0,r1\n",
+        b"PARAM\n",
+        b"ODOM 1 2\0\0\0",
+        b"#ROSBAG V2.0\n\x13\x00\x00\x00",
+        bytes(range(256)),
+    ],
+)
+def test_does_not_claim_what_is_not_carmen(content: bytes) -> None:
+    assert not CarmenReader().recognises(Probe(Path("any"), content, content))
+
+
+def open_real(name: str) -> Log:
+    path = REAL_LOGS / name
+    if not path.exists():
+        pytest.skip(f"no real logs at {REAL_LOGS}; set OCCMAP_REAL_LOGS")
+    assert CarmenReader().recognises(probe_path(path))
+    return CarmenReader().open(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "first", "no_return"),
+    [
+        ("intel-corrected", (910, 180), (32_906_800_000, 0.600266, -0.0320327), 81.83),
+        ("freiburg-079-corrected", (4791, 360), (227_623_000, 0.00123601, -0.00106807), 81.91),
+        ("csail-corrected", (406, 361), (1_134_860_000_000_000_000, 0.154, 0.068), 81.91),
+        ("fr079-robotlaser", (1464, 360), (1_211_520_329_000, -0.040001, 0.0), 50.0),
+    ],
+)
+def test_real_logs(
+    name: str, size: tuple[int, int], first: tuple[int, float, float], no_return: float
+) -> None:
+    log = open_real(f"{name}.log.gz")
+    (stream,) = (stream for stream in log.streams if stream.role is Role.SCAN)
+    scans = list(log.scans([stream.topic]))
+    assert stream.count == len(scans) == size[0]
+    assert {scan.ranges.size for scan in scans} == {size[1]}
+    assert {scan.range_max for scan in scans} == {float(np.float32(no_return))}
+    assert scans[0].pose is not None
+    assert (scans[0].stamp_ns, scans[0].pose.x, scans[0].pose.y) == first
+    assert not any(note.damage for note in log.notes)
+
+
+def test_real_robotlaser_has_the_laser_pose_and_more_than_it_states() -> None:
+    log = open_real("fr079-robotlaser.log.gz")
+    assert any("10528 of 527040 ranges are above it, up to 81.91 m" in n.text for n in log.notes)
+    scan = next(log.scans(["ROBOTLASER1"]))
+    assert (scan.angle_min, scan.angle_increment) == (-1.570796, 0.008727)
+
+
+def test_real_odometry() -> None:
+    log = open_real("intel-corrected.log.gz")
+    assert sum(not sample.static for sample in log.poses()) == 14541
