@@ -1,0 +1,211 @@
+"""Reads occmap's own CSV: one scan a row, beams as r0, r1, ..., constants in comments."""
+
+import math
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
+
+from occmap.errors import LogError
+from occmap.readers import Note, Probe, Role, Stream
+from occmap.readers.csv_layout import (
+    POSE_NAMES,
+    Layout,
+    is_known,
+    read_layout,
+    read_number,
+    split_cells,
+    split_constant,
+    split_names,
+)
+from occmap.readers.text import (
+    Line,
+    add_note,
+    as_float32,
+    note_cut_line,
+    parse_stamp,
+    probe_lines,
+    read_lines,
+    round_limit,
+)
+from occmap.types import Float32, Pose, PoseSample, Scan
+
+TOPIC = "scan"
+
+
+class CsvReader:
+    """occmap's CSV."""
+
+    name = "csv"
+    description = "CSV of one scan a row (stamp, x, y, yaw, angles, r0, r1, ...), plain or gzip"
+
+    def recognises(self, probe: Probe) -> bool:
+        """Whether the header, or before it a constant, is of this dialect.
+
+        A header that lacks a column is recognised, so that the error can name the column.
+        """
+        lines = [line.strip() for line in probe_lines(probe)]
+        header = next((line for line in lines if line and not line.startswith("#")), None)
+        if header is None:
+            return any(split_constant(line) is not None for line in lines)
+        try:
+            names = set(split_names(header))
+        except ValueError:
+            return False
+        return bool(names & {"stamp", "r0"}) and sum(map(is_known, names)) >= 3
+
+    def open(self, path: Path) -> "CsvLog":
+        """Open a log: read its header and count its rows.
+
+        Raises
+        ------
+        LogError
+            A column is missing, or a constant is no number.
+        """
+        return CsvLog(path)
+
+
+class CsvLog:
+    """An opened CSV log; its scans are the stream `scan`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.notes: list[Note] = []
+        self._rows = 0
+        self._last: Line | None = None
+        self._layout = self._survey()
+        self._check_last()
+        if self._layout.unused:
+            text = f"columns that are not used: {', '.join(self._layout.unused[:5])}"
+            add_note(self.notes, Note(text))
+
+    @property
+    def streams(self) -> Sequence[Stream]:
+        """The one stream of scans."""
+        return [Stream(TOPIC, "csv", self._rows, Role.SCAN)]
+
+    def poses(self) -> Iterator[PoseSample]:
+        """None: where the log has poses, each scan holds its own."""
+        return iter(())
+
+    def scans(self, topics: Collection[str]) -> Iterator[Scan]:
+        """The scans, a row at a time.
+
+        Raises
+        ------
+        LogError
+            A row, not the last of a cut file, has a word for a number or too few or many cells.
+        """
+        if TOPIC not in topics:
+            return
+        rows = (line for line in self._walk() if not _is_comment(line))
+        next(rows, None)  # the header
+        for line in rows:
+            scan = self._parse(line)
+            if scan is not None:
+                yield scan
+
+    def _walk(self) -> Iterator[Line]:
+        """Yield every line that is not blank."""
+        return (line for line in read_lines(self.path, self.notes) if line.text.strip())
+
+    def _survey(self) -> Layout:
+        """Find the header, and the constants wherever they stand, and count the rows."""
+        header: Line | None = None
+        comments: dict[str, Line] = {}
+        for line in self._walk():
+            if _is_comment(line):
+                constant = split_constant(line.text)
+                if constant is not None:
+                    comments.setdefault(constant[0], line)
+            elif header is None:
+                header = line
+            else:
+                self._rows += 1
+                self._last = line
+        if header is None:
+            found = "; ".join(["no header row", *(note.text for note in self.notes)])
+            raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
+        return read_layout(self.path, header, comments)
+
+    def _check_last(self) -> None:
+        """Where the file has no last line end, see whether its last row is whole."""
+        if self._last is None or self._last.ended:
+            return
+        if self._parse(self._last) is None:
+            self._rows -= 1
+        else:
+            text = f"line {self._last.number}, the last, has no line end; it is taken as whole"
+            add_note(self.notes, Note(text))
+
+    def _parse(self, line: Line) -> Scan | None:
+        """Parse a row; a last row that is cut gives None and a note."""
+        try:
+            return _parse_row(self._layout, line.text)
+        except ValueError as error:
+            if not line.ended:
+                note_cut_line(self.notes, line)
+                return None
+            where = f"{self.path}:{line.number}"
+            raise LogError(str(error), where=where, fix="correct or delete this row") from None
+
+
+def _is_comment(line: Line) -> bool:
+    return line.text.lstrip().startswith("#")
+
+
+def _parse_row(layout: Layout, text: str) -> Scan:
+    """Parse a row; raises ValueError, naming the column."""
+    cells = split_cells(text)
+    if len(cells) != len(layout.header):
+        raise ValueError(f"{len(cells)} cells where the header has {len(layout.header)}")
+    stamp_ns = _read_stamp(layout, cells)
+    return Scan(
+        stamp_ns=stamp_ns,
+        frame=layout.pick("frame", cells).strip(),
+        angle_min=_read_finite(layout, cells, "angle_min"),
+        angle_increment=_read_finite(layout, cells, "angle_increment"),
+        ranges=_read_beams(layout, cells),
+        range_min=_read_limit(layout, cells, "range_min"),
+        range_max=_read_limit(layout, cells, "range_max"),
+        time_increment=_read_finite(layout, cells, "time_increment"),
+        pose=_read_pose(layout, cells) if layout.has_pose else None,
+        topic=TOPIC,
+        record_ns=stamp_ns,
+    )
+
+
+def _read_stamp(layout: Layout, cells: list[str]) -> int:
+    try:
+        return parse_stamp(layout.pick("stamp", cells))
+    except ValueError as error:
+        raise ValueError(f"stamp: {error}") from None
+
+
+def _read_finite(layout: Layout, cells: list[str], name: str) -> float:
+    value = read_number(name, layout.pick(name, cells))
+    if not math.isfinite(value):
+        raise ValueError(f"{name} is {value}, which is no angle or time")
+    return value
+
+
+def _read_limit(layout: Layout, cells: list[str], name: str) -> float:
+    value = read_number(name, layout.pick(name, cells))
+    if math.isnan(value):
+        raise ValueError(f"{name} is nan, which is no limit")
+    return round_limit(value)
+
+
+def _read_pose(layout: Layout, cells: list[str]) -> Pose | None:
+    """Read x, y and yaw; None where one is empty or not finite, as nobody knew it."""
+    texts = [layout.pick(name, cells).strip() or "nan" for name in POSE_NAMES]
+    x, y, yaw = map(read_number, POSE_NAMES, texts)
+    return Pose.planar(x, y, yaw) if math.isfinite(x + y + yaw) else None
+
+
+def _read_beams(layout: Layout, cells: list[str]) -> Float32:
+    texts = [cells[at] for at in layout.beams]
+    try:
+        return as_float32([float(text or "nan") for text in texts])
+    except ValueError:
+        names = (f"column r{beam}" for beam in range(len(texts)))
+        checked = [text.strip() or "nan" for text in texts]
+        return as_float32(list(map(read_number, names, checked)))

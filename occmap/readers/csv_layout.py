@@ -1,0 +1,147 @@
+"""What stands where in occmap's CSV: the header row, and comments that hold for every row."""
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from occmap.errors import LogError
+from occmap.readers.text import Line, parse_stamp, shorten
+
+POSE_NAMES = ("x", "y", "yaw")
+REQUIRED = ("stamp", "angle_min", "angle_increment")
+DEFAULTS = {"range_min": "0", "range_max": "inf", "time_increment": "0", "frame": "laser"}
+NAMES = frozenset((*REQUIRED, *DEFAULTS, *POSE_NAMES))
+"""What may stand as a column or in a comment; beams are columns only."""
+BEAM = re.compile(r"r\d+")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the values of a scan stand."""
+
+    header: tuple[str, ...]
+    """The name of each cell of a row."""
+    columns: Mapping[str, int]
+    """The cell of each of `NAMES` that is a column."""
+    beams: tuple[int, ...]
+    """The cell of each beam, from r0 on."""
+    constants: Mapping[str, str]
+    """The text of each of `NAMES` that is no column and has a value."""
+
+    @property
+    def has_pose(self) -> bool:
+        """Whether the log states poses."""
+        return "x" in self.columns or "x" in self.constants
+
+    @property
+    def unused(self) -> list[str]:
+        """Columns that occmap does not know."""
+        return [name for name in self.header if name and not is_known(name)]
+
+    def pick(self, name: str, cells: list[str]) -> str:
+        """Pick the text of one of `NAMES` from a row or, where it is no column, its constant."""
+        return cells[self.columns[name]] if name in self.columns else self.constants[name]
+
+
+def read_layout(path: Path, header: Line, comments: Mapping[str, Line]) -> Layout:
+    """Make a layout of the header row and the comments that state constants, by name.
+
+    Raises
+    ------
+    LogError
+        A column is missing or stands twice, or a constant is no number.
+    """
+    try:
+        names = split_names(header.text)
+    except ValueError as error:
+        raise _fail(path, header, f"malformed header: {error}", "correct it") from None
+    fault = _find_fault(names, {*names, *comments})
+    if fault is not None:
+        raise _fail(path, header, *fault)
+    places = {name: at for at, name in enumerate(names)}
+    beams = sum(1 for name in names if BEAM.fullmatch(name))
+    stated = {name: line for name, line in comments.items() if name not in names}
+    return Layout(
+        header=tuple(names),
+        columns={name: at for name, at in places.items() if name in NAMES},
+        beams=tuple(places[f"r{beam}"] for beam in range(beams)),
+        constants=DEFAULTS | {name: _read_constant(path, line) for name, line in stated.items()},
+    )
+
+
+def split_cells(text: str) -> list[str]:
+    """Split a row; quotes are rare, so they are looked for first.
+
+    Raises
+    ------
+    ValueError
+        A cell is larger than the csv module reads.
+    """
+    if '"' not in text:
+        return text.split(",")
+    try:
+        return next(csv.reader([text]))
+    except csv.Error as error:
+        raise ValueError(str(error)) from None
+
+
+def split_names(text: str) -> list[str]:
+    """Split a header row; raises ValueError as `split_cells` does."""
+    return [cell.strip() for cell in split_cells(text)]
+
+
+def split_constant(text: str) -> tuple[str, str] | None:
+    """Split a comment `# name: value`; None where it is any other comment."""
+    name, colon, value = text.lstrip("# \t").partition(":")
+    name = name.strip()
+    return (name, value.strip()) if colon and name in NAMES else None
+
+
+def is_known(name: str) -> bool:
+    """Whether a column of this name means something to occmap."""
+    return name in NAMES or BEAM.fullmatch(name) is not None
+
+
+def read_number(name: str, text: str) -> float:
+    """Read a number of a cell or constant; raises ValueError, naming the column."""
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"{name} is {shorten(text)} where a number belongs") from None
+
+
+def _find_fault(names: list[str], given: set[str]) -> tuple[str, str] | None:
+    """Find what is wrong with the columns and constants given: the fault, and what to do."""
+    repeated = (name for name, count in Counter(names).items() if name and count > 1)
+    if (twice := next(repeated, None)) is not None:
+        return f"column {twice} stands twice", "rename or remove one of them"
+    posed = POSE_NAMES if given.intersection(POSE_NAMES) else ()
+    for name in (*REQUIRED, *posed):
+        if name not in given:
+            return f"no column {name}", f"add it, or a comment `# {name}: VALUE` for all rows"
+    beams = sum(1 for name in names if BEAM.fullmatch(name))
+    for name in (f"r{beam}" for beam in range(max(beams, 1))):
+        if name not in given:
+            hint = "" if beams else "; a file of poses alone is given with --poses"
+            return f"no column {name}", f"the beams are r0, r1, ... without a gap{hint}"
+    return None
+
+
+def _read_constant(path: Path, line: Line) -> str:
+    """Return the text of a constant after a check that it can be read."""
+    name, text = split_constant(line.text) or ("", "")
+    try:
+        if name == "stamp":
+            parse_stamp(text)
+        elif name != "frame":
+            read_number(name, text)
+    except ValueError as error:
+        raise _fail(path, line, str(error), f"write `# {name}: NUMBER`") from None
+    return text
+
+
+def _fail(path: Path, line: Line, found: str, fix: str) -> LogError:
+    return LogError(found, where=f"{path}:{line.number}", fix=fix)

@@ -1,0 +1,297 @@
+"""occmap's CSV: files written by hand, good and bad."""
+
+import csv
+import gzip
+import math
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from occmap.errors import LogError
+from occmap.readers import Log, Note, Probe, Role, Stream
+from occmap.readers.csv import CsvReader
+from occmap.types import Pose, Scan
+
+HEADER = "stamp,x,y,yaw,angle_min,angle_increment,range_min,range_max,time_increment,r0,r1,r2"
+ROW = "1700000000.123456789,1,2,0,-1.5,0.25,0.1,8,0.001,1.5,,inf"
+CONSTANTS = "# angle_min: -1.5\n#angle_increment:0.25\n"
+
+
+def open_text(tmp_path: Path, content: str | bytes) -> Log:
+    path = tmp_path / "log.csv"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return CsvReader().open(path)
+
+
+def read_text(tmp_path: Path, content: str | bytes) -> list[Scan]:
+    return list(open_text(tmp_path, content).scans(["scan"]))
+
+
+def expect_equal(scan: Scan, expected: Scan) -> None:
+    np.testing.assert_array_equal(scan.ranges, expected.ranges)
+    assert scan.ranges.dtype == np.float32
+    assert scan._replace(ranges=expected.ranges) == expected
+
+
+FULL = Scan(
+    stamp_ns=1_700_000_000_123_456_789,
+    frame="laser",
+    angle_min=-1.5,
+    angle_increment=0.25,
+    ranges=np.array([1.5, np.nan, np.inf], np.float32),
+    range_min=float(np.float32(0.1)),
+    range_max=8.0,
+    time_increment=0.001,
+    pose=Pose(1, 2, 0, 0, 0, 0, 1),
+    topic="scan",
+    record_ns=1_700_000_000_123_456_789,
+)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        f"{HEADER}\n{ROW}\n",
+        f"{HEADER}\r\n{ROW}\r\n",
+        f"\ufeff{HEADER}\n\n# a comment: of no meaning\n{ROW}\n\n",
+        f"{HEADER}\n{ROW}".replace(",", ", "),
+        f"{HEADER}\n{ROW}\n".replace(",1.5,", ',"1.5",').replace("r1", '"r1"'),
+        gzip.compress(f"{HEADER}\n{ROW}\n".encode()),
+    ],
+    ids=["plain", "crlf", "bom", "blanks", "quotes", "gzip"],
+)
+def test_a_full_row(tmp_path: Path, content: str | bytes) -> None:
+    log = open_text(tmp_path, content)
+    assert log.streams == [Stream("scan", "csv", 1, Role.SCAN)]
+    (scan,) = log.scans(["scan"])
+    expect_equal(scan, FULL)
+    assert list(log.poses()) == []
+
+
+def test_columns_in_any_order(tmp_path: Path) -> None:
+    header, row = (",".join(reversed(line.split(","))) for line in (HEADER, ROW))
+    (scan,) = read_text(tmp_path, f"{header}\n{row}\n")
+    expect_equal(scan, FULL)
+
+
+def test_constants_stand_in_for_columns(tmp_path: Path) -> None:
+    content = f"{CONSTANTS}stamp,r0,r1\n# frame: front\n1,2,3\n4,nan,-inf\n# range_max: 30\n"
+    first, second = read_text(tmp_path, content)
+    expected = Scan(
+        stamp_ns=1_000_000_000,
+        frame="front",
+        angle_min=-1.5,
+        angle_increment=0.25,
+        ranges=np.array([2, 3], np.float32),
+        range_min=0.0,
+        range_max=30.0,
+        topic="scan",
+        record_ns=1_000_000_000,
+    )
+    expect_equal(first, expected)
+    expect_equal(
+        second,
+        expected._replace(
+            stamp_ns=4_000_000_000,
+            record_ns=4_000_000_000,
+            ranges=np.array([np.nan, -np.inf], np.float32),
+        ),
+    )
+
+
+def test_a_column_goes_before_a_comment_about_it(tmp_path: Path) -> None:
+    content = "# stamp: seconds since 1970\nstamp,angle_min,angle_increment,r0\n5,0,0.1,1\n"
+    assert [scan.stamp_ns for scan in read_text(tmp_path, content)] == [5_000_000_000]
+
+
+def test_a_frame_column(tmp_path: Path) -> None:
+    content = f"{CONSTANTS}stamp,frame,r0\n1,left,5\n2,right,5\n"
+    assert [scan.frame for scan in read_text(tmp_path, content)] == ["left", "right"]
+
+
+def test_limits_are_rounded_as_ranges_are(tmp_path: Path) -> None:
+    (scan,) = read_text(tmp_path, f"{CONSTANTS}stamp,range_max,r0\n1,81.83,81.83\n")
+    assert scan.ranges[0] >= scan.range_max
+    assert float(scan.ranges[0]) == scan.range_max
+
+
+@pytest.mark.parametrize("pose", ["1,2,nan", ",2,0", " , , "])
+def test_an_unknown_pose_is_none(tmp_path: Path, pose: str) -> None:
+    (scan,) = read_text(tmp_path, f"{CONSTANTS}stamp,x,y,yaw,r0\n1,{pose},5\n")
+    assert scan.pose is None
+
+
+def test_unused_columns_are_noted(tmp_path: Path) -> None:
+    log = open_text(tmp_path, f"{CONSTANTS}stamp,r0,battery,\n1,5,99,\n")
+    assert log.notes == [Note("columns that are not used: battery")]
+    assert len(list(log.scans(["scan"]))) == 1
+
+
+def test_another_topic_has_no_scans(tmp_path: Path) -> None:
+    assert list(open_text(tmp_path, f"{HEADER}\n{ROW}\n").scans(["/scan"])) == []
+
+
+def test_a_header_alone_is_a_log_without_scans(tmp_path: Path) -> None:
+    log = open_text(tmp_path, HEADER)
+    assert [stream.count for stream in log.streams] == [0]
+    assert list(log.scans(["scan"])) == []
+
+
+@pytest.mark.parametrize("column", ["stamp", "angle_min", "angle_increment", "yaw", "r0", "r1"])
+def test_a_missing_column_is_named_with_the_header_line(tmp_path: Path, column: str) -> None:
+    header = HEADER.replace(f"{column},", "")
+    with pytest.raises(LogError, match=rf"log.csv:2: no column {column}; "):
+        open_text(tmp_path, f"# by hand\n{header}\n{ROW}\n")
+
+
+def test_a_file_of_poses_alone_is_sent_to_its_option(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"no column r0; .*--poses"):
+        open_text(tmp_path, f"{CONSTANTS}stamp,x,y,yaw\n1,2,3,0\n")
+
+
+def test_a_column_that_stands_twice(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"log.csv:1: column r1 stands twice"):
+        open_text(tmp_path, HEADER.replace("r2", "r1"))
+
+
+@pytest.mark.parametrize("content", ["", "\n", CONSTANTS])
+def test_no_header(tmp_path: Path, content: str) -> None:
+    with pytest.raises(LogError, match=r"log.csv: no header row; "):
+        open_text(tmp_path, content)
+
+
+def test_a_gzip_cut_before_the_header_says_so(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="no header row; the gzip data is cut short"):
+        open_text(tmp_path, gzip.compress(HEADER.encode())[:15])
+
+
+def test_a_word_in_a_constant_names_its_line(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"log.csv:2: range_max is '8 m' where a number belongs"):
+        open_text(tmp_path, f"{HEADER.replace('range_max,', '')}\n# range_max: 8 m\n")
+
+
+@pytest.mark.parametrize(
+    ("good", "bad", "complaint"),
+    [
+        (",1.5,", ",near,", "column r0 is 'near' where a number belongs"),
+        (",0.25,", ",wide,", "angle_increment is 'wide' where a number belongs"),
+        (",-1.5,", ",,", "angle_min is '' where a number belongs"),
+        (",-1.5,", ",inf,", "angle_min is inf, which is no angle or time"),
+        (",8,", ",nan,", "range_max is nan, which is no limit"),
+        (",1,2,", ",1,north,", "y is 'north' where a number belongs"),
+        ("1700000000.123456789", "noon", "stamp: 'noon' is no time in seconds"),
+        (",inf", "", "11 cells where the header has 12"),
+        (",inf", ",inf,1", "13 cells where the header has 12"),
+        (",inf", ',"' + "9" * 140_000 + '"', "field larger than field limit"),
+    ],
+)
+def test_a_bad_row_names_line_and_column(
+    tmp_path: Path, good: str, bad: str, complaint: str
+) -> None:
+    content = "\n".join([HEADER, ROW, ROW.replace(good, bad), ROW, ""])
+    log = open_text(tmp_path, content)
+    with pytest.raises(LogError) as caught:
+        list(log.scans(["scan"]))
+    assert f"log.csv:3: {complaint}" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_bytes_that_are_no_text_name_the_line(tmp_path: Path) -> None:
+    content = f"{HEADER}\n{ROW}\n".encode() + b"\xff\x00\n"
+    log = open_text(tmp_path, content)
+    with pytest.raises(LogError, match=r"log.csv:3: 1 cells"):
+        list(log.scans(["scan"]))
+
+
+def test_a_last_line_cut_anywhere(tmp_path: Path) -> None:
+    row = "3,1.5,2.5"
+    whole = f"{CONSTANTS}stamp,r0,r1\n1,1.5,2.5\n2,1.5,2.5\n"
+    for cut in range(1, len(row) + 1):
+        log = open_text(tmp_path, whole + row[:cut])
+        stamps = [scan.stamp_ns // 10**9 for scan in log.scans(["scan"])]
+        has_all_cells = row[:cut].count(",") == 2
+        lost = Note("the file ends in the middle of line 6; this line is lost", damage=True)
+        used = Note("line 6, the last, has no line end; it is taken as whole")
+        assert stamps == ([1, 2, 3] if has_all_cells else [1, 2])
+        assert log.notes == [used if has_all_cells else lost]
+        assert log.streams[0].count == len(stamps)
+
+
+def test_a_cut_gzip_keeps_what_is_before(tmp_path: Path) -> None:
+    rows = "".join(f"{stamp},{stamp * 7919 % 1009}\n" for stamp in range(2000))
+    packed = gzip.compress(f"{CONSTANTS}stamp,r0\n{rows}".encode())
+    log = open_text(tmp_path, packed[: len(packed) // 2])
+    scans = list(log.scans(["scan"]))
+    assert [scan.stamp_ns for scan in scans] == [n * 10**9 for n in range(len(scans))]
+    assert 500 < len(scans) < 1500
+    assert log.streams[0].count == len(scans)
+    assert [note.damage for note in log.notes] == [True]
+
+
+def test_flipped_bytes_give_a_log_error_or_scans(tmp_path: Path) -> None:
+    content = "".join([CONSTANTS, f"{HEADER}\n", *[f"{ROW}\n"] * 5]).encode()
+    for at in range(len(content)):
+        flipped = bytearray(content)
+        flipped[at] ^= 1 << at % 8
+        with suppress(LogError):
+            assert len(read_text(tmp_path, bytes(flipped))) <= 6
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    ranges=st.lists(st.lists(st.floats(width=32), min_size=3, max_size=3), min_size=1, max_size=4),
+    stamps=st.integers(0, 2**62),
+)
+def test_what_is_written_is_read(
+    tmp_path_factory: pytest.TempPathFactory, ranges: list[list[float]], stamps: int
+) -> None:
+    path = tmp_path_factory.mktemp("csv") / "log.csv"
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["stamp", "angle_min", "angle_increment", "r0", "r1", "r2"])
+        for row in ranges:
+            writer.writerow([f"{stamps // 10**9}.{stamps % 10**9:09}", -math.pi, 0.1, *row])
+    scans = list(CsvReader().open(path).scans(["scan"]))
+    assert [scan.stamp_ns for scan in scans] == [stamps] * len(ranges)
+    np.testing.assert_array_equal([scan.ranges for scan in scans], np.array(ranges, np.float32))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        HEADER,
+        "\ufeff# comment\n\n" + HEADER,
+        "r0,r1,r2",
+        "angle_min,angle_increment,range_max,r0,r1",
+        "stamp, x, y, yaw",
+        '"stamp","angle_min","angle_increment"',
+        "# text\n" + ",".join(f"r{beam}" for beam in range(2000)),
+        CONSTANTS + "# " + "long comment " * 400,
+    ],
+)
+def test_recognises_csv_by_content(content: str) -> None:
+    data = content.encode()[:4096]
+    assert CsvReader().recognises(Probe(Path("any"), data, data))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"# a comment only\n",
+        b"name,age,town\nx,1,y\n",
+        b"stamp,name\n",
+        b"%time,field.header.seq,field.header.stamp,field.ranges0\n",
+        b"The stamp, the x, the y.\n",
+        b"FLASER 180 1.5 1.5\n",
+        b"stamp,x,y,yaw\0\0",
+        b'"' + b"a" * 4095,
+        bytes(range(1, 256)),
+    ],
+)
+def test_does_not_claim_what_is_not_its_csv(content: bytes) -> None:
+    assert not CsvReader().recognises(Probe(Path("any"), content, content))
