@@ -3,6 +3,7 @@
 import gzip
 import math
 import os
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -174,6 +175,19 @@ def test_a_cut_gzip_log_keeps_what_is_before(tmp_path: Path) -> None:
     assert [note.text for note in log.notes if note.damage] == [
         f"the gzip data is cut short; all after line {len(found)} is lost"
     ]
+
+
+def test_flipped_bytes_give_a_log_error_or_scans(tmp_path: Path) -> None:
+    content = "".join([OFFSET, ODOM.format(1), flaser(1), raw(2), flaser(3)]).encode()
+    path = tmp_path / "flipped.log"
+    for at in range(len(content)):
+        flipped = bytearray(content)
+        flipped[at] ^= 1 << at % 8
+        path.write_bytes(flipped)
+        with suppress(LogError):
+            log = CarmenReader().open(path)
+            assert len(stamps(log, "FLASER", "RAWLASER1")) <= 3
+            list(log.poses())
 
 
 def test_a_large_log_is_streamed_with_the_same_result(
