@@ -35,8 +35,10 @@ OTHER_WORDS = frozenset({
 """Lines that are common in these logs (the last ones are g2o's) and hold no scan or pose."""
 MAX_WORDS = 100
 """Kinds of line that are counted each by itself; garbage must not fill the memory."""
-MAX_KEPT_RANGES = 1 << 24
-"""A log of up to so many ranges (64 MB) is parsed once and kept; a larger one is parsed twice."""
+MAX_KEPT_BYTES = 1 << 26
+"""A log whose scans fit is parsed once and kept; a larger one is parsed again as a stream."""
+SCAN_BYTES = 700
+"""What a scan takes beside its ranges, as measured."""
 
 
 class CarmenReader:
@@ -76,6 +78,7 @@ class CarmenLog:
         self._words: Counter[str] = Counter()
         self._tallies: defaultdict[str, RangeTally] = defaultdict(RangeTally)
         self._front_offset: float | None = None
+        self._size = 0
         self._kept: list[Scan] | None = []
         self._survey()
         self._limits = {word: self._find_limit(word) for word in self._tallies}
@@ -102,7 +105,8 @@ class CarmenLog:
         """The scans of these keywords; range_max is the no-return value, where one was found."""
         for scan in self._stream_scans() if self._kept is None else self._kept:
             if scan.topic in topics:
-                yield scan._replace(range_max=min(scan.range_max, self._limits[scan.topic]))
+                limit = self._limits.get(scan.topic, math.inf)
+                yield scan._replace(range_max=min(scan.range_max, limit))
 
     def _walk(self) -> Iterator[tuple[str, Line]]:
         """Yield every line that is not blank with its keyword; every comment has `#`."""
@@ -148,7 +152,8 @@ class CarmenLog:
             return
         self._words[scan.topic] += 1
         self._tallies[scan.topic].add(scan)
-        if sum(tally.total for tally in self._tallies.values()) > MAX_KEPT_RANGES:
+        self._size += SCAN_BYTES + scan.ranges.nbytes
+        if self._size > MAX_KEPT_BYTES:
             self._kept = None
         if self._kept is not None:
             self._kept.append(scan)

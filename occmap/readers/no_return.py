@@ -15,7 +15,8 @@ MIN_REPEATS = 10
 DOMINANCE = 10
 """How much more often than any range just below it a marker occurs; a far wall is no marker."""
 KEPT_VALUES = 16
-BLOCK_SCANS = 256
+BLOCK_RANGES = 1 << 17
+"""How many ranges are sorted at once."""
 
 
 class RangeTally:
@@ -30,6 +31,7 @@ class RangeTally:
         """Ranges above the limit that their own scan states."""
         self._largest: Counter[float] = Counter()
         self._block: list[Float32] = []
+        self._block_size = 0
 
     def add(self, scan: Scan) -> None:
         """Count the ranges of one scan."""
@@ -38,7 +40,8 @@ class RangeTally:
         if scan.range_max < math.inf:
             self.above += int(np.count_nonzero(scan.ranges > scan.range_max))
         self._block.append(scan.ranges)
-        if len(self._block) == BLOCK_SCANS:
+        self._block_size += scan.ranges.size
+        if self._block_size >= BLOCK_RANGES:
             self._fold()
 
     def _fold(self) -> None:
@@ -47,6 +50,7 @@ class RangeTally:
             return
         ranges = np.concatenate(self._block)
         self._block.clear()
+        self._block_size = 0
         values, counts = np.unique(ranges[np.isfinite(ranges)], return_counts=True)
         self._largest.update(
             dict(zip(values[-KEPT_VALUES:].tolist(), counts[-KEPT_VALUES:].tolist(), strict=True))
