@@ -1,0 +1,78 @@
+"""Conventions: which frame is the map and which the robot, by the names that REP 105 gives."""
+
+from collections.abc import Iterable
+
+from occmap.posing.chain import find_driven
+from occmap.posing.frames import FrameTree, last_part
+
+FIXED_NAMES = ("map", "odom")
+BASE_NAMES = ("base_link", "base_footprint")
+MAX_NAMES = 12
+"""More names than this in one line are not read."""
+
+
+def choose_fixed(tree: FrameTree, frame: str) -> str:
+    """Choose the frame to map in: `map`, else `odom`, else the root above a scan's frame.
+
+    The plain names may be anywhere in the scan's tree; with a namespace (`robot1/map`) only
+    above the scan, for another robot's map may hang in the same tree.
+    """
+    for name in FIXED_NAMES:
+        if tree.find_path(name, frame) is not None:
+            return name
+    above = tree.list_ancestors(frame)
+    for name in FIXED_NAMES:
+        for ancestor in above:
+            if last_part(ancestor) == name:
+                return ancestor
+    return tree.find_root(frame)
+
+
+def list_bases(tree: FrameTree, frame: str) -> list[str]:
+    """List the frames that a sensor may be mounted on; one where it is clear."""
+    for name in BASE_NAMES:
+        if name in tree:
+            return [name]
+    for name in BASE_NAMES:
+        namesakes = [other for other in tree.frames if last_part(other) == name]
+        kin = [other for other in namesakes if _namespace(other) == _namespace(frame)]
+        if namesakes:
+            return kin or namesakes
+    return list_bodies(tree)
+
+
+def list_bodies(tree: FrameTree) -> list[str]:
+    """List the frames that drive: they move, and above them only `odom` does.
+
+    So neither the correction of odometry counts nor a turning wheel. Where nothing moves, what
+    was sent again and again counts.
+    """
+    edges = [edge for edge in tree.edges if "odom" not in last_part(edge.child).lower()]
+    moving = [edge for edge in edges if edge.track.moves]
+    driven = moving or [edge for edge in edges if not edge.track.static]
+    children = {edge.child for edge in driven}
+    top = {edge.child for edge in driven if children.isdisjoint(tree.list_ancestors(edge.parent))}
+    return sorted(top)
+
+
+def find_body(tree: FrameTree, frame: str) -> str:
+    """Find the body that carries a frame of the tree: the lowest above it that moves, or the root.
+
+    A trajectory that does not name its body is taken to be of this one.
+    """
+    root = tree.find_root(frame)
+    driven = find_driven(tree.find_path(root, frame) or [])
+    return driven.lower if driven else root
+
+
+def join_names(names: Iterable[str]) -> str:
+    """List names in a sentence, the first few where they are many."""
+    names = list(names)
+    if not names:
+        return "none"
+    more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
+    return ", ".join(names[:MAX_NAMES]) + more
+
+
+def _namespace(frame: str) -> str:
+    return frame.rpartition("/")[0]

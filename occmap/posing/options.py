@@ -1,0 +1,97 @@
+"""What a user may choose about poses, and the reasons for which a scan is left out."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from occmap.errors import UsageError
+from occmap.types import Pose, PoseSample
+
+MAX_OFFSET_S = 1e9
+"""Thirty years: no clock is further off, and nanoseconds still fit an int64."""
+
+MAX_MOUNT_M = 1e6
+"""Nothing on a robot is further away; a bound refuses nan and inf, too."""
+
+
+class Deskew(StrEnum):
+    """Whether every beam of a scan gets a pose of its own."""
+
+    AUTO = "auto"
+    """Where the log states the time between beams and the poses are dense enough."""
+    ON = "on"
+    """Wherever the log states the time between beams."""
+    OFF = "off"
+    """Never: one pose a scan, at its stamp."""
+
+
+class Stamps(StrEnum):
+    """Which of its two times a message is believed to have happened at."""
+
+    HEADER = "header"
+    """The time that its driver wrote into it."""
+    RECORD = "record"
+    """The time at which the recorder stored it."""
+
+
+class DropReason(StrEnum):
+    """Why a scan has no pose."""
+
+    BEFORE = "before the first pose"
+    AFTER = "after the last pose"
+    GAP = "in a pose gap longer than --max-pose-gap"
+    NOT_FINITE = "pose not finite"
+    NO_TRANSFORM = "no transform to the scan's frame"
+
+
+@dataclass(frozen=True, slots=True)
+class PosingOptions:
+    """The choices; each default lets the log decide.
+
+    Raises
+    ------
+    UsageError
+        A value is out of its range.
+    """
+
+    map_frame: str | None = None
+    """The frame to map in; None: `map`, else `odom`, else the root of the scan's tree."""
+    base_frame: str | None = None
+    """The moving body that `sensor_pose` and unnamed poses belong to."""
+    sensor_pose: Pose | None = None
+    """Where the laser sits on the moving body; goes before what the log says."""
+    poses: str | None = None
+    """A trajectory file, or the topic to take the poses from instead of tf."""
+    max_pose_gap_s: float | None = 2.0
+    """Nothing is interpolated across a longer gap; None: across any. Two seconds: logs that are
+    whole have gaps of one, and a robot that is not watched for longer can have been anywhere."""
+    time_offset_s: float = 0.0
+    """Added to the stamps of scans, for a lidar whose clock is off."""
+    deskew: Deskew = Deskew.OFF
+    """Off unless asked: drivers disagree on which beam the stamp belongs to and on the order of
+    the beams. Of two real logs that state a time between beams both were blurred by believing it.
+    """
+    stamps: Stamps = Stamps.HEADER
+    """Which time of a pose sample to use; a scan batch holds the chosen one already."""
+    static_transforms: tuple[PoseSample, ...] = ()
+    """Fixed transforms that the log lacks; each goes before what the log says of its child."""
+
+    def __post_init__(self) -> None:
+        if not abs(self.time_offset_s) <= MAX_OFFSET_S:
+            raise UsageError(
+                f"the time offset is {self.time_offset_s} s",
+                fix=f"give at most {MAX_OFFSET_S:g} s either way",
+            )
+        if self.max_pose_gap_s is not None and not self.max_pose_gap_s > 0:
+            raise UsageError(
+                f"the longest pose gap is {self.max_pose_gap_s} s", fix="give more than 0 s"
+            )
+        if self.sensor_pose is not None:
+            _check_pose(self.sensor_pose, "the sensor's pose")
+        for sample in self.static_transforms:
+            _check_pose(sample.pose, f"the transform {sample.parent} -> {sample.child}")
+
+
+def _check_pose(pose: Pose, name: str) -> None:
+    """Refuse numbers that nothing can be mounted at."""
+    if not (all(abs(value) <= MAX_MOUNT_M for value in pose) and any(pose[3:])):
+        raise UsageError(f"{name} cannot be {pose[:3]}", fix="give metres and radians")

@@ -1,0 +1,203 @@
+"""Resolution: from which frame, and by way of which body, a scan's frame gets its poses."""
+
+from dataclasses import dataclass, field, replace
+from typing import NoReturn
+
+from occmap.errors import PoseError
+from occmap.posing.chain import Chain, find_driven, make_chain
+from occmap.posing.conventions import (
+    FIXED_NAMES,
+    choose_fixed,
+    find_body,
+    join_names,
+    list_bases,
+    list_bodies,
+)
+from occmap.posing.frames import Edge, FrameTree, Source, Step, last_part
+from occmap.posing.options import PosingOptions
+from occmap.posing.sources import Sources
+from occmap.posing.tracks import Track
+
+
+@dataclass(frozen=True, slots=True)
+class Resolved:
+    """How one scan frame gets its poses."""
+
+    fixed: str
+    """The frame that its scans are mapped in."""
+    chain: Chain
+    notes: tuple[str, ...]
+    """What was decided on the way and its user should know."""
+
+
+def resolve(
+    sources: Sources, options: PosingOptions, frame: str, fixed: str | None = None
+) -> Resolved:
+    """Find the way to a scan's frame.
+
+    Where the user names a trajectory, it carries the scans. Else the tree of tf does, which
+    odometry fills where tf says nothing; else, where nothing in the tree moves, a topic of poses.
+
+    Parameters
+    ----------
+    sources, options
+        What the log knows and what the user chose.
+    frame
+        The scan's.
+    fixed
+        The frame that other scans are mapped in already.
+
+    Raises
+    ------
+    PoseError
+        There is no way; says what is missing, and which option mends it.
+    """
+    search = _Search(sources.tree, sources, options, frame.strip("/"))
+    if sources.trajectory is not None:
+        name, steps = search.follow(sources.trajectory)
+    else:
+        name, steps = search.climb(fixed)
+    if fixed is not None and name != fixed:
+        raise PoseError(
+            f"{frame!r} maps in {name!r} while other scans map in {fixed!r}",
+            fix=f"join the two: --static-tf {fixed},{name},X,Y,Z,ROLL,PITCH,YAW",
+        )
+    return Resolved(name, make_chain(steps, options.max_pose_gap_s), tuple(search.notes))
+
+
+Way = tuple[str, list[Step]]
+"""A fixed frame, and the steps from it to the sensor."""
+
+
+@dataclass(slots=True)
+class _Search:
+    """The search for one frame's way; gathers notes as it decides."""
+
+    tree: FrameTree
+    sources: Sources
+    options: PosingOptions
+    frame: str
+    notes: list[str] = field(default_factory=list)
+
+    def climb(self, fixed: str | None) -> Way:
+        """Go by the tree; where nothing in it moves, by a topic of poses."""
+        body_poses = self.sources.unnamed_body
+        if not self.tree.frames:
+            return self.follow(body_poses) if body_poses else self._fail_without_sources()
+        anchor = self._find_base() if self.options.sensor_pose else self.frame
+        if anchor not in self.tree:
+            self._fail_without_mount()
+        usual = choose_fixed(self.tree, anchor)
+        moves = find_driven(self._find_path(usual, anchor)) is not None
+        if not moves and body_poses:
+            return self.follow(body_poses)
+        wanted = self.options.map_frame or fixed
+        if not moves and not wanted and last_part(usual) not in FIXED_NAMES:
+            self._fail_without_motion(usual)
+        name = wanted or usual
+        steps = self._find_path(name, anchor)
+        self._note_odometry(steps)
+        return name, [*steps, *self._mount_on(anchor)]
+
+    def follow(self, trajectory: Edge) -> Way:
+        """Go by the poses of one body, and from there down to the sensor."""
+        base = self.options.base_frame
+        body = trajectory.child or base or self._guess_body()
+        anchor = (base or body) if self.options.sensor_pose else self.frame
+        if anchor != body and anchor not in self.tree:
+            self._fail_without_mount()
+        if base and self.tree.find_path(body, anchor) is None:
+            body = base
+        fixed = self.options.map_frame or trajectory.parent
+        above = self._find_path(fixed, trajectory.parent)
+        below = self._find_path(body, anchor)
+        self.notes.append(f"poses from {trajectory.topic}, taken as those of {body!r}")
+        carried = Step(replace(trajectory, child=body))
+        return fixed, [*above, carried, *below, *self._mount_on(anchor)]
+
+    def _guess_body(self) -> str:
+        """Say whose poses a trajectory without a name holds; unknown to tf: the laser's own."""
+        if self.frame in self.tree:
+            return find_body(self.tree, self.frame)
+        if not self.options.sensor_pose:
+            return self.frame
+        bases = list_bases(self.tree, self.frame)
+        return bases[0] if len(bases) == 1 else "base_link"
+
+    def _find_base(self) -> str:
+        """Find the frame that the given sensor pose is measured from."""
+        wanted = self.options.base_frame
+        if wanted:
+            if wanted not in self.tree:
+                known = join_names(self.tree.frames)
+                raise PoseError(
+                    f"no frame {wanted!r} in the log", fix=f"--base-frame takes {known}"
+                )
+            return wanted
+        bases = list_bases(self.tree, self.frame)
+        if len(bases) == 1:
+            return bases[0]
+        raise PoseError(
+            f"which frame the laser is mounted on is not clear (known: {self._list_known()})",
+            fix=f"name it: --base-frame {bases[0] if bases else 'FRAME'}",
+        )
+
+    def _mount_on(self, anchor: str) -> list[Step]:
+        """Make the step from the body to a sensor whose pose the user gave."""
+        if self.options.sensor_pose is None:
+            return []
+        if self.frame in self.tree:
+            self.notes.append(f"the given sensor pose goes before the log's of {self.frame!r}")
+        track = Track.fixed(self.options.sensor_pose)
+        return [Step(Edge(anchor, self.frame, track, Source.GIVEN))]
+
+    def _find_path(self, upper: str, lower: str) -> list[Step]:
+        if upper == lower:
+            return []
+        steps = self.tree.find_path(upper, lower)
+        if steps is not None:
+            return steps
+        if upper not in self.tree:
+            raise PoseError(f"no frame {upper!r} in the log (known: {self._list_known()})")
+        raise PoseError(
+            f"no transform from {upper!r} to {lower!r} (known: {self._list_known()})",
+            fix=f"give it: --static-tf {upper},{lower},X,Y,Z,ROLL,PITCH,YAW",
+        )
+
+    def _note_odometry(self, steps: list[Step]) -> None:
+        for step in steps:
+            if step.edge.source is Source.ODOMETRY:
+                name = f"{step.edge.parent} -> {step.edge.child}"
+                self.notes.append(f"tf does not give {name}: taken from {step.edge.topic}")
+
+    def _list_known(self) -> str:
+        return join_names(self.tree.frames)
+
+    def _fail_without_mount(self) -> NoReturn:
+        bases = list_bases(self.tree, self.frame)
+        base = f" on {bases[0]}" if len(bases) == 1 else ""
+        flag = "" if len(bases) == 1 else " --base-frame FRAME"
+        raise PoseError(
+            f"no transform to the laser's frame {self.frame!r} (known: {self._list_known()})",
+            fix=f"give its mount{base}: --sensor-pose x,y,yaw{flag}",
+        )
+
+    def _fail_without_motion(self, root: str) -> NoReturn:
+        bodies = list_bodies(self.tree)
+        if bodies:
+            raise PoseError(
+                f"the laser's frame {self.frame!r} hangs on {root!r}, which is not connected to "
+                f"what moves: {join_names(bodies)}",
+                fix=f"join them: --static-tf {bodies[0]},{root},0,0,0,0,0,0",
+            )
+        raise PoseError(
+            f"the scans have no poses: tf only says where {self.frame!r} sits on {root!r}, and "
+            "the log has no odometry and no topic of poses",
+            fix="give a trajectory: --poses FILE",
+        )
+
+    def _fail_without_sources(self) -> NoReturn:
+        raise PoseError(
+            "the scans have no poses: looked for tf, odometry and topics of poses in the log",
+            fix="give a trajectory: --poses FILE",
+        )

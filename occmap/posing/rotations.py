@@ -1,0 +1,58 @@
+"""Vectorised rotations: quaternions as (N, 4) rows of x, y, z, w; matrices as (N, 3, 3)."""
+
+import numpy as np
+
+from occmap.types import Float64
+
+STRAIGHT_RAD = 1e-6
+"""Below this angle a great arc and its chord differ by less than 1e-12: no sine is divided by."""
+
+
+def rotate_by(quaternion: Float64) -> Float64:
+    """Turn unit quaternions (N, 4) into rotation matrices (N, 3, 3)."""
+    x, y, z, w = quaternion.T
+    matrix = np.empty((len(quaternion), 3, 3))
+    matrix[:, 0, 0] = 1 - 2 * (y * y + z * z)
+    matrix[:, 0, 1] = 2 * (x * y - z * w)
+    matrix[:, 0, 2] = 2 * (x * z + y * w)
+    matrix[:, 1, 0] = 2 * (x * y + z * w)
+    matrix[:, 1, 1] = 1 - 2 * (x * x + z * z)
+    matrix[:, 1, 2] = 2 * (y * z - x * w)
+    matrix[:, 2, 0] = 2 * (x * z - y * w)
+    matrix[:, 2, 1] = 2 * (y * z + x * w)
+    matrix[:, 2, 2] = 1 - 2 * (x * x + y * y)
+    return matrix
+
+
+def angle_between(start: Float64, end: Float64) -> Float64:
+    """Angles (N,) in [0, pi] between the rotations of unit quaternions (N, 4) each."""
+    return 4 * np.arctan2(*_half_chords(start, _nearer(start, end)))
+
+
+def slerp(start: Float64, end: Float64, fraction: Float64) -> Float64:
+    """Turn from `start` to `end` (N, 4) at constant rate along the shorter arc (Shoemake 1985).
+
+    `fraction` is (N,) in [0, 1]; q and -q are one rotation. Returns unit quaternions (N, 4).
+    """
+    end = _nearer(start, end)
+    arc = 2 * np.arctan2(*_half_chords(start, end))
+    straight = arc < STRAIGHT_RAD
+    divisor = np.where(straight, 1.0, np.sin(arc))
+    from_start = np.where(straight, 1 - fraction, np.sin((1 - fraction) * arc) / divisor)
+    from_end = np.where(straight, fraction, np.sin(fraction * arc) / divisor)
+    return from_start[:, None] * start + from_end[:, None] * end
+
+
+def _nearer(start: Float64, end: Float64) -> Float64:
+    """Of `end` and -`end`, which is the same rotation, the one on the side of `start`."""
+    side = np.einsum("ij,ij->i", start, end)
+    return np.where(side[:, None] < 0, -end, end)
+
+
+def _half_chords(start: Float64, end: Float64) -> tuple[Float64, Float64]:
+    """Sine and cosine, up to one factor, of half the arc: exact at small angles, as acos is not."""
+    apart, along = end - start, end + start
+    return (
+        np.sqrt(np.einsum("ij,ij->i", apart, apart)),
+        np.sqrt(np.einsum("ij,ij->i", along, along)),
+    )

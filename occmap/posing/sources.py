@@ -1,0 +1,142 @@
+"""Pose sources: every pose sample of a log, sorted into edges of the tree and trajectories."""
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+from occmap.errors import PoseError
+from occmap.posing.frames import Edge, FrameTree, Source, last_part
+from occmap.posing.options import PosingOptions, Stamps
+from occmap.posing.tracks import Track, TrackBuilder
+from occmap.posing.trajectory import TRAJECTORY_FRAME, read_trajectory
+from occmap.types import PoseSample
+
+TF_TOPICS = frozenset({"", "tf", "tf_static"})
+"""Last parts of topics that carry the tree itself; any other states the pose of one body."""
+
+INTENTIONS = frozenset({"goal", "initialpose", "plan", "waypoints"})
+"""Words in topics of poses that tell where a robot should be, not where it was."""
+
+
+class _Key(NamedTuple):
+    """What the samples of one track have in common."""
+
+    topic: str
+    parent: str
+    child: str
+    static: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Sources:
+    """All that is known about poses, before any scan is looked at."""
+
+    tree: FrameTree
+    pose_topics: tuple[Edge, ...]
+    """Poses of one body each, the best source first; `child` is "" where it is not named."""
+    trajectory: Edge | None
+    """The one that the user chose instead of tf."""
+    notes: tuple[str, ...]
+
+    @property
+    def unnamed_body(self) -> Edge | None:
+        """The pose topic to fall back on where tf and odometry do not reach a scan."""
+        usable = (edge for edge in self.pose_topics if not edge.child and len(edge.track) > 1)
+        return next((edge for edge in usable if not _is_intention(edge.topic)), None)
+
+
+def gather(samples: Iterable[PoseSample], options: PosingOptions) -> Sources:
+    """Read every sample once and sort them by what they say.
+
+    Raises
+    ------
+    PoseError
+        The trajectory that the user chose is neither a file nor a topic with poses.
+    LogError
+        The trajectory file cannot be read.
+    """
+    tracks, notes = _build_tracks(samples, options.stamps)
+    edges = [_make_edge(key, track) for key, track in tracks]
+    given = [_make_given(sample) for sample in options.static_transforms]
+    tree = FrameTree([*given, *(edge for edge in edges if edge.child)])
+    poses = tuple(sorted((edge for edge in edges if edge.source is Source.ODOMETRY), key=_rank))
+    trajectory = _find_trajectory(options, poses, notes) if options.poses else None
+    return Sources(tree, poses, trajectory, (*_list_overruled(given, edges), *notes))
+
+
+def _build_tracks(
+    samples: Iterable[PoseSample], stamps: Stamps
+) -> tuple[list[tuple[_Key, Track]], list[str]]:
+    """Make a track of all samples that share topic and frames; say what could not be used."""
+    builders: dict[_Key, TrackBuilder] = defaultdict(TrackBuilder)
+    for sample in samples:
+        key = _Key(sample.topic, sample.parent, sample.child, sample.static)
+        builders[key].add(sample, stamps)
+    tracks: list[tuple[_Key, Track]] = []
+    notes: list[str] = []
+    for key, builder in sorted(builders.items()):
+        track = builder.build()
+        if builder.unusable:
+            name = f"{key.parent} -> {key.child or 'a body'}"
+            notes.append(f"{builder.unusable} poses of {name} are not finite and are left out")
+        if track is not None and key.parent != key.child:
+            tracks.append((key, _take_last(track) if key.static else track))
+    return tracks, notes
+
+
+def _take_last(track: Track) -> Track:
+    """Of a static transform that was sent again the last one holds."""
+    return Track(track.stamp_ns[-1:], track.position[-1:], track.quaternion[-1:], static=True)
+
+
+def _make_edge(key: _Key, track: Track) -> Edge:
+    is_tf = key.child and (key.static or last_part(key.topic) in TF_TOPICS)
+    source = Source.TF if is_tf else Source.ODOMETRY
+    return Edge(key.parent.strip("/"), key.child.strip("/"), track, source, key.topic)
+
+
+def _make_given(sample: PoseSample) -> Edge:
+    track = Track.fixed(sample.pose)
+    return Edge(sample.parent.strip("/"), sample.child.strip("/"), track, Source.GIVEN)
+
+
+def _rank(edge: Edge) -> tuple[int, str]:
+    return -len(edge.track), edge.topic
+
+
+def _is_intention(topic: str) -> bool:
+    words = topic.lower().replace("/", "_").split("_")
+    return not INTENTIONS.isdisjoint(words)
+
+
+def _list_overruled(given: Sequence[Edge], edges: Sequence[Edge]) -> list[str]:
+    """Say where the log knew a transform that the user gave."""
+    known = {edge.child for edge in edges if edge.source is Source.TF}
+    return [
+        f"the given transform {edge.parent} -> {edge.child} goes before the log's"
+        for edge in given
+        if edge.child in known
+    ]
+
+
+def _find_trajectory(options: PosingOptions, poses: Sequence[Edge], notes: list[str]) -> Edge:
+    """Take the chosen trajectory: from a file where there is one of that name, else by topic."""
+    name = options.poses or ""
+    if Path(name).is_file():
+        tracks, unusable = _build_tracks(read_trajectory(Path(name)), Stamps.HEADER)
+        notes.extend(unusable)
+        if not tracks:
+            raise PoseError("holds no usable pose: none is finite", where=name)
+        frame = options.map_frame or TRAJECTORY_FRAME
+        return replace(_make_edge(*tracks[0]), parent=frame, topic=name)
+    for edge in poses:
+        if edge.topic.strip("/") == name.strip("/"):
+            return edge
+    topics = ", ".join(sorted({edge.topic for edge in poses}))
+    raise PoseError(
+        "neither a file nor a topic with poses",
+        where=name,
+        fix=f"topics with poses: {topics}" if topics else "the log has no topic with poses",
+    )

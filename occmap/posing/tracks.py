@@ -1,0 +1,120 @@
+"""Tracks: where one frame was in another over time, gathered sample by sample, then frozen."""
+
+from array import array
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from occmap.posing.options import Stamps
+from occmap.posing.rotations import angle_between
+from occmap.types import Bool, Float64, Int64, Pose, PoseSample
+
+STILL_M = 1e-4
+STILL_RAD = 1e-4
+"""What moves less than this in a whole log is mounted, not driven."""
+
+MAX_STAMP_NS = 2**62
+"""The year 2116: beyond it a stamp is damage, and differences of two still fit an int64."""
+
+MAX_VALUE = 1e12
+"""Light takes an hour for as many metres: as good as infinite, and sums of such stay numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Poses of one frame in another, by time; never empty."""
+
+    stamp_ns: Int64
+    """(N,), strictly increasing"""
+    position: Float64
+    """(N, 3) m"""
+    quaternion: Float64
+    """(N, 4) unit x y z w"""
+    static: bool = False
+    """The log says that it holds at all times; N = 1."""
+
+    @classmethod
+    def fixed(cls, pose: Pose) -> Self:
+        """Make the track of something bolted on, from a finite pose with a rotation."""
+        values = np.array([pose], dtype=np.float64)
+        unit = values[:, 3:] / np.linalg.norm(values[:, 3:])
+        return cls(np.zeros(1, np.int64), values[:, :3], unit, static=True)
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+    @cached_property
+    def moves(self) -> bool:
+        """Whether the pose ever changes: fixed transforms are sent on /tf, too, in old logs."""
+        if len(self) == 1:
+            return False
+        first = np.broadcast_to(self.quaternion[:1], self.quaternion.shape)
+        far = float(np.abs(self.position - self.position[:1]).max())
+        turned = float(angle_between(first, self.quaternion).max())
+        return far > STILL_M or turned > STILL_RAD
+
+    @cached_property
+    def interval_s(self) -> Float64:
+        """(N - 1,) seconds between neighbouring samples."""
+        return np.diff(self.stamp_ns) / 1e9
+
+    @cached_property
+    def step_m(self) -> Float64:
+        """(N - 1,) metres between neighbouring samples."""
+        step: Float64 = np.linalg.norm(np.diff(self.position, axis=0), axis=1)
+        return step
+
+    @cached_property
+    def step_rad(self) -> Float64:
+        """(N - 1,) radians between neighbouring samples."""
+        return angle_between(self.quaternion[:-1], self.quaternion[1:])
+
+
+class TrackBuilder:
+    """Gathers samples in any order of time, 72 bytes each, and makes a track of them."""
+
+    def __init__(self) -> None:
+        self._times = array("q")
+        self._values = array("d")
+        self.unusable = 0
+        """Samples left out: not finite, a rotation of length zero, or a stamp that is damage."""
+
+    def add(self, sample: PoseSample, stamps: Stamps) -> None:
+        """Take a sample at the chosen one of its two times."""
+        stamp, record = sample.stamp_ns, sample.record_ns
+        if stamps is Stamps.RECORD:
+            stamp = record
+        if abs(stamp) > MAX_STAMP_NS or abs(record) > MAX_STAMP_NS:
+            self.unusable += 1
+            return
+        self._times.extend((stamp, record))
+        self._values.extend(sample.pose)
+
+    def build(self) -> Track | None:
+        """Sort what was gathered; None where nothing is usable.
+
+        Of several samples with one stamp the one recorded last stays, and of those recorded at
+        once the last in the log.
+        """
+        times = np.frombuffer(self._times, np.int64).reshape(-1, 2)
+        values = np.frombuffer(self._values, np.float64).reshape(-1, 7)
+        usable, norm = find_usable(values)
+        self.unusable += int(len(values) - usable.sum())
+        stamp, record = times[usable].T
+        values, norm = values[usable], norm[usable]
+        if not len(stamp):
+            return None
+        order = np.lexsort((record, stamp))
+        order = order[np.append(np.diff(stamp[order]) > 0, True)]
+        return Track(stamp[order], values[order, :3], values[order, 3:] / norm[order, None])
+
+
+def find_usable(values: Float64) -> tuple[Bool, Float64]:
+    """Tell which rows (N, 7) are poses, and the lengths (N,) of their quaternions, 1 elsewhere."""
+    finite: Bool = np.all(np.abs(values) <= MAX_VALUE, axis=1)
+    quaternion = np.where(finite[:, None], values[:, 3:], 0)
+    norm = np.sqrt(np.einsum("ij,ij->i", quaternion, quaternion))
+    usable = norm > 0
+    return usable, np.where(usable, norm, 1)

@@ -1,0 +1,59 @@
+"""Small logs for the tests of posing, written down as a person would."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from occmap.posing.attach import Poser
+from occmap.posing.options import PosingOptions
+from occmap.types import Float64, Pose, PoseSample, ScanBatch
+
+SECOND = 10**9
+
+
+def at(seconds: float, parent: str, child: str, pose: Pose, topic: str = "/tf") -> PoseSample:
+    stamp_ns = round(seconds * SECOND)
+    return PoseSample(stamp_ns, parent, child, pose, False, topic, stamp_ns)
+
+
+def bolted(parent: str, child: str, pose: Pose) -> PoseSample:
+    return PoseSample(0, parent, child, pose, static=True, topic="/tf_static")
+
+
+def drive(
+    parent: str, child: str, topic: str = "/tf", seconds: Sequence[float] = range(11)
+) -> list[PoseSample]:
+    """One metre a second along x."""
+    return [at(t, parent, child, Pose.planar(t, 0, 0), topic) for t in seconds]
+
+
+def batch_at(
+    seconds: Sequence[float], frame: str = "laser", beams: int = 3, time_increment: float = 0.0
+) -> ScanBatch:
+    stamps = np.array([round(t * SECOND) for t in seconds], np.int64)
+    ranges = np.ones((len(stamps), beams), np.float32)
+    return ScanBatch(frame, 0.0, 0.1, 0.0, 10.0, time_increment, stamps, ranges, None)
+
+
+def positions(poser: Poser, seconds: Sequence[float], frame: str = "laser") -> Float64:
+    """Where the sensor is at these moments, all of which must have a pose."""
+    posed, dropped = poser.attach(batch_at(seconds, frame))
+    assert posed is not None
+    assert not dropped
+    return posed.position
+
+
+def build(*samples: PoseSample, **options: object) -> Poser:
+    return Poser.build(samples, PosingOptions(**options))  # type: ignore[arg-type]
+
+
+def yaw_of(rotation: ArrayLike) -> Float64:
+    matrix = np.asarray(rotation)
+    yaw: Float64 = np.arctan2(matrix[..., 1, 0], matrix[..., 0, 0])
+    return yaw
+
+
+def turned(yaw: float, x: float = 0.0, y: float = 0.0) -> Pose:
+    return Pose.planar(x, y, math.radians(yaw))

@@ -1,0 +1,248 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from occmap.errors import PoseError
+from occmap.posing.attach import Poser
+from occmap.posing.coverage import list_coverage
+from occmap.posing.frames import Source
+from occmap.posing.options import Deskew, DropReason, PosingOptions, Stamps
+from occmap.types import Float64, Pose, PoseSample, ScanBatch
+from tests.posing.scenes import SECOND, at, batch_at, bolted, build, drive, turned, yaw_of
+
+MOUNT = bolted("base_link", "laser", Pose.planar(0.5, 0, 0))
+
+
+def test_scans_without_a_pose_are_left_out_and_counted() -> None:
+    log = drive("odom", "base_link", seconds=[0, 1, 2, 6, 7])
+    batch = batch_at([-1, 0.5, 3, 4, 6.5, 7.5, 8, 9])
+    batch = replace(batch, ranges=np.arange(8, dtype=np.float32)[:, None])
+    posed, dropped = build(*log, MOUNT).attach(batch)
+    assert dropped == {DropReason.BEFORE: 1, DropReason.GAP: 2, DropReason.AFTER: 3}
+    assert posed is not None
+    assert posed.position[:, 0].tolist() == [1, 7]
+    assert posed.batch.stamp_ns.tolist() == [SECOND // 2, 13 * SECOND // 2]
+    assert posed.batch.ranges[:, 0].tolist() == [1, 4]
+
+
+def test_a_batch_without_any_pose_or_any_scan_gives_nothing() -> None:
+    poser = build(*drive("odom", "base_link"), MOUNT)
+    assert poser.attach(batch_at([20, 30])) == (None, {DropReason.AFTER: 2})
+    assert poser.attach(batch_at([])) == (None, {})
+
+
+def test_the_gap_limit_may_be_lifted() -> None:
+    poser = build(*drive("odom", "base_link", seconds=[0, 60]), MOUNT, max_pose_gap_s=None)
+    posed, dropped = poser.attach(batch_at([30]))
+    assert posed is not None
+    assert not dropped
+    assert posed.position.tolist() == [[30.5, 0, 0]]
+
+
+def test_the_time_offset_is_added_to_the_stamps_of_scans() -> None:
+    poser = build(*drive("odom", "base_link"), MOUNT, time_offset_s=-100.25)
+    posed, _ = poser.attach(batch_at([104.25]))
+    assert posed is not None
+    assert posed.position.tolist() == [[4.5, 0, 0]]
+    assert posed.batch.stamp_ns.tolist() == [104.25 * SECOND]
+
+
+def test_pose_samples_may_be_dated_by_the_recorder() -> None:
+    late = [sample._replace(stamp_ns=0) for sample in drive("odom", "base_link")]
+    posed, _ = build(*late, MOUNT, stamps=Stamps.RECORD).attach(batch_at([4]))
+    assert posed is not None
+    assert posed.position.tolist() == [[4.5, 0, 0]]
+
+
+def test_the_order_of_the_log_changes_nothing() -> None:
+    log = [*drive("odom", "base_link"), MOUNT, *drive("map", "odom")]
+    forward, _ = build(*log).attach(batch_at([3.3]))
+    backward, _ = build(*log[::-1]).attach(batch_at([3.3]))
+    assert forward is not None
+    assert backward is not None
+    assert forward.position.tolist() == backward.position.tolist()
+
+
+@pytest.mark.parametrize("stamp_ns", [-(2**63), 2**63 - 1])
+def test_stamps_that_are_damage_harm_nothing(stamp_ns: int) -> None:
+    poser = build(*drive("odom", "base_link"), MOUNT, time_offset_s=-1e9)
+    batch = replace(batch_at([0]), stamp_ns=np.array([stamp_ns]))
+    posed, dropped = poser.attach(batch)
+    assert posed is None
+    assert sum(dropped.values()) == 1
+
+
+def test_a_laser_without_transform_is_refused_alone_and_counted_beside_another() -> None:
+    poser = build(*drive("odom", "base_link"), MOUNT)
+    with pytest.raises(PoseError, match="'bumper'"):
+        poser.attach(batch_at([1], "bumper"))
+    assert poser.attach(batch_at([1]))[0] is not None
+    assert poser.attach(batch_at([1, 2], "bumper")) == (None, {DropReason.NO_TRANSFORM: 2})
+
+
+# Poses that the log states beside its scans
+
+
+def stated(*poses: Pose) -> ScanBatch:
+    return replace(batch_at([0] * len(poses)), pose=np.array(poses, np.float64))
+
+
+def test_a_stated_pose_is_used_as_it_is() -> None:
+    posed, dropped = build().attach(stated(turned(90, x=1, y=2), turned(0)))
+    assert posed is not None
+    assert not dropped
+    assert posed.position.tolist() == [[1, 2, 0], [0, 0, 0]]
+    np.testing.assert_allclose(yaw_of(posed.rotation), [math.pi / 2, 0])
+
+
+def test_a_stated_pose_that_is_not_finite_is_left_out() -> None:
+    bad = Pose.planar(math.nan, 0, 0), Pose(0, 0, 0, 0, 0, 0, 0), turned(0, x=math.inf)
+    posed, dropped = build().attach(stated(turned(0, x=5), *bad))
+    assert dropped == {DropReason.NOT_FINITE: 3}
+    assert posed is not None
+    assert posed.position.tolist() == [[5, 0, 0]]
+    assert posed.batch.pose is not None
+    assert len(posed.batch.pose) == 1
+
+
+def test_a_stated_pose_is_the_bodys_where_the_sensors_is_given() -> None:
+    posed, _ = build(sensor_pose=turned(90, x=2)).attach(stated(turned(90, x=1)))
+    assert posed is not None
+    np.testing.assert_allclose(posed.position, [[1, 2, 0]], atol=1e-12)
+    np.testing.assert_allclose(np.abs(yaw_of(posed.rotation)), [math.pi])
+
+
+def test_a_chosen_trajectory_goes_before_stated_poses() -> None:
+    log = drive("map", "", "/slam")
+    posed, _ = build(*log, poses="/slam").attach(stated(turned(0, x=5)))
+    assert posed is not None
+    assert posed.position.tolist() == [[0, 0, 0]]
+
+
+# De-skewing
+
+TURN = math.radians(180)
+"""A fast turn: radians a second."""
+
+
+def spin(seconds: float = 2.0, rate_hz: int = 50) -> list[PoseSample]:
+    """A robot that turns on the spot while the floor under it carries it along x."""
+    return [
+        at(i / rate_hz, "odom", "laser", Pose.planar(i / rate_hz, 0, TURN * i / rate_hz))
+        for i in range(round(seconds * rate_hz) + 1)
+    ]
+
+
+def see_wall(start_s: float, beams: int, time_increment: float) -> ScanBatch:
+    """Measure the wall x = 5 from the spin, each beam at its own moment, over +-40 degrees."""
+    bearings = np.linspace(-0.7, 0.7, beams)
+    moments = start_s + np.arange(beams) * time_increment
+    heading = TURN * moments + bearings
+    ranges = (5 - moments) / np.cos(heading)
+    step = float(bearings[1] - bearings[0])
+    stamps = np.array([round(start_s * SECOND)], np.int64)
+    row = ranges[None].astype(np.float32)
+    return ScanBatch("laser", -0.7, step, 0.0, 50.0, time_increment, stamps, row, None)
+
+
+def points(poser: Poser, batch: ScanBatch) -> Float64:
+    """(B, 3) ends of the beams in the map."""
+    posed, _ = poser.attach(batch)
+    assert posed is not None
+    ends: Float64
+    bearings = batch.angle_min + batch.angle_increment * np.arange(batch.ranges.shape[1])
+    beams = np.stack([np.cos(bearings), np.sin(bearings), np.zeros_like(bearings)], axis=-1)
+    local = beams * posed.batch.ranges[0, :, None]
+    if posed.rotation.ndim == 3:
+        ends = posed.position[0] + local @ posed.rotation[0].T
+        return ends
+    ends = posed.position[0] + np.einsum("bij,bj->bi", posed.rotation[0], local)
+    return ends
+
+
+@pytest.mark.parametrize("beams", [2, 33, 34, 360])
+def test_deskewing_straightens_a_wall_seen_in_a_fast_turn(beams: int) -> None:
+    batch = see_wall(0.011, beams, 0.1 / beams)
+    skewed = points(build(*spin(), deskew=Deskew.OFF), batch)[:, 0]
+    straight = points(build(*spin(), deskew=Deskew.ON), batch)[:, 0]
+    assert np.ptp(skewed) > 0.5
+    assert np.ptp(straight) < 0.002
+    assert abs(straight.mean() - 5) < 0.001
+
+
+def test_deskewed_beams_have_the_shapes_of_a_pose_each() -> None:
+    posed, _ = build(*spin(), deskew=Deskew.ON).attach(
+        batch_at([0.5, 1.0], beams=100, time_increment=0.001)
+    )
+    assert posed is not None
+    assert posed.position.shape == (2, 100, 3)
+    assert posed.rotation.shape == (2, 100, 3, 3)
+    np.testing.assert_allclose(posed.position[1, :, 0], 1 + 0.001 * np.arange(100))
+    np.testing.assert_allclose(yaw_of(posed.rotation[0, :10]), TURN * (0.5 + 0.001 * np.arange(10)))
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "time_increment", "expected"),
+    [
+        (50, 0.001, True),
+        (50, 0.0, False),  # nothing is known about the beams
+        (2, 0.001, False),  # half a second between poses shows nothing of a tenth
+        (2, 0.006, True),  # as long a scan as the poses are apart
+        (50, 0.1, False),  # ten seconds a turn: milliseconds, written as seconds
+        (50, -0.001, True),
+        (50, math.nan, False),
+        (50, math.inf, False),
+    ],
+)
+def test_auto_deskews_where_the_log_allows(
+    rate_hz: int, time_increment: float, expected: bool
+) -> None:
+    poser = build(*spin(4, rate_hz), deskew=Deskew.AUTO)
+    posed, _ = poser.attach(batch_at([2.0], beams=100, time_increment=time_increment))
+    assert posed is not None
+    assert (posed.position.ndim == 3) is expected
+    assert ("de-skewed: each beam of 'laser' has a pose of its own" in poser.notes) is expected
+
+
+def test_a_scan_that_ends_after_the_last_pose_is_left_out_when_deskewed() -> None:
+    late = batch_at([0.5, 1.95], beams=101, time_increment=0.001)
+    posed, dropped = build(*spin(), deskew=Deskew.ON).attach(late)
+    assert posed is not None
+    assert dropped == {DropReason.AFTER: 1}
+    assert build(*spin(), deskew=Deskew.OFF).attach(late)[1] == {}
+
+
+# Coverage
+
+
+def test_coverage_tells_gaps_and_jumps() -> None:
+    log = [*drive("odom", "base_link", seconds=[1, 2, 5]), MOUNT, *drive("map", "", "/pose")]
+    mount, odom, pose = list_coverage(build(*log).sources)
+    assert (mount.parent, mount.child, mount.static, mount.moves) == (
+        "base_link",
+        "laser",
+        True,
+        False,
+    )
+    assert (odom.source, odom.samples, odom.largest_gap_s, odom.largest_step_m) == (
+        Source.TF,
+        3,
+        3.0,
+        3.0,
+    )
+    assert (odom.start_ns, odom.end_ns) == (SECOND, 5 * SECOND)
+    assert (pose.topic, pose.child, pose.source) == ("/pose", "", Source.ODOMETRY)
+
+
+def test_the_defaults_bridge_a_second_and_deskew_nothing() -> None:
+    assert PosingOptions().max_pose_gap_s == 2.0
+    assert PosingOptions().deskew is Deskew.OFF
+
+
+def test_a_note_appears_once_however_many_batches_there_are() -> None:
+    poser = build(*drive("odom", "base_link", "/wheels"), MOUNT)
+    for second in range(3):
+        poser.attach(batch_at([second]))
+    assert poser.notes == ["tf does not give odom -> base_link: taken from /wheels"]

@@ -1,0 +1,243 @@
+"""Chains against poses worked out by hand, and against a slow and plain scalar reference."""
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from occmap.posing.chain import Chain, Status, make_chain
+from occmap.posing.frames import Edge, Source, Step
+from occmap.posing.options import Stamps
+from occmap.posing.tracks import TrackBuilder
+from occmap.types import Float64, Pose
+from tests.posing.scenes import SECOND, at, turned, yaw_of
+
+Keyed = Sequence[tuple[float, Pose]]
+"""Seconds and poses."""
+
+
+def edge(parent: str, child: str, keyed: Keyed) -> Edge:
+    builder = TrackBuilder()
+    for seconds, pose in keyed:
+        builder.add(at(seconds, parent, child, pose), Stamps.HEADER)
+    track = builder.build()
+    assert track is not None
+    return Edge(parent, child, track, Source.TF)
+
+
+def chain_of(*edges: Edge, max_gap_s: float | None = None) -> Chain:
+    return make_chain([Step(one) for one in edges], max_gap_s)
+
+
+def look_up(chain: Chain, *seconds: float) -> tuple[Float64, Float64, list[Status]]:
+    found = chain.at(np.array([round(t * SECOND) for t in seconds], np.int64))
+    return found.position, found.rotation, [Status(code) for code in found.status]
+
+
+DRIVE = edge("odom", "base", [(0, turned(0)), (10, turned(90, x=10))])
+
+
+def test_halfway_between_two_samples() -> None:
+    position, rotation, status = look_up(chain_of(DRIVE), 5)
+    assert position.tolist() == [[5, 0, 0]]
+    assert math.isclose(float(yaw_of(rotation)[0]), math.radians(45))
+    assert status == [Status.POSED]
+
+
+def test_nothing_is_extrapolated() -> None:
+    _, _, status = look_up(chain_of(DRIVE), -1e-9, 0, 10, 10 + 1e-9)
+    assert status == [Status.BEFORE, Status.POSED, Status.POSED, Status.AFTER]
+
+
+def test_nothing_is_interpolated_across_a_long_gap() -> None:
+    chain = chain_of(
+        edge("odom", "base", [(t, turned(0, x=t)) for t in (0, 1, 4, 5)]), max_gap_s=2.0
+    )
+    _, _, status = look_up(chain, 0.5, 1, 1.5, 3.9, 4, 4.5)
+    assert status == [
+        Status.POSED,
+        Status.POSED,
+        Status.GAP,
+        Status.GAP,
+        Status.POSED,
+        Status.POSED,
+    ]
+
+
+def test_a_gap_of_exactly_the_limit_is_bridged() -> None:
+    chain = chain_of(edge("odom", "base", [(0, turned(0)), (2, turned(0, x=2))]), max_gap_s=2.0)
+    assert look_up(chain, 1)[2] == [Status.POSED]
+
+
+def test_three_edges_by_hand() -> None:
+    """Map -> odom turns by 90 degrees, so odom's x is the map's y; the laser sits 1 m ahead."""
+    chain = chain_of(
+        edge("map", "odom", [(0, turned(90, x=100))]),
+        edge("odom", "base", [(0, turned(0)), (2, turned(0, x=4))]),
+        edge("base", "laser", [(0, turned(180, x=1, y=0.5))]),
+    )
+    position, rotation, _ = look_up(chain, 1)
+    # In odom the base is at (2, 0) and the laser at (3, 0.5); turned by 90: (-0.5, 3).
+    np.testing.assert_allclose(position, [[99.5, 3, 0]], atol=1e-12)
+    np.testing.assert_allclose(rotation[0], [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-12)
+
+
+def test_a_step_recorded_the_other_way_round_is_inverted() -> None:
+    upward = edge("base", "map", [(0, turned(90, x=3)), (1, turned(90, x=5))])
+    chain = make_chain([Step(upward, inverted=True)], None)
+    position, rotation, _ = look_up(chain, 0.5)
+    # The map lies at (4, 0) in the base, turned left by 90: in the map the base is at (0, 4).
+    np.testing.assert_allclose(position, [[0, 4, 0]], atol=1e-12)
+    np.testing.assert_allclose(yaw_of(rotation), [-math.pi / 2])
+
+
+def test_an_upside_down_laser_mirrors_its_bearings() -> None:
+    inverted = Pose.from_xyzrpy((0, 0, 0.3), (math.pi, 0, 0))
+    chain = chain_of(DRIVE, edge("base", "laser", [(0, inverted)]))
+    position, rotation, _ = look_up(chain, 0)
+    left = np.array([math.cos(0.4), math.sin(0.4), 0])
+    np.testing.assert_allclose(rotation[0] @ left, [math.cos(0.4), -math.sin(0.4), 0], atol=1e-12)
+    np.testing.assert_allclose(position, [[0, 0, 0.3]])
+
+
+def test_a_fixed_transform_sent_late_limits_nothing() -> None:
+    mount = edge("base", "laser", [(4, turned(0, y=1)), (5, turned(0, y=1))])
+    position, _, status = look_up(chain_of(DRIVE, mount), 0, 10)
+    assert status == [Status.POSED] * 2
+    np.testing.assert_allclose(position[:, :2], [[0, 1], [9, 0]], atol=1e-12)
+
+
+def test_where_nothing_moves_the_most_sampled_edge_says_when_the_robot_was_seen() -> None:
+    standing = edge("odom", "base", [(t, turned(0)) for t in range(5)])
+    mount = edge("base", "laser", [(1, turned(0)), (2, turned(0))])
+    _, _, status = look_up(chain_of(standing, mount), -1, 0, 4, 5)
+    assert status == [Status.BEFORE, Status.POSED, Status.POSED, Status.AFTER]
+
+
+def odometry(seconds: int) -> Edge:
+    return edge("odom", "base", [(t, turned(0, x=t)) for t in range(seconds + 1)])
+
+
+def test_a_correction_that_jumps_holds_until_the_jump() -> None:
+    correction = edge("map", "odom", [(t, turned(0, y=2.0 * (t >= 2))) for t in range(5)])
+    position, _, _ = look_up(chain_of(correction, odometry(4)), 1.0, 1.5, 1.999, 2.0, 2.5)
+    np.testing.assert_allclose(position[:, 1], [0, 0, 0, 2, 2], atol=1e-12)
+    np.testing.assert_allclose(position[:, 0], [1.0, 1.5, 1.999, 2.0, 2.5], atol=1e-12)
+
+
+def test_a_correction_that_turns_at_once_holds_too() -> None:
+    correction = edge("map", "odom", [(0, turned(0)), (1, turned(10)), (2, turned(10))])
+    _, rotation, _ = look_up(chain_of(correction, odometry(2)), 0.9, 1.0)
+    np.testing.assert_allclose(np.degrees(yaw_of(rotation)), [0, 10], atol=1e-9)
+
+
+def test_a_correction_that_creeps_is_interpolated() -> None:
+    correction = edge("map", "odom", [(t, turned(0, y=0.05 * t)) for t in range(5)])
+    position, _, _ = look_up(chain_of(correction, odometry(4)), 1.5)
+    np.testing.assert_allclose(position, [[1.5, 0.075, 0]], atol=1e-12)
+
+
+def test_map_to_odom_that_carries_all_the_motion_is_interpolated() -> None:
+    """SLAM without odometry moves map -> odom by metres a second, and nothing moves below."""
+    chain = chain_of(
+        edge("map", "odom", [(t, turned(0, x=3 * t)) for t in range(3)]),
+        edge("odom", "base", [(0, turned(0))]),
+    )
+    np.testing.assert_allclose(look_up(chain, 0.5)[0], [[1.5, 0, 0]], atol=1e-12)
+
+
+def test_a_body_with_a_turning_laser_is_no_correction() -> None:
+    spinning = edge("base", "laser", [(t, turned(60 * t)) for t in range(5)])
+    fast = edge("odom", "base", [(t, turned(0, x=5 * t)) for t in range(5)])
+    np.testing.assert_allclose(look_up(chain_of(fast, spinning), 0.5)[0], [[2.5, 0, 0]], atol=1e-12)
+
+
+def test_the_interval_is_that_of_the_drive_not_of_its_correction() -> None:
+    correction = edge("map", "odom", [(0, turned(0)), (4, turned(0, y=1))])
+    chain = chain_of(correction, edge("odom", "base", [(t / 4, turned(0, x=t)) for t in range(17)]))
+    assert chain.interval_s == 0.25
+    assert chain.is_dense(0.3)
+    assert not chain.is_dense(0.2)
+
+
+# The reference: one stamp at a time, Python numbers, 4x4 matrices; slerp by its axis and angle.
+
+
+def multiply(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float, float]:
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
+
+
+def turn_part(start: Sequence[float], end: Sequence[float], share: float) -> Sequence[float]:
+    x, y, z, w = multiply((-start[0], -start[1], -start[2], start[3]), end)
+    if w < 0:
+        x, y, z, w = -x, -y, -z, -w
+    length = math.sqrt(x * x + y * y + z * z)
+    if length == 0:
+        return start
+    half = math.atan2(length, w) * share
+    scale = math.sin(half) / length
+    return multiply(start, (x * scale, y * scale, z * scale, math.cos(half)))
+
+
+def transform(pose: Sequence[float]) -> Float64:
+    x, y, z = pose[:3]
+    columns = []
+    for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
+        qx, qy, qz, qw = pose[3:]
+        turned_axis = multiply(multiply((qx, qy, qz, qw), (*axis, 0.0)), (-qx, -qy, -qz, qw))
+        columns.append([*turned_axis[:3], 0.0])
+    return np.array([*columns, [x, y, z, 1.0]]).T
+
+
+def reference(keyed: Sequence[tuple[int, Pose]], stamp_ns: int) -> Float64 | None:
+    for (t0, a), (t1, b) in itertools.pairwise(keyed):
+        if t0 <= stamp_ns <= t1:
+            share = (stamp_ns - t0) / (t1 - t0)
+            position = [p + share * (q - p) for p, q in zip(a[:3], b[:3], strict=True)]
+            return transform([*position, *turn_part(a[3:], b[3:], share)])
+    return None
+
+
+METRES, ANGLES = st.floats(-50, 50), st.floats(-3, 3)
+POSES = st.builds(
+    lambda x, y, z, roll, pitch, yaw: Pose.from_xyzrpy((x, y, z), (roll, pitch, yaw)),
+    *(METRES,) * 3,
+    *(ANGLES,) * 3,
+)
+TRACKS = st.dictionaries(st.integers(0, 20), POSES, min_size=2, max_size=6).map(
+    lambda keyed: [(10**18 + t * 10**8, keyed[t]) for t in sorted(keyed)]
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(TRACKS, TRACKS, st.lists(st.integers(-(10**8), 21 * 10**8), min_size=1, max_size=8))
+def test_chains_equal_the_slow_reference(
+    upper: list[tuple[int, Pose]], lower: list[tuple[int, Pose]], offsets: list[int]
+) -> None:
+    edges = []
+    for names, keyed in ((("map", "body"), upper), (("body", "laser"), lower)):
+        builder = TrackBuilder()
+        for stamp_ns, pose in keyed:
+            builder.add(at(0, *names, pose)._replace(stamp_ns=stamp_ns), Stamps.HEADER)
+        track = builder.build()
+        assert track is not None
+        edges.append(Edge(*names, track, Source.TF))
+    stamps = np.array(offsets, np.int64) + 10**18
+    found = chain_of(*edges).at(stamps)
+    for i, stamp_ns in enumerate(stamps.tolist()):
+        first, second = reference(upper, stamp_ns), reference(lower, stamp_ns)
+        assert (found.status[i] == Status.POSED) == (first is not None and second is not None)
+        if first is not None and second is not None:
+            expected = first @ second
+            np.testing.assert_allclose(found.position[i], expected[:3, 3], atol=1e-9)
+            np.testing.assert_allclose(found.rotation[i], expected[:3, :3], atol=1e-9)

@@ -1,0 +1,77 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from occmap.posing.rotations import angle_between, rotate_by, slerp
+from occmap.types import Float64, Pose
+
+ANGLES = st.floats(-math.pi, math.pi)
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> Float64:
+    return np.array([Pose.from_xyzrpy((0, 0, 0), (roll, pitch, yaw))[3:]])
+
+
+def matrix_by_hand(roll: float, pitch: float, yaw: float) -> Float64:
+    """Rz(yaw) Ry(pitch) Rx(roll), written out."""
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    rz = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    product: Float64 = rz @ ry @ rx
+    return product
+
+
+@settings(max_examples=50)
+@given(ANGLES, ANGLES, ANGLES)
+def test_a_quaternion_gives_the_matrix_of_its_angles(roll: float, pitch: float, yaw: float) -> None:
+    found = rotate_by(quaternion(roll, pitch, yaw))[0]
+    np.testing.assert_allclose(found, matrix_by_hand(roll, pitch, yaw), atol=1e-12)
+
+
+def test_halfway_to_90_degrees_is_45() -> None:
+    half = slerp(quaternion(0, 0, 0), quaternion(0, 0, math.pi / 2), np.array([0.5]))
+    np.testing.assert_allclose(half, quaternion(0, 0, math.pi / 4), atol=1e-15)
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.25, 0.5, 1.0])
+def test_the_turn_takes_the_short_way_past_180_degrees(fraction: float) -> None:
+    start, end = math.radians(170), math.radians(-170)
+    found = slerp(quaternion(0, 0, start), quaternion(0, 0, end), np.array([fraction]))
+    yaw = math.radians(170 + 20 * fraction)
+    np.testing.assert_allclose(rotate_by(found)[0], matrix_by_hand(0, 0, yaw), atol=1e-12)
+
+
+@settings(max_examples=50)
+@given(ANGLES, ANGLES, st.floats(0, 1))
+def test_q_and_minus_q_are_one_rotation(first: float, second: float, fraction: float) -> None:
+    start, end = quaternion(first, 0.2, 0.1), quaternion(0.3, 0.2, second)
+    share = np.array([fraction])
+    one, other = slerp(start, end, share), slerp(start, -end, share)
+    # Half a turn apart, either way round is the shorter one.
+    if abs(float((start * end).sum())) > 1e-9:
+        np.testing.assert_allclose(rotate_by(one), rotate_by(other), atol=1e-9)
+
+
+@pytest.mark.parametrize("step", [0.0, 1e-12, 1e-9, 1e-7, 1e-6, 1e-5, 1e-3])
+def test_tiny_turns_are_exact(step: float) -> None:
+    start, end = quaternion(0.1, 0.2, 1.0), quaternion(0.1, 0.2, 1.0 + step)
+    found = slerp(start, end, np.array([0.25]))
+    np.testing.assert_allclose(found, quaternion(0.1, 0.2, 1.0 + step / 4), atol=1e-15)
+    assert math.isclose(float(angle_between(start, end)[0]), step, rel_tol=1e-3, abs_tol=1e-15)
+
+
+@settings(max_examples=50)
+@given(ANGLES, ANGLES, ANGLES, st.floats(0, 1))
+def test_slerp_turns_at_constant_rate_and_keeps_length(
+    roll: float, pitch: float, yaw: float, fraction: float
+) -> None:
+    start, end = quaternion(0, 0, 0), quaternion(roll, pitch, yaw)
+    found = slerp(start, end, np.array([fraction]))
+    assert math.isclose(float(np.linalg.norm(found)), 1, abs_tol=1e-12)
+    whole, part = angle_between(start, end)[0], angle_between(start, found)[0]
+    assert math.isclose(part, fraction * whole, abs_tol=1e-7)

@@ -1,0 +1,98 @@
+import math
+
+import numpy as np
+import pytest
+
+from occmap.posing.options import Stamps
+from occmap.posing.tracks import Track, TrackBuilder
+from occmap.types import Pose, PoseSample
+
+HERE = Pose(1, 2, 3, 0, 0, 0, 1)
+
+
+def sample(stamp_ns: int, pose: Pose = HERE, record_ns: int = 0) -> PoseSample:
+    return PoseSample(stamp_ns, "odom", "base_link", pose, record_ns=record_ns)
+
+
+def build(*samples: PoseSample, stamps: Stamps = Stamps.HEADER) -> tuple[Track | None, int]:
+    builder = TrackBuilder()
+    for one in samples:
+        builder.add(one, stamps)
+    track = builder.build()
+    return track, builder.unusable
+
+
+def stamps_of(track: Track | None) -> list[int]:
+    assert track is not None
+    return [int(stamp) for stamp in track.stamp_ns]
+
+
+def test_samples_are_sorted_by_stamp() -> None:
+    track, _ = build(sample(30), sample(10), sample(20))
+    assert stamps_of(track) == [10, 20, 30]
+
+
+def test_the_recorded_time_is_used_on_request() -> None:
+    track, _ = build(sample(30, record_ns=1), sample(10, record_ns=2), stamps=Stamps.RECORD)
+    assert stamps_of(track) == [1, 2]
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_of_one_stamp_the_sample_recorded_last_stays(reverse: bool) -> None:
+    first = sample(10, HERE, record_ns=100)
+    second = sample(10, HERE._replace(x=5), record_ns=101)
+    track, unusable = build(*((second, first) if reverse else (first, second)))
+    assert track is not None
+    assert track.position.tolist() == [[5, 2, 3]]
+    assert unusable == 0
+
+
+def test_of_samples_recorded_at_once_the_last_in_the_log_stays() -> None:
+    track, _ = build(sample(10, HERE._replace(x=8)), sample(10, HERE._replace(x=9)))
+    assert track is not None
+    assert track.position[:, 0].tolist() == [9]
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [
+        HERE._replace(x=math.nan),
+        HERE._replace(z=-math.inf),
+        HERE._replace(qx=math.nan),
+        HERE._replace(qw=0),
+        HERE._replace(qw=1e200),
+        HERE._replace(y=1e308),
+    ],
+)
+def test_a_pose_that_is_none_is_left_out_and_counted(pose: Pose) -> None:
+    track, unusable = build(sample(10, pose), sample(20))
+    assert stamps_of(track) == [20]
+    assert unusable == 1
+    assert build(sample(10, pose)) == (None, 1)
+
+
+@pytest.mark.parametrize("stamp_ns", [2**63, -(2**63), 2**64, 10**30])
+def test_a_stamp_that_is_damage_is_left_out(stamp_ns: int) -> None:
+    assert build(sample(stamp_ns)) == (None, 1)
+
+
+def test_quaternions_get_unit_length() -> None:
+    track, _ = build(sample(0, HERE._replace(qz=3, qw=4)))
+    assert track is not None
+    np.testing.assert_allclose(track.quaternion, [[0, 0, 0.6, 0.8]])
+
+
+def test_what_is_sent_again_and_again_does_not_move() -> None:
+    still, _ = build(*(sample(t) for t in range(5)))
+    shifted, _ = build(sample(0), sample(1, HERE._replace(y=2.01)))
+    spun, _ = build(sample(0), sample(1, HERE._replace(qz=0.01)))
+    flipped, _ = build(sample(0), sample(1, HERE._replace(qw=-1)))
+    assert [t.moves for t in (still, shifted, spun, flipped) if t] == [False, True, True, False]
+
+
+def test_steps_and_intervals_lie_between_samples() -> None:
+    track, _ = build(sample(0), sample(2 * 10**9, Pose.planar(4, 6, math.pi / 2)._replace(z=3)))
+    assert track is not None
+    assert track.interval_s.tolist() == [2]
+    assert track.step_m.tolist() == [5]
+    np.testing.assert_allclose(track.step_rad, [math.pi / 2])
