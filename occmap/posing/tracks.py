@@ -102,13 +102,13 @@ class TrackBuilder:
         values = np.frombuffer(self._values, np.float64).reshape(-1, 7)
         usable, norm = find_usable(values)
         self.unusable += int(len(values) - usable.sum())
-        stamp, record = times[usable].T
-        values, norm = values[usable], norm[usable]
-        if not len(stamp):
+        kept = np.flatnonzero(usable)
+        if not len(kept):
             return None
-        order = np.lexsort((record, stamp))
-        order = order[np.append(np.diff(stamp[order]) > 0, True)]
-        return Track(stamp[order], values[order, :3], values[order, 3:] / norm[order, None])
+        stamp, record = times.T
+        kept = kept[np.lexsort((record[kept], stamp[kept]))]
+        kept = kept[np.append(np.diff(stamp[kept]) > 0, True)]
+        return Track(stamp[kept], values[kept, :3], values[kept, 3:] / norm[kept, None])
 
 
 def find_usable(values: Float64) -> tuple[Bool, Float64]:
