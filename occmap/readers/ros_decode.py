@@ -105,13 +105,16 @@ def _load_types(channel: Channel, name: str) -> Typestore:
 
 def _parse_definition(definition: str, name: str, syntax: str) -> Typestore:
     """Parse a definition and those appended to it."""
-    store = get_typestore(Stores.EMPTY)
     if syntax == "msg":
         # Bags from before 2011 call the header by the package that it then was in.
         renamed = definition.replace("MSG: roslib/Header", "MSG: std_msgs/Header")
-        store.register(get_types_from_msg(renamed, name))
-        return store
-    for part in definition.split(_IDL_SEPARATOR):
+        types = get_types_from_msg(renamed, name)
+    else:
         # Where there are several, each is headed by a line that names it.
-        store.register(get_types_from_idl(re.sub(r"\AIDL: .*\n", "", part)))
+        parts = [re.sub(r"\AIDL: .*\n", "", part) for part in definition.split(_IDL_SEPARATOR)]
+        types = {}
+        for part in filter(str.strip, parts):
+            types |= get_types_from_idl(part)
+    store = get_typestore(Stores.EMPTY)
+    store.register(types)
     return store
