@@ -17,10 +17,11 @@ from occmap.types import Float32
 
 ROS1: Typestore = get_typestore(Stores.ROS1_NOETIC)
 ROS2: Typestore = get_typestore(Stores.ROS2_HUMBLE)
-ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf/msg/tfMessage"))
-
 SCAN = "sensor_msgs/msg/LaserScan"
 TF = "tf2_msgs/msg/TFMessage"
+for _kind in (TF, "tf/msg/tfMessage"):
+    ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _kind))
+
 RANGES: Float32 = np.array([1.0, 2.5, np.inf, np.nan, 0.0], dtype=np.float32)
 SECOND = 1_000_000_000
 

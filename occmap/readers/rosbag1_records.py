@@ -1,0 +1,120 @@
+"""The records of a ROS 1 bag, format 2.0: http://wiki.ros.org/Bags/Format/2.0."""
+
+import struct
+from collections.abc import Iterator
+from typing import BinaryIO, NamedTuple
+
+from occmap.readers.inflate import Buffer
+from occmap.readers.ros_source import Channel
+
+MAGIC = b"#ROSBAG V2.0\n"
+
+MESSAGE, BAG, INDEX, CHUNK, CONNECTION = 2, 3, 4, 5, 7
+"""The opcodes that matter; 6 sums up a chunk in the index at the end."""
+INDEX_ENTRY = 12
+"""Bytes of an entry of an index record: a time and an offset."""
+
+RECORD_ERRORS = (struct.error, LookupError, ValueError)
+
+_LENGTH = struct.Struct("<I")
+_TIME = struct.Struct("<II")
+_MAX_HEADER = 1 << 20
+"""A header is a hundred bytes; one that claims to be longer than this is no header."""
+
+
+class Header(NamedTuple):
+    """What comes before a record's data."""
+
+    raw: bytes
+    """As it lies in the file, with both lengths."""
+    fields: dict[bytes, bytes]
+    length: int
+    """Of the data."""
+
+    @property
+    def opcode(self) -> int:
+        """What kind of record this is; 0 where the header does not say."""
+        return self.fields.get(b"op", b"\0")[0]
+
+    def number(self, name: bytes) -> int:
+        """Read an unsigned integer.
+
+        Raises
+        ------
+        LookupError
+            The header has no such field.
+        """
+        return int.from_bytes(self.fields[name], "little")
+
+    def text(self, name: bytes) -> str:
+        """Read a text, "" where there is none."""
+        return self.fields.get(name, b"").decode(errors="replace")
+
+    def time_ns(self) -> int:
+        """Read when a message was recorded."""
+        seconds, nanoseconds = _TIME.unpack(self.fields[b"time"])
+        return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+
+def read_header(file: BinaryIO) -> Header | None:
+    """Read a record's header; None where the file ends or holds something else."""
+    start = file.read(_LENGTH.size)
+    try:
+        (length,) = _LENGTH.unpack(start)
+        raw = start + file.read(min(length, _MAX_HEADER) + _LENGTH.size)
+        return _parse_header(raw, 0)
+    except RECORD_ERRORS:
+        return None
+
+
+def split_records(block: Buffer) -> Iterator[tuple[Header, int, int]]:
+    """Give the header of each record and where its data starts and ends.
+
+    Raises
+    ------
+    struct.error, LookupError
+        The block breaks off, or holds something else.
+    """
+    at = 0
+    while at < len(block):
+        header = _parse_header(block, at)
+        start = at + len(header.raw)
+        at = start + header.length
+        if at > len(block):
+            raise LookupError(f"{len(block) - start} of {header.length} bytes are there")
+        yield header, start, at
+
+
+def parse_connection(header: Header, data: Buffer) -> Channel:
+    """Build the channel of a connection record."""
+    fields = Header(b"", _parse_fields(data), 0)
+    return Channel(
+        topic=header.text(b"topic"),
+        type=fields.text(b"type"),
+        wire="ros1",
+        definition=fields.text(b"message_definition"),
+        syntax="msg",
+    )
+
+
+def _parse_header(block: Buffer, at: int) -> Header:
+    """Parse the header that starts at an offset of a block."""
+    (length,) = _LENGTH.unpack_from(block, at)
+    end = at + _LENGTH.size + length
+    (data_length,) = _LENGTH.unpack_from(block, end)
+    fields = _parse_fields(block[at + _LENGTH.size : end])
+    if len(fields.get(b"op", b"")) != 1:
+        raise LookupError("a record without an opcode")
+    return Header(bytes(block[at : end + _LENGTH.size]), fields, data_length)
+
+
+def _parse_fields(header: Buffer) -> dict[bytes, bytes]:
+    """Parse `name=value` fields, each with its length before it."""
+    fields = {}
+    at = 0
+    while at < len(header):
+        (length,) = _LENGTH.unpack_from(header, at)
+        at += _LENGTH.size + length
+        name, _, value = bytes(header[at - length : at]).partition(b"=")
+        fields[name] = value
+    return fields

@@ -1,0 +1,153 @@
+"""ROS 2 bag folders: storage files (SQLite or MCAP, each perhaps zstd) and their metadata.yaml.
+
+A recorder that died has written no metadata.yaml, so a folder is also read without it.
+"""
+
+import re
+import shutil
+import tempfile
+import weakref
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from occmap.errors import LogError
+from occmap.readers import Note
+from occmap.readers.inflate import unzip_file
+from occmap.readers.mcap import McapSource
+from occmap.readers.mcap_records import MAGIC as MCAP_MAGIC
+from occmap.readers.ros_source import Channel, RawMessage, Source, add_note
+from occmap.readers.ros_sqlite import MAGIC as SQLITE_MAGIC
+from occmap.readers.ros_sqlite import SqliteSource
+
+METADATA = "metadata.yaml"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_STORAGE_NAME = re.compile(r".*\.(db3|mcap)(\.zstd)?")
+
+
+@dataclass(frozen=True)
+class _Metadata:
+    """What metadata.yaml says that the storage files do not."""
+
+    files: tuple[str, ...]
+    zipped_messages: bool
+
+
+def list_storage(folder: Path) -> list[Path]:
+    """List the storage files of a folder, those of a split recording by their numbers."""
+    paths = (path for path in folder.iterdir() if _STORAGE_NAME.fullmatch(path.name))
+    return sorted(paths, key=lambda path: ([int(n) for n in re.findall(r"\d+", path.name)], path))
+
+
+class Bag2Source:
+    """The channels and raw messages of a ROS 2 bag folder."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.notes: list[Note] = []
+        self._scratch: Path | None = None
+        try:
+            metadata = _read_metadata(path / METADATA)
+            files = self._find_files(metadata)
+            self._parts = self._open_parts(files)
+        except OSError as error:
+            raise LogError(f"cannot be read ({error.strerror})", where=path) from None
+        self._by_part = [_list_channels(part, metadata.zipped_messages) for part in self._parts]
+        self._gather_notes()
+
+    @property
+    def channels(self) -> Sequence[Channel]:
+        """Every channel of every storage file."""
+        return [channel for by_inner in self._by_part for channel in by_inner.values()]
+
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+        """Give the messages of some channels, one storage file after the other."""
+        for part, outer in zip(self._parts, self._by_part, strict=True):
+            inner = [channel for channel in part.channels if outer[channel] in wanted]
+            if inner:
+                for channel, record_ns, data in part.messages(inner):
+                    yield outer[channel], record_ns, data
+            self._gather_notes()
+
+    def _find_files(self, metadata: _Metadata) -> list[Path]:
+        """Find the storage files that the metadata names, or those that are there."""
+        present = list_storage(self.path)
+        named = [self.path / name for name in metadata.files]
+        missing = ", ".join(file.name for file in named if not file.exists())
+        if missing and not present:
+            raise LogError(f"{METADATA} names files that are missing: {missing}", where=self.path)
+        if missing:
+            add_note(self.notes, f"{METADATA} names files that are missing: {missing}")
+        return [file for file in named if file.exists()] or present
+
+    def _open_parts(self, files: Sequence[Path]) -> list[Source]:
+        """Open storage files; one that cannot be read is noted, unless there is no other."""
+        parts: list[Source] = []
+        for file in files:
+            try:
+                parts.append(self._open_part(file))
+            except LogError as error:
+                if len(files) == 1:
+                    raise
+                add_note(self.notes, f"{file.name} is not used: {error.found}")
+        if not parts:
+            raise LogError("no storage file in it can be read", where=self.path)
+        return parts
+
+    def _open_part(self, file: Path) -> Source:
+        """Open a storage file, by content rather than by name."""
+        start = _read_start(file)
+        if start.startswith(ZSTD_MAGIC):
+            file = self._unzip(file)
+            start = _read_start(file)
+        if start.startswith(MCAP_MAGIC):
+            return McapSource(file)
+        if start.startswith(SQLITE_MAGIC):
+            return SqliteSource(file)
+        raise LogError("neither SQLite nor MCAP", where=file)
+
+    def _unzip(self, file: Path) -> Path:
+        """Decompress a storage file into a folder that goes away with this object."""
+        if self._scratch is None:
+            self._scratch = Path(tempfile.mkdtemp(prefix="occmap-"))
+            weakref.finalize(self, shutil.rmtree, self._scratch, ignore_errors=True)
+        target = self._scratch / file.stem
+        if problem := unzip_file(file, target):
+            add_note(self.notes, f"{file.name} {problem}")
+        return target
+
+    def _gather_notes(self) -> None:
+        """Take over what the storage files had to say."""
+        for part in self._parts:
+            for note in part.notes:
+                add_note(self.notes, f"{part.path.name}: {note.text}")
+
+
+def _read_start(file: Path) -> bytes:
+    with file.open("rb") as opened:
+        return opened.read(16)
+
+
+def _list_channels(part: Source, zipped: bool) -> dict[Channel, Channel]:
+    """Map the channels of a storage file to those of the folder."""
+    return {item: replace(item, zipped=zipped) for item in part.channels}
+
+
+def _read_metadata(path: Path) -> _Metadata:
+    """Read metadata.yaml; where it is absent or damaged, the files speak for themselves."""
+    nothing = _Metadata((), zipped_messages=False)
+    if not path.exists():
+        return nothing
+    try:
+        document: Any = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
+        information = document["rosbag2_bagfile_information"]
+        mode = information.get("compression_mode") or ""
+        # Old recorders wrote the folder's name before the file's.
+        files = tuple(Path(name).name for name in information["relative_file_paths"])
+    except (YAMLError, LookupError, TypeError, AttributeError, ValueError):
+        return nothing
+    return _Metadata(files, zipped_messages=str(mode).lower() == "message")

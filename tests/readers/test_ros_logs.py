@@ -1,0 +1,141 @@
+"""One drive, recorded in every container: the same scans and poses come out."""
+
+import shutil
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+
+from occmap.readers import Log, Role, Stream, open_log
+from occmap.types import Pose, PoseSample
+from tests.readers.ros import (
+    RANGES,
+    ROS1,
+    ROS2,
+    SECOND,
+    Bag2,
+    Write,
+    drive,
+    write_bag1,
+    write_mcap,
+)
+
+SQLITE, MCAP = StoragePlugin.SQLITE3, StoragePlugin.MCAP
+# A chunk a kilobyte long holds a few messages.
+SMALL = {"chunk_size": 1000}
+
+WRITERS: dict[str, tuple[Write, bool]] = {
+    "bag": (write_bag1, True),
+    "bag bz2": (partial(write_bag1, compression="bz2"), True),
+    "bag lz4": (partial(write_bag1, compression="lz4"), True),
+    "sqlite": (Bag2(SQLITE).write, False),
+    "sqlite, files zipped": (Bag2(SQLITE, CompressionMode.FILE).write, False),
+    "sqlite, messages zipped": (Bag2(SQLITE, CompressionMode.MESSAGE).write, False),
+    "mcap folder": (Bag2(MCAP).write, False),
+    "mcap folder, files zipped": (Bag2(MCAP, CompressionMode.FILE).write, False),
+    "mcap folder, messages zipped": (Bag2(MCAP, CompressionMode.MESSAGE).write, False),
+    "mcap": (write_mcap, False),
+    "mcap lz4": (partial(write_mcap, options={"compression": CompressionType.LZ4, **SMALL}), False),
+    "mcap zstd": (
+        partial(write_mcap, options={"compression": CompressionType.ZSTD, **SMALL}),
+        False,
+    ),
+    "mcap without chunks": (partial(write_mcap, options={"use_chunking": False}), False),
+    "mcap without summary": (
+        partial(
+            write_mcap,
+            options={
+                "repeat_channels": False,
+                "repeat_schemas": False,
+                "use_statistics": False,
+                **SMALL,
+            },
+        ),
+        False,
+    ),
+    "mcap of ROS 1": (partial(write_mcap, store=ROS1), True),
+}
+
+
+@pytest.fixture(params=WRITERS)
+def log(request: pytest.FixtureRequest, tmp_path: Path) -> Log:
+    write, ros1 = WRITERS[request.param]
+    return open_log(write(tmp_path / "drive", drive(ROS1 if ros1 else ROS2)))
+
+
+def test_every_container_lists_its_streams(log: Log) -> None:
+    streams = {
+        stream.topic: (stream.type.replace("/msg/", "/"), stream.count, stream.role)
+        for stream in log.streams
+    }
+
+    assert streams == {
+        "/scan": ("sensor_msgs/LaserScan", 6, Role.SCAN),
+        "/tf": ("tf2_msgs/TFMessage", 6, Role.POSE),
+        "/tf_static": ("tf2_msgs/TFMessage", 1, Role.POSE),
+    }
+
+
+def test_every_container_gives_the_scans(log: Log) -> None:
+    scans = list(log.scans({"/scan"}))
+
+    assert [scan.stamp_ns for scan in scans] == [k * SECOND + 5 for k in range(1, 7)]
+    assert [scan.record_ns - scan.stamp_ns for scan in scans] == [SECOND // 2] * 6
+    assert {(scan.frame, scan.topic, scan.range_max) for scan in scans} == {("laser", "/scan", 30)}
+    for k, scan in enumerate(scans):
+        np.testing.assert_array_equal(scan.ranges, RANGES + k)
+        assert scan.ranges.flags.aligned
+    assert log.notes == []
+
+
+def test_every_container_gives_the_poses(log: Log) -> None:
+    static = PoseSample(
+        SECOND, "base", "laser", Pose(0.25, 2, 3, 0, 0, 1, 0), True, "/tf_static", SECOND
+    )
+    moving = [
+        PoseSample(
+            stamp_ns=k * SECOND + 5,
+            parent="odom",
+            child="base",
+            pose=Pose(0.5 * (k - 1), 2, 3, 0, 0, 1, 0),
+            topic="/tf",
+            record_ns=k * SECOND + 5,
+        )
+        for k in range(1, 7)
+    ]
+
+    assert list(log.poses()) == [static, *moving]
+    assert log.notes == []
+
+
+def test_both_iterators_start_again(log: Log) -> None:
+    first = next(log.scans({"/scan"}))
+    scans, poses = log.scans({"/scan"}), log.poses()
+
+    assert next(poses).topic == "/tf_static"
+    assert next(scans).stamp_ns == first.stamp_ns
+    assert len(list(poses)) == 6
+    assert len(list(scans)) == 5
+    assert len(list(log.poses())) == 7
+
+
+def test_only_the_topics_asked_for_are_read(log: Log) -> None:
+    assert list(log.scans({"/tf", "/other"})) == []
+    assert list(log.scans(())) == []
+
+
+def test_publishers_of_one_topic_are_one_stream(tmp_path: Path) -> None:
+    one = drive(ROS2, scans=2)
+    folder = Bag2(SQLITE).write(tmp_path / "split", one)
+    Bag2(SQLITE).write(tmp_path / "more", one)
+    (folder / "metadata.yaml").unlink()
+    shutil.move(tmp_path / "more" / "more.db3", folder / "split_10.db3")
+    shutil.move(folder / "split.db3", folder / "split_9.db3")
+
+    log = open_log(folder)
+
+    assert Stream("/scan", "sensor_msgs/msg/LaserScan", 4, Role.SCAN) in log.streams
+    assert len(list(log.scans({"/scan"}))) == 4

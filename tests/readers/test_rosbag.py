@@ -1,0 +1,257 @@
+import bz2
+import shutil
+import sqlite3
+import struct
+from pathlib import Path
+
+import pytest
+from rosbags.rosbag2 import StoragePlugin
+
+from occmap.errors import LogError
+from occmap.readers import Log, Note, Probe, Role, Stream, open_log, probe_path
+from occmap.readers.rosbag import RosbagReader
+from tests.readers.ros import (
+    RANGES,
+    ROS1,
+    ROS2,
+    SECOND,
+    Bag2,
+    Written,
+    drive,
+    scan,
+    transforms,
+    write_bag1,
+)
+
+SQLITE = Bag2(StoragePlugin.SQLITE3)
+MCAP = Bag2(StoragePlugin.MCAP)
+
+
+_BAG_HEAD = 13 + 4096
+"""Where the first chunk starts: behind the magic and the bag header with its padding."""
+
+
+def count_scans(log: Log) -> int:
+    return len(list(log.scans({"/scan"})))
+
+
+def test_bags_are_recognised_by_content(tmp_path: Path) -> None:
+    bag = write_bag1(tmp_path / "no_suffix", drive(ROS1))
+    folder = SQLITE.write(tmp_path / "folder", drive(ROS2))
+    plain = tmp_path / "plain"
+    plain.mkdir()
+    (plain / "notes.txt").write_text("nothing here")
+
+    reader = RosbagReader()
+    assert reader.recognises(probe_path(bag))
+    assert reader.recognises(probe_path(folder))
+    assert reader.recognises(probe_path(folder / "folder.db3"))
+    assert not reader.recognises(probe_path(plain))
+    assert not reader.recognises(Probe(plain / "notes.txt", b"nothing", b"nothing"))
+
+
+def test_a_bare_storage_file_is_read(tmp_path: Path) -> None:
+    folder = SQLITE.write(tmp_path / "drive", drive(ROS2))
+
+    assert count_scans(open_log(folder / "drive.db3")) == 6
+
+
+def test_old_transforms_are_read(tmp_path: Path) -> None:
+    message = transforms(ROS1, SECOND, [("/map", "/base", 1.0)], "tf/msg/tfMessage")
+    log = open_log(write_bag1(tmp_path / "old.bag", [Written("/tf", SECOND, message)]))
+
+    assert [(sample.parent, sample.child) for sample in log.poses()] == [("map", "base")]
+    assert list(log.streams) == [Stream("/tf", "tf/tfMessage", 1, Role.POSE)]
+
+
+def test_a_header_named_by_its_old_package_is_understood(tmp_path: Path) -> None:
+    path = write_bag1(tmp_path / "old.bag", drive(ROS1))
+    data = path.read_bytes()
+    # Of equal length, so that no record needs to be written anew.
+    path.write_bytes(data.replace(b"MSG: std_msgs/Header", b"MSG: roslib/Header\n "))
+
+    assert count_scans(open_log(path)) == 6
+
+
+@pytest.mark.parametrize("magic", [b"#ROSRECORD V1.2\n", b"#ROSBAG V1.1\n"])
+def test_formats_before_2_are_named(magic: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "old.bag"
+    path.write_bytes(magic + bytes(100))
+
+    with pytest.raises(LogError, match=r"old format .*rosbag fix"):
+        open_log(path)
+
+
+def test_an_encrypted_bag_is_named(tmp_path: Path) -> None:
+    fields = b"".join(
+        struct.pack("<I", len(field)) + field
+        for field in (b"op=\x03", b"encryptor=rosbag/AesCbcEncryptor")
+    )
+    path = tmp_path / "secret.bag"
+    path.write_bytes(b"#ROSBAG V2.0\n" + struct.pack("<I", len(fields)) + fields + bytes(4))
+
+    with pytest.raises(LogError, match="encrypted with rosbag/AesCbcEncryptor"):
+        open_log(path)
+
+
+def test_an_index_record_of_wrong_length_loses_nothing(tmp_path: Path) -> None:
+    path = write_bag1(tmp_path / "drive.bag", drive(ROS1))
+    data = bytearray(path.read_bytes())
+    for topic, entries in ((0, 1), (1, 6), (2, 6)):
+        field = b"conn=" + struct.pack("<I", topic) + struct.pack("<I", 10) + b"count="
+        start = data.find(field + struct.pack("<I", entries))
+        assert start > 0
+        struct.pack_into("<I", data, start + len(field) + 4, 20 * entries)
+    path.write_bytes(data)
+
+    log = open_log(path)
+
+    assert [(stream.topic, stream.count) for stream in log.streams] == [
+        ("/tf_static", 1),
+        ("/tf", 6),
+        ("/scan", 6),
+    ]
+    assert count_scans(log) == 6
+    assert [note.damage for note in log.notes] == [True]
+    assert "wrong length" in log.notes[0].text
+
+
+def test_a_bag_that_was_never_closed_is_read(tmp_path: Path) -> None:
+    path = write_bag1(tmp_path / "drive.bag", drive(ROS1))
+    data = path.read_bytes()
+    (header_length,) = struct.unpack_from("<I", data, _BAG_HEAD)
+    start = _BAG_HEAD + 4 + header_length
+    (length,) = struct.unpack_from("<I", data, start)
+    # As rosbag leaves it: no index position, a chunk without its length, no index behind it.
+    index = data.index(b"index_pos=") + 10
+    path.write_bytes(
+        data[:index]
+        + bytes(8)
+        + data[index + 8 : start]
+        + bytes(4)
+        + data[start + 4 : start + 4 + length]
+    )
+
+    log = open_log(path)
+
+    assert count_scans(log) == 6
+    assert [stream.count for stream in log.streams] == [1, 6, 6]
+    assert all(note.damage for note in log.notes)
+    assert log.notes
+
+
+def test_what_lies_before_a_cut_is_read(tmp_path: Path) -> None:
+    data = write_bag1(tmp_path / "drive.bag", drive(ROS1)).read_bytes()
+    path = tmp_path / "cut.bag"
+    ends = [data.find((RANGES + k).tobytes()) + 4 * 5 + 4 + 4 * 3 for k in range(6)]
+    for cut in range(ends[0], len(data), 97):
+        path.write_bytes(data[:cut])
+        log = open_log(path)
+        assert count_scans(log) == sum(end <= cut for end in ends), cut
+        assert all(note.damage for note in log.notes)
+        assert log.notes
+
+
+def test_a_bz2_bomb_gives_no_more_than_it_announces(tmp_path: Path) -> None:
+    path = write_bag1(tmp_path / "drive.bag", drive(ROS1), compression="bz2")
+    data = path.read_bytes()
+    start = data.find(b"BZh")
+    (length,) = struct.unpack_from("<I", data, start - 4)
+    bomb = bz2.compress(bytes(50_000_000))
+    path.write_bytes(
+        data[: start - 4] + struct.pack("<I", len(bomb)) + bomb + data[start + length :]
+    )
+
+    log = open_log(path)
+
+    assert count_scans(log) == 0
+    assert "the chunk at byte" in log.notes[0].text
+
+
+def test_a_message_that_does_not_decode_is_counted_and_passed_over(tmp_path: Path) -> None:
+    path = write_bag1(tmp_path / "drive.bag", drive(ROS1))
+    data = bytearray(path.read_bytes())
+    start = data.find((RANGES + 2).tobytes())
+    struct.pack_into("<I", data, start - 4, 2**31)  # beams
+    path.write_bytes(data)
+
+    log = open_log(path)
+
+    assert count_scans(log) == count_scans(log) == 5
+    text = "1 of 6 messages on /scan are damaged and not used"
+    assert log.notes == [Note(text, damage=True)]
+
+
+def test_a_definition_that_cannot_be_understood_is_noted(tmp_path: Path) -> None:
+    path = write_bag1(tmp_path / "drive.bag", drive(ROS1))
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b"float32 angle_min\n", b"flaot32 angle_min\n"))
+
+    log = open_log(path)
+
+    assert count_scans(log) == 0
+    assert "definition of sensor_msgs/LaserScan cannot be understood" in log.notes[0].text
+
+
+def test_a_folder_without_metadata_is_read(tmp_path: Path) -> None:
+    for bag in (SQLITE, MCAP):
+        folder = bag.write(tmp_path / bag.storage.name, drive(ROS2))
+        (folder / "metadata.yaml").unlink()
+        assert count_scans(open_log(folder)) == 6
+
+
+@pytest.mark.parametrize("text", ["", "just words", "{", "rosbag2_bagfile_information: 3"])
+def test_metadata_that_is_damaged_is_no_matter(text: str, tmp_path: Path) -> None:
+    folder = SQLITE.write(tmp_path / "drive", drive(ROS2))
+    (folder / "metadata.yaml").write_text(text)
+
+    assert count_scans(open_log(folder)) == 6
+
+
+def test_files_that_the_metadata_names_and_are_missing_are_named(tmp_path: Path) -> None:
+    folder = SQLITE.write(tmp_path / "drive", drive(ROS2))
+    renamed = shutil.copytree(folder, tmp_path / "renamed")
+    (renamed / "drive.db3").rename(renamed / "other.db3")
+    (folder / "drive.db3").unlink()
+
+    with pytest.raises(LogError, match=r"names files that are missing: drive\.db3"):
+        open_log(folder)
+    log = open_log(renamed)
+    assert count_scans(log) == 6
+    assert log.notes == [Note("metadata.yaml names files that are missing: drive.db3", True)]
+
+
+def test_a_storage_file_that_cannot_be_read_does_not_spoil_the_others(tmp_path: Path) -> None:
+    folder = SQLITE.write(tmp_path / "drive", drive(ROS2))
+    (folder / "metadata.yaml").unlink()
+    (folder / "drive_2.db3").write_bytes(b"no database")
+
+    log = open_log(folder)
+
+    assert count_scans(log) == 6
+    assert log.notes == [Note("drive_2.db3 is not used: neither SQLite nor MCAP", True)]
+
+
+def test_a_database_that_is_no_bag_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "other.db3"
+    database = sqlite3.connect(path)
+    database.execute("CREATE TABLE birds (name TEXT)")
+    database.commit()
+    database.close()
+
+    with pytest.raises(LogError, match="no such table: topics"):
+        open_log(path)
+
+
+def test_a_database_that_was_cut_gives_the_rows_before_the_cut(tmp_path: Path) -> None:
+    log = [Written("/scan", k, scan(ROS2, k, "laser", RANGES.repeat(200))) for k in range(100)]
+    path = SQLITE.write(tmp_path / "drive", log) / "drive.db3"
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+
+    cut = open_log(path)
+    scans = list(cut.scans({"/scan"}))
+
+    assert [scan.stamp_ns for scan in scans] == list(range(len(scans)))
+    assert 40 <= len(scans) <= 60
+    assert "breaks off after" in cut.notes[0].text
