@@ -20,6 +20,7 @@ MAX_RATIO = 1000
 
 _STEP = 1 << 16
 _LARGEST_READ = 1 << 24
+_UNKNOWN_SIZE = -1
 _INFLATE_ERRORS = (zstandard.ZstdError, zlib.error, OSError, EOFError, RuntimeError, ValueError)
 
 
@@ -38,9 +39,10 @@ class _Steps:
     def read(self, size: int, /) -> bytes:
         """Give at most `size` bytes, and none at the end."""
         while not self._decompressor.eof:
-            step = self._input.read(_STEP) if self._decompressor.needs_input else b""
+            hungry = self._decompressor.needs_input
+            step = self._input.read(_STEP) if hungry else b""
             piece: bytes = self._decompressor.decompress(step, size)
-            if piece or not (step or not self._decompressor.needs_input):
+            if piece or (hungry and not step):
                 return piece
         return b""
 
@@ -104,8 +106,11 @@ def inflate_message(data: Buffer) -> memoryview:
     ValueError
         It is damaged, or announces no size or an absurd one.
     """
-    size = zstandard.frame_content_size(data)
-    if size < 0:
+    try:
+        size = zstandard.frame_content_size(data)
+    except zstandard.ZstdError as error:
+        raise ValueError("the message is not compressed with zstd") from error
+    if size == _UNKNOWN_SIZE:
         raise ValueError("the message announces no size")
     message, problem = inflate(data, "zstd", size)
     if problem:
@@ -117,12 +122,16 @@ def unzip_file(path: Path, target: Path) -> str:
     """Decompress a zstd file into another; say what was wrong, "" where all is well."""
     limit = MAX_INFLATED + MAX_RATIO * path.stat().st_size
     with path.open("rb") as file, target.open("wb") as out:
-        stream = zstandard.ZstdDecompressor().stream_reader(file)
         try:
+            size = zstandard.frame_content_size(file.read(_STEP))
+            file.seek(0)
+            stream = zstandard.ZstdDecompressor().stream_reader(file)
             while piece := stream.read(_LARGEST_READ):
                 out.write(piece)
                 if out.tell() > limit:
-                    return f"is cut off at {limit} bytes: it grows {MAX_RATIO}-fold"
+                    return f"grows more than {MAX_RATIO}-fold, and is read to byte {out.tell()}"
         except zstandard.ZstdError:
             return f"is damaged: {out.tell()} bytes come out of zstd"
-    return ""
+        if size in {out.tell(), _UNKNOWN_SIZE}:
+            return ""
+        return f"is cut: {out.tell()} of its {size} bytes come out of zstd"

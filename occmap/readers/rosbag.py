@@ -1,9 +1,10 @@
 """ROS bags: .bag files of ROS 1, folders and .db3 files of ROS 2."""
 
+from contextlib import suppress
 from pathlib import Path
 
 from occmap.errors import LogError
-from occmap.readers import Probe
+from occmap.readers import Probe, probe_path
 from occmap.readers.ros_log import RosLog
 from occmap.readers.ros_source import Source
 from occmap.readers.ros_sqlite import MAGIC as SQLITE_MAGIC
@@ -24,7 +25,9 @@ class RosbagReader:
     def recognises(self, probe: Probe) -> bool:
         """Say whether a file starts as bags do, or a folder holds storage files."""
         if probe.path.is_dir():
-            return (probe.path / METADATA).exists() or bool(list_storage(probe.path))
+            with suppress(PermissionError):
+                return (probe.path / METADATA).exists() or bool(list_storage(probe.path))
+            return False
         return probe.raw.startswith((BAG_MAGIC, SQLITE_MAGIC, *_OLD_MAGICS))
 
     def open(self, path: Path) -> RosLog:
@@ -42,13 +45,12 @@ def _open_source(path: Path) -> Source:
     """Choose by content."""
     if path.is_dir():
         return Bag2Source(path)
-    with path.open("rb") as file:
-        start = file.read(len(SQLITE_MAGIC))
+    start = probe_path(path).raw
     if start.startswith(SQLITE_MAGIC):
         return SqliteSource(path)
     if start.startswith(_OLD_MAGICS):
         raise LogError(
-            f"a bag of the old format {start.decode('ascii', 'replace').split('.')[0]!r}",
+            f"a bag of the old format {start[:15].decode('ascii', 'replace')!r}",
             where=path,
             fix="convert it with ROS 1's `rosbag fix old.bag new.bag` (or `rosbag migrate`)",
         )
