@@ -1,6 +1,7 @@
 """How readers, sensor models and writers are found: through entry points, loaded on use."""
 
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal
@@ -43,3 +44,11 @@ def load_plugin(group: Group, name: str) -> Any:
             except Exception:  # noqa: BLE001  as above
                 return None
     return None
+
+
+def suggest(word: str, known: list[str], command: str) -> str:
+    """Say what a mistyped name was probably meant to be, or what there is."""
+    close = get_close_matches(word, known, n=1)
+    if close:
+        return f"did you mean {close[0]!r}?"
+    return f"there are {', '.join(known)}: see `{command}`"

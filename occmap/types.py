@@ -9,7 +9,7 @@ otherwise. Frames follow REP 103 and REP 105: x forward, y left, z up, yaw count
 
 import math
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 from typing import NamedTuple, Self, TypeAlias
 
 import numpy as np
@@ -134,24 +134,44 @@ class Kind(IntEnum):
     """The beam ended on something."""
 
 
+class Update(StrEnum):
+    """How the beams of a scan become observations of cells."""
+
+    BEAM = "beam"
+    """Each beam by itself, along a Bresenham line."""
+    POLYGON = "polygon"
+    """A whole scan at once: measured cells are the border, the interior is filled."""
+
+
 @dataclass(frozen=True, slots=True)
 class Rays:
     """Beams of S scans in the map frame; what each range value means is decided.
 
-    `origin` has K = 1 where a scan has one viewpoint, or K = B where every beam has its own.
-    Where `kind` is SKIP, `end` and `distance` are finite but mean nothing.
+    A beam ends at `origin + distance * direction`. `origin` has K = 1 where a scan has one
+    viewpoint, or K = B where every beam has its own. The direction is also right where `kind` is
+    SKIP; the distance is then 0.
     """
 
     origin: Float64
     """(S, K, 2) m"""
-    end: Float64
-    """(S, B, 2) m"""
+    direction: Float64
+    """(S, B, 2) unit vectors in the map plane"""
     distance: Float64
     """(S, B) m from origin to end in the map plane"""
     kind: UInt8
     """(S, B) of Kind"""
-    angle_increment: float
-    """From one beam to the next (rad); its size alone says whether a scan goes all the way round"""
+    full_circle: bool
+    """The last beam and the first are neighbours: the scans go all the way round"""
+
+    @property
+    def end(self) -> Float64:
+        """(S, B, 2) m, where each beam ended."""
+        return self.origin + self.distance[..., None] * self.direction
+
+
+def to_log_odds(probability: float) -> float:
+    """ln(p / (1 - p)) of a probability strictly between 0 and 1."""
+    return math.log(probability / (1 - probability))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,7 +192,18 @@ class OccupancyMap:
         """(H, W) probability of being occupied, 1 / (1 + exp(-log_odds))."""
         odds = np.exp(-np.abs(self.log_odds))
         numerator: Float32 = np.where(self.log_odds < 0, odds, np.float32(1))
-        return numerator / (1 + odds)
+        probability: Float32 = numerator / (1 + odds)
+        return probability
+
+    def is_occupied(self, threshold: float) -> Bool:
+        """(H, W): observed, and at least as probably occupied as the threshold."""
+        occupied: Bool = self.observed & (self.log_odds >= np.float32(to_log_odds(threshold)))
+        return occupied
+
+    def is_free(self, threshold: float) -> Bool:
+        """(H, W): observed, and at most as probably occupied as the threshold."""
+        free: Bool = self.observed & (self.log_odds <= np.float32(to_log_odds(threshold)))
+        return free
 
     @property
     def shape(self) -> tuple[int, int]:

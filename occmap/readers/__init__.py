@@ -116,12 +116,15 @@ def probe_path(path: Path) -> Probe:
 
 
 def _peek_gzip(path: Path) -> bytes:
-    """Decompress the start of a gzip file; a damaged one gives nothing here, not an error."""
+    """Decompress the start of a gzip file: as much as there is, where it is damaged."""
+    content = b""
     try:
         with gzip.open(path) as file:
-            return file.read(PROBE_BYTES)
+            while len(content) < PROBE_BYTES and (byte := file.read1(PROBE_BYTES)):
+                content += byte
     except (OSError, EOFError, zlib.error):
-        return b""
+        pass
+    return content
 
 
 def load_readers() -> list[Reader]:

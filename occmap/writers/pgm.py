@@ -10,7 +10,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from occmap.types import Bool, OccupancyMap, UInt8
+from occmap.types import OccupancyMap, UInt8
 from occmap.writers import MapMode, WriteOptions, bands_from_top
 from occmap.writers.atomic import open_atomic
 
@@ -81,18 +81,9 @@ def _write_image(file: BinaryIO, grid: OccupancyMap, options: WriteOptions) -> N
         file.write(to_pixels(band, options)[::-1].tobytes())
 
 
-def _classify(grid: OccupancyMap, options: WriteOptions) -> tuple[Bool, Bool]:
-    """Return which cells are occupied and which are free.
-
-    In log-odds, where one hit of probability 0.65 equals the threshold 0.65 exactly.
-    """
-    occupied = grid.observed & (grid.log_odds >= np.float32(_logit(options.occupied_thresh)))
-    free = grid.observed & (grid.log_odds <= np.float32(_logit(options.free_thresh)))
-    return occupied, free
-
-
 def _trinary(grid: OccupancyMap, options: WriteOptions) -> UInt8:
-    occupied, free = _classify(grid, options)
+    occupied = grid.is_occupied(options.occupied_thresh)
+    free = grid.is_free(options.free_thresh)
     pixels = np.full(grid.shape, UNKNOWN, np.uint8)
     pixels[free] = FREE
     pixels[occupied] = OCCUPIED
@@ -101,7 +92,8 @@ def _trinary(grid: OccupancyMap, options: WriteOptions) -> UInt8:
 
 def _scale(grid: OccupancyMap, options: WriteOptions) -> UInt8:
     """Shade as nav2 does, by whole per cents, but never across a threshold by rounding."""
-    occupied, free = _classify(grid, options)
+    occupied = grid.is_occupied(options.occupied_thresh)
+    free = grid.is_free(options.free_thresh)
     # (100 - per cent) / 100 of 255 with halves rounded down, as GraphicsMagick does for nav2.
     grey = (51 * (100 - _percent(grid).astype(np.int16)) + 9) // 20
     shade = np.where(grid.observed, grey, SCALE_UNKNOWN)
@@ -142,7 +134,3 @@ def _write_yaml(file: BinaryIO, fields: dict[str, object]) -> None:
     yaml.default_flow_style = None  # the origin in one line, the rest a line each
     yaml.width = 4096  # a long file name is not folded
     yaml.dump(fields, file)
-
-
-def _logit(probability: float) -> float:
-    return math.log(probability / (1 - probability))

@@ -1,0 +1,160 @@
+"""The grid engine: takes rays from any number of threads, gives one grid of evidence."""
+
+from threading import Lock
+
+import numpy as np
+
+from occmap.errors import MapError
+from occmap.grid.lattice import CellBox
+from occmap.grid.tiles import EvidenceKind, TileGrid
+from occmap.grid.windows import Observation, Projected, Window, choose_window, project
+from occmap.types import Rays, Update
+
+WINDOW_CELLS = 1 << 24
+"""The largest window; scans that need more are traced part by part."""
+ROOMY_CELLS = 1 << 22
+"""A window is not made larger than this only for scans that may come."""
+MOST_PARTS = 64
+"""Scans that would need more windows than this lie far apart: they are traced one by one."""
+MOST_CELLS_OF_BEAM = 1 << 22
+"""Beyond this the kernels' integers could overflow."""
+
+
+class GridEngine:
+    """Adds up what rays observe.
+
+    Any number of threads may call `add`: each writes to a window of its own, and integers add up to
+    the same sum in any order.
+    """
+
+    def __init__(self, what: Observation, window_cells: int = WINDOW_CELLS) -> None:
+        self.what = what
+        kind = EvidenceKind.COUNTS if what.radial is None else EvidenceKind.LOG_ODDS
+        self.grid = TileGrid(what.lattice, kind)
+        self._window_type = choose_window(what)
+        self._window_cells = window_cells
+        self._idle: list[Window] = []
+        self._lock = Lock()
+
+    def add(self, rays: Rays) -> None:
+        """Observe the cells that these rays cross.
+
+        Raises
+        ------
+        MapError
+            A beam is too long for the resolution.
+        """
+        if self.what.update is Update.POLYGON:
+            rays = join_viewpoints(rays)
+        most = self._window_type.most_observations
+        if rays.kind.size > most and len(rays.kind) > 1:
+            self._add_halves(rays)
+            return
+        projected = project(rays, self.what)
+        refuse_long_beams(projected, self.what.lattice.resolution)
+        if projected.box.cells <= self._window_cells:
+            self._trace(projected, projected.box)
+        elif projected.box.cells > MOST_PARTS * self._window_cells and len(rays.kind) > 1:
+            self._add_halves(rays)
+        else:
+            for part in split_box(projected.box, self._window_cells):
+                self._trace(projected, part)
+
+    def _add_halves(self, rays: Rays) -> None:
+        middle = len(rays.kind) // 2
+        self.add(slice_scans(rays, slice(None, middle)))
+        self.add(slice_scans(rays, slice(middle, None)))
+
+    def _trace(self, projected: Projected, box: CellBox) -> None:
+        """Trace what lies in a box, in a window that nobody else is writing to."""
+        with self._lock:
+            window = self._idle.pop() if self._idle else None
+        observations = projected.rays.kind.size
+        if window is not None and not (
+            window.box.contains(box)
+            and window.observations + observations <= window.most_observations
+        ):
+            self._empty(window)
+            window = None
+        if window is None:
+            window = self._window_type(self.what, add_room(box, self._window_cells))
+        window.trace(projected)
+        window.observations += observations
+        if window.box.contains(projected.box):
+            with self._lock:
+                self._idle.append(window)
+        else:
+            self._empty(window)
+
+    def _empty(self, window: Window) -> None:
+        first, second = window.read()
+        with self._lock:
+            self.grid.add(window.box, first, second, window.bound)
+
+    def finish(self) -> TileGrid:
+        """Empty all windows and give the evidence; more may be added later."""
+        while self._idle:
+            self._empty(self._idle.pop())
+        return self.grid
+
+
+def add_room(box: CellBox, most_cells: int) -> CellBox:
+    """Grow a box by half its size on each side, as far as the number of cells allows."""
+    limit = max(min(ROOMY_CELLS, most_cells), box.cells)
+    room = max(box.rows // 2, box.cols // 2, 128)
+    while room > 0 and (box.rows + 2 * room) * (box.cols + 2 * room) > limit:
+        room //= 2
+    return CellBox(box.row - room, box.col - room, box.row_end + room, box.col_end + room)
+
+
+def split_box(box: CellBox, most_cells: int) -> list[CellBox]:
+    """Cut a box into boxes of at most so many cells."""
+    side = max(int(most_cells**0.5), 1)
+    return [
+        CellBox(row, col, min(row + side, box.row_end), min(col + side, box.col_end))
+        for row in range(box.row, box.row_end, side)
+        for col in range(box.col, box.col_end, side)
+    ]
+
+
+def refuse_long_beams(projected: Projected, resolution: float) -> None:
+    """Refuse beams of more cells than a kernel's integers can hold.
+
+    Raises
+    ------
+    MapError
+        Saying how long the longest beam is.
+    """
+    longest = float(projected.rays.distance.max(initial=0.0))
+    if longest / resolution > MOST_CELLS_OF_BEAM:
+        raise MapError(
+            f"a beam of {longest:.6g} m is too long for cells of {resolution} m",
+            fix="limit ranges with --max-range, or use a coarser --resolution",
+        )
+
+
+def slice_scans(rays: Rays, scans: slice) -> Rays:
+    """Take some of the scans."""
+    return Rays(
+        rays.origin[scans],
+        rays.direction[scans],
+        rays.distance[scans],
+        rays.kind[scans],
+        rays.full_circle,
+    )
+
+
+def join_viewpoints(rays: Rays) -> Rays:
+    """See each scan from one point, where its beams have a viewpoint each.
+
+    A scan's region needs one sensor to be closed through; the middle beam's is taken. The ends of
+    the beams stay where they are.
+    """
+    if rays.origin.shape[1] == 1:
+        return rays
+    middle = rays.origin[:, rays.origin.shape[1] // 2, None]
+    offset = rays.end - middle
+    distance = np.hypot(offset[..., 0], offset[..., 1])
+    seen = (distance > 0)[..., None] & (rays.kind > 0)[..., None]
+    direction = np.where(seen, offset / np.maximum(distance, 1e-300)[..., None], rays.direction)
+    return Rays(middle, direction, distance, rays.kind, rays.full_circle)

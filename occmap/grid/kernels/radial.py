@@ -1,0 +1,297 @@
+"""Updates for inverse sensor models that look at the distance from the sensor, such as Elfes'.
+
+A model comes as two tables of log-odds: `free` over (d / (r - depth))^2, for cells well before the
+range r, and `hit` over |d - r| / depth, for cells about it. So no cell costs a logarithm, and a
+free one not even a square root. A table entry holds the log-odds in fixed point above the lowest
+20 bits, and an observation, 1, in those: one addition to a cell counts both.
+"""
+
+import numpy as np
+
+from occmap.grid.kernels.arrays import Int32
+from occmap.grid.kernels.fill import cross_rows, make_spans
+from occmap.grid.kernels.jit import kernel
+from occmap.grid.kernels.project import round_to_units
+from occmap.types import Bool, Float64, Int64, UInt8
+
+COUNT_BITS = 20
+"""A window cell counts fewer than 2^20 observations before it must be emptied."""
+BEARINGS = 1 << 14
+"""Steps of a full turn to which the bearing of a cell is known under the polygon update."""
+
+
+@kernel
+def trace_radial_beams(
+    origins: Int64,
+    ends: Int64,
+    ranges: Float64,
+    kinds: UInt8,
+    depth: float,
+    free: Int64,
+    hit: Int64,
+    cells: Int64,
+) -> None:
+    """Add what every beam says about the cells along it, up to the end of its influence.
+
+    Parameters
+    ----------
+    origins, ends
+        (S, K, 2) and (S, B, 2) x and y in lattice units from the window's corner; a HIT beam is
+        traced to its range + depth.
+    ranges, kinds, depth
+        (S, B) lattice units, (S, B) of Kind, lattice units.
+    free, hit
+        (T + 1,) tables.
+    cells
+        (H, W) sums.
+    """
+    scans, beams = kinds.shape
+    viewpoints = origins.shape[1]
+    rows, cols = cells.shape
+    steps = free.size - 1
+    for s in range(scans):
+        for b in range(beams):
+            if kinds[s, b] == 0:
+                continue
+            k = b if viewpoints > 1 else 0
+            x, y, r = origins[s, k, 0], origins[s, k, 1], ranges[s, b]
+            col, row = x >> 8, y >> 8
+            across, up = (ends[s, b, 0] >> 8) - col, (ends[s, b, 1] >> 8) - row
+            n, m = max(abs(across), abs(up)), min(abs(across), abs(up))
+            steep = abs(up) > abs(across)
+            to_right, upward = (1 if across > 0 else -1), (1 if up > 0 else -1)
+            is_hit = kinds[s, b] == 2
+            until = max(r - depth, 0.0) ** 2
+            error = n
+            for _ in range(n + 1):
+                if 0 <= row < rows and 0 <= col < cols:
+                    from_x, from_y = (col << 8) + 128 - x, (row << 8) + 128 - y
+                    squared = float(from_x * from_x + from_y * from_y)
+                    if squared < until:
+                        entry = free[np.uint64(squared / until * steps)]
+                        cells[np.uint64(row), np.uint64(col)] += entry
+                    elif is_hit:
+                        off = abs(np.sqrt(squared) - r)
+                        if off <= depth:
+                            entry = hit[np.uint64(off / depth * steps)]
+                            cells[np.uint64(row), np.uint64(col)] += entry
+                error += 2 * m
+                turn = error >= 2 * n
+                error -= 2 * n if turn else 0
+                if steep:
+                    row += upward
+                    col += to_right if turn else 0
+                else:
+                    col += to_right
+                    row += upward if turn else 0
+
+
+@kernel
+def trace_radial_polygons(
+    origin: Float64,
+    direction: Float64,
+    distance: Float64,
+    kinds: UInt8,
+    full_circle: bool,
+    resolution: float,
+    depth: float,
+    corner: Int64,
+    free: Int64,
+    hit: Int64,
+    cells: Int64,
+) -> None:
+    """Add what every scan says about each cell that it covers, once.
+
+    A cell belongs to the beam that covers its bearing: a beam covers the bearings that are nearer
+    to it than to its neighbours, and as much beyond the first and the last.
+
+    Parameters
+    ----------
+    origin, direction, distance, kinds
+        (S, 2) m, (S, B, 2), (S, B) m, (S, B) as in `Rays`.
+    depth
+        m
+    corner
+        (2,) x and y of the window's corner in lattice units.
+    free, hit, cells
+        As in `trace_radial_beams`.
+    """
+    scans, beams = kinds.shape
+    rows, cols = cells.shape
+    units = 256 / resolution
+    ranges = np.empty(beams, np.float64)
+    x, y = np.empty(4 * beams + 4, np.int64), np.empty(4 * beams + 4, np.int64)
+    begins = np.empty(4 * beams + 4, np.bool_)
+    between = np.empty((beams + 1, 2), np.float64)
+    covering = np.empty(BEARINGS + 1, np.int32)
+    buckets, counts = np.empty((rows, 32), np.int32), np.empty(rows, np.int64)
+    for s in range(scans):
+        _split_bearings(direction[s], full_circle, between)
+        _cover_bearings(between, kinds[s], covering)
+        corners = _outline_sectors(
+            origin[s], direction[s], distance[s], kinds[s], resolution, depth, corner, between,
+            x, y, begins,
+        )  # fmt: skip
+        while not cross_rows(x, y, begins, corners, buckets, counts):
+            buckets = np.empty((rows, 2 * buckets.shape[1]), np.int32)
+        make_spans(buckets, counts, cols)
+        at_x = round_to_units(origin[s, 0], resolution) - corner[0]
+        at_y = round_to_units(origin[s, 1], resolution) - corner[1]
+        for b in range(beams):
+            ranges[b] = distance[s, b] * units
+        for row in range(rows):
+            for i in range(0, counts[row], 2):
+                span = (np.int64(buckets[row, i]), np.int64(buckets[row, i + 1]))
+                _observe_span(
+                    (at_x, at_y, row), span, covering, ranges, kinds[s], depth * units,
+                    free, hit, cells,
+                )  # fmt: skip
+
+
+@kernel
+def _split_bearings(direction: Float64, full_circle: bool, between: Float64) -> None:
+    """Find the bearings half-way between neighbouring beams.
+
+    `between` (B + 1, 2) is written: unit vectors, at b those between beams b - 1 and b.
+    """
+    beams = direction.shape[0]
+    for b in range(1, beams):
+        _halve(direction, b - 1, b, between, b)
+    if full_circle:
+        _halve(direction, beams - 1, 0, between, 0)
+        between[beams] = between[0]
+    elif beams > 1:
+        _mirror(between, 1, direction, 0, between, 0)
+        _mirror(between, beams - 1, direction, beams - 1, between, beams)
+    else:
+        between[0], between[1] = direction[0], direction[0]
+
+
+@kernel
+def _halve(direction: Float64, a: int, b: int, between: Float64, place: int) -> None:
+    x, y = direction[a, 0] + direction[b, 0], direction[a, 1] + direction[b, 1]
+    length = max(np.sqrt(x * x + y * y), 1e-300)
+    between[place, 0], between[place, 1] = x / length, y / length
+
+
+@kernel
+def _mirror(vectors: Float64, i: int, axis: Float64, b: int, between: Float64, place: int) -> None:
+    """Mirror a unit vector about a beam."""
+    along = vectors[i, 0] * axis[b, 0] + vectors[i, 1] * axis[b, 1]
+    between[place, 0] = 2 * along * axis[b, 0] - vectors[i, 0]
+    between[place, 1] = 2 * along * axis[b, 1] - vectors[i, 1]
+
+
+@kernel
+def _bearing_of(x: float, y: float) -> np.int64:
+    """Which of the steps of a turn a vector points to, counter-clockwise from +x.
+
+    Steps of x / (|x| + |y|) and not of the angle: they grow and shrink together, and this needs
+    no arc tangent.
+    """
+    part = x / max(abs(x) + abs(y), 1e-300)
+    turned = 1.0 - part if y >= 0 else 3.0 + part
+    return np.int64(turned * (BEARINGS / 4))
+
+
+@kernel
+def _cover_bearings(between: Float64, kinds: UInt8, covering: Int32) -> None:
+    """Write for each step of a turn the beam that covers it, -1 where none does or it is SKIP."""
+    covering[:] = -1
+    beams = kinds.size
+    turn = 0.0
+    for b in range(beams):
+        turn += between[b, 0] * between[b + 1, 1] - between[b, 1] * between[b + 1, 0]
+    for b in range(beams):
+        first = _bearing_of(between[b, 0], between[b, 1])
+        last = _bearing_of(between[b + 1, 0], between[b + 1, 1])
+        if turn < 0:
+            first, last = last, first
+        if kinds[b] == 0 or first == last:
+            continue
+        if last < first:
+            covering[first:] = b
+            covering[:last] = b
+        else:
+            covering[first:last] = b
+
+
+@kernel
+def _outline_sectors(
+    origin: Float64,
+    direction: Float64,
+    distance: Float64,
+    kinds: UInt8,
+    resolution: float,
+    depth: float,
+    corner: Int64,
+    between: Float64,
+    x: Int64,
+    y: Int64,
+    begins: Bool,
+) -> int:
+    """Write corners around all that the beams may say something about; returns their number.
+
+    A beam's sector ends at the tangent to the outermost circle of its influence, so nothing is
+    left out. Neighbours share a side; a run of beams that are not SKIP is closed at the sensor.
+    """
+    beams = kinds.size
+    at_x = round_to_units(origin[0], resolution) - corner[0]
+    at_y = round_to_units(origin[1], resolution) - corner[1]
+    corners = 0
+    for b in range(beams):
+        if kinds[b] == 0:
+            continue
+        if b == 0 or kinds[b - 1] == 0:
+            x[corners], y[corners], begins[corners] = at_x, at_y, True
+            corners += 1
+        reach = distance[b] + (depth if kinds[b] == 2 else 0.0) + resolution / 64
+        for side in range(b, b + 2):
+            cosine = between[side, 0] * direction[b, 0] + between[side, 1] * direction[b, 1]
+            length = reach / max(cosine, 0.5)
+            end_x, end_y = (
+                origin[0] + length * between[side, 0],
+                origin[1] + length * between[side, 1],
+            )
+            x[corners] = round_to_units(end_x, resolution) - corner[0]
+            y[corners] = round_to_units(end_y, resolution) - corner[1]
+            begins[corners] = False
+            corners += 1
+        if b == beams - 1 or kinds[b + 1] == 0:
+            x[corners], y[corners], begins[corners] = at_x, at_y, False
+            corners += 1
+    return corners
+
+
+@kernel
+def _observe_span(
+    at: tuple[int, int, int],
+    span: tuple[int, int],
+    covering: Int32,
+    ranges: Float64,
+    kinds: UInt8,
+    depth: float,
+    free: Int64,
+    hit: Int64,
+    cells: Int64,
+) -> None:
+    """Add what the covering beams say about the cells of one span of a row.
+
+    `at` is the sensor's x and y in lattice units and the row; `ranges`, `depth` are in these units.
+    """
+    x, y, row = at
+    steps = free.size - 1
+    from_y = float((row << 8) + 128 - y)
+    for col in range(span[0], span[1]):
+        from_x = float((col << 8) + 128 - x)
+        b = covering[np.uint64(_bearing_of(from_x, from_y))]
+        if b < 0:
+            continue
+        squared = from_x * from_x + from_y * from_y
+        until = max(ranges[b] - depth, 0.0) ** 2
+        if squared < until:
+            cells[np.uint64(row), np.uint64(col)] += free[np.uint64(squared / until * steps)]
+        elif kinds[b] == 2:
+            off = abs(np.sqrt(squared) - ranges[b])
+            if off <= depth:
+                cells[np.uint64(row), np.uint64(col)] += hit[np.uint64(off / depth * steps)]

@@ -1,0 +1,95 @@
+"""The lattice that all maps of one resolution share, and the only place that rounds a coordinate.
+
+Cell (row, col) of a point is (floor(y / resolution), floor(x / resolution)), anchored at the
+world's zero, so that maps merge without resampling. A coordinate is rounded once, to 1/256 of a
+cell; everything after it is integer arithmetic, so no result depends on batch size, thread count
+or the order of scans.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from occmap.errors import UsageError
+from occmap.types import Float64, Int64
+
+SUBCELL_BITS = 8
+SUBCELLS = 1 << SUBCELL_BITS
+"""Lattice units along the side of a cell."""
+
+
+class CellBox(NamedTuple):
+    """A rectangle of cells; the ends are not part of it."""
+
+    row: int
+    col: int
+    row_end: int
+    col_end: int
+
+    @property
+    def rows(self) -> int:
+        """Height in cells."""
+        return self.row_end - self.row
+
+    @property
+    def cols(self) -> int:
+        """Width in cells."""
+        return self.col_end - self.col
+
+    @property
+    def cells(self) -> int:
+        """How many cells it covers."""
+        return self.rows * self.cols
+
+    def contains(self, other: Self) -> bool:
+        """Whether `other` lies wholly in this box."""
+        return (
+            self.row <= other.row
+            and self.col <= other.col
+            and other.row_end <= self.row_end
+            and other.col_end <= self.col_end
+        )
+
+    def join(self, other: Self) -> Self:
+        """The smallest box around both."""
+        return type(self)(
+            min(self.row, other.row),
+            min(self.col, other.col),
+            max(self.row_end, other.row_end),
+            max(self.col_end, other.col_end),
+        )
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Cells of one size.
+
+    Parameters
+    ----------
+    resolution
+        Side of a cell (m), above 0.
+    """
+
+    resolution: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.resolution) and self.resolution > 0):
+            raise UsageError(
+                f"a resolution of {self.resolution} m is not possible",
+                fix="give the side of a cell in metres, such as --resolution 0.05",
+            )
+
+    def to_units(self, metres: Float64) -> Int64:
+        """Round coordinates in metres, of any shape, to lattice units."""
+        return np.rint(metres / self.resolution * SUBCELLS).astype(np.int64)
+
+    def to_cell(self, x: float, y: float) -> tuple[int, int]:
+        """The (row, col) of the cell that holds a point."""
+        col, row = self.to_units(np.array([x, y])) >> SUBCELL_BITS
+        return int(row), int(col)
+
+    def to_metres(self, cells: int) -> float:
+        """The coordinate of the lower or left edge of a row or column (m)."""
+        return cells * self.resolution

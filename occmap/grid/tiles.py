@@ -1,0 +1,186 @@
+"""Sparse tiles of integers: what was observed, not yet what it means.
+
+Only tiles that something was observed in exist, so a pose far away costs a tile and not the world
+between. Two numbers are kept for a cell; sums of integers do not depend on their order.
+"""
+
+from collections.abc import Callable, Iterator
+from enum import StrEnum
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from occmap.errors import MapError
+from occmap.grid.lattice import CellBox, Lattice
+from occmap.types import Bool, Float64, Int64, OccupancyMap
+
+TILE = 64
+"""Cells along the side of a tile."""
+INT32_LIMIT = 2**31 - 1
+LOG_ODDS_UNIT = 1 / 65536
+"""What 1 means in a tile of log-odds."""
+
+
+Tile: TypeAlias = NDArray[np.signedinteger[Any]]
+"""(2, TILE, TILE) of int32, or int64 where sums may need it."""
+
+
+class EvidenceKind(StrEnum):
+    """What the two numbers of a cell are."""
+
+    COUNTS = "counts"
+    """Hits, misses."""
+    LOG_ODDS = "log_odds"
+    """Sum of log-odds in units of 1/65536, number of observations."""
+
+
+class TileGrid:
+    """Evidence of one kind on one lattice; the only value in occmap that changes."""
+
+    def __init__(self, lattice: Lattice, kind: EvidenceKind) -> None:
+        self.lattice = lattice
+        self.kind = kind
+        self.tiles: dict[tuple[int, int], Tile] = {}
+        self._bounds: dict[tuple[int, int], int] = {}
+
+    def add(self, box: CellBox, first: Int64, second: Int64, bound: int) -> None:
+        """Add what was observed in a box of cells.
+
+        Parameters
+        ----------
+        first, second
+            (H, W) of the box: hits and misses, or log-odds and observations.
+        bound
+            No value in them is larger than this, either way.
+        """
+        for row in range(box.row // TILE, -(-box.row_end // TILE)):
+            for col in range(box.col // TILE, -(-box.col_end // TILE)):
+                self._add_to_tile((row, col), box, (first, second), bound)
+
+    def _add_to_tile(
+        self, key: tuple[int, int], box: CellBox, blocks: tuple[Int64, Int64], bound: int
+    ) -> None:
+        top, left = key[0] * TILE, key[1] * TILE
+        rows = slice(max(top, box.row), min(top + TILE, box.row_end))
+        cols = slice(max(left, box.col), min(left + TILE, box.col_end))
+        source = (
+            slice(rows.start - box.row, rows.stop - box.row),
+            slice(cols.start - box.col, cols.stop - box.col),
+        )
+        parts = [block[source] for block in blocks]
+        if not (parts[0].any() or parts[1].any()):
+            return
+        tile = self._widen(key, bound)
+        target = (
+            slice(rows.start - top, rows.stop - top),
+            slice(cols.start - left, cols.stop - left),
+        )
+        for layer, part in zip(tile, parts, strict=True):
+            layer[target] += part.astype(tile.dtype, copy=False)
+
+    def _widen(self, key: tuple[int, int], bound: int) -> Tile:
+        """Make the tile where it is missing, and 64 bits wide before a sum could overflow 32."""
+        total = self._bounds.get(key, 0) + bound
+        self._bounds[key] = total
+        tile = self.tiles.get(key)
+        dtype = np.dtype(np.int32 if total <= INT32_LIMIT else np.int64)
+        if tile is None:
+            tile = self.tiles[key] = np.zeros((2, TILE, TILE), dtype)
+        elif tile.dtype != dtype:
+            tile = self.tiles[key] = tile.astype(dtype)
+        return tile
+
+    def observed(self, tile: Tile) -> Bool:
+        """(TILE, TILE): which cells of a tile anything was observed in."""
+        if self.kind is EvidenceKind.COUNTS:
+            return (tile[0] != 0) | (tile[1] != 0)
+        return tile[1] != 0
+
+    def find_bounds(self) -> CellBox:
+        """The smallest box around all observed cells.
+
+        Raises
+        ------
+        MapError
+            Nothing was observed.
+        """
+        if not self.tiles:
+            raise MapError("no beam of any scan observed a cell, so there is no map")
+        edge = self._edge_boxes()
+        box = next(edge)
+        for other in edge:
+            box = box.join(other)
+        return box
+
+    def _edge_boxes(self) -> Iterator[CellBox]:
+        """Boxes of observed cells in the tiles that can lie on the edge of the map."""
+        rows, cols = zip(*self.tiles, strict=True)
+        low, high = (min(rows), min(cols)), (max(rows), max(cols))
+        for key, tile in self.tiles.items():
+            if any(key[axis] in (low[axis], high[axis]) for axis in (0, 1)):
+                seen = self.observed(tile)
+                row = np.flatnonzero(seen.any(axis=1)) + key[0] * TILE
+                col = np.flatnonzero(seen.any(axis=0)) + key[1] * TILE
+                yield CellBox(int(row[0]), int(col[0]), int(row[-1]) + 1, int(col[-1]) + 1)
+
+    def render(
+        self, log_odds: Callable[[Int64, Int64], Float64], prior: float, max_cells: int
+    ) -> OccupancyMap:
+        """Turn evidence into an occupancy map of the box around all observed cells.
+
+        Parameters
+        ----------
+        log_odds
+            Of (N,) first and second numbers of cells.
+        prior
+            Log-odds of a cell that nothing observed.
+        max_cells
+            A larger map is refused.
+
+        Raises
+        ------
+        MapError
+            Nothing was observed, or the map would be too large.
+        """
+        box = self.find_bounds()
+        refuse_large(box, self.lattice, max_cells)
+        grid = np.full((box.rows, box.cols), prior, np.float32)
+        observed = np.zeros((box.rows, box.cols), np.bool_)
+        for (row, col), tile in self.tiles.items():
+            at_row, at_col = row * TILE - box.row, col * TILE - box.col
+            inner = (
+                slice(max(-at_row, 0), box.rows - at_row),
+                slice(max(-at_col, 0), box.cols - at_col),
+            )
+            seen = self.observed(tile)[inner]
+            outer = (
+                slice(max(at_row, 0), max(at_row, 0) + seen.shape[0]),
+                slice(max(at_col, 0), max(at_col, 0) + seen.shape[1]),
+            )
+            first, second = (layer[inner][seen].astype(np.int64) for layer in tile)
+            observed[outer] = seen
+            grid[outer][seen] = log_odds(first, second)
+        origin = (self.lattice.to_metres(box.col), self.lattice.to_metres(box.row))
+        return OccupancyMap(grid, observed, self.lattice.resolution, origin)
+
+
+def refuse_large(box: CellBox, lattice: Lattice, max_cells: int) -> None:
+    """Refuse a map of more cells than the user allows.
+
+    Raises
+    ------
+    MapError
+        Saying how far it would reach, and what to do.
+    """
+    if box.cells > max_cells:
+        low, high = (
+            f"({lattice.to_metres(col):.6g}, {lattice.to_metres(row):.6g})"
+            for row, col in ((box.row, box.col), (box.row_end, box.col_end))
+        )
+        raise MapError(
+            f"the map would reach from {low} to {high} m: {box.cols} x {box.rows} cells, more than "
+            f"--max-cells {max_cells}",
+            fix="if a pose is wrong, leave it out with --start and --end; else use a coarser "
+            "--resolution, a shorter --max-range, or raise --max-cells",
+        )

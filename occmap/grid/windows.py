@@ -1,0 +1,283 @@
+"""Dense windows that kernels write to: one for each combination of update and evidence.
+
+A window covers the scans at hand with room to spare, so that it is emptied into the sparse tiles
+only when the scans leave it. What its arrays hold is the business of its kernels.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from occmap.grid.kernels.arrays import Int32
+from occmap.grid.kernels.beam import sum_beams, trace_beams
+from occmap.grid.kernels.polygon import Surfaces, sum_runs, trace_polygons
+from occmap.grid.kernels.project import project_ends
+from occmap.grid.kernels.radial import COUNT_BITS, trace_radial_beams, trace_radial_polygons
+from occmap.grid.lattice import SUBCELL_BITS, SUBCELLS, CellBox, Lattice
+from occmap.grid.tiles import LOG_ODDS_UNIT
+from occmap.types import Float64, Int64, Kind, Rays, Update
+
+
+@dataclass(frozen=True)
+class RadialTables:
+    """A radial sensor model, tabulated for the kernels."""
+
+    depth: float
+    """How far about the range a hit reaches (m)"""
+    free: Int64
+    """(T + 1,) over (d / (r - depth))^2"""
+    hit: Int64
+    """(T + 1,) over |d - r| / depth"""
+    largest: int
+    """The largest log-odds, either way, that an entry adds"""
+
+
+Profile = Callable[[Float64], Float64]
+"""(T,) shares in [0, 1] to (T,) probabilities of being occupied."""
+
+TABLE_STEPS = 2048
+"""A free cell's log-odds is then within half a per cent of the formula's where it matters."""
+
+
+def tabulate(free: Profile, hit: Profile, depth: float) -> RadialTables:
+    """Tabulate a radial model's probabilities, each at the middle of its step."""
+    middle = np.minimum((np.arange(TABLE_STEPS + 1) + 0.5) / TABLE_STEPS, 1)
+    tables = []
+    for profile in (free, hit):
+        p = profile(middle)
+        tables.append(np.rint(np.log(p / (1 - p)) / LOG_ODDS_UNIT).astype(np.int64))
+    largest = max(int(np.abs(table).max()) for table in tables)
+    packed = [(table << COUNT_BITS) + 1 for table in tables]
+    return RadialTables(depth, packed[0], packed[1], largest)
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What a window is to observe, and how."""
+
+    update: Update
+    lattice: Lattice
+    jump: float = 0.2
+    """Neighbours whose ranges differ by at most this (m) see the same surface (polygon update)"""
+    border_gap: int = 8
+    """... and the border is closed over at most so many cells"""
+    radial: RadialTables | None = None
+    """None: hits and misses are counted"""
+
+
+@dataclass(frozen=True)
+class Projected:
+    """Rays and where on the lattice they begin and end."""
+
+    rays: Rays
+    origins: Int64
+    """(S, K, 2) x and y (lattice units)"""
+    ends: Int64
+    """(S, B, 2) x and y (lattice units)"""
+    box: CellBox
+    """Around all cells that these rays may touch"""
+
+
+def project(rays: Rays, what: Observation) -> Projected:
+    """Round rays to the lattice, once."""
+    reach = rays.distance
+    if what.radial is not None:
+        reach = reach + what.radial.depth * (rays.kind == Kind.HIT)
+    ends = np.empty((*reach.shape, 2), np.int64)
+    resolution = what.lattice.resolution
+    low_x, low_y, high_x, high_y = project_ends(
+        rays.origin, rays.direction, reach, resolution, ends
+    )
+    origins = what.lattice.to_units(rays.origin)
+    (left, bottom), (right, top) = origins.min(axis=(0, 1)), origins.max(axis=(0, 1))
+    margin = 1 + _reach_beside(rays, reach, resolution, what)
+    box = CellBox(
+        int(min(low_y, bottom) >> SUBCELL_BITS) - margin,
+        int(min(low_x, left) >> SUBCELL_BITS) - margin,
+        int(max(high_y, top) >> SUBCELL_BITS) + 1 + margin,
+        int(max(high_x, right) >> SUBCELL_BITS) + 1 + margin,
+    )
+    return Projected(rays, origins, ends, box)
+
+
+def _reach_beside(rays: Rays, reach: Float64, resolution: float, what: Observation) -> int:
+    """How many cells beside their ends beams have a say in: half-way to their neighbours."""
+    if what.radial is None or what.update is Update.BEAM or reach.shape[1] < 2:
+        return 0
+    spread = np.abs(np.diff(rays.direction, axis=1)).max()
+    return int(reach.max() * min(2 * spread, 1.0) / resolution) + 2
+
+
+class Window(ABC):
+    """A box of cells being written to."""
+
+    most_observations: int = 2**30
+    """A window is emptied before a cell could be observed more often."""
+
+    def __init__(self, what: Observation, box: CellBox) -> None:
+        self.what = what
+        self.box = box
+        self.observations = 0
+        self.allocate(box.rows, box.cols)
+
+    @abstractmethod
+    def allocate(self, rows: int, cols: int) -> None:
+        """Make empty arrays."""
+
+    @abstractmethod
+    def trace(self, projected: Projected) -> None:
+        """Observe what lies in the box."""
+
+    @abstractmethod
+    def read(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """(H, W) of both numbers of a cell's evidence."""
+
+    @property
+    def bound(self) -> int:
+        """No value of `read` is larger, either way."""
+        return self.observations
+
+    def to_corner(self, points: Int64) -> Int64:
+        """Lattice units from the window's lower-left corner."""
+        return points - self.corner
+
+    @property
+    def corner(self) -> Int64:
+        """(2,) x and y of the lower-left corner (lattice units)."""
+        return np.array([self.box.col * SUBCELLS, self.box.row * SUBCELLS], np.int64)
+
+
+def allocate_changes(rows: int, cols: int) -> tuple[Int32, Int32]:
+    """Make what `trace_beams` notes along rows: where runs start and end, and steps between."""
+    return np.zeros(rows * (cols + 1), np.int32), np.zeros((rows + 1) * (cols + 1), np.int32)
+
+
+class BeamWindow(Window):
+    """Hits and misses, beam by beam."""
+
+    def allocate(self, rows: int, cols: int) -> None:
+        self.hits = np.zeros((rows, cols), np.int32)
+        self.row_changes = allocate_changes(rows, cols)
+        self.col_changes = allocate_changes(cols, rows)
+
+    def trace(self, projected: Projected) -> None:
+        origins, ends = self.to_corner(projected.origins), self.to_corner(projected.ends)
+        trace_beams(
+            origins, ends, projected.rays.kind, self.hits, *self.row_changes, *self.col_changes
+        )
+
+    def read(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        misses = np.zeros_like(self.hits)
+        sum_beams(*self.row_changes, *self.col_changes, misses)
+        return self.hits, misses
+
+
+class PolygonWindow(Window):
+    """Hits and misses, scan by scan."""
+
+    def allocate(self, rows: int, cols: int) -> None:
+        self.hits = np.zeros((rows, cols), np.int32)
+        self.runs = np.zeros(rows * (cols + 1), np.int32)
+        self.marks = np.zeros((rows, cols), np.int32)
+        self.scans = 0
+
+    def trace(self, projected: Projected) -> None:
+        rays, what = projected.rays, self.what
+        surfaces = Surfaces(
+            what.lattice.resolution,
+            what.jump,
+            what.border_gap,
+            rays.full_circle,
+            self.box.col * SUBCELLS,
+            self.box.row * SUBCELLS,
+        )
+        trace_polygons(
+            np.ascontiguousarray(rays.origin[:, 0]),
+            rays.direction,
+            rays.distance,
+            projected.ends,
+            rays.kind,
+            surfaces,
+            self.hits,
+            self.runs,
+            self.marks,
+            self.scans,
+        )
+        self.scans += len(rays.kind)
+
+    def read(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        misses = np.zeros_like(self.hits)
+        sum_runs(self.runs, misses)
+        return self.hits, misses
+
+
+class RadialWindow(Window):
+    """Sums of log-odds and numbers of observations, packed in one integer for each cell."""
+
+    most_observations = (1 << COUNT_BITS) - 1
+
+    def allocate(self, rows: int, cols: int) -> None:
+        self.cells = np.zeros((rows, cols), np.int64)
+
+    @property
+    def tables(self) -> RadialTables:
+        """Of the model; a radial window has one."""
+        tables = self.what.radial
+        if tables is None:
+            raise TypeError("a radial window needs a radial model")
+        return tables
+
+    def read(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        return self.cells >> COUNT_BITS, self.cells & self.most_observations
+
+    @property
+    def bound(self) -> int:
+        return self.observations * self.tables.largest
+
+
+class RadialBeamWindow(RadialWindow):
+    """A radial model along each beam."""
+
+    def trace(self, projected: Projected) -> None:
+        to_units = SUBCELLS / self.what.lattice.resolution
+        trace_radial_beams(
+            self.to_corner(projected.origins),
+            self.to_corner(projected.ends),
+            projected.rays.distance * to_units,
+            projected.rays.kind,
+            self.tables.depth * to_units,
+            self.tables.free,
+            self.tables.hit,
+            self.cells,
+        )
+
+
+class RadialPolygonWindow(RadialWindow):
+    """A radial model, once for each cell of a scan."""
+
+    def trace(self, projected: Projected) -> None:
+        rays = projected.rays
+        trace_radial_polygons(
+            np.ascontiguousarray(rays.origin[:, 0]),
+            rays.direction,
+            rays.distance,
+            rays.kind,
+            rays.full_circle,
+            self.what.lattice.resolution,
+            self.tables.depth,
+            self.corner,
+            self.tables.free,
+            self.tables.hit,
+            self.cells,
+        )
+
+
+def choose_window(what: Observation) -> type[Window]:
+    """The kind of window that an update and a model need."""
+    if what.radial is None:
+        return BeamWindow if what.update is Update.BEAM else PolygonWindow
+    return RadialBeamWindow if what.update is Update.BEAM else RadialPolygonWindow

@@ -1,0 +1,316 @@
+"""The whole tool on one page: logs in, an occupancy map and a report out."""
+
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from occmap.batching import Batcher, Selection
+from occmap.errors import LogError, PoseError, UsageError
+from occmap.posing.attach import Poser
+from occmap.posing.options import PosingOptions, Stamps
+from occmap.readers import Log, Role, open_log
+from occmap.report import Report, Tally, measure_extent
+from occmap.sensor.models import RadialModel, SensorModel, SimpleModel, describe_model
+from occmap.sensor.returns import ReturnOptions, interpret
+from occmap.types import Float64, Int64, OccupancyMap, Scan, ScanBatch, Update, to_log_odds
+from occmap.workers import Workers, count_cores
+from occmap.writers import WriteOptions, find_writer
+from occmap.writers.atomic import check_target
+
+if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
+    from occmap.grid.engine import GridEngine
+    from occmap.grid.tiles import TileGrid
+
+DEFAULT_UPDATE = Update.POLYGON
+MAX_CELLS = 10**9
+
+Progress = Callable[[int, int], None]
+"""Told, now and then, how many scans were read since the last call and how many there are."""
+
+
+@dataclass(frozen=True)
+class BuildOptions:
+    """What a user may choose about a map, grouped by the stage that it concerns."""
+
+    resolution: float = 0.05
+    """Side of a cell (m)"""
+    update: Update = DEFAULT_UPDATE
+    model: SensorModel = field(default_factory=SimpleModel)
+    returns: ReturnOptions = ReturnOptions()
+    posing: PosingOptions = PosingOptions()
+    selection: Selection = Selection()
+    writing: WriteOptions = WriteOptions()
+    jump: float = 0.2
+    """Neighbouring beams see one surface where ranges differ by at most this (m; polygon)"""
+    border_gap: int = 8
+    """... and its border is closed between end cells at most this far apart (cells; polygon)"""
+    max_cells: int = MAX_CELLS
+    """A map with more cells is refused"""
+    jobs: int = field(default_factory=count_cores)
+    """Threads"""
+
+    def __post_init__(self) -> None:
+        if self.jobs < 1:
+            raise UsageError(f"{self.jobs} jobs are not possible", fix="give --jobs 1 or more")
+        if not self.jump >= 0:
+            raise UsageError(f"a jump of {self.jump} m is not possible", fix="try --jump 0.2")
+        if not 0 <= self.border_gap <= 1000:
+            raise UsageError(
+                f"a border gap of {self.border_gap} cells is not possible", fix="give 0 to 1000"
+            )
+
+
+class Made(NamedTuple):
+    """What a report names."""
+
+    logs: list[str]
+    notes: list[str]
+    files: list[str]
+
+
+class Build(NamedTuple):
+    """A map and how it came about."""
+
+    map: OccupancyMap
+    report: Report
+
+
+def ignore_progress(_scans: int, _total: int) -> None:
+    """Tell nobody."""
+
+
+def build(
+    paths: Sequence[Path],
+    options: BuildOptions,
+    outputs: Sequence[Path] = (),
+    progress: Progress = ignore_progress,
+) -> Build:
+    """Build one map from all usable scans of one or more logs, and write it.
+
+    Raises
+    ------
+    OccmapError
+        A log cannot be read, has no scans or no poses, the map would be too large, or an output
+        cannot be written.
+    """
+    tally = Tally()
+    check_outputs(outputs)
+    with tally.time("open"):
+        logs = [open_log(path) for path in paths]
+    engine = make_engine(options)
+    notes = []
+    for log in logs:
+        poser = trace_log(log, options, engine, tally, progress)
+        notes += [f"{log.path}: {text}" for text in (*poser.notes, *(n.text for n in log.notes))]
+    refuse_unused(logs, tally)
+    with tally.time("fold"):
+        evidence = engine.finish()
+    with tally.time("render"):
+        grid = render(evidence, options.model, options.max_cells)
+    with tally.time("write"):
+        files = [
+            str(file)
+            for path in outputs
+            for file in find_writer(path).write(path, grid, options.writing)
+        ]
+    names = [str(log.path) for log in logs]
+    return Build(grid, make_report(grid, options, tally, Made(names, notes, files)))
+
+
+def check_outputs(outputs: Sequence[Path]) -> None:
+    """Find out before the work starts what could not be written after it.
+
+    Raises
+    ------
+    UsageError, OutputError
+        A suffix that no writer has, two outputs that are one file, or a file that cannot be made.
+    """
+    targets = [target for path in outputs for target in find_writer(path).targets(path)]
+    for target in targets:
+        check_target(target)
+        if targets.count(target) > 1:
+            raise UsageError(
+                "would be written twice", where=target, fix="give each -o its own name"
+            )
+
+
+def trace_log(
+    log: Log, options: BuildOptions, engine: "GridEngine", tally: Tally, progress: Progress
+) -> Poser:
+    """Read a log twice: the poses, which are small, then the scans as a stream."""
+    topics = choose_topics(log, options.selection.topics)
+    with tally.time("poses"):
+        poser = make_poser(log, topics, options.posing)
+    total = sum(stream.count for stream in log.streams if stream.topic in topics)
+    batcher = Batcher(options.selection, by_record_time=options.posing.stamps is Stamps.RECORD)
+
+    def trace(batch: ScanBatch) -> None:
+        with tally.time("pose"):
+            posed, dropped = poser.attach(batch)
+        tally.drop(dropped)
+        if posed is None:
+            return
+        with tally.time("interpret"):
+            rays, beams = interpret(posed, options.returns)
+        with tally.time("trace"):
+            engine.add(rays)
+        tally.use(len(rays.kind), beams)
+
+    with Workers(trace, options.jobs) as workers:
+        for batch in timed(batcher.stack(log.scans(topics)), tally):
+            workers.give(batch)
+            progress(len(batch.stamp_ns), total)
+    tally.scans_read += batcher.read
+    tally.drop(dict(batcher.left_out))
+    return poser
+
+
+def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
+    """Choose the scan topics of a log: those that the user names, else all.
+
+    Raises
+    ------
+    LogError
+        The log has no scans, or not on a wanted topic.
+    """
+    there = [s.topic for s in log.streams if s.role is Role.SCAN and s.count]
+    if not there:
+        held = ", ".join(f"{s.topic} ({s.type}, {s.count})" for s in log.streams if s.count)
+        raise LogError(f"holds no laser scans; it holds {held or 'nothing'}", where=log.path)
+    missing = sorted(set(wanted) - set(there))
+    if missing:
+        raise LogError(
+            f"has no scans on the topic {missing[0]}",
+            where=log.path,
+            fix=f"it has scans on {', '.join(there)}",
+        )
+    return [topic for topic in there if topic in wanted or not wanted]
+
+
+def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser:
+    """Read the poses of a log, unless it states them beside its scans.
+
+    Raises
+    ------
+    PoseError
+        No scan frame has a chain of transforms to a map frame.
+    """
+    first = [scan for topic in topics for scan in take_one(log.scans([topic]))]
+    stated = options.poses is None and all(scan.pose is not None for scan in first)
+    poser = Poser.build([] if stated else log.poses(), options)
+    if not stated:
+        try:
+            poser.resolve({scan.frame for scan in first})
+        except PoseError as error:
+            raise PoseError(error.found, where=error.where or log.path, fix=error.fix) from None
+    return poser
+
+
+def take_one(scans: Iterator[Scan]) -> list[Scan]:
+    """The first scan, if there is one; the file is closed again."""
+    first = list(islice(scans, 1))
+    if isinstance(scans, Generator):
+        scans.close()
+    return first
+
+
+def timed(batches: Iterator[ScanBatch], tally: Tally) -> Iterator[ScanBatch]:
+    """The same batches; the time to read them is noted."""
+    while True:
+        with tally.time("read"):
+            batch = next(batches, None)
+        if batch is None:
+            return
+        yield batch
+
+
+def make_engine(options: BuildOptions) -> "GridEngine":
+    """Make the grid engine for an update and a model."""
+    from occmap.grid.engine import GridEngine  # noqa: PLC0415  late: numba takes a third of a second
+    from occmap.grid.lattice import Lattice  # noqa: PLC0415
+    from occmap.grid.windows import Observation, tabulate  # noqa: PLC0415
+
+    lattice = Lattice(options.resolution)
+    model = options.model
+    radial = None
+    if isinstance(model, RadialModel):
+        radial = tabulate(model.free, model.hit, model.depth(options.resolution))
+    return GridEngine(
+        Observation(options.update, lattice, options.jump, options.border_gap, radial)
+    )
+
+
+def refuse_unused(logs: Sequence[Log], tally: Tally) -> None:
+    """Refuse to make a map of nothing.
+
+    Raises
+    ------
+    LogError, PoseError
+        No scan was used; the message says why.
+    """
+    if tally.scans_used:
+        return
+    where = ", ".join(str(log.path) for log in logs)
+    reasons = ", ".join(f"{count} {reason}" for reason, count in tally.dropped.items())
+    if tally.scans_read:
+        raise PoseError(
+            f"none of {tally.scans_read} scans can be used: {reasons}",
+            where=where,
+            fix="`occmap check` tells more about poses and times",
+        )
+    raise LogError("holds no laser scan that can be read", where=where)
+
+
+def render(evidence: "TileGrid", model: SensorModel, max_cells: int) -> OccupancyMap:
+    """Let a model say what the evidence means.
+
+    Raises
+    ------
+    MapError
+        Nothing was observed, or the map would be too large.
+    """
+    from occmap.grid.tiles import LOG_ODDS_UNIT  # noqa: PLC0415  as above
+
+    prior = to_log_odds(model.prior)
+
+    def add_up(log_odds: Int64, observations: Int64) -> Float64:
+        return prior + log_odds * LOG_ODDS_UNIT - observations * prior
+
+    translate = add_up if isinstance(model, RadialModel) else model.log_odds
+    return evidence.render(translate, prior, max_cells)
+
+
+def make_report(grid: OccupancyMap, options: BuildOptions, tally: Tally, made: Made) -> Report:
+    """Sum up what was done."""
+    rows, cols = grid.shape
+    writing = options.writing
+    occupied, free, seen = (
+        int(np.count_nonzero(mask)) / (rows * cols)
+        for mask in (
+            grid.is_occupied(writing.occupied_thresh),
+            grid.is_free(writing.free_thresh),
+            grid.observed,
+        )
+    )
+    return Report(
+        logs=tuple(made.logs),
+        scans_read=tally.scans_read,
+        scans_used=tally.scans_used,
+        dropped=dict(tally.dropped),
+        beams=tally.beams,
+        notes=tuple(made.notes),
+        update=options.update.value,
+        model=describe_model(options.model),
+        resolution=options.resolution,
+        cells=(cols, rows),
+        extent=measure_extent(grid),
+        occupied=occupied,
+        free=free,
+        unknown=1 - seen,
+        seconds=dict(tally.seconds),
+        files=tuple(made.files),
+    )

@@ -1,0 +1,102 @@
+"""What a build did: numbers for people and for programs."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from threading import Lock
+from time import perf_counter
+from typing import Any
+
+from occmap.sensor.returns import ReturnCounts
+from occmap.types import OccupancyMap
+
+
+class Tally:
+    """Counts and times that grow while a map is built; any thread may add to it."""
+
+    def __init__(self) -> None:
+        self.scans_read = 0
+        self.scans_used = 0
+        self.dropped: dict[str, int] = {}
+        self.beams = ReturnCounts()
+        self.seconds: dict[str, float] = {}
+        self._lock = Lock()
+
+    def drop(self, reasons: dict[Any, int]) -> None:
+        """Count scans that are not used, by reason."""
+        with self._lock:
+            for reason, scans in reasons.items():
+                self.dropped[str(reason)] = self.dropped.get(str(reason), 0) + scans
+
+    def use(self, scans: int, beams: ReturnCounts) -> None:
+        """Count scans that are used, and what their beams meant."""
+        with self._lock:
+            self.scans_used += scans
+            self.beams += beams
+
+    @contextmanager
+    def time(self, stage: str) -> Iterator[None]:
+        """Add the time of a block to a stage; threads add up."""
+        start = perf_counter()
+        try:
+            yield
+        finally:
+            seconds = perf_counter() - start
+            with self._lock:
+                self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a build read, used, dropped and made."""
+
+    logs: tuple[str, ...]
+    scans_read: int
+    scans_used: int
+    dropped: dict[str, int]
+    """Scans by reason"""
+    beams: ReturnCounts
+    notes: tuple[str, ...]
+    update: str
+    model: str
+    resolution: float
+    cells: tuple[int, int]
+    """Columns and rows of the map"""
+    extent: tuple[float, float, float, float]
+    """Lowest x and y, highest x and y (m)"""
+    occupied: float
+    """Share of the map's cells that are at or above the occupied threshold"""
+    free: float
+    unknown: float
+    seconds: dict[str, float] = field(default_factory=dict)
+    """By stage; where threads work at the same time, their times add up"""
+    files: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """The report as values that JSON has."""
+        return {
+            "logs": list(self.logs),
+            "scans": {"read": self.scans_read, "used": self.scans_used, "dropped": self.dropped},
+            "beams": self.beams._asdict(),
+            "map": {
+                "update": self.update,
+                "model": self.model,
+                "resolution": self.resolution,
+                "columns": self.cells[0],
+                "rows": self.cells[1],
+                "extent": list(self.extent),
+                "occupied": self.occupied,
+                "free": self.free,
+                "unknown": self.unknown,
+            },
+            "notes": list(self.notes),
+            "files": list(self.files),
+            "seconds": {stage: round(seconds, 4) for stage, seconds in self.seconds.items()},
+        }
+
+
+def measure_extent(grid: OccupancyMap) -> tuple[float, float, float, float]:
+    """Lowest x and y, highest x and y of a map (m)."""
+    rows, cols = grid.shape
+    x, y = grid.origin
+    return x, y, x + cols * grid.resolution, y + rows * grid.resolution

@@ -1,0 +1,197 @@
+"""Inverse sensor models: what an observation says about a cell, as log-odds.
+
+Every model starts from a prior and adds independent evidence (Elfes 1989; Thrun, Burgard, Fox 2005,
+ch. 9): l = l0 + sum(logit(p_i) - l0). A model is a frozen dataclass; its fields are its parameters.
+"""
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+
+from occmap.errors import UsageError
+from occmap.plugins import list_plugins, load_plugin, suggest
+from occmap.types import Float64, Int64, to_log_odds
+
+
+@runtime_checkable
+class CountModel(Protocol):
+    """A model that needs to know only how often a cell was hit and how often missed."""
+
+    name: ClassVar[str]
+    description: ClassVar[str]
+    prior: float
+
+    def log_odds(self, hits: Int64, misses: Int64) -> Float64:
+        """Log-odds of being occupied, in the shape of the counts."""
+
+
+@runtime_checkable
+class RadialModel(Protocol):
+    """A model whose evidence depends on the distance between a cell and the measured range."""
+
+    name: ClassVar[str]
+    description: ClassVar[str]
+    prior: float
+
+    def depth(self, resolution: float) -> float:
+        """How far before and behind the range the hit reaches (m)."""
+
+    def free(self, u: Float64) -> Float64:
+        """Probability of a cell before the hit; u = (d / (r - depth))^2 in [0, 1)."""
+
+    def hit(self, w: Float64) -> Float64:
+        """Probability of a cell about the range; w = |d - r| / depth in [0, 1]."""
+
+
+SensorModel = CountModel | RadialModel
+
+
+@dataclass(frozen=True)
+class SimpleModel:
+    """Each hit and each miss counts the same, wherever it was made."""
+
+    name: ClassVar[str] = "simple"
+    description: ClassVar[str] = "end cell occupied, cells before it free, each at a fixed odds"
+
+    p_hit: float = 0.7
+    """Probability that a cell is occupied, given one hit"""
+    p_miss: float = 0.4
+    """... given one miss"""
+    prior: float = 0.5
+
+    def __post_init__(self) -> None:
+        check_probabilities(self)
+        if not self.p_miss < self.p_hit:
+            raise UsageError(
+                f"p_miss {self.p_miss} is not below p_hit {self.p_hit}",
+                fix="a hit must speak more for occupied than a miss: try --p-hit 0.7 --p-miss 0.4",
+            )
+
+    def log_odds(self, hits: Int64, misses: Int64) -> Float64:
+        """l0 + hits (logit(p_hit) - l0) + misses (logit(p_miss) - l0)."""
+        prior = to_log_odds(self.prior)
+        return (
+            prior
+            + hits * (to_log_odds(self.p_hit) - prior)
+            + misses * (to_log_odds(self.p_miss) - prior)
+        )
+
+
+@dataclass(frozen=True)
+class CountingModel:
+    """How often a cell stopped a beam of all the times that it was looked at."""
+
+    name: ClassVar[str] = "counting"
+    description: ClassVar[str] = "share of hits among all observations (Beta posterior mean)"
+
+    prior: float = 0.5
+
+    def __post_init__(self) -> None:
+        check_probabilities(self)
+
+    def log_odds(self, hits: Int64, misses: Int64) -> Float64:
+        """Posterior mean (hits + 2 p0) / (hits + misses + 2), as log-odds."""
+        return np.log((hits + 2 * self.prior) / (misses + 2 * (1 - self.prior)))
+
+
+@dataclass(frozen=True)
+class QuadraticModel:
+    """Elfes' model: p = (1 + O - V) / 2, with quadratic falls of free (V) and occupied (O)."""
+
+    name: ClassVar[str] = "quadratic"
+    description: ClassVar[str] = (
+        "p = (1 + O - V) / 2: free falls off with distance, hits have depth"
+    )
+
+    epsilon: float = 0.0
+    """Half the depth of a hit (m); 0 means one cell"""
+    p_min: float = 0.1
+    """No single observation is surer than this"""
+    prior: float = 0.5
+
+    def __post_init__(self) -> None:
+        check_probabilities(self)
+        if not (math.isfinite(self.epsilon) and self.epsilon >= 0):
+            raise UsageError(f"epsilon {self.epsilon} m is not possible", fix="try --epsilon 0.05")
+        if self.p_min >= 0.5:
+            raise UsageError(f"p_min {self.p_min} leaves no evidence", fix="try --p-min 0.1")
+
+    def depth(self, resolution: float) -> float:
+        """Epsilon, or one cell."""
+        return self.epsilon or resolution
+
+    def free(self, u: Float64) -> Float64:
+        """V = 1 - u, so p = u / 2, within [p_min, 1 - p_min]."""
+        return np.clip(u / 2, self.p_min, 1 - self.p_min)
+
+    def hit(self, w: Float64) -> Float64:
+        """O = 1 - w^2, so p = 1 - w^2 / 2, within [p_min, 1 - p_min]."""
+        return np.clip(1 - w**2 / 2, self.p_min, 1 - self.p_min)
+
+
+def check_probabilities(model: Any) -> None:
+    """Refuse a model whose probabilities are not strictly between 0 and 1.
+
+    Raises
+    ------
+    UsageError
+        Naming the first such parameter.
+    """
+    for field in fields(model):
+        value = getattr(model, field.name)
+        if (field.name == "prior" or field.name.startswith("p_")) and not 0 < value < 1:
+            flag = "--" + field.name.replace("_", "-")
+            raise UsageError(
+                f"{field.name} {value} is not a probability between 0 and 1",
+                fix=f"give a value such as {flag} 0.3",
+            )
+
+
+def make_model(name: str, parameters: dict[str, float]) -> SensorModel:
+    """Make an installed model by its name.
+
+    Raises
+    ------
+    UsageError
+        No such model, no such parameter, or a value out of its range.
+    """
+    model_class = load_plugin("occmap.models", name)
+    if model_class is None:
+        known = [entry.name for entry in list_plugins("occmap.models")]
+        raise UsageError(f"no model is called {name!r}", fix=suggest(name, known, "occmap models"))
+    known = [field.name for field in fields(model_class)]
+    for parameter in parameters:
+        if parameter not in known:
+            raise UsageError(
+                f"the model {name} has no parameter {parameter!r}", fix=f"it has {', '.join(known)}"
+            )
+    model: SensorModel = model_class(**parameters)
+    return model
+
+
+def describe_model(model: Any) -> str:
+    """The text that `parse_model` makes the model of."""
+    return f"{model.name}:" + ",".join(f"{f.name}={getattr(model, f.name)}" for f in fields(model))
+
+
+def parse_model(text: str) -> SensorModel:
+    """Make a model from text such as `simple:p_hit=0.8,p_miss=0.3`.
+
+    Raises
+    ------
+    UsageError
+        As `make_model`, or the text is not of that form.
+    """
+    name, _, rest = text.partition(":")
+    parameters = {}
+    for pair in filter(None, rest.split(",")):
+        key, _, value = pair.partition("=")
+        try:
+            parameters[key.strip()] = float(value)
+        except ValueError:
+            raise UsageError(
+                f"{pair!r} is no parameter of a model", fix="write NAME:KEY=NUMBER,KEY=NUMBER"
+            ) from None
+    return make_model(name.strip(), parameters)

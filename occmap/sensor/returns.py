@@ -1,0 +1,152 @@
+"""What every range value means: hit, free up to a known distance, or nothing.
+
+Drivers disagree on what they write when nothing came back (REP 117 says +inf; others write the
+maximum, a value beyond it, or zero), so all of that is decided here, in one place, and counted.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import lru_cache
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from occmap.types import Bool, Float64, Kind, PosedScans, Rays, ScanBatch, UInt8
+
+LEVEL = 1e-9
+"""A sensor whose beams rise less than this (as a sine) is level: its ranges lie in the plane."""
+
+
+class NoReturn(StrEnum):
+    """What to make of a beam from which nothing came back."""
+
+    CLEAR = "clear"
+    """Space is free up to the range limit."""
+    IGNORE = "ignore"
+    """Nothing is known: glass, black paint and open space look alike."""
+
+
+@dataclass(frozen=True)
+class ReturnOptions:
+    """How range values are read.
+
+    Parameters
+    ----------
+    min_range, max_range
+        The user's own limits (m), inside those that the log states.
+    range_max
+        Replaces the sensor's limit that the log states (m).
+    no_return
+        What +inf, and anything at or beyond the sensor's limit, means.
+    """
+
+    min_range: float = 0.0
+    max_range: float = math.inf
+    range_max: float | None = None
+    no_return: NoReturn = NoReturn.IGNORE
+
+
+class ReturnCounts(NamedTuple):
+    """How many beams were read as what."""
+
+    hit: int = 0
+    beyond_max_range: int = 0
+    """Finite, beyond --max-range: free up to --max-range."""
+    no_return: int = 0
+    """+inf, or at or above the sensor's limit."""
+    too_close: int = 0
+    """Zero, negative, -inf, or below the nearest range that counts."""
+    nan: int = 0
+
+    def __add__(self, other: tuple[int, ...]) -> Self:  # type: ignore[override]
+        return type(self)(*(mine + its for mine, its in zip(self, other, strict=True)))
+
+
+def interpret(posed: PosedScans, options: ReturnOptions) -> tuple[Rays, ReturnCounts]:
+    """Turn posed scans into rays in the map frame, and count what the range values meant.
+
+    A level sensor's beam at bearing a and range r ends at origin + r (cos a, sin a), turned by the
+    sensor's rotation (Thrun, Burgard, Fox 2005, ch. 6); a tilted one's beam is projected down.
+    """
+    kind, reach, counts = classify(posed.batch, options)
+    direction, in_plane = _project_bearings(posed)
+    origin = posed.position[..., :2]
+    rays = Rays(
+        origin=origin if origin.ndim == 3 else origin[:, None, :],
+        direction=direction,
+        distance=reach if in_plane is None else reach * in_plane,
+        kind=kind,
+        full_circle=goes_round(posed.batch),
+    )
+    return rays, counts
+
+
+def classify(batch: ScanBatch, options: ReturnOptions) -> tuple[UInt8, Float64, ReturnCounts]:
+    """Say for every range value what it means and how far the beam reached.
+
+    Returns
+    -------
+    kind, reach, counts
+        (S, B) of Kind; (S, B) m along the beam, 0 where SKIP; and the tally.
+    """
+    ranges = batch.ranges
+    sensor_limit = batch.range_max if options.range_max is None else options.range_max
+    free_reach = min(sensor_limit, options.max_range)
+    nearest = max(batch.range_min, options.min_range, float(np.finfo(np.float32).tiny))
+
+    no_return = ranges >= np.float32(sensor_limit)
+    close = ranges < np.float32(nearest)
+    within = ranges <= np.float32(options.max_range)
+    hit = within & ~no_return & ~close
+    beyond = ~within & ~no_return & ~np.isnan(ranges)
+
+    clears = options.no_return is NoReturn.CLEAR and math.isfinite(free_reach)
+    free = beyond | no_return if clears else beyond
+    kind = np.where(hit, np.uint8(Kind.HIT), free.astype(np.uint8) * np.uint8(Kind.FREE))
+    reach = np.where(hit, ranges, free * np.float32(free_reach if free.any() else 0.0))
+    counts = _count(hit, beyond, no_return, close)
+    return kind, reach.astype(np.float64), counts
+
+
+def _count(hit: Bool, beyond: Bool, no_return: Bool, close: Bool) -> ReturnCounts:
+    counts = [int(np.count_nonzero(mask)) for mask in (hit, beyond, no_return, close)]
+    hits, far, none, near = counts
+    return ReturnCounts(hits, far, none, near, hit.size - sum(counts))
+
+
+def goes_round(batch: ScanBatch) -> bool:
+    """Whether the beams go all the way round, to half an increment."""
+    beams = batch.ranges.shape[1]
+    return bool((beams + 0.5) * abs(batch.angle_increment) >= 2 * math.pi)
+
+
+def _project_bearings(posed: PosedScans) -> tuple[Float64, Float64 | None]:
+    """Turn every beam's bearing into the map.
+
+    Returns
+    -------
+    direction, in_plane
+        (S, B, 2) unit vectors, and (S, B) how long one metre of beam is on the map; None where all
+        sensors are level, so that it is 1.
+    """
+    batch = posed.batch
+    cosine, sine = _bearing_table(batch.angle_min, batch.angle_increment, batch.ranges.shape[1])
+    turn = posed.rotation if posed.rotation.ndim == 4 else posed.rotation[:, None]
+    direction = np.empty((*batch.ranges.shape, 2))
+    for axis in (0, 1):
+        np.multiply(turn[..., axis, 0], cosine, out=direction[..., axis])
+        direction[..., axis] += turn[..., axis, 1] * sine
+    tilted = np.any(np.abs(turn[..., 2, :2]) > LEVEL, axis=-1)
+    if not tilted.any():
+        return direction, None
+    in_plane = np.where(tilted, np.hypot(direction[..., 0], direction[..., 1]), 1.0)
+    direction /= np.maximum(in_plane, np.finfo(np.float64).tiny)[..., None]
+    return direction, in_plane
+
+
+@lru_cache(maxsize=64)
+def _bearing_table(angle_min: float, angle_increment: float, beams: int) -> tuple[Float64, Float64]:
+    """(B,) cosine and sine of every bearing: a log repeats its geometry thousands of times."""
+    bearings = angle_min + angle_increment * np.arange(beams)
+    return np.cos(bearings), np.sin(bearings)

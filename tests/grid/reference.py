@@ -1,0 +1,168 @@
+"""The grid rules written the slow, obvious way: one cell at a time, in Python integers.
+
+Every kernel must equal these cell by cell. Nothing here is shared with the kernels but the
+rounding of a coordinate to 1/256 of a cell, which is part of the rule.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+
+from occmap.types import Kind, Rays
+
+Cell = tuple[int, int]
+Point = tuple[int, int]
+
+
+def to_units(metres: float, resolution: float) -> int:
+    """Round half to even, as Python's round does."""
+    return round(metres / resolution * 256)
+
+
+def point(rays: Rays, s: int, b: int, distance: float, resolution: float) -> Point:
+    """x and y of the point on a beam at a distance, in lattice units."""
+    x, y = rays.origin[s, b if rays.origin.shape[1] > 1 else 0]
+    along_x, along_y = rays.direction[s, b]
+    return (
+        to_units(float(x) + distance * float(along_x), resolution),
+        to_units(float(y) + distance * float(along_y), resolution),
+    )
+
+
+def cell_of(spot: Point) -> Cell:
+    return spot[1] // 256, spot[0] // 256
+
+
+def bresenham(start: Cell, end: Cell) -> list[Cell]:
+    """All cells of a line; a tie goes to the cell nearer the end's row or column."""
+    n = max(abs(end[0] - start[0]), abs(end[1] - start[1]))
+    if n == 0:
+        return [start]
+
+    def at(i: int, a: int, b: int) -> int:
+        moved = math.floor(abs(b - a) * i / n + 0.5)
+        return a + moved if b > a else a - moved
+
+    return [(at(i, start[0], end[0]), at(i, start[1], end[1])) for i in range(n + 1)]
+
+
+def trace_beams(rays: Rays, resolution: float) -> tuple[Counter[Cell], Counter[Cell]]:
+    """Hits and misses of the beam update."""
+    hits: Counter[Cell] = Counter()
+    misses: Counter[Cell] = Counter()
+    for s, b in all_beams(rays):
+        if rays.kind[s, b] == Kind.SKIP:
+            continue
+        start = cell_of(point(rays, s, b, 0.0, resolution))
+        end = cell_of(point(rays, s, b, float(rays.distance[s, b]), resolution))
+        misses.update(bresenham(start, end)[:-1])
+        (hits if rays.kind[s, b] == Kind.HIT else misses)[end] += 1
+    return hits, misses
+
+
+def trace_polygons(
+    rays: Rays, resolution: float, jump: float = 0.2, border_gap: int = 8
+) -> tuple[Counter[Cell], Counter[Cell]]:
+    """Hits and misses of the polygon update."""
+    hits: Counter[Cell] = Counter()
+    misses: Counter[Cell] = Counter()
+    for s in range(rays.kind.shape[0]):
+        border = find_border(rays, s, resolution, jump, border_gap)
+        regions = [
+            outline(rays, s, run, resolution, jump) for run in find_runs(rays, s)
+        ]
+        hits.update(border)
+        misses.update(
+            cell
+            for cell in cells_around(regions)
+            if cell not in border and any(winds_around(region, cell) for region in regions)
+        )
+    return hits, misses
+
+
+def all_beams(rays: Rays) -> Iterator[tuple[int, int]]:
+    scans, beams = rays.kind.shape
+    return ((s, b) for s in range(scans) for b in range(beams))
+
+
+def neighbours(rays: Rays) -> list[tuple[int, int]]:
+    """Pairs of beams that lie side by side."""
+    beams = rays.kind.shape[1]
+    pairs = [(b, b + 1) for b in range(beams - 1)]
+    return [*pairs, (beams - 1, 0)] if rays.full_circle else pairs
+
+
+def find_border(rays: Rays, s: int, resolution: float, jump: float, border_gap: int) -> set[Cell]:
+    ends = {
+        b: cell_of(point(rays, s, b, float(rays.distance[s, b]), resolution))
+        for b in range(rays.kind.shape[1])
+        if rays.kind[s, b] == Kind.HIT
+    }
+    border = set(ends.values())
+    for a, b in neighbours(rays):
+        if a not in ends or b not in ends:
+            continue
+        gap = max(abs(ends[a][0] - ends[b][0]), abs(ends[a][1] - ends[b][1]))
+        if abs(rays.distance[s, a] - rays.distance[s, b]) <= jump and gap <= border_gap:
+            border.update(bresenham(ends[a], ends[b]))
+    return border
+
+
+def find_runs(rays: Rays, s: int) -> list[tuple[list[int], bool]]:
+    """Runs of consecutive beams that are not SKIP, and whether a run closes on itself."""
+    used = [b for b in range(rays.kind.shape[1]) if rays.kind[s, b] != Kind.SKIP]
+    beside = dict(neighbours(rays))
+    if rays.full_circle and len(used) == rays.kind.shape[1]:
+        return [(used, True)]
+    followers = {beside[b] for b in used if b in beside}
+    runs = []
+    for start in (b for b in used if b not in followers):
+        run = [start]
+        while beside.get(run[-1]) in used:
+            run.append(beside[run[-1]])
+        runs.append((run, False))
+    return runs
+
+
+def outline(
+    rays: Rays, s: int, run: tuple[list[int], bool], resolution: float, jump: float
+) -> list[Point]:
+    """The corners of a region, in order."""
+    beams, closed = run
+    corners = [] if closed else [point(rays, s, beams[0], 0.0, resolution)]
+    for i, b in enumerate(beams):
+        if i > 0 or closed:
+            a = beams[i - 1]
+            far_a, far_b = float(rays.distance[s, a]), float(rays.distance[s, b])
+            if far_b - far_a > jump:
+                corners.append(point(rays, s, b, far_a, resolution))
+            elif far_a - far_b > jump:
+                corners.append(point(rays, s, a, far_b, resolution))
+        corners.append(point(rays, s, b, float(rays.distance[s, b]), resolution))
+    return corners
+
+
+def cells_around(regions: list[list[Point]]) -> set[Cell]:
+    """Every cell of the bounding boxes."""
+    cells = set()
+    for region in regions:
+        xs, ys = [x // 256 for x, _ in region], [y // 256 for _, y in region]
+        cells |= {
+            (row, col)
+            for row in range(min(ys), max(ys) + 1)
+            for col in range(min(xs), max(xs) + 1)
+        }
+    return cells
+
+
+def winds_around(region: list[Point], cell: Cell) -> bool:
+    """Whether the region goes round the cell's centre; a centre on a left or lower edge is in."""
+    x, y = cell[1] * 256 + 128, cell[0] * 256 + 128
+    winding = 0
+    for (x0, y0), (x1, y1) in zip(region, region[1:] + region[:1], strict=True):
+        side = (x1 - x0) * (y - y0) - (x - x0) * (y1 - y0)
+        if y0 <= y < y1 and side <= 0:  # an edge going up, at or left of the centre
+            winding += 1
+        if y1 <= y < y0 and side >= 0:
+            winding -= 1
+    return winding != 0
