@@ -6,14 +6,12 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
 from occmap.batching import Batcher, Selection
 from occmap.errors import LogError, PoseError, UsageError
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.readers import Log, Role, open_log
-from occmap.report import Report, Tally, measure_extent
+from occmap.report import Made, Report, Tally, measure_shares
 from occmap.sensor.models import RadialModel, SensorModel, SimpleModel, describe_model
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Float64, Int64, OccupancyMap, Scan, ScanBatch, Update, to_log_odds
@@ -40,10 +38,10 @@ class BuildOptions:
     """Side of a cell (m)"""
     update: Update = DEFAULT_UPDATE
     model: SensorModel = field(default_factory=SimpleModel)
-    returns: ReturnOptions = ReturnOptions()
-    posing: PosingOptions = PosingOptions()
-    selection: Selection = Selection()
-    writing: WriteOptions = WriteOptions()
+    returns: ReturnOptions = field(default_factory=ReturnOptions)
+    posing: PosingOptions = field(default_factory=PosingOptions)
+    selection: Selection = field(default_factory=Selection)
+    writing: WriteOptions = field(default_factory=WriteOptions)
     jump: float = 0.2
     """Neighbouring beams see one surface where ranges differ by at most this (m; polygon)"""
     border_gap: int = 8
@@ -62,14 +60,6 @@ class BuildOptions:
             raise UsageError(
                 f"a border gap of {self.border_gap} cells is not possible", fix="give 0 to 1000"
             )
-
-
-class Made(NamedTuple):
-    """What a report names."""
-
-    logs: list[str]
-    notes: list[str]
-    files: list[str]
 
 
 class Build(NamedTuple):
@@ -117,8 +107,8 @@ def build(
             for path in outputs
             for file in find_writer(path).write(path, grid, options.writing)
         ]
-    names = [str(log.path) for log in logs]
-    return Build(grid, make_report(grid, options, tally, Made(names, notes, files)))
+    made = Made([str(log.path) for log in logs], notes, files)
+    return Build(grid, make_report(grid, options, tally, made))
 
 
 def check_outputs(outputs: Sequence[Path]) -> None:
@@ -287,15 +277,6 @@ def render(evidence: "TileGrid", model: SensorModel, max_cells: int) -> Occupanc
 def make_report(grid: OccupancyMap, options: BuildOptions, tally: Tally, made: Made) -> Report:
     """Sum up what was done."""
     rows, cols = grid.shape
-    writing = options.writing
-    occupied, free, seen = (
-        int(np.count_nonzero(mask)) / (rows * cols)
-        for mask in (
-            grid.is_occupied(writing.occupied_thresh),
-            grid.is_free(writing.free_thresh),
-            grid.observed,
-        )
-    )
     return Report(
         logs=tuple(made.logs),
         scans_read=tally.scans_read,
@@ -307,10 +288,8 @@ def make_report(grid: OccupancyMap, options: BuildOptions, tally: Tally, made: M
         model=describe_model(options.model),
         resolution=options.resolution,
         cells=(cols, rows),
-        extent=measure_extent(grid),
-        occupied=occupied,
-        free=free,
-        unknown=1 - seen,
+        extent=grid.extent,
+        shares=measure_shares(grid, options.writing),
         seconds=dict(tally.seconds),
         files=tuple(made.files),
     )

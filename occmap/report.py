@@ -5,10 +5,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from threading import Lock
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from occmap.sensor.returns import ReturnCounts
 from occmap.types import OccupancyMap
+from occmap.writers import WriteOptions
 
 
 class Tally:
@@ -64,10 +67,8 @@ class Report:
     """Columns and rows of the map"""
     extent: tuple[float, float, float, float]
     """Lowest x and y, highest x and y (m)"""
-    occupied: float
-    """Share of the map's cells that are at or above the occupied threshold"""
-    free: float
-    unknown: float
+    shares: tuple[float, float, float]
+    """Of the map's cells that are occupied, free and unknown, at the writers' thresholds"""
     seconds: dict[str, float] = field(default_factory=dict)
     """By stage; where threads work at the same time, their times add up"""
     files: tuple[str, ...] = ()
@@ -85,9 +86,7 @@ class Report:
                 "columns": self.cells[0],
                 "rows": self.cells[1],
                 "extent": list(self.extent),
-                "occupied": self.occupied,
-                "free": self.free,
-                "unknown": self.unknown,
+                **dict(zip(("occupied", "free", "unknown"), self.shares, strict=True)),
             },
             "notes": list(self.notes),
             "files": list(self.files),
@@ -95,8 +94,20 @@ class Report:
         }
 
 
-def measure_extent(grid: OccupancyMap) -> tuple[float, float, float, float]:
-    """Lowest x and y, highest x and y of a map (m)."""
-    rows, cols = grid.shape
-    x, y = grid.origin
-    return x, y, x + cols * grid.resolution, y + rows * grid.resolution
+class Made(NamedTuple):
+    """What a report names."""
+
+    logs: list[str]
+    notes: list[str]
+    files: list[str]
+
+
+def measure_shares(grid: OccupancyMap, writing: WriteOptions) -> tuple[float, float, float]:
+    """Shares of a map's cells that are occupied, free and unknown."""
+    masks = (
+        grid.is_occupied(writing.occupied_thresh),
+        grid.is_free(writing.free_thresh),
+        ~grid.observed,
+    )
+    occupied, free, unknown = (int(np.count_nonzero(mask)) / mask.size for mask in masks)
+    return occupied, free, unknown

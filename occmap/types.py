@@ -206,6 +206,12 @@ class OccupancyMap:
         return free
 
     @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Lowest x and y, highest x and y (m)."""
+        (rows, cols), (x, y) = self.shape, self.origin
+        return x, y, x + cols * self.resolution, y + rows * self.resolution
+
+    @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
         rows, cols = self.log_odds.shape

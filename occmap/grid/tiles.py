@@ -94,8 +94,8 @@ class TileGrid:
     def observed(self, tile: Tile) -> Bool:
         """(TILE, TILE): which cells of a tile anything was observed in."""
         if self.kind is EvidenceKind.COUNTS:
-            return (tile[0] != 0) | (tile[1] != 0)
-        return tile[1] != 0
+            return np.asarray((tile[0] != 0) | (tile[1] != 0))
+        return np.asarray(tile[1] != 0)
 
     def find_bounds(self) -> CellBox:
         """The smallest box around all observed cells.

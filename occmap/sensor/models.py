@@ -21,7 +21,10 @@ class CountModel(Protocol):
 
     name: ClassVar[str]
     description: ClassVar[str]
-    prior: float
+
+    @property
+    def prior(self) -> float:
+        """Probability of a cell that nothing observed."""
 
     def log_odds(self, hits: Int64, misses: Int64) -> Float64:
         """Log-odds of being occupied, in the shape of the counts."""
@@ -33,7 +36,10 @@ class RadialModel(Protocol):
 
     name: ClassVar[str]
     description: ClassVar[str]
-    prior: float
+
+    @property
+    def prior(self) -> float:
+        """Probability of a cell that nothing observed."""
 
     def depth(self, resolution: float) -> float:
         """How far before and behind the range the hit reaches (m)."""

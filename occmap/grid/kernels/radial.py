@@ -266,7 +266,7 @@ def _outline_sectors(
 @kernel
 def _observe_span(
     at: tuple[int, int, int],
-    span: tuple[int, int],
+    span: tuple[np.int64, np.int64],
     covering: Int32,
     ranges: Float64,
     kinds: UInt8,
