@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than al
     from occmap.grid.engine import GridEngine
     from occmap.grid.tiles import TileGrid
 
-DEFAULT_UPDATE = Update.POLYGON
+DEFAULT_UPDATE = Update.BEAM
 MAX_CELLS = 10**9
 
 Progress = Callable[[int, int], None]
@@ -91,23 +91,24 @@ def build(
     check_outputs(outputs)
     with tally.time("open"):
         logs = [open_log(path) for path in paths]
+    total = sum(count_scans(log, options.selection.topics) for log in logs)
+
+    def advance(scans: int) -> None:
+        progress(scans, total)
+
     engine = make_engine(options)
-    notes = []
+    made = Made([str(log.path) for log in logs])
     for log in logs:
-        poser = trace_log(log, options, engine, tally, progress)
-        notes += [f"{log.path}: {text}" for text in (*poser.notes, *(n.text for n in log.notes))]
+        poser = trace_log(log, options, engine, tally, advance)
+        made.note(log, poser.notes)
     refuse_unused(logs, tally)
     with tally.time("fold"):
         evidence = engine.finish()
     with tally.time("render"):
         grid = render(evidence, options.model, options.max_cells)
     with tally.time("write"):
-        files = [
-            str(file)
-            for path in outputs
-            for file in find_writer(path).write(path, grid, options.writing)
-        ]
-    made = Made([str(log.path) for log in logs], notes, files)
+        for path in outputs:
+            made.files += map(str, find_writer(path).write(path, grid, options.writing))
     return Build(grid, make_report(grid, options, tally, made))
 
 
@@ -129,13 +130,16 @@ def check_outputs(outputs: Sequence[Path]) -> None:
 
 
 def trace_log(
-    log: Log, options: BuildOptions, engine: "GridEngine", tally: Tally, progress: Progress
+    log: Log,
+    options: BuildOptions,
+    engine: "GridEngine",
+    tally: Tally,
+    advance: Callable[[int], None],
 ) -> Poser:
     """Read a log twice: the poses, which are small, then the scans as a stream."""
     topics = choose_topics(log, options.selection.topics)
     with tally.time("poses"):
         poser = make_poser(log, topics, options.posing)
-    total = sum(stream.count for stream in log.streams if stream.topic in topics)
     batcher = Batcher(options.selection, by_record_time=options.posing.stamps is Stamps.RECORD)
 
     def trace(batch: ScanBatch) -> None:
@@ -153,7 +157,7 @@ def trace_log(
     with Workers(trace, options.jobs) as workers:
         for batch in timed(batcher.stack(log.scans(topics)), tally):
             workers.give(batch)
-            progress(len(batch.stamp_ns), total)
+            advance(len(batch.stamp_ns))
     tally.scans_read += batcher.read
     tally.drop(dict(batcher.left_out))
     return poser
@@ -179,6 +183,18 @@ def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
             fix=f"it has scans on {', '.join(there)}",
         )
     return [topic for topic in there if topic in wanted or not wanted]
+
+
+def count_scans(log: Log, wanted: Sequence[str]) -> int:
+    """Count the scans that will be read.
+
+    Raises
+    ------
+    LogError
+        As `choose_topics`.
+    """
+    topics = choose_topics(log, wanted)
+    return sum(stream.count for stream in log.streams if stream.topic in topics)
 
 
 def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser:
@@ -284,6 +300,7 @@ def make_report(grid: OccupancyMap, options: BuildOptions, tally: Tally, made: M
         dropped=dict(tally.dropped),
         beams=tally.beams,
         notes=tuple(made.notes),
+        damage=tuple(made.damage),
         update=options.update.value,
         model=describe_model(options.model),
         resolution=options.resolution,

@@ -147,21 +147,40 @@ class Update(StrEnum):
 class Rays:
     """Beams of S scans in the map frame; what each range value means is decided.
 
-    A beam ends at `origin + distance * direction`. `origin` has K = 1 where a scan has one
-    viewpoint, or K = B where every beam has its own. The direction is also right where `kind` is
-    SKIP; the distance is then 0.
+    A beam ends at `origin + distance * direction`. Directions are kept as one table of bearings for
+    all scans and a turn for each, so that a batch stays in a core's cache. `origin` and `turn` have
+    K = 1 where a scan has one viewpoint, or K = B where every beam has its own.
     """
 
     origin: Float64
     """(S, K, 2) m"""
-    direction: Float64
-    """(S, B, 2) unit vectors in the map plane"""
-    distance: Float64
-    """(S, B) m from origin to end in the map plane"""
+    turn: Float64
+    """(S, K, 2, 2): takes a bearing in the sensor's plane to the map plane"""
+    bearing: Float64
+    """(B, 2) unit vectors in the sensor's plane"""
+    distance: Float32
+    """(S, B) m along the beam; 0 where SKIP"""
     kind: UInt8
     """(S, B) of Kind"""
     full_circle: bool
     """The last beam and the first are neighbours: the scans go all the way round"""
+
+    @classmethod
+    def along(
+        cls, origin: Float64, direction: Float64, distance: Float32, kind: UInt8, full_circle: bool
+    ) -> Self:
+        """Build from a direction for every beam, (S, B, 2)."""
+        turn = np.stack([direction, np.zeros_like(direction)], axis=-1)
+        bearing = np.tile([1.0, 0.0], (direction.shape[1], 1))
+        return cls(origin, turn, bearing, distance.astype(np.float32), kind, full_circle)
+
+    @property
+    def direction(self) -> Float64:
+        """(S, B, 2): of length 1, or less where a tilted beam is projected down."""
+        turned: Float64 = (
+            self.turn[..., 0] * self.bearing[:, :1] + self.turn[..., 1] * self.bearing[:, 1:]
+        )
+        return turned
 
     @property
     def end(self) -> Float64:

@@ -1,5 +1,6 @@
 """The grid engine: takes rays from any number of threads, gives one grid of evidence."""
 
+from dataclasses import replace
 from threading import Lock
 
 import numpy as np
@@ -53,38 +54,32 @@ class GridEngine:
         projected = project(rays, self.what)
         refuse_long_beams(projected, self.what.lattice.resolution)
         if projected.box.cells <= self._window_cells:
-            self._trace(projected, projected.box)
+            self._trace(projected)
         elif projected.box.cells > MOST_PARTS * self._window_cells and len(rays.kind) > 1:
             self._add_halves(rays)
         else:
             for part in split_box(projected.box, self._window_cells):
-                self._trace(projected, part)
+                window = self._window_type(self.what, part)
+                window.observe(projected)
+                self._empty(window)
 
     def _add_halves(self, rays: Rays) -> None:
         middle = len(rays.kind) // 2
         self.add(slice_scans(rays, slice(None, middle)))
         self.add(slice_scans(rays, slice(middle, None)))
 
-    def _trace(self, projected: Projected, box: CellBox) -> None:
-        """Trace what lies in a box, in a window that nobody else is writing to."""
+    def _trace(self, projected: Projected) -> None:
+        """Trace in a window that nobody else is writing to, with room for the scans to come."""
         with self._lock:
             window = self._idle.pop() if self._idle else None
-        observations = projected.rays.kind.size
-        if window is not None and not (
-            window.box.contains(box)
-            and window.observations + observations <= window.most_observations
-        ):
+        if window is not None and not window.has_room(projected):
             self._empty(window)
             window = None
         if window is None:
-            window = self._window_type(self.what, add_room(box, self._window_cells))
-        window.trace(projected)
-        window.observations += observations
-        if window.box.contains(projected.box):
-            with self._lock:
-                self._idle.append(window)
-        else:
-            self._empty(window)
+            window = self._window_type(self.what, add_room(projected.box, self._window_cells))
+        window.observe(projected)
+        with self._lock:
+            self._idle.append(window)
 
     def _empty(self, window: Window) -> None:
         first, second = window.read()
@@ -135,12 +130,12 @@ def refuse_long_beams(projected: Projected, resolution: float) -> None:
 
 def slice_scans(rays: Rays, scans: slice) -> Rays:
     """Take some of the scans."""
-    return Rays(
-        rays.origin[scans],
-        rays.direction[scans],
-        rays.distance[scans],
-        rays.kind[scans],
-        rays.full_circle,
+    return replace(
+        rays,
+        origin=rays.origin[scans],
+        turn=rays.turn[scans],
+        distance=rays.distance[scans],
+        kind=rays.kind[scans],
     )
 
 
@@ -148,7 +143,7 @@ def join_viewpoints(rays: Rays) -> Rays:
     """See each scan from one point, where its beams have a viewpoint each.
 
     A scan's region needs one sensor to be closed through; the middle beam's is taken. The ends of
-    the beams stay where they are.
+    the beams stay where they are, to the rounding of a float32.
     """
     if rays.origin.shape[1] == 1:
         return rays
@@ -157,4 +152,4 @@ def join_viewpoints(rays: Rays) -> Rays:
     distance = np.hypot(offset[..., 0], offset[..., 1])
     seen = (distance > 0)[..., None] & (rays.kind > 0)[..., None]
     direction = np.where(seen, offset / np.maximum(distance, 1e-300)[..., None], rays.direction)
-    return Rays(middle, direction, distance, rays.kind, rays.full_circle)
+    return Rays.along(middle, direction, distance, rays.kind, rays.full_circle)

@@ -81,9 +81,14 @@ class Lattice:
                 fix="give the side of a cell in metres, such as --resolution 0.05",
             )
 
+    @property
+    def units_per_metre(self) -> float:
+        """Lattice units in a metre; a coordinate is multiplied by this and rounded, once."""
+        return SUBCELLS / self.resolution
+
     def to_units(self, metres: Float64) -> Int64:
         """Round coordinates in metres, of any shape, to lattice units."""
-        return np.rint(metres / self.resolution * SUBCELLS).astype(np.int64)
+        return np.rint(metres * self.units_per_metre).astype(np.int64)
 
     def to_cell(self, x: float, y: float) -> tuple[int, int]:
         """The (row, col) of the cell that holds a point."""

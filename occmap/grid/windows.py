@@ -19,7 +19,7 @@ from occmap.grid.kernels.project import project_ends
 from occmap.grid.kernels.radial import COUNT_BITS, trace_radial_beams, trace_radial_polygons
 from occmap.grid.lattice import SUBCELL_BITS, SUBCELLS, CellBox, Lattice
 from occmap.grid.tiles import LOG_ODDS_UNIT
-from occmap.types import Float64, Int64, Kind, Rays, Update
+from occmap.types import Float64, Int64, Rays, Update
 
 
 @dataclass(frozen=True)
@@ -84,17 +84,21 @@ class Projected:
 
 def project(rays: Rays, what: Observation) -> Projected:
     """Round rays to the lattice, once."""
-    reach = rays.distance
-    if what.radial is not None:
-        reach = reach + what.radial.depth * (rays.kind == Kind.HIT)
-    ends = np.empty((*reach.shape, 2), np.int64)
-    resolution = what.lattice.resolution
+    depth = 0.0 if what.radial is None else what.radial.depth
+    ends = np.empty((*rays.kind.shape, 2), np.int64)
     low_x, low_y, high_x, high_y = project_ends(
-        rays.origin, rays.direction, reach, resolution, ends
+        rays.origin,
+        rays.turn,
+        rays.bearing,
+        rays.distance,
+        rays.kind,
+        depth,
+        what.lattice.units_per_metre,
+        ends,
     )
     origins = what.lattice.to_units(rays.origin)
     (left, bottom), (right, top) = origins.min(axis=(0, 1)), origins.max(axis=(0, 1))
-    margin = 1 + _reach_beside(rays, reach, resolution, what)
+    margin = 1 + _reach_beside(rays, what)
     box = CellBox(
         int(min(low_y, bottom) >> SUBCELL_BITS) - margin,
         int(min(low_x, left) >> SUBCELL_BITS) - margin,
@@ -104,12 +108,13 @@ def project(rays: Rays, what: Observation) -> Projected:
     return Projected(rays, origins, ends, box)
 
 
-def _reach_beside(rays: Rays, reach: Float64, resolution: float, what: Observation) -> int:
+def _reach_beside(rays: Rays, what: Observation) -> int:
     """How many cells beside their ends beams have a say in: half-way to their neighbours."""
-    if what.radial is None or what.update is Update.BEAM or reach.shape[1] < 2:
+    if what.radial is None or what.update is Update.BEAM or rays.kind.shape[1] < 2:
         return 0
-    spread = np.abs(np.diff(rays.direction, axis=1)).max()
-    return int(reach.max() * min(2 * spread, 1.0) / resolution) + 2
+    spread = float(np.abs(np.diff(rays.direction, axis=1)).max())
+    reach = float(rays.distance.max()) + what.radial.depth
+    return int(reach * min(2 * spread, 1.0) / what.lattice.resolution) + 2
 
 
 class Window(ABC):
@@ -128,9 +133,19 @@ class Window(ABC):
     def allocate(self, rows: int, cols: int) -> None:
         """Make empty arrays."""
 
+    def has_room(self, projected: Projected) -> bool:
+        """Whether rays lie wholly in the box and cannot make a number overflow."""
+        observations = self.observations + projected.rays.kind.size
+        return self.box.contains(projected.box) and observations <= self.most_observations
+
+    def observe(self, projected: Projected) -> None:
+        """Observe what lies in the box."""
+        self.trace(projected)
+        self.observations += projected.rays.kind.size
+
     @abstractmethod
     def trace(self, projected: Projected) -> None:
-        """Observe what lies in the box."""
+        """Call the kernel."""
 
     @abstractmethod
     def read(self) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -182,13 +197,13 @@ class PolygonWindow(Window):
     def allocate(self, rows: int, cols: int) -> None:
         self.hits = np.zeros((rows, cols), np.int32)
         self.runs = np.zeros(rows * (cols + 1), np.int32)
-        self.marks = np.zeros((rows, cols), np.int32)
+        self.marks = np.zeros(rows * cols, np.int32)
         self.scans = 0
 
     def trace(self, projected: Projected) -> None:
         rays, what = projected.rays, self.what
         surfaces = Surfaces(
-            what.lattice.resolution,
+            what.lattice.units_per_metre,
             what.jump,
             what.border_gap,
             rays.full_circle,
@@ -196,8 +211,9 @@ class PolygonWindow(Window):
             self.box.row * SUBCELLS,
         )
         trace_polygons(
-            np.ascontiguousarray(rays.origin[:, 0]),
-            rays.direction,
+            rays.origin,
+            rays.turn,
+            rays.bearing,
             rays.distance,
             projected.ends,
             rays.kind,
@@ -243,13 +259,16 @@ class RadialBeamWindow(RadialWindow):
     """A radial model along each beam."""
 
     def trace(self, projected: Projected) -> None:
-        to_units = SUBCELLS / self.what.lattice.resolution
+        rays, units_per_metre = projected.rays, self.what.lattice.units_per_metre
         trace_radial_beams(
             self.to_corner(projected.origins),
             self.to_corner(projected.ends),
-            projected.rays.distance * to_units,
-            projected.rays.kind,
-            self.tables.depth * to_units,
+            rays.turn,
+            rays.bearing,
+            rays.distance,
+            rays.kind,
+            units_per_metre,
+            self.tables.depth * units_per_metre,
             self.tables.free,
             self.tables.hit,
             self.cells,
@@ -262,12 +281,13 @@ class RadialPolygonWindow(RadialWindow):
     def trace(self, projected: Projected) -> None:
         rays = projected.rays
         trace_radial_polygons(
-            np.ascontiguousarray(rays.origin[:, 0]),
-            rays.direction,
+            rays.origin,
+            rays.turn,
+            rays.bearing,
             rays.distance,
             rays.kind,
             rays.full_circle,
-            self.what.lattice.resolution,
+            self.what.lattice.units_per_metre,
             self.tables.depth,
             self.corner,
             self.tables.free,

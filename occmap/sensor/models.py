@@ -112,8 +112,8 @@ class QuadraticModel:
     )
 
     epsilon: float = 0.0
-    """Half the depth of a hit (m); 0 means one cell"""
-    p_min: float = 0.1
+    """Half the depth of a hit (m); 0 means half a cell"""
+    p_min: float = 0.4
     """No single observation is surer than this"""
     prior: float = 0.5
 
@@ -122,11 +122,11 @@ class QuadraticModel:
         if not (math.isfinite(self.epsilon) and self.epsilon >= 0):
             raise UsageError(f"epsilon {self.epsilon} m is not possible", fix="try --epsilon 0.05")
         if self.p_min >= 0.5:
-            raise UsageError(f"p_min {self.p_min} leaves no evidence", fix="try --p-min 0.1")
+            raise UsageError(f"p_min {self.p_min} leaves no evidence", fix="try --p-min 0.4")
 
     def depth(self, resolution: float) -> float:
-        """Epsilon, or one cell."""
-        return self.epsilon or resolution
+        """Epsilon, or half a cell."""
+        return self.epsilon or resolution / 2
 
     def free(self, u: Float64) -> Float64:
         """V = 1 - u, so p = u / 2, within [p_min, 1 - p_min]."""

@@ -12,10 +12,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.types import Bool, Float64, Kind, PosedScans, Rays, ScanBatch, UInt8
-
-LEVEL = 1e-9
-"""A sensor whose beams rise less than this (as a sine) is level: its ranges lie in the plane."""
+from occmap.types import Bool, Float32, Float64, Kind, PosedScans, Rays, ScanBatch, UInt8
 
 
 class NoReturn(StrEnum):
@@ -69,20 +66,23 @@ def interpret(posed: PosedScans, options: ReturnOptions) -> tuple[Rays, ReturnCo
     A level sensor's beam at bearing a and range r ends at origin + r (cos a, sin a), turned by the
     sensor's rotation (Thrun, Burgard, Fox 2005, ch. 6); a tilted one's beam is projected down.
     """
-    kind, reach, counts = classify(posed.batch, options)
-    direction, in_plane = _project_bearings(posed)
-    origin = posed.position[..., :2]
+    batch = posed.batch
+    kind, distance, counts = classify(batch, options)
+    origin, turn = posed.position[..., :2], posed.rotation[..., :2, :2]
+    if origin.ndim == 2:
+        origin, turn = origin[:, None], turn[:, None]
     rays = Rays(
-        origin=origin if origin.ndim == 3 else origin[:, None, :],
-        direction=direction,
-        distance=reach if in_plane is None else reach * in_plane,
+        origin=np.ascontiguousarray(origin),
+        turn=np.ascontiguousarray(turn),
+        bearing=tabulate_bearings(batch.angle_min, batch.angle_increment, batch.ranges.shape[1]),
+        distance=distance,
         kind=kind,
-        full_circle=goes_round(posed.batch),
+        full_circle=goes_round(batch),
     )
     return rays, counts
 
 
-def classify(batch: ScanBatch, options: ReturnOptions) -> tuple[UInt8, Float64, ReturnCounts]:
+def classify(batch: ScanBatch, options: ReturnOptions) -> tuple[UInt8, Float32, ReturnCounts]:
     """Say for every range value what it means and how far the beam reached.
 
     Returns
@@ -106,7 +106,7 @@ def classify(batch: ScanBatch, options: ReturnOptions) -> tuple[UInt8, Float64, 
     kind = np.where(hit, np.uint8(Kind.HIT), free.astype(np.uint8) * np.uint8(Kind.FREE))
     reach = np.where(hit, ranges, free * np.float32(free_reach if free.any() else 0.0))
     counts = _count(hit, beyond, no_return, close)
-    return kind, reach.astype(np.float64), counts
+    return kind, reach, counts
 
 
 def _count(hit: Bool, beyond: Bool, no_return: Bool, close: Bool) -> ReturnCounts:
@@ -121,32 +121,8 @@ def goes_round(batch: ScanBatch) -> bool:
     return bool((beams + 0.5) * abs(batch.angle_increment) >= 2 * math.pi)
 
 
-def _project_bearings(posed: PosedScans) -> tuple[Float64, Float64 | None]:
-    """Turn every beam's bearing into the map.
-
-    Returns
-    -------
-    direction, in_plane
-        (S, B, 2) unit vectors, and (S, B) how long one metre of beam is on the map; None where all
-        sensors are level, so that it is 1.
-    """
-    batch = posed.batch
-    cosine, sine = _bearing_table(batch.angle_min, batch.angle_increment, batch.ranges.shape[1])
-    turn = posed.rotation if posed.rotation.ndim == 4 else posed.rotation[:, None]
-    direction = np.empty((*batch.ranges.shape, 2))
-    for axis in (0, 1):
-        np.multiply(turn[..., axis, 0], cosine, out=direction[..., axis])
-        direction[..., axis] += turn[..., axis, 1] * sine
-    tilted = np.any(np.abs(turn[..., 2, :2]) > LEVEL, axis=-1)
-    if not tilted.any():
-        return direction, None
-    in_plane = np.where(tilted, np.hypot(direction[..., 0], direction[..., 1]), 1.0)
-    direction /= np.maximum(in_plane, np.finfo(np.float64).tiny)[..., None]
-    return direction, in_plane
-
-
 @lru_cache(maxsize=64)
-def _bearing_table(angle_min: float, angle_increment: float, beams: int) -> tuple[Float64, Float64]:
-    """(B,) cosine and sine of every bearing: a log repeats its geometry thousands of times."""
+def tabulate_bearings(angle_min: float, angle_increment: float, beams: int) -> Float64:
+    """(B, 2) unit vectors of every bearing: a log repeats its geometry thousands of times."""
     bearings = angle_min + angle_increment * np.arange(beams)
-    return np.cos(bearings), np.sin(bearings)
+    return np.column_stack([np.cos(bearings), np.sin(bearings)])

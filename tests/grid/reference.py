@@ -16,7 +16,7 @@ Point = tuple[int, int]
 
 def to_units(metres: float, resolution: float) -> int:
     """Round half to even, as Python's round does."""
-    return round(metres / resolution * 256)
+    return round(metres * (256 / resolution))
 
 
 def point(rays: Rays, s: int, b: int, distance: float, resolution: float) -> Point:
@@ -103,7 +103,8 @@ def find_border(rays: Rays, s: int, resolution: float, jump: float, border_gap: 
         if a not in ends or b not in ends:
             continue
         gap = max(abs(ends[a][0] - ends[b][0]), abs(ends[a][1] - ends[b][1]))
-        if abs(rays.distance[s, a] - rays.distance[s, b]) <= jump and gap <= border_gap:
+        apart = abs(float(rays.distance[s, a]) - float(rays.distance[s, b]))
+        if apart <= jump and gap <= border_gap:
             border.update(bresenham(ends[a], ends[b]))
     return border
 

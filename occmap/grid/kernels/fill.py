@@ -13,6 +13,10 @@ from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.jit import kernel
 from occmap.types import Bool, Int64
 
+PADDING = 8
+"""Limits of spans that a row has at least, so that most rows are searched without a branch."""
+NOWHERE = 2**31 - 1
+
 
 @kernel
 def cross_rows(
@@ -80,7 +84,10 @@ def _insert(buckets: Int32, row: int, place: int, crossing: int) -> None:
 
 @kernel
 def make_spans(buckets: Int32, counts: Int64, cols: int) -> None:
-    """Turn each row's crossings, in place, into first column and last + 1 of its spans."""
+    """Turn each row's crossings, in place, into first column and last + 1 of its spans.
+
+    A row with fewer than `PADDING` limits of spans is padded with limits beyond every column.
+    """
     for row in range(counts.size):
         winding, first, place = 0, 0, 0
         for i in range(counts[row]):
@@ -94,3 +101,5 @@ def make_spans(buckets: Int32, counts: Int64, cols: int) -> None:
                 buckets[np.uint64(row), np.uint64(place + 1)] = col
                 place += 2
         counts[row] = place
+        for i in range(place, PADDING):
+            buckets[np.uint64(row), np.uint64(i)] = NOWHERE

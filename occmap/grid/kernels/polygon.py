@@ -11,19 +11,19 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.grid.kernels.arrays import Int32
-from occmap.grid.kernels.fill import cross_rows, make_spans
+from occmap.grid.kernels.fill import PADDING, cross_rows, make_spans
 from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.project import round_to_units
-from occmap.types import Bool, Float64, Int64, UInt8
+from occmap.types import Bool, Float32, Float64, Int64, UInt8
 
 
 class Surfaces(NamedTuple):
     """Which neighbouring beams see one surface, and the lattice that they are on."""
 
-    resolution: float
-    """m"""
+    units_per_metre: float
+    """Of the lattice"""
     jump: float
-    """Neighbours see one surface where their distances differ by at most this (m)"""
+    """Neighbours see one surface where their ranges differ by at most this (m)"""
     border_gap: int
     """... and the border is closed between their end cells where these are at most so far apart"""
     full_circle: bool
@@ -37,8 +37,9 @@ class Surfaces(NamedTuple):
 @kernel
 def trace_polygons(
     origin: Float64,
-    direction: Float64,
-    distance: Float64,
+    turn: Float64,
+    bearing: Float64,
+    distance: Float32,
     ends: Int64,
     kinds: UInt8,
     surfaces: Surfaces,
@@ -51,13 +52,13 @@ def trace_polygons(
 
     Parameters
     ----------
-    origin, direction, distance, kinds
-        (S, 2) m, (S, B, 2), (S, B) m, (S, B) as in `Rays`.
+    origin, turn, bearing, distance, kinds
+        (S, 1, 2), (S, K, 2, 2), (B, 2), (S, B), (S, B) as in `Rays`.
     ends
         (S, B, 2) x and y in lattice units of the world.
     hits, runs, marks
-        (H, W) counts; H x (W + 1), flat, changes of the misses along rows; (H, W) the last scan
-        whose border a cell was in, counted from `mark` + 1, none above `mark` before.
+        (H, W) counts; H x (W + 1), flat, changes of the misses along rows; H x W, flat, the last
+        scan whose border a cell was in, counted from `mark` + 1, none above `mark` before.
     """
     scans, beams = kinds.shape
     rows, cols = hits.shape
@@ -67,7 +68,7 @@ def trace_polygons(
     border = np.empty((beams * (surfaces.border_gap + 1), 2), np.int64)
     for s in range(scans):
         corners = outline_scan(
-            origin[s], direction[s], distance[s], ends[s], kinds[s], surfaces, x, y, begins
+            origin[s, 0], turn[s], bearing, distance[s], ends[s], kinds[s], surfaces, x, y, begins
         )
         while not cross_rows(x, y, begins, corners, buckets, counts):
             buckets = np.empty((rows, 2 * buckets.shape[1]), np.int32)
@@ -82,8 +83,9 @@ def trace_polygons(
 @kernel
 def outline_scan(
     origin: Float64,
-    direction: Float64,
-    distance: Float64,
+    turn: Float64,
+    bearing: Float64,
+    distance: Float32,
     ends: Int64,
     kinds: UInt8,
     surfaces: Surfaces,
@@ -97,8 +99,8 @@ def outline_scan(
     first corner is written again as its last. Returns the number of corners.
     """
     beams = kinds.size
-    at_x = round_to_units(origin[0], surfaces.resolution) - surfaces.left
-    at_y = round_to_units(origin[1], surfaces.resolution) - surfaces.bottom
+    at_x = round_to_units(origin[0], surfaces.units_per_metre) - surfaces.left
+    at_y = round_to_units(origin[1], surfaces.units_per_metre) - surfaces.bottom
     gap = _find_skip(kinds) if surfaces.full_circle else beams
     closed = surfaces.full_circle and gap == beams
     first = 0 if gap == beams else gap
@@ -114,11 +116,18 @@ def outline_scan(
         a = b - 1 if b > 0 else beams - 1
         if not drawing and not closed:
             corners = _add_corner(x, y, begins, corners, at_x, at_y, True)
-        elif drawing and abs(distance[b] - distance[a]) > surfaces.jump:
+        elif drawing and abs(np.float64(distance[b]) - distance[a]) > surfaces.jump:
             # Step at the nearer range, so that no space behind an edge is called free.
-            along, reach = (a, distance[b]) if distance[b] < distance[a] else (b, distance[a])
-            step_x = round_to_units(origin[0] + reach * direction[along, 0], surfaces.resolution)
-            step_y = round_to_units(origin[1] + reach * direction[along, 1], surfaces.resolution)
+            near, far = (b, a) if distance[b] < distance[a] else (a, b)
+            t = min(far, turn.shape[0] - 1)
+            along_x = turn[t, 0, 0] * bearing[far, 0] + turn[t, 0, 1] * bearing[far, 1]
+            along_y = turn[t, 1, 0] * bearing[far, 0] + turn[t, 1, 1] * bearing[far, 1]
+            step_x = round_to_units(
+                origin[0] + np.float64(distance[near]) * along_x, surfaces.units_per_metre
+            )
+            step_y = round_to_units(
+                origin[1] + np.float64(distance[near]) * along_y, surfaces.units_per_metre
+            )
             corners = _add_corner(
                 x, y, begins, corners, step_x - surfaces.left, step_y - surfaces.bottom, False
             )
@@ -162,7 +171,7 @@ def _note_spans(spans: Int32, counts: Int64, cols: int, runs: Int32) -> None:
 
 @kernel
 def _mark_border(
-    distance: Float64,
+    distance: Float32,
     ends: Int64,
     kinds: UInt8,
     surfaces: Surfaces,
@@ -189,7 +198,7 @@ def _mark_border(
             if not (
                 beside
                 and n <= surfaces.border_gap
-                and abs(distance[b] - distance[b - 1]) <= surfaces.jump
+                and abs(np.float64(distance[b]) - distance[b - 1]) <= surfaces.jump
             ):
                 n = 1
             # From the end cell back along the Bresenham line, up to the neighbour's own.
@@ -199,11 +208,14 @@ def _mark_border(
                     c = col - _round_half_down(i * across, n)
                     r = row - _round_half_down(i * up, n)
                 c, r = c - left, r - bottom
-                if 0 <= r < rows and 0 <= c < cols and marks[np.uint64(r), np.uint64(c)] != mark:
-                    marks[np.uint64(r), np.uint64(c)] = mark
-                    hits[np.uint64(r), np.uint64(c)] += 1
-                    border[listed, 0], border[listed, 1] = r, c
-                    listed += 1
+                if 0 <= r < rows and 0 <= c < cols:
+                    place = np.uint64(r * cols + c)
+                    # No branch: whether a neighbour shares the cell is a coin toss to a processor.
+                    is_new = marks[place] != mark
+                    marks[place] = mark
+                    hits[np.uint64(r), np.uint64(c)] += is_new
+                    border[np.uint64(listed), 0], border[np.uint64(listed), 1] = r, c
+                    listed += is_new
         beside = kinds[b] == 2
         from_col, from_row = col, row
     return listed
@@ -222,10 +234,14 @@ def _exempt_border(
 ) -> None:
     """Take the miss back from the listed cells that lie in a span."""
     for n in range(listed):
-        row, col = np.uint64(border[n, 0]), border[n, 1]
-        inside = 0
-        for i in range(0, counts[row], 2):
-            inside += int(spans[row, np.uint64(i)] <= col < spans[row, np.uint64(i + 1)])
+        row, col = np.uint64(border[n, 0]), np.int32(border[n, 1])
+        # In a span where the number of limits at or left of the cell is odd.
+        passed = np.int32(0)
+        for i in range(PADDING):
+            passed += spans[row, i] <= col
+        for i in range(PADDING, counts[row]):
+            passed += spans[row, np.uint64(i)] <= col
+        inside = passed & 1
         place = np.uint64(border[n, 0] * (cols + 1) + col)
         runs[place] -= inside
         runs[place + np.uint64(1)] += inside

@@ -12,7 +12,7 @@ from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.fill import cross_rows, make_spans
 from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.project import round_to_units
-from occmap.types import Bool, Float64, Int64, UInt8
+from occmap.types import Bool, Float32, Float64, Int64, UInt8
 
 COUNT_BITS = 20
 """A window cell counts fewer than 2^20 observations before it must be emptied."""
@@ -24,8 +24,11 @@ BEARINGS = 1 << 14
 def trace_radial_beams(
     origins: Int64,
     ends: Int64,
-    ranges: Float64,
+    turn: Float64,
+    bearing: Float64,
+    distance: Float32,
     kinds: UInt8,
+    units_per_metre: float,
     depth: float,
     free: Int64,
     hit: Int64,
@@ -38,8 +41,10 @@ def trace_radial_beams(
     origins, ends
         (S, K, 2) and (S, B, 2) x and y in lattice units from the window's corner; a HIT beam is
         traced to its range + depth.
-    ranges, kinds, depth
-        (S, B) lattice units, (S, B) of Kind, lattice units.
+    turn, bearing, distance, kinds
+        (S, K, 2, 2), (B, 2), (S, B), (S, B) as in `Rays`.
+    depth
+        In lattice units.
     free, hit
         (T + 1,) tables.
     cells
@@ -54,7 +59,11 @@ def trace_radial_beams(
             if kinds[s, b] == 0:
                 continue
             k = b if viewpoints > 1 else 0
-            x, y, r = origins[s, k, 0], origins[s, k, 1], ranges[s, b]
+            x, y = origins[s, k, 0], origins[s, k, 1]
+            t = min(b, turn.shape[1] - 1)
+            along_x = turn[s, t, 0, 0] * bearing[b, 0] + turn[s, t, 0, 1] * bearing[b, 1]
+            along_y = turn[s, t, 1, 0] * bearing[b, 0] + turn[s, t, 1, 1] * bearing[b, 1]
+            r = distance[s, b] * np.sqrt(along_x * along_x + along_y * along_y) * units_per_metre
             col, row = x >> 8, y >> 8
             across, up = (ends[s, b, 0] >> 8) - col, (ends[s, b, 1] >> 8) - row
             n, m = max(abs(across), abs(up)), min(abs(across), abs(up))
@@ -89,11 +98,12 @@ def trace_radial_beams(
 @kernel
 def trace_radial_polygons(
     origin: Float64,
-    direction: Float64,
-    distance: Float64,
+    turn: Float64,
+    bearing: Float64,
+    distance: Float32,
     kinds: UInt8,
     full_circle: bool,
-    resolution: float,
+    units_per_metre: float,
     depth: float,
     corner: Int64,
     free: Int64,
@@ -107,8 +117,8 @@ def trace_radial_polygons(
 
     Parameters
     ----------
-    origin, direction, distance, kinds
-        (S, 2) m, (S, B, 2), (S, B) m, (S, B) as in `Rays`.
+    origin, turn, bearing, distance, kinds
+        (S, 1, 2), (S, K, 2, 2), (B, 2), (S, B), (S, B) as in `Rays`.
     depth
         m
     corner
@@ -118,68 +128,109 @@ def trace_radial_polygons(
     """
     scans, beams = kinds.shape
     rows, cols = cells.shape
-    units = 256 / resolution
-    ranges = np.empty(beams, np.float64)
+    direction, ranges = np.empty((beams, 2), np.float64), np.empty(beams, np.float64)
     x, y = np.empty(4 * beams + 4, np.int64), np.empty(4 * beams + 4, np.int64)
     begins = np.empty(4 * beams + 4, np.bool_)
     between = np.empty((beams + 1, 2), np.float64)
     covering = np.empty(BEARINGS + 1, np.int32)
     buckets, counts = np.empty((rows, 32), np.int32), np.empty(rows, np.int64)
     for s in range(scans):
-        _split_bearings(direction[s], full_circle, between)
+        _aim(turn[s], bearing, distance[s], direction, ranges)
+        _split_bearings(direction, full_circle, between)
         _cover_bearings(between, kinds[s], covering)
         corners = _outline_sectors(
-            origin[s], direction[s], distance[s], kinds[s], resolution, depth, corner, between,
+            origin[s, 0], direction, ranges, kinds[s], units_per_metre, depth, corner, between,
             x, y, begins,
         )  # fmt: skip
         while not cross_rows(x, y, begins, corners, buckets, counts):
             buckets = np.empty((rows, 2 * buckets.shape[1]), np.int32)
         make_spans(buckets, counts, cols)
-        at_x = round_to_units(origin[s, 0], resolution) - corner[0]
-        at_y = round_to_units(origin[s, 1], resolution) - corner[1]
-        for b in range(beams):
-            ranges[b] = distance[s, b] * units
+        at_x = round_to_units(origin[s, 0, 0], units_per_metre) - corner[0]
+        at_y = round_to_units(origin[s, 0, 1], units_per_metre) - corner[1]
+        ranges *= units_per_metre
         for row in range(rows):
             for i in range(0, counts[row], 2):
                 span = (np.int64(buckets[row, i]), np.int64(buckets[row, i + 1]))
                 _observe_span(
-                    (at_x, at_y, row), span, covering, ranges, kinds[s], depth * units,
+                    (at_x, at_y, row), span, covering, ranges, kinds[s], depth * units_per_metre,
                     free, hit, cells,
                 )  # fmt: skip
 
 
 @kernel
-def _split_bearings(direction: Float64, full_circle: bool, between: Float64) -> None:
-    """Find the bearings half-way between neighbouring beams.
-
-    `between` (B + 1, 2) is written: unit vectors, at b those between beams b - 1 and b.
-    """
-    beams = direction.shape[0]
-    for b in range(1, beams):
-        _halve(direction, b - 1, b, between, b)
-    if full_circle:
-        _halve(direction, beams - 1, 0, between, 0)
-        between[beams] = between[0]
-    elif beams > 1:
-        _mirror(between, 1, direction, 0, between, 0)
-        _mirror(between, beams - 1, direction, beams - 1, between, beams)
-    else:
-        between[0], between[1] = direction[0], direction[0]
+def _aim(
+    turn: Float64, bearing: Float64, distance: Float32, direction: Float64, ranges: Float64
+) -> None:
+    """Write one scan's unit vectors (B, 2) and ranges (B,) in the map plane (m)."""
+    for b in range(distance.size):
+        t = min(b, turn.shape[0] - 1)
+        x = turn[t, 0, 0] * bearing[b, 0] + turn[t, 0, 1] * bearing[b, 1]
+        y = turn[t, 1, 0] * bearing[b, 0] + turn[t, 1, 1] * bearing[b, 1]
+        length = max(np.sqrt(x * x + y * y), 1e-300)
+        direction[b, 0], direction[b, 1], ranges[b] = x / length, y / length, distance[b] * length
 
 
 @kernel
-def _halve(direction: Float64, a: int, b: int, between: Float64, place: int) -> None:
+def _find_sectors(
+    direction: Float64, kinds: UInt8, full_circle: bool, sectors: Float64, covers: Bool
+) -> None:
+    """Find what each beam covers: from half-way to one neighbour to half-way to the other.
+
+    `sectors` (B, 2, 2) is written: unit vectors at the clockwise and counter-clockwise side, at
+    most 60 degrees from the beam. `covers` (B,) too: False where a beam is SKIP, and where its
+    sides lie the wrong way round. That happens where a scan is not seen from where it was taken,
+    and a nearer thing shifts across a farther one; the neighbours' sectors then overlap.
+    """
+    beams = kinds.size
+    turn = 0.0
+    for b in range(1, beams):
+        turn += _cross(direction, b - 1, direction, b)
+    before, after = (0, 1) if turn >= 0 else (1, 0)
+    for b in range(beams):
+        if b > 0 or full_circle:
+            _halve(direction, b - 1, b, sectors[b, before])
+        if b < beams - 1 or full_circle:
+            _halve(direction, b, b + 1 if b < beams - 1 else 0, sectors[b, after])
+    if not full_circle:
+        # The first beam and the last cover as much beyond themselves as to their neighbour.
+        last = beams - 1
+        if beams == 1:
+            sectors[0, after] = direction[0]
+        _mirror(sectors[0, after], direction[0], sectors[0, before])
+        _mirror(sectors[last, before], direction[last], sectors[last, after])
+    for b in range(beams):
+        _limit(direction[b], sectors[b, 0], -1.0)
+        _limit(direction[b], sectors[b, 1], 1.0)
+        covers[b] = kinds[b] != 0 and _cross(sectors[b], 0, sectors[b], 1) > 0
+
+
+@kernel
+def _cross(a: Float64, i: int, b: Float64, j: int) -> float:
+    """Sine of the angle from one unit vector to another."""
+    return a[i, 0] * b[j, 1] - a[i, 1] * b[j, 0]
+
+
+@kernel
+def _halve(direction: Float64, a: int, b: int, side: Float64) -> None:
+    """Write the unit vector half-way between two beams; zero where they are opposite."""
     x, y = direction[a, 0] + direction[b, 0], direction[a, 1] + direction[b, 1]
     length = max(np.sqrt(x * x + y * y), 1e-300)
-    between[place, 0], between[place, 1] = x / length, y / length
+    side[0], side[1] = x / length, y / length
 
 
 @kernel
-def _mirror(vectors: Float64, i: int, axis: Float64, b: int, between: Float64, place: int) -> None:
-    """Mirror a unit vector about a beam."""
-    along = vectors[i, 0] * axis[b, 0] + vectors[i, 1] * axis[b, 1]
-    between[place, 0] = 2 * along * axis[b, 0] - vectors[i, 0]
-    between[place, 1] = 2 * along * axis[b, 1] - vectors[i, 1]
+def _mirror(vector: Float64, axis: Float64, side: Float64) -> None:
+    """Write a unit vector mirrored about a beam."""
+    along = vector[0] * axis[0] + vector[1] * axis[1]
+    side[0], side[1] = 2 * along * axis[0] - vector[0], 2 * along * axis[1] - vector[1]
+
+
+@kernel
+def _limit(beam: Float64, side: Float64, sign: float) -> None:
+    """Bring the side of a sector to 60 degrees from its beam if it is farther."""
+    if side[0] * beam[0] + side[1] * beam[1] < COS_60:
+        side[0] = COS_60 * beam[0] - sign * SIN_60 * beam[1]
+        side[1] = COS_60 * beam[1] + sign * SIN_60 * beam[0]
 
 
 @kernel
@@ -195,19 +246,13 @@ def _bearing_of(x: float, y: float) -> np.int64:
 
 
 @kernel
-def _cover_bearings(between: Float64, kinds: UInt8, covering: Int32) -> None:
-    """Write for each step of a turn the beam that covers it, -1 where none does or it is SKIP."""
+def _cover_bearings(sectors: Float64, covers: Bool, covering: Int32) -> None:
+    """Write for each step of a turn the beam that covers it, the later of two; -1 where none."""
     covering[:] = -1
-    beams = kinds.size
-    turn = 0.0
-    for b in range(beams):
-        turn += between[b, 0] * between[b + 1, 1] - between[b, 1] * between[b + 1, 0]
-    for b in range(beams):
-        first = _bearing_of(between[b, 0], between[b, 1])
-        last = _bearing_of(between[b + 1, 0], between[b + 1, 1])
-        if turn < 0:
-            first, last = last, first
-        if kinds[b] == 0 or first == last:
+    for b in range(covers.size):
+        first = _bearing_of(sectors[b, 0, 0], sectors[b, 0, 1])
+        last = _bearing_of(sectors[b, 1, 0], sectors[b, 1, 1])
+        if not covers[b] or first == last:
             continue
         if last < first:
             covering[first:] = b
@@ -220,9 +265,9 @@ def _cover_bearings(between: Float64, kinds: UInt8, covering: Int32) -> None:
 def _outline_sectors(
     origin: Float64,
     direction: Float64,
-    distance: Float64,
+    ranges: Float64,
     kinds: UInt8,
-    resolution: float,
+    units_per_metre: float,
     depth: float,
     corner: Int64,
     between: Float64,
@@ -236,8 +281,8 @@ def _outline_sectors(
     left out. Neighbours share a side; a run of beams that are not SKIP is closed at the sensor.
     """
     beams = kinds.size
-    at_x = round_to_units(origin[0], resolution) - corner[0]
-    at_y = round_to_units(origin[1], resolution) - corner[1]
+    at_x = round_to_units(origin[0], units_per_metre) - corner[0]
+    at_y = round_to_units(origin[1], units_per_metre) - corner[1]
     corners = 0
     for b in range(beams):
         if kinds[b] == 0:
@@ -245,7 +290,7 @@ def _outline_sectors(
         if b == 0 or kinds[b - 1] == 0:
             x[corners], y[corners], begins[corners] = at_x, at_y, True
             corners += 1
-        reach = distance[b] + (depth if kinds[b] == 2 else 0.0) + resolution / 64
+        reach = ranges[b] + (depth if kinds[b] == 2 else 0.0) + 4 / units_per_metre
         for side in range(b, b + 2):
             cosine = between[side, 0] * direction[b, 0] + between[side, 1] * direction[b, 1]
             length = reach / max(cosine, 0.5)
@@ -253,8 +298,8 @@ def _outline_sectors(
                 origin[0] + length * between[side, 0],
                 origin[1] + length * between[side, 1],
             )
-            x[corners] = round_to_units(end_x, resolution) - corner[0]
-            y[corners] = round_to_units(end_y, resolution) - corner[1]
+            x[corners] = round_to_units(end_x, units_per_metre) - corner[0]
+            y[corners] = round_to_units(end_y, units_per_metre) - corner[1]
             begins[corners] = False
             corners += 1
         if b == beams - 1 or kinds[b + 1] == 0:
