@@ -1,13 +1,18 @@
-"""occmap: 2D occupancy grid maps from recorded laser scans with known poses."""
+"""occmap: 2D occupancy grid maps from recorded laser scans with known poses.
 
-from pathlib import Path
-from typing import Any
+What is public is imported on first use: the command line imports this package, too, and its
+`--help` must not wait for NumPy.
+"""
 
-from occmap.errors import OccmapError
-from occmap.pipeline import Build, BuildOptions, build
-from occmap.readers import Log, open_log
-from occmap.sensor.models import parse_model
-from occmap.types import OccupancyMap, Update
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from occmap.api import build_map, read_log
+    from occmap.errors import OccmapError
+    from occmap.pipeline import Build, BuildOptions, build
+    from occmap.readers import Log
+    from occmap.types import OccupancyMap
 
 __all__ = [
     "Build",
@@ -20,36 +25,26 @@ __all__ = [
     "read_log",
 ]
 
-
-def build_map(*logs: str | Path, **options: Any) -> OccupancyMap:
-    """Build one occupancy map from all usable scans of one or more logs.
-
-    Parameters
-    ----------
-    logs
-        Paths to recordings of any installed format.
-    options
-        Fields of `BuildOptions`; `update` and `model` may be text, such as "beam" and
-        "simple:p_hit=0.8".
-
-    Raises
-    ------
-    OccmapError
-        A log cannot be read, has no scans or no poses, or the map would be too large.
-    """
-    if "update" in options:
-        options["update"] = Update(options["update"])
-    if isinstance(options.get("model"), str):
-        options["model"] = parse_model(options["model"])
-    return build([Path(log) for log in logs], BuildOptions(**options)).map
+_HOMES = {
+    "Build": "occmap.pipeline",
+    "BuildOptions": "occmap.pipeline",
+    "Log": "occmap.readers",
+    "OccmapError": "occmap.errors",
+    "OccupancyMap": "occmap.types",
+    "build": "occmap.pipeline",
+    "build_map": "occmap.api",
+    "read_log": "occmap.api",
+}
 
 
-def read_log(path: str | Path) -> Log:
-    """Open a recording of any installed format; iterate over its `scans` and `poses`.
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first asked for (PEP 562)."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
 
-    Raises
-    ------
-    LogError
-        The path cannot be read, or no reader knows what it is.
-    """
-    return open_log(Path(path))
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

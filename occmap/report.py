@@ -1,14 +1,15 @@
 """What a build did: numbers for people and for programs."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from threading import Lock
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from occmap.readers import Log
 from occmap.sensor.returns import ReturnCounts
 from occmap.types import OccupancyMap
 from occmap.writers import WriteOptions
@@ -72,6 +73,8 @@ class Report:
     seconds: dict[str, float] = field(default_factory=dict)
     """By stage; where threads work at the same time, their times add up"""
     files: tuple[str, ...] = ()
+    damage: tuple[str, ...] = ()
+    """Those of the notes that say what is lost"""
 
     def to_json(self) -> dict[str, Any]:
         """The report as values that JSON has."""
@@ -89,17 +92,25 @@ class Report:
                 **dict(zip(("occupied", "free", "unknown"), self.shares, strict=True)),
             },
             "notes": list(self.notes),
+            "damage": list(self.damage),
             "files": list(self.files),
             "seconds": {stage: round(seconds, 4) for stage, seconds in self.seconds.items()},
         }
 
 
-class Made(NamedTuple):
-    """What a report names."""
+@dataclass
+class Made:
+    """What a report names; grows while a map is built."""
 
     logs: list[str]
-    notes: list[str]
-    files: list[str]
+    notes: list[str] = field(default_factory=list)
+    damage: list[str] = field(default_factory=list)
+    files: list[str] = field(default_factory=list)
+
+    def note(self, log: Log, others: Iterable[str]) -> None:
+        """Keep what a log has to say, and what others have to say of it."""
+        self.notes += [f"{log.path}: {text}" for text in (*others, *(n.text for n in log.notes))]
+        self.damage += [f"{log.path}: {note.text}" for note in log.notes if note.damage]
 
 
 def measure_shares(grid: OccupancyMap, writing: WriteOptions) -> tuple[float, float, float]:

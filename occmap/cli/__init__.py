@@ -1,1 +1,127 @@
-"""The command line: one file per command, and the one place where an error becomes an exit code."""
+"""The command line: one file per command, and the one place where an error becomes an exit code.
+
+Importing this brings in click and nothing else, so that `occmap --help` answers at once; a command
+is imported when it is run.
+"""
+
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from io import TextIOWrapper
+
+import click
+
+from occmap.cli.console import Console, discard_stdout
+from occmap.errors import OccmapError, UsageError
+
+COMMANDS = {
+    "build": "Build one map from one or more logs.",
+    "models": "List the sensor models that are installed.",
+    "readers": "List the log formats that can be read.",
+    "writers": "List the map formats that can be written.",
+}
+"""Each is `command` in the module of its name here; the texts are what --help says of it."""
+
+INTERRUPTED = 130
+"""As shells have it: 128 and the number of the signal."""
+
+
+class CommandTable(click.Group):
+    """A group that knows its commands' names without importing them."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002  click's signature
+        """Every command, in the order of --help."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        """Import one command."""
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = import_module(f"occmap.cli.{cmd_name}").command
+        return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command of the first word; a mistyped one is answered with what was meant."""
+        word = args[0]
+        if word not in COMMANDS and not word.startswith("-"):
+            raise UsageError(f"no command is called {word!r}", fix=suggest_command(word))
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """List the commands from the table."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+def suggest_command(word: str) -> str:
+    """Say what to type where a word is no command."""
+    from occmap.plugins import suggest  # noqa: PLC0415  late: --help needs no plugins
+
+    if os.path.exists(word):  # noqa: PTH110  pathlib takes as long to import as all else here
+        return f"to map a log: occmap build {word} -o map.pgm"
+    return suggest(word, list(COMMANDS), "occmap --help")
+
+
+@click.group(
+    cls=CommandTable,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="Exit codes: 0 done, 1 the log or the data failed, 2 wrong usage, 3 a limit not met.",
+)
+@click.version_option(package_name="occmap", message="%(prog)s %(version)s")
+def cli() -> None:
+    """2D occupancy grid maps from recorded laser scans with known poses.
+
+    In one line: occmap build LOG -o map.pgm
+    """
+
+
+def run(args: Sequence[str]) -> int:
+    """Run a command line and return its exit code; no error leaves this function."""
+    console = Console()
+    try:
+        with cli.make_context("occmap", list(args) or ["--help"], obj=console) as context:
+            cli.invoke(context)
+    except click.exceptions.Exit as done:
+        return done.exit_code
+    except OccmapError as error:
+        return console.fail(str(error), error.exit_code)
+    except click.ClickException as error:
+        return console.fail(describe_misuse(error), error.exit_code)
+    except (KeyboardInterrupt, click.Abort):
+        return console.fail("interrupted: nothing more is written", INTERRUPTED)
+    except Exception as error:  # noqa: BLE001  whatever it is, the user gets one line
+        return answer_unforeseen(error, console)
+    return 0
+
+
+def describe_misuse(error: click.ClickException) -> str:
+    """Put what click found, and where to read on, in one line."""
+    found = " ".join(error.format_message().split()).removesuffix(".")
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    return f"{found}; see `{context.command_path} --help`" if context else found
+
+
+def answer_unforeseen(error: Exception, console: Console) -> int:
+    """Answer what no layer foresaw: the system refused something, or occmap has a fault."""
+    if isinstance(error, BrokenPipeError):  # who reads the output has seen enough
+        discard_stdout()
+        return 0
+    if isinstance(error, OSError):  # a path too long, a disk that fails
+        reason = error.strerror or type(error).__name__
+        return console.fail(f"{error.filename}: {reason}" if error.filename else reason, 1)
+    if isinstance(error, MemoryError):
+        return console.fail("out of memory; try a coarser --resolution or fewer --jobs", 1)
+    return console.fail_unexpectedly(error)
+
+
+def main() -> None:
+    """Run the command line of this process."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # a file name may hold what no encoding knows
+            stream.reconfigure(errors="backslashreplace")
+    if "_OCCMAP_COMPLETE" in os.environ:  # a shell asks for what a word may be completed to
+        cli.main(prog_name="occmap")
+    sys.exit(run(sys.argv[1:]))

@@ -1,0 +1,91 @@
+"""`occmap build`: one map from one or more logs."""
+
+from pathlib import Path
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import click
+
+from occmap.cli import COMMANDS, options
+from occmap.cli.collect import collect_options, split_words
+from occmap.cli.console import Console
+from occmap.cli.progress import show_progress
+from occmap.cli.sections import SectionCommand, join, option
+from occmap.cli.summary import format_report
+from occmap.errors import LogError, UsageError
+from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
+from occmap.report import Report
+
+HELP = f"""{COMMANDS["build"]}
+
+The first word may say how a scan becomes observations of cells: each beam by itself (beam), or a
+whole scan as one region (polygon). Without it: {DEFAULT_UPDATE}. A log that is called `beam` is
+written ./beam.
+
+\b
+  occmap build drive.mcap -o map.pgm
+  occmap build polygon intel.log.gz -o intel.pgm -o intel.png --resolution 0.1
+  occmap build room.bag -o room.pgm --sensor-pose 0,0,3.14159
+"""
+
+strict = option(
+    options.RUN, "--strict", is_flag=True, help="Exit with 1 where a log is damaged; map it first."
+)
+
+
+class Request(NamedTuple):
+    """What a command line asks for."""
+
+    logs: list[Path]
+    options: BuildOptions
+    outputs: tuple[Path, ...]
+
+
+@click.command("build", cls=SectionCommand, help=HELP, short_help=COMMANDS["build"])
+@click.argument("words", nargs=-1, metavar="[beam|polygon] LOG...")
+@join(options.writing, options.lattice, options.ranges, options.model)
+@join(options.selection, options.posing)
+@join(options.jobs, strict, options.as_json, options.verbosity)
+@click.pass_obj
+def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
+    """Build a map, write it, and say how it came about."""
+    request = collect_request(words, values)
+    start = perf_counter()
+    with show_progress(console) as progress:
+        report = build(request.logs, request.options, request.outputs, progress).report
+    for note in report.notes:
+        console.note(note)
+    if values["as_json"]:
+        console.put_json(report.to_json())
+    else:
+        console.put(format_report(report, perf_counter() - start))
+    if values["strict"]:
+        refuse_damage(report)
+
+
+def collect_request(words: tuple[str, ...], values: dict[str, Any]) -> Request:
+    """Read the command line as a whole.
+
+    Raises
+    ------
+    UsageError
+        Something is missing, or a value is out of its range.
+    """
+    update, logs = split_words(words)
+    if not values["outputs"]:
+        raise UsageError("where to write the map is not given", fix="add -o map.pgm")
+    return Request(logs, collect_options(update, values), values["outputs"])
+
+
+def refuse_damage(report: Report) -> None:
+    """Fail where something that a log should hold is lost.
+
+    Raises
+    ------
+    LogError
+        Naming the first loss.
+    """
+    if report.damage:
+        raise LogError(
+            f"{report.damage[0]} (--strict; {len(report.damage)} such)", fix="the map was written"
+        )

@@ -1,0 +1,102 @@
+"""From the values of a command line to the options of the pipeline, group by group."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, TypeVar
+
+from occmap.batching import Selection
+from occmap.cli.options import SHORTHANDS, list_flags
+from occmap.errors import UsageError
+from occmap.pipeline import DEFAULT_UPDATE, BuildOptions
+from occmap.posing.options import PosingOptions
+from occmap.sensor.models import SensorModel, parse_model
+from occmap.sensor.returns import ReturnOptions
+from occmap.types import Update
+from occmap.writers import WriteOptions
+
+Values = Mapping[str, Any]
+"""What click read, by the names of the options."""
+Group = TypeVar("Group")
+
+
+def collect_options(update: Update, values: Values) -> BuildOptions:
+    """Gather all that a user chose about a map.
+
+    Raises
+    ------
+    UsageError
+        A value is out of its range, or does not fit another.
+    """
+    return replace(
+        take(BuildOptions, values),
+        update=update,
+        model=collect_model(values),
+        returns=take(ReturnOptions, values),
+        posing=take(PosingOptions, values),
+        selection=take(Selection, values),
+        writing=take(WriteOptions, values),
+    )
+
+
+def take(group: type[Group], values: Values) -> Group:
+    """Make a group of options of the values that are named like its fields."""
+    names = [field.name for field in fields(group)]  # type: ignore[arg-type]  # a dataclass
+    return group(**{name: values[name] for name in names if name in values})
+
+
+def collect_model(values: Values) -> SensorModel:
+    """Make the sensor model; a shorthand such as --p-hit goes before what --model says.
+
+    Raises
+    ------
+    UsageError
+        No such model, or a parameter that it does not have or allow.
+    """
+    text: str = values["model_text"]
+    name = text.partition(":")[0]
+    given = {key: values[key] for key in SHORTHANDS if values[key] is not None}
+    known = [field.name for field in fields(parse_model(name))]  # type: ignore[arg-type]  # as above
+    for key in given:
+        if key not in known:
+            raise UsageError(
+                f"{list_flags([key])} does not go with the model {name}",
+                fix=f"it has {list_flags(known)}",
+            )
+    pairs = [text.partition(":")[2], *(f"{key}={value!r}" for key, value in given.items())]
+    return parse_model(f"{name}:{','.join(filter(None, pairs))}")
+
+
+def split_words(words: Sequence[str]) -> tuple[Update, list[Path]]:
+    """Tell the update, where one is named, from the logs.
+
+    Raises
+    ------
+    UsageError
+        There is no log, or the first word is neither a path nor quite an update.
+    """
+    updates = [update.value for update in Update]
+    update = DEFAULT_UPDATE
+    if words and words[0] in updates:
+        update, words = Update(words[0]), words[1:]
+    elif words and words[0].isalpha() and not Path(words[0]).exists():
+        refuse_mistyped(words[0], updates)
+    if not words:
+        raise UsageError("no log is given", fix="type: occmap build LOG -o map.pgm")
+    return update, [Path(word) for word in words]
+
+
+def refuse_mistyped(word: str, updates: list[str]) -> None:
+    """Answer a mistyped update with the one that was meant.
+
+    Raises
+    ------
+    UsageError
+        If the word is close to an update.
+    """
+    close = get_close_matches(word.lower(), updates, n=1)
+    if close:
+        raise UsageError(
+            f"{word!r} is neither a log nor an update", fix=f"did you mean {close[0]!r}?"
+        )

@@ -1,0 +1,108 @@
+"""What is printed where: results on stdout, notes and errors on stderr, each in one line."""
+
+import os
+import sys
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import click
+
+from occmap.errors import OutputError
+
+
+class Verbosity(IntEnum):
+    """How much a command tells."""
+
+    QUIET = 0
+    """Errors, and results that were asked for as JSON."""
+    NORMAL = 1
+    VERBOSE = 2
+    """Also what helps to find a fault in occmap itself."""
+
+
+@dataclass
+class Console:
+    """The two streams, and how much goes to them."""
+
+    verbosity: Verbosity = Verbosity.NORMAL
+
+    def put(self, text: str) -> None:
+        """Print a result, unless the user wants quiet."""
+        if self.verbosity > Verbosity.QUIET:
+            put_line(text)
+
+    def put_json(self, value: dict[str, Any]) -> None:
+        """Print a result as one JSON object."""
+        import json  # noqa: PLC0415  late: most runs print none
+
+        put_line(json.dumps(value, indent=2, allow_nan=False))
+
+    def note(self, text: str) -> None:
+        """Print something worth knowing."""
+        if self.verbosity > Verbosity.QUIET:
+            tell(f"note: {text}")
+
+    def fail(self, text: str, code: int) -> int:
+        """Print an error; return its exit code."""
+        tell(f"error: {text}")
+        return code
+
+    def fail_unexpectedly(self, error: Exception) -> int:
+        """Print a fault of occmap itself: one line, and the traceback where it is wanted."""
+        if self.verbosity is Verbosity.VERBOSE:
+            import traceback  # noqa: PLC0415
+
+            tell("".join(traceback.format_exception(error)).rstrip())
+        what = " ".join(f"{type(error).__name__}: {error}".split())
+        advice = "this is a fault in occmap: please report it, with what the same command prints"
+        return self.fail(f"{what} (at {find_place(error)}); {advice} with -v", 1)
+
+
+def find_place(error: BaseException) -> str:
+    """Name the innermost line of occmap that an error passed through."""
+    home = os.path.dirname(os.path.dirname(__file__))  # noqa: PTH120  as in cli
+    place, step = "?", error.__traceback__
+    while step is not None:
+        path = step.tb_frame.f_code.co_filename
+        if path.startswith(home):
+            place = f"occmap{path.removeprefix(home)}:{step.tb_lineno}"
+        step = step.tb_next
+    return place
+
+
+def put_line(text: str) -> None:
+    """Print to stdout; where nobody reads it any more, the work goes on and counts.
+
+    Raises
+    ------
+    OutputError
+        Stdout cannot be written for any other reason.
+    """
+    try:
+        click.echo(text)
+    except BrokenPipeError:
+        discard_stdout()
+    except OSError as error:
+        discard_stdout()
+        raise OutputError(f"cannot be written ({error.strerror})", where="stdout") from None
+
+
+def tell(text: str) -> None:
+    """Print to stderr; where that is closed there is nobody to tell."""
+    try:
+        click.echo(text, err=True)
+    except OSError:
+        discard(sys.stderr.fileno())
+
+
+def discard_stdout() -> None:
+    """Let what is still in the buffer of stdout vanish, or Python would complain at its exit."""
+    discard(sys.stdout.fileno())
+
+
+def discard(stream: int) -> None:
+    """Point a file descriptor at nothing."""
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nothing, stream)
+    os.close(nothing)

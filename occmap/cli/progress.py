@@ -1,0 +1,25 @@
+"""The progress bar: scans read so far and scans a second, on a terminal only."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from occmap.cli.console import Console, Verbosity
+from occmap.pipeline import Progress, ignore_progress
+
+
+@contextmanager
+def show_progress(console: Console) -> Iterator[Progress]:
+    """Show a bar while the block runs, unless nobody would see it."""
+    if console.verbosity is Verbosity.QUIET or sys.stderr is None or not sys.stderr.isatty():
+        yield ignore_progress
+        return
+    from tqdm import tqdm  # noqa: PLC0415  late: only who sees a bar waits for it
+
+    with tqdm(unit=" scans", leave=False, dynamic_ncols=True) as bar:
+
+        def advance(scans: int, total: int) -> None:
+            bar.total = total
+            bar.update(scans)
+
+        yield advance

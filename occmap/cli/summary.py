@@ -1,0 +1,63 @@
+"""A report as text: aligned lines for people; programs read the JSON."""
+
+from collections.abc import Iterator, Mapping
+
+from occmap.report import Report
+
+LABEL = 9
+"""Width of the first column."""
+
+
+def format_report(report: Report, seconds: float) -> str:
+    """Sum up a build in a dozen lines; `seconds` is how long it took on the clock."""
+    lines = [
+        ("map", format_size(report)),
+        ("cells", format_shares(report)),
+        ("update", f"{report.update}, model {report.model}"),
+        ("scans", f"{report.scans_used:,} of {report.scans_read:,} used"),
+        ("dropped", format_counts(report.dropped)),
+        ("beams", format_beams(report)),
+        ("time", format_time(report, seconds)),
+        *label_files(report),
+    ]
+    return "\n".join(f"{label:<{LABEL}}{text}" for label, text in lines if text)
+
+
+def format_size(report: Report) -> str:
+    """Say how large the map is and where it lies."""
+    cols, rows = report.cells
+    low_x, low_y, high_x, high_y = (f"{value:.6g}" for value in report.extent)
+    cells = f"{cols:,} x {rows:,} cells of {report.resolution:g} m"
+    return f"{cells}, x {low_x} to {high_x} m, y {low_y} to {high_y} m"
+
+
+def format_shares(report: Report) -> str:
+    """Say what the cells are; between occupied and free there may be undecided ones."""
+    names = ("occupied", "free", "unknown", "undecided")
+    shares = (*report.shares, 1 - sum(report.shares))
+    pairs = zip(names, shares, strict=True)
+    return ", ".join(f"{share:.1%} {name}" for name, share in pairs if share > 5e-4)
+
+
+def format_beams(report: Report) -> str:
+    """Say what the beams of the used scans meant."""
+    counts = {name.replace("_", " "): count for name, count in report.beams._asdict().items()}
+    return f"{sum(counts.values()):,}: {format_counts(counts)}"
+
+
+def format_counts(counts: Mapping[str, int]) -> str:
+    """List what there is of each; nothing is said of what there is none of."""
+    return ", ".join(f"{count:,} {name}" for name, count in counts.items() if count)
+
+
+def format_time(report: Report, seconds: float) -> str:
+    """Say how long it took, and what took long; the stages of several threads add up."""
+    rate = report.scans_used / max(seconds, 1e-9)
+    stages = ", ".join(f"{name} {spent:.2f}" for name, spent in report.seconds.items())
+    return f"{seconds:.2f} s, {rate:,.0f} scans/s ({stages})"
+
+
+def label_files(report: Report) -> Iterator[tuple[str, str]]:
+    """List the files that were written, one a line."""
+    for index, file in enumerate(report.files):
+        yield "" if index else "files", file

@@ -1,0 +1,86 @@
+"""How the text of an option becomes a value: lists of numbers, and names from an enum."""
+
+import math
+from collections.abc import Callable
+from enum import StrEnum
+from typing import Any
+
+import click
+
+from occmap.errors import UsageError
+from occmap.types import Pose, PoseSample
+
+POSE_FORM = "write x,y,yaw or x,y,yaw,roll,pitch in metres and radians, such as 0.1,0,3.14159"
+TRANSFORM_FORM = "write parent,child,x,y,z,roll,pitch,yaw in metres and radians"
+
+
+def parse_sensor_pose(text: str) -> Pose:
+    """Read where a laser is mounted.
+
+    Raises
+    ------
+    UsageError
+        The text is not of the form x,y,yaw[,roll,pitch].
+    """
+    where = f"--sensor-pose {text}"
+    words = text.split(",")
+    if len(words) not in (3, 5):
+        raise UsageError(f"{len(words)} values where 3 or 5 belong", where=where, fix=POSE_FORM)
+    x, y, yaw, roll, pitch, *_ = [*read_numbers(words, where, POSE_FORM), 0.0, 0.0]
+    return Pose.from_xyzrpy((x, y, 0.0), (roll, pitch, yaw))
+
+
+def parse_transform(text: str) -> PoseSample:
+    """Read a fixed transform.
+
+    Raises
+    ------
+    UsageError
+        The text is not of the form parent,child,x,y,z,roll,pitch,yaw.
+    """
+    where = f"--static-tf {text}"
+    words = [word.strip() for word in text.split(",")]
+    if len(words) != 8 or not all(words[:2]):
+        raise UsageError("not two frames and six numbers", where=where, fix=TRANSFORM_FORM)
+    x, y, z, roll, pitch, yaw = read_numbers(words[2:], where, TRANSFORM_FORM)
+    pose = Pose.from_xyzrpy((x, y, z), (roll, pitch, yaw))
+    return PoseSample(0, words[0], words[1], pose, static=True)
+
+
+def read_numbers(words: list[str], where: str, form: str) -> list[float]:
+    """Read finite decimal numbers.
+
+    Raises
+    ------
+    UsageError
+        Naming the first word that is none, and the form that is expected.
+    """
+    numbers = []
+    for word in words:
+        try:
+            number = float(word)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            raise UsageError(f"{word.strip()!r} is not a number", where=where, fix=form)
+        numbers.append(number)
+    return numbers
+
+
+def read_by(parse: Callable[[str], Any]) -> dict[str, Any]:
+    """Return the settings of an option, given once or often, whose text a function reads."""
+
+    def convert(_ctx: click.Context, _param: click.Parameter, value: Any) -> Any:
+        if isinstance(value, tuple):
+            return tuple(parse(text) for text in value)
+        return None if value is None else parse(value)
+
+    return {"callback": convert}
+
+
+def one_of(kind: type[StrEnum]) -> dict[str, Any]:
+    """Return the settings of an option whose values are the members of an enum."""
+    return {
+        "type": click.Choice([member.value for member in kind]),
+        "callback": lambda _ctx, _param, value: kind(value),
+    }
