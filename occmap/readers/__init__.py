@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Protocol
 
 from occmap.errors import LogError
-from occmap.plugins import load_plugins
+from occmap.plugins import list_plugins, load_plugin
 from occmap.types import PoseSample, Scan
 
 PROBE_BYTES = 4096
+LFS_MAGIC = b"version https://git-lfs"
 
 
 class Role(StrEnum):
@@ -103,9 +104,11 @@ def probe_path(path: Path) -> Probe:
     LogError
         The path does not exist or cannot be read.
     """
-    if path.is_dir():
-        return Probe(path, b"", b"")
     try:
+        if path.is_dir():
+            return Probe(path, b"", b"")
+        if path.exists() and not path.is_file():
+            raise LogError("neither a file nor a folder", where=path, fix="save it to a file first")
         with path.open("rb") as file:
             raw = file.read(PROBE_BYTES)
     except FileNotFoundError:
@@ -127,12 +130,6 @@ def _peek_gzip(path: Path) -> bytes:
     return content
 
 
-def load_readers() -> list[Reader]:
-    """Load every installed reader that imports."""
-    loaded, _ = load_plugins("occmap.readers")
-    return [reader_class() for reader_class in loaded.values()]
-
-
 def open_log(path: Path) -> Log:
     """Open a log with the first reader that recognises its content.
 
@@ -142,25 +139,40 @@ def open_log(path: Path) -> Log:
         The path cannot be read, or no reader knows what it is.
     """
     probe = probe_path(path)
-    readers = load_readers()
-    for reader in readers:
-        if reader.recognises(probe):
-            return reader.open(path)
-    names = ", ".join(reader.name for reader in readers)
+    names = [entry.name for entry in list_plugins("occmap.readers")]
+    for name in names:  # loaded one by one: the later ones take longest
+        reader_class = load_plugin("occmap.readers", name)
+        if reader_class is not None and (reader := reader_class()).recognises(probe):
+            log: Log = reader.open(path)
+            return log
+    if probe.raw.startswith(LFS_MAGIC):
+        found = "a Git LFS pointer, which stands in for the file"
+        raise LogError(found, where=path, fix="fetch the file: git lfs pull")
     raise LogError(
-        _describe_unknown(probe), where=path, fix=f"occmap reads {names}: see `occmap readers`"
+        _describe_unknown(probe),
+        where=path,
+        fix=f"occmap reads {', '.join(names)}: see `occmap readers`",
     )
 
 
 def _describe_unknown(probe: Probe) -> str:
-    """Say what a file that no reader knows looks like."""
+    """Say what a path that no reader knows looks like."""
     if probe.path.is_dir():
-        names = sorted(entry.name for entry in probe.path.iterdir())
-        listing = ", ".join(names[:5]) or "nothing"
-        return f"a directory that is no recording: it holds {listing}"
+        return _describe_folder(probe.path)
     if not probe.raw:
         return "the file is empty"
+    if not probe.content:
+        return "a gzip file with nothing in it that can be read"
     if probe.content.isascii():
         first_line = probe.content.decode("ascii").splitlines()[0][:60]
         return f"a text file of no known log format: it starts with {first_line!r}"
     return f"not a known log format: it starts with the bytes {probe.raw[:8].hex(' ')}"
+
+
+def _describe_folder(folder: Path) -> str:
+    """Say what a folder that is no recording holds."""
+    try:
+        names = sorted(entry.name for entry in folder.iterdir())
+    except OSError as error:
+        return f"a folder that cannot be read ({error.strerror})"
+    return f"a folder that is no recording: it holds {', '.join(names[:5]) or 'nothing'}"

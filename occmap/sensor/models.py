@@ -166,6 +166,8 @@ def make_model(name: str, parameters: dict[str, float]) -> SensorModel:
     model_class = load_plugin("occmap.models", name)
     if model_class is None:
         known = [entry.name for entry in list_plugins("occmap.models")]
+        if name in known:
+            raise UsageError(f"the model {name} does not load", fix="`occmap models` says why")
         raise UsageError(f"no model is called {name!r}", fix=suggest(name, known, "occmap models"))
     known = [field.name for field in fields(model_class)]
     for parameter in parameters:

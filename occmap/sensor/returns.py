@@ -12,6 +12,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from occmap.errors import UsageError
 from occmap.types import Bool, Float32, Float64, Kind, PosedScans, Rays, ScanBatch, UInt8
 
 
@@ -36,12 +37,28 @@ class ReturnOptions:
         Replaces the sensor's limit that the log states (m).
     no_return
         What +inf, and anything at or beyond the sensor's limit, means.
+
+    Raises
+    ------
+    UsageError
+        The limits leave no range to use.
     """
 
     min_range: float = 0.0
     max_range: float = math.inf
     range_max: float | None = None
     no_return: NoReturn = NoReturn.IGNORE
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.min_range < self.max_range:
+            raise UsageError(
+                f"--min-range {self.min_range} and --max-range {self.max_range} leave no range",
+                fix="they must satisfy 0 <= min < max",
+            )
+        if self.range_max is not None and not self.range_max > 0:
+            raise UsageError(
+                f"a sensor limit of {self.range_max} m is not possible", fix="try --range-max 30"
+            )
 
 
 class ReturnCounts(NamedTuple):
