@@ -1,0 +1,49 @@
+# What there is to do with this project; needs Python 3.11 or newer, make and git.
+
+PYTHON ?= python3
+BIN = .venv/bin
+STAMP = .venv/.installed
+DEMO = build/demo
+MAPS = build/maps
+LOGS = drive.csv drive.log drive.bag drive_ros2 drive.mcap
+
+.PHONY: help demo maps test bench fuzz clean
+
+help: ## Show this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s  %s\n", $$1, $$2 }' Makefile
+
+demo: $(STAMP) ## Build a map of a simulated drive
+	@mkdir -p $(DEMO)
+	@$(BIN)/occmap build sample_logs/drive.mcap -o $(DEMO)/map.pgm -o $(DEMO)/map.png
+	@echo "Look at $(DEMO)/map.png; map_server and nav2 load $(DEMO)/map.yaml"
+
+maps: $(STAMP) ## Build a map of each sample log: five formats, one map
+	@mkdir -p $(MAPS)
+	@for log in $(LOGS); do \
+		$(BIN)/occmap build -q sample_logs/$$log -o $(MAPS)/$$log.pgm || exit; \
+		cmp $(MAPS)/drive.csv.pgm $(MAPS)/$$log.pgm || exit; \
+	done
+	@echo "$(MAPS) holds the maps of $(LOGS); all are the same, byte for byte"
+
+test: $(STAMP) ## Check style and types, and run all tests
+	@$(BIN)/ruff check --quiet .
+	@$(BIN)/ruff format --quiet --check .
+	@$(BIN)/mypy
+	@$(BIN)/pytest -q -n 2
+
+bench: $(STAMP) ## Measure how fast maps are built
+	@$(BIN)/python -m tests.bench
+
+fuzz: $(STAMP) ## Feed the readers damaged logs, a minute each
+	@$(BIN)/python -m tests.fuzz
+
+clean: ## Remove what was built, and the virtual environment
+	@rm -rf build dist .venv .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(STAMP): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit("occmap needs Python 3.11 or newer, this is %d.%d: try make PYTHON=python3.12" % sys.version_info[:2] if sys.version_info < (3, 11) else 0)'
+	@echo "Setting up .venv (once)"
+	@$(PYTHON) -m venv .venv
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	@touch $(STAMP)
