@@ -16,7 +16,8 @@ from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.beam import sum_beams, trace_beams
 from occmap.grid.kernels.polygon import Surfaces, sum_runs, trace_polygons
 from occmap.grid.kernels.project import project_ends
-from occmap.grid.kernels.radial import COUNT_BITS, trace_radial_beams, trace_radial_polygons
+from occmap.grid.kernels.radial import COUNT_BITS, trace_radial_polygons
+from occmap.grid.kernels.radial_beam import trace_radial_beams
 from occmap.grid.lattice import SUBCELL_BITS, SUBCELLS, CellBox, Lattice
 from occmap.grid.tiles import LOG_ODDS_UNIT
 from occmap.types import Float64, Int64, Rays, Update
@@ -32,6 +33,8 @@ class RadialTables:
     """(T + 1,) over (d / (r - depth))^2"""
     hit: Int64
     """(T + 1,) over |d - r| / depth"""
+    constant: int
+    """How many entries at the start of `free` are equal"""
     largest: int
     """The largest log-odds, either way, that an entry adds"""
 
@@ -51,8 +54,9 @@ def tabulate(free: Profile, hit: Profile, depth: float) -> RadialTables:
         p = profile(middle)
         tables.append(np.rint(np.log(p / (1 - p)) / LOG_ODDS_UNIT).astype(np.int64))
     largest = max(int(np.abs(table).max()) for table in tables)
-    packed = [(table << COUNT_BITS) + 1 for table in tables]
-    return RadialTables(depth, packed[0], packed[1], largest)
+    free_entries, hit_entries = ((table << COUNT_BITS) + 1 for table in tables)
+    constant = int(np.argmax(np.append(free_entries, 0) != free_entries[0]))
+    return RadialTables(depth, free_entries, hit_entries, constant, largest)
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,9 @@ def _reach_beside(rays: Rays, what: Observation) -> int:
     """How many cells beside their ends beams have a say in: half-way to their neighbours."""
     if what.radial is None or what.update is Update.BEAM or rays.kind.shape[1] < 2:
         return 0
-    spread = float(np.abs(np.diff(rays.direction, axis=1)).max())
+    single = rays.turn.shape[1] == 1  # a turn makes no two bearings differ more
+    directions = rays.bearing if single else rays.direction
+    spread = float(np.abs(np.diff(directions, axis=-2)).max())
     reach = float(rays.distance.max()) + what.radial.depth
     return int(reach * min(2 * spread, 1.0) / what.lattice.resolution) + 2
 
@@ -156,10 +162,6 @@ class Window(ABC):
         """No value of `read` is larger, either way."""
         return self.observations
 
-    def to_corner(self, points: Int64) -> Int64:
-        """Lattice units from the window's lower-left corner."""
-        return points - self.corner
-
     @property
     def corner(self) -> Int64:
         """(2,) x and y of the lower-left corner (lattice units)."""
@@ -180,9 +182,14 @@ class BeamWindow(Window):
         self.col_changes = allocate_changes(cols, rows)
 
     def trace(self, projected: Projected) -> None:
-        origins, ends = self.to_corner(projected.origins), self.to_corner(projected.ends)
         trace_beams(
-            origins, ends, projected.rays.kind, self.hits, *self.row_changes, *self.col_changes
+            projected.origins,
+            projected.ends,
+            projected.rays.kind,
+            self.corner,
+            self.hits,
+            *self.row_changes,
+            *self.col_changes,
         )
 
     def read(self) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -258,21 +265,37 @@ class RadialWindow(Window):
 class RadialBeamWindow(RadialWindow):
     """A radial model along each beam."""
 
+    def allocate(self, rows: int, cols: int) -> None:
+        super().allocate(rows, cols)
+        self.row_changes = allocate_changes(rows, cols)
+        self.col_changes = allocate_changes(cols, rows)
+
     def trace(self, projected: Projected) -> None:
-        rays, units_per_metre = projected.rays, self.what.lattice.units_per_metre
+        rays, tables = projected.rays, self.tables
+        units_per_metre = self.what.lattice.units_per_metre
         trace_radial_beams(
-            self.to_corner(projected.origins),
-            self.to_corner(projected.ends),
+            projected.origins,
+            projected.ends,
             rays.turn,
             rays.bearing,
             rays.distance,
             rays.kind,
+            self.corner,
             units_per_metre,
-            self.tables.depth * units_per_metre,
-            self.tables.free,
-            self.tables.hit,
+            tables.depth * units_per_metre,
+            tables.free,
+            tables.hit,
+            tables.constant,
             self.cells,
+            *self.row_changes,
+            *self.col_changes,
         )
+
+    def read(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        plain = np.zeros(self.cells.shape, np.int32)
+        sum_beams(*self.row_changes, *self.col_changes, plain)
+        self.cells += plain * self.tables.free[0]
+        return super().read()
 
 
 class RadialPolygonWindow(RadialWindow):

@@ -29,6 +29,7 @@ def trace_beams(
     origins: Int64,
     ends: Int64,
     kinds: UInt8,
+    corner: Int64,
     hits: Int32,
     row_runs: Int32,
     row_steps: Int32,
@@ -40,7 +41,9 @@ def trace_beams(
     Parameters
     ----------
     origins, ends, kinds
-        (S, K, 2) and (S, B, 2) x and y in lattice units from the window's corner; (S, B) of Kind.
+        (S, K, 2) and (S, B, 2) x and y in lattice units; (S, B) of Kind.
+    corner
+        (2,) x and y of the window's corner in lattice units.
     hits
         (H, W) counts.
     row_runs, row_steps
@@ -51,14 +54,15 @@ def trace_beams(
     scans, beams = kinds.shape
     viewpoints = origins.shape[1]
     rows, cols = hits.shape
+    left, bottom = corner[0] >> 8, corner[1] >> 8
     for s in range(scans):
         for b in range(beams):
             kind = kinds[s, b]
             if kind == 0:
                 continue
             k = b if viewpoints > 1 else 0
-            col, row = origins[s, k, 0] >> 8, origins[s, k, 1] >> 8
-            end_col, end_row = ends[s, b, 0] >> 8, ends[s, b, 1] >> 8
+            col, row = (origins[s, k, 0] >> 8) - left, (origins[s, k, 1] >> 8) - bottom
+            end_col, end_row = (ends[s, b, 0] >> 8) - left, (ends[s, b, 1] >> 8) - bottom
             if 0 <= end_row < rows and 0 <= end_col < cols:
                 if kind == 2:
                     hits[np.uint64(end_row), np.uint64(end_col)] += 1
@@ -66,36 +70,35 @@ def trace_beams(
                     end = np.uint64(end_row * (cols + 1) + end_col)
                     row_runs[end] += 1
                     row_runs[end + np.uint64(1)] -= 1
-            if abs(end_col - col) >= abs(end_row - row):
-                _add_line(row_runs, row_steps, rows, cols, col, row, end_col, end_row)
-            else:
-                _add_line(col_runs, col_steps, cols, rows, row, col, end_row, end_col)
+            inside = (
+                min(row, end_row) >= 0
+                and max(row, end_row) < rows
+                and min(col, end_col) >= 0
+                and max(col, end_col) < cols
+            )
+            if abs(end_col - col) < abs(end_row - row):
+                if inside:
+                    add_line(
+                        col_runs, col_steps, rows + 1, row, col, end_row, end_col,
+                        abs(end_row - row),
+                    )  # fmt: skip
+                else:
+                    _add_clipped_line(col_runs, col_steps, cols, rows, row, col, end_row, end_col)
+            elif col != end_col:
+                if inside:
+                    add_line(
+                        row_runs, row_steps, cols + 1, col, row, end_col, end_row,
+                        abs(end_col - col),
+                    )  # fmt: skip
+                else:
+                    _add_clipped_line(row_runs, row_steps, rows, cols, col, row, end_col, end_row)
 
 
 @kernel
-def _add_line(
-    runs: Int32, steps: Int32, height: int, width: int, u0: int, v0: int, u1: int, v1: int
+def add_line(
+    runs: Int32, steps: Int32, stride: int, u0: int, v0: int, u1: int, v1: int, cells: int
 ) -> None:
-    """Note the cells of a line from (u0, v0) up to but not (u1, v1); u is its major axis."""
-    if u0 == u1:
-        return
-    inside = min(u0, u1) >= 0 and max(u0, u1) < width and min(v0, v1) >= 0 and max(v0, v1) < height
-    stride = width + 1
-    if not inside:
-        _add_clipped_line(runs, steps, height, width, u0, v0, u1, v1)
-    elif u1 > u0:
-        runs[np.uint64(v0 * stride + u0)] += 1
-        runs[np.uint64(v1 * stride + u1)] -= 1
-        _add_steps(steps, stride, u0, v0, u1, v1)
-    else:
-        runs[np.uint64(v1 * stride + u1 + 1)] += 1
-        runs[np.uint64(v0 * stride + u0 + 1)] -= 1
-        _add_steps(steps, stride, u0, v0, u1, v1)
-
-
-@kernel
-def _add_steps(steps: Int32, stride: int, u0: int, v0: int, u1: int, v1: int) -> None:
-    """Note the steps of a line that lies wholly in the window.
+    """Note the first cells of a line from (u0, v0) to (u1, v1) in the window; u is its major axis.
 
     After i of its n cells along u the line has made floor((2 i m + n) / (2 n)) of its m steps, so
     step j comes at i = ceil(n (2 j - 1) / (2 m)). The place of a step advances by n / m along the
@@ -104,14 +107,21 @@ def _add_steps(steps: Int32, stride: int, u0: int, v0: int, u1: int, v1: int) ->
     the steps are exact in every window of fewer than 2^27 cells and 2^17 rows and columns.
     """
     n, m = abs(u1 - u0), abs(v1 - v0)
-    if m == 0:
+    made = m if cells == n else (2 * cells * m + n) // (2 * n)
+    v_end = v0 + made if v1 > v0 else v0 - made
+    if u1 > u0:
+        runs[np.uint64(v0 * stride + u0)] += 1
+        runs[np.uint64(v_end * stride + u0 + cells)] -= 1
+        first, change = u0 + 1, 1
+    else:
+        runs[np.uint64(v_end * stride + u0 - cells + 1)] += 1
+        runs[np.uint64(v0 * stride + u0 + 1)] -= 1
+        first, change = u0, -1
+    if made == 0:
         return
     slope = (n << FRACTION_BITS) // m
     place = (slope >> 1) - 1
-    if u1 > u0:
-        first, change = u0 + 1, 1
-    else:  # walking left, the same step lies one cell to the right of where it is made
-        first, change = u0, -1
+    if change < 0:  # walking left, a step lies one cell to the right of where it is made
         place, slope = (1 << FRACTION_BITS) - 1 - place, -slope
     if v1 > v0:
         place += ((v0 + 1) * stride + first) << FRACTION_BITS
@@ -120,8 +130,8 @@ def _add_steps(steps: Int32, stride: int, u0: int, v0: int, u1: int, v1: int) ->
         place += (v0 * stride + first) << FRACTION_BITS
         slope -= stride << FRACTION_BITS
         change = -change
-    for _ in range(m):
-        steps[np.uint64(place >> FRACTION_BITS)] += change
+    for _ in range(made):
+        steps[np.uint64(place) >> np.uint64(FRACTION_BITS)] += change
         place += slope
 
 
@@ -130,14 +140,13 @@ def _add_clipped_line(
     runs: Int32, steps: Int32, height: int, width: int, u0: int, v0: int, u1: int, v1: int
 ) -> None:
     """Note what the window has of a line: rows outside are left out, columns count at its edge."""
-    stride = width + 1
-    right, low_end = int(u1 < u0), min(max(v1, 0), height)
+    stride, right = width + 1, int(u1 < u0)
     n, m = abs(u1 - u0), abs(v1 - v0)
     u_sign, v_sign = 1 - 2 * right, (1 if v1 > v0 else -1)
     if 0 <= v0 < height:
         runs[v0 * stride + min(max(u0 + right, 0), width)] += u_sign
     if 0 <= v1 < height:
-        runs[low_end * stride + min(max(u1 + right, 0), width)] -= u_sign
+        runs[v1 * stride + min(max(u1 + right, 0), width)] -= u_sign
     v_first = v0 + 1 if v1 > v0 else v0
     for j in range(1, m + 1):
         v = v_first + v_sign * (j - 1)

@@ -12,12 +12,17 @@ from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.fill import cross_rows, make_spans
 from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.project import round_to_units
-from occmap.types import Bool, Float32, Float64, Int64, UInt8
+from occmap.grid.kernels.sectors import (
+    BEARINGS,
+    bearing_of,
+    cover_bearings,
+    find_sectors,
+    outline_sectors,
+)
+from occmap.types import Float32, Float64, Int64, UInt8
 
 COUNT_BITS = 20
 """A window cell counts fewer than 2^20 observations before it must be emptied."""
-BEARINGS = 1 << 14
-"""Steps of a full turn to which the bearing of a cell is known under the polygon update."""
 
 
 @kernel
@@ -85,14 +90,14 @@ def trace_radial_beams(
                             entry = hit[np.uint64(off / depth * steps)]
                             cells[np.uint64(row), np.uint64(col)] += entry
                 error += 2 * m
-                turn = error >= 2 * n
-                error -= 2 * n if turn else 0
+                steps_aside = error >= 2 * n
+                error -= 2 * n if steps_aside else 0
                 if steep:
                     row += upward
-                    col += to_right if turn else 0
+                    col += to_right if steps_aside else 0
                 else:
                     col += to_right
-                    row += upward if turn else 0
+                    row += upward if steps_aside else 0
 
 
 @kernel
@@ -131,16 +136,16 @@ def trace_radial_polygons(
     direction, ranges = np.empty((beams, 2), np.float64), np.empty(beams, np.float64)
     x, y = np.empty(4 * beams + 4, np.int64), np.empty(4 * beams + 4, np.int64)
     begins = np.empty(4 * beams + 4, np.bool_)
-    between = np.empty((beams + 1, 2), np.float64)
+    sectors, covers = np.empty((beams, 2, 2), np.float64), np.empty(beams, np.bool_)
     covering = np.empty(BEARINGS + 1, np.int32)
     buckets, counts = np.empty((rows, 32), np.int32), np.empty(rows, np.int64)
     for s in range(scans):
         _aim(turn[s], bearing, distance[s], direction, ranges)
-        _split_bearings(direction, full_circle, between)
-        _cover_bearings(between, kinds[s], covering)
-        corners = _outline_sectors(
-            origin[s, 0], direction, ranges, kinds[s], units_per_metre, depth, corner, between,
-            x, y, begins,
+        sign = find_sectors(direction, kinds[s], full_circle, sectors, covers)
+        cover_bearings(sectors, covers, sign, covering)
+        corners = outline_sectors(
+            origin[s, 0], direction, ranges, kinds[s], units_per_metre, depth, corner, sectors,
+            covers, x, y, begins,
         )  # fmt: skip
         while not cross_rows(x, y, begins, corners, buckets, counts):
             buckets = np.empty((rows, 2 * buckets.shape[1]), np.int32)
@@ -171,144 +176,6 @@ def _aim(
 
 
 @kernel
-def _find_sectors(
-    direction: Float64, kinds: UInt8, full_circle: bool, sectors: Float64, covers: Bool
-) -> None:
-    """Find what each beam covers: from half-way to one neighbour to half-way to the other.
-
-    `sectors` (B, 2, 2) is written: unit vectors at the clockwise and counter-clockwise side, at
-    most 60 degrees from the beam. `covers` (B,) too: False where a beam is SKIP, and where its
-    sides lie the wrong way round. That happens where a scan is not seen from where it was taken,
-    and a nearer thing shifts across a farther one; the neighbours' sectors then overlap.
-    """
-    beams = kinds.size
-    turn = 0.0
-    for b in range(1, beams):
-        turn += _cross(direction, b - 1, direction, b)
-    before, after = (0, 1) if turn >= 0 else (1, 0)
-    for b in range(beams):
-        if b > 0 or full_circle:
-            _halve(direction, b - 1, b, sectors[b, before])
-        if b < beams - 1 or full_circle:
-            _halve(direction, b, b + 1 if b < beams - 1 else 0, sectors[b, after])
-    if not full_circle:
-        # The first beam and the last cover as much beyond themselves as to their neighbour.
-        last = beams - 1
-        if beams == 1:
-            sectors[0, after] = direction[0]
-        _mirror(sectors[0, after], direction[0], sectors[0, before])
-        _mirror(sectors[last, before], direction[last], sectors[last, after])
-    for b in range(beams):
-        _limit(direction[b], sectors[b, 0], -1.0)
-        _limit(direction[b], sectors[b, 1], 1.0)
-        covers[b] = kinds[b] != 0 and _cross(sectors[b], 0, sectors[b], 1) > 0
-
-
-@kernel
-def _cross(a: Float64, i: int, b: Float64, j: int) -> float:
-    """Sine of the angle from one unit vector to another."""
-    return a[i, 0] * b[j, 1] - a[i, 1] * b[j, 0]
-
-
-@kernel
-def _halve(direction: Float64, a: int, b: int, side: Float64) -> None:
-    """Write the unit vector half-way between two beams; zero where they are opposite."""
-    x, y = direction[a, 0] + direction[b, 0], direction[a, 1] + direction[b, 1]
-    length = max(np.sqrt(x * x + y * y), 1e-300)
-    side[0], side[1] = x / length, y / length
-
-
-@kernel
-def _mirror(vector: Float64, axis: Float64, side: Float64) -> None:
-    """Write a unit vector mirrored about a beam."""
-    along = vector[0] * axis[0] + vector[1] * axis[1]
-    side[0], side[1] = 2 * along * axis[0] - vector[0], 2 * along * axis[1] - vector[1]
-
-
-@kernel
-def _limit(beam: Float64, side: Float64, sign: float) -> None:
-    """Bring the side of a sector to 60 degrees from its beam if it is farther."""
-    if side[0] * beam[0] + side[1] * beam[1] < COS_60:
-        side[0] = COS_60 * beam[0] - sign * SIN_60 * beam[1]
-        side[1] = COS_60 * beam[1] + sign * SIN_60 * beam[0]
-
-
-@kernel
-def _bearing_of(x: float, y: float) -> np.int64:
-    """Which of the steps of a turn a vector points to, counter-clockwise from +x.
-
-    Steps of x / (|x| + |y|) and not of the angle: they grow and shrink together, and this needs
-    no arc tangent.
-    """
-    part = x / max(abs(x) + abs(y), 1e-300)
-    turned = 1.0 - part if y >= 0 else 3.0 + part
-    return np.int64(turned * (BEARINGS / 4))
-
-
-@kernel
-def _cover_bearings(sectors: Float64, covers: Bool, covering: Int32) -> None:
-    """Write for each step of a turn the beam that covers it, the later of two; -1 where none."""
-    covering[:] = -1
-    for b in range(covers.size):
-        first = _bearing_of(sectors[b, 0, 0], sectors[b, 0, 1])
-        last = _bearing_of(sectors[b, 1, 0], sectors[b, 1, 1])
-        if not covers[b] or first == last:
-            continue
-        if last < first:
-            covering[first:] = b
-            covering[:last] = b
-        else:
-            covering[first:last] = b
-
-
-@kernel
-def _outline_sectors(
-    origin: Float64,
-    direction: Float64,
-    ranges: Float64,
-    kinds: UInt8,
-    units_per_metre: float,
-    depth: float,
-    corner: Int64,
-    between: Float64,
-    x: Int64,
-    y: Int64,
-    begins: Bool,
-) -> int:
-    """Write corners around all that the beams may say something about; returns their number.
-
-    A beam's sector ends at the tangent to the outermost circle of its influence, so nothing is
-    left out. Neighbours share a side; a run of beams that are not SKIP is closed at the sensor.
-    """
-    beams = kinds.size
-    at_x = round_to_units(origin[0], units_per_metre) - corner[0]
-    at_y = round_to_units(origin[1], units_per_metre) - corner[1]
-    corners = 0
-    for b in range(beams):
-        if kinds[b] == 0:
-            continue
-        if b == 0 or kinds[b - 1] == 0:
-            x[corners], y[corners], begins[corners] = at_x, at_y, True
-            corners += 1
-        reach = ranges[b] + (depth if kinds[b] == 2 else 0.0) + 4 / units_per_metre
-        for side in range(b, b + 2):
-            cosine = between[side, 0] * direction[b, 0] + between[side, 1] * direction[b, 1]
-            length = reach / max(cosine, 0.5)
-            end_x, end_y = (
-                origin[0] + length * between[side, 0],
-                origin[1] + length * between[side, 1],
-            )
-            x[corners] = round_to_units(end_x, units_per_metre) - corner[0]
-            y[corners] = round_to_units(end_y, units_per_metre) - corner[1]
-            begins[corners] = False
-            corners += 1
-        if b == beams - 1 or kinds[b + 1] == 0:
-            x[corners], y[corners], begins[corners] = at_x, at_y, False
-            corners += 1
-    return corners
-
-
-@kernel
 def _observe_span(
     at: tuple[int, int, int],
     span: tuple[np.int64, np.int64],
@@ -329,7 +196,7 @@ def _observe_span(
     from_y = float((row << 8) + 128 - y)
     for col in range(span[0], span[1]):
         from_x = float((col << 8) + 128 - x)
-        b = covering[np.uint64(_bearing_of(from_x, from_y))]
+        b = covering[np.uint64(bearing_of(from_x, from_y))]
         if b < 0:
             continue
         squared = from_x * from_x + from_y * from_y

@@ -1,0 +1,124 @@
+"""The beam update of a radial sensor model: what each beam says about the cells along it.
+
+Clipped at p_min, such a model says the same about all cells from the sensor up to some share of the
+range. These are noted as runs and steps, as in `beam`; only the cells beyond are visited.
+"""
+
+import numpy as np
+
+from occmap.grid.kernels.arrays import Int32
+from occmap.grid.kernels.beam import add_line
+from occmap.grid.kernels.jit import kernel
+from occmap.types import Float32, Float64, Int64, UInt8
+
+FARTHEST_CENTRE = 1.25
+"""Cells by which a cell's centre may be farther from the sensor than its place on the line: half a
+diagonal at the sensor, and half a cell beside the line."""
+
+
+@kernel
+def trace_radial_beams(
+    origins: Int64,
+    ends: Int64,
+    turn: Float64,
+    bearing: Float64,
+    distance: Float32,
+    kinds: UInt8,
+    corner: Int64,
+    units_per_metre: float,
+    depth: float,
+    free: Int64,
+    hit: Int64,
+    constant: int,
+    cells: Int64,
+    row_runs: Int32,
+    row_steps: Int32,
+    col_runs: Int32,
+    col_steps: Int32,
+) -> None:
+    """Add what every beam says about the cells along it, up to the end of its influence.
+
+    Parameters
+    ----------
+    origins, ends
+        (S, K, 2) and (S, B, 2) x and y in lattice units; a HIT beam ends at its range + depth.
+    turn, bearing, distance, kinds
+        (S, K, 2, 2), (B, 2), (S, B), (S, B) as in `Rays`.
+    corner
+        (2,) x and y of the window's corner in lattice units.
+    depth
+        In lattice units.
+    free, hit
+        (T + 1,) tables of a model; the first `constant` entries of `free` are equal.
+    cells
+        (H, W) sums of the entries of the cells that were visited.
+    row_runs, row_steps, col_runs, col_steps
+        As in `trace_beams`, for the cells that get the first entry of `free`.
+    """
+    scans, beams = kinds.shape
+    viewpoints, turns = origins.shape[1], turn.shape[1]
+    rows, cols = cells.shape
+    steps = free.size - 1
+    plain = np.sqrt(constant / steps)
+    for s in range(scans):
+        for b in range(beams):
+            if kinds[s, b] == 0:
+                continue
+            k, t = min(b, viewpoints - 1), min(b, turns - 1)
+            along_x = turn[s, t, 0, 0] * bearing[b, 0] + turn[s, t, 0, 1] * bearing[b, 1]
+            along_y = turn[s, t, 1, 0] * bearing[b, 0] + turn[s, t, 1, 1] * bearing[b, 1]
+            length = np.sqrt(along_x * along_x + along_y * along_y)
+            r = distance[s, b] * length * units_per_metre
+            x, y = origins[s, k, 0] - corner[0], origins[s, k, 1] - corner[1]
+            end_x, end_y = ends[s, b, 0] - corner[0], ends[s, b, 1] - corner[1]
+            # u is the line's major axis, v the other.
+            steep = abs((end_y >> 8) - (y >> 8)) > abs((end_x >> 8) - (x >> 8))
+            if steep:
+                x, y, end_x, end_y = y, x, end_y, end_x
+            u, v, u_end, v_end = x >> 8, y >> 8, end_x >> 8, end_y >> 8
+            width, height = (rows, cols) if steep else (cols, rows)
+            u_sign, v_sign = (1 if u_end > u else -1), (1 if v_end > v else -1)
+            n, m = abs(u_end - u), abs(v_end - v)
+            inside = (
+                min(u, u_end) >= 0
+                and max(u, u_end) < width
+                and min(v, v_end) >= 0
+                and max(v, v_end) < height
+            )
+            before = max(r - depth, 0.0)
+            done = 0
+            if inside and n > 0:
+                near = plain * before / 256 - FARTHEST_CENTRE
+                done = min(max(int(near * n / np.sqrt(float(n * n + m * m))), 0), n)
+            if done > 0 and steep:
+                add_line(col_runs, col_steps, rows + 1, u, v, u_end, v_end, done)
+            elif done > 0:
+                add_line(row_runs, row_steps, cols + 1, u, v, u_end, v_end, done)
+            error = n + 2 * done * m
+            if done > 0:
+                u += u_sign * done
+                v += v_sign * (error // (2 * n))
+                error %= 2 * n
+            until = before * before
+            scale = steps / max(until, 1.0)
+            is_hit = kinds[s, b] == 2
+            from_u, from_v = (u << 8) + 128 - x, (v << 8) + 128 - y
+            for _ in range(done, n + 1):
+                if inside or (0 <= u < width and 0 <= v < height):
+                    squared = float(from_u * from_u + from_v * from_v)
+                    row, col = (
+                        (np.uint64(u), np.uint64(v)) if steep else (np.uint64(v), np.uint64(u))
+                    )
+                    if squared < until:
+                        cells[row, col] += free[np.uint64(squared * scale)]
+                    elif is_hit:
+                        off = abs(np.sqrt(squared) - r)
+                        if off <= depth:
+                            cells[row, col] += hit[np.uint64(off / depth * steps)]
+                u += u_sign
+                from_u += u_sign << 8
+                error += 2 * m
+                if error >= 2 * n:
+                    error -= 2 * n
+                    v += v_sign
+                    from_v += v_sign << 8
