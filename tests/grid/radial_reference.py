@@ -1,0 +1,165 @@
+"""The updates for models that look at distances, the slow way: one cell at a time, in floats.
+
+Elfes' quadratic model, for a cell whose centre is at distance d from the sensor on a beam of range
+r: p = (1 + O - V) / 2 with V = 1 - (d / (r - depth))^2 for 0 <= d < r - depth and, where the beam
+hit something, O = 1 - ((d - r) / depth)^2 for |d - r| <= depth; each is 0 elsewhere, and where both
+are, nothing is observed. p is clipped to [p_min, 1 - p_min].
+"""
+
+import math
+from collections import defaultdict
+from dataclasses import dataclass, field
+
+from occmap.types import Kind, Rays
+from tests.grid.reference import Cell, Point, all_beams, bresenham, cell_of, point
+
+MILLIONTH = 1e-6
+"""A distance this near to a limit, as a share of it, may fall on either side."""
+BEARING_TOLERANCE = 2 * math.pi / 4000
+"""A bearing this near (rad) to where one beam takes over from another may fall on either side."""
+WIDEST = math.radians(60)
+"""No beam speaks for bearings farther from its own."""
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """The parameters of the model."""
+
+    depth: float
+    p_min: float
+
+    def observe(self, d: float, r: float, kind: Kind) -> float | None:
+        """The probability of a cell, None where the beam says nothing about it."""
+        if d < r - self.depth:
+            v = 1 - (d / (r - self.depth)) ** 2
+            return self.clip((1 - v) / 2)
+        if kind == Kind.HIT and abs(d - r) <= self.depth:
+            o = 1 - ((d - r) / self.depth) ** 2
+            return self.clip((1 + o) / 2)
+        return None
+
+    def clip(self, p: float) -> float:
+        return min(max(p, self.p_min), 1 - self.p_min)
+
+    def is_on_limit(self, d: float, r: float) -> bool:
+        """Whether rounding decides what is said about the cell."""
+        limits = (abs(r - self.depth), r + self.depth)
+        return any(abs(d - limit) <= MILLIONTH * (limit + d) for limit in limits)
+
+
+@dataclass
+class Observed:
+    """What the cells were told; `doubtful` ones are decided by rounding."""
+
+    probabilities: dict[Cell, list[float]] = field(default_factory=lambda: defaultdict(list))
+    doubtful: set[Cell] = field(default_factory=set)
+
+    def log_odds(self, cell: Cell) -> float:
+        return sum(math.log(p / (1 - p)) for p in self.probabilities[cell])
+
+    def note(self, cell: Cell, p: float | None) -> None:
+        if p is not None:
+            self.probabilities[cell].append(p)
+
+
+def centre_from(sensor: Point, cell: Cell, resolution: float) -> tuple[float, float]:
+    """x and y (m) of a cell's centre as seen from the sensor's place on the lattice."""
+    x, y = cell[1] * 256 + 128 - sensor[0], cell[0] * 256 + 128 - sensor[1]
+    return x * resolution / 256, y * resolution / 256
+
+
+def trace_radial_beams(rays: Rays, resolution: float, model: Quadratic) -> Observed:
+    """Along each beam: to its range, or where it hit something to its range + depth."""
+    observed = Observed()
+    for s, b in all_beams(rays):
+        kind, r = Kind(int(rays.kind[s, b])), float(rays.distance[s, b])
+        if kind == Kind.SKIP:
+            continue
+        sensor = point(rays, s, b, 0.0, resolution)
+        reach = r + (model.depth if kind == Kind.HIT else 0.0)
+        for cell in bresenham(cell_of(sensor), cell_of(point(rays, s, b, reach, resolution))):
+            d = math.hypot(*centre_from(sensor, cell, resolution))
+            observed.note(cell, model.observe(d, r, kind))
+            if model.is_on_limit(d, r):
+                observed.doubtful.add(cell)
+    return observed
+
+
+@dataclass(frozen=True)
+class Sector:
+    """The bearings that a beam covers: from `start`, counter-clockwise by `width` (rad)."""
+
+    start: float
+    width: float
+
+    def turn_to(self, bearing: float) -> float:
+        return (bearing - self.start) % (2 * math.pi)
+
+    def contains(self, bearing: float) -> bool:
+        return self.turn_to(bearing) < self.width
+
+    def is_beside(self, bearing: float) -> bool:
+        """Whether a bearing lies on a side of the sector, as far as rounding goes."""
+        turn = self.turn_to(bearing)
+        apart = min(turn, 2 * math.pi - turn, abs(turn - self.width))
+        return apart <= BEARING_TOLERANCE
+
+
+def trace_radial_polygons(rays: Rays, resolution: float, model: Quadratic) -> Observed:
+    """Each cell once a scan, with the range of the beam that covers its bearing.
+
+    Where a scan goes more than once round, the later beam counts.
+    """
+    observed = Observed()
+    for s in range(rays.kind.shape[0]):
+        sectors = find_sectors(rays, s)
+        sensor = point(rays, s, 0, 0.0, resolution)
+        for cell in cells_within(sensor, float(rays.distance[s].max()) + model.depth, resolution):
+            x, y = centre_from(sensor, cell, resolution)
+            bearing = math.atan2(y, x)
+            covering = [b for b, sector in sectors.items() if sector.contains(bearing)]
+            if (x, y) == (0, 0) or any(v.is_beside(bearing) for v in sectors.values()):
+                observed.doubtful.add(cell)
+            if covering:
+                b = covering[-1]
+                d, r = math.hypot(x, y), float(rays.distance[s, b])
+                observed.note(cell, model.observe(d, r, Kind(int(rays.kind[s, b]))))
+                if model.is_on_limit(d, r):
+                    observed.doubtful.add(cell)
+    return observed
+
+
+def find_sectors(rays: Rays, s: int) -> dict[int, Sector]:
+    """What each beam covers: half-way to its neighbours, and as much beyond the first and last.
+
+    A beam covers nothing where it is SKIP or its sides lie the wrong way round.
+    """
+    bearings = [math.atan2(y, x) for x, y in rays.direction[s].tolist()]
+    beams = len(bearings)
+    turns = [turn_between(bearings[b], bearings[(b + 1) % beams]) for b in range(beams)]
+    sense = 1 if sum(math.sin(turn) for turn in turns[:-1]) >= 0 else -1
+    halves = [min(sense * turn / 2, WIDEST) for turn in turns]
+    sectors = {}
+    for b in range(beams):
+        before, after = halves[b - 1], halves[b]
+        if not rays.full_circle and b == 0:
+            before = after
+        elif not rays.full_circle and b == beams - 1:
+            after = before
+        width = before + after
+        if width > 0 and beams > 1 and rays.kind[s, b] != Kind.SKIP:
+            sectors[b] = Sector(bearings[b] - (before if sense > 0 else after), width)
+    return sectors
+
+
+def turn_between(a: float, b: float) -> float:
+    """From one bearing to another, the short way, in (-pi, pi]."""
+    turn = (b - a) % (2 * math.pi)
+    return turn - 2 * math.pi if turn > math.pi else turn
+
+
+def cells_within(sensor: Point, reach: float, resolution: float) -> list[Cell]:
+    """All cells whose centres may be within reach of the sensor."""
+    row, col = cell_of(sensor)
+    n = math.ceil(reach / resolution) + 1
+    return [(r, c) for r in range(row - n, row + n + 1) for c in range(col - n, col + n + 1)]

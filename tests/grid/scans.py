@@ -1,0 +1,165 @@
+"""Random scans that hold the corner cases, and the evidence of an engine as plain numbers."""
+
+import math
+from collections import Counter
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from hypothesis import settings
+from hypothesis import strategies as st
+
+from occmap.grid.engine import WINDOW_CELLS, GridEngine
+from occmap.grid.tiles import TILE, TileGrid
+from occmap.grid.windows import Observation
+from occmap.types import Float64, Int64, Kind, Rays, UInt8
+from tests.grid.reference import Cell
+
+FEW = settings(max_examples=30, deadline=None, derandomize=True, database=None)
+MANY = settings(FEW, max_examples=80)
+
+
+class Evidence(NamedTuple):
+    """The two numbers of every cell in which one is not zero."""
+
+    first: Counter[Cell]
+    second: Counter[Cell]
+
+
+def observe(
+    what: Observation, batches: Iterable[Rays], window_cells: int = WINDOW_CELLS
+) -> Evidence:
+    engine = GridEngine(what, window_cells)
+    for rays in batches:
+        engine.add(rays)
+    return read_cells(engine.finish())
+
+
+def read_cells(grid: TileGrid) -> Evidence:
+    evidence = Evidence(Counter(), Counter())
+    for (tile_row, tile_col), tile in grid.tiles.items():
+        for layer, sums in zip(tile, evidence, strict=True):
+            for row, col in np.argwhere(layer).tolist():
+                cell = (tile_row * TILE + row, tile_col * TILE + col)
+                sums[cell] = int(layer[row, col])
+    return evidence
+
+
+def aim(angle_min: float, angle_increment: float, beams: int) -> Float64:
+    """(B, 2) unit vectors."""
+    bearings = angle_min + angle_increment * np.arange(beams)
+    return np.stack([np.cos(bearings), np.sin(bearings)], axis=-1)
+
+
+def take(rays: Rays, scans: slice | list[int]) -> Rays:
+    """Some of the scans, in the order given."""
+    return Rays(
+        rays.origin[scans],
+        rays.turn[scans],
+        rays.bearing,
+        rays.distance[scans],
+        rays.kind[scans],
+        rays.full_circle,
+    )
+
+
+class Geometry(NamedTuple):
+    """What scans of a batch share."""
+
+    beams: int
+    angle_min: float
+    angle_increment: float
+
+    @property
+    def full_circle(self) -> bool:
+        return (self.beams + 0.5) * abs(self.angle_increment) >= 2 * math.pi
+
+
+@st.composite
+def geometries(draw: st.DrawFn, least_beams: int = 1) -> Geometry:
+    """A narrow fan, a wide one, a circle, more than a circle; either way round."""
+    beams = draw(st.integers(least_beams, 40))
+    turn = 2 * math.pi / beams
+    increment = draw(st.sampled_from([0.03, 0.1, turn * 0.6, turn, turn * 1.1, turn * 1.4]))
+    sign = draw(st.sampled_from([1, -1]))
+    return Geometry(beams, draw(st.floats(-4, 4)), sign * increment)
+
+
+@st.composite
+def kinds(draw: st.DrawFn, shape: tuple[int, int]) -> UInt8:
+    """(S, B) of Kind: of one sort only, or mixed, often in runs."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    shares = draw(
+        st.sampled_from([(0, 0, 1), (0, 1, 0), (1, 0, 0), (0.1, 0.1, 0.8), (0.3, 0.3, 0.4)])
+    )
+    return rng.choice(np.array(Kind, np.uint8), shape, p=shares)
+
+
+@st.composite
+def distances(draw: st.DrawFn, shape: tuple[int, int]) -> Float64:
+    """(S, B) in cells: walls with steps, now and then no length at all."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    far = draw(st.sampled_from([0.0, 0.3, 4.0, 14.0]))
+    wall = np.repeat(rng.uniform(0, far, (shape[0], -(-shape[1] // 6))), 6, axis=1)[:, : shape[1]]
+    rough = wall + rng.normal(0, draw(st.sampled_from([0.0, 0.2, 2.0])), shape)
+    return np.where(rng.random(shape) < 0.05, 0.0, np.clip(rough, 0, 20))
+
+
+@st.composite
+def origins(draw: st.DrawFn, scans: int, viewpoints: int) -> Float64:
+    """(S, K, 2) in cells, beside the world's zero: a drive, and some way within each scan."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    apart = draw(st.sampled_from([0.0, 0.5, 8.0]))
+    inside = draw(st.sampled_from([0.05, 1.0]))
+    start = rng.uniform(-apart, apart, (scans, 1, 2))
+    return np.asarray(start + rng.normal(0, inside, (scans, viewpoints, 2)))
+
+
+class Drive(NamedTuple):
+    """Rays and the lattice that they are meant for."""
+
+    rays: Rays
+    resolution: float
+
+
+@st.composite
+def drives(
+    draw: st.DrawFn,
+    resolutions: tuple[float, ...] = (0.01, 0.05, 0.25, 1.0),
+    places: tuple[float, ...] = (0.0, 1e5, -1e5),
+    least_beams: int = 1,
+) -> Drive:
+    """Up to three scans, somewhere, with a viewpoint a scan or one a beam."""
+    geometry = draw(geometries(least_beams))
+    resolution = draw(st.sampled_from(resolutions))
+    shape = (draw(st.integers(1, 3)), geometry.beams)
+    viewpoints = draw(st.sampled_from([1, 1, geometry.beams]))
+    kind = draw(kinds(shape))
+    headings = draw(st.lists(st.floats(-3, 3), min_size=shape[0], max_size=shape[0]))
+    direction = np.stack(
+        [aim(geometry.angle_min + h, geometry.angle_increment, geometry.beams) for h in headings]
+    )
+    place = np.array([draw(st.sampled_from(places)), draw(st.sampled_from(places))])
+    rays = Rays.along(
+        origin=place + draw(origins(shape[0], viewpoints)) * resolution,
+        direction=direction,
+        distance=(draw(distances(shape)) * resolution * (kind > 0)).astype(np.float32),
+        kind=kind,
+        full_circle=geometry.full_circle,
+    )
+    return Drive(rays, resolution)
+
+
+def shift(rays: Rays, metres: tuple[float, float]) -> Rays:
+    return Rays(
+        rays.origin + np.array(metres),
+        rays.turn,
+        rays.bearing,
+        rays.distance,
+        rays.kind,
+        rays.full_circle,
+    )
+
+
+def as_ints(values: Int64) -> list[int]:
+    return [int(value) for value in values.ravel()]
