@@ -68,9 +68,7 @@ def trace_polygons(
     misses: Counter[Cell] = Counter()
     for s in range(rays.kind.shape[0]):
         border = find_border(rays, s, resolution, jump, border_gap)
-        regions = [
-            outline(rays, s, run, resolution, jump) for run in find_runs(rays, s)
-        ]
+        regions = [outline(rays, s, run, resolution, jump) for run in find_runs(rays, s)]
         hits.update(border)
         misses.update(
             cell
@@ -149,9 +147,7 @@ def cells_around(regions: list[list[Point]]) -> set[Cell]:
     for region in regions:
         xs, ys = [x // 256 for x, _ in region], [y // 256 for _, y in region]
         cells |= {
-            (row, col)
-            for row in range(min(ys), max(ys) + 1)
-            for col in range(min(xs), max(xs) + 1)
+            (row, col) for row in range(min(ys), max(ys) + 1) for col in range(min(xs), max(xs) + 1)
         }
     return cells
 

@@ -26,81 +26,6 @@ COUNT_BITS = 20
 
 
 @kernel
-def trace_radial_beams(
-    origins: Int64,
-    ends: Int64,
-    turn: Float64,
-    bearing: Float64,
-    distance: Float32,
-    kinds: UInt8,
-    units_per_metre: float,
-    depth: float,
-    free: Int64,
-    hit: Int64,
-    cells: Int64,
-) -> None:
-    """Add what every beam says about the cells along it, up to the end of its influence.
-
-    Parameters
-    ----------
-    origins, ends
-        (S, K, 2) and (S, B, 2) x and y in lattice units from the window's corner; a HIT beam is
-        traced to its range + depth.
-    turn, bearing, distance, kinds
-        (S, K, 2, 2), (B, 2), (S, B), (S, B) as in `Rays`.
-    depth
-        In lattice units.
-    free, hit
-        (T + 1,) tables.
-    cells
-        (H, W) sums.
-    """
-    scans, beams = kinds.shape
-    viewpoints = origins.shape[1]
-    rows, cols = cells.shape
-    steps = free.size - 1
-    for s in range(scans):
-        for b in range(beams):
-            if kinds[s, b] == 0:
-                continue
-            k = b if viewpoints > 1 else 0
-            x, y = origins[s, k, 0], origins[s, k, 1]
-            t = min(b, turn.shape[1] - 1)
-            along_x = turn[s, t, 0, 0] * bearing[b, 0] + turn[s, t, 0, 1] * bearing[b, 1]
-            along_y = turn[s, t, 1, 0] * bearing[b, 0] + turn[s, t, 1, 1] * bearing[b, 1]
-            r = distance[s, b] * np.sqrt(along_x * along_x + along_y * along_y) * units_per_metre
-            col, row = x >> 8, y >> 8
-            across, up = (ends[s, b, 0] >> 8) - col, (ends[s, b, 1] >> 8) - row
-            n, m = max(abs(across), abs(up)), min(abs(across), abs(up))
-            steep = abs(up) > abs(across)
-            to_right, upward = (1 if across > 0 else -1), (1 if up > 0 else -1)
-            is_hit = kinds[s, b] == 2
-            until = max(r - depth, 0.0) ** 2
-            error = n
-            for _ in range(n + 1):
-                if 0 <= row < rows and 0 <= col < cols:
-                    from_x, from_y = (col << 8) + 128 - x, (row << 8) + 128 - y
-                    squared = float(from_x * from_x + from_y * from_y)
-                    if squared < until:
-                        entry = free[np.uint64(squared / until * steps)]
-                        cells[np.uint64(row), np.uint64(col)] += entry
-                    elif is_hit:
-                        off = abs(np.sqrt(squared) - r)
-                        if off <= depth:
-                            entry = hit[np.uint64(off / depth * steps)]
-                            cells[np.uint64(row), np.uint64(col)] += entry
-                error += 2 * m
-                steps_aside = error >= 2 * n
-                error -= 2 * n if steps_aside else 0
-                if steep:
-                    row += upward
-                    col += to_right if steps_aside else 0
-                else:
-                    col += to_right
-                    row += upward if steps_aside else 0
-
-
-@kernel
 def trace_radial_polygons(
     origin: Float64,
     turn: Float64,
@@ -128,8 +53,10 @@ def trace_radial_polygons(
         m
     corner
         (2,) x and y of the window's corner in lattice units.
-    free, hit, cells
-        As in `trace_radial_beams`.
+    free, hit
+        (T + 1,) tables of a model.
+    cells
+        (H, W) sums.
     """
     scans, beams = kinds.shape
     rows, cols = cells.shape
