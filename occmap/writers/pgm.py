@@ -4,7 +4,9 @@ The two loaders disagree at the thresholds: map_server compares strictly, nav2 i
 free win. So no pixel written here lies on a threshold, and every class survives both.
 """
 
+import json
 import math
+import re
 from pathlib import Path
 from typing import BinaryIO
 
@@ -18,6 +20,8 @@ OCCUPIED, UNKNOWN, FREE = 0, 205, 254
 SCALE_UNKNOWN = 127
 """nav2's grey for unknown in scale mode. PGM has no transparency to tell it from a measured 0.5."""
 RAW_UNKNOWN = 255
+PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_-]*(\.pgm)?")
+"""Text that YAML takes for text without quotes; words such as `no` do not occur among modes."""
 THRESHOLD_MARGIN = 1e-3
 """In grey levels; loaders compare in single precision."""
 
@@ -128,9 +132,17 @@ def _percent(grid: OccupancyMap) -> UInt8:
 
 
 def _write_yaml(file: BinaryIO, fields: dict[str, object]) -> None:
-    from ruamel.yaml import YAML  # noqa: PLC0415  slow to import, and only needed here
+    """Write seven plain lines: importing a YAML library takes longer than writing the image."""
+    lines = [f"{name}: {_to_yaml(value)}\n" for name, value in fields.items()]
+    file.write("".join(lines).encode())
 
-    yaml = YAML(typ="rt")  # keeps the order of the fields
-    yaml.default_flow_style = None  # the origin in one line, the rest a line each
-    yaml.width = 4096  # a long file name is not folded
-    yaml.dump(fields, file)
+
+def _to_yaml(value: object) -> str:
+    """Write a value as YAML 1.1 and 1.2 both read it; every JSON string is a YAML string."""
+    if isinstance(value, list):
+        return f"[{', '.join(_to_yaml(each) for each in value)}]"
+    if isinstance(value, str):
+        return value if PLAIN.fullmatch(value) else json.dumps(value, ensure_ascii=False)
+    number = repr(value)
+    # YAML 1.1 takes 1e-05, without a dot, for text.
+    return number.replace("e", ".0e") if "e" in number and "." not in number else number
