@@ -1,0 +1,34 @@
+"""Where logs are for tests: the sample logs, real ones, and small ones written by hand."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+SAMPLE_LOGS = ROOT / "sample_logs"
+DRIVES = [
+    SAMPLE_LOGS / name
+    for name in ("drive.csv", "drive.log", "drive.bag", "drive_ros2", "drive.mcap")
+]
+"""The same drive in every format."""
+
+REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", ROOT.parent / "shared" / "logs"))
+
+
+Planar = tuple[float, float, float]
+"""x, y (m) and yaw (rad) of a sensor"""
+
+
+def write_csv(
+    path: Path,
+    poses: Sequence[Planar],
+    ranges: Sequence[float],
+    step: float = 0.0,
+) -> Path:
+    """Write a log of one scan a second, all with the same ranges, beams `step` radians apart."""
+    beams = ",".join(f"r{beam}" for beam in range(len(ranges)))
+    head = f"# angle_min: 0\n# angle_increment: {step}\nstamp,x,y,yaw,{beams}\n"
+    cells = ",".join(map(str, ranges))
+    rows = [f"{second},{x},{y},{yaw},{cells}\n" for second, (x, y, yaw) in enumerate(poses)]
+    path.write_text(head + "".join(rows))
+    return path

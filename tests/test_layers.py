@@ -1,0 +1,122 @@
+"""The layers keep apart: read from the imports of every module, and from what a process loads."""
+
+import ast
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parent.parent / "occmap"
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+LAYERS = ("readers", "posing", "sensor", "grid", "writers")
+OWNERS = {
+    "click": "cli",
+    "tqdm": "cli",
+    "rosbags": "readers",
+    "mcap": "readers",
+    "PIL": "writers",
+    "numba": "grid",
+}
+"""Who alone may import a package."""
+
+HEAVY = {"numpy", "numba", "llvmlite", "rosbags", "mcap", "PIL", "tqdm", "importlib.metadata"}
+
+
+def name_module(path: Path) -> str:
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(part for part in parts if part != "__init__")
+
+
+def list_imports(path: Path) -> Iterator[str]:
+    """Name all that a module imports, within functions and for type checkers, too."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: imports are absolute"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def find_layer(module: str) -> str:
+    """Name the part of occmap that a module is in; "" for anything else."""
+    parts = module.split(".")
+    return parts[1] if parts[0] == "occmap" and len(parts) > 1 else ""
+
+
+def find_met(path: Path) -> set[str]:
+    """Name the parts of occmap that a module imports from, without its own."""
+    return {find_layer(name) for name in list_imports(path)} - {find_layer(name_module(path)), ""}
+
+
+def list_modules(*layers: str) -> list[Path]:
+    return [path for path in MODULES if find_layer(name_module(path)) in layers]
+
+
+@pytest.mark.parametrize("path", list_modules(*LAYERS), ids=name_module)
+def test_layers_do_not_know_each_other(path: Path) -> None:
+    assert find_met(path) <= {"types", "errors", "plugins"}
+
+
+@pytest.mark.parametrize("name", ["types", "errors", "plugins"])
+def test_values_and_errors_know_nobody(name: str) -> None:
+    assert find_met(PACKAGE / f"{name}.py") == set()
+
+
+def test_nothing_knows_the_command_line() -> None:
+    knowing = {name_module(path) for path in MODULES if "cli" in find_met(path)}
+    assert knowing == {"occmap.__main__"}
+
+
+@pytest.mark.parametrize("package", OWNERS)
+def test_a_package_has_one_owner(package: str) -> None:
+    importing = {
+        find_layer(name_module(path))
+        for path in MODULES
+        if any(name.split(".")[0] == package for name in list_imports(path))
+    }
+    assert importing == {OWNERS[package]}
+
+
+def test_the_walk_sees_the_imports() -> None:
+    pipeline = {find_layer(name) for name in list_imports(PACKAGE / "pipeline.py")}
+    assert set(LAYERS) <= pipeline
+    assert "tqdm.tqdm" in set(list_imports(PACKAGE / "cli" / "progress.py"))
+
+
+def list_loaded(code: str) -> set[str]:
+    """Name the modules that a process has loaded after running some code."""
+    script = f"{code}\nimport json, sys; print(json.dumps(sorted(sys.modules)), file=sys.stderr)"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60
+    )
+    return set(json.loads(done.stderr))
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "from occmap.cli import run; assert run(['--help']) == 0",
+        "from occmap.cli import run; assert run([]) == 0",
+        "import occmap",
+        "import occmap; assert 'build_map' in dir(occmap)",
+    ],
+)
+def test_help_waits_for_nothing_heavy(code: str) -> None:
+    assert list_loaded(code).isdisjoint(HEAVY)
+
+
+def test_only_a_build_loads_numba_and_only_a_terminal_tqdm() -> None:
+    loaded = list_loaded("from occmap.cli import run; assert run(['build', '--help']) == 0")
+    assert loaded.isdisjoint({"numba", "rosbags", "mcap", "PIL", "tqdm"})
+    loaded = list_loaded("from occmap.cli import run; assert run(['models']) == 0")
+    assert loaded.isdisjoint({"numba", "rosbags", "mcap", "PIL", "tqdm"})
+
+
+def test_a_csv_is_read_without_the_ros_libraries() -> None:
+    log = PACKAGE.parent / "sample_logs" / "drive.csv"
+    loaded = list_loaded(f"import occmap; assert occmap.read_log({str(log)!r}).streams")
+    assert loaded.isdisjoint({"numba", "rosbags", "mcap", "PIL"})

@@ -1,0 +1,239 @@
+"""What the pipeline uses of small logs, what it drops and refuses, and what it says of it."""
+
+import gzip
+import json
+import math
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import occmap
+from occmap.batching import Selection
+from occmap.errors import LogError, MapError, OccmapError, OutputError, PoseError, UsageError
+from occmap.pipeline import Build, BuildOptions, build
+from occmap.report import Report
+from occmap.types import OccupancyMap, Update
+from tests.readers.ros import ROS2, Written, drive, write_mcap
+from tests.samples import DRIVES, write_csv
+
+QUARTER = math.pi / 2
+BEAM = BuildOptions(update=Update.BEAM, resolution=0.1, jobs=1)
+STILL = [(0.05, 0.05, 0.0)]
+"""In the middle of cell (0, 0) at 10 cm."""
+
+
+def show(grid: OccupancyMap) -> list[str]:
+    """Draw a map, highest row first."""
+    marks = np.full(grid.shape, ".")
+    marks[grid.is_free(0.45)] = " "
+    marks[grid.is_occupied(0.55)] = "#"
+    return ["".join(row) for row in marks[::-1]]
+
+
+def choose(selection: Selection) -> BuildOptions:
+    return BuildOptions(update=Update.BEAM, resolution=0.1, selection=selection, jobs=1)
+
+
+def test_two_sensors_make_one_map(tmp_path: Path) -> None:
+    ahead = write_csv(tmp_path / "ahead.csv", STILL, [0.3])
+    fan = write_csv(tmp_path / "fan.csv", STILL, [math.nan, 0.2, 0.4], QUARTER)
+    made = build([ahead, fan], BEAM)
+    # Ahead three cells to the right; left (the second beam) two up; behind four to the left.
+    assert show(made.map) == [
+        "....#...",
+        ".... ...",
+        "#      #",
+    ]
+    assert made.map.extent == pytest.approx((-0.4, 0, 0.4, 0.3))
+    assert made.report.logs == (str(ahead), str(fan))
+    assert made.report.scans_used == 2
+    assert made.report.beams._asdict() == {
+        "hit": 3,
+        "beyond_max_range": 0,
+        "no_return": 0,
+        "too_close": 0,
+        "nan": 1,
+    }
+
+
+def test_mapping_a_log_twice_doubles_the_evidence(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", STILL, [0.3])
+    once, twice = build([log], BEAM).map, build([log, log], BEAM).map
+    np.testing.assert_allclose(twice.log_odds, 2 * once.log_odds, rtol=1e-6)
+
+
+def test_start_end_and_stride_choose_scans(tmp_path: Path) -> None:
+    path = [(float(second), 0.05, QUARTER) for second in range(10)]
+    log = write_csv(tmp_path / "log.csv", path, [0.3])
+    report = build([log], choose(Selection(start_s=2, end_s=6, stride=2))).report
+    # Of the seconds 2, 3, 4, 5 and 6 every second one.
+    assert (report.scans_read, report.scans_used) == (10, 3)
+    assert report.dropped == {"outside --start and --end": 5, "left out by --stride": 2}
+    assert report.cells == (41, 4)
+
+
+def test_a_wild_pose_costs_no_memory_and_is_refused_by_its_extent(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", [*STILL, (1e7, 1e7, 0.0), *STILL], [0.3])
+    tracemalloc.start()
+    try:
+        with pytest.raises(MapError) as caught:
+            build([log], BEAM)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert "from (0, 0) to (1e+07, 1e+07) m" in str(caught.value)
+    assert "more than --max-cells 1000000000; if a pose is wrong" in str(caught.value)
+    assert peak < 200e6  # the world between would be 10^16 cells
+
+
+def test_without_the_wild_scan_the_map_is_made(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", [*STILL, (1e7, 1e7, 0.0)], [0.3])
+    assert build([log], choose(Selection(end_s=0.5))).report.cells == (4, 1)
+
+
+def test_max_cells_is_a_limit_that_may_be_met(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", STILL, [0.3])
+    four = BuildOptions(update=Update.BEAM, resolution=0.1, max_cells=4)
+    assert build([log], four).map.shape == (1, 4)
+    with pytest.raises(MapError, match="4 x 1 cells, more than --max-cells 3"):
+        build([log], BuildOptions(update=Update.BEAM, resolution=0.1, max_cells=3))
+
+
+def test_nothing_seen_is_no_map(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", STILL, [math.nan])
+    with pytest.raises(MapError, match="no beam of any scan observed a cell"):
+        build([log], BEAM)
+
+
+def test_no_usable_scan_says_why(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", STILL, [0.3])
+    with pytest.raises(PoseError, match="none of 1 scans can be used: 1 outside --start and --end"):
+        build([log], choose(Selection(start_s=5)))
+
+
+def test_a_topic_that_is_not_there_names_those_that_are(tmp_path: Path) -> None:
+    log = write_mcap(tmp_path / "log.mcap", drive(ROS2))
+    with pytest.raises(LogError, match=r"no scans on the topic /front; it has scans on /scan"):
+        build([log], choose(Selection(topics=("/front",))))
+
+
+def test_a_log_without_scans_says_what_it_holds(tmp_path: Path) -> None:
+    others = [message for message in drive(ROS2) if message.topic != "/scan"]
+    log = write_mcap(tmp_path / "log.mcap", others)
+    with pytest.raises(
+        LogError, match=r"no laser scans; it holds .*/tf \(tf2_msgs/msg/TFMessage, 6"
+    ):
+        build([log], BEAM)
+
+
+def test_every_log_is_checked_before_the_first_is_mapped(tmp_path: Path) -> None:
+    seen: list[tuple[int, int]] = []
+    good = write_csv(tmp_path / "good.csv", STILL, [0.3])
+    bad = write_mcap(tmp_path / "bad.mcap", [Written("/chatter", 0, drive(ROS2)[0].message)])
+    with pytest.raises(OccmapError, match=r"bad\.mcap"):
+        build([good, bad], BEAM, progress=lambda scans, total: seen.append((scans, total)))
+    assert seen == []
+
+
+def test_progress_counts_the_scans_of_all_logs() -> None:
+    seen: list[tuple[int, int]] = []
+    build(DRIVES[:2], BEAM, progress=lambda scans, total: seen.append((scans, total)))
+    assert sum(scans for scans, _ in seen) == 828
+    assert {total for _, total in seen} == {828}
+
+
+def build_cut(tmp_path: Path) -> Build:
+    """Build from a CSV whose gzip data ends early."""
+    whole = write_csv(tmp_path / "log.csv", STILL * 3000, [0.3])
+    cut = tmp_path / "cut.csv.gz"
+    cut.write_bytes(gzip.compress(whole.read_bytes())[:-1000])
+    return build([cut], BEAM, [tmp_path / "map.pgm"])
+
+
+def test_damage_is_told_from_other_notes(tmp_path: Path) -> None:
+    report = build_cut(tmp_path).report
+    (lost,) = report.damage
+    assert lost in report.notes
+    assert lost.startswith(f"{tmp_path / 'cut.csv.gz'}: the gzip data is cut short")
+    assert 0 < report.scans_used < 3000
+
+
+def test_a_report_is_json(tmp_path: Path) -> None:
+    report = build_cut(tmp_path).report
+    values = json.loads(json.dumps(report.to_json(), allow_nan=False))
+    assert values["scans"] == {"read": report.scans_read, "used": report.scans_used, "dropped": {}}
+    assert values["map"]["columns"] == 4
+    assert values["map"]["occupied"] == pytest.approx(1 / 4)
+    assert values["damage"] == list(report.damage)
+    assert values["files"] == [str(tmp_path / "map.pgm"), str(tmp_path / "map.yaml")]
+    assert {"open", "poses", "read", "trace", "render", "write"} <= values["seconds"].keys()
+
+
+@pytest.mark.parametrize(
+    ("outputs", "error", "found"),
+    [
+        (["a.pgm", "a.pgm"], UsageError, "would be written twice"),
+        (["nowhere/a.pgm"], OutputError, "does not exist"),
+        (["a.jpg"], UsageError, "unknown suffix"),
+    ],
+)
+def test_outputs_are_checked_before_the_logs(
+    tmp_path: Path, outputs: list[str], error: type[OccmapError], found: str
+) -> None:
+    with pytest.raises(error, match=found):
+        build([Path("there is no such log")], BEAM, [tmp_path / name for name in outputs])
+
+
+def test_build_map_takes_names(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", STILL, [0.3])
+    grid = occmap.build_map(str(log), update="beam", model="simple:p_hit=0.9", resolution=0.1)
+    assert isinstance(grid, occmap.OccupancyMap)
+    # One miss at 0.4 in each of three cells, then one hit at 0.9.
+    np.testing.assert_allclose(grid.probability, [[0.4, 0.4, 0.4, 0.9]], atol=1e-6)
+    assert grid.observed.all()
+
+
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        ({"update": "polgon"}, "no update is called 'polgon'; did you mean 'polygon'"),
+        ({"model": "smiple"}, "no model is called 'smiple'; did you mean 'simple'"),
+        ({"resolution": 0.0}, "a resolution of 0.0 m"),
+        ({"jobs": 0}, "0 jobs"),
+        ({"jump": math.nan}, "a jump of nan m"),
+        ({"border_gap": -1}, "a border gap of -1 cells"),
+    ],
+)
+def test_build_map_refuses_what_makes_no_sense(
+    tmp_path: Path, options: dict[str, object], found: str
+) -> None:
+    log = write_csv(tmp_path / "log.csv", STILL, [0.3])
+    with pytest.raises(UsageError, match=found):
+        occmap.build_map(log, **options)
+
+
+def test_build_map_needs_a_log() -> None:
+    with pytest.raises(UsageError, match="no log is given"):
+        occmap.build_map()
+
+
+def test_read_log_gives_scans_and_poses() -> None:
+    log = occmap.read_log(DRIVES[-1])
+    assert sum(1 for _ in log.scans(["/scan"])) == 414
+    assert next(iter(log.poses())).topic in ("/tf", "/tf_static")
+
+
+def test_a_name_that_occmap_lacks_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'build_maps'"):
+        _ = occmap.build_maps
+    assert set(occmap.__all__) <= set(dir(occmap))
+    assert all(getattr(occmap, name) for name in occmap.__all__)
+
+
+def test_a_report_needs_no_files(tmp_path: Path) -> None:
+    report = build([write_csv(tmp_path / "log.csv", STILL, [0.3])], BEAM).report
+    assert isinstance(report, Report)
+    assert report.files == ()
+    assert list(tmp_path.iterdir()) == [tmp_path / "log.csv"]

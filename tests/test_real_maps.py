@@ -1,0 +1,63 @@
+"""Maps of real recordings: what is used of each, and which are refused and how."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from occmap.errors import PoseError
+from occmap.pipeline import BuildOptions, build
+from occmap.posing.options import PosingOptions
+from occmap.types import Pose
+from tests.samples import REAL_LOGS
+
+pytestmark = pytest.mark.skipif(
+    not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}: set OCCMAP_REAL_LOGS"
+)
+MAC = REAL_LOGS / "ros2" / "macfirst_floor_take_2"
+
+
+@pytest.mark.parametrize(
+    ("name", "used", "dropped"),
+    [
+        ("carmen/intel-corrected.log.gz", 910, {}),
+        ("carmen/freiburg-079-corrected.log.gz", 4791, {}),
+        ("carmen/csail-corrected.log.gz", 406, {}),
+        ("carmen/fr079-robotlaser.log.gz", 1464, {}),
+        ("ros1/test_turtlebot.bag", 819, {}),
+        ("ros1/test_replay_crash.bag", 135, {"before the first pose": 1}),
+        ("ros2/macfirst_floor_take_2", 356, {"after the last pose": 1}),
+    ],
+)
+def test_a_log_builds_with_no_further_flag(name: str, used: int, dropped: dict[str, int]) -> None:
+    report = build([REAL_LOGS / name], BuildOptions()).report
+    assert (report.scans_used, report.dropped) == (used, dropped)
+    occupied, free, unknown = report.shares
+    assert 0.001 < occupied < 0.1
+    assert free > 3 * occupied
+    assert unknown > 0.3
+
+
+def test_a_laser_without_transform_names_its_frame_and_the_flag() -> None:
+    log = REAL_LOGS / "ros1" / "mylaserdata2.bag"
+    with pytest.raises(PoseError, match=r"frame 'laser' .*; give its mount on base_link: --sensor"):
+        build([log], BuildOptions())
+    mounted = PosingOptions(sensor_pose=Pose.planar(0, 0, 3.14159))
+    assert build([log], BuildOptions(posing=mounted)).report.scans_used > 200
+
+
+def test_a_log_without_poses_says_where_it_looked() -> None:
+    with pytest.raises(PoseError, match="looked for tf, odometry and topics of poses"):
+        build([REAL_LOGS / "ros1" / "laser_scan_matcher_demo.bag"], BuildOptions())
+
+
+def test_conversion_to_mcap_gives_the_same_bytes(tmp_path: Path) -> None:
+    target = tmp_path / "mac"
+    command = [sys.executable, "-m", "rosbags.convert", "--dst-storage", "mcap"]
+    command += ["--src-typestore", "ros2_humble", "--src", str(MAC), "--dst", str(target)]
+    subprocess.run(command, check=True, capture_output=True, timeout=60)
+    first, second = tmp_path / "first.pgm", tmp_path / "second.pgm"
+    build([MAC], BuildOptions(), [first])
+    build([target / "mac.mcap"], BuildOptions(), [second])
+    assert first.read_bytes() == second.read_bytes()
