@@ -101,8 +101,18 @@ writing = join(
     ),
 )
 
+resolution = metres(MAP, "--resolution", default=DEFAULTS.resolution, help="Side of a cell.")
+max_cells = option(
+    MAP,
+    "--max-cells",
+    type=click.IntRange(min=1),
+    metavar="N",
+    default=DEFAULTS.max_cells,
+    show_default=True,
+    help="Refuse to make a larger map.",
+)
 lattice = join(
-    metres(MAP, "--resolution", default=DEFAULTS.resolution, help="Side of a cell."),
+    resolution,
     metres(
         MAP,
         "--jump",
@@ -118,15 +128,7 @@ lattice = join(
         show_default=True,
         help=f"{Update.POLYGON}: close a surface over so many cells between end cells.",
     ),
-    option(
-        MAP,
-        "--max-cells",
-        type=click.IntRange(min=1),
-        metavar="N",
-        default=DEFAULTS.max_cells,
-        show_default=True,
-        help="Refuse to make a larger map.",
-    ),
+    max_cells,
 )
 
 SHORTHANDS = ("p_hit", "p_miss", "epsilon", "p_min", "prior")
@@ -174,16 +176,17 @@ ranges = join(
     ),
 )
 
+scan_topic = option(
+    SCANS,
+    "--scan-topic",
+    "topics",
+    multiple=True,
+    metavar="TOPIC",
+    show_default="all",
+    help="Use the scans of this topic. May repeat.",
+)
 selection = join(
-    option(
-        SCANS,
-        "--scan-topic",
-        "topics",
-        multiple=True,
-        metavar="TOPIC",
-        show_default="all",
-        help="Use the scans of this topic. May repeat.",
-    ),
+    scan_topic,
     seconds(
         SCANS,
         "--start",

@@ -1,0 +1,66 @@
+"""`occmap check`: what is in logs and what will go wrong, before they are mapped."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from occmap.batching import Selection
+from occmap.cli import COMMANDS, options
+from occmap.cli.collect import take
+from occmap.cli.console import Console
+from occmap.cli.findings import format_inspection
+from occmap.cli.sections import SectionCommand, join
+from occmap.errors import UsageError
+from occmap.inspection import inspect
+from occmap.pipeline import BuildOptions
+from occmap.posing.options import PosingOptions
+from occmap.sensor.returns import ReturnOptions
+
+HELP = f"""{COMMANDS["check"]}
+
+It takes the options of `occmap build` that concern scans, poses and ranges, and ends with the
+command line that it recommends. Exits with 1 where a build with the options given would fail.
+
+\b
+  occmap check drive.mcap
+  occmap check room.bag --sensor-pose 0,0,3.14159 --resolution 0.02
+  occmap check intel.log.gz --json
+"""
+
+
+@click.command("check", cls=SectionCommand, help=HELP, short_help=COMMANDS["check"])
+@click.argument("logs", nargs=-1, type=click.Path(path_type=Path), metavar="LOG...")
+@join(options.resolution, options.max_cells, options.ranges)
+@join(options.scan_topic, options.posing)
+@join(options.as_json, options.verbosity)
+@click.pass_context
+def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> None:
+    """Look into logs, and print what was found."""
+    if not logs:
+        raise UsageError("no log is given", fix="type: occmap check LOG")
+    inspection = inspect(logs, collect_options(values))
+    console = ctx.ensure_object(Console)
+    if values["as_json"]:
+        console.put_json(inspection.to_json())
+    else:
+        console.put(format_inspection(inspection))
+    if not inspection.buildable:
+        ctx.exit(1)
+
+
+def collect_options(values: dict[str, Any]) -> BuildOptions:
+    """Gather what a user chose that matters before a map is made.
+
+    Raises
+    ------
+    UsageError
+        A value is out of its range.
+    """
+    return BuildOptions(
+        resolution=values["resolution"],
+        max_cells=values["max_cells"],
+        returns=take(ReturnOptions, values),
+        posing=take(PosingOptions, values),
+        selection=take(Selection, values),
+    )

@@ -1,0 +1,173 @@
+"""Inspection: what is in logs and what will go wrong with them, before they are mapped.
+
+It reads the poses once and the scans once, as a build does; only where the mount of the laser is
+missing are the scans read twice, for the mount is then guessed from them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from occmap.errors import LogError, OccmapError
+from occmap.inspection.advice import compose_command, list_warnings
+from occmap.inspection.extent import Extent
+from occmap.inspection.findings import (
+    Inspection,
+    LogFindings,
+    MapFindings,
+    PoseFindings,
+    ScanFindings,
+)
+from occmap.inspection.flags import format_mount
+from occmap.inspection.poses import Posing, count_scans, prepare, suggest_stamps
+from occmap.inspection.sample import measure_crossing
+from occmap.inspection.survey import Survey, TopicSurvey
+from occmap.pipeline import BuildOptions, choose_topics
+from occmap.posing.coverage import list_coverage
+from occmap.readers import Log, open_log
+
+__all__ = ["Inspection", "inspect"]
+
+MAX_LISTED_SHAPES = 5
+
+
+def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
+    """Look into logs; what a build would raise is among the findings.
+
+    Parameters
+    ----------
+    paths
+        Recordings of any installed format.
+    options
+        Those that the build is to have; resolution, posing, returns, topics and `max_cells` matter.
+    """
+    extent = Extent()
+    logs = [inspect_path(path, options, extent) for path in paths]
+    grid = extent.sum_up(options.resolution)
+    problems = [log.problem for log in logs if log.problem]
+    too_large = _list_size_problems(grid, options)
+    problems += _list_pose_problems(logs) or too_large
+    usable = any(_is_usable(topic, options) for log in logs for topic in log.scans)
+    return Inspection(
+        logs=tuple(logs),
+        map=grid,
+        problems=tuple(problems),
+        warnings=tuple(text for log in logs for text in list_warnings(log)),
+        command=compose_command(logs, options) if usable and not too_large else (),
+    )
+
+
+def inspect_path(path: Path, options: BuildOptions, extent: Extent) -> LogFindings:
+    """Look into one log; `extent` grows by what its map would cover."""
+    try:
+        log = open_log(path)
+    except OccmapError as error:
+        return LogFindings(str(path), (), (), (), (), _place(error, path))
+    try:
+        topics = choose_topics(log, options.selection.topics)
+        posing = prepare(log, topics, options)
+    except OccmapError as error:
+        notes = tuple(note.text for note in log.notes)
+        return LogFindings(str(path), tuple(log.streams), (), (), notes, _place(error, path))
+    return inspect_log(log, posing, options, extent)
+
+
+def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent) -> LogFindings:
+    """Read the scans of an opened log once, and sum up."""
+    topics = choose_topics(log, options.selection.topics)
+    survey = Survey(posing.poser, options.returns, count_scans(log, topics), extent)
+    problem = ""
+    try:
+        survey.read(log.scans(topics))
+    except LogError as error:
+        problem = _place(error, log.path)
+    scans = tuple(
+        _sum_up(log, survey.topics[topic], posing, options)
+        for topic in topics
+        if topic in survey.topics
+    )
+    return LogFindings(
+        path=str(log.path),
+        streams=tuple(log.streams),
+        scans=scans,
+        coverage=tuple(list_coverage(posing.poser.sources)),
+        notes=(*(note.text for note in log.notes), *posing.poser.notes),
+        problem=problem or ("" if scans else f"{log.path}: holds no scan that can be read"),
+    )
+
+
+def _place(error: OccmapError, path: Path) -> str:
+    """Write an error's sentence with its place, which is the log where the error names none."""
+    return str(OccmapError(error.found, where=error.where or path, fix=error.fix))
+
+
+def _sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) -> ScanFindings:
+    ranked = topic.shapes.most_common()
+    crossed = measure_crossing(topic.sample.parts, options.returns)
+    times = topic.stamps.sum_up()
+    stamps = suggest_stamps(log, posing, topic)
+    return ScanFindings(
+        topic=topic.topic,
+        type=next(stream.type for stream in log.streams if stream.topic == topic.topic),
+        frames=tuple(topic.frames),
+        scans=topic.batcher.read,
+        left_out={reason.value: count for reason, count in topic.batcher.left_out.items()},
+        shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
+        shape_count=len(ranked),
+        ranges=topic.census.sum_up(crossed),
+        times=replace(times, suggested_stamps=stamps),
+        poses=_sum_up_poses(topic, posing),
+        mount=topic.sample.describe_mount(options.returns),
+    )
+
+
+def _sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
+    frames = tuple(topic.frames)
+    stated = topic.stated and posing.poser.sources.trajectory is None
+    chain = None if stated else posing.poser.chains.get(frames[0])
+    faults = [posing.faults[frame] for frame in frames if frame in posing.faults]
+    return PoseFindings(
+        stated=stated,
+        chain=chain.frames if chain else (),
+        posed=topic.posed,
+        dropped=dict(topic.dropped),
+        problem="; ".join(faults),
+        assumed=format_mount(posing.assumed) if posing.assumed and faults else "",
+        is_guess=posing.is_guess and bool(faults),
+    )
+
+
+def _list_pose_problems(logs: Sequence[LogFindings]) -> list[str]:
+    """Say why no scan of a log has a pose; a build wants at least one scan of all logs together."""
+    found = []
+    for log in logs:
+        faults = dict.fromkeys(topic.poses.problem for topic in log.scans if topic.poses.problem)
+        unfaulted = any(not topic.poses.problem for topic in log.scans)
+        if faults and not unfaulted:
+            found += [f"{log.path}: {fault}" for fault in faults]
+    topics = [topic for log in logs for topic in log.scans]
+    if topics and not found and not any(topic.poses.posed for topic in topics):
+        found += [f"{topic.topic}: {_explain(topic)}" for topic in topics]
+    return found
+
+
+def _is_usable(topic: ScanFindings, options: BuildOptions) -> bool:
+    """Whether scans have poses, or would with the other of their two times."""
+    return topic.poses.posed > 0 or topic.times.suggested_stamps != options.posing.stamps
+
+
+def _explain(topic: ScanFindings) -> str:
+    reasons = {**topic.left_out, **topic.poses.dropped}
+    counts = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
+    return f"none of {topic.scans} scans can be used: {counts}"
+
+
+def _list_size_problems(grid: MapFindings | None, options: BuildOptions) -> list[str]:
+    if grid is None or grid.columns * grid.rows <= options.max_cells:
+        return []
+    x, y, x_end, y_end = grid.extent
+    return [
+        f"the map would have {grid.columns} x {grid.rows} cells, more than --max-cells "
+        f"{options.max_cells}: x from {x:g} to {x_end:g} m, y from {y:g} to {y_end:g} m; "
+        "try a coarser --resolution or a --max-range"
+    ]

@@ -1,0 +1,100 @@
+"""From findings to advice: warnings, and the command line that makes the best of the logs."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from occmap.inspection.findings import LogFindings, ScanFindings
+from occmap.inspection.flags import list_given, list_repeatable
+from occmap.pipeline import BuildOptions
+
+TILTED_RAD = math.radians(3)
+"""A tilted scan plane meets the floor: at three degrees, 30 cm above it, within six metres."""
+SHARE_OF_NOTE = 0.05
+DRIFT_S = 0.1
+OFFSET_S = 1.0
+
+
+def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple[str, ...]:
+    """Compose the command line for logs that can be mapped: the options given, then the advice."""
+    paths = [log.path for log in logs if not log.problem]
+    flags = {**list_given(options), **list_advised(logs, options)}
+    words = [word for flag, value in flags.items() for word in (flag, value)]
+    words += list_repeatable(options)
+    return ("occmap", "build", *paths, *words, "-o", f"{name_map(paths[0])}.pgm")
+
+
+def list_advised(logs: Sequence[LogFindings], options: BuildOptions) -> dict[str, str]:
+    """List the flags that the findings suggest, where the user has not decided."""
+    topics = [topic for log in logs for topic in log.scans]
+    flags = {}
+    for topic in topics:
+        if topic.poses.assumed:
+            flags["--sensor-pose"] = topic.poses.assumed
+        if not topic.poses.stated and topic.times.suggested_stamps != options.posing.stamps:
+            flags["--stamps"] = topic.times.suggested_stamps
+        if topic.ranges.suggested_range_max is not None and options.returns.range_max is None:
+            flags["--range-max"] = f"{topic.ranges.suggested_range_max:g}"
+    advice = {special.no_return for topic in topics for special in topic.ranges.specials} - {""}
+    if advice == {"clear"}:
+        flags["--no-return"] = "clear"
+    return flags
+
+
+def name_map(path: str) -> str:
+    """Name a map after its log: the base name without what it is packed and written in."""
+    name = Path(path).resolve().name.removesuffix(".gz")
+    return Path(name).stem or "map"
+
+
+def list_warnings(log: LogFindings) -> list[str]:
+    """List what will spoil a map, or surprise its maker."""
+    found = [f"{topic.topic}: {text}" for topic in log.scans for text in _warn_topic(topic)]
+    return [f"{log.path}: {text}" for text in found]
+
+
+def _warn_topic(topic: ScanFindings) -> list[str]:
+    return [*_warn_mount(topic), *_warn_poses(topic), *_warn_times(topic), *_warn_ranges(topic)]
+
+
+def _warn_mount(topic: ScanFindings) -> list[str]:
+    mount = topic.mount
+    found = []
+    if mount is not None and mount.tilt >= TILTED_RAD:
+        tilt = math.degrees(mount.tilt)
+        found.append(f"the scan plane is tilted by {tilt:.1f} deg: it meets the floor")
+    if mount is not None and mount.better_turn:
+        turn = f"turned by x,y,yaw[,roll,pitch] = {mount.better_turn}"
+        found.append(f"the scans would fit each other better if the laser were {turn}")
+    return found
+
+
+def _warn_poses(topic: ScanFindings) -> list[str]:
+    lost = topic.poses.dropped
+    if topic.poses.posed and sum(lost.values()) > SHARE_OF_NOTE * topic.scans:
+        reasons = ", ".join(f"{count} {reason}" for reason, count in lost.items())
+        return [f"scans without a pose: {reasons}"]
+    return []
+
+
+def _warn_times(topic: ScanFindings) -> list[str]:
+    times = topic.times
+    if topic.poses.stated:
+        return []  # stamps do not matter where the pose stands beside the scan
+    found = []
+    if times.all_equal:
+        found.append("all stamps are equal")
+    if times.jumps_back:
+        found.append(f"stamps jump back {times.jumps_back} times")
+    if abs(times.drift_s) > DRIFT_S:
+        found.append(f"stamps drift by {times.drift_s:.3g} s against the record times")
+    return found
+
+
+def _warn_ranges(topic: ScanFindings) -> list[str]:
+    found = [
+        f"{item.value:g} m is {item.share:.0%} of the ranges and may mean no return"
+        for item in topic.ranges.repeated
+        if not item.is_no_return
+    ]
+    return found if topic.ranges.measured else [*found, "no range value is a measurement"]

@@ -1,0 +1,47 @@
+"""The extent that a map would have, and what that costs."""
+
+import numpy as np
+
+from occmap.grid.lattice import CellBox, Lattice
+from occmap.inspection.findings import MapFindings
+from occmap.types import Float64
+
+BYTES_PER_CELL = 4 + 1 + 8
+"""In memory: log-odds, observed, and two counts of four bytes as evidence."""
+
+
+class Extent:
+    """Grows with the points that it is shown."""
+
+    def __init__(self) -> None:
+        self.low = np.full(2, np.inf)
+        self.high = np.full(2, -np.inf)
+
+    def add(self, points: Float64) -> None:
+        """Take points (N, 2)."""
+        if len(points):
+            self.low = np.minimum(self.low, points.min(axis=0))
+            self.high = np.maximum(self.high, points.max(axis=0))
+
+    def sum_up(self, resolution: float) -> MapFindings | None:
+        """Sum up at a resolution (m); None where nothing was seen."""
+        if not np.isfinite([*self.low, *self.high]).all():
+            return None
+        lattice = Lattice(resolution)
+        (row, col), (last_row, last_col) = (
+            lattice.to_cell(float(x), float(y)) for x, y in (self.low, self.high)
+        )
+        box = CellBox(row, col, last_row + 1, last_col + 1)
+        return MapFindings(
+            resolution=resolution,
+            extent=(
+                round(lattice.to_metres(box.col), 9),
+                round(lattice.to_metres(box.row), 9),
+                round(lattice.to_metres(box.col_end), 9),
+                round(lattice.to_metres(box.row_end), 9),
+            ),
+            columns=box.cols,
+            rows=box.rows,
+            file_bytes=box.cells,
+            memory_bytes=box.cells * BYTES_PER_CELL,
+        )

@@ -1,0 +1,86 @@
+"""Options as the flags that a command line has them in."""
+
+import math
+from dataclasses import fields
+
+from occmap.pipeline import BuildOptions
+from occmap.posing.options import PosingOptions
+from occmap.sensor.returns import ReturnOptions
+from occmap.types import Pose
+
+POSING_FLAGS = {
+    "map_frame": "--map-frame",
+    "base_frame": "--base-frame",
+    "poses": "--poses",
+    "max_pose_gap_s": "--max-pose-gap",
+    "time_offset_s": "--time-offset",
+    "deskew": "--deskew",
+    "stamps": "--stamps",
+}
+RETURN_FLAGS = {
+    "min_range": "--min-range",
+    "max_range": "--max-range",
+    "range_max": "--range-max",
+    "no_return": "--no-return",
+}
+
+
+def list_given(options: BuildOptions) -> dict[str, str]:
+    """List the options that differ from their defaults and may be given once, as flags."""
+    flags = {}
+    if options.resolution != BuildOptions.resolution:
+        flags["--resolution"] = f"{options.resolution:g}"
+    flags |= _list_changed(options.posing, PosingOptions(), POSING_FLAGS)
+    flags |= _list_changed(options.returns, ReturnOptions(), RETURN_FLAGS)
+    if options.posing.sensor_pose is not None:
+        flags["--sensor-pose"] = format_mount(options.posing.sensor_pose)
+    return flags
+
+
+def list_repeatable(options: BuildOptions) -> list[str]:
+    """List the words of the options that may be given more than once."""
+    words = []
+    for sample in options.posing.static_transforms:
+        words += ["--static-tf", format_static(sample.parent, sample.child, sample.pose)]
+    for topic in options.selection.topics:
+        words += ["--scan-topic", topic]
+    return words
+
+
+def format_mount(pose: Pose) -> str:
+    """Write a pose as --sensor-pose takes it: x,y,yaw, and roll,pitch where it is not level."""
+    roll, pitch, yaw = to_rpy(pose)
+    level = abs(roll) < 1e-6 and abs(pitch) < 1e-6
+    return _join([pose.x, pose.y, yaw] if level else [pose.x, pose.y, yaw, roll, pitch])
+
+
+def format_static(parent: str, child: str, pose: Pose) -> str:
+    """Write a transform as --static-tf takes it: parent,child,x,y,z,roll,pitch,yaw."""
+    return f"{parent},{child},{_join([pose.x, pose.y, pose.z, *to_rpy(pose)])}"
+
+
+def to_rpy(pose: Pose) -> tuple[float, float, float]:
+    """Roll, pitch and yaw about fixed axes (rad) of a pose's rotation (REP 103)."""
+    _, _, _, x, y, z, w = pose
+    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = math.asin(min(max(2 * (w * y - z * x), -1.0), 1.0))
+    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return roll, pitch, yaw
+
+
+def _join(numbers: list[float]) -> str:
+    """Join numbers, to hundredths of a millimetre and without a negative zero."""
+    return ",".join(f"{round(number, 5) + 0.0:.7g}" for number in numbers)
+
+
+def _list_changed(
+    given: PosingOptions | ReturnOptions,
+    default: PosingOptions | ReturnOptions,
+    flags: dict[str, str],
+) -> dict[str, str]:
+    changed = {}
+    for name in (item.name for item in fields(given) if item.name in flags):
+        value = getattr(given, name)
+        if value != getattr(default, name):
+            changed[flags[name]] = f"{value:g}" if isinstance(value, float) else str(value)
+    return changed

@@ -1,0 +1,105 @@
+"""Where the poses of a log come from, what is missing, and which option would mend it."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from occmap.errors import PoseError
+from occmap.inspection.sample import UNTURNED, guess_mount
+from occmap.inspection.survey import Survey, TopicSurvey
+from occmap.pipeline import BuildOptions, take_one
+from occmap.posing.attach import Poser
+from occmap.posing.chain import Status
+from occmap.posing.options import PosingOptions, Stamps
+from occmap.posing.resolve import resolve
+from occmap.posing.sources import Sources
+from occmap.readers import Log
+from occmap.types import Pose
+
+WELL_POSED = 0.9
+"""Where fewer scans than this share have poses, the other of the two times is tried."""
+
+
+@dataclass(frozen=True)
+class Posing:
+    """How the scans of a log are posed, with the options given or with those that would help."""
+
+    poser: Poser
+    faults: dict[str, str] = field(default_factory=dict)
+    """By frame: why its scans have no pose with the options given"""
+    assumed: Pose | None = None
+    """The mount that the poser uses though the user did not give it"""
+    is_guess: bool = False
+    """The assumed mount is no more than a place holder"""
+
+
+def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:
+    """Find the way to every frame of a log's scans; where it lacks the mount, guess that.
+
+    Raises
+    ------
+    PoseError, LogError
+        The trajectory that the user chose cannot be used.
+    """
+    poser = Poser.build(log.poses(), options.posing)
+    first = [scan for topic in topics for scan in take_one(log.scans([topic]))]
+    frames = {scan.frame for scan in first if scan.pose is None or options.posing.poses}
+    faults = find_faults(poser.sources, options.posing, frames)
+    sound = frames - faults.keys()
+    if sound or not faults:
+        poser.resolve(sound)
+        return Posing(poser, faults)
+    trial = replace(options.posing, sensor_pose=UNTURNED)
+    if len(frames) > 1 or options.posing.sensor_pose or find_faults(poser.sources, trial, frames):
+        return Posing(poser, faults)
+    return assume_mount(log, topics, options, Posing(Poser(poser.sources, trial), faults))
+
+
+def find_faults(sources: Sources, options: PosingOptions, frames: Iterable[str]) -> dict[str, str]:
+    """Say for every frame that has no way to the map why that is."""
+    faults = {}
+    fixed: str | None = None
+    for frame in sorted(frames):
+        try:
+            fixed = resolve(sources, options, frame, fixed).fixed
+        except PoseError as error:
+            faults[frame] = str(error)
+    return faults
+
+
+def assume_mount(
+    log: Log, topics: Sequence[str], options: BuildOptions, unturned: Posing
+) -> Posing:
+    """Read the scans as if the sensor were the body, and find the turn that suits them best."""
+    survey = Survey(unturned.poser, options.returns, count_scans(log, topics))
+    survey.read(log.scans(topics))
+    parts = [part for topic in survey.topics.values() for part in topic.sample.parts]
+    mount = guess_mount(parts, options.returns)
+    posing = replace(unturned.poser.options, sensor_pose=mount or UNTURNED)
+    poser = Poser(unturned.poser.sources, posing, notes=list(unturned.poser.sources.notes))
+    return Posing(poser, unturned.faults, posing.sensor_pose, is_guess=mount is None)
+
+
+def count_scans(log: Log, topics: Sequence[str]) -> int:
+    """Count the scans of some topics, as the reader has it."""
+    return sum(stream.count for stream in log.streams if stream.topic in topics)
+
+
+def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> str:
+    """Say which of the two times of messages gives more scans a pose."""
+    chosen = posing.poser.options.stamps
+    scans = sum(topic.batcher.left_out.values()) + topic.posed + topic.dropped.total()
+    if topic.stated or not posing.poser.chains or topic.posed >= WELL_POSED * scans:
+        return chosen.value
+    other = Stamps.HEADER if chosen is Stamps.RECORD else Stamps.RECORD
+    poser = Poser.build(log.poses(), replace(posing.poser.options, stamps=other))
+    try:
+        poser.resolve(topic.frames)
+    except PoseError:
+        return chosen.value
+    stamp_ns = topic.stamps.record_ns if other is Stamps.RECORD else topic.stamps.header_ns
+    stamp_ns = stamp_ns + round(poser.options.time_offset_s * 1e9)
+    chain = poser.chains[next(iter(topic.frames))]
+    found = 0 if chain is None else np.count_nonzero(chain.at(stamp_ns).status == Status.POSED)
+    return other.value if found > topic.posed / WELL_POSED else chosen.value

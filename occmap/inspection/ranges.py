@@ -1,0 +1,170 @@
+"""Census of range values: which are no plain measurement, and which repeat too often."""
+
+import math
+from collections import Counter
+
+import numpy as np
+
+from occmap.inspection.findings import RangeFindings, Repeated, Special
+from occmap.types import Float32, ScanBatch
+
+BLOCK_RANGES = 1 << 17
+"""Ranges that are sorted at once to find repeated ones: memory is bounded, sorting pays."""
+
+REPEATED_SHARE = 0.01
+DOMINANCE = 10
+NEIGHBOURHOOD_M = 0.1
+"""A value is suspicious if one finite range in a hundred has it, ten times as many as any other
+within this distance: walls, even seen by a robot that stands still, spread by their noise."""
+MIN_VALUES = 16
+"""Fewer different ranges tell nothing: a room drawn by hand may be all of 5 m."""
+MAX_REPEATED = 8
+
+SICK_CODES = (81.8, 81.95)
+"""The SICK LMS writes 8183 to 8191 cm for its error codes; not all mean that space is open."""
+
+MEANINGS = {
+    "+inf": "nothing in reach (REP 117)",
+    "= range_max": "the driver's way to say that nothing came back",
+    "> range_max": "the driver's way to say that nothing came back",
+    "-inf": "too close to measure (REP 117)",
+    "nan": "not measured (REP 117)",
+    "zero": "no return or too close: drivers differ",
+    "negative": "an error code",
+    "< range_min": "too close to trust",
+}
+NO_RETURNS = ("+inf", "= range_max", "> range_max")
+"""The kinds that --no-return decides about; all others are skipped."""
+
+
+class RangeCensus:
+    """Counts the range values of one topic, batch by batch, in bounded memory."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self.total = 0
+        self.limit = 0.0
+        """The largest range_max that the scans state (m)"""
+        self.smallest = math.inf
+        self.largest = -math.inf
+        self._repeated: dict[float, float] = {}
+        self._largest_finite = -math.inf
+        self._block: list[Float32] = []
+        self._block_size = 0
+
+    def add(self, batch: ScanBatch) -> None:
+        """Count the values of a batch."""
+        ranges = batch.ranges
+        low, high = np.float32(batch.range_min), np.float32(batch.range_max)
+        finite = np.isfinite(ranges)
+        positive = finite & (ranges > 0)
+        masks = {
+            "+inf": ranges == np.inf,
+            "-inf": ranges == -np.inf,
+            "nan": np.isnan(ranges),
+            "zero": ranges == 0,
+            "negative": finite & (ranges < 0),
+            "< range_min": positive & (ranges < low),
+            "= range_max": finite & (ranges == high),
+            "> range_max": finite & (ranges > high),
+        }
+        self.counts.update({name: int(np.count_nonzero(mask)) for name, mask in masks.items()})
+        self.total += ranges.size
+        self.limit = max(self.limit, batch.range_max)
+        self._add_measured(ranges[positive & (ranges >= low) & (ranges < high)])
+        self._add_finite(ranges[positive])
+
+    def _add_measured(self, measured: Float32) -> None:
+        self.smallest = min(self.smallest, float(measured.min(initial=np.inf)))
+        self.largest = max(self.largest, float(measured.max(initial=-np.inf)))
+
+    def _add_finite(self, finite: Float32) -> None:
+        self._largest_finite = max(self._largest_finite, float(finite.max(initial=-np.inf)))
+        self._block.append(finite)
+        self._block_size += finite.size
+        if self._block_size >= BLOCK_RANGES:
+            self._fold()
+
+    def _fold(self) -> None:
+        """Look for repeated values among the ranges gathered, and forget these."""
+        if not self._block:
+            return
+        for value, share in find_repeated(np.concatenate(self._block)).items():
+            self._repeated[value] = max(share, self._repeated.get(value, 0.0))
+        self._block.clear()
+        self._block_size = 0
+
+    def list_repeated(self) -> tuple[Repeated, ...]:
+        """List the suspicious values, the most frequent first."""
+        self._fold()
+        ranked = sorted(self._repeated.items(), key=lambda item: (-item[1], item[0]))
+        return tuple(
+            Repeated(value, share, value >= self.limit) for value, share in ranked[:MAX_REPEATED]
+        )
+
+    def sum_up(self, crossed: float | None) -> RangeFindings:
+        """Sum up; `crossed` is what is known about beams without return."""
+        repeated = self.list_repeated()
+        measured = self.total - self.counts.total()
+        return RangeFindings(
+            total=self.total,
+            measured=measured,
+            smallest=self.smallest if measured else math.nan,
+            largest=self.largest if measured else math.nan,
+            specials=self._list_specials(suggest_no_return(self, crossed)),
+            repeated=repeated,
+            suggested_range_max=self._suggest_limit(repeated),
+            crossed=crossed,
+        )
+
+    def _list_specials(self, suggested: str) -> tuple[Special, ...]:
+        return tuple(
+            Special(
+                name,
+                self.counts[name],
+                self.counts[name] / self.total,
+                meaning,
+                suggested if name in NO_RETURNS else "",
+            )
+            for name, meaning in MEANINGS.items()
+            if self.counts[name]
+        )
+
+    def _suggest_limit(self, repeated: tuple[Repeated, ...]) -> float | None:
+        """Suggest a --range-max where the largest range of all repeats below the stated limit."""
+        markers = [item.value for item in repeated if not item.is_no_return]
+        if self._largest_finite in markers:
+            return float(np.format_float_positional(np.float32(self._largest_finite)))
+        return None
+
+
+MOSTLY_OPEN = 0.05
+"""Where fewer of the beams without return than this would cross what others hit, space is open."""
+
+
+def suggest_no_return(census: RangeCensus, crossed: float | None) -> str:
+    """Suggest what --no-return is to be.
+
+    Space is called free only where there is a distance up to which, the value is no error code,
+    and the log itself does not object: hardly a beam without return leads through a wall.
+    """
+    low, high = SICK_CODES
+    is_code = any(low <= item.value <= high for item in census.list_repeated())
+    open_space = crossed is not None and crossed < MOSTLY_OPEN
+    return "clear" if open_space and not is_code and math.isfinite(census.limit) else "ignore"
+
+
+def find_repeated(finite: Float32) -> dict[float, float]:
+    """Find the values (N,) that repeat suspiciously often, and the share that each has."""
+    values, counts = np.unique(finite, return_counts=True)
+    if len(values) < MIN_VALUES:
+        return {}
+    frequent = np.flatnonzero(counts >= max(REPEATED_SHARE * finite.size, DOMINANCE))
+    low = np.searchsorted(values, values[frequent] - np.float32(NEIGHBOURHOOD_M))
+    high = np.searchsorted(values, values[frequent] + np.float32(NEIGHBOURHOOD_M), side="right")
+    found = {}
+    for at, first, end in zip(frequent, low, high, strict=True):
+        near = max(counts[first:at].max(initial=0), counts[at + 1 : end].max(initial=0))
+        if counts[at] >= DOMINANCE * near:
+            found[float(values[at])] = float(counts[at] / finite.size)
+    return found

@@ -1,0 +1,67 @@
+"""Stamps of a topic: whether they run forward, and how far they are from the record times."""
+
+from array import array
+
+import numpy as np
+
+from occmap.inspection.findings import TimeFindings
+from occmap.types import Float64, Int64, Scan
+
+
+class StampLog:
+    """Both times of every scan of a topic, 16 bytes each."""
+
+    def __init__(self) -> None:
+        self._header = array("q")
+        self._record = array("q")
+
+    def add(self, scan: Scan) -> None:
+        """Take the times of a scan."""
+        self._header.append(_fit(scan.stamp_ns))
+        self._record.append(_fit(scan.record_ns))
+
+    @property
+    def header_ns(self) -> Int64:
+        """(N,) what the driver wrote."""
+        return np.array(self._header, np.int64)
+
+    @property
+    def record_ns(self) -> Int64:
+        """(N,) when the recorder stored it."""
+        return np.array(self._record, np.int64)
+
+    def sum_up(self) -> TimeFindings:
+        """Sum up the times of at least one scan."""
+        header, record = self.header_ns, self.record_ns
+        steps = np.diff(header) / 1e9
+        offset = (header.astype(np.float64) - record) / 1e9
+        all_equal = len(header) > 1 and bool((header == header[0]).all())
+        all_zero = bool((header == 0).all())
+        duration_s = float(header.max() - header.min()) / 1e9
+        usable = record.min() != record.max()
+        return TimeFindings(
+            start_ns=int(header.min()),
+            end_ns=int(header.max()),
+            duration_s=duration_s,
+            rate_hz=(len(header) - 1) / duration_s if duration_s else 0.0,
+            largest_gap_s=float(steps.max(initial=0)),
+            offset_s=float(np.median(offset)),
+            drift_s=_measure_drift(offset),
+            jumps_back=int(np.count_nonzero(steps < 0)),
+            largest_jump_back_s=float((-steps).max(initial=0)),
+            duplicates=int(np.count_nonzero(steps == 0)),
+            all_equal=all_equal,
+            all_zero=all_zero,
+            suggested_stamps="record" if (all_equal or all_zero) and usable else "header",
+        )
+
+
+def _measure_drift(offset: Float64) -> float:
+    """How much the median offset grew from the first tenth of the scans to the last (s)."""
+    tenth = max(len(offset) // 10, 1)
+    return float(np.median(offset[-tenth:]) - np.median(offset[:tenth]))
+
+
+def _fit(stamp_ns: int) -> int:
+    """A time that is damage, brought into 62 bits, so that differences fit an int64."""
+    return min(max(stamp_ns, -(2**62)), 2**62)

@@ -1,0 +1,73 @@
+"""`occmap check` as a command line: text, JSON and exit codes."""
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from occmap.cli import run
+from occmap.cli.values import parse_sensor_pose, parse_transform
+from occmap.inspection.flags import format_mount, format_static
+from tests.inspection_logs import SCANS, Drive, write_bag, write_csv
+
+Capture = pytest.CaptureFixture[str]
+
+
+def test_text_ends_with_the_recommended_command(tmp_path: Path, capsys: Capture) -> None:
+    path = write_csv(tmp_path / "my room.csv", Drive())
+
+    assert run(["check", str(path)]) == 0
+
+    out, err = capsys.readouterr()
+    assert err == ""
+    lines = out.splitlines()
+    assert lines[0] == str(path)
+    assert lines[-1] == f"occmap build '{path}' -o 'my room.pgm'"
+    assert f"  poses   {SCANS} of {SCANS} scans, stated beside the scans" in lines
+    assert all(line == line.rstrip() for line in lines)
+
+
+def test_the_recommended_command_builds_the_map(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_bag(tmp_path / "room.bag", Drive(math.pi))
+    monkeypatch.chdir(tmp_path)
+
+    assert run(["check", str(path), "--json"]) == 1  # a bare build would fail
+    command = json.loads(capsys.readouterr().out)["command"]
+
+    assert run(command[1:]) == 0
+    assert (tmp_path / "room.pgm").exists()
+    capsys.readouterr()
+    assert run(["check", str(path), *command[3:-2], "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["buildable"]
+
+
+def test_a_problem_is_told_and_fails(tmp_path: Path, capsys: Capture) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text("hello\n")
+
+    assert run(["check", str(path)]) == 1
+
+    out, err = capsys.readouterr()
+    assert f"problem   {path}: a text file of no known log format" in out
+    assert "Traceback" not in out + err
+
+
+def test_usage_errors(capsys: Capture) -> None:
+    assert run(["check"]) == 2
+    assert run(["check", "x.bag", "--resolution", "much"]) == 2
+    assert run(["check", "x.bag", "--sensor-pose", "1,2"]) == 2
+    assert "write x,y,yaw" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["0,0,3.14159", "0.1,-0.2,1.5708", "0,0,-1.5708,3.14159,0"])
+def test_mounts_are_written_as_they_are_read(text: str) -> None:
+    assert format_mount(parse_sensor_pose(text)) == text
+
+
+def test_transforms_are_written_as_they_are_read() -> None:
+    text = "base_link,laser,0.1,0.2,0.3,0.1,-0.2,1.5"
+    sample = parse_transform(text)
+    assert format_static(sample.parent, sample.child, sample.pose) == text

@@ -1,0 +1,114 @@
+"""Logs of a robot in a rectangular room, written by formula for the tests of `occmap check`."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from occmap.types import Float32, Float64
+from tests.readers.ros import ROS1, SCAN, SECOND, Written, header, write_bag1
+
+BEAMS = 90
+HALF_WIDTH, HALF_HEIGHT = 5.0, 3.0
+SCANS = 40
+
+
+def measure_room(x: float, y: float, heading: Float64) -> Float64:
+    """Ranges (B,) from (x, y) to the walls of the room, which is 10 m by 6 m around the origin."""
+    cosine, sine = np.cos(heading), np.sin(heading)
+    with np.errstate(divide="ignore"):
+        to_side = (np.copysign(HALF_WIDTH, cosine) - x) / cosine
+        to_end = (np.copysign(HALF_HEIGHT, sine) - y) / sine
+    nearest: Float64 = np.minimum(to_side, to_end)
+    return nearest
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A robot that turns while it crosses the room, with a laser turned on it by `mount`."""
+
+    mount: float = 0.0
+    spoil: Callable[[Float64], Float64] = lambda ranges: ranges
+    bearings: Float64 = field(default_factory=lambda: np.linspace(0, 2 * np.pi, BEAMS + 1)[:-1])
+
+    def pose(self, index: int) -> tuple[float, float, float]:
+        """x, y, yaw of the robot."""
+        return -3 + 0.1 * index, 0.05 * index - 1, 0.11 * index
+
+    def ranges(self, index: int) -> Float32:
+        """(B,) what the laser reads."""
+        x, y, yaw = self.pose(index)
+        measured = measure_room(x, y, yaw + self.mount + self.bearings)
+        return self.spoil(measured).astype(np.float32)
+
+
+def write_csv(path: Path, drive: Drive, limit: str = "30") -> Path:
+    """Write the drive as CSV, the laser's own pose beside each scan."""
+    lines = [
+        "# angle_min: 0",
+        f"# angle_increment: {2 * math.pi / BEAMS}",
+        "# range_min: 0.2",
+        f"# range_max: {limit}",
+        "stamp,x,y,yaw," + ",".join(f"r{i}" for i in range(BEAMS)),
+    ]
+    for index in range(SCANS):
+        x, y, yaw = drive.pose(index)
+        beams = ",".join(map(str, drive.ranges(index)))
+        lines.append(f"{100 + index},{x},{y},{yaw + drive.mount},{beams}")
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def write_bag(
+    path: Path,
+    drive: Drive,
+    mount: Sequence[tuple[float, float]] = (),
+    scan_stamp: Callable[[int], int] = lambda stamp: stamp,
+) -> Path:
+    """Write the drive as a ROS 1 bag: odometry on /tf, perhaps the mount (roll, yaw), /scan."""
+    log = [
+        Written("/tf_static", 0, _transform(0, "base_link", "laser", (0, 0, 0), *turn))
+        for turn in mount
+    ]
+    for index in range(SCANS):
+        stamp = (100 + index) * SECOND
+        x, y, yaw = drive.pose(index)
+        log.append(
+            Written("/tf", stamp, _transform(stamp, "odom", "base_link", (x, y, 0), 0.0, yaw))
+        )
+        log.append(Written("/scan", stamp, _scan(scan_stamp(stamp), drive.ranges(index))))
+    return write_bag1(path, log)
+
+
+def _scan(stamp_ns: int, ranges: Float32) -> object:
+    return ROS1.types[SCAN](
+        header=header(ROS1, stamp_ns, "laser"),
+        angle_min=0.0,
+        angle_max=2 * math.pi * (BEAMS - 1) / BEAMS,
+        angle_increment=2 * math.pi / BEAMS,
+        time_increment=0.0,
+        scan_time=0.0,
+        range_min=0.2,
+        range_max=30.0,
+        ranges=ranges,
+        intensities=np.zeros(0, np.float32),
+    )
+
+
+def _transform(
+    stamp_ns: int, parent: str, child: str, at: tuple[float, ...], roll: float, yaw: float
+) -> object:
+    types = ROS1.types
+    (sr, sy), (cr, cy) = (
+        [function(angle / 2) for angle in (roll, yaw)] for function in (math.sin, math.cos)
+    )
+    rotation = types["geometry_msgs/msg/Quaternion"](sr * cy, sr * sy, cr * sy, cr * cy)
+    transform = types["geometry_msgs/msg/Transform"](
+        types["geometry_msgs/msg/Vector3"](*map(float, at)), rotation
+    )
+    stamped = types["geometry_msgs/msg/TransformStamped"](
+        header(ROS1, stamp_ns, parent), child, transform
+    )
+    return types["tf2_msgs/msg/TFMessage"]([stamped])

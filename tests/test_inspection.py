@@ -1,0 +1,323 @@
+"""Inspection of rooms written by formula, and of the real logs."""
+
+import json
+import math
+import os
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from occmap.inspection import Inspection, inspect
+from occmap.inspection.findings import ScanFindings
+from occmap.inspection.ranges import BLOCK_RANGES, RangeCensus, find_repeated
+from occmap.inspection.times import StampLog
+from occmap.pipeline import BuildOptions, build
+from occmap.posing.options import PosingOptions, Stamps
+from occmap.sensor.returns import NoReturn, ReturnOptions
+from occmap.types import Float32, Float64, Pose, Scan, ScanBatch
+from tests.inspection_logs import BEAMS, SCANS, Drive, measure_room, write_bag, write_csv
+
+REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", Path(__file__).parents[2] / "shared/logs"))
+SAMPLES = Path(__file__).parents[1] / "sample_logs"
+
+
+def look(path: Path, options: BuildOptions | None = None) -> Inspection:
+    found = inspect([path], options or BuildOptions())
+    json.dumps(found.to_json(), allow_nan=False)
+    return found
+
+
+def topic(found: Inspection) -> ScanFindings:
+    (log,) = found.logs
+    (scans,) = log.scans
+    return scans
+
+
+def count_specials(found: Inspection) -> dict[str, int]:
+    return {special.name: special.count for special in topic(found).ranges.specials}
+
+
+def make_batch(ranges: Iterable[Iterable[float]]) -> ScanBatch:
+    values: Float32 = np.array(ranges, np.float32)
+    return ScanBatch("laser", 0, 0.1, 0.5, 8.0, 0, np.zeros(len(values), np.int64), values, None)
+
+
+def test_the_room_is_measured(tmp_path: Path) -> None:
+    found = look(write_csv(tmp_path / "room.csv", Drive()))
+    scans = topic(found)
+    (shape,) = scans.shapes
+
+    assert found.buildable
+    assert found.problems == found.warnings == ()
+    assert found.map is not None
+    assert found.map.extent == (-5.0, -3.0, 5.05, 3.05)  # a wall at 5 m lies in the cell from there
+    assert (found.map.columns, found.map.rows, found.map.file_bytes) == (201, 121, 201 * 121)
+    assert (shape.beams, shape.scans, scans.shape_count) == (BEAMS, SCANS, 1)
+    assert shape.field_of_view == pytest.approx(2 * math.pi * (BEAMS - 1) / BEAMS)
+    assert scans.times.duration_s == SCANS - 1
+    assert scans.times.rate_hz == pytest.approx(1)
+    assert (scans.poses.stated, scans.poses.posed) == (True, SCANS)
+    nearest = min(measure_room(*_at(index)).min() for index in range(SCANS))
+    assert scans.ranges.smallest == pytest.approx(nearest, abs=1e-5)
+    assert found.command[:3] == ("occmap", "build", str(tmp_path / "room.csv"))
+    assert found.command[3:] == ("-o", "room.pgm")
+
+
+def _at(index: int) -> tuple[float, float, Float64]:
+    x, y, yaw = Drive().pose(index)
+    return x, y, yaw + Drive().bearings
+
+
+def test_the_estimate_is_the_size_of_the_map(tmp_path: Path) -> None:
+    for path in (write_csv(tmp_path / "room.csv", Drive()), SAMPLES / "drive.mcap"):
+        found = look(path).map
+        made = build([path], BuildOptions()).map
+        assert found is not None
+        assert (found.rows, found.columns) == made.shape
+        assert found.extent == pytest.approx(made.extent)
+
+
+def test_special_ranges_are_counted_by_kind(tmp_path: Path) -> None:
+    specials = [np.inf, -np.inf, np.nan, 0.0, -1.0, 0.1, 30.0, 31.0]
+
+    def spoil(ranges: Float64) -> Float64:
+        ranges[: len(specials)] = specials
+        return ranges
+
+    found = look(write_csv(tmp_path / "odd.csv", Drive(spoil=spoil)))
+
+    names = ("+inf", "-inf", "nan", "zero", "negative", "< range_min")
+    assert count_specials(found) == dict.fromkeys((*names, "= range_max", "> range_max"), SCANS)
+    assert topic(found).ranges.measured == SCANS * (BEAMS - len(specials))
+    advice = {s.name: s.no_return for s in topic(found).ranges.specials}
+    assert [name for name, text in advice.items() if text] == ["+inf", "= range_max", "> range_max"]
+
+
+def test_a_census_counts_batches_of_other_limits_together() -> None:
+    census = RangeCensus()
+    census.add(make_batch([[1, 8, 9]]))
+    census.add(replace(make_batch([[1, 8, 9]]), range_max=9.0))
+
+    assert +census.counts == {"= range_max": 2, "> range_max": 1}
+    assert (census.total, census.smallest, census.largest) == (6, 1.0, 8.0)
+
+
+def test_walls_are_not_suspicious_and_markers_are() -> None:
+    rng = np.random.default_rng(1)
+    noisy = rng.normal(4.0, 0.01, 5000).round(3)  # a wall, seen by a robot that stands still
+    spread = rng.uniform(0.5, 7.5, 5000).round(2)
+    values = np.concatenate([noisy, spread, np.full(300, 5.6)]).astype(np.float32)
+
+    assert find_repeated(values[:-300]) == {}
+    assert find_repeated(values) == {float(np.float32(5.6)): pytest.approx(300 / 10300, abs=1e-3)}
+    assert find_repeated(np.full(1000, 5.0, np.float32)) == {}  # drawn by hand
+
+
+def test_a_marker_below_the_limit_suggests_a_range_max(tmp_path: Path) -> None:
+    def spoil(ranges: Float64) -> Float64:
+        ranges[::9] = 25.6
+        return ranges
+
+    found = look(write_csv(tmp_path / "marker.csv", Drive(spoil=spoil)))
+
+    assert topic(found).ranges.suggested_range_max == 25.6
+    assert found.command[3:5] == ("--range-max", "25.6")
+    assert "25.6 m is 11% of the ranges" in found.warnings[0]
+    told = look(tmp_path / "marker.csv", BuildOptions(returns=ReturnOptions(range_max=25.6)))
+    assert told.command == found.command
+
+
+def test_a_census_is_bounded_however_much_it_sees() -> None:
+    census = RangeCensus()
+    batch = make_batch(np.tile(np.linspace(1, 7, BLOCK_RANGES // 4, dtype=np.float32), (1, 1)))
+    for _ in range(9):
+        census.add(batch)
+        assert census._block_size < BLOCK_RANGES
+    assert census.total == 9 * (BLOCK_RANGES // 4)
+
+
+@pytest.mark.parametrize(("lost", "advice"), [("wall", "ignore"), ("gap", "clear")])
+def test_the_log_itself_tells_whether_no_return_is_open_space(
+    tmp_path: Path, lost: str, advice: str
+) -> None:
+    counter = iter(range(10**6))
+
+    def spoil(ranges: Float64) -> Float64:
+        index = next(counter)
+        x, _, heading = _at(index)
+        if lost == "gap":  # nothing stands where the left wall was
+            ranges[x + ranges * np.cos(heading) < -4.99] = np.inf
+        else:  # any beam may fail
+            ranges[index % 7 :: 7] = np.inf
+        return ranges
+
+    found = look(write_csv(tmp_path / "lost.csv", Drive(spoil=spoil)))
+
+    assert {s.no_return for s in topic(found).ranges.specials} == {advice}
+    assert ("--no-return" in found.command) == (advice == "clear")
+
+
+@pytest.mark.parametrize("mount", [0.0, math.pi / 2, math.pi, -math.pi / 2])
+def test_a_missing_mount_is_found_from_the_scans(tmp_path: Path, mount: float) -> None:
+    found = look(write_bag(tmp_path / "room.bag", Drive(mount)))
+
+    assert not found.buildable
+    (problem,) = found.problems
+    assert "no transform to the laser's frame 'laser'" in problem
+    assert f"--sensor-pose 0,0,{round(mount, 5):g}" in " ".join(found.command)
+    assert topic(found).poses.posed == SCANS
+    assert found.map is not None
+    # Noise of float32 decides in which of two cells a wall at 5 m lies.
+    assert found.map.extent == pytest.approx((-5, -3, 5.05, 3.05), abs=0.06)
+
+
+def test_what_check_recommends_is_then_buildable(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "room.bag", Drive(math.pi))
+    options = BuildOptions(posing=PosingOptions(sensor_pose=Pose.planar(0, 0, math.pi)))
+
+    found = look(path, options)
+
+    assert found.buildable
+    assert found.command == look(path).command
+
+
+def test_a_wrong_mount_is_suspected(tmp_path: Path) -> None:
+    found = look(write_bag(tmp_path / "room.bag", Drive(math.pi), mount=[(0.0, 0.0)]))
+
+    assert topic(found).mount is not None
+    assert any("yaw[,roll,pitch] = 0,0,3.14159" in text for text in found.warnings)
+
+
+def test_an_upside_down_laser_is_told(tmp_path: Path) -> None:
+    mount = topic(look(write_bag(tmp_path / "room.bag", Drive(), mount=[(math.pi, 0.0)]))).mount
+
+    assert mount is not None
+    assert mount.upside_down
+    assert mount.tilt == pytest.approx(0, abs=1e-6)
+
+
+def test_a_tilted_laser_is_told(tmp_path: Path) -> None:
+    found = look(write_bag(tmp_path / "room.bag", Drive(), mount=[(0.2, 0.0)]))
+    mount = topic(found).mount
+
+    assert mount is not None
+    assert not mount.upside_down
+    assert mount.tilt == pytest.approx(0.2)
+    assert any("tilted by 11.5 deg" in text for text in found.warnings)
+
+
+def test_stamps_of_another_clock_suggest_the_record_times(tmp_path: Path) -> None:
+    def forget(_stamp: int) -> int:
+        return 0
+
+    path = write_bag(tmp_path / "zero.bag", Drive(), [(0.0, 0.0)], scan_stamp=forget)
+    found = look(path)
+
+    times = topic(found).times
+    assert (times.all_equal, times.all_zero, times.duplicates) == (True, True, SCANS - 1)
+    assert times.offset_s == pytest.approx(-(100 + (SCANS - 1) / 2))
+    assert topic(found).poses.dropped == {"before the first pose": SCANS}
+    assert "none of 40 scans can be used: 40 before the first pose" in found.problems[0]
+    assert found.command[3:5] == ("--stamps", "record")
+    told = look(path, BuildOptions(posing=PosingOptions(stamps=Stamps.RECORD)))
+    assert told.buildable
+    assert topic(told).poses.posed == SCANS
+
+
+def test_stamps_that_jump_back_and_drift() -> None:
+    stamps = StampLog()
+    for index, header in enumerate([0, 1, 2, 1, 2, 3, 4, 5, 6, 7]):
+        scan = Scan(header * 10**9, "", 0, 0.1, np.ones(1, np.float32), 0, 1)
+        stamps.add(scan._replace(record_ns=index * 10**9))
+
+    found = stamps.sum_up()
+
+    assert (found.jumps_back, found.largest_jump_back_s, found.duplicates) == (1, 1.0, 0)
+    assert found.drift_s == -2.0
+    assert (found.duration_s, found.largest_gap_s) == (7.0, 1.0)
+
+
+def test_beams_that_vary_are_listed_by_frequency(tmp_path: Path) -> None:
+    path = tmp_path / "two.log"
+    short, long = (f"FLASER {n} " + "2.5 " * n + "0 0 0 0 0 0 {} host 1\n" for n in (180, 361))
+    path.write_text("".join((short if k % 3 else long).format(k) for k in range(1, 10)))
+
+    scans = topic(look(path))
+
+    assert [(shape.beams, shape.scans) for shape in scans.shapes] == [(180, 6), (361, 3)]
+
+
+def test_a_map_that_is_too_large_is_a_problem(tmp_path: Path) -> None:
+    found = look(write_csv(tmp_path / "room.csv", Drive()), BuildOptions(max_cells=1000))
+
+    assert "201 x 121 cells, more than --max-cells 1000" in found.problems[0]
+    assert found.command == ()
+
+
+def test_logs_that_cannot_be_read_are_problems(tmp_path: Path) -> None:
+    text = tmp_path / "notes.txt"
+    text.write_text("hello\n")
+    found = inspect(
+        [text, tmp_path / "missing", write_csv(tmp_path / "room.csv", Drive())], BuildOptions()
+    )
+
+    assert [problem.partition(": ")[0] for problem in found.problems] == [
+        str(text), str(tmp_path / "missing"),
+    ]  # fmt: skip
+    assert found.command[2:] == (str(tmp_path / "room.csv"), "-o", "room.pgm")
+
+
+def test_options_come_back_as_flags(tmp_path: Path) -> None:
+    options = BuildOptions(
+        resolution=0.1,
+        returns=ReturnOptions(max_range=6.5, no_return=NoReturn.CLEAR),
+        posing=PosingOptions(max_pose_gap_s=0.5, map_frame="odom"),
+    )
+    found = look(write_bag(tmp_path / "room.bag", Drive(), mount=[(0.0, 0.0)]), options)
+
+    assert found.command[3:-2] == (
+        "--resolution", "0.1", "--map-frame", "odom", "--max-pose-gap", "0.5",
+        "--max-range", "6.5", "--no-return", "clear",
+    )  # fmt: skip
+
+
+REAL = {
+    "carmen/intel-corrected.log.gz": "",
+    "carmen/freiburg-079-corrected.log.gz": "",
+    "carmen/csail-corrected.log.gz": "",
+    "carmen/fr079-robotlaser.log.gz": "",
+    "ros1/test_turtlebot.bag": "",
+    "ros1/test_replay_crash.bag": "",
+    "ros1/mylaserdata2.bag": "--sensor-pose 0,0,3.14159",
+    "ros2/macfirst_floor_take_2": "",
+}
+
+
+@pytest.mark.skipif(not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}")
+@pytest.mark.parametrize("name", REAL)
+def test_the_command_for_a_real_log_is_the_one_that_gives_the_good_map(name: str) -> None:
+    found = look(REAL_LOGS / name)
+
+    assert " ".join(found.command[3:-2]) == REAL[name]
+    assert found.buildable == (REAL[name] == "")
+    assert topic(found).poses.posed >= topic(found).scans - 1
+    assert found.warnings == ()
+
+
+@pytest.mark.skipif(not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}")
+def test_oddities_of_the_real_logs() -> None:
+    crash = topic(look(REAL_LOGS / "ros1/test_replay_crash.bag"))
+    assert crash.mount is not None
+    assert crash.mount.upside_down
+    turtlebot = topic(look(REAL_LOGS / "ros1/test_turtlebot.bag"))
+    assert turtlebot.times.offset_s == pytest.approx(44317, abs=1)
+    fr079 = topic(look(REAL_LOGS / "carmen/fr079-robotlaser.log.gz"))
+    assert [(round(item.value, 2), item.is_no_return) for item in fr079.ranges.repeated] == [
+        (81.91, True)
+    ]
+    matcher = look(REAL_LOGS / "ros1/laser_scan_matcher_demo.bag")
+    assert matcher.command == ()
+    assert "--poses FILE" in matcher.problems[0]
