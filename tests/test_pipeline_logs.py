@@ -122,9 +122,7 @@ def test_a_topic_that_is_not_there_names_those_that_are(tmp_path: Path) -> None:
 def test_a_log_without_scans_says_what_it_holds(tmp_path: Path) -> None:
     others = [message for message in drive(ROS2) if message.topic != "/scan"]
     log = write_mcap(tmp_path / "log.mcap", others)
-    with pytest.raises(
-        LogError, match=r"no laser scans; it holds .*/tf \(tf2_msgs/msg/TFMessage, 6"
-    ):
+    with pytest.raises(LogError, match=r"no laser scans; it holds .*/tf \(tf2_msgs/msg/TFM"):
         build([log], BEAM)
 
 
