@@ -138,7 +138,8 @@ def find_sectors(rays: Rays, s: int) -> dict[int, Sector]:
     beams = len(bearings)
     turns = [turn_between(bearings[b], bearings[(b + 1) % beams]) for b in range(beams)]
     sense = 1 if sum(math.sin(turn) for turn in turns[:-1]) >= 0 else -1
-    halves = [min(sense * turn / 2, WIDEST) for turn in turns]
+    # A neighbour on the far side counts as one ahead, whichever way round to it is shorter.
+    halves = [WIDEST if abs(turn) > 2 * WIDEST else sense * turn / 2 for turn in turns]
     sectors = {}
     for b in range(beams):
         before, after = halves[b - 1], halves[b]

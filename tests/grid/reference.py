@@ -73,7 +73,7 @@ def trace_polygons(
         misses.update(
             cell
             for cell in cells_around(regions)
-            if cell not in border and any(winds_around(region, cell) for region in regions)
+            if cell not in border and is_inside(regions, cell)
         )
     return hits, misses
 
@@ -152,8 +152,18 @@ def cells_around(regions: list[list[Point]]) -> set[Cell]:
     return cells
 
 
-def winds_around(region: list[Point], cell: Cell) -> bool:
-    """Whether the region goes round the cell's centre; a centre on a left or lower edge is in."""
+def is_inside(regions: list[list[Point]], cell: Cell) -> bool:
+    """Whether the regions together go round the cell's centre.
+
+    They all turn the same way, but for a scan that is not seen from where it was taken: where a
+    nearer thing shifts across a farther one a region folds over, and what lies between two regions
+    that contradict each other there is not called free.
+    """
+    return sum(winds_around(region, cell) for region in regions) != 0
+
+
+def winds_around(region: list[Point], cell: Cell) -> int:
+    """How often the region goes round the cell's centre; one on a left or lower edge is in."""
     x, y = cell[1] * 256 + 128, cell[0] * 256 + 128
     winding = 0
     for (x0, y0), (x1, y1) in zip(region, region[1:] + region[:1], strict=True):
@@ -162,4 +172,4 @@ def winds_around(region: list[Point], cell: Cell) -> bool:
             winding += 1
         if y1 <= y < y0 and side >= 0:
             winding -= 1
-    return winding != 0
+    return winding

@@ -1,0 +1,279 @@
+"""Counts of hits and misses: the engine against the rules, written the slow way."""
+
+from collections import Counter
+from dataclasses import replace
+from itertools import permutations
+from threading import Thread
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from occmap.errors import MapError
+from occmap.grid.engine import WINDOW_CELLS, GridEngine, join_viewpoints
+from occmap.grid.lattice import Lattice
+from occmap.grid.tiles import TILE
+from occmap.grid.windows import Observation, tabulate
+from occmap.sensor.models import QuadraticModel
+from occmap.types import Kind, Rays, Update
+from tests.grid import reference
+from tests.grid.scans import (
+    FEW,
+    MANY,
+    Drive,
+    aim,
+    drives,
+    observe,
+    read_cells,
+    shift,
+    take,
+)
+
+WINDOWS = st.sampled_from([50, 400, WINDOW_CELLS])
+HALVES = (0.0625, 0.5)
+"""Resolutions that are powers of two: whole cells are then whole numbers of metres, exactly."""
+
+
+def radial_tables(resolution: float, p_min: float = 0.2) -> Observation:
+    model = QuadraticModel(epsilon=1.5 * resolution, p_min=p_min)
+    return Observation(
+        Update.BEAM,
+        Lattice(resolution),
+        radial=tabulate(model.free, model.hit, model.depth(resolution)),
+    )
+
+
+def all_observations(resolution: float) -> list[Observation]:
+    """Both updates with both sorts of evidence."""
+    radial = radial_tables(resolution)
+    return [
+        replace(radial, update=update, radial=tables)
+        for update in Update
+        for tables in (None, radial.radial)
+    ]
+
+
+KINDS_OF_MAP = pytest.mark.parametrize(
+    "kind_of_map", range(4), ids=["beam", "beam-radial", "polygon", "polygon-radial"]
+)
+
+
+@MANY
+@given(drive=drives(), window_cells=WINDOWS)
+def test_beam_update_follows_the_rule(drive: Drive, window_cells: int) -> None:
+    rays, resolution = drive
+    what = Observation(Update.BEAM, Lattice(resolution))
+    assert observe(what, [rays], window_cells) == reference.trace_beams(rays, resolution)
+
+
+@MANY
+@given(
+    drive=drives(),
+    jump_cells=st.sampled_from([0.0, 0.5, 4.0, 1e9]),
+    border_gap=st.sampled_from([0, 1, 8]),
+    window_cells=WINDOWS,
+)
+def test_polygon_update_follows_the_rule(
+    drive: Drive, jump_cells: float, border_gap: int, window_cells: int
+) -> None:
+    rays, resolution = drive
+    jump = jump_cells * resolution
+    what = Observation(Update.POLYGON, Lattice(resolution), jump, border_gap)
+    expected = reference.trace_polygons(join_viewpoints(rays), resolution, jump, border_gap)
+    assert observe(what, [rays], window_cells) == expected
+
+
+@KINDS_OF_MAP
+@FEW
+@given(drive=drives(), window_cells=WINDOWS)
+def test_batches_windows_and_order_change_nothing(
+    kind_of_map: int, drive: Drive, window_cells: int
+) -> None:
+    rays, resolution = drive
+    what = all_observations(resolution)[kind_of_map]
+    whole = observe(what, [rays])
+    scans = range(len(rays.kind))
+    for order in permutations(scans):
+        assert observe(what, [take(rays, list(order))], window_cells) == whole
+    assert observe(what, [take(rays, [s]) for s in scans], window_cells) == whole
+
+
+@KINDS_OF_MAP
+@FEW
+@given(drive=drives())
+def test_merging_equals_building_together(kind_of_map: int, drive: Drive) -> None:
+    rays, resolution = drive
+    what = all_observations(resolution)[kind_of_map]
+    maps = [observe(what, [take(rays, [s])]) for s in range(len(rays.kind))]
+    whole = observe(what, [rays])
+    for layer in (0, 1):
+        merged: Counter[reference.Cell] = Counter()
+        for one in maps:  # update() keeps negative sums, which + would drop
+            merged.update(one[layer])
+        assert merged == whole[layer]
+
+
+@KINDS_OF_MAP
+@FEW
+@given(
+    drive=drives(resolutions=HALVES, places=(0.0,)),
+    rows=st.integers(-70_000, 70_000),
+    cols=st.integers(-70_000, 70_000),
+)
+def test_a_shift_by_whole_cells_shifts_the_map(
+    kind_of_map: int, drive: Drive, rows: int, cols: int
+) -> None:
+    rays, resolution = drive
+    # Origins on the lattice: a float has then bits enough for the sum of both.
+    rays = replace(rays, origin=np.rint(rays.origin / resolution * 256) / 256 * resolution)
+    what = all_observations(resolution)[kind_of_map]
+    there = observe(what, [shift(rays, (cols * resolution, rows * resolution))])
+    for layer, moved in zip(observe(what, [rays]), there, strict=True):
+        assert {(r + rows, c + cols): n for (r, c), n in layer.items()} == moved
+
+
+@FEW
+@given(drive=drives())
+def test_two_updates_agree_on_where_something_was_hit(drive: Drive) -> None:
+    rays, resolution = drive
+    by_beam = observe(Observation(Update.BEAM, Lattice(resolution)), [rays])
+    # No gap is closed, so that the border is the end cells.
+    by_polygon = observe(Observation(Update.POLYGON, Lattice(resolution), 0.0, 0), [rays])
+    if rays.origin.shape[1] == 1:
+        assert by_beam.first.keys() == by_polygon.first.keys()
+        scans = len(rays.kind)
+        assert all(count <= scans for layer in by_polygon for count in layer.values())
+
+
+def one_scan(distance: list[float], kind: list[Kind], increment: float = 0.5) -> Rays:
+    """From the middle of cell (0, 0) of cells of a metre, the first beam along x."""
+    beams = len(distance)
+    return Rays.along(
+        np.full((1, 1, 2), 0.5),
+        aim(0.0, increment, beams)[None],
+        np.array([distance], np.float32),
+        np.array([kind], np.uint8),
+        full_circle=False,
+    )
+
+
+@KINDS_OF_MAP
+def test_skipped_beams_leave_no_trace(kind_of_map: int) -> None:
+    rays = one_scan([0.0, 0.0, 0.0], [Kind.SKIP] * 3)
+    assert observe(all_observations(1.0)[kind_of_map], [rays]) == (Counter(), Counter())
+
+
+@pytest.mark.parametrize("update", list(Update))
+@pytest.mark.parametrize("distance", [0.0, 0.3])
+def test_a_hit_in_the_sensors_own_cell_is_one_hit(update: Update, distance: float) -> None:
+    rays = one_scan([distance], [Kind.HIT])
+    evidence = observe(Observation(update, Lattice(1.0)), [rays])
+    assert evidence == ({(0, 0): 1}, {})
+
+
+def test_free_beam_of_no_length_is_one_miss_by_beam_and_nothing_by_polygon() -> None:
+    rays = one_scan([0.0], [Kind.FREE])
+    assert observe(Observation(Update.BEAM, Lattice(1.0)), [rays]) == ({}, {(0, 0): 1})
+    assert observe(Observation(Update.POLYGON, Lattice(1.0)), [rays]) == ({}, {})
+
+
+def test_every_beam_counts_by_beam_and_every_scan_by_polygon() -> None:
+    rays = one_scan([3.0] * 3, [Kind.HIT] * 3, increment=0.01)
+    assert observe(Observation(Update.BEAM, Lattice(1.0)), [rays]) == (
+        {(0, 3): 3},
+        {(0, 0): 3, (0, 1): 3, (0, 2): 3},
+    )
+    assert observe(Observation(Update.POLYGON, Lattice(1.0)), [rays]).first == {(0, 3): 1}
+
+
+def make_engine(update: Update = Update.BEAM, resolution: float = 0.05) -> GridEngine:
+    return GridEngine(Observation(update, Lattice(resolution)))
+
+
+@pytest.mark.parametrize("update", list(Update))
+def test_a_wild_pose_costs_only_the_tiles_that_it_touches(update: Update) -> None:
+    near = one_scan([3.0] * 3, [Kind.HIT] * 3)
+    origin = np.concatenate([near.origin, near.origin + 1e7, near.origin])
+    rays = Rays(
+        origin,
+        np.repeat(near.turn, 3, axis=0),
+        near.bearing,
+        np.repeat(near.distance, 3, axis=0),
+        np.repeat(near.kind, 3, axis=0),
+        near.full_circle,
+    )
+    engine = make_engine(update)
+    engine.add(rays)
+    tiles = engine.finish().tiles
+    side = 3.0 / 0.05 / TILE
+    assert len(tiles) <= 2 * (side + 2) ** 2
+    far = 1e7 / 0.05 / TILE
+    for tile_row, tile_col in tiles:
+        assert any(abs(tile_row - at) <= side + 2 and abs(tile_col - at) <= side + 2
+                   for at in (0, far))  # fmt: skip
+
+
+def test_a_beam_that_is_too_long_is_refused_with_what_to_do() -> None:
+    rays = one_scan([3e6], [Kind.HIT])
+    with pytest.raises(MapError) as caught:
+        make_engine().add(rays)
+    assert str(caught.value) == (
+        "a beam of 3e+06 m is too long for cells of 0.05 m; limit ranges with --max-range, or use "
+        "a coarser --resolution"
+    )
+
+
+@KINDS_OF_MAP
+def test_threads_give_the_same_sums(kind_of_map: int) -> None:
+    rng = np.random.default_rng(5)
+    batches = [
+        Rays.along(
+            rng.uniform(-2, 2, (4, 1, 2)),
+            np.repeat(aim(-1.0, 0.02, 100)[None], 4, axis=0),
+            rng.uniform(0.5, 8, (4, 100)).astype(np.float32),
+            rng.choice(np.array(Kind, np.uint8), (4, 100)),
+            full_circle=False,
+        )
+        for _ in range(12)
+    ]
+    what = all_observations(0.05)[kind_of_map]
+    expected = observe(what, batches)
+    engine = GridEngine(what, window_cells=1 << 16)
+
+    def work(mine: list[Rays]) -> None:
+        for rays in mine:
+            engine.add(rays)
+
+    threads = [Thread(target=work, args=(batches[i::4],)) for i in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert read_cells(engine.finish()) == expected
+
+
+def test_more_may_be_added_after_the_evidence_was_read() -> None:
+    rays = one_scan([3.0], [Kind.HIT])
+    engine = make_engine(resolution=1.0)
+    engine.add(rays)
+    once = read_cells(engine.finish())
+    engine.add(rays)
+    twice = read_cells(engine.finish())
+    assert once.first == {(0, 3): 1}
+    assert twice == tuple({cell: 2 * n for cell, n in layer.items()} for layer in once)
+
+
+@FEW
+@given(drive=drives())
+def test_joined_viewpoints_leave_the_ends_where_they_are(drive: Drive) -> None:
+    rays, _ = drive
+    joined = join_viewpoints(rays)
+    measured = rays.kind > 0
+    reach = float(joined.distance.max(initial=0)) + 1e-9
+    apart = np.abs(joined.end - rays.end)[measured]
+    assert joined.origin.shape[1] == 1
+    assert apart.max(initial=0.0) <= 2**-23 * reach + 2e-11
+    if rays.origin.shape[1] > 1:
+        middle = rays.origin.shape[1] // 2
+        np.testing.assert_array_equal(joined.origin[:, 0], rays.origin[:, middle])
