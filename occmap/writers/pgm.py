@@ -134,7 +134,7 @@ def _percent(grid: OccupancyMap) -> UInt8:
 def _write_yaml(file: BinaryIO, fields: dict[str, object]) -> None:
     """Write seven plain lines: importing a YAML library takes longer than writing the image."""
     lines = [f"{name}: {_to_yaml(value)}\n" for name, value in fields.items()]
-    file.write("".join(lines).encode())
+    file.write("".join(lines).encode("utf-8", "surrogateescape"))  # the image's name as it is
 
 
 def _to_yaml(value: object) -> str:

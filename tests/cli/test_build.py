@@ -1,0 +1,193 @@
+"""`occmap build` where all goes well: the files, the report, the notes and the flags."""
+
+import gzip
+import json
+from pathlib import Path
+
+import pytest
+
+from occmap.batching import Selection
+from occmap.cli import progress
+from occmap.cli.build import collect_request
+from occmap.cli.console import Console, Verbosity
+from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
+from occmap.posing.options import PosingOptions
+from occmap.sensor.models import SimpleModel
+from occmap.sensor.returns import NoReturn, ReturnOptions
+from occmap.types import Pose, PoseSample, Update
+from occmap.writers import MapMode, Shade, WriteOptions
+from tests.cli.runner import occmap, read_error
+from tests.samples import SAMPLE_LOGS, write_csv
+
+DRIVE = SAMPLE_LOGS / "drive.csv"
+
+
+def parse(*words: str) -> BuildOptions:
+    """Read a command line without running it."""
+    from occmap.cli.build import command  # noqa: PLC0415
+
+    context = command.make_context("build", [*words, "x.log", "-o", "m.pgm"], obj=Console())
+    values = dict(context.params)
+    return collect_request(values.pop("words"), values).options
+
+
+def test_no_flag_leaves_every_default() -> None:
+    assert parse() == BuildOptions()
+
+
+@pytest.mark.parametrize("update", Update)
+def test_the_first_word_may_be_the_update(update: Update) -> None:
+    assert parse(update.value) == BuildOptions(update=update)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("--resolution 0.1 --jump 0.3 --border-gap 2", {"resolution": 0.1, "jump": 0.3}),
+        ("--max-cells 5 --jobs 3", {"max_cells": 5, "jobs": 3}),
+        (
+            "--min-range 0.2 --max-range 9 --range-max 10 --no-return clear",
+            {"returns": ReturnOptions(0.2, 9.0, 10.0, NoReturn.CLEAR)},
+        ),
+        (
+            "--scan-topic /a --scan-topic /b --start 1 --end 2.5 --stride 3",
+            {"selection": Selection(("/a", "/b"), 1.0, 2.5, 3)},
+        ),
+        (
+            "--mode raw --occupied-thresh 0.8 --free-thresh 0.1 --light-occupied",
+            {"writing": WriteOptions(MapMode.RAW, 0.8, 0.1, Shade.LIGHT_OCCUPIED)},
+        ),
+        ("--model simple:p_hit=0.8", {"model": SimpleModel(p_hit=0.8)}),
+        ("--p-hit 0.9 --p-miss 0.2", {"model": SimpleModel(0.9, 0.2)}),
+        ("--model simple:p_hit=0.8,prior=0.4 --p-hit 0.9", {"model": SimpleModel(0.9, prior=0.4)}),
+        # Neither would do with the other's default.
+        ("--model simple:p_miss=0.75 --p-hit 0.9", {"model": SimpleModel(0.9, 0.75)}),
+        (
+            "--map-frame m --base-frame b --poses /pose --max-pose-gap 1 --time-offset -0.5",
+            {"posing": PosingOptions("m", "b", None, "/pose", 1.0, -0.5)},
+        ),
+        (
+            "--sensor-pose -0.1,0,0 --static-tf a,b,1,2,3,0,0,0",
+            {
+                "posing": PosingOptions(
+                    sensor_pose=Pose(-0.1, 0, 0, 0, 0, 0, 1),
+                    static_transforms=(
+                        PoseSample(0, "a", "b", Pose(1, 2, 3, 0, 0, 0, 1), static=True),
+                    ),
+                )
+            },
+        ),
+    ],
+)
+def test_flags_set_the_options(words: str, expected: dict[str, object]) -> None:
+    options = parse(*words.split())
+    assert {name: getattr(options, name) for name in expected} == expected
+
+
+def test_the_map_is_what_the_library_builds(tmp_path: Path) -> None:
+    mine, expected = tmp_path / "mine.pgm", tmp_path / "expected.pgm"
+    result = occmap("build", "polygon", DRIVE, "-o", mine, "-o", tmp_path / "mine.png")
+    assert (result.code, result.err) == (0, "")
+    build([DRIVE], BuildOptions(update=Update.POLYGON), [expected])
+    assert mine.read_bytes() == expected.read_bytes()
+    files = {path.name for path in tmp_path.iterdir()} - {"expected.pgm", "expected.yaml"}
+    assert files == {"mine.pgm", "mine.yaml", "mine.png"}
+
+
+def test_the_report_is_aligned_and_says_what_was_done(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", [(float(second), 0, 0) for second in range(4)], [0.32])
+    words = ["--resolution", 0.1, "--end", 2, "-o", tmp_path / "m.pgm"]
+    lines = occmap("build", "beam", log, *words).out.splitlines()
+    assert lines[:6] == [
+        "map      24 x 1 cells of 0.1 m, x 0 to 2.4 m, y 0 to 0.1 m",
+        "cells    12.5% occupied, 50.0% unknown, 37.5% undecided",
+        "update   beam, model simple:p_hit=0.7,p_miss=0.4,prior=0.5",
+        "scans    3 of 4 used",
+        "dropped  1 outside --start and --end",
+        "beams    3: 3 hit",
+    ]
+    assert lines[6].startswith("time     ")
+    assert " scans/s (open " in lines[6]
+    assert lines[7:] == [f"files    {tmp_path / 'm.pgm'}", f"         {tmp_path / 'm.yaml'}"]
+
+
+def test_json_is_one_object_and_nothing_else(tmp_path: Path) -> None:
+    result = occmap("build", DRIVE, "--json", "-o", tmp_path / "m.pgm")
+    report = json.loads(result.out)
+    assert report["scans"] == {"read": 414, "used": 414, "dropped": {}}
+    assert report["map"]["update"] == DEFAULT_UPDATE.value
+    assert result.err == ""
+
+
+def write_cut(folder: Path) -> Path:
+    """Write a log whose gzip data ends early."""
+    whole = write_csv(folder / "log.csv", [(0.0, 0.0, 0.0)] * 3000, [0.3])
+    cut = folder / "cut.csv.gz"
+    cut.write_bytes(gzip.compress(whole.read_bytes())[:-1000])
+    return cut
+
+
+def test_damage_is_a_note_and_with_strict_an_error_after_the_map(tmp_path: Path) -> None:
+    log, target = write_cut(tmp_path), tmp_path / "m.pgm"
+    result = occmap("build", log, "-o", target)
+    (note,) = result.err.splitlines()
+    assert result.code == 0
+    assert note.startswith(f"note: {log}: the gzip data is cut short")
+    target.unlink()
+
+    strict = occmap("build", log, "-o", target, "--strict", "-q")
+    assert "the gzip data is cut short" in read_error(strict, 1)
+    assert strict.err.endswith("(--strict; 1 such); the map was written\n")
+    assert target.exists()
+    told = occmap("build", log, "-o", target, "--strict", "--json")
+    assert (told.code, len(told.err.splitlines())) == (1, 2)
+    assert json.loads(told.out)["damage"]
+
+
+def test_strict_is_content_with_a_sound_log(tmp_path: Path) -> None:
+    assert occmap("build", DRIVE, "-o", tmp_path / "m.pgm", "--strict").code == 0
+
+
+def test_quiet_prints_nothing(tmp_path: Path) -> None:
+    assert occmap("build", write_cut(tmp_path), "-o", tmp_path / "m.pgm", "-q") == (0, "", "")
+
+
+def test_a_bar_is_shown_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal:
+        text = ""
+
+        def isatty(self) -> bool:
+            return True
+
+        def write(self, text: str) -> None:
+            self.text += text
+
+        def flush(self) -> None:
+            pass
+
+    def show(verbosity: Verbosity) -> str:
+        terminal = Terminal()
+        monkeypatch.setattr(progress.sys, "stderr", terminal)  # type: ignore[attr-defined]
+        with progress.show_progress(Console(verbosity)) as advance:
+            advance(5, 10)
+            advance(5, 10)
+        return terminal.text
+
+    assert " scans/s" in show(Verbosity.NORMAL)
+    assert show(Verbosity.QUIET) == ""
+
+
+def test_help_lists_options_by_section() -> None:
+    text = occmap("build", "--help").out
+    assert text.startswith("Usage: occmap build [OPTIONS] [beam|polygon] LOG...")
+    heads = [line for line in text.splitlines() if line.endswith(":") and line[0] != " "]
+    assert heads == [
+        "Files:",
+        "Map:",
+        "What a range means:",
+        "Sensor model:",
+        "Which scans:",
+        "Where the scans were taken:",
+        "Run:",
+    ]
+    assert "--resolution M" in text.split("Map:")[1].split("What a")[0]

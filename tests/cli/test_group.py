@@ -1,0 +1,108 @@
+"""The command table: its help agrees with the commands, and errors become exit codes."""
+
+from importlib import import_module
+from importlib.metadata import version
+
+import click
+import pytest
+
+from occmap import cli
+from occmap.cli import COMMANDS, readers
+from occmap.errors import GateError, LogError, OccmapError, UsageError
+from tests.cli.runner import occmap, read_error
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_table_says_what_the_command_says(name: str) -> None:
+    command: click.Command = import_module(f"occmap.cli.{name}").command
+    assert command.name == name
+    assert command.get_short_help_str(limit=200) == COMMANDS[name]
+    (help_line,) = [line for line in occmap("--help").out.splitlines() if f"  {name} " in line]
+    assert help_line.split() == [name, *COMMANDS[name].split()]
+
+
+def test_no_word_and_help_are_the_same() -> None:
+    assert occmap() == occmap("--help") == occmap("-h")
+    assert occmap().code == 0
+    assert "Exit codes: 0 done, 1 the log" in occmap().out
+
+
+def test_version() -> None:
+    assert occmap("--version").out == f"occmap {version('occmap')}\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (["buidl", "x.log"], "no command is called 'buidl'; did you mean 'build'?"),
+        (["zzz"], "no command is called 'zzz'; there are build, "),
+        (["--verison"], "No such option '--verison'"),
+        (["readers", "extra"], "Got unexpected extra argument (extra); see `occmap readers"),
+        (["readers", "--jsn"], "see `occmap readers --help`"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_exit_code_2(words: list[str], found: str) -> None:
+    assert found in read_error(occmap(*words), 2)
+
+
+def test_a_log_without_a_command_is_answered_with_the_command(
+    tmp_path: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(str(tmp_path))
+    with open("x.log", "w", encoding="utf-8"):  # noqa: PTH123
+        pass
+    assert "to map a log: occmap build x.log -o map.pgm" in read_error(occmap("x.log"), 2)
+
+
+def fail_with(error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(readers, "show", fail)
+
+
+@pytest.mark.parametrize(
+    ("error", "code"), [(OccmapError, 1), (LogError, 1), (UsageError, 2), (GateError, 3)]
+)
+def test_an_error_knows_its_exit_code(
+    monkeypatch: pytest.MonkeyPatch, error: type[OccmapError], code: int
+) -> None:
+    fail_with(error("found\nthis", where="a.log:3", fix="do that"), monkeypatch)
+    assert read_error(occmap("readers"), code) == "a.log:3: found this; do that"
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "found"),
+    [
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (MemoryError(), 1, "out of memory; try a coarser --resolution"),
+        (OSError(36, "File name too long", "aaa"), 1, "aaa: File name too long"),
+        (OSError("no number"), 1, "OSError"),
+    ],
+)
+def test_what_no_layer_foresees_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int, found: str
+) -> None:
+    fail_with(error, monkeypatch)
+    assert read_error(occmap("readers"), code).startswith(found)
+
+
+def test_a_fault_of_occmap_is_one_line_and_with_v_a_traceback(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fail_with(KeyError("oh\nno"), monkeypatch)
+    line = read_error(occmap("readers"), 1)
+    assert line.startswith("KeyError: 'oh\\nno' (at occmap/cli/readers.py:")
+    assert "please report it" in line
+    told = occmap("readers", "-v")
+    assert told.code == 1
+    assert told.err.startswith("Traceback (most recent call last):")
+    assert told.err.splitlines()[-1] == f"error: {line}"
+
+
+def test_no_error_leaves_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    fail_with(BrokenPipeError(), monkeypatch)
+    silenced: list[bool] = []
+    monkeypatch.setattr(cli, "discard_stdout", lambda: silenced.append(True))
+    assert occmap("readers") == (0, "", "")
+    assert silenced == [True]

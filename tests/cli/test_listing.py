@@ -1,0 +1,62 @@
+"""`occmap readers`, `models` and `writers`: what is installed, and what is broken."""
+
+import json
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from occmap import plugins
+from tests.cli.runner import occmap
+
+
+@pytest.fixture
+def broken_plugin(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Install, in every group, a plugin that does not import."""
+    known = {group: plugins.list_plugins(group) for group in ("occmap.readers", "occmap.models")}
+
+    def list_plugins(group: plugins.Group) -> tuple[EntryPoint, ...]:
+        return (*known[group], EntryPoint("sonar", "there.is.no.such:Module", group))
+
+    monkeypatch.setattr(plugins, "list_plugins", list_plugins)
+
+
+@pytest.mark.parametrize(
+    ("command", "names"),
+    [
+        ("readers", ["carmen", "csv", "mcap", "rosbag"]),
+        ("models", ["counting", "quadratic", "simple"]),
+        ("writers", ["pgm", "png"]),
+    ],
+)
+def test_all_that_is_installed_is_listed(command: str, names: list[str]) -> None:
+    listed = json.loads(occmap(command, "--json").out)
+    assert listed["broken"] == []
+    assert [plugin["name"] for plugin in listed[command]] == names
+    text = occmap(command).out
+    for plugin in listed[command]:
+        assert f"{plugin['name']} " in text
+        assert plugin["description"] in text
+
+
+def test_models_have_parameters_with_defaults() -> None:
+    listed = json.loads(occmap("models", "--json").out)["models"]
+    (simple,) = [model for model in listed if model["name"] == "simple"]
+    assert simple["parameters"] == {"p_hit": 0.7, "p_miss": 0.4, "prior": 0.5}
+    assert "p_hit=0.7, p_miss=0.4, prior=0.5" in occmap("models").out
+
+
+@pytest.mark.usefixtures("broken_plugin")
+@pytest.mark.parametrize("command", ["readers", "models"])
+def test_a_broken_plugin_is_named_with_its_reason(command: str) -> None:
+    reason = "ModuleNotFoundError: No module named 'there'"
+    result = occmap(command)
+    assert result.code == 0
+    assert result.out.splitlines()[-1] == f"sonar is installed but does not load: {reason}"
+    listed = json.loads(occmap(command, "--json").out)
+    assert listed["broken"] == [{"name": "sonar", "reason": reason}]
+    assert len(listed[command]) >= 3
+
+
+def test_quiet_keeps_only_what_json_asks_for() -> None:
+    assert occmap("readers", "-q").out == ""
+    assert json.loads(occmap("readers", "-q", "--json").out)["readers"]

@@ -1,0 +1,94 @@
+"""What only a process of its own shows: signals, closed pipes, full disks, `python -m`."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.samples import SAMPLE_LOGS, write_csv
+
+OCCMAP = [sys.executable, "-m", "occmap"]
+DRIVE = str(SAMPLE_LOGS / "drive.mcap")
+
+
+def call(*words: str, **settings: int) -> subprocess.CompletedProcess[str]:
+    settings = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | settings
+    return subprocess.run([*OCCMAP, *words], text=True, timeout=60, check=False, **settings)  # type: ignore[call-overload,no-any-return]
+
+
+def test_python_m_occmap() -> None:
+    done = call("--version")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("occmap ")
+
+
+def test_a_closed_pipe_is_no_error(tmp_path: Path) -> None:
+    target = tmp_path / "m.pgm"
+    for words in (["build", DRIVE, "-o", str(target)], ["--help"], ["models", "--json"]):
+        read_end, write_end = os.pipe()
+        os.close(read_end)
+        done = call(*words, stdout=write_end)
+        os.close(write_end)
+        assert (done.returncode, done.stderr) == (0, "")
+    assert target.exists()
+
+
+def test_closed_streams_are_no_error() -> None:
+    script = f"exec {sys.executable} -m occmap models >&- 2>&-"
+    assert subprocess.run(["sh", "-c", script], check=False, timeout=60).returncode == 0
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_full_disk_is_one_line() -> None:
+    with Path("/dev/full").open("w", encoding="utf-8") as full:
+        done = call("models", stdout=full.fileno())
+    assert done.returncode == 1
+    assert done.stderr == "error: stdout: cannot be written (No space left on device)\n"
+
+
+def test_a_name_that_no_encoding_knows_can_be_printed(tmp_path: Path) -> None:
+    log = os.fsencode(write_csv(tmp_path / "log.csv", [(0.0, 0.0, 0.0)], [0.3]))
+    target = os.fsencode(tmp_path) + b"/\xff.pgm"
+    command = [*map(os.fsencode, OCCMAP), b"build", log, b"-o", target]
+    done = subprocess.run(command, capture_output=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"\\udcff.pgm" in done.stdout
+
+
+ANNOUNCED_BUILD = """
+import sys
+from occmap import cli
+from occmap.cli import build
+
+build_map = build.build
+
+def announce(*args):
+    print("begins", flush=True)
+    return build_map(*args)
+
+build.build = announce
+sys.exit(cli.run(["build", *sys.argv[1:]]))
+"""
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_ctrl_c_leaves_one_line_and_no_file(tmp_path: Path, jobs: str) -> None:
+    words = [*[DRIVE] * 500, "-o", str(tmp_path / "m.pgm"), "--jobs", jobs]
+    process = subprocess.Popen(
+        [sys.executable, "-c", ANNOUNCED_BUILD, *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "begins\n"
+    time.sleep(0.5)  # so many logs take far longer
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out) == (130, "")
+    assert err == "error: interrupted: nothing more is written\n"
+    assert list(tmp_path.iterdir()) == []

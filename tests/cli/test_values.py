@@ -1,0 +1,52 @@
+import math
+
+import pytest
+
+from occmap.cli.values import parse_sensor_pose, parse_transform
+from occmap.errors import UsageError
+from occmap.types import Pose
+
+
+def test_a_sensor_pose_in_the_plane() -> None:
+    half = math.sqrt(0.5)
+    expected = (0.1, -0.2, 0.0, 0.0, 0.0, half, half)
+    assert parse_sensor_pose(f"0.1, -.2,{math.pi / 2}") == pytest.approx(expected)
+
+
+def test_a_sensor_pose_upside_down() -> None:
+    # Half a turn about x.
+    expected = (0, 0, 0, 1, 0, 0, 0)
+    assert parse_sensor_pose(f"0,0,0,{math.pi},0") == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("0,0", "2 values where 3 or 5 belong"),
+        ("0,0,0,0", "4 values where 3 or 5 belong"),
+        ("", "1 values where 3 or 5 belong"),
+        ("0,0,pi", "'pi' is not a number"),
+        ("0,,0", "'' is not a number"),
+        ("0,nan,0", "'nan' is not a number"),
+        ("inf,0,0", "'inf' is not a number"),
+        ("0;0;0", "1 values where 3 or 5 belong"),
+    ],
+)
+def test_a_wrong_sensor_pose_says_what_to_write(text: str, found: str) -> None:
+    with pytest.raises(UsageError, match=found) as caught:
+        parse_sensor_pose(text)
+    assert "write x,y,yaw or x,y,yaw,roll,pitch in metres" in str(caught.value)
+
+
+def test_a_transform() -> None:
+    sample = parse_transform("base_link, laser,1,2,3,0,0,0")
+    assert (sample.parent, sample.child, sample.static) == ("base_link", "laser", True)
+    assert sample.pose == Pose(1, 2, 3, 0, 0, 0, 1)
+
+
+@pytest.mark.parametrize(
+    "text", ["a,b,1,2,3,0,0", "a,,1,2,3,0,0,0", "a,b,1,2,3,0,0,x", "a,b,1,2,3,0,0,0,0", ""]
+)
+def test_a_wrong_transform_says_what_to_write(text: str) -> None:
+    with pytest.raises(UsageError, match="write parent,child,x,y,z,roll,pitch,yaw in metres"):
+        parse_transform(text)
