@@ -1,0 +1,123 @@
+"""The engine against the yardsticks: microseconds a scan, cells a second, and equal counts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from time import process_time
+
+import numpy as np
+
+from occmap.grid.lattice import CellBox
+from occmap.grid.tiles import TileGrid
+from occmap.pipeline import BuildOptions, make_engine
+from occmap.sensor.models import QuadraticModel, RadialModel, SensorModel, SimpleModel
+from occmap.sensor.returns import ReturnOptions, interpret
+from occmap.types import Float64, Int64, PosedScans, Update
+from occmap.workers import Workers
+from tests.bench.measuring import Times, time_in_turn
+from tests.bench.workloads import Workload
+from tests.bench.yardstick import Trace, find_box
+
+MAX_CELLS = 10**9
+COUNTS = SimpleModel()
+COMBINATIONS: Mapping[str, tuple[Update, SensorModel]] = {
+    "beam x simple, counting": (Update.BEAM, COUNTS),
+    "polygon x simple, counting": (Update.POLYGON, COUNTS),
+    "beam x quadratic": (Update.BEAM, QuadraticModel()),
+    "polygon x quadratic": (Update.POLYGON, QuadraticModel()),
+}
+"""The models simple and counting share their evidence; they differ in what is made of it."""
+
+
+class DisagreementError(Exception):
+    """occmap and a yardstick do not count the same, so their times cannot be compared."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """What one way to trace a workload costs."""
+
+    name: str
+    microseconds: float
+    """A scan"""
+    cells_per_second: float | None
+    """A cell counts as often as it was observed; None where that is not known"""
+
+
+def trace(workload: Workload, update: Update, model: SensorModel, jobs: int = 1) -> TileGrid:
+    """What is timed of occmap: poses to matrices, ranges to rays, rays to evidence in tiles."""
+    engine = make_engine(BuildOptions(workload.resolution, update, model))
+
+    def add(posed: PosedScans) -> None:
+        rays, _ = interpret(posed, ReturnOptions())
+        engine.add(rays)
+
+    with Workers(add, jobs) as workers:
+        for posed in workload.pose_scans():
+            workers.give(posed)
+    return engine.finish()
+
+
+def measure_engine(
+    workload: Workload, yardsticks: Mapping[str, Trace], rounds: int
+) -> tuple[list[Figure], Times]:
+    """Take the processor time of the yardsticks and of every update x model, in turn."""
+    box = find_box(workload)
+    runs = {name: partial(yardstick, workload, box) for name, yardstick in yardsticks.items()}
+    traces = {
+        name: partial(trace, workload, update, model)
+        for name, (update, model) in COMBINATIONS.items()
+    }
+    times = time_in_turn({**runs, **traces}, rounds, process_time)
+    visited = {
+        name: sum(int(layer.sum(dtype=np.int64)) for layer in run()) for name, run in runs.items()
+    }
+    for name, run in traces.items():
+        visited[name] = count_observations(run(), COMBINATIONS[name][1])
+    figures = [
+        Figure(name, 1e6 * times.median(name) / workload.scans, cells / times.median(name))
+        for name, cells in visited.items()
+    ]
+    return figures, times
+
+
+def count_observations(evidence: TileGrid, model: SensorModel) -> int:
+    """How often all cells together were observed."""
+    radial = isinstance(model, RadialModel)
+
+    def observations(first: Int64, second: Int64) -> Float64:
+        return (second if radial else first + second).astype(np.float64)
+
+    return int(evidence.render(observations, 0.0, MAX_CELLS).log_odds.sum(dtype=np.float64))
+
+
+def check_equal(workload: Workload, yardsticks: Mapping[str, Trace]) -> None:
+    """Compare the counts of occmap's beam update with every yardstick's, cell by cell.
+
+    Raises
+    ------
+    DisagreementError
+        Saying how many cells differ.
+    """
+    box = find_box(workload)
+    evidence = trace(workload, Update.BEAM, COUNTS)
+    expected = (spread(evidence, 0, box), spread(evidence, 1, box))
+    for name, yardstick in yardsticks.items():
+        for what, mine, its in zip(
+            ("hits", "misses"), expected, yardstick(workload, box), strict=True
+        ):
+            differing = int(np.count_nonzero(mine != its))
+            if differing:
+                raise DisagreementError(f"{workload.name}: {what} of {differing} cells, {name}")
+
+
+def spread(evidence: TileGrid, number: int, box: CellBox) -> Int64:
+    """(H, W) of a box around all evidence: the first or second number of each cell."""
+    grid = evidence.render(lambda *pair: pair[number].astype(np.float64), 0.0, MAX_CELLS)
+    col, row = (round(metres / grid.resolution) for metres in grid.origin)
+    counts = np.zeros((box.rows, box.cols), np.int64)
+    rows, cols = grid.shape
+    counts[row - box.row : row - box.row + rows, col - box.col : col - box.col + cols] = (
+        grid.log_odds
+    )
+    return counts

@@ -1,0 +1,127 @@
+"""What occmap must reach, as ratios within one run: the rows that this process measures itself."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from time import perf_counter, process_time
+
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from occmap.pipeline import BuildOptions, build
+from occmap.types import Update
+from tests.bench.engine import COUNTS, trace
+from tests.bench.measuring import Times, time_in_turn
+from tests.bench.workloads import Workload
+
+ENGINE_LIMITS = {
+    "beam x simple, counting": 0.65,
+    "polygon x simple, counting": 0.20,
+    "beam x quadratic": 1.5,
+    "polygon x quadratic": 1.5,
+}
+ROSBAGS_LIMITS = {Update.POLYGON: 1.3, Update.BEAM: 1.6}
+
+
+@dataclass(frozen=True)
+class Row:
+    """A figure and its limit."""
+
+    what: str
+    limit: float
+    value: float | None
+    """None where it could not be measured"""
+    detail: str
+    """The numbers behind it, or why there are none"""
+
+    @property
+    def verdict(self) -> str:
+        """Whether the limit is met."""
+        if self.value is None:
+            return "not measured"
+        return "met" if self.value <= self.limit else "NOT MET"
+
+
+def compare_engine(times: Times, scans: int) -> list[Row]:
+    """One thread against the C++ loop."""
+    if "C++" not in times.seconds:
+        return [Row(f"{n} / C++ loop", limit, None, "no g++") for n, limit in ENGINE_LIMITS.items()]
+
+    def microseconds(name: str) -> str:
+        return f"{1e6 * times.median(name) / scans:.1f}"
+
+    return [
+        Row(
+            f"{name} / C++ loop",
+            limit,
+            times.ratio(name, "C++"),
+            f"{microseconds(name)} / {microseconds('C++')} us a scan",
+        )
+        for name, limit in ENGINE_LIMITS.items()
+    ]
+
+
+def compare_threads(workload: Workload, rounds: int) -> list[Row]:
+    """Two threads against one: ranges to evidence, without reading."""
+    rows = []
+    for update in Update:
+        runs = {str(jobs): partial(trace, workload, update, COUNTS, jobs) for jobs in (2, 1)}
+        times = time_in_turn(runs, rounds)
+        what = f"{update.value}: two threads / one, engine only, {workload.scans} scans"
+        row = compare(times, ("2", "1"), what, 0.60)
+        busy = ", ".join(f"{count_busy_cores(run):.2f}" for run in runs.values())
+        rows.append(replace(row, detail=f"{row.detail}; cores at work: {busy}"))
+    return rows
+
+
+def count_busy_cores(run: Callable[[], object]) -> float:
+    """Processor time over time: less than the threads where these wait, or others work here too."""
+    wall, processor = perf_counter(), process_time()
+    run()
+    return (process_time() - processor) / (perf_counter() - wall)
+
+
+def compare_rosbags(log: Path, rounds: int) -> list[Row]:
+    """The whole tool on an MCAP against rosbags reading it: in one process, all loaded before."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+
+    def read_all() -> None:
+        with Reader(log.parent) as reader:
+            for connection, _, data in reader.messages():
+                store.deserialize_cdr(data, connection.msgtype)
+
+    builds = {update.value: make_build(update, log) for update in Update}
+    times = time_in_turn({"rosbags": read_all, **builds}, rounds)
+    return [
+        compare(
+            times, (update.value, "rosbags"), f"build {update.value} MCAP / rosbags reads it", limit
+        )
+        for update, limit in ROSBAGS_LIMITS.items()
+    ]
+
+
+def compare_tenfold_time(logs: Mapping[int, Path], rounds: int) -> list[Row]:
+    """Ten times the scans of the same rooms, in this process."""
+    few, many = map(str, sorted(logs))
+    rows = []
+    for update in Update:
+        runs = {str(scans): make_build(update, log) for scans, log in logs.items()}
+        times = time_in_turn(runs, rounds)
+        rows.append(
+            compare(times, (many, few), f"build {update.value}: time for 10 x the scans", 10.5)
+        )
+    return rows
+
+
+def make_build(update: Update, log: Path) -> Callable[[], object]:
+    """A build in this process, with the default number of threads."""
+    return partial(build, [log], BuildOptions(update=update), [log.with_suffix(".pgm")])
+
+
+def compare(times: Times, pair: tuple[str, str], what: str, limit: float) -> Row:
+    """The ratio of the first of a pair to the second."""
+    name, base = pair
+    best = times.best_ratio(name, base)
+    detail = f"{times.median(name):.3f} / {times.median(base):.3f} s, shortest: {best:.2f}"
+    return Row(what, limit, times.ratio(name, base), detail)

@@ -1,0 +1,129 @@
+"""What occmap must reach, as ratios within one run: the rows of whole processes."""
+
+import json
+import sys
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from occmap.types import Update
+from tests.bench.foreign import Mrpt
+from tests.bench.limits import Row, compare
+from tests.bench.logs import write_mcap
+from tests.bench.measuring import take_in_turn
+from tests.bench.processes import OCCMAP, Usage, build_command, run, time_process
+from tests.bench.workloads import Sensor, make_corridor
+
+SAMPLE_LOGS = Path(__file__).parents[2] / "sample_logs"
+MRPT_LIMITS = {Update.BEAM: 1.0, Update.POLYGON: 0.9}
+BYTES_A_CELL = 16
+MIB = 2**20
+
+
+def compare_mrpt(log: Path, folder: Path, rounds: int) -> list[Row]:
+    """Warm, on a real log, against MRPT's two programs one after the other."""
+    names = {update: f"build {update.value} freiburg-079 / MRPT" for update in MRPT_LIMITS}
+    missing = Mrpt.find_missing() if log.exists() else [log.name]
+    if missing:
+        why = f"absent: {', '.join(missing)}"
+        return [Row(names[update], limit, None, why) for update, limit in MRPT_LIMITS.items()]
+    timers: dict[str, Callable[[], float]] = {"mrpt": Mrpt(log, folder).build}
+    for update in MRPT_LIMITS:
+        command = build_command(update, log, folder / "mrpt.pgm", "--resolution", "0.05")
+        timers[update.value] = partial(time_process, *command)
+    times = take_in_turn(timers, rounds)
+    return [
+        compare(times, (update.value, "mrpt"), names[update], limit)
+        for update, limit in MRPT_LIMITS.items()
+    ]
+
+
+def compare_tenfold_memory(logs: Mapping[int, Path], rounds: int) -> list[Row]:
+    """Ten times the scans of the same rooms."""
+    few, many = sorted(logs)
+    rows = []
+    for update in Update:
+        peaks = {
+            scans: median(run_build(update, log).peak_bytes for _ in range(rounds))
+            for scans, log in logs.items()
+        }
+        detail = f"{peaks[many] / MIB:.0f} / {peaks[few] / MIB:.0f} MiB"
+        what = f"build {update.value}: peak memory for 10 x the scans"
+        rows.append(Row(what, 1.1, peaks[many] / peaks[few], detail))
+    return rows
+
+
+def measure_corridor(length: float, folder: Path) -> list[Row]:
+    """Peak memory on a long corridor against 16 bytes a cell and the peak of a small build."""
+    log = write_mcap(make_corridor(Sensor.spanning(541, 270, 30.0), length, spacing=1.0), folder)
+    constant = run_build(Update.POLYGON, find_smallest_sample(), folder).peak_bytes
+    what = f"peak memory on {length / 1000:g} km / (16 B x cells + constant)"
+    rows = []
+    for update in Update:
+        usage = run_build(update, log)
+        cells = count_observed(json.loads(usage.output)["map"])
+        rows.append(
+            Row(
+                f"build {update.value}: {what}",
+                2.0,
+                usage.peak_bytes / (BYTES_A_CELL * cells + constant),
+                f"{usage.peak_bytes / MIB:.0f} MiB for {cells / 1e6:.1f} M cells; "
+                f"constant {constant / MIB:.0f} MiB: a build of the smallest sample log",
+            )
+        )
+    return rows
+
+
+def count_observed(grid: Mapping[str, Any]) -> int:
+    """How many cells of a reported map are not unknown."""
+    columns, rows, unknown = (float(grid[name]) for name in ("columns", "rows", "unknown"))
+    return round(columns * rows * (1 - unknown))
+
+
+def compare_help(rounds: int) -> list[Row]:
+    """The start-up of the command against the import of click."""
+    timers = {
+        "help": partial(time_process, OCCMAP, "--help"),
+        "click": partial(time_process, sys.executable, "-c", "import click"),
+    }
+    times = take_in_turn(timers, rounds)
+    return [compare(times, ("help", "click"), "occmap --help / import click", 1.5)]
+
+
+def measure_smallest(folder: Path, rounds: int) -> list[Row]:
+    """Seconds of a build that is mostly start-up, and where they go."""
+    log = find_smallest_sample()
+    command = build_command(Update.POLYGON, log, folder / "process.pgm")
+    timers = {
+        "build": partial(time_process, *command),
+        "python": partial(time_process, sys.executable, "-c", "pass"),
+        "numba": partial(time_process, sys.executable, "-c", "import numba"),
+    }
+    times = take_in_turn(timers, rounds)
+    python = times.median("python")
+    stages = json.loads(run(command).output)["seconds"]
+    longest = ", ".join(f"{stage} {s:.3f}" for stage, s in stages.items() if s >= 0.005)
+    detail = (
+        f"python {python:.3f}, import numba {times.median('numba') - python:.3f}, "
+        f"stages {sum(stages.values()):.3f} ({longest})"
+    )
+    return [Row(f"build {log.name}, seconds", 1.0, times.median("build"), detail)]
+
+
+def find_smallest_sample() -> Path:
+    """The sample log of the fewest bytes."""
+    logs = [path for path in SAMPLE_LOGS.glob("drive*") if path.suffix != ".py"]
+    return min(logs, key=measure_size)
+
+
+def measure_size(path: Path) -> int:
+    """Bytes of a file, or of the files in a folder."""
+    files = path.iterdir() if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files)
+
+
+def run_build(update: Update, log: Path, folder: Path | None = None) -> Usage:
+    """Build a map in a process of its own, with the default number of threads."""
+    return run(build_command(update, log, (folder or log.parent) / "process.pgm"))

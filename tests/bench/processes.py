@@ -1,0 +1,52 @@
+"""Whole processes: how long they take, and how much memory at most."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from occmap.types import Update
+
+LAUNCHER = Path(__file__).with_name("launcher.py")
+OCCMAP = Path(sys.executable).with_name("occmap")
+
+
+class ProcessError(Exception):
+    """A measured command failed."""
+
+
+class Usage(NamedTuple):
+    """What a process needed."""
+
+    seconds: float
+    peak_bytes: int
+    output: str
+
+
+def run(command: Sequence[str | Path]) -> Usage:
+    """Run a command to its end.
+
+    Raises
+    ------
+    ProcessError
+        It failed; with the end of what it said.
+    """
+    launch = [sys.executable, "-I", "-S", str(LAUNCHER), *map(str, command)]
+    done = subprocess.run(launch, capture_output=True, text=True, check=False)
+    head, _, output = done.stdout.partition("\n")
+    usage: dict[str, Any] = json.loads(head) if head else {"code": done.returncode}
+    if usage["code"] != 0:
+        raise ProcessError(f"{' '.join(map(str, command))}: {(done.stderr or output)[-500:]}")
+    return Usage(usage["seconds"], usage["peak_bytes"], output)
+
+
+def time_process(*command: str | Path) -> float:
+    """Run a command and return its seconds, start-up and all."""
+    return run(command).seconds
+
+
+def build_command(update: Update, log: Path, output: Path, *options: str) -> list[str | Path]:
+    """The occmap command that builds a map, with its report as JSON."""
+    return [OCCMAP, "build", update.value, log, "-o", output, "--json", *options]

@@ -1,0 +1,173 @@
+"""The yardstick: the beam update cell by cell in dense arrays, in numba and in C++.
+
+Both begin with ranges and poses, as occmap's stages do, and must give occmap's own counts.
+"""
+
+import ctypes
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from occmap.grid.kernels.jit import kernel
+from occmap.grid.lattice import CellBox
+from occmap.types import Float32, Float64
+from tests.bench.workloads import Sensor, Workload
+
+Counts = NDArray[np.int32]
+Trace = Callable[[Workload, CellBox], tuple[Counts, Counts]]
+"""From scans and the box that they lie in to (H, W) hits and misses."""
+
+SOURCE = Path(__file__).with_name("yardstick.cpp")
+FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-ffp-contract=off", "-shared", "-fPIC")
+"""A fused multiply-add would round differently from occmap and find other cells."""
+
+
+def find_box(workload: Workload) -> CellBox:
+    """The cells that no beam leaves: what a plain program is told beforehand."""
+    reach = float(workload.ranges[workload.ranges < workload.sensor.range_max].max())
+    low = (workload.poses[:, :2].min(axis=0) - reach) / workload.resolution
+    high = (workload.poses[:, :2].max(axis=0) + reach) / workload.resolution
+    (col, row), (col_end, row_end) = np.floor(low).astype(int) - 1, np.ceil(high).astype(int) + 2
+    return CellBox(int(row), int(col), int(row_end), int(col_end))
+
+
+def limits(sensor: Sensor) -> tuple[float, float]:
+    """The nearest range that counts, and the first that no longer does, as float32."""
+    nearest = np.maximum(np.float32(sensor.range_min), np.finfo(np.float32).tiny)
+    return float(nearest), float(np.float32(sensor.range_max))
+
+
+def trace_in_numba(workload: Workload, box: CellBox) -> tuple[Counts, Counts]:
+    """Visit every cell of every beam in compiled Python."""
+    hits = np.zeros((box.rows, box.cols), np.int32)
+    misses = np.zeros((box.rows, box.cols), np.int32)
+    _trace_scans(
+        workload.ranges,
+        workload.poses,
+        workload.sensor.bearings,
+        limits(workload.sensor),
+        (workload.resolution, box.row, box.col),
+        hits,
+        misses,
+    )
+    return hits, misses
+
+
+@kernel
+def _trace_scans(
+    ranges: Float32,
+    poses: Float64,
+    bearings: Float64,
+    limits: tuple[float, float],
+    place: tuple[float, int, int],
+    hits: Counts,
+    misses: Counts,
+) -> None:
+    resolution, low_row, low_col = place
+    nearest, limit = limits
+    cosine, sine = np.cos(bearings), np.sin(bearings)
+    for s in range(ranges.shape[0]):
+        x, y = poses[s, 0], poses[s, 1]
+        turn_x, turn_y = np.cos(poses[s, 2]), np.sin(poses[s, 2])
+        col = _to_cell(x, resolution) - low_col
+        row = _to_cell(y, resolution) - low_row
+        for b in range(bearings.size):
+            distance = np.float64(ranges[s, b])
+            if nearest <= distance < limit:
+                end_x = x + distance * (turn_x * cosine[b] - turn_y * sine[b])
+                end_y = y + distance * (turn_y * cosine[b] + turn_x * sine[b])
+                end_col = _to_cell(end_x, resolution) - low_col
+                end_row = _to_cell(end_y, resolution) - low_row
+                _trace_beam(misses, col, row, end_col, end_row)
+                hits[np.uint64(end_row), np.uint64(end_col)] += 1
+
+
+@kernel
+def _to_cell(metres: float, resolution: float) -> int:
+    return int(np.rint(metres / resolution * 256)) >> 8
+
+
+@kernel
+def _trace_beam(misses: Counts, col: int, row: int, end_col: int, end_row: int) -> None:
+    """Walk a Bresenham line up to, and without, its end."""
+    right, up = (1 if end_col > col else -1), (1 if end_row > row else -1)
+    n, m = abs(end_col - col), abs(end_row - row)
+    flat = n >= m
+    if not flat:
+        n, m = m, n
+    error = n
+    for _ in range(n):
+        misses[np.uint64(row), np.uint64(col)] += 1
+        error += 2 * m
+        turn = error >= 2 * n
+        if turn:
+            error -= 2 * n
+        if flat or turn:
+            col += right
+        if turn or not flat:
+            row += up
+
+
+class _Sensor(ctypes.Structure):
+    _fields_ = (
+        ("beams", ctypes.c_int64),
+        ("angle_min", ctypes.c_double),
+        ("angle_increment", ctypes.c_double),
+        ("nearest", ctypes.c_float),
+        ("limit", ctypes.c_float),
+    )
+
+
+class _Grid(ctypes.Structure):
+    _fields_ = (
+        ("resolution", ctypes.c_double),
+        ("row", ctypes.c_int64),
+        ("col", ctypes.c_int64),
+        ("cols", ctypes.c_int64),
+        ("hits", ctypes.c_void_p),
+        ("misses", ctypes.c_void_p),
+    )
+
+
+def compile_cpp(folder: Path) -> Trace | None:
+    """Compile the C++ yardstick into a folder; None where there is no g++.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        The compiler is there and refuses.
+    """
+    compiler = shutil.which("g++")
+    if compiler is None:
+        return None
+    library = folder / "yardstick.so"
+    subprocess.run([compiler, *FLAGS, str(SOURCE), "-o", str(library)], check=True)
+    trace = ctypes.CDLL(str(library)).trace
+    trace.restype = None
+
+    def trace_in_cpp(workload: Workload, box: CellBox) -> tuple[Counts, Counts]:
+        ranges, poses = map(np.ascontiguousarray, (workload.ranges, workload.poses))
+        hits = np.zeros((box.rows, box.cols), np.int32)
+        misses = np.zeros((box.rows, box.cols), np.int32)
+        sensor = workload.sensor
+        trace(
+            ctypes.c_void_p(ranges.ctypes.data),
+            ctypes.c_void_p(poses.ctypes.data),
+            ctypes.c_int64(workload.scans),
+            ctypes.byref(
+                _Sensor(sensor.beams, sensor.angle_min, sensor.angle_increment, *limits(sensor))
+            ),
+            ctypes.byref(
+                _Grid(
+                    workload.resolution, box.row, box.col, box.cols,
+                    hits.ctypes.data, misses.ctypes.data,
+                )
+            ),
+        )  # fmt: skip
+        return hits, misses
+
+    return trace_in_cpp
