@@ -36,7 +36,7 @@ def test_version() -> None:
     [
         (["buidl", "x.log"], "no command is called 'buidl'; did you mean 'build'?"),
         (["zzz"], "no command is called 'zzz'; there are build, "),
-        (["--verison"], "No such option '--verison'"),
+        (["--verison"], "--version"),
         (["readers", "extra"], "Got unexpected extra argument (extra); see `occmap readers"),
         (["readers", "--jsn"], "see `occmap readers --help`"),
     ],
