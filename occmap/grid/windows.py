@@ -16,16 +16,23 @@ from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.beam import sum_beams, trace_beams
 from occmap.grid.kernels.polygon import Surfaces, sum_runs, trace_polygons
 from occmap.grid.kernels.project import project_ends
-from occmap.grid.kernels.radial import COUNT_BITS, trace_radial_polygons
 from occmap.grid.kernels.radial_beam import trace_radial_beams
+from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.lattice import SUBCELL_BITS, SUBCELLS, CellBox, Lattice
 from occmap.grid.tiles import LOG_ODDS_UNIT
 from occmap.types import Float64, Int64, Rays, Update
 
+COUNT_BITS = 20
+"""A window cell counts fewer than 2^20 observations before it must be emptied."""
+
 
 @dataclass(frozen=True)
 class RadialTables:
-    """A radial sensor model, tabulated for the kernels."""
+    """A radial sensor model, tabulated for the kernels: no cell costs a logarithm.
+
+    An entry holds the log-odds in fixed point above the lowest 20 bits, and an observation, 1, in
+    those: one addition to a cell counts both.
+    """
 
     depth: float
     """How far about the range a hit reaches (m)"""
@@ -254,8 +261,15 @@ class RadialWindow(Window):
             raise TypeError("a radial window needs a radial model")
         return tables
 
+    @abstractmethod
+    def sum_plain(self, plain: Int32) -> None:
+        """Add how often each cell got the first entry of the free table without being visited."""
+
     def read(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        return self.cells >> COUNT_BITS, self.cells & self.most_observations
+        plain = np.zeros(self.cells.shape, np.int32)
+        self.sum_plain(plain)
+        total = self.cells + plain * self.tables.free[0]
+        return total >> COUNT_BITS, total & self.most_observations
 
     @property
     def bound(self) -> int:
@@ -291,18 +305,20 @@ class RadialBeamWindow(RadialWindow):
             *self.col_changes,
         )
 
-    def read(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        plain = np.zeros(self.cells.shape, np.int32)
+    def sum_plain(self, plain: Int32) -> None:
         sum_beams(*self.row_changes, *self.col_changes, plain)
-        self.cells += plain * self.tables.free[0]
-        return super().read()
 
 
 class RadialPolygonWindow(RadialWindow):
     """A radial model, once for each cell of a scan."""
 
+    def allocate(self, rows: int, cols: int) -> None:
+        super().allocate(rows, cols)
+        self.runs = np.zeros(rows * (cols + 1), np.int32)
+
     def trace(self, projected: Projected) -> None:
-        rays = projected.rays
+        rays, tables = projected.rays, self.tables
+        units_per_metre = self.what.lattice.units_per_metre
         trace_radial_polygons(
             rays.origin,
             rays.turn,
@@ -310,13 +326,18 @@ class RadialPolygonWindow(RadialWindow):
             rays.distance,
             rays.kind,
             rays.full_circle,
-            self.what.lattice.units_per_metre,
-            self.tables.depth,
             self.corner,
-            self.tables.free,
-            self.tables.hit,
+            units_per_metre,
+            tables.depth * units_per_metre,
+            tables.free,
+            tables.hit,
+            tables.constant,
             self.cells,
+            self.runs,
         )
+
+    def sum_plain(self, plain: Int32) -> None:
+        sum_runs(self.runs, plain)
 
 
 def choose_window(what: Observation) -> type[Window]:

@@ -1,0 +1,228 @@
+"""The polygon update of a radial sensor model: what a scan says about each cell it covers, once.
+
+Clipped at p_min, such a model says the same about all cells up to some share of the range. These
+are noted as spans, as in `polygon`; only the cells beyond are visited.
+"""
+
+import numpy as np
+
+from occmap.grid.kernels.arrays import Int32
+from occmap.grid.kernels.fill import cross_rows, make_spans
+from occmap.grid.kernels.jit import kernel
+from occmap.grid.kernels.project import round_to_units
+from occmap.grid.kernels.sectors import (
+    BEARINGS,
+    cover_bearings,
+    find_sectors,
+    outline_sectors,
+)
+from occmap.types import Bool, Float32, Float64, Int64, UInt8
+
+NEAR, FAR, SCALE, RANGE = range(4)
+"""Columns of what `_limit_ranges` writes."""
+
+
+@kernel
+def trace_radial_polygons(
+    origin: Float64,
+    turn: Float64,
+    bearing: Float64,
+    distance: Float32,
+    kinds: UInt8,
+    full_circle: bool,
+    corner: Int64,
+    units_per_metre: float,
+    depth: float,
+    free: Int64,
+    hit: Int64,
+    constant: int,
+    cells: Int64,
+    runs: Int32,
+) -> None:
+    """Add what every scan says about each cell that it covers, once.
+
+    A cell belongs to the beam that covers its bearing: a beam covers the bearings that are nearer
+    to it than to its neighbours, and as much beyond the first and the last.
+
+    Parameters
+    ----------
+    origin, turn, bearing, distance, kinds
+        (S, 1, 2), (S, K, 2, 2), (B, 2), (S, B), (S, B) as in `Rays`.
+    corner
+        (2,) x and y of the window's corner in lattice units.
+    depth
+        In lattice units.
+    free, hit
+        (T + 1,) tables of a model; the first `constant` entries of `free` are equal.
+    cells
+        (H, W) sums of the entries of the cells that were visited.
+    runs
+        H x (W + 1), flat: changes along rows of how often a cell got the first entry of `free`.
+    """
+    scans, beams = kinds.shape
+    rows, cols = cells.shape
+    plain = np.sqrt(constant / (free.size - 1))
+    direction, ranges = np.empty((beams, 2), np.float64), np.empty(beams, np.float64)
+    sides, covers = np.empty((beams, 4), np.float64), np.empty(beams, np.bool_)
+    lengths, covering = np.empty((beams, 2), np.float64), np.empty(BEARINGS + 1, np.int32)
+    limits = np.empty((beams + 1, 4), np.float64)
+    entries = np.concatenate((free, hit, np.zeros(1, np.int64)))
+    x, y = np.empty(4 * beams + 4, np.int64), np.empty(4 * beams + 4, np.int64)
+    begins = np.empty(4 * beams + 4, np.bool_)
+    buckets, counts = np.empty((rows, 32), np.int32), np.empty(rows, np.int64)
+    inner, inner_counts = np.empty((rows, 32), np.int32), np.empty(rows, np.int64)
+    for s in range(scans):
+        at_x = round_to_units(origin[s, 0, 0], units_per_metre) - corner[0]
+        at_y = round_to_units(origin[s, 0, 1], units_per_metre) - corner[1]
+        _aim(turn[s], bearing, distance[s], units_per_metre, direction, ranges)
+        sign = find_sectors(direction, kinds[s], full_circle, sides, covers)
+        side_by_side = cover_bearings(sides, kinds[s], covers, sign, covering)
+        _reach_out(direction, ranges, kinds[s], depth, sides, lengths)
+        corners = outline_sectors(at_x, at_y, sides, lengths, covers, x, y, begins)
+        while not cross_rows(x, y, begins, corners, buckets, counts):
+            buckets = np.empty((rows, 2 * buckets.shape[1]), np.int32)
+        make_spans(buckets, counts, cols)
+        inner_counts[:] = 0
+        if side_by_side:
+            _stay_within(ranges, covers, full_circle, depth, plain, lengths)
+            corners = outline_sectors(at_x, at_y, sides, lengths, covers, x, y, begins)
+            while not cross_rows(x, y, begins, corners, inner, inner_counts):
+                inner = np.empty((rows, 2 * inner.shape[1]), np.int32)
+            make_spans(inner, inner_counts, cols)
+        _limit_ranges(ranges, kinds[s], depth, free.size - 1, limits)
+        _observe_spans(
+            at_x, at_y, buckets, counts, inner, inner_counts, covering, limits, depth, entries,
+            cells, runs,
+        )  # fmt: skip
+
+
+@kernel
+def _aim(
+    turn: Float64,
+    bearing: Float64,
+    distance: Float32,
+    units_per_metre: float,
+    direction: Float64,
+    ranges: Float64,
+) -> None:
+    """Write one scan's unit vectors (B, 2) and ranges (B,) in the map plane (lattice units)."""
+    for b in range(distance.size):
+        t = min(b, turn.shape[0] - 1)
+        x = turn[t, 0, 0] * bearing[b, 0] + turn[t, 0, 1] * bearing[b, 1]
+        y = turn[t, 1, 0] * bearing[b, 0] + turn[t, 1, 1] * bearing[b, 1]
+        length = max(np.sqrt(x * x + y * y), 1e-300)
+        direction[b, 0], direction[b, 1] = x / length, y / length
+        ranges[b] = distance[b] * length * units_per_metre
+
+
+@kernel
+def _reach_out(
+    direction: Float64,
+    ranges: Float64,
+    kinds: UInt8,
+    depth: float,
+    sides: Float64,
+    lengths: Float64,
+) -> None:
+    """Write how far sectors must go so that nothing that a beam speaks of is left out.
+
+    To the tangent at the outermost circle, and a little more for rounding.
+    """
+    for b in range(kinds.size):
+        reach = ranges[b] + (depth if kinds[b] == 2 else 0.0) + 4
+        for side in range(2):
+            lengths[b, side] = reach / (
+                sides[b, 2 * side] * direction[b, 0] + sides[b, 2 * side + 1] * direction[b, 1]
+            )
+
+
+@kernel
+def _stay_within(
+    ranges: Float64,
+    covers: Bool,
+    full_circle: bool,
+    depth: float,
+    plain: float,
+    lengths: Float64,
+) -> None:
+    """Write how far sectors may go so that each cell in them gets the first entry of `free`.
+
+    The bearing of a cell is known to a step: it may belong to a neighbour, so the nearest of three
+    ranges counts, and a sector beside a bearing that nobody covers is left out.
+    """
+    beams = ranges.size
+    for b in range(beams):
+        before, after = b - 1 if b > 0 else beams - 1, b + 1 if b < beams - 1 else 0
+        alone = (b == 0 or b == beams - 1) and not full_circle
+        if alone or not (covers[before] and covers[after]):
+            lengths[b, 0] = lengths[b, 1] = 0.0
+        else:
+            nearest = min(ranges[b], ranges[before], ranges[after]) - depth
+            lengths[b, 0] = lengths[b, 1] = max(plain * nearest - 2, 0.0)
+
+
+@kernel
+def _limit_ranges(ranges: Float64, kinds: UInt8, depth: float, steps: int, limits: Float64) -> None:
+    """Write, for each beam, up to which squared distance it speaks of free cells and of its hit.
+
+    The last row of `limits` (B + 1, 4) is nobody's: what no beam covers, index -1, gets nothing.
+    """
+    for b in range(kinds.size):
+        before = max(ranges[b] - depth, 0.0)
+        limits[b, NEAR] = before * before
+        limits[b, FAR] = (ranges[b] + depth) ** 2 if kinds[b] == 2 else -1.0
+        limits[b, SCALE] = steps / max(before * before, 1.0)
+        limits[b, RANGE] = ranges[b]
+    limits[kinds.size] = -1.0
+
+
+@kernel
+def _observe_spans(
+    at_x: int,
+    at_y: int,
+    spans: Int32,
+    counts: Int64,
+    inner: Int32,
+    inner_counts: Int64,
+    covering: Int32,
+    limits: Float64,
+    depth: float,
+    entries: Int64,
+    cells: Int64,
+    runs: Int32,
+) -> None:
+    """Note one scan's inner spans, and add what beams say about the other cells of its spans.
+
+    `entries` holds the tables of free cells and of hits, one behind the other, and a last 0.
+    """
+    rows, cols = cells.shape
+    steps = float(entries.size // 2 - 1)
+    hits_from, nothing, to_steps = steps + 1, 2 * steps + 2, steps / depth
+    for r in range(rows):
+        row = np.uint64(r)
+        from_y = float((r << 8) + 128 - at_y)
+        start, turned = (1.0, -1.0) if from_y >= 0 else (3.0, 1.0)
+        n = 0
+        for i in range(0, counts[row], 2):
+            col, end = np.int64(spans[row, np.uint64(i)]), np.int64(spans[row, np.uint64(i + 1)])
+            while col < end:
+                until, beyond = end, end
+                if n < inner_counts[row] and inner[row, np.uint64(n)] < end:
+                    until = np.int64(inner[row, np.uint64(n)])
+                    beyond = np.int64(inner[row, np.uint64(n + 1)])
+                    runs[np.uint64(r * (cols + 1) + until)] += 1
+                    runs[np.uint64(r * (cols + 1) + beyond)] -= 1
+                    n += 2
+                for c in range(col, until):
+                    from_x = float((c << 8) + 128 - at_x)
+                    # As `bearing_of`, whose choice by the sign of y is the same for a whole row.
+                    part = from_x / max(abs(from_x) + abs(from_y), 1e-300)
+                    b = covering[np.uint64((start + turned * part) * (BEARINGS / 4))]
+                    squared = from_x * from_x + from_y * from_y
+                    # No branches: whether a cell lies before, in or behind a hit cannot be guessed.
+                    off = abs(np.sqrt(squared) - limits[b, RANGE]) * to_steps
+                    place = nothing
+                    place = hits_from + min(off, steps) if squared <= limits[b, FAR] else place
+                    place = squared * limits[b, SCALE] if squared < limits[b, NEAR] else place
+                    cells[row, np.uint64(c)] += entries[np.uint64(place)]
+                col = beyond
