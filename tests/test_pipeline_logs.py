@@ -113,6 +113,14 @@ def test_no_usable_scan_says_why(tmp_path: Path) -> None:
         build([log], choose(Selection(start_s=5)))
 
 
+@pytest.mark.parametrize("unknown", [0, 1, 2])
+def test_a_scan_whose_pose_is_unknown_is_dropped(tmp_path: Path, unknown: int) -> None:
+    poses = [(0.0, 0.0, 0.0)] * 3
+    poses[unknown] = (math.nan, 0.0, 0.0)
+    report = build([write_csv(tmp_path / "log.csv", poses, [0.3])], BEAM).report
+    assert (report.scans_used, report.dropped) == (2, {"pose not finite": 1})
+
+
 def test_a_topic_that_is_not_there_names_those_that_are(tmp_path: Path) -> None:
     log = write_mcap(tmp_path / "log.mcap", drive(ROS2))
     with pytest.raises(LogError, match=r"no scans on the topic /front; it has scans on /scan"):

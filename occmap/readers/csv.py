@@ -29,6 +29,8 @@ from occmap.readers.text import (
 from occmap.types import Float32, Pose, PoseSample, Scan
 
 TOPIC = "scan"
+UNKNOWN_POSE = Pose(*[math.nan] * 7)
+"""Tells a scan whose pose is not known from a log that states no poses at all."""
 
 
 class CsvReader:
@@ -194,11 +196,11 @@ def _read_limit(layout: Layout, cells: list[str], name: str) -> float:
     return round_limit(value)
 
 
-def _read_pose(layout: Layout, cells: list[str]) -> Pose | None:
-    """Read x, y and yaw; None where one is empty or not finite, as nobody knew it."""
+def _read_pose(layout: Layout, cells: list[str]) -> Pose:
+    """Read x, y and yaw; all nan where one is empty or not finite, as nobody knew it."""
     texts = [layout.pick(name, cells).strip() or "nan" for name in POSE_NAMES]
     x, y, yaw = map(read_number, POSE_NAMES, texts)
-    return Pose.planar(x, y, yaw) if math.isfinite(x + y + yaw) else None
+    return Pose.planar(x, y, yaw) if math.isfinite(x + y + yaw) else UNKNOWN_POSE
 
 
 def _read_beams(layout: Layout, cells: list[str]) -> Float32:

@@ -120,9 +120,10 @@ def test_limits_are_rounded_as_ranges_are(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("pose", ["1,2,nan", ",2,0", " , , "])
-def test_an_unknown_pose_is_none(tmp_path: Path, pose: str) -> None:
+def test_an_unknown_pose_is_not_finite(tmp_path: Path, pose: str) -> None:
     (scan,) = read_text(tmp_path, f"{CONSTANTS}stamp,x,y,yaw,r0\n1,{pose},5\n")
-    assert scan.pose is None
+    assert scan.pose is not None
+    assert all(map(math.isnan, scan.pose))
 
 
 def test_unused_columns_are_noted(tmp_path: Path) -> None:
