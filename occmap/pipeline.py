@@ -16,8 +16,7 @@ from occmap.sensor.models import RadialModel, SensorModel, SimpleModel, describe
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Float64, Int64, OccupancyMap, Scan, ScanBatch, Update, to_log_odds
 from occmap.workers import Workers, count_cores
-from occmap.writers import WriteOptions, find_writer
-from occmap.writers.atomic import check_target
+from occmap.writers import WriteOptions, check_outputs, find_writer
 
 if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
     from occmap.grid.engine import GridEngine
@@ -110,23 +109,6 @@ def build(
         for path in outputs:
             made.files += map(str, find_writer(path).write(path, grid, options.writing))
     return Build(grid, make_report(grid, options, tally, made))
-
-
-def check_outputs(outputs: Sequence[Path]) -> None:
-    """Find out before the work starts what could not be written after it.
-
-    Raises
-    ------
-    UsageError, OutputError
-        A suffix that no writer has, two outputs that are one file, or a file that cannot be made.
-    """
-    targets = [target for path in outputs for target in find_writer(path).targets(path)]
-    for target in targets:
-        check_target(target)
-        if targets.count(target) > 1:
-            raise UsageError(
-                "would be written twice", where=target, fix="give each -o its own name"
-            )
 
 
 def trace_log(

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from occmap.batching import Selection
-from occmap.cli.options import SHORTHANDS, list_flags
 from occmap.errors import UsageError
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions
 from occmap.posing.options import PosingOptions
@@ -19,6 +18,9 @@ from occmap.writers import WriteOptions
 Values = Mapping[str, Any]
 """What click read, by the names of the options."""
 Group = TypeVar("Group")
+
+SHORTHANDS = ("p_hit", "p_miss", "epsilon", "p_min", "prior")
+"""Parameters of sensor models that are flags, too."""
 
 
 def collect_options(update: Update, values: Values) -> BuildOptions:
@@ -66,6 +68,11 @@ def collect_model(values: Values) -> SensorModel:
             )
     pairs = [text.partition(":")[2], *(f"{key}={value!r}" for key, value in given.items())]
     return parse_model(f"{name}:{','.join(filter(None, pairs))}")
+
+
+def list_flags(names: Sequence[str]) -> str:
+    """Spell parameters as the flags that set them."""
+    return ", ".join("--" + name.replace("_", "-") for name in names)
 
 
 def split_words(words: Sequence[str]) -> tuple[Update, list[Path]]:

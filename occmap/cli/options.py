@@ -4,7 +4,6 @@ Each is named like the field that it sets; defaults come from the classes that h
 """
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -130,9 +129,6 @@ lattice = join(
     ),
     max_cells,
 )
-
-SHORTHANDS = ("p_hit", "p_miss", "epsilon", "p_min", "prior")
-"""Model parameters that are options, too."""
 
 model = join(
     option(
@@ -296,8 +292,3 @@ verbosity = join(
         help="Print the traceback of a fault in occmap.",
     ),
 )
-
-
-def list_flags(names: Sequence[str]) -> str:
-    """Spell parameters as the flags that set them."""
-    return ", ".join("--" + name.replace("_", "-") for name in names)

@@ -5,7 +5,7 @@ A writer is registered under its suffix without the dot and is a class with a `d
 use.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Protocol, cast
 from occmap.errors import UsageError
 from occmap.plugins import list_plugins, load_plugin
 from occmap.types import OccupancyMap
+from occmap.writers.atomic import check_target
 
 BAND_CELLS = 1 << 22
 """Cells that are turned into pixels at once, so that a large map needs no second copy in floats."""
@@ -101,6 +102,23 @@ def find_writer(path: Path) -> Writer:
     if writer_class is None:
         raise UsageError(f"the writer for .{name} does not load", where=path, fix=listing)
     return cast(Writer, writer_class())
+
+
+def check_outputs(outputs: Sequence[Path]) -> None:
+    """Find out before the work starts what could not be written after it.
+
+    Raises
+    ------
+    UsageError, OutputError
+        A suffix that no writer has, two outputs that are one file, or a file that cannot be made.
+    """
+    targets = [target for path in outputs for target in find_writer(path).targets(path)]
+    for target in targets:
+        check_target(target)
+        if targets.count(target) > 1:
+            raise UsageError(
+                "would be written twice", where=target, fix="give each -o its own name"
+            )
 
 
 def bands_from_top(grid: OccupancyMap) -> Iterator[OccupancyMap]:
