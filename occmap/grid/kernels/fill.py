@@ -19,8 +19,23 @@ NOWHERE = 2**31 - 1
 
 
 @kernel
+def find_rows(y: Int64, corners: int, rows: int) -> tuple[int, int]:
+    """The first row of a window that corners touch, and the one after the last."""
+    low = high = y[0]
+    for i in range(corners):
+        low, high = min(low, y[i]), max(high, y[i])
+    return max(low >> 8, 0), min((high >> 8) + 1, rows)
+
+
+@kernel
 def cross_rows(
-    x: Int64, y: Int64, begins: Bool, corners: int, buckets: Int32, counts: Int64
+    x: Int64,
+    y: Int64,
+    begins: Bool,
+    corners: int,
+    touched: tuple[int, int],
+    buckets: Int32,
+    counts: Int64,
 ) -> bool:
     """Sort the crossings of all edges into their rows: 2 x first column inside, + 1 if upward.
 
@@ -29,6 +44,8 @@ def cross_rows(
     x, y, begins
         Corners in lattice units from the window's corner; an edge leads to a corner from the one
         before, unless it begins an outline.
+    touched
+        The rows, as `find_rows` gives them; others are left as they are.
 
     Returns
     -------
@@ -36,7 +53,7 @@ def cross_rows(
     """
     rows, capacity = buckets.shape
     most = 0
-    counts[:] = 0
+    counts[touched[0] : touched[1]] = 0
     row_after = 0
     for i in range(corners):
         row_before, row_after = row_after, (int(y[i]) + 127) >> 8
@@ -83,12 +100,12 @@ def _insert(buckets: Int32, row: int, place: int, crossing: int) -> None:
 
 
 @kernel
-def make_spans(buckets: Int32, counts: Int64, cols: int) -> None:
+def make_spans(touched: tuple[int, int], buckets: Int32, counts: Int64, cols: int) -> None:
     """Turn each row's crossings, in place, into first column and last + 1 of its spans.
 
     A row with fewer than `PADDING` limits of spans is padded with limits beyond every column.
     """
-    for row in range(counts.size):
+    for row in range(touched[0], touched[1]):
         winding, first, place = 0, 0, 0
         for i in range(counts[row]):
             crossing = buckets[np.uint64(row), np.uint64(i)]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.grid.kernels.arrays import Int32
-from occmap.grid.kernels.fill import PADDING, cross_rows, make_spans
+from occmap.grid.kernels.fill import PADDING, cross_rows, find_rows, make_spans
 from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.project import round_to_units
 from occmap.types import Bool, Float32, Float64, Int64, UInt8
@@ -65,15 +65,16 @@ def trace_polygons(
     x, y = np.empty(2 * beams + 4, np.int64), np.empty(2 * beams + 4, np.int64)
     begins = np.empty(2 * beams + 4, np.bool_)
     buckets, counts = np.empty((rows, 32), np.int32), np.empty(rows, np.int64)
-    border = np.empty((beams * (surfaces.border_gap + 1), 2), np.int64)
+    border = np.empty((beams * (surfaces.border_gap + 1), 2), np.int32)
     for s in range(scans):
         corners = outline_scan(
             origin[s, 0], turn[s], bearing, distance[s], ends[s], kinds[s], surfaces, x, y, begins
         )
-        while not cross_rows(x, y, begins, corners, buckets, counts):
+        touched = find_rows(y, corners, rows)
+        while not cross_rows(x, y, begins, corners, touched, buckets, counts):
             buckets = np.empty((rows, 2 * buckets.shape[1]), np.int32)
-        make_spans(buckets, counts, cols)
-        _note_spans(buckets, counts, cols, runs)
+        make_spans(touched, buckets, counts, cols)
+        _note_spans(touched, buckets, counts, cols, runs)
         listed = _mark_border(
             distance[s], ends[s], kinds[s], surfaces, hits, marks, mark + s + 1, border
         )
@@ -160,9 +161,11 @@ def _add_corner(
 
 
 @kernel
-def _note_spans(spans: Int32, counts: Int64, cols: int, runs: Int32) -> None:
+def _note_spans(
+    touched: tuple[int, int], spans: Int32, counts: Int64, cols: int, runs: Int32
+) -> None:
     """Note one miss for every cell of every span."""
-    for row in range(counts.size):
+    for row in range(touched[0], touched[1]):
         for i in range(0, counts[row], 2):
             start = row * (cols + 1)
             runs[np.uint64(start + spans[np.uint64(row), np.uint64(i)])] += 1
@@ -178,7 +181,7 @@ def _mark_border(
     hits: Int32,
     marks: Int32,
     mark: int,
-    border: Int64,
+    border: Int32,
 ) -> int:
     """Give every cell of one scan's border one hit, and list these cells of the window.
 
@@ -209,8 +212,8 @@ def _mark_border(
                     r = row - _round_half_down(i * up, n)
                 c, r = c - left, r - bottom
                 if 0 <= r < rows and 0 <= c < cols:
+                    # No branches: whether neighbours share a cell is a coin toss to a processor.
                     place = np.uint64(r * cols + c)
-                    # No branch: whether a neighbour shares the cell is a coin toss to a processor.
                     is_new = marks[place] != mark
                     marks[place] = mark
                     hits[np.uint64(r), np.uint64(c)] += is_new
@@ -230,19 +233,19 @@ def _round_half_down(numerator: int, denominator: int) -> int:
 
 @kernel
 def _exempt_border(
-    border: Int64, listed: int, spans: Int32, counts: Int64, cols: int, runs: Int32
+    border: Int32, listed: int, spans: Int32, counts: Int64, cols: int, runs: Int32
 ) -> None:
     """Take the miss back from the listed cells that lie in a span."""
     for n in range(listed):
-        row, col = np.uint64(border[n, 0]), np.int32(border[n, 1])
+        row, col = np.uint64(border[n, 0]), border[n, 1]
         # In a span where the number of limits at or left of the cell is odd.
         passed = np.int32(0)
         for i in range(PADDING):
-            passed += spans[row, i] <= col
+            passed += spans[row, np.uint64(i)] <= col
         for i in range(PADDING, counts[row]):
             passed += spans[row, np.uint64(i)] <= col
         inside = passed & 1
-        place = np.uint64(border[n, 0] * (cols + 1) + col)
+        place = np.uint64(np.int64(border[n, 0]) * (cols + 1) + col)
         runs[place] -= inside
         runs[place + np.uint64(1)] += inside
 

@@ -7,7 +7,7 @@ are noted as spans, as in `polygon`; only the cells beyond are visited.
 import numpy as np
 
 from occmap.grid.kernels.arrays import Int32
-from occmap.grid.kernels.fill import cross_rows, make_spans
+from occmap.grid.kernels.fill import cross_rows, find_rows, make_spans
 from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.project import round_to_units
 from occmap.grid.kernels.sectors import (
@@ -79,20 +79,21 @@ def trace_radial_polygons(
         side_by_side = cover_bearings(sides, kinds[s], covers, sign, covering)
         _reach_out(direction, ranges, kinds[s], depth, sides, lengths)
         corners = outline_sectors(at_x, at_y, sides, lengths, covers, x, y, begins)
-        while not cross_rows(x, y, begins, corners, buckets, counts):
+        touched = find_rows(y, corners, rows)
+        while not cross_rows(x, y, begins, corners, touched, buckets, counts):
             buckets = np.empty((rows, 2 * buckets.shape[1]), np.int32)
-        make_spans(buckets, counts, cols)
+        make_spans(touched, buckets, counts, cols)
         inner_counts[:] = 0
         if side_by_side:
             _stay_within(ranges, covers, full_circle, depth, plain, lengths)
             corners = outline_sectors(at_x, at_y, sides, lengths, covers, x, y, begins)
-            while not cross_rows(x, y, begins, corners, inner, inner_counts):
+            while not cross_rows(x, y, begins, corners, touched, inner, inner_counts):
                 inner = np.empty((rows, 2 * inner.shape[1]), np.int32)
-            make_spans(inner, inner_counts, cols)
+            make_spans(touched, inner, inner_counts, cols)
         _limit_ranges(ranges, kinds[s], depth, free.size - 1, limits)
         _observe_spans(
-            at_x, at_y, buckets, counts, inner, inner_counts, covering, limits, depth, entries,
-            cells, runs,
+            at_x, at_y, touched, buckets, counts, inner, inner_counts, covering, limits, depth,
+            entries, cells, runs,
         )  # fmt: skip
 
 
@@ -180,6 +181,7 @@ def _limit_ranges(ranges: Float64, kinds: UInt8, depth: float, steps: int, limit
 def _observe_spans(
     at_x: int,
     at_y: int,
+    touched: tuple[int, int],
     spans: Int32,
     counts: Int64,
     inner: Int32,
@@ -195,10 +197,10 @@ def _observe_spans(
 
     `entries` holds the tables of free cells and of hits, one behind the other, and a last 0.
     """
-    rows, cols = cells.shape
+    cols = cells.shape[1]
     steps = float(entries.size // 2 - 1)
     hits_from, nothing, to_steps = steps + 1, 2 * steps + 2, steps / depth
-    for r in range(rows):
+    for r in range(touched[0], touched[1]):
         row = np.uint64(r)
         from_y = float((r << 8) + 128 - at_y)
         start, turned = (1.0, -1.0) if from_y >= 0 else (3.0, 1.0)
