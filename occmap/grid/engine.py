@@ -82,9 +82,9 @@ class GridEngine:
             self._idle.append(window)
 
     def _empty(self, window: Window) -> None:
-        first, second = window.read()
+        box, first, second = window.read()
         with self._lock:
-            self.grid.add(window.box, first, second, window.bound)
+            self.grid.add(box, first, second, window.bound)
 
     def finish(self) -> TileGrid:
         """Empty all windows and give the evidence; more may be added later."""

@@ -52,6 +52,15 @@ class CellBox(NamedTuple):
             and other.col_end <= self.col_end
         )
 
+    def clip(self, other: Self) -> Self:
+        """The part of `other` that lies in this box."""
+        return type(self)(
+            min(max(other.row, self.row), self.row_end),
+            min(max(other.col, self.col), self.col_end),
+            max(min(other.row_end, self.row_end), self.row),
+            max(min(other.col_end, self.col_end), self.col),
+        )
+
     def join(self, other: Self) -> Self:
         """The smallest box around both."""
         return type(self)(

@@ -7,7 +7,7 @@ only when the scans leave it. What its arrays hold is the business of its kernel
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,6 +130,9 @@ def _reach_beside(rays: Rays, what: Observation) -> int:
     return int(reach * min(2 * spread, 1.0) / what.lattice.resolution) + 2
 
 
+Evidence: TypeAlias = tuple[NDArray[Any], NDArray[Any]]
+
+
 class Window(ABC):
     """A box of cells being written to."""
 
@@ -139,6 +142,7 @@ class Window(ABC):
     def __init__(self, what: Observation, box: CellBox) -> None:
         self.what = what
         self.box = box
+        self.touched: CellBox | None = None
         self.observations = 0
         self.allocate(box.rows, box.cols)
 
@@ -155,14 +159,23 @@ class Window(ABC):
         """Observe what lies in the box."""
         self.trace(projected)
         self.observations += projected.rays.kind.size
+        touched = self.box.clip(projected.box)
+        self.touched = touched if self.touched is None else self.touched.join(touched)
+
+    def read(self) -> tuple[CellBox, NDArray[Any], NDArray[Any]]:
+        """Where something may have been observed, and (h, w) of both numbers of its cells."""
+        box = self.touched or CellBox(self.box.row, self.box.col, self.box.row, self.box.col)
+        row, col = box.row - self.box.row, box.col - self.box.col
+        first, second = self.read_from(row, col, (box.rows, box.cols))
+        return box, first, second
 
     @abstractmethod
     def trace(self, projected: Projected) -> None:
         """Call the kernel."""
 
     @abstractmethod
-    def read(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """(H, W) of both numbers of a cell's evidence."""
+    def read_from(self, row: int, col: int, shape: tuple[int, int]) -> Evidence:
+        """(h, w) of both numbers of cells, from a row and column of the window on."""
 
     @property
     def bound(self) -> int:
@@ -199,10 +212,10 @@ class BeamWindow(Window):
             *self.col_changes,
         )
 
-    def read(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        misses = np.zeros_like(self.hits)
-        sum_beams(*self.row_changes, *self.col_changes, misses)
-        return self.hits, misses
+    def read_from(self, row: int, col: int, shape: tuple[int, int]) -> Evidence:
+        misses = np.empty(shape, np.int32)
+        sum_beams(*self.row_changes, *self.col_changes, self.hits.shape, (row, col), misses)
+        return self.hits[row : row + shape[0], col : col + shape[1]], misses
 
 
 class PolygonWindow(Window):
@@ -239,10 +252,10 @@ class PolygonWindow(Window):
         )
         self.scans += len(rays.kind)
 
-    def read(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        misses = np.zeros_like(self.hits)
-        sum_runs(self.runs, misses)
-        return self.hits, misses
+    def read_from(self, row: int, col: int, shape: tuple[int, int]) -> Evidence:
+        misses = np.empty(shape, np.int32)
+        sum_runs(self.runs, self.box.cols + 1, (row, col), misses)
+        return self.hits[row : row + shape[0], col : col + shape[1]], misses
 
 
 class RadialWindow(Window):
@@ -262,13 +275,14 @@ class RadialWindow(Window):
         return tables
 
     @abstractmethod
-    def sum_plain(self, plain: Int32) -> None:
-        """Add how often each cell got the first entry of the free table without being visited."""
+    def sum_plain(self, row: int, col: int, plain: Int32) -> None:
+        """Write how often each cell got the first entry of the free table without being visited."""
 
-    def read(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        plain = np.zeros(self.cells.shape, np.int32)
-        self.sum_plain(plain)
-        total = self.cells + plain * self.tables.free[0]
+    def read_from(self, row: int, col: int, shape: tuple[int, int]) -> Evidence:
+        plain = np.empty(shape, np.int32)
+        self.sum_plain(row, col, plain)
+        visited = self.cells[row : row + shape[0], col : col + shape[1]]
+        total = visited + plain * self.tables.free[0]
         return total >> COUNT_BITS, total & self.most_observations
 
     @property
@@ -305,8 +319,8 @@ class RadialBeamWindow(RadialWindow):
             *self.col_changes,
         )
 
-    def sum_plain(self, plain: Int32) -> None:
-        sum_beams(*self.row_changes, *self.col_changes, plain)
+    def sum_plain(self, row: int, col: int, plain: Int32) -> None:
+        sum_beams(*self.row_changes, *self.col_changes, self.cells.shape, (row, col), plain)
 
 
 class RadialPolygonWindow(RadialWindow):
@@ -336,8 +350,8 @@ class RadialPolygonWindow(RadialWindow):
             self.runs,
         )
 
-    def sum_plain(self, plain: Int32) -> None:
-        sum_runs(self.runs, plain)
+    def sum_plain(self, row: int, col: int, plain: Int32) -> None:
+        sum_runs(self.runs, self.box.cols + 1, (row, col), plain)
 
 
 def choose_window(what: Observation) -> type[Window]:

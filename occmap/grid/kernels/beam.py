@@ -23,6 +23,9 @@ from occmap.types import Int64, UInt8
 FRACTION_BITS = 36
 """Of the fixed-point number that walks along a row; the rest holds a cell's place in a window."""
 
+BLOCK = 16
+"""Columns that are summed at the same time: a cache line of counts."""
+
 
 @kernel
 def trace_beams(
@@ -157,19 +160,39 @@ def _add_clipped_line(
 
 @kernel
 def sum_beams(
-    row_runs: Int32, row_steps: Int32, col_runs: Int32, col_steps: Int32, misses: Int32
+    row_runs: Int32,
+    row_steps: Int32,
+    col_runs: Int32,
+    col_steps: Int32,
+    shape: tuple[int, int],
+    first: tuple[int, int],
+    misses: Int32,
 ) -> None:
-    """Turn what `trace_beams` noted into misses, added to (H, W) counts."""
+    """Turn what `trace_beams` noted into misses.
+
+    Parameters
+    ----------
+    shape
+        Rows and columns of the window.
+    first
+        Row and column from which on `misses` is wanted; nothing was noted before them.
+    misses
+        (h, w) counts, written here.
+    """
     rows, cols = misses.shape
     for row in range(rows):
-        count = np.int64(0)
+        count = np.int32(0)
         for col in range(cols):
-            here = row * (cols + 1) + col
-            count += row_runs[here] + row_steps[here] - row_steps[here + cols + 1]
-            misses[row, col] += count
-    for col in range(cols):
-        count = np.int64(0)
+            here = (first[0] + row) * (shape[1] + 1) + first[1] + col
+            count += row_runs[here] + row_steps[here] - row_steps[here + shape[1] + 1]
+            misses[row, col] = count
+    counts = np.empty(BLOCK, np.int32)
+    for start in range(0, cols, BLOCK):  # so that a few columns at a time stay in the cache
+        counts[:] = 0
         for row in range(rows):
-            here = col * (rows + 1) + row
-            count += col_runs[here] + col_steps[here] - col_steps[here + rows + 1]
-            misses[row, col] += count
+            for col in range(start, min(start + BLOCK, cols)):
+                here = (first[1] + col) * (shape[0] + 1) + first[0] + row
+                counts[col - start] += (
+                    col_runs[here] + col_steps[here] - col_steps[here + shape[0] + 1]
+                )
+                misses[row, col] += counts[col - start]

@@ -251,11 +251,11 @@ def _exempt_border(
 
 
 @kernel
-def sum_runs(runs: Int32, misses: Int32) -> None:
-    """Turn what `trace_polygons` noted into misses, added to (H, W) counts."""
+def sum_runs(runs: Int32, stride: int, first: tuple[int, int], misses: Int32) -> None:
+    """Turn noted spans into counts: `misses` (h, w), from row and column `first` of the window."""
     rows, cols = misses.shape
     for row in range(rows):
-        count = np.int64(0)
+        count = np.int32(0)
         for col in range(cols):
-            count += runs[row * (cols + 1) + col]
-            misses[row, col] += count
+            count += runs[(first[0] + row) * stride + first[1] + col]
+            misses[row, col] = count

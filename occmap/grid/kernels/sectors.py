@@ -9,6 +9,8 @@ from occmap.types import Bool, Float64, Int64, UInt8
 BEARINGS = 1 << 14
 """Steps of a full turn to which the bearing of a cell is known."""
 COS_60, SIN_60 = 0.5, 0.75**0.5
+OPPOSITE = 1e-6
+"""Beams whose unit vectors add up to less have nothing but rounding half-way between them."""
 
 
 @kernel
@@ -35,9 +37,10 @@ def find_sectors(
     for b in range(beams):
         after = b + 1 if b < beams - 1 else 0
         x, y = direction[b, 0] + direction[after, 0], direction[b, 1] + direction[after, 1]
-        length = max(np.sqrt(x * x + y * y), 1e-300)
-        sides[b, 2], sides[b, 3] = x / length, y / length
-        sides[after, 0], sides[after, 1] = x / length, y / length
+        length = np.sqrt(x * x + y * y)
+        share = 1 / length if length > OPPOSITE else 0.0
+        sides[b, 2], sides[b, 3] = share * x, share * y
+        sides[after, 0], sides[after, 1] = share * x, share * y
     if not full_circle:
         # The first beam and the last cover as much beyond themselves as to their neighbour.
         last = beams - 1
@@ -113,14 +116,14 @@ def outline_sectors(
     """Write corners around the sectors of beams; returns their number.
 
     `lengths` (B, 2) says how far each sector goes along its two sides, in lattice units from the
-    sensor at `at_x`, `at_y`. A run of beams that cover something is closed at the sensor.
+    sensor at `at_x`, `at_y`. A run of sectors that share their sides is closed at the sensor.
     """
     beams = covers.size
     corners = 0
     for b in range(beams):
         if not covers[b]:
             continue
-        if b == 0 or not covers[b - 1]:
+        if b == 0 or not (covers[b - 1] and _share_side(sides, b - 1, b)):
             x[corners], y[corners], begins[corners] = at_x, at_y, True
             corners += 1
         for side in range(2):
@@ -128,7 +131,13 @@ def outline_sectors(
             y[corners] = at_y + int(np.rint(lengths[b, side] * sides[b, 2 * side + 1]))
             begins[corners] = False
             corners += 1
-        if b == beams - 1 or not covers[b + 1]:
+        if b == beams - 1 or not (covers[b + 1] and _share_side(sides, b, b + 1)):
             x[corners], y[corners], begins[corners] = at_x, at_y, False
             corners += 1
     return corners
+
+
+@kernel
+def _share_side(sides: Float64, a: int, b: int) -> bool:
+    """Whether one sector goes on where the other ends; not where 60 degrees ended one before."""
+    return bool(sides[a, 2] == sides[b, 0] and sides[a, 3] == sides[b, 1])
