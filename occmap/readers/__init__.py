@@ -4,9 +4,8 @@ A reader is a class with a `name`, a one-line `description`, a `recognises(probe
 `open(path)` that returns a `Log`. Nothing here imports rosbags or mcap: a reader is loaded on use.
 """
 
-import gzip
-import zlib
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Protocol
 
 from occmap.errors import LogError
 from occmap.plugins import list_plugins, load_plugin
+from occmap.readers.gunzip import GUNZIP_ERRORS, GunzipStream
 from occmap.types import PoseSample, Scan
 
 PROBE_BYTES = 4096
@@ -121,12 +121,9 @@ def probe_path(path: Path) -> Probe:
 def _peek_gzip(path: Path) -> bytes:
     """Decompress the start of a gzip file: as much as there is, where it is damaged."""
     content = b""
-    try:
-        with gzip.open(path) as file:
-            while len(content) < PROBE_BYTES and (byte := file.read1(PROBE_BYTES)):
-                content += byte
-    except (OSError, EOFError, zlib.error):
-        pass
+    with suppress(OSError, *GUNZIP_ERRORS), GunzipStream(path.open("rb")) as file:
+        while len(content) < PROBE_BYTES and (piece := file.read(PROBE_BYTES)):
+            content += piece
     return content
 
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from occmap.errors import LogError
 from occmap.readers import Note, Probe, Role, Stream
 from occmap.readers.carmen_lines import (
     FRAMES,
@@ -20,7 +19,15 @@ from occmap.readers.carmen_lines import (
     parse_scan,
 )
 from occmap.readers.no_return import RangeTally, find_limit
-from occmap.readers.text import Line, add_note, note_cut_line, probe_lines, read_lines, shorten
+from occmap.readers.text import (
+    Line,
+    LineTally,
+    add_note,
+    note_cut_line,
+    probe_lines,
+    read_lines,
+    shorten,
+)
 from occmap.types import Pose, PoseSample, Scan
 
 Parsed = TypeVar("Parsed")
@@ -37,6 +44,7 @@ MAX_WORDS = 100
 """Kinds of line that are counted each by itself; garbage must not fill the memory."""
 MAX_KEPT_BYTES = 1 << 26
 """A log whose scans fit is parsed once and kept; a larger one is parsed again as a stream."""
+FIX = "correct or delete this line"
 SCAN_BYTES = 700
 """What a scan takes beside its ranges, as measured."""
 
@@ -64,7 +72,7 @@ class CarmenReader:
         Raises
         ------
         LogError
-            A scan line, other than the last of a cut file, is malformed.
+            The first scan line, or so many that this is no damage, is malformed.
         """
         return CarmenLog(path)
 
@@ -97,9 +105,11 @@ class CarmenLog:
             yield PoseSample(0, "base_link", FRONT, offset, static=True, topic="PARAM")
         if not self._words["ODOM"]:
             return
+        tally = LineTally()
         for word, line in self._walk():
-            if word == "ODOM" and (sample := self._parse(line, parse_odometry)):
+            if word == "ODOM" and (sample := self._parse(line, parse_odometry, tally)):
                 yield sample
+        tally.judge(self.path, self.notes, FIX)
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """The scans of these keywords; range_max is the no-return value, where one was found."""
@@ -116,35 +126,37 @@ class CarmenLog:
                 yield ("#" if head[0].startswith("#") else head[0]), line
 
     def _stream_scans(self) -> Iterator[Scan]:
+        judged = LineTally()  # when the log was first read
         for word, line in self._walk():
             if word in FRAMES:
-                scan = self._parse(line, parse_scan)
+                scan = self._parse(line, parse_scan, judged)
                 if scan is not None and scan.ranges.size:
                     yield scan
 
-    def _parse(self, line: Line, parse: Callable[[str], Parsed]) -> Parsed | None:
-        """Parse a line; a last line that is cut gives None and a note."""
+    def _parse(self, line: Line, parse: Callable[[str], Parsed], tally: LineTally) -> Parsed | None:
+        """Parse a line; one that is damaged gives None, and a note where the file ends in it."""
         try:
-            return parse(line.text)
+            parsed = parse(line.text)
         except ValueError as error:
-            if not line.ended:
+            if line.ended:
+                tally.add(line, f"malformed {line.text.split(None, 1)[0]} line: {error}")
+            else:
                 note_cut_line(self.notes, line)
-                return None
-            raise LogError(
-                f"malformed {line.text.split(None, 1)[0]} line: {error}",
-                where=f"{self.path}:{line.number}",
-                fix="correct or delete this line",
-            ) from None
+            return None
+        tally.add(line)
+        return parsed
 
     def _survey(self) -> None:
         """Read the log once: count its lines, tally its ranges, keep its scans if they are few."""
+        tally = LineTally()
         for word, line in self._walk():
             if word in FRAMES:
-                scan = self._parse(line, parse_scan)
+                scan = self._parse(line, parse_scan, tally)
                 if scan is not None:
                     self._survey_scan(scan)
             else:
-                self._survey_other(word, line)
+                self._survey_other(word, line, tally)
+        tally.judge(self.path, self.notes, FIX)
 
     def _survey_scan(self, scan: Scan) -> None:
         if not scan.ranges.size:
@@ -159,12 +171,12 @@ class CarmenLog:
             self._kept.append(scan)
         self._note_angles(scan)
 
-    def _survey_other(self, word: str, line: Line) -> None:
+    def _survey_other(self, word: str, line: Line, tally: LineTally) -> None:
         if not line.ended and _is_cut(word, line.text):
             note_cut_line(self.notes, line)
             return
         if word == "PARAM" and self._front_offset is None:
-            self._front_offset = self._parse(line, parse_front_offset)
+            self._front_offset = self._parse(line, parse_front_offset, tally)
         known = word in self._words or len(self._words) < MAX_WORDS
         self._words[word[:40] if known else "other"] += 1
 

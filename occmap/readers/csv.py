@@ -18,6 +18,7 @@ from occmap.readers.csv_layout import (
 )
 from occmap.readers.text import (
     Line,
+    LineTally,
     add_note,
     as_float32,
     note_cut_line,
@@ -73,6 +74,7 @@ class CsvLog:
         self.notes: list[Note] = []
         self._rows = 0
         self._last: Line | None = None
+        self._judged = False
         self._layout = self._survey()
         self._check_last()
         if self._layout.unused:
@@ -94,13 +96,12 @@ class CsvLog:
         Raises
         ------
         LogError
-            A row, not the last of a cut file, has a word for a number or too few or many cells.
+            The first row, or so many that this is no damage, has a word for a number or too few or
+            many cells.
         """
         if TOPIC not in topics:
             return
-        rows = (line for line in self._walk() if not _is_comment(line))
-        next(rows, None)  # the header
-        for line in rows:
+        for line in self._walk_rows():
             scan = self._parse(line)
             if scan is not None:
                 yield scan
@@ -108,6 +109,12 @@ class CsvLog:
     def _walk(self) -> Iterator[Line]:
         """Yield every line that is not blank."""
         return (line for line in read_lines(self.path, self.notes) if line.text.strip())
+
+    def _walk_rows(self) -> Iterator[Line]:
+        """Yield the rows, without the header."""
+        rows = (line for line in self._walk() if not _is_comment(line))
+        next(rows, None)
+        return rows
 
     def _survey(self) -> Layout:
         """Find the header, and the constants wherever they stand, and count the rows."""
@@ -139,15 +146,29 @@ class CsvLog:
             add_note(self.notes, Note(text))
 
     def _parse(self, line: Line) -> Scan | None:
-        """Parse a row; a last row that is cut gives None and a note."""
+        """Parse a row; one that is cut or damaged gives None and a note."""
         try:
             return _parse_row(self._layout, line.text)
-        except ValueError as error:
+        except ValueError:
             if not line.ended:
                 note_cut_line(self.notes, line)
-                return None
-            where = f"{self.path}:{line.number}"
-            raise LogError(str(error), where=where, fix="correct or delete this row") from None
+            elif not self._judged:
+                self._judge()
+            return None
+
+    def _judge(self) -> None:
+        """Look at all rows, as one is malformed: it may be damage, or the file no log."""
+        tally = LineTally()
+        for line in self._walk_rows():
+            try:
+                _parse_row(self._layout, line.text)
+                tally.add(line)
+            except ValueError as error:
+                if line.ended:
+                    tally.add(line, str(error))
+        tally.judge(self.path, self.notes, "correct or delete this row")
+        self._rows -= tally.malformed
+        self._judged = True
 
 
 def _is_comment(line: Line) -> bool:

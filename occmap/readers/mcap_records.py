@@ -1,6 +1,7 @@
 """The records of an MCAP file that a map needs: channels, chunks and the summary."""
 
 import struct
+import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -123,15 +124,18 @@ def read_summary(file: BinaryIO, size: int) -> Summary | None:
 
 
 def _read_summary_section(file: BinaryIO, size: int) -> bytes:
-    """Read the bytes between the data and the footer; none where the file has no summary."""
+    """Read the bytes between the data and the footer; none where they are damaged."""
     end = max(size - _FOOTER_LENGTH - len(MAGIC), 0)
     file.seek(end)
     tail = file.read()
     if tail[0] != Opcode.FOOTER or not tail.endswith(MAGIC):
         return b""
-    start = Footer.read(ReadDataStream(BytesIO(tail[RECORD.size :]))).summary_start
-    file.seek(min(start, end) if start else end)
-    return file.read(end - file.tell())
+    footer = Footer.read(ReadDataStream(BytesIO(tail[RECORD.size :])))
+    file.seek(min(footer.summary_start, end) if footer.summary_start else end)
+    section = file.read(end - file.tell())
+    # The checksum covers the footer, too, up to the checksum itself.
+    crc = zlib.crc32(tail[: _FOOTER_LENGTH - 4], zlib.crc32(section))
+    return section if footer.summary_crc in {0, crc} else b""
 
 
 def _parse_summary(section: bytes) -> Summary | None:

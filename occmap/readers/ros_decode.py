@@ -31,6 +31,9 @@ FromBytes: TypeAlias = Callable[[memoryview, int], T]
 
 # rosbags' parser and the code it generates raise these on definitions that are not well formed.
 _DEFINITION_ERRORS = (TypesysError, AssertionError, LookupError, SyntaxError, TypeError, ValueError)
+_TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms"
+"""rosbags knows all types of ROS 1 but these."""
 _IDL_SEPARATOR = "=" * 80 + "\n"
 
 
@@ -100,7 +103,11 @@ def _load_types(channel: Channel, name: str) -> Typestore:
         return _parse_definition(channel.definition, name, channel.syntax)
     if channel.wire == "cdr" and name in STANDARD_DEFINITIONS:
         return _parse_definition(STANDARD_DEFINITIONS[name], name, "msg")
-    return get_typestore(Stores.ROS1_NOETIC if channel.wire == "ros1" else Stores.ROS2_HUMBLE)
+    if channel.wire == "cdr":
+        return get_typestore(Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg(_TF_DEFINITION, name) if name in _TF_TYPES else {})
+    return store
 
 
 def _parse_definition(definition: str, name: str, syntax: str) -> Typestore:

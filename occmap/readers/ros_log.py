@@ -3,8 +3,10 @@
 import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 from rosbags.serde import SerdeError
 
@@ -66,31 +68,25 @@ class RosLog:
 
     def _make_readers(
         self, channels: Collection[Channel], make: Callable[[Channel], FromBytes[T]]
-    ) -> Mapping[Channel, FromBytes[T]]:
+    ) -> Mapping[Channel, "_ChannelReader[T]"]:
         """Build the reader of each channel; one that cannot be understood is noted and left out."""
         readers = {}
         for channel in channels:
             try:
-                readers[channel] = make(channel)
+                readers[channel] = _ChannelReader(channel, make)
             except LogError as error:
                 add_note(self.notes, f"{error}: its {channel.count} messages are not used")
         return readers
 
-    def _read(self, readers: Mapping[Channel, FromBytes[T]]) -> Iterator[T]:
+    def _read(self, readers: Mapping[Channel, "_ChannelReader[T]"]) -> Iterator[T]:
         """Read messages, passing over those that are damaged."""
-        failures: Counter[Channel] = Counter()
         for channel, record_ns, data in self._messages(readers):
-            try:
-                item = readers[channel](data, record_ns)
-            except _DECODE_ERRORS:
-                failures[channel] += 1
-                continue
-            yield item
-        for channel, count in failures.items():
-            add_note(
-                self.notes,
-                f"{count} of {channel.count} messages on {channel.topic} are damaged and not used",
-            )
+            item = readers[channel].read(data, record_ns)
+            if item is not None:
+                yield item
+        for reader in readers.values():
+            for text in reader.list_damage():
+                add_note(self.notes, text)
 
     def _messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give raw messages; a disk that fails is an error with the log's name."""
@@ -100,3 +96,61 @@ class RosLog:
             yield from self._source.messages(wanted)
         except OSError as error:
             raise LogError(f"cannot be read ({error.strerror})", where=self.path) from None
+
+
+class _ChannelReader(Generic[T]):
+    """Reads the messages of a channel by the log's own definition of their type.
+
+    Where that is damaged, the standard definition stands in; the first message that can be read
+    decides between the two.
+    """
+
+    def __init__(self, channel: Channel, make: Callable[[Channel], FromBytes[T]]) -> None:
+        self._channel = channel
+        self._make = make
+        self._failures = 0
+        self._decided = not channel.definition
+        self._uses_standard = False
+        try:
+            self._decode = make(channel)
+        except LogError:
+            if self._decided or (standard := self._make_standard()) is None:
+                raise
+            self._decode, self._decided, self._uses_standard = standard, True, True
+
+    def read(self, data: memoryview, record_ns: int) -> T | None:
+        """Read a message; None where it is damaged, which is counted."""
+        try:
+            item: T | None = self._decode(data, record_ns)
+        except _DECODE_ERRORS:
+            item = None if self._decided else self._read_by_standard(data, record_ns)
+            self._failures += item is None
+            return item
+        self._decided = True
+        return item
+
+    def _read_by_standard(self, data: memoryview, record_ns: int) -> T | None:
+        """Try the standard definition on a message that the own one does not fit."""
+        standard = self._make_standard()
+        if standard is None:
+            return None
+        try:
+            item = standard(data, record_ns)
+        except _DECODE_ERRORS:
+            return None
+        self._decode, self._decided, self._uses_standard = standard, True, True
+        return item
+
+    def _make_standard(self) -> FromBytes[T] | None:
+        with suppress(LogError):
+            return self._make(replace(self._channel, definition="", syntax=""))
+        return None
+
+    def list_damage(self) -> Iterator[str]:
+        """Say what was wrong so far."""
+        topic, count = self._channel.topic, self._channel.count
+        if self._uses_standard:
+            kind = self._channel.type
+            yield f"the definition of {kind} on {topic} is damaged; the standard one is used"
+        if self._failures:
+            yield f"{self._failures} of {count} messages on {topic} are damaged and not used"

@@ -9,6 +9,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from occmap.errors import LogError
@@ -31,6 +32,7 @@ class SqliteSource:
             with closing(self._connect()) as database:
                 topics = _read_topics(database)
                 counts = self._count_messages(database)
+                self._note_cut(database)
         except sqlite3.Error as error:
             raise LogError(
                 f"an SQLite database that cannot be read as a ROS 2 bag ({error})", where=path
@@ -46,14 +48,21 @@ class SqliteSource:
         """Give the messages of some topics, in the order in which they were written."""
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
         query = (
-            "SELECT topic_id, timestamp, data FROM messages NOT INDEXED"
+            "SELECT id, topic_id, timestamp, data FROM messages NOT INDEXED"
             f" WHERE topic_id IN ({','.join('?' * len(by_id))})"
-            " AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob' ORDER BY id"
+            " AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
         )
         # What is lost where the file was cut has been noted when its messages were counted.
         with closing(self._connect()) as database, suppress(sqlite3.Error):
-            for key, record_ns, data in database.execute(query, tuple(by_id)):
+            for _, key, record_ns, data in _read_rows(database, query, tuple(by_id)):
                 yield by_id[key], record_ns, memoryview(data)
+
+    def _note_cut(self, database: sqlite3.Connection) -> None:
+        """Note where the file ends within a page: SQLite takes what is missing for zeros."""
+        ((page,),) = database.execute("PRAGMA page_size")
+        lost = -self.path.stat().st_size % page
+        if lost and not self.notes:
+            add_note(self.notes, f"the storage file is cut: its last page lacks {lost} bytes")
 
     def _connect(self) -> sqlite3.Connection:
         """Open the file so that nothing is ever written, not even a lock."""
@@ -71,7 +80,8 @@ class SqliteSource:
         """Count the messages of each topic, as far as the file is whole."""
         counts: Counter[int] = Counter()
         try:
-            for (key,) in database.execute("SELECT topic_id FROM messages NOT INDEXED ORDER BY id"):
+            query = "SELECT id, topic_id FROM messages NOT INDEXED WHERE true"
+            for _, key in _read_rows(database, query, ()):
                 counts[key] += 1
         except sqlite3.DatabaseError as error:
             add_note(
@@ -79,6 +89,27 @@ class SqliteSource:
                 f"the storage file breaks off after {counts.total()} messages ({error})",
             )
         return counts
+
+
+def _read_rows(
+    database: sqlite3.Connection, query: str, values: tuple[int, ...]
+) -> Iterator[tuple[Any, ...]]:
+    """Give the rows of a query, whose first column is the id, up to the last that is sound.
+
+    Raises
+    ------
+    sqlite3.DatabaseError
+        The file is damaged behind these rows.
+    """
+    last = -1
+    try:
+        for row in database.execute(f"{query} ORDER BY id", values):
+            last = row[0]
+            yield row
+    except sqlite3.DatabaseError:
+        # Python's cursor is one row ahead of what it gives, and loses that one with the error.
+        yield from database.execute(f"{query} AND id > ? ORDER BY id LIMIT 1", (*values, last))
+        raise
 
 
 def _read_topics(database: sqlite3.Connection) -> dict[int, Channel]:

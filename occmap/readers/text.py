@@ -1,7 +1,6 @@
 """What the text formats share: lines of a plain or gzip file, exact times, notes on damage."""
 
-import gzip
-import zlib
+import io
 from collections.abc import Iterator
 from decimal import Decimal
 from pathlib import Path
@@ -12,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from occmap.errors import LogError
 from occmap.readers import Note, Probe
+from occmap.readers.gunzip import GUNZIP_ERRORS, MAGIC, GunzipStream
 from occmap.types import Float32
 
 MAX_LINE_BYTES = 1 << 24
@@ -20,6 +20,11 @@ MAX_EXPANSION = 100
 """Text logs shrink to a tenth with gzip; what grows a hundredfold is not one."""
 FREE_EXPANSION_BYTES = 1 << 30
 """Below this size gzip may expand as it likes: a robot that stands still repeats itself."""
+
+MALFORMED_SHARE = 0.05
+"""A damaged disk spoils a line here and there; a file with more malformed lines is another kind."""
+SOUND_START = 20
+"""A file that begins with so many sound lines is a log, whatever follows."""
 
 NO_LOG = "this is no text log; check what the file is"
 
@@ -32,6 +37,40 @@ class Line(NamedTuple):
     """Without its line end."""
     ended: bool
     """False for a last line without a line end: the file may be cut within it."""
+
+
+class LineTally:
+    """Counts the malformed ones among lines of one kind, to tell damage from a wrong file."""
+
+    def __init__(self) -> None:
+        self.total = 0
+        self.malformed = 0
+        self._first: tuple[int, int, str] | None = None
+
+    def add(self, line: Line, fault: str = "") -> None:
+        """Count a line; `fault` says what is wrong with it."""
+        self.total += 1
+        if fault:
+            self.malformed += 1
+            self._first = self._first or (self.total, line.number, fault)
+
+    def judge(self, path: Path, notes: list[Note], fix: str) -> None:
+        """Note what is damaged.
+
+        Raises
+        ------
+        LogError
+            The first line of all is malformed, or more than `MALFORMED_SHARE` of them where one of
+            the first `SOUND_START` is.
+        """
+        if self._first is None:
+            return
+        at, number, fault = self._first
+        many = self.malformed > MALFORMED_SHARE * self.total
+        if at == 1 or (many and at <= SOUND_START):
+            raise LogError(fault, where=f"{path}:{number}", fix=fix)
+        count = f"{self.malformed} of {self.total} lines are malformed and left out"
+        add_note(notes, Note(f"{count}, the first is line {number}: {fault}", damage=True))
 
 
 def read_lines(path: Path, notes: list[Note]) -> Iterator[Line]:
@@ -51,7 +90,7 @@ def read_lines(path: Path, notes: list[Note]) -> Iterator[Line]:
             for number, raw in enumerate(_split_lines(file, path), start=1):
                 text = raw.decode("utf-8", "replace").rstrip("\r\n")
                 yield Line(number, _strip_mark(text, number), raw.endswith(b"\n"))
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+    except GUNZIP_ERRORS as error:
         reason = "cut short" if isinstance(error, EOFError) else f"corrupt: {error}"
         text = f"the gzip data is {reason}; all after line {number} is lost"
         add_note(notes, Note(text, damage=True))
@@ -60,9 +99,10 @@ def read_lines(path: Path, notes: list[Note]) -> Iterator[Line]:
 
 
 def _open_bytes(path: Path) -> BinaryIO:
-    with path.open("rb") as file:
-        magic = file.read(2)
-    return gzip.open(path) if magic == b"\x1f\x8b" else path.open("rb")  # type: ignore[return-value]
+    file = path.open("rb")
+    if not file.peek(2).startswith(MAGIC):
+        return file
+    return io.BufferedReader(GunzipStream(file))
 
 
 def _split_lines(file: BinaryIO, path: Path) -> Iterator[bytes]:

@@ -182,15 +182,29 @@ def test_a_message_that_does_not_decode_is_counted_and_passed_over(tmp_path: Pat
     assert log.notes == [Note(text, damage=True)]
 
 
-def test_a_definition_that_cannot_be_understood_is_noted(tmp_path: Path) -> None:
+@pytest.mark.parametrize("damaged", [b"flaot32 angle_min\n", b"float32 angle_mon\n"])
+def test_where_a_definition_is_damaged_the_standard_one_is_used(
+    tmp_path: Path, damaged: bytes
+) -> None:
     path = write_bag1(tmp_path / "drive.bag", drive(ROS1))
     data = path.read_bytes()
-    path.write_bytes(data.replace(b"float32 angle_min\n", b"flaot32 angle_min\n"))
+    path.write_bytes(data.replace(b"float32 angle_min\n", damaged))
 
     log = open_log(path)
 
-    assert count_scans(log) == 0
-    assert "definition of sensor_msgs/LaserScan cannot be understood" in log.notes[0].text
+    assert count_scans(log) == 6
+    text = "the definition of sensor_msgs/LaserScan on /scan is damaged; the standard one is used"
+    assert log.notes == [Note(text, damage=True)]
+
+
+def test_a_transform_whose_definition_is_damaged_is_read(tmp_path: Path) -> None:
+    path = write_bag1(tmp_path / "drive.bag", drive(ROS1))
+    data = path.read_bytes()
+    path.write_bytes(
+        data.replace(b"TransformStamped[] transforms", b"TransformStomped[] transforms")
+    )
+
+    assert len(list(open_log(path).poses())) == 7
 
 
 def test_a_folder_without_metadata_is_read(tmp_path: Path) -> None:
