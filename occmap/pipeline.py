@@ -227,9 +227,8 @@ def make_engine(options: BuildOptions) -> "GridEngine":
     radial = None
     if isinstance(model, RadialModel):
         radial = tabulate(model.free, model.hit, model.depth(options.resolution))
-    return GridEngine(
-        Observation(options.update, lattice, options.jump, options.border_gap, radial)
-    )
+    what = Observation(options.update, lattice, options.jump, options.border_gap, radial)
+    return GridEngine(what, max_cells=options.max_cells)
 
 
 def refuse_unused(logs: Sequence[Log], tally: Tally) -> None:

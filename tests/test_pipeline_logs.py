@@ -88,6 +88,13 @@ def test_a_wild_pose_costs_no_memory_and_is_refused_by_its_extent(tmp_path: Path
     assert peak < 200e6  # the world between would be 10^16 cells
 
 
+@pytest.mark.parametrize("update", Update)
+def test_a_wild_range_is_refused_at_once(tmp_path: Path, update: Update) -> None:
+    log = write_csv(tmp_path / "log.csv", STILL * 3, [1e5, 1e5], 0.1)
+    with pytest.raises(MapError, match=r"cells, more than --max-cells 1000000000; .*--max-range"):
+        build([log], BuildOptions(update=update, jobs=1))
+
+
 def test_without_the_wild_scan_the_map_is_made(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", [*STILL, (1e7, 1e7, 0.0)], [0.3])
     assert build([log], choose(Selection(end_s=0.5))).report.cells == (4, 1)

@@ -7,7 +7,7 @@ import numpy as np
 
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox
-from occmap.grid.tiles import EvidenceKind, TileGrid
+from occmap.grid.tiles import EvidenceKind, TileGrid, refuse_large
 from occmap.grid.windows import Observation, Projected, Window, choose_window, project
 from occmap.types import Rays, Update
 
@@ -17,6 +17,9 @@ ROOMY_CELLS = 1 << 22
 """A window is not made larger than this only for scans that may come."""
 MOST_PARTS = 64
 """Scans that would need more windows than this lie far apart: they are traced one by one."""
+MAX_CELLS = 10**9
+MARGIN = 4
+"""A box around rays has room beside them, but never three times as much as they need."""
 MOST_CELLS_OF_BEAM = 1 << 22
 """Beyond this the kernels' integers could overflow."""
 
@@ -26,14 +29,18 @@ class GridEngine:
 
     Any number of threads may call `add`: each writes to a window of its own, and integers add up to
     the same sum in any order.
+    A scan that alone makes more than `max_cells` is refused when it comes, not when it was traced.
     """
 
-    def __init__(self, what: Observation, window_cells: int = WINDOW_CELLS) -> None:
+    def __init__(
+        self, what: Observation, window_cells: int = WINDOW_CELLS, max_cells: int = MAX_CELLS
+    ) -> None:
         self.what = what
         kind = EvidenceKind.COUNTS if what.radial is None else EvidenceKind.LOG_ODDS
         self.grid = TileGrid(what.lattice, kind)
         self._window_type = choose_window(what)
         self._window_cells = window_cells
+        self._max_cells = max_cells
         self._idle: list[Window] = []
         self._lock = Lock()
 
@@ -43,7 +50,7 @@ class GridEngine:
         Raises
         ------
         MapError
-            A beam is too long for the resolution.
+            A beam is too long for the resolution, or one scan makes too large a map.
         """
         if self.what.update is Update.POLYGON:
             rays = join_viewpoints(rays)
@@ -58,6 +65,8 @@ class GridEngine:
         elif projected.box.cells > MOST_PARTS * self._window_cells and len(rays.kind) > 1:
             self._add_halves(rays)
         else:
+            if len(rays.kind) == 1 and projected.box.cells > MARGIN * self._max_cells:
+                refuse_large(projected.box, self.what.lattice, self._max_cells)
             for part in split_box(projected.box, self._window_cells):
                 window = self._window_type(self.what, part)
                 window.observe(projected)
