@@ -1,0 +1,198 @@
+"""Small scenes as pictures: # was hit, . was seen free, % both, blank is unknown; cells of 1 m."""
+
+from collections import Counter
+from textwrap import dedent
+
+import pytest
+
+from occmap.grid.lattice import Lattice
+from occmap.grid.windows import Observation
+from occmap.types import Kind, Rays, Update
+from tests.grid import reference
+from tests.grid.pictures import Wall, box, draw, look
+from tests.grid.scans import Evidence, observe
+
+DOOR: list[Wall] = [
+    ((4.5, -5.5), (4.5, -0.9)),
+    ((4.5, 1.9), (4.5, 6.5)),
+    ((10.5, -7.0), (10.5, 8.0)),
+]
+"""A wall with a door in it, and the far wall of the next room."""
+BROKEN: list[Wall] = [((8.5, -8.0), (8.5, -1.5)), ((8.5, 2.5), (8.5, 9.0))]
+"""A wall with a hole, behind which nothing ever answers."""
+LONG: list[Wall] = [((2.5, 2.5), (24.5, 2.5))]
+TWO_ROOMS: list[Wall] = [*box(0.5, 0.5, 12.5, 6.5), ((6.5, 0.5), (6.5, 3.5))]
+
+
+def check(batches: list[Rays], what: Observation, picture: str) -> None:
+    """The engine and the slow reference both draw the picture."""
+    expected = dedent(picture).strip("\n")
+    assert draw(observe(what, batches)) == expected
+    drawn = Evidence(Counter(), Counter())
+    for rays in batches:
+        if what.update is Update.BEAM:
+            hits, misses = reference.trace_beams(rays, 1.0)
+        else:
+            hits, misses = reference.trace_polygons(rays, 1.0, what.jump, what.border_gap)
+        drawn.first.update(hits)
+        drawn.second.update(misses)
+    assert draw(drawn) == expected
+
+
+@pytest.mark.parametrize("update", list(Update))
+def test_square_room_from_its_middle(update: Update) -> None:
+    rays = look((0.5, 0.5), (0, 359, 1), box(-3.5, -3.5, 4.5, 4.5))
+    picture = """
+        #########
+        #.......#
+        #.......#
+        #.......#
+        #.......#
+        #.......#
+        #.......#
+        #.......#
+        #########
+    """
+    check([rays], Observation(update, Lattice(1.0)), picture)
+
+
+def test_nothing_behind_the_posts_of_a_door_is_called_free() -> None:
+    rays = look((0.5, 0.5), (-44, 44, 2), DOOR)
+    picture = """
+            #
+            #     #
+           .#  ...#
+          ..#.....#
+        ..........#
+          ..#.....#
+           .#  ...#
+            #     #
+            #
+    """
+    check([rays], Observation(Update.POLYGON, Lattice(1.0)), picture)
+
+
+def test_without_steps_the_door_is_walled_up_from_post_to_far_wall() -> None:
+    rays = look((0.5, 0.5), (-44, 44, 2), DOOR)
+    picture = """
+            #
+            #    ##
+           .# ###.#
+          ..##....#
+        ..........#
+          ..##....#
+           .# ###.#
+            #    ##
+            #
+    """
+    check([rays], Observation(Update.POLYGON, Lattice(1.0), jump=1e9), picture)
+
+
+def test_beams_through_a_door_graze_its_posts() -> None:
+    rays = look((0.5, 0.5), (-44, 44, 2), DOOR)
+    picture = """
+            #
+           .#    .#
+          ..#.....#
+         ...%.....#
+        ..........#
+         ...%.....#
+          ..#.....#
+           .#    .#
+            #
+    """
+    check([rays], Observation(Update.BEAM, Lattice(1.0)), picture)
+
+
+def test_where_nothing_came_back_nothing_is_known() -> None:
+    rays = look((0.5, 0.5), (-40, 40, 2), BROKEN)
+    picture = """
+              #
+              #
+            ..#
+           ...#
+          ....#
+         .... #
+        ..
+
+        ..
+         .... #
+          ....#
+           ...#
+            ..#
+              #
+              #
+    """
+    check([rays], Observation(Update.POLYGON, Lattice(1.0)), picture)
+
+
+def test_where_nothing_came_back_may_be_free_up_to_a_limit() -> None:
+    rays = look((0.5, 0.5), (-40, 40, 2), BROKEN, Kind.FREE, limit=6.0)
+    picture = """
+                #
+                #
+              ..#
+             ...#
+            ....#
+           .... #
+          ....
+        ......
+          ....
+           .... #
+            ....#
+             ...#
+              ..#
+                #
+                #
+    """
+    check([rays], Observation(Update.POLYGON, Lattice(1.0)), picture)
+
+
+def test_a_wall_at_grazing_incidence_is_closed_as_far_as_it_is_one_surface() -> None:
+    rays = look((0.5, 0.5), (5, 60, 1), LONG)
+    nearly = """
+         ########## ## #  #   #
+        ...........
+    """
+    closed = """
+         ##################   #
+        ...........
+    """
+    check([rays], Observation(Update.POLYGON, Lattice(1.0)), nearly)
+    check([rays], Observation(Update.POLYGON, Lattice(1.0), jump=3.0), closed)
+    check([rays], Observation(Update.POLYGON, Lattice(1.0), jump=3.0, border_gap=0), nearly)
+
+
+def test_by_beam_a_wall_at_grazing_incidence_is_crossed_by_the_beams_to_its_far_end() -> None:
+    rays = look((0.5, 0.5), (5, 60, 1), LONG)
+    picture = """
+          #%%%%%%%%%.%%.%..%...#
+         .................
+        ......
+    """
+    check([rays], Observation(Update.BEAM, Lattice(1.0)), picture)
+
+
+def test_two_viewpoints_add_up_to_two_rooms() -> None:
+    west = look((3.5, 2.5), (0, 358, 2), TWO_ROOMS)
+    east = look((9.5, 2.5), (0, 358, 2), TWO_ROOMS)
+    from_west = """
+        #############
+        #...........#
+        #........
+        #.....#
+        #.....#
+        #.....#
+        #######
+    """
+    from_both = """
+        #############
+        #...........#
+        #...........#
+        #.....#.....#
+        #.....#.....#
+        #.....#.....#
+        #############
+    """
+    check([west], Observation(Update.POLYGON, Lattice(1.0)), from_west)
+    check([west, east], Observation(Update.POLYGON, Lattice(1.0)), from_both)
