@@ -4,7 +4,6 @@ Every model starts from a prior and adds independent evidence (Elfes 1989; Thrun
 ch. 9): l = l0 + sum(logit(p_i) - l0). A model is a frozen dataclass; its fields are its parameters.
 """
 
-import math
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
@@ -52,6 +51,9 @@ class RadialModel(Protocol):
 
 
 SensorModel = CountModel | RadialModel
+
+DEEPEST_HIT_M = 100.0
+"""No wall is thicker."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +121,7 @@ class QuadraticModel:
 
     def __post_init__(self) -> None:
         check_probabilities(self)
-        if not (math.isfinite(self.epsilon) and self.epsilon >= 0):
+        if not 0 <= self.epsilon <= DEEPEST_HIT_M:
             raise UsageError(f"epsilon {self.epsilon} m is not possible", fix="try --epsilon 0.05")
         if self.p_min >= 0.5:
             raise UsageError(f"p_min {self.p_min} leaves no evidence", fix="try --p-min 0.4")
