@@ -4,6 +4,7 @@ import gzip
 import importlib.util
 import shutil
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -80,7 +81,7 @@ def time_pyoctomap(workload: Workload) -> float:
             tree.insertPointCloud(cloud, origin, lazy_eval=True)
         tree.updateInnerOccupancy()
 
-    return time_once(insert) / workload.scans
+    return time_once(insert, process_time) / workload.scans
 
 
 def make_cloud(workload: Workload, scan: int) -> tuple[Float64, Float64]:

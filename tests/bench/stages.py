@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from statistics import median
 from time import perf_counter
 
 from occmap.pipeline import BuildOptions, build
@@ -22,10 +21,10 @@ def measure_stages(workload: Workload, folder: Path, rounds: int) -> dict[str, S
     """Build from every format with one thread, the polygon update, and a PGM and a PNG."""
     logs = {name: write(workload, folder) for name, write in FORMATS.items()}
     found: dict[str, list[Stages]] = {name: [] for name in logs}
-    for _ in range(rounds + 1):
+    for _ in range(rounds):
         for name, log in logs.items():
             found[name].append(time_build(log, folder))
-    return {name: take_medians(builds[1:]) for name, builds in found.items()}
+    return {name: take_shortest(builds) for name, builds in found.items()}
 
 
 def time_build(log: Path, folder: Path) -> Stages:
@@ -39,6 +38,6 @@ def time_build(log: Path, folder: Path) -> Stages:
     return {"read": reading, **others, WHOLE: whole}
 
 
-def take_medians(builds: list[Stages]) -> Stages:
-    """The median of each stage."""
-    return {stage: median(build[stage] for build in builds) for stage in builds[0]}
+def take_shortest(builds: list[Stages]) -> Stages:
+    """Each stage where it went best: no ratio is made of these."""
+    return {stage: min(build[stage] for build in builds) for stage in builds[0]}

@@ -46,7 +46,7 @@ def draw_stages(scans: int, formats: Mapping[str, Stages]) -> str:
     stages = list(next(iter(formats.values())))
     title = (
         f"\nThousand scans a second by stage: build polygon, {scans} scans x 1081 beams, "
-        f"one thread ({WHOLE}: all stages, in a process that has loaded everything)\n\n"
+        f"one thread, the shortest of some builds ({WHOLE}: all stages; everything is loaded)\n\n"
     )
     return title + draw(
         ("", *stages),
