@@ -16,7 +16,7 @@ MAX_INFLATED = 1 << 30
 """No recorder writes blocks near this size (bytes); one that claims more is damaged or a bomb."""
 
 MAX_RATIO = 1000
-"""Recordings shrink to a tenth at best; a file that grows by more than this is a bomb."""
+"""Recordings shrink to a tenth at best; what grows by more than this is a bomb."""
 
 _STEP = 1 << 16
 _LARGEST_READ = 1 << 24
@@ -78,6 +78,8 @@ def inflate(data: Buffer, compression: str, size: int) -> tuple[Buffer, str]:
         return b"", f"is compressed with {compression[:20]!r}, which occmap does not know"
     if size > MAX_INFLATED:
         return b"", f"announces {size} bytes, more than any recorder writes in one block"
+    if size > max(_LARGEST_READ, MAX_RATIO * len(data)):
+        return b"", f"announces {size} bytes in {len(data)}, as only a bomb does"
     block = _read_whole(_OPENERS[compression](data), min(size, _LARGEST_READ), size)
     if len(block) != size:
         block = _read_whole(_OPENERS[compression](data), _STEP, size)

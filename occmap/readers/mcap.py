@@ -76,7 +76,8 @@ class McapSource:
         except OSError as error:
             raise LogError(f"cannot be read ({error.strerror})", where=path) from None
         if self.notes and not self.channels:
-            raise LogError(f"nothing in it can be read: {self.notes[0].text}", where=path)
+            found = "; ".join(note.text for note in self.notes[:3])
+            raise LogError(f"nothing in it can be read: {found}", where=path)
 
     @property
     def channels(self) -> Sequence[Channel]:

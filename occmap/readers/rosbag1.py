@@ -45,7 +45,8 @@ class Bag1Source:
         except OSError as error:
             raise LogError(f"cannot be read ({error.strerror})", where=path) from None
         if self.notes and not self._by_id:
-            raise LogError(f"nothing in it can be read: {self.notes[0].text}", where=path)
+            found = "; ".join(note.text for note in self.notes[:3])
+            raise LogError(f"nothing in it can be read: {found}", where=path)
 
     @property
     def channels(self) -> Sequence[Channel]:

@@ -21,6 +21,8 @@ MAX_EXPANSION = 100
 FREE_EXPANSION_BYTES = 1 << 30
 """Below this size gzip may expand as it likes: a robot that stands still repeats itself."""
 
+FREE_LINES = 1_000_000
+"""A gzip file with more lines than this has bytes enough for one each, or is a bomb of blanks."""
 MALFORMED_SHARE = 0.05
 """A damaged disk spoils a line here and there; a file with more malformed lines is another kind."""
 SOUND_START = 20
@@ -107,13 +109,15 @@ def _open_bytes(path: Path) -> BinaryIO:
 
 def _split_lines(file: BinaryIO, path: Path) -> Iterator[bytes]:
     """Read line by line within bounds, as a bomb may hide in one line or in many."""
-    limit = max(FREE_EXPANSION_BYTES, MAX_EXPANSION * path.stat().st_size)
-    total = 0
+    size = path.stat().st_size
+    limit, most_lines = max(FREE_EXPANSION_BYTES, MAX_EXPANSION * size), max(FREE_LINES, size)
+    total = lines = 0
     while raw := file.readline(MAX_LINE_BYTES):
         total += len(raw)
+        lines += 1
         if len(raw) == MAX_LINE_BYTES:
             raise LogError(f"no end of line within {len(raw)} bytes", where=path, fix=NO_LOG)
-        if total > limit:
+        if total > limit or lines > most_lines:
             raise LogError(f"grows more than {MAX_EXPANSION}-fold", where=path, fix=NO_LOG)
         yield raw
 

@@ -1,0 +1,132 @@
+"""Files that announce or hide far more than they are: an error, in bounded memory and time."""
+
+import bz2
+import struct
+import tracemalloc
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import zstandard
+
+from occmap.errors import LogError
+from occmap.pipeline import BuildOptions, build
+from occmap.readers import Log, open_log, text
+from tests.readers.ros import ROS1, ROS2, drive, write_bag1, write_mcap
+
+MEMORY = 64_000_000
+HUGE = 2**31
+BOMB = 100_000_000
+"""Bytes that a bomb truly holds: below what a block may have, far more than it is worth."""
+
+
+@contextmanager
+def bounded_memory() -> Iterator[None]:
+    tracemalloc.start()
+    try:
+        yield
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < MEMORY
+
+
+def compress_zeros(compressor: Callable[[bytes], bytes], flush: Callable[[], bytes]) -> bytes:
+    piece = bytes(1_000_000)
+    packed = [compressor(piece) for _ in range(BOMB // len(piece))]
+    return b"".join([*packed, flush()])
+
+
+def read_all(log: Log) -> int:
+    topics = {stream.topic for stream in log.streams}
+    return len(list(log.poses())) + len(list(log.scans(topics)))
+
+
+def refuse(path: Path, complaint: str) -> None:
+    with bounded_memory(), pytest.raises(LogError, match=complaint):
+        build([path], BuildOptions())
+
+
+@pytest.mark.parametrize("filler", [b"\n", b"ODOM 0 0 0 0 0 0 1 h 1\n", b"x"])
+def test_a_gzip_bomb(tmp_path: Path, filler: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(text, "FREE_LINES", 20_000)  # by default it takes some seconds
+    deflater = zlib.compressobj(wbits=31)
+    start = b"FLASER 2 1.5 2.5 0 0 0 0 0 0 1 host 1\n"
+    piece = filler * (1_000_000 // len(filler))
+    packed = [deflater.compress(start), *(deflater.compress(piece) for _ in range(50))]
+    path = tmp_path / "bomb.log.gz"
+    path.write_bytes(b"".join([*packed, deflater.flush()]))
+
+    refuse(path, "grows more than 100-fold|no end of line within")
+
+
+def test_a_zstd_bomb_in_an_mcap_chunk(tmp_path: Path) -> None:
+    packer = zstandard.ZstdCompressor(level=1).compressobj()
+    bomb = compress_zeros(packer.compress, packer.flush)
+    data = write_mcap(tmp_path / "drive.mcap", drive(ROS2)).read_bytes()
+    head = struct.pack("<QQQII", 0, 1, BOMB, 0, 4) + b"zstd" + struct.pack("<Q", len(bomb))
+    chunk = struct.pack("<BQ", 6, len(head) + len(bomb)) + head + bomb
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(data[:8] + chunk)
+
+    refuse(path, "announces 100000000 bytes in .*, as only a bomb does")
+
+
+def test_a_bz2_bomb_in_a_bag(tmp_path: Path) -> None:
+    packer = bz2.BZ2Compressor()
+    bomb = compress_zeros(packer.compress, packer.flush)
+    data = write_bag1(tmp_path / "drive.bag", drive(ROS1)).read_bytes()
+    fields = [b"op=\x05", b"compression=bz2", b"size=" + struct.pack("<I", BOMB)]
+    header = b"".join(struct.pack("<I", len(field)) + field for field in fields)
+    chunk = struct.pack("<I", len(header)) + header + struct.pack("<I", len(bomb)) + bomb
+    path = tmp_path / "bomb.bag"
+    path.write_bytes(data[: 13 + 4096] + chunk)
+
+    refuse(path, "as only a bomb does")
+
+
+def test_a_message_that_announces_2_to_31_beams(tmp_path: Path) -> None:
+    for path, at in (
+        (write_mcap(tmp_path / "a.mcap", drive(ROS2)), 0),
+        (write_bag1(tmp_path / "a.bag", drive(ROS1)), 0),
+    ):
+        data = bytearray(path.read_bytes())
+        beams = struct.pack("<ffI", 0.25, 30.0, 5)  # range_min, range_max and the count
+        while (at := data.find(beams, at + 1)) > 0:
+            struct.pack_into("<I", data, at + 8, HUGE)
+        path.write_bytes(data)
+
+        with bounded_memory():
+            log = open_log(path)
+            assert list(log.scans({"/scan"})) == []
+        assert any("6 of 6 messages on /scan are damaged" in note.text for note in log.notes)
+        refuse(path, "no laser scan that can be read")
+
+
+def test_a_line_that_announces_2_to_31_beams(tmp_path: Path) -> None:
+    path = tmp_path / "huge.log"
+    path.write_text(f"FLASER {HUGE} 1.5 2.5 0 0 0 0 0 0 1 host 1\n")
+
+    refuse(path, "huge.log:1: malformed FLASER line: it announces 2.14748e.09")
+
+
+def test_a_column_that_announces_2_to_31_beams(tmp_path: Path) -> None:
+    path = tmp_path / "huge.csv"
+    path.write_text(f"stamp,angle_min,angle_increment,r0,r{HUGE}\n1,0,0.1,1.5,2.5\n")
+
+    refuse(path, "no column r1")
+
+
+def test_an_mcap_record_longer_than_the_world(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", drive(ROS2))
+    data = bytearray(path.read_bytes())
+    at = 8
+    while data[at] != 6:
+        at += 9 + struct.unpack_from("<Q", data, at + 1)[0]
+    struct.pack_into("<Q", data, at + 1, 2**63)
+    path.write_bytes(data)
+
+    with bounded_memory():
+        assert read_all(open_log(path)) == 13
