@@ -1,0 +1,55 @@
+"""Kernels are compiled once, for all logs; where they cannot be kept, once a process."""
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from occmap.grid.kernels.beam import sum_beams, trace_beams
+from occmap.grid.kernels.polygon import sum_runs, trace_polygons
+from occmap.grid.kernels.project import project_ends
+from occmap.grid.kernels.radial_beam import trace_radial_beams
+from occmap.grid.kernels.radial_polygon import trace_radial_polygons
+from occmap.grid.warm import compile_kernels
+from occmap.pipeline import BuildOptions, build
+from occmap.sensor.models import parse_model
+from occmap.types import Update
+
+KERNELS: list[Any] = [
+    project_ends,
+    trace_beams,
+    trace_polygons,
+    trace_radial_beams,
+    trace_radial_polygons,
+    sum_beams,
+    sum_runs,
+]
+SAMPLE = Path(__file__).parents[2] / "sample_logs" / "drive.mcap"
+NOWHERE_TO_KEEP = """
+from numba.core import caching
+caching.CacheImpl._locator_classes = []
+from occmap.grid.warm import compile_kernels
+compile_kernels()
+print("compiled")
+"""
+
+
+@pytest.mark.parametrize("update", Update)
+@pytest.mark.parametrize("model", ["simple", "quadratic"])
+def test_a_build_needs_no_kernel_that_was_not_compiled_before(update: Update, model: str) -> None:
+    compile_kernels()
+    compiled = [len(kernel.signatures) for kernel in KERNELS]
+    assert min(compiled) >= 1
+    build([SAMPLE], BuildOptions(update=update, model=parse_model(model), jobs=1))
+    assert [len(kernel.signatures) for kernel in KERNELS] == compiled
+
+
+def test_kernels_that_cannot_be_kept_work_and_say_so_once() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", NOWHERE_TO_KEEP], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "compiled\n"
+    assert done.stderr.count("\n") == 1
+    assert "NUMBA_CACHE_DIR" in done.stderr
