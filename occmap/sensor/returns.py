@@ -109,21 +109,26 @@ def classify(batch: ScanBatch, options: ReturnOptions) -> tuple[UInt8, Float32, 
     """
     ranges = batch.ranges
     sensor_limit = batch.range_max if options.range_max is None else options.range_max
-    free_reach = min(sensor_limit, options.max_range)
+    free_reach = _to_float32(min(sensor_limit, options.max_range))
     nearest = max(batch.range_min, options.min_range, float(np.finfo(np.float32).tiny))
 
-    no_return = ranges >= np.float32(sensor_limit)
-    close = ranges < np.float32(nearest)
-    within = ranges <= np.float32(options.max_range)
-    hit = within & ~no_return & ~close
-    beyond = ~within & ~no_return & ~np.isnan(ranges)
+    close = ranges < _to_float32(nearest)
+    no_return = (ranges >= _to_float32(sensor_limit)) & ~close
+    other = ~(close | no_return | np.isnan(ranges))
+    hit = (ranges <= _to_float32(options.max_range)) & other
+    beyond = other & ~hit
 
-    clears = options.no_return is NoReturn.CLEAR and math.isfinite(free_reach)
+    clears = options.no_return is NoReturn.CLEAR and bool(np.isfinite(free_reach))
     free = beyond | no_return if clears else beyond
     kind = np.where(hit, np.uint8(Kind.HIT), free.astype(np.uint8) * np.uint8(Kind.FREE))
-    reach = np.where(hit, ranges, free * np.float32(free_reach if free.any() else 0.0))
+    reach = np.where(hit, ranges, free * (free_reach if free.any() else np.float32(0)))
     counts = _count(hit, beyond, no_return, close)
     return kind, reach, counts
+
+
+def _to_float32(limit: float) -> np.float32:
+    """Round a limit as the ranges are; one that no float32 can hold is infinite."""
+    return np.float32(limit if limit <= float(np.finfo(np.float32).max) else np.inf)
 
 
 def _count(hit: Bool, beyond: Bool, no_return: Bool, close: Bool) -> ReturnCounts:

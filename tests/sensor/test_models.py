@@ -1,0 +1,145 @@
+"""Inverse sensor models against their formulas, with numbers worked out by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from occmap.errors import UsageError
+from occmap.sensor.models import (
+    CountingModel,
+    CountModel,
+    QuadraticModel,
+    RadialModel,
+    SimpleModel,
+    describe_model,
+    make_model,
+    parse_model,
+)
+from occmap.types import Int64, OccupancyMap
+
+LN2, LN3, LN9 = math.log(2), math.log(3), math.log(9)
+
+
+def counts(*values: int) -> Int64:
+    return np.array(values, np.int64)
+
+
+def test_simple_adds_a_fixed_weight_for_each_hit_and_miss() -> None:
+    model = SimpleModel(p_hit=0.75, p_miss=0.25)  # odds of 3 to 1, and 1 to 3
+    log_odds = model.log_odds(counts(0, 1, 0, 2, 3), counts(0, 0, 1, 5, 3))
+    np.testing.assert_allclose(log_odds, [0, LN3, -LN3, -3 * LN3, 0], atol=1e-12)
+
+
+def test_simple_counts_from_the_prior() -> None:
+    """l = l0 + sum(logit(p) - l0): here l0 = ln 1/9 and a hit says 3 to 1, so it adds ln 27."""
+    model = SimpleModel(p_hit=0.75, p_miss=0.05, prior=0.1)
+    log_odds = model.log_odds(counts(0, 1, 2, 0), counts(0, 0, 0, 1))
+    expected = [-LN9, LN3, LN3 + math.log(27), math.log(1 / 19)]
+    np.testing.assert_allclose(log_odds, expected, rtol=1e-12)
+
+
+def test_one_observation_says_what_it_says_whatever_the_prior() -> None:
+    for prior in (0.2, 0.5, 0.7):
+        model = SimpleModel(p_hit=0.9, p_miss=0.3, prior=prior)
+        assert model.log_odds(counts(1), counts(0))[0] == pytest.approx(LN9)
+        assert model.log_odds(counts(0), counts(1))[0] == pytest.approx(math.log(3 / 7))
+
+
+def test_counting_is_the_share_of_hits_with_two_imagined_observations() -> None:
+    """Beta(1, 1): (hits + 1) / (hits + misses + 2)."""
+    log_odds = CountingModel().log_odds(counts(0, 1, 0, 3, 1), counts(0, 0, 1, 1, 7))
+    shares = [1 / 2, 2 / 3, 1 / 3, 4 / 6, 2 / 10]
+    np.testing.assert_allclose(1 / (1 + np.exp(-log_odds)), shares, rtol=1e-12)
+
+
+def test_counting_imagines_them_as_the_prior_says() -> None:
+    """Beta(0.4, 1.6): nothing seen is 0.2; one hit is 1.4 / 3."""
+    log_odds = CountingModel(prior=0.2).log_odds(counts(0, 1), counts(0, 0))
+    np.testing.assert_allclose(1 / (1 + np.exp(-log_odds)), [0.2, 1.4 / 3], rtol=1e-12)
+
+
+def test_quadratic_falls_off_before_the_hit() -> None:
+    """p = (1 - V) / 2 with V = 1 - u: half of u, but never surer than p_min."""
+    free = QuadraticModel(p_min=0.1).free(np.array([0.0, 0.1, 0.2, 0.5, 0.9]))
+    np.testing.assert_allclose(free, [0.1, 0.1, 0.1, 0.25, 0.45], rtol=1e-12)
+
+
+def test_quadratic_falls_off_about_the_range() -> None:
+    """p = (1 + O) / 2 with O = 1 - w^2, but never surer than 1 - p_min."""
+    hit = QuadraticModel(p_min=0.1).hit(np.array([0.0, 0.4, 0.5, 0.8, 1.0]))
+    np.testing.assert_allclose(hit, [0.9, 0.9, 0.875, 0.68, 0.5], rtol=1e-12)
+
+
+def test_a_hit_is_as_deep_as_was_asked_or_as_the_cells_allow() -> None:
+    assert QuadraticModel(epsilon=0.3).depth(0.05) == 0.3
+    assert 0 < QuadraticModel().depth(0.05) <= 0.05
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("simple", CountModel), ("counting", CountModel), ("quadratic", RadialModel)],
+)
+def test_models_are_found_by_name_and_described_as_they_are_written(name: str, kind: type) -> None:
+    model = make_model(name, {"prior": 0.4})
+    assert isinstance(model, kind)
+    assert model.prior == 0.4
+    assert describe_model(model).startswith(f"{name}:")
+    assert parse_model(describe_model(model)) == model
+
+
+def test_parameters_are_read_from_text() -> None:
+    assert parse_model("simple") == SimpleModel()
+    assert parse_model("simple:") == SimpleModel()
+    assert parse_model(" simple : p_hit = 0.8 , p_miss=0.3") == SimpleModel(0.8, 0.3)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("simpel", ["'simpel'", "did you mean 'simple'?"]),
+        ("elephant", ["'elephant'", "counting", "quadratic", "simple", "occmap models"]),
+        ("", ["no model is called ''"]),
+        ("simple:p_hit=often", ["'p_hit=often'", "NAME:KEY=NUMBER"]),
+        ("simple:p_hit", ["'p_hit'", "NAME:KEY=NUMBER"]),
+        ("simple:epsilon=1", ["simple has no parameter 'epsilon'", "p_hit, p_miss, prior"]),
+        ("simple:name=1", ["no parameter 'name'"]),
+        ("simple:p_hit=1", ["p_hit 1.0 is not a probability", "--p-hit"]),
+        ("simple:p_miss=0", ["p_miss 0.0"]),
+        ("simple:p_hit=nan", ["p_hit nan"]),
+        ("simple:p_hit=inf", ["p_hit inf"]),
+        ("simple:prior=-0.5", ["prior -0.5"]),
+        ("simple:p_hit=0.4,p_miss=0.4", ["p_miss 0.4 is not below p_hit 0.4"]),
+        ("counting:prior=1", ["prior 1.0"]),
+        ("quadratic:epsilon=-0.1", ["epsilon -0.1"]),
+        ("quadratic:epsilon=nan", ["epsilon nan"]),
+        ("quadratic:epsilon=inf", ["epsilon inf"]),
+        ("quadratic:p_min=0.5", ["p_min 0.5 leaves no evidence"]),
+        ("quadratic:p_min=0", ["p_min 0.0"]),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(text: str, words: list[str]) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_model(text)
+    message = str(caught.value)
+    assert "\n" not in message
+    for word in words:
+        assert word in message
+
+
+def test_the_probability_of_extreme_log_odds_is_certain_and_warns_of_nothing() -> None:
+    log_odds = np.array([[-3e38, -1000, -LN2, 0, LN2, 1000, 3e38]], np.float32)
+    grid = OccupancyMap(log_odds, np.ones((1, 7), np.bool_), 1.0, (0.0, 0.0))
+    np.testing.assert_allclose(grid.probability[0], [0, 0, 1 / 3, 0.5, 2 / 3, 1, 1], rtol=1e-6)
+    assert grid.probability.dtype == np.float32
+
+
+def test_a_robot_that_stands_still_for_hours_makes_no_model_overflow() -> None:
+    """Ten hours of 40 scans a second, 1081 beams each, all through one cell."""
+    beams = 10 * 3600 * 40 * 1081
+    for model in (SimpleModel(), CountingModel()):
+        hit, missed = (
+            float(model.log_odds(counts(a), counts(b))[0]) for a, b in ((beams, 0), (0, beams))
+        )
+        assert missed < -15 < 15 < hit
+        assert abs(hit) < np.finfo(np.float32).max

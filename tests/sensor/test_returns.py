@@ -1,0 +1,257 @@
+"""What range values mean, against tables written by hand; where beams point, against geometry."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from occmap.errors import UsageError
+from occmap.sensor.returns import (
+    NoReturn,
+    ReturnCounts,
+    ReturnOptions,
+    classify,
+    goes_round,
+    interpret,
+)
+from occmap.types import Float64, Kind, Pose, PosedScans, ScanBatch
+
+INF, NAN = math.inf, math.nan
+HIT, FREE, SKIP = Kind.HIT, Kind.FREE, Kind.SKIP
+
+
+def make_batch(
+    ranges: list[list[float]],
+    range_min: float = 0.1,
+    range_max: float = 10.0,
+    angle_min: float = 0.0,
+    angle_increment: float = 0.1,
+) -> ScanBatch:
+    return ScanBatch(
+        frame="laser",
+        angle_min=angle_min,
+        angle_increment=angle_increment,
+        range_min=range_min,
+        range_max=range_max,
+        time_increment=0.0,
+        stamp_ns=np.zeros(len(ranges), np.int64),
+        ranges=np.array(ranges, np.float32),
+        pose=None,
+    )
+
+
+def rotate(roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Float64:
+    """Rz(yaw) Ry(pitch) Rx(roll): about fixed axes, x first (REP 103)."""
+    (sr, sp, sy), (cr, cp, cy) = np.sin([roll, pitch, yaw]), np.cos([roll, pitch, yaw])
+    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return np.asarray(about_z @ about_y @ about_x, np.float64)
+
+
+def pose_scans(
+    batch: ScanBatch, rotation: Float64, place: tuple[float, ...] = (0, 0, 0)
+) -> PosedScans:
+    scans = len(batch.stamp_ns)
+    return PosedScans(batch, np.array([place] * scans, float), np.array([rotation] * scans))
+
+
+# The sensor states 0.1 to 10 m; --max-range is 8. Value, meaning by --no-return=ignore and =clear.
+TABLE = [
+    (NAN, SKIP, SKIP, 0),
+    (-INF, SKIP, SKIP, 0),
+    (-3.0, SKIP, SKIP, 0),
+    (-0.0, SKIP, SKIP, 0),
+    (0.0, SKIP, SKIP, 0),
+    (1e-42, SKIP, SKIP, 0),
+    (0.09999, SKIP, SKIP, 0),
+    (0.1, HIT, HIT, 0.1),  # the limit in float32, as the sensor writes it, is within
+    (2.0, HIT, HIT, 2.0),
+    (8.0, HIT, HIT, 8.0),
+    (8.0001, FREE, FREE, 8.0),
+    (9.999, FREE, FREE, 8.0),
+    (10.0, SKIP, FREE, 8.0),
+    (81.83, SKIP, FREE, 8.0),
+    (INF, SKIP, FREE, 8.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("value", "ignoring", "clearing", "reach"), TABLE)
+@pytest.mark.parametrize("no_return", list(NoReturn))
+def test_meaning_of_a_range(
+    value: float, ignoring: Kind, clearing: Kind, reach: float, no_return: NoReturn
+) -> None:
+    kind, distance, _ = classify(
+        make_batch([[value]]), ReturnOptions(max_range=8.0, no_return=no_return)
+    )
+    expected = ignoring if no_return is NoReturn.IGNORE else clearing
+    assert kind.tolist() == [[expected]]
+    assert distance[0, 0] == (np.float32(reach) if expected else 0)
+
+
+def test_tally_of_the_table() -> None:
+    batch = make_batch([[value for value, *_ in TABLE]])
+    _, _, counts = classify(batch, ReturnOptions(max_range=8.0))
+    assert counts == ReturnCounts(hit=3, beyond_max_range=2, no_return=3, too_close=6, nan=1)
+    assert sum(counts) == len(TABLE)
+
+
+def test_no_return_clears_as_far_as_the_sensor_sees_where_that_is_nearer() -> None:
+    kind, distance, _ = classify(make_batch([[INF]]), ReturnOptions(no_return=NoReturn.CLEAR))
+    assert (kind[0, 0], distance[0, 0]) == (FREE, 10.0)
+
+
+def test_without_any_limit_a_no_return_clears_nothing() -> None:
+    batch = make_batch([[INF, 1e30]], range_max=INF)
+    kind, _, counts = classify(batch, ReturnOptions(no_return=NoReturn.CLEAR))
+    assert kind.tolist() == [[SKIP, HIT]]
+    assert (counts.no_return, counts.hit) == (1, 1)
+
+
+def test_without_a_limit_of_the_sensor_a_no_return_clears_to_the_users() -> None:
+    options = ReturnOptions(max_range=6.0, no_return=NoReturn.CLEAR)
+    kind, distance, _ = classify(make_batch([[INF, 7.0]], range_max=INF), options)
+    assert kind.tolist() == [[FREE, FREE]]
+    assert distance.tolist() == [[6.0, 6.0]]
+
+
+@pytest.mark.parametrize("range_max", [1e39, 1.7976931348623157e308, INF])
+def test_a_limit_that_no_float32_can_hold_is_none(range_max: float) -> None:
+    options = ReturnOptions(range_max=range_max)
+    kind, _, _ = classify(make_batch([[3.0, INF]], range_min=1e-300), options)
+    assert kind.tolist() == [[HIT, SKIP]]
+
+
+def test_the_users_sensor_limit_replaces_that_of_the_log() -> None:
+    kind, _, counts = classify(make_batch([[4.0, 6.0]]), ReturnOptions(range_max=5.0))
+    assert kind.tolist() == [[HIT, SKIP]]
+    assert counts.no_return == 1
+
+
+def test_limits_that_cross_count_each_beam_once() -> None:
+    batch = make_batch([[1.0, 6.0, 9.0, 11.0, INF]], range_max=5.0)
+    options = ReturnOptions(min_range=8.0, max_range=10.0, no_return=NoReturn.CLEAR)
+    kind, _, counts = classify(batch, options)
+    assert kind.tolist() == [[SKIP, SKIP, FREE, FREE, FREE]]
+    assert counts == ReturnCounts(no_return=3, too_close=2)
+
+
+LIMITS = st.sampled_from([0.0, 0.1, 2.5, 10.0, INF])
+
+
+@settings(max_examples=100, deadline=None, derandomize=True, database=None)
+@given(
+    values=st.lists(st.floats(width=32), min_size=1, max_size=20),
+    range_min=LIMITS,
+    range_max=LIMITS,
+    no_return=st.sampled_from(NoReturn),
+)
+def test_every_beam_is_counted_once(
+    values: list[float], range_min: float, range_max: float, no_return: NoReturn
+) -> None:
+    options = ReturnOptions(0.2, 5.0, no_return=no_return)
+    kind, distance, counts = classify(make_batch([values], range_min, range_max), options)
+    assert min(counts) >= 0
+    assert sum(counts) == len(values)
+    assert counts.hit == np.count_nonzero(kind == HIT)
+    free = counts.beyond_max_range + (counts.no_return if no_return is NoReturn.CLEAR else 0)
+    assert free == np.count_nonzero(kind == FREE)
+    assert np.isfinite(distance).all()
+    assert not distance[kind == SKIP].any()
+
+
+def test_tallies_add_up() -> None:
+    assert ReturnCounts(1, 2, 3, 4, 5) + ReturnCounts(10, 20, 30, 40, 50) == (11, 22, 33, 44, 55)
+
+
+@pytest.mark.parametrize(
+    ("least", "most", "limit"), [(-1, INF, None), (3, 3, None), (NAN, 5, None), (0, 5, 0.0)]
+)
+def test_options_that_leave_no_range_are_refused(
+    least: float, most: float, limit: float | None
+) -> None:
+    with pytest.raises(UsageError):
+        ReturnOptions(least, most, limit)
+
+
+def test_a_beam_ends_where_range_and_bearing_say() -> None:
+    batch = make_batch([[2.0, 3.0]], angle_min=0.3, angle_increment=0.2)
+    rays, _ = interpret(pose_scans(batch, rotate(yaw=0.5), (7.0, -4.0, 1.0)), ReturnOptions())
+    expected = [
+        [7 + 2 * math.cos(0.8), -4 + 2 * math.sin(0.8)],
+        [7 + 3 * math.cos(1.0), -4 + 3 * math.sin(1.0)],
+    ]
+    np.testing.assert_allclose(rays.end[0], expected, atol=1e-12)
+
+
+def test_the_matrix_of_a_pose_is_what_these_tests_take_it_for() -> None:
+    pose = Pose.from_xyzrpy((0, 0, 0), (0.3, -0.4, 2.0))
+    x, y, z, w = pose[3:]
+    first_axis = [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)]
+    np.testing.assert_allclose(rotate(0.3, -0.4, 2.0)[:, 0], first_axis, atol=1e-12)
+
+
+def test_an_upside_down_lidar_sees_bearings_mirrored() -> None:
+    batch = make_batch([[2.0] * 5], angle_min=-0.4, angle_increment=0.3)
+    level, _ = interpret(pose_scans(batch, rotate()), ReturnOptions())
+    inverted, _ = interpret(pose_scans(batch, rotate(roll=math.pi)), ReturnOptions())
+    np.testing.assert_allclose(inverted.end, level.end * [1, -1], atol=1e-12)
+
+
+def test_a_tilted_lidar_is_shortened_along_its_tilt_and_not_across_it() -> None:
+    batch = make_batch([[2.0, 2.0]], angle_min=0.0, angle_increment=math.pi / 2)
+    rays, _ = interpret(pose_scans(batch, rotate(pitch=0.6)), ReturnOptions())
+    expected: list[list[float]] = [[2 * math.cos(0.6), 0.0], [0.0, 2.0]]
+    np.testing.assert_allclose(rays.end[0], expected, atol=1e-12)
+
+
+def test_a_lidar_that_looks_straight_down_ends_below_itself() -> None:
+    batch = make_batch([[2.0, 2.0]], angle_min=0.0, angle_increment=math.pi / 2)
+    rays, _ = interpret(pose_scans(batch, rotate(pitch=math.pi / 2)), ReturnOptions())
+    np.testing.assert_allclose(rays.end[0, 0], [0, 0], atol=1e-12)
+
+
+def test_each_beam_may_have_its_own_pose() -> None:
+    batch = make_batch([[1.0, 2.0]], angle_min=0.0, angle_increment=0.1)
+    posed = PosedScans(
+        batch,
+        position=np.array([[[0.0, 0.0, 0.0], [5.0, 1.0, 0.0]]]),
+        rotation=np.array([[rotate(yaw=0.0), rotate(yaw=0.4)]]),
+    )
+    rays, _ = interpret(posed, ReturnOptions())
+    assert rays.origin.shape == (1, 2, 2)
+    expected: list[list[float]] = [[1.0, 0.0], [5 + 2 * math.cos(0.5), 1 + 2 * math.sin(0.5)]]
+    np.testing.assert_allclose(rays.end[0], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("beams", "increment", "round_it_goes"),
+    [
+        (360, math.radians(1), True),
+        (361, math.radians(1), True),  # both ends written
+        (359, math.radians(1), False),  # one beam is missing, so the gap is two increments
+        (360, -math.radians(1), True),
+        (720, math.radians(0.5) * (1 - 1e-7), True),  # float32 increments are not exact
+        (400, math.radians(1), True),
+        (181, math.radians(1), False),
+        (1, 0.0, False),
+    ],
+)
+def test_whether_a_scan_goes_all_the_way_round(
+    beams: int, increment: float, round_it_goes: bool
+) -> None:
+    batch = make_batch([[1.0] * beams], angle_increment=increment)
+    assert goes_round(batch) is round_it_goes
+    rays, _ = interpret(pose_scans(batch, rotate()), ReturnOptions())
+    assert rays.full_circle is round_it_goes
+
+
+def test_batches_of_other_geometry_are_not_mixed_up() -> None:
+    batch = make_batch([[1.0]])
+    turned = replace(batch, angle_min=1.0)
+    for one, bearing in ((batch, 0.0), (turned, 1.0), (batch, 0.0)):
+        rays, _ = interpret(pose_scans(one, rotate()), ReturnOptions())
+        np.testing.assert_allclose(rays.direction[0, 0], [math.cos(bearing), math.sin(bearing)])
