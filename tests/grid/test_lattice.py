@@ -1,0 +1,80 @@
+"""Cells and lattice units, worked out by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from occmap.errors import UsageError
+from occmap.grid.kernels.project import round_to_units
+from occmap.grid.lattice import CellBox, Lattice
+
+
+@pytest.mark.parametrize(
+    ("metres", "units"),
+    [
+        (0.0, 0),
+        (1.0, 512),  # two cells of 0.5 m, of 256 units each
+        (-1.0, -512),
+        (0.5 / 256, 1),
+        (0.25 / 256, 0),  # a half goes to the even one
+        (0.75 / 256, 2),
+        (-0.25 / 256, 0),
+        (-0.75 / 256, -2),
+        (0.26 / 256, 1),
+    ],
+)
+def test_a_coordinate_is_rounded_to_the_nearest_unit(metres: float, units: int) -> None:
+    lattice = Lattice(0.5)
+    assert lattice.to_units(np.array([metres])).tolist() == [units]
+    assert round_to_units(metres, lattice.units_per_metre) == units
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "cell"),
+    [
+        (0.0, 0.0, (0, 0)),
+        (0.49, 0.51, (1, 0)),
+        (-0.01, 0.0, (0, -1)),  # floor, not truncation
+        (-0.5, -0.51, (-2, -1)),
+        (0.4999, -0.0001, (0, 1)),  # nearer to the edge than 1/512 of a cell: rounded onto it
+        (1e5, -1e5, (-200_000, 200_000)),
+    ],
+)
+def test_a_cell_is_row_and_column_by_the_floor_of_y_and_x(
+    x: float, y: float, cell: tuple[int, int]
+) -> None:
+    assert Lattice(0.5).to_cell(x, y) == cell
+
+
+def test_kernels_and_numpy_round_alike() -> None:
+    rng = np.random.default_rng(3)
+    metres = rng.uniform(-1, 1, 2000) * 10.0 ** rng.integers(-4, 7, 2000)
+    for resolution in (0.01, 0.05, 0.3, 1.0):
+        lattice = Lattice(resolution)
+        units = lattice.to_units(metres)
+        alike = [round_to_units(float(m), lattice.units_per_metre) for m in metres]
+        assert units.tolist() == alike
+        assert np.abs(units - metres * 256 / resolution).max() <= 0.5 + 1e-6
+
+
+def test_the_corner_of_a_cell_is_in_it() -> None:
+    for resolution in (0.01, 0.05, 0.1, 0.3, 1.0):
+        lattice = Lattice(resolution)
+        for n in (-70_001, -3, 0, 7, 123_456):
+            assert lattice.to_cell(lattice.to_metres(n), 0.0) == (0, n)
+
+
+@pytest.mark.parametrize("resolution", [0.0, -0.05, math.nan, math.inf])
+def test_a_resolution_that_makes_no_cells_is_refused(resolution: float) -> None:
+    with pytest.raises(UsageError, match=r"--resolution 0\.05"):
+        Lattice(resolution)
+
+
+def test_boxes_of_cells() -> None:
+    box = CellBox(-2, 3, 1, 7)
+    assert (box.rows, box.cols, box.cells) == (3, 4, 12)
+    assert box.contains(CellBox(-1, 4, 1, 5))
+    assert box.contains(box)
+    assert not box.contains(CellBox(-1, 4, 2, 5))
+    assert box.join(CellBox(0, 0, 5, 1)) == CellBox(-2, 0, 5, 7)
