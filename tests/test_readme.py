@@ -1,0 +1,102 @@
+"""The README is true: its commands print what it shows, its code runs."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from occmap.pipeline import BuildOptions, build
+from occmap.readers import Probe, Role
+from tests.samples import ROOT
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+TIMES = re.compile(r"[\d.,]+(?= s\b)|[\d,]+(?= scans/s)|(?<=[a-z] )\d+\.\d\d(?=[,)])")
+"""Seconds and scans a second, which differ from run to run."""
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+
+
+def without_times(text: str) -> list[str]:
+    return [
+        TIMES.sub("#", line) if line.startswith("time ") else line for line in text.splitlines()
+    ]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder that looks like the project's root to a command."""
+    (tmp_path / "sample_logs").symlink_to(ROOT / "sample_logs")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("block", blocks("console"))
+def test_commands_print_what_the_readme_shows(block: str, folder: Path) -> None:
+    command, _, expected = block.removeprefix("$ ").partition("\n")
+    words = shlex.split(command)
+    assert words[0] == "occmap"
+    done = subprocess.run(
+        [sys.executable, "-m", "occmap", *words[1:]],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=folder,
+    )
+    assert without_times(done.stdout) == without_times(expected)
+    assert done.stderr == ""
+
+
+def test_the_picture_on_top_is_what_the_first_command_makes(folder: Path) -> None:
+    build([Path("sample_logs/drive.mcap")], BuildOptions(), [Path("map.png")])
+    shown, made = (
+        Image.open(path) for path in (ROOT / "sample_logs" / "map.png", folder / "map.png")
+    )
+    assert np.array_equal(np.asarray(shown), np.asarray(made))
+
+
+@pytest.mark.usefixtures("folder")
+def test_library_use_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    (code,) = (block for block in blocks("python") if "build_map" in block)
+    names: dict[str, Any] = {}
+    exec(code, names)
+    assert names["grid"].resolution == 0.1
+    assert names["grid"].probability.shape == names["grid"].observed.shape
+    assert len(capsys.readouterr().out.splitlines()) == 414
+
+
+def test_the_reader_in_the_readme_reads(tmp_path: Path) -> None:
+    (code,) = (block for block in blocks("python") if "LineReader" in block)
+    assert sum(bool(line.strip()) for line in code.splitlines()) <= 25
+    names: dict[str, Any] = {}
+    exec(code, names)
+    path = tmp_path / "drive.lines"
+    path.write_text("#lines\n1.5 2 3 0 1 2 3\n2.5 2 3 0 4 5 6\n")
+    reader = names["LineReader"]()
+    assert reader.recognises(Probe(path, path.read_bytes(), path.read_bytes()))
+    log = reader.open(path)
+    assert [(stream.count, stream.role) for stream in log.streams] == [(2, Role.SCAN)]
+    scans = list(log.scans(["scan"]))
+    assert [scan.stamp_ns for scan in scans] == [1_500_000_000, 2_500_000_000]
+    assert scans[1].ranges.tolist() == [4, 5, 6]
+    assert scans[0].pose == (2, 3, 0, 0, 0, 0, 1)
+    assert scans[0].angle_increment == pytest.approx(np.pi / 2)
+
+
+def test_every_option_that_the_readme_names_exists() -> None:
+    shown = subprocess.run(
+        [sys.executable, "-m", "occmap", "build", "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    section = README[README.index("## Options") : README.index("## From Python")]
+    for option in re.findall(r"--[a-z][a-z-]+", section):
+        assert option in shown
