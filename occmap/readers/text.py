@@ -63,13 +63,13 @@ class LineTally:
         ------
         LogError
             The first line of all is malformed, or more than `MALFORMED_SHARE` of them where one of
-            the first `SOUND_START` is.
+            the first `SOUND_START` is and no damage is known that explains it.
         """
         if self._first is None:
             return
         at, number, fault = self._first
-        many = self.malformed > MALFORMED_SHARE * self.total
-        if at == 1 or (many and at <= SOUND_START):
+        is_many = self.malformed > MALFORMED_SHARE * self.total and at <= SOUND_START
+        if at == 1 or (is_many and not any(note.damage for note in notes)):
             raise LogError(fault, where=f"{path}:{number}", fix=fix)
         count = f"{self.malformed} of {self.total} lines are malformed and left out"
         add_note(notes, Note(f"{count}, the first is line {number}: {fault}", damage=True))

@@ -1,0 +1,103 @@
+"""Fuzz each reader for a minute, then damage each sample log in 1,200 ways."""
+
+import hashlib
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from types import FrameType
+
+from tests.fuzz.mutate import mutate
+from tests.fuzz.targets import TARGETS, Target
+
+SECONDS = 60.0
+HANG_S = 10
+KEPT = Path(__file__).parents[1] / "readers" / "regressions"
+
+
+def main(words: list[str]) -> int:
+    """Run the targets named, or all and the damage tests; 1 where something escaped."""
+    seconds = float(words[0]) if words else SECONDS
+    names = words[1:] or list(TARGETS)
+    failed = [name for name in names if not fuzz(TARGETS[name], seconds)]
+    if not words[1:]:
+        command = [sys.executable, "-m", "pytest", "-q", "-n", "2", "tests/test_damage.py"]
+        damage = subprocess.run(command, env=os.environ | {"OCCMAP_FUZZ": "1"}, check=False)
+        failed += ["damage"] if damage.returncode else []
+    return 1 if failed else 0
+
+
+def fuzz(target: Target, seconds: float) -> bool:
+    """Fuzz one reader; say whether nothing escaped."""
+    with tempfile.TemporaryDirectory(prefix="occmap-seeds-") as folder:
+        seeds = target.seeds(Path(folder))
+        if find_spec("atheris") is not None:
+            return fuzz_by_coverage(target, seeds, Path(folder), seconds)
+    return fuzz_at_random(target, seeds, seconds)
+
+
+def fuzz_at_random(target: Target, seeds: list[bytes], seconds: float) -> bool:
+    """Read mutations of the seeds until the time is over; keep the first that crashes."""
+    dice = random.Random(time.time_ns())
+    end = time.monotonic() + seconds
+    count = 0
+    while time.monotonic() < end:
+        data = mutate(dice.choice(seeds), dice)
+        count += 1
+        try:
+            with alarm(HANG_S):
+                target.read(data)
+        except Exception as error:  # noqa: BLE001  any that escapes is what is looked for
+            name = hashlib.sha256(data).hexdigest()[:12]
+            KEPT.mkdir(exist_ok=True)
+            (KEPT / f"{target.name}-{name}").write_bytes(data)
+            tell(f"{target.name}: {error!r}, kept as {KEPT.name}/{target.name}-{name}")
+            return False
+    tell(f"{target.name}: {count} inputs in {seconds:g} s, nothing escaped")
+    return True
+
+
+def fuzz_by_coverage(target: Target, seeds: list[bytes], folder: Path, seconds: float) -> bool:
+    """Let atheris choose the inputs; it needs a process for each target, and ends it."""
+    corpus = folder / "corpus"
+    corpus.mkdir()
+    for index, seed in enumerate(seeds):
+        (corpus / str(index)).write_bytes(seed)
+    KEPT.mkdir(exist_ok=True)
+    limits = [f"-max_total_time={seconds:g}", f"-timeout={HANG_S}", "-max_len=65536"]
+    kept = f"-artifact_prefix={KEPT}/{target.name}-"
+    script = "from tests.fuzz.guided import run; run()"
+    command = [sys.executable, "-c", script, target.name, *limits, kept, str(corpus)]
+    return subprocess.run(command, check=False).returncode == 0
+
+
+@contextmanager
+def alarm(seconds: int) -> Iterator[None]:
+    """Raise where a block hangs."""
+
+    def give_up(_signal: int, _frame: FrameType | None) -> None:
+        raise TimeoutError(f"still busy after {seconds} s")
+
+    signal.signal(signal.SIGALRM, give_up)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+
+
+def tell(text: str) -> None:
+    """Print at once."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
