@@ -14,7 +14,7 @@ from occmap.readers import Log, Role, open_log
 from occmap.report import Made, Report, Tally, measure_shares
 from occmap.sensor.models import RadialModel, SensorModel, SimpleModel, describe_model
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.types import Float64, Int64, OccupancyMap, Scan, ScanBatch, Update, to_log_odds
+from occmap.types import Float64, Int64, OccupancyMap, Rays, Scan, ScanBatch, Update, to_log_odds
 from occmap.workers import Workers, count_cores
 from occmap.writers import WriteOptions, check_outputs, find_writer
 
@@ -98,7 +98,7 @@ def build(
     engine = make_engine(options)
     made = Made([str(log.path) for log in logs])
     for log in logs:
-        poser = trace_log(log, options, engine, tally, advance)
+        poser = trace_log(log, options, engine.add, tally, advance)
         made.note(log, poser.notes)
     refuse_unused(logs, tally)
     with tally.time("fold"):
@@ -114,7 +114,7 @@ def build(
 def trace_log(
     log: Log,
     options: BuildOptions,
-    engine: "GridEngine",
+    observe: Callable[[Rays], None],
     tally: Tally,
     advance: Callable[[int], None],
 ) -> Poser:
@@ -133,7 +133,7 @@ def trace_log(
         with tally.time("interpret"):
             rays, beams = interpret(posed, options.returns)
         with tally.time("trace"):
-            engine.add(rays)
+            observe(rays)
         tally.use(len(rays.kind), beams)
 
     with Workers(trace, options.jobs) as workers:
