@@ -11,6 +11,7 @@ from occmap.errors import LogError, PoseError, UsageError
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.readers import Log, Role, open_log
+from occmap.readers.options import ReaderOptions
 from occmap.report import Made, Report, Tally, measure_shares
 from occmap.sensor.models import RadialModel, SensorModel, SimpleModel, describe_model
 from occmap.sensor.returns import ReturnOptions, interpret
@@ -37,6 +38,7 @@ class BuildOptions:
     """Side of a cell (m)"""
     update: Update = DEFAULT_UPDATE
     model: SensorModel = field(default_factory=SimpleModel)
+    reading: ReaderOptions = field(default_factory=ReaderOptions)
     returns: ReturnOptions = field(default_factory=ReturnOptions)
     posing: PosingOptions = field(default_factory=PosingOptions)
     selection: Selection = field(default_factory=Selection)
@@ -89,7 +91,7 @@ def build(
     tally = Tally()
     check_outputs(outputs)
     with tally.time("open"):
-        logs = [open_log(path) for path in paths]
+        logs = [open_log(path, options.reading) for path in paths]
     total = sum(count_scans(log, options.selection.topics) for log in logs)
 
     def advance(scans: int) -> None:
@@ -148,12 +150,16 @@ def trace_log(
 def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
     """Choose the scan topics of a log: those that the user names, else all.
 
+    Clouds of points are taken where there are no scans, or where the user names them.
+
     Raises
     ------
     LogError
         The log has no scans, or not on a wanted topic.
     """
-    there = [s.topic for s in log.streams if s.role is Role.SCAN and s.count]
+    scans = [s.topic for s in log.streams if s.role is Role.SCAN and s.count]
+    clouds = [s.topic for s in log.streams if s.role is Role.CLOUD and s.count]
+    there = scans + clouds if wanted else scans or clouds
     if not there:
         held = ", ".join(f"{s.topic} ({s.type}, {s.count})" for s in log.streams if s.count)
         raise LogError(f"holds no laser scans; it holds {held or 'nothing'}", where=log.path)

@@ -9,11 +9,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from occmap.errors import LogError
 from occmap.plugins import list_plugins, load_plugin
 from occmap.readers.gunzip import GUNZIP_ERRORS, GunzipStream
+from occmap.readers.options import ReaderOptions
 from occmap.types import PoseSample, Scan
 
 PROBE_BYTES = 4096
@@ -24,6 +25,8 @@ class Role(StrEnum):
     """What a stream of messages can be used for."""
 
     SCAN = "scan"
+    CLOUD = "cloud"
+    """Points that can be flattened into scans: used where a log has no scans, or on request."""
     POSE = "pose"
     OTHER = "other"
 
@@ -96,6 +99,17 @@ class Reader(Protocol):
         """
 
 
+@runtime_checkable
+class TunableReader(Protocol):
+    """A reader whose logs depend on what the user chose; `open` takes the defaults."""
+
+    def open_tuned(self, path: Path, options: ReaderOptions) -> Log:
+        """Open a log; raises what `open` does."""
+
+
+DEFAULT_OPTIONS = ReaderOptions()
+
+
 def probe_path(path: Path) -> Probe:
     """Read the first bytes of a file, and what gzip makes of them.
 
@@ -127,7 +141,7 @@ def _peek_gzip(path: Path) -> bytes:
     return content
 
 
-def open_log(path: Path) -> Log:
+def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
     """Open a log with the first reader that recognises its content.
 
     Raises
@@ -140,8 +154,7 @@ def open_log(path: Path) -> Log:
     for name in names:  # loaded one by one: the later ones take longest
         reader_class = load_plugin("occmap.readers", name)
         if reader_class is not None and (reader := reader_class()).recognises(probe):
-            log: Log = reader.open(path)
-            return log
+            return _open(reader, path, options)
     if probe.raw.startswith(LFS_MAGIC):
         found = "a Git LFS pointer, which stands in for the file"
         raise LogError(found, where=path, fix="fetch the file: git lfs pull")
@@ -150,6 +163,12 @@ def open_log(path: Path) -> Log:
         where=path,
         fix=f"occmap reads {', '.join(names)}: see `occmap readers`",
     )
+
+
+def _open(reader: Reader, path: Path, options: ReaderOptions) -> Log:
+    if isinstance(reader, TunableReader):
+        return reader.open_tuned(path, options)
+    return reader.open(path)
 
 
 def _describe_unknown(probe: Probe) -> str:

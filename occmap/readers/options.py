@@ -1,0 +1,39 @@
+"""What a user may choose about reading: how messages that are no plain scans become scans."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from occmap.errors import UsageError
+
+
+class Echo(StrEnum):
+    """Which return of a beam to take where a laser states several."""
+
+    FIRST = "first"
+    """The nearest thing: glass, rain, leaves."""
+    LAST = "last"
+    """What stands behind it."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReaderOptions:
+    """The choices.
+
+    Raises
+    ------
+    UsageError
+        The heights leave nothing between them.
+    """
+
+    echo: Echo = Echo.FIRST
+    min_height: float = -0.2
+    max_height: float = 0.2
+    """Points of a cloud between these heights above its own frame (m) are flattened into a scan.
+    The default is a slice around the sensor: above the floor for a lidar on a robot's body."""
+
+    def __post_init__(self) -> None:
+        if not self.min_height < self.max_height:
+            raise UsageError(
+                f"no point lies above {self.min_height} m and below {self.max_height} m",
+                fix="give a --min-height below the --max-height",
+            )
