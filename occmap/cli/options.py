@@ -9,9 +9,9 @@ from typing import Any
 
 import click
 
-from occmap.cli.console import Console, Verbosity
+from occmap.cli.console import Verbosity
 from occmap.cli.sections import join, option
-from occmap.cli.values import one_of, parse_sensor_pose, parse_transform, read_by
+from occmap.cli.values import one_of, parse_sensor_pose, parse_transform, read_by, set_verbosity
 from occmap.pipeline import BuildOptions
 from occmap.posing.options import Deskew, Stamps
 from occmap.sensor.models import describe_model
@@ -41,16 +41,6 @@ def number(name: str, text: str) -> Any:
     return option(MODEL, name, type=float, metavar="P", help=text)
 
 
-def set_verbosity(level: Verbosity) -> Any:
-    """Return the callback of a flag that says how much to tell."""
-
-    def choose(ctx: click.Context, _param: click.Parameter, given: bool) -> None:
-        if given:
-            ctx.ensure_object(Console).verbosity = level
-
-    return choose
-
-
 output = option(
     FILES,
     "-o",
@@ -62,16 +52,7 @@ output = option(
     help="Write the map here; the suffix picks the format (.pgm, .png: see `occmap writers`). "
     "May repeat.",
 )
-writing = join(
-    output,
-    option(
-        FILES,
-        "--mode",
-        **one_of(MapMode),
-        default=MapMode.TRINARY.value,
-        show_default=True,
-        help="What the pixels of a PGM mean.",
-    ),
+thresholds = join(
     option(
         FILES,
         "--occupied-thresh",
@@ -90,6 +71,18 @@ writing = join(
         show_default=True,
         help="Free from this probability down.",
     ),
+)
+writing = join(
+    output,
+    option(
+        FILES,
+        "--mode",
+        **one_of(MapMode),
+        default=MapMode.TRINARY.value,
+        show_default=True,
+        help="What the pixels of a PGM mean.",
+    ),
+    thresholds,
     option(
         FILES,
         "--light-occupied",

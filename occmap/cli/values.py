@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from occmap.cli.console import Console, Verbosity
 from occmap.errors import UsageError
 from occmap.types import Pose, PoseSample
 
@@ -47,6 +48,22 @@ def parse_transform(text: str) -> PoseSample:
     return PoseSample(0, words[0], words[1], pose, static=True)
 
 
+def parse_share(text: str) -> float:
+    """Read a share such as 0.05 or 5%.
+
+    Raises
+    ------
+    UsageError
+        It is no number from 0 to 1.
+    """
+    form = "write a share such as 0.05 or 5%"
+    (number,) = read_numbers([text.removesuffix("%")], text, form)
+    share = number / 100 if text.endswith("%") else number
+    if not 0 <= share <= 1:
+        raise UsageError("is no share of a whole", where=text, fix=form)
+    return share
+
+
 def read_numbers(words: list[str], where: str, form: str) -> list[float]:
     """Read finite decimal numbers.
 
@@ -84,3 +101,13 @@ def one_of(kind: type[StrEnum]) -> dict[str, Any]:
         "type": click.Choice([member.value for member in kind]),
         "callback": lambda _ctx, _param, value: kind(value),
     }
+
+
+def set_verbosity(level: Verbosity) -> Any:
+    """Return the callback of a flag that says how much to tell."""
+
+    def choose(ctx: click.Context, _param: click.Parameter, given: bool) -> None:
+        if given:
+            ctx.ensure_object(Console).verbosity = level
+
+    return choose

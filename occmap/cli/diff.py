@@ -1,0 +1,115 @@
+"""`occmap diff`: what changed between two maps, and a limit on it."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+
+from occmap.cli import COMMANDS, options
+from occmap.cli.collect import take
+from occmap.cli.console import Console
+from occmap.cli.sections import SectionCommand, join, option
+from occmap.cli.summary import LABEL
+from occmap.cli.values import parse_share, read_by
+from occmap.comparison import Comparison, compare_maps, paint
+from occmap.errors import GateError, UsageError
+from occmap.maps import load_map
+from occmap.writers import WriteOptions
+from occmap.writers.atomic import check_target
+
+HELP = f"""{COMMANDS["diff"]}
+
+A and B are maps as PGM with YAML, or PNG; they may differ in size where they share a lattice, as
+all maps of one resolution do. A PNG does not say where it lies: it is compared with a map of its
+size, and read as dark is occupied.
+
+In the picture, cells that became occupied are orange, cells that became free blue, and cells that
+became unknown pink; stronger colours are contradictions, paler ones news.
+
+\b
+  occmap diff yesterday.pgm today.pgm
+  occmap diff golden.yaml build/map.pgm -o diff.png --fail-above 1%
+"""
+
+LIMIT = "Limit"
+
+picture = option(
+    options.FILES,
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    metavar="PNG",
+    help="Write a picture of the changes here.",
+)
+fail_above = option(
+    LIMIT,
+    "--fail-above",
+    **read_by(parse_share),
+    metavar="SHARE",
+    help="Exit with 3 if more of the known cells changed: 0.01, or 1%.",
+)
+
+
+@click.command("diff", cls=SectionCommand, help=HELP, short_help=COMMANDS["diff"])
+@click.argument("before", type=click.Path(path_type=Path), metavar="A")
+@click.argument("after", type=click.Path(path_type=Path), metavar="B")
+@join(picture, options.thresholds, fail_above, options.as_json, options.verbosity)
+@click.pass_obj
+def command(console: Console, /, before: Path, after: Path, **values: Any) -> None:
+    """Compare two maps, paint the changes, and hold the limit."""
+    check_picture(values["output"])
+    thresholds = take(WriteOptions, values)
+    comparison = compare_maps(load_map(before, thresholds), load_map(after, thresholds))
+    if values["output"]:
+        from occmap.writers.images import write_colours  # noqa: PLC0415  late: it brings pillow
+
+        write_colours(values["output"], paint(comparison))
+    if values["as_json"]:
+        console.put_json(comparison.to_json())
+    else:
+        console.put("\n".join(format_comparison(comparison)))
+    hold_limit(comparison, values["fail_above"])
+
+
+def check_picture(path: Path | None) -> None:
+    """Find out before the work what could not be written after it.
+
+    Raises
+    ------
+    UsageError, OutputError
+        The picture would be no PNG, or cannot be written.
+    """
+    if path is None:
+        return
+    if path.suffix.lower() != ".png":
+        raise UsageError("a picture of changes is a PNG", where=path, fix="try -o diff.png")
+    check_target(path)
+
+
+def format_comparison(comparison: Comparison) -> Iterator[str]:
+    """Sum up a comparison in a few lines."""
+    changed = sum(comparison.changed.values())
+    known = f"{comparison.share:.3%} of {comparison.known:,} known cells"
+    yield f"{'changed':<{LABEL}}{changed:,} cells, {known}"
+    for name, count in comparison.changed.items():
+        if count:
+            yield f"{'':<{LABEL}}{count:,} {name}"
+    if comparison.largest:
+        low_x, low_y, high_x, high_y = (f"{value:.6g}" for value in comparison.largest.extent)
+        where = f"x {low_x} to {high_x}, y {low_y} to {high_y}"
+        yield f"{'largest':<{LABEL}}{comparison.largest.cells:,} connected cells, {where}"
+
+
+def hold_limit(comparison: Comparison, limit: float | None) -> None:
+    """Fail where more changed than the user allows.
+
+    Raises
+    ------
+    GateError
+        Naming both shares.
+    """
+    if limit is not None and comparison.share > limit:
+        raise GateError(
+            f"{comparison.share:.3%} of the known cells changed, more than --fail-above {limit:g}"
+        )

@@ -1,0 +1,195 @@
+"""What changed between two maps on one lattice: cells by class, the largest blob, a picture."""
+
+from dataclasses import dataclass
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+
+from occmap.blobs import find_largest_blob
+from occmap.errors import MapError
+from occmap.maps import CellClass, ClassMap, Place
+from occmap.types import UInt8
+
+MAX_CELLS = 10**9
+LATTICE_TOLERANCE = 0.05
+"""In cells: other tools round the origin to millimetres."""
+SAME_RESOLUTION = 1e-6
+"""Relative: so little that it does not add up to a cell across a map."""
+
+FREE, OCCUPIED, UNKNOWN = CellClass.FREE, CellClass.OCCUPIED, CellClass.UNKNOWN
+COLOURS = {
+    (UNKNOWN, UNKNOWN): (205, 205, 205),
+    (FREE, FREE): (254, 254, 254),
+    (OCCUPIED, OCCUPIED): (0, 0, 0),
+    (FREE, OCCUPIED): (213, 94, 0),
+    (UNKNOWN, OCCUPIED): (230, 159, 0),
+    (OCCUPIED, FREE): (0, 114, 178),
+    (UNKNOWN, FREE): (86, 180, 233),
+    (OCCUPIED, UNKNOWN): (204, 121, 167),
+    (FREE, UNKNOWN): (204, 121, 167),
+}
+"""Of what a cell was and is: warm is new and occupied, blue new and free, pink lost. These are told
+apart by colour-blind people, too (Okabe and Ito, 2008)."""
+
+
+@dataclass(frozen=True)
+class ChangedBlob:
+    """Connected cells that changed."""
+
+    cells: int
+    extent: tuple[float, float, float, float]
+    """Lowest x and y, highest x and y (m; cells where the maps are bare images)"""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """How one map differs from another."""
+
+    before: UInt8
+    after: UInt8
+    """(H, W) of CellClass, over both maps; what a map does not reach is unknown in it"""
+    place: Place
+    """Where cell (0, 0) of both lies"""
+    changed: dict[str, int]
+    """Cells by what they were and are, such as "free to occupied"."""
+    known: int
+    """Cells that are occupied or free in either map"""
+    largest: ChangedBlob | None
+    """None: nothing changed"""
+
+    @property
+    def share(self) -> float:
+        """Of the known cells, those that changed."""
+        return sum(self.changed.values()) / self.known if self.known else 0.0
+
+    def to_json(self) -> dict[str, Any]:
+        """The comparison as values that JSON has."""
+        return {
+            "share": self.share,
+            "known": self.known,
+            "changed": sum(self.changed.values()),
+            "by_class": self.changed,
+            "largest_blob": self.largest
+            and {"cells": self.largest.cells, "extent": list(self.largest.extent)},
+            "columns": self.before.shape[1],
+            "rows": self.before.shape[0],
+        }
+
+
+def compare_maps(before: ClassMap, after: ClassMap) -> Comparison:
+    """Compare two maps cell by cell; they may be of different size.
+
+    Raises
+    ------
+    MapError
+        They lie on different lattices, or too far apart.
+    """
+    place, (row, col) = align(before, after)
+    low_row, low_col = min(row, 0), min(col, 0)
+    (rows, cols), (more_rows, more_cols) = before.classes.shape, after.classes.shape
+    shape = max(rows, row + more_rows) - low_row, max(cols, col + more_cols) - low_col
+    refuse_far_apart(after, shape)
+    one = place_in(shape, before.classes, (-low_row, -low_col))
+    other = place_in(shape, after.classes, (row - low_row, col - low_col))
+    corner = Place(
+        place.resolution,
+        place.x + low_col * place.resolution,
+        place.y + low_row * place.resolution,
+    )
+    return Comparison(
+        before=one,
+        after=other,
+        place=corner,
+        changed=count_changes(one, other),
+        known=int(np.count_nonzero(one | other)),
+        largest=measure_largest(one, other, corner),
+    )
+
+
+def align(before: ClassMap, after: ClassMap) -> tuple[Place, tuple[int, int]]:
+    """Find the row and column of the first map that the second one's cell (0, 0) lies on.
+
+    Raises
+    ------
+    MapError
+        There is none, or a bare image has another size than what it is compared with.
+    """
+    a, b = before.place, after.place
+    if a is None or b is None:
+        if before.classes.shape != after.classes.shape:
+            bare = before.path if a is None else after.path
+            raise MapError(
+                "a PNG does not say where it lies, and the two maps differ in size",
+                where=bare,
+                fix="compare the maps as PGM with YAML, or as .npz",
+            )
+        return a or b or Place(1.0, 0.0, 0.0), (0, 0)
+    if abs(a.resolution - b.resolution) > SAME_RESOLUTION * a.resolution:
+        raise MapError(
+            f"its cells are {b.resolution:g} m, those of {before.path} {a.resolution:g} m",
+            where=after.path,
+            fix="build both with one --resolution",
+        )
+    row, col = (b.y - a.y) / a.resolution, (b.x - a.x) / a.resolution
+    if max(abs(row - round(row)), abs(col - round(col))) > LATTICE_TOLERANCE:
+        raise MapError(
+            f"lies {col:.3f} columns and {row:.3f} rows from {before.path}: not on one lattice",
+            where=after.path,
+            fix="maps that occmap builds with one --resolution share a lattice",
+        )
+    return a, (round(row), round(col))
+
+
+def refuse_far_apart(after: ClassMap, shape: tuple[int, int]) -> None:
+    """Refuse to compare maps with the world between them.
+
+    Raises
+    ------
+    MapError
+        The box around both has too many cells.
+    """
+    rows, cols = shape
+    if rows * cols > MAX_CELLS:
+        raise MapError(
+            f"both maps together take {cols} x {rows} cells, too many to compare",
+            where=after.path,
+            fix="check that both are in one map frame",
+        )
+
+
+def place_in(shape: tuple[int, int], classes: UInt8, at: tuple[int, int]) -> UInt8:
+    """Put a map into a larger one of unknown cells."""
+    if classes.shape == shape:
+        return classes
+    larger = np.full(shape, UNKNOWN, np.uint8)
+    larger[at[0] : at[0] + classes.shape[0], at[1] : at[1] + classes.shape[1]] = classes
+    return larger
+
+
+def count_changes(before: UInt8, after: UInt8) -> dict[str, int]:
+    """Count cells by what they were and are, where these differ."""
+    counts = np.bincount((3 * before + after).ravel(), minlength=9)
+    return {
+        f"{was.name.lower()} to {now.name.lower()}": int(counts[3 * was + now])
+        for was, now in permutations(CellClass, 2)
+    }
+
+
+def measure_largest(before: UInt8, after: UInt8, place: Place) -> ChangedBlob | None:
+    """Find the largest connected change and where it lies."""
+    blob = find_largest_blob(before != after)
+    if blob is None:
+        return None
+    size = place.resolution
+    low = place.x + blob.col * size, place.y + blob.row * size
+    high = place.x + blob.col_end * size, place.y + blob.row_end * size
+    return ChangedBlob(blob.cells, (*low, *high))
+
+
+def paint(comparison: Comparison) -> UInt8:
+    """(H, W, 3) red, green, blue, highest y on top: the map, and in colour what changed."""
+    table = np.zeros((3, 3, 3), np.uint8)
+    for (was, now), colour in COLOURS.items():
+        table[was, now] = colour
+    return table[comparison.before, comparison.after][::-1]

@@ -1,0 +1,246 @@
+"""Maps that were written, read back as what their cells are, whatever the format.
+
+A cell is occupied, free, or neither; a map image does not tell a cell that nothing observed from
+one that stayed undecided, so both are unknown here.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from occmap.errors import MapError, UsageError
+from occmap.types import Bool, Int64, UInt8
+from occmap.writers import MapMode, WriteOptions
+
+YAML_BYTES = 1 << 20
+"""A map's YAML has seven lines."""
+
+
+class CellClass(IntEnum):
+    """What a cell is."""
+
+    UNKNOWN = 0
+    FREE = 1
+    OCCUPIED = 2
+
+
+class Place(NamedTuple):
+    """Where a map lies in the world."""
+
+    resolution: float
+    """Side of a cell (m)"""
+    x: float
+    y: float
+    """Lower-left corner of cell (0, 0) (m)"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClassMap:
+    """A map as classes of cells."""
+
+    path: Path
+    classes: UInt8
+    """(H, W) of CellClass; row 0 is the lowest y"""
+    place: Place | None
+    """None: a bare image, which says nothing of the world"""
+
+
+def load_map(path: Path, thresholds: WriteOptions) -> ClassMap:
+    """Load a map that was written before.
+
+    Parameters
+    ----------
+    path
+        A map_server YAML, a PGM with its YAML beside it, or a PNG of probabilities.
+    thresholds
+        For formats that hold probabilities; a YAML states its own.
+
+    Raises
+    ------
+    UsageError
+        Not a format of maps.
+    MapError
+        A file is missing or damaged.
+    """
+    loader = LOADERS.get(path.suffix.lower())
+    if loader is None:
+        raise UsageError(
+            f"the suffix {path.suffix!r} is none of a map",
+            where=path,
+            fix=f"maps are {', '.join(LOADERS)}",
+        )
+    if not path.is_file():
+        raise MapError("no such file", where=path, fix="check the path")
+    return loader(path, thresholds)
+
+
+def load_yaml(path: Path, _thresholds: WriteOptions) -> ClassMap:
+    """Load the image that a map_server YAML names, by the thresholds that it states.
+
+    Raises
+    ------
+    MapError
+        The YAML or its image is missing, damaged or not of a map.
+    """
+    meta = parse_meta(path, read_yaml(path))
+    return ClassMap(path, classify(path.parent / meta.image, meta), meta.place)
+
+
+def load_pgm(path: Path, _thresholds: WriteOptions) -> ClassMap:
+    """Load a PGM by the YAML of its name.
+
+    Raises
+    ------
+    MapError
+        There is no such YAML, or as `load_yaml`.
+    """
+    beside = path.with_suffix(".yaml")
+    if not beside.is_file():
+        raise MapError(f"there is no {beside.name} beside it", where=path, fix="give the YAML")
+    meta = parse_meta(beside, read_yaml(beside))
+    return ClassMap(path, classify(path, meta), meta.place)
+
+
+def load_png(path: Path, thresholds: WriteOptions) -> ClassMap:
+    """Load a PNG as occmap writes it: dark is occupied, transparent unknown.
+
+    Raises
+    ------
+    MapError
+        It cannot be read.
+    """
+    meta = Meta(path.name, MapMode.TRINARY, thresholds.occupied_thresh, thresholds.free_thresh)
+    return ClassMap(path, classify(path, meta), None)
+
+
+LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {
+    ".pgm": load_pgm,
+    ".yaml": load_yaml,
+    ".yml": load_yaml,
+    ".png": load_png,
+}
+
+
+@dataclass(frozen=True)
+class Meta:
+    """What a map_server YAML says (wiki.ros.org/map_server)."""
+
+    image: str
+    mode: MapMode
+    occupied_thresh: float
+    free_thresh: float
+    negate: bool = False
+    place: Place | None = None
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """Read a YAML file of names and values.
+
+    Raises
+    ------
+    MapError
+        It is none.
+    """
+    from ruamel.yaml import YAML  # noqa: PLC0415  late: it takes long to load
+    from ruamel.yaml.error import YAMLError  # noqa: PLC0415
+
+    try:
+        with path.open("rb") as file:
+            text = file.read(YAML_BYTES).decode("utf-8")
+        values = YAML(typ="safe", pure=True).load(text)
+    except OSError as error:
+        raise MapError(f"cannot be read ({error.strerror})", where=path) from None
+    except (YAMLError, ValueError, RecursionError) as error:
+        reason = str(error).partition("\n")[0]
+        raise MapError(f"is no YAML ({reason})", where=path) from None
+    if not isinstance(values, dict):
+        raise MapError("is no YAML of a map: it holds no names with values", where=path)
+    return values
+
+
+def parse_meta(path: Path, values: dict[str, Any]) -> Meta:
+    """Check what a map_server YAML says.
+
+    Raises
+    ------
+    MapError
+        A value is missing or impossible, or the map is turned.
+    """
+    image, mode = values.get("image"), values.get("mode", MapMode.TRINARY.value)
+    if not isinstance(image, str):
+        raise MapError("names no image", where=path, fix="add a line such as `image: map.pgm`")
+    if mode not in list(MapMode):
+        raise MapError(f"{mode!r} is no mode of a map", where=path, fix="trinary, scale or raw")
+    resolution, occupied, free = (
+        parse_number(path, name, values.get(name))
+        for name in ("resolution", "occupied_thresh", "free_thresh")
+    )
+    if not resolution > 0:
+        raise MapError(f"a resolution of {resolution} m is not possible", where=path)
+    negate = parse_number(path, "negate", values.get("negate", 0)) != 0
+    place = Place(resolution, *parse_origin(path, values.get("origin")))
+    return Meta(image, MapMode(mode), occupied, free, negate, place)
+
+
+def parse_number(path: Path, name: str, value: object) -> float:
+    """Check a number of a map_server YAML.
+
+    Raises
+    ------
+    MapError
+        It is missing or none.
+    """
+    if isinstance(value, int | float) and math.isfinite(value):
+        return float(value)
+    raise MapError(f"{name} is {value!r}, where a number belongs", where=path)
+
+
+def parse_origin(path: Path, value: object) -> tuple[float, float]:
+    """Check the origin of a map_server YAML: x, y and a yaw of 0.
+
+    Raises
+    ------
+    MapError
+        It is missing, or the map is turned.
+    """
+    if not isinstance(value, list) or len(value) != 3:
+        raise MapError(f"origin is {value!r}, where [x, y, yaw] belongs", where=path)
+    x, y, yaw = (parse_number(path, "a value of origin", each) for each in value)
+    if yaw:
+        raise MapError(f"the map is turned by {yaw} rad: it lies on no lattice", where=path)
+    return x, y
+
+
+def classify(image: Path, meta: Meta) -> UInt8:
+    """(H, W) of CellClass, row 0 lowest, by the rules of map_server.
+
+    Raises
+    ------
+    MapError
+        The image cannot be read.
+    """
+    from occmap.writers.images import read_grey  # noqa: PLC0415  late: it brings pillow
+
+    grey, visible = read_grey(image)
+    levels = np.arange(256)
+    if meta.mode is MapMode.RAW:
+        occupied, free = classify_percent(levels, meta)
+    else:
+        occupancy = (levels if meta.negate else 255 - levels) / 255
+        occupied, free = occupancy > meta.occupied_thresh, occupancy < meta.free_thresh
+    table = np.select([occupied, free], [CellClass.OCCUPIED, CellClass.FREE], CellClass.UNKNOWN)
+    classes: UInt8 = np.where(visible, table.astype(np.uint8)[grey], np.uint8(CellClass.UNKNOWN))
+    return classes[::-1]
+
+
+def classify_percent(levels: Int64, meta: Meta) -> tuple[Bool, Bool]:
+    """Which values of a raw map are occupied, and which free; above 100 they are neither."""
+    known = levels <= 100
+    occupied: Bool = known & (levels >= 100 * meta.occupied_thresh)
+    free: Bool = known & (levels <= 100 * meta.free_thresh)
+    return occupied, free

@@ -1,0 +1,67 @@
+"""Images in and out, through pillow."""
+
+import struct
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from occmap.errors import MapError
+from occmap.types import Bool, UInt8
+from occmap.writers.atomic import open_atomic
+
+FORMATS = ("PPM", "PNG", "BMP")
+"""What map servers load; PPM is pillow's name for the family of PGM."""
+EIGHT_BIT_MODES = ("1", "L", "LA", "P", "RGB", "RGBA")
+DECODING_ERRORS = (OSError, SyntaxError, ValueError, EOFError, struct.error)
+"""What pillow raises on damaged files."""
+
+
+class GreyImage(NamedTuple):
+    """An image as map servers see it."""
+
+    grey: UInt8
+    """(H, W), first row on top"""
+    visible: Bool
+    """(H, W): not fully transparent"""
+
+
+def read_grey(path: Path) -> GreyImage:
+    """Read an image as shades of grey.
+
+    Raises
+    ------
+    MapError
+        It cannot be read, is cut, too large, or not of 8 bits a channel.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            with Image.open(path, formats=FORMATS) as image:
+                mode, pixels = image.mode, np.asarray(image.convert("LA"))
+    except FileNotFoundError:
+        raise MapError("no such file", where=path, fix="check the path") from None
+    except UnidentifiedImageError:
+        raise MapError("is no PGM, PNG or BMP image", where=path) from None
+    except Image.DecompressionBombError as error:
+        raise MapError(f"is too large: {error}", where=path) from None
+    except DECODING_ERRORS as error:
+        reason = getattr(error, "strerror", None) or error
+        raise MapError(f"the image cannot be read ({reason})", where=path) from None
+    if mode not in EIGHT_BIT_MODES:
+        raise MapError(f"pixels of the kind {mode} are no map", where=path, fix="save it as 8 bit")
+    return GreyImage(pixels[..., 0], pixels[..., 1] > 0)
+
+
+def write_colours(path: Path, pixels: UInt8) -> None:
+    """Write (H, W, 3) red, green, blue, first row on top, as a PNG.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written; then nothing is left behind.
+    """
+    with open_atomic(path) as file:
+        Image.fromarray(pixels).save(file, format="PNG")

@@ -1,0 +1,91 @@
+"""`occmap diff`: text, JSON, picture, and the limit that a pipeline sets."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from occmap.cli.values import parse_share
+from occmap.errors import UsageError
+from occmap.writers import WriteOptions, find_writer
+from tests.cli.runner import occmap, read_error
+from tests.writers.maps import map_of_art
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Work in a folder with two maps that differ in one of five known cells."""
+    monkeypatch.chdir(tmp_path)
+    for name, art in (("a", "#.? ..#"), ("b", "#.? .##")):
+        for suffix in (".pgm", ".png"):
+            path = Path(name + suffix)
+            find_writer(path).write(path, map_of_art(art), WriteOptions())
+    return tmp_path
+
+
+def test_the_text_says_what_changed() -> None:
+    result = occmap("diff", "a.pgm", "b.yaml")
+    assert (result.code, result.err) == (0, "")
+    assert result.out.splitlines() == [
+        "changed  1 cells, 20.000% of 5 known cells",
+        "         1 free to occupied",
+        "largest  1 connected cells, x 0.05 to 0.1, y 0 to 0.05",
+    ]
+
+
+@pytest.mark.parametrize("names", [("a.pgm", "b.png"), ("a.png", "b.png")])
+def test_formats_may_be_mixed(names: tuple[str, str]) -> None:
+    assert "1 free to occupied" in occmap("diff", *names).out
+
+
+def test_json() -> None:
+    found = json.loads(occmap("diff", "a.pgm", "b.pgm", "--json").out)
+    assert (found["share"], found["changed"], found["known"]) == (0.2, 1, 5)
+    assert found["by_class"]["free to occupied"] == 1
+    assert found["largest_blob"] == {"cells": 1, "extent": [0.05, 0.0, 0.1, 0.05]}
+    assert json.loads(occmap("diff", "a.pgm", "a.pgm", "--json").out)["largest_blob"] is None
+
+
+def test_the_picture_is_painted() -> None:
+    assert occmap("diff", "a.pgm", "b.pgm", "-o", "d.png").code == 0
+    with Image.open("d.png") as image:
+        pixels = np.asarray(image)
+    assert pixels[1, 1].tolist() == [213, 94, 0]
+
+
+@pytest.mark.parametrize(("limit", "code"), [("0.2", 0), ("20%", 0), ("19.9%", 3), ("0", 3)])
+def test_the_limit_is_held(limit: str, code: int) -> None:
+    result = occmap("diff", "a.pgm", "b.pgm", "--fail-above", limit, "-o", "d.png")
+    assert result.code == code
+    assert "changed  1 cells" in result.out
+    assert Path("d.png").exists()
+    assert ("more than --fail-above" in result.err) == (code == 3)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "found"),
+    [
+        (["x.pgm", "a.pgm"], 1, "x.pgm: no such file; check the path"),
+        (["a.pgm", "a.log"], 2, "a.log: the suffix '.log' is none of a map"),
+        (["a.pgm"], 2, "Missing argument 'B'"),
+        (["a.pgm", "b.pgm", "-o", "d.jpg"], 2, "d.jpg: a picture of changes is a PNG"),
+        (["a.pgm", "b.pgm", "-o", "no/d.png"], 1, "the folder no does not exist"),
+        (["a.pgm", "b.pgm", "--fail-above", "lots"], 2, "'lots' is not a number"),
+        (["a.pgm", "b.pgm", "--occupied-thresh", "0.1"], 2, "0 < free < occupied < 1"),
+    ],
+)
+def test_bad_input_is_one_line(words: list[str], code: int, found: str) -> None:
+    assert found in read_error(occmap("diff", *words), code)
+
+
+@pytest.mark.parametrize(("text", "share"), [("0.05", 0.05), ("5%", 0.05), ("0", 0), ("100%", 1)])
+def test_shares(text: str, share: float) -> None:
+    assert parse_share(text) == pytest.approx(share)
+
+
+@pytest.mark.parametrize("text", ["5", "-1%", "nan", "%", "101%"])
+def test_what_is_no_share(text: str) -> None:
+    with pytest.raises(UsageError, match=r"write a share such as 0\.05 or 5%"):
+        parse_share(text)

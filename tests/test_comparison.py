@@ -1,0 +1,102 @@
+"""What changed between two maps, on drawings small enough to count by hand."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from occmap.comparison import ChangedBlob, Comparison, compare_maps, paint
+from occmap.errors import MapError
+from occmap.maps import ClassMap, Place
+
+AT_ZERO = Place(0.5, 0.0, 0.0)
+
+
+def map_at(art: str, place: Place | None = AT_ZERO, name: str = "m.pgm") -> ClassMap:
+    """Build a map from a drawing, top line = highest y."""
+    rows = [["?.#".index(letter) for letter in line] for line in art.split()]
+    return ClassMap(Path(name), np.array(rows[::-1], np.uint8), place)
+
+
+def list_changes(comparison: Comparison) -> dict[str, int]:
+    return {name: count for name, count in comparison.changed.items() if count}
+
+
+def test_a_map_equals_itself() -> None:
+    comparison = compare_maps(map_at("#.? ..."), map_at("#.? ..."))
+    assert (list_changes(comparison), comparison.share, comparison.largest) == ({}, 0.0, None)
+    assert comparison.known == 5
+
+
+def test_changes_are_counted_by_class() -> None:
+    comparison = compare_maps(map_at("##.?? #...?"), map_at("#.#.? ?...#"))
+    assert list_changes(comparison) == {
+        "occupied to free": 1,
+        "free to occupied": 1,
+        "unknown to free": 1,
+        "occupied to unknown": 1,
+        "unknown to occupied": 1,
+    }
+    assert comparison.known == 9
+    assert comparison.share == pytest.approx(5 / 9)
+    # The three in the upper row and the one below their end; the other touches none of them.
+    assert comparison.largest == ChangedBlob(5, (0.0, 0.0, 2.5, 1.0))
+
+
+def test_maps_of_different_size_are_compared_where_they_lie() -> None:
+    before = map_at("#. ..", Place(0.5, 0.0, 0.0))
+    after = map_at(".. #.", Place(0.5, -0.5, 0.5))  # one column to the left, one row up
+    comparison = compare_maps(before, after)
+    assert comparison.before.shape == comparison.after.shape == (3, 3)
+    # Below lost: two; above and on the left new: three; the wall is free now.
+    assert list_changes(comparison) == {
+        "free to unknown": 3,
+        "unknown to free": 2,
+        "unknown to occupied": 1,
+        "occupied to free": 1,
+    }
+    assert comparison.place == Place(0.5, -0.5, 0.0)
+
+
+def test_swapping_the_maps_swaps_the_changes() -> None:
+    a, b = map_at("#.?."), map_at("..#?", Place(0.5, 1.0, 0.0))
+    forth, back = compare_maps(a, b), compare_maps(b, a)
+    mirrored = {" to ".join(name.split(" to ")[::-1]): n for name, n in back.changed.items()}
+    assert forth.changed == mirrored
+    assert (forth.share, forth.largest) == (back.share, back.largest)
+
+
+def test_an_origin_rounded_to_millimetres_is_on_the_lattice() -> None:
+    after = map_at("#.", Place(0.5, 1e-3, -1e-3))
+    assert list_changes(compare_maps(map_at("#."), after)) == {}
+
+
+@pytest.mark.parametrize(
+    ("place", "found"),
+    [
+        (Place(0.25, 0.0, 0.0), "its cells are 0.25 m, those of m.pgm 0.5 m"),
+        (Place(0.5, 0.25, 0.0), "lies 0.500 columns and 0.000 rows from m.pgm: not on one lattice"),
+        (Place(0.5, 1e6, 1e6), "too many to compare"),
+    ],
+)
+def test_maps_on_other_lattices_are_refused(place: Place, found: str) -> None:
+    with pytest.raises(MapError, match=rf"^b.pgm: .*{found}"):
+        compare_maps(map_at("#."), map_at("#.", place, "b.pgm"))
+
+
+def test_a_bare_image_is_compared_with_a_map_of_its_size() -> None:
+    bare = map_at("..", None, "b.png")
+    assert list_changes(compare_maps(map_at("#."), bare)) == {"occupied to free": 1}
+    with pytest.raises(MapError, match=r"^b.png: a PNG does not say where it lies"):
+        compare_maps(map_at("#.."), bare)
+
+
+def test_nothing_known_is_nothing_changed() -> None:
+    assert compare_maps(map_at("??"), map_at("??")).share == 0.0
+
+
+def test_the_picture_has_the_highest_row_on_top() -> None:
+    picture = paint(compare_maps(map_at("#. .."), map_at("## ..")))
+    assert picture.shape == (2, 2, 3)
+    assert picture[0].tolist() == [[0, 0, 0], [213, 94, 0]]
+    assert picture[1].tolist() == [[254] * 3, [254] * 3]

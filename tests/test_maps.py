@@ -1,0 +1,130 @@
+"""Written maps are read back as what they were; damaged ones are one line."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from occmap.errors import MapError, UsageError
+from occmap.maps import CellClass, Place, load_map
+from occmap.types import UInt8
+from occmap.writers import MapMode, WriteOptions, find_writer
+from tests.writers.maps import map_of, map_of_art
+
+OPTIONS = WriteOptions()
+ART = """
+    #..?
+    ..#-
+"""
+META = "image: m.pgm\nresolution: 0.05\norigin: [-1.0, 2.0, 0.0]\nnegate: 0\n"
+THRESHOLDS = "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
+
+
+def draw(classes: UInt8) -> str:
+    """Top line = highest y; undecided cells look unknown."""
+    return " ".join("".join("?.#"[cell] for cell in row) for row in classes[::-1])
+
+
+@pytest.mark.parametrize("mode", MapMode)
+def test_every_mode_of_a_pgm_is_read_back(tmp_path: Path, mode: MapMode) -> None:
+    grid = map_of_art(ART)
+    find_writer(Path("m.pgm")).write(tmp_path / "m.pgm", grid, WriteOptions(mode))
+    for name in ("m.pgm", "m.yaml"):
+        loaded = load_map(tmp_path / name, OPTIONS)
+        assert draw(loaded.classes) == "#..? ..#?"
+        assert loaded.place == Place(0.05, 0.0, 0.0)
+
+
+def test_a_png_is_read_back_by_the_thresholds_given(tmp_path: Path) -> None:
+    find_writer(Path("m.png")).write(tmp_path / "m.png", map_of([[0.7, 0.3, np.nan]]), OPTIONS)
+    loaded = load_map(tmp_path / "m.png", OPTIONS)
+    assert (draw(loaded.classes), loaded.place) == ("#??", None)
+    loaded = load_map(tmp_path / "m.png", WriteOptions(occupied_thresh=0.8, free_thresh=0.4))
+    assert draw(loaded.classes) == "?.?"
+
+
+def write_foreign(folder: Path, yaml: str, pixels: list[list[int]]) -> Path:
+    Image.fromarray(np.array(pixels, np.uint8)).save(folder / "m.pgm")
+    (folder / "m.yaml").write_text(yaml)
+    return folder / "m.yaml"
+
+
+def test_a_yaml_of_another_tool_is_read_by_the_rules_of_map_server(tmp_path: Path) -> None:
+    # Without a mode it is trinary; 89.25 is the grey of 0.65, and comparisons are strict.
+    text = META.replace("[-1.0, 2.0, 0.0]", "\n- -1\n- 2\n- 0") + THRESHOLDS + "# the end\n"
+    loaded = load_map(write_foreign(tmp_path, text, [[89, 90, 205, 206]]), OPTIONS)
+    assert draw(loaded.classes) == "#??."
+    assert loaded.place == Place(0.05, -1.0, 2.0)
+
+
+def test_negate_turns_black_and_white(tmp_path: Path) -> None:
+    path = write_foreign(tmp_path, META.replace("negate: 0", "negate: 1") + THRESHOLDS, [[0, 255]])
+    assert draw(load_map(path, OPTIONS).classes) == ".#"
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("", "holds no names with values"),
+        ("- 1\n- 2\n", "holds no names with values"),
+        ("a: [1\n", "is no YAML"),
+        ("a: \xff\n", "names no image"),
+        (THRESHOLDS, "names no image"),
+        (META, "occupied_thresh is None, where a number belongs"),
+        (META.replace("0.05", ".nan") + THRESHOLDS, "resolution is nan, where a number"),
+        (META.replace("0.05", "0") + THRESHOLDS, "a resolution of 0.0 m is not possible"),
+        (META.replace("2.0, 0.0", "2.0") + THRESHOLDS, "where [x, y, yaw] belongs"),
+        (META.replace("2.0, 0.0", "2.0, 0.1") + THRESHOLDS, "the map is turned by 0.1 rad"),
+        (META + THRESHOLDS + "mode: grey\n", "'grey' is no mode of a map"),
+        (META.replace("m.pgm", "x.pgm") + THRESHOLDS, "x.pgm: no such file"),
+    ],
+)
+def test_a_yaml_that_does_not_do_is_one_line(tmp_path: Path, text: str, found: str) -> None:
+    path = write_foreign(tmp_path, text, [[0]])
+    with pytest.raises(MapError) as caught:
+        load_map(path, OPTIONS)
+    assert str(caught.value).startswith(str(tmp_path))
+    assert found in str(caught.value)
+
+
+def test_a_file_that_is_no_map_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"suffix '.txt' is none of a map; maps are .pgm"):
+        load_map(tmp_path / "m.txt", OPTIONS)
+    with pytest.raises(MapError, match=r"m.png: no such file"):
+        load_map(tmp_path / "m.png", OPTIONS)
+    (tmp_path / "m.png").write_bytes(b"no image")
+    with pytest.raises(MapError, match=r"m.png: is no PGM, PNG or BMP image"):
+        load_map(tmp_path / "m.png", OPTIONS)
+    (tmp_path / "m.pgm").write_bytes(b"P5 2 2 255\n")
+    with pytest.raises(MapError, match=r"m.pgm: there is no m.yaml beside it; give the YAML"):
+        load_map(tmp_path / "m.pgm", OPTIONS)
+
+
+@pytest.mark.parametrize("name", ["m.png", "m.pgm"])
+def test_a_cut_or_altered_image_raises_nothing_else(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    find_writer(path).write(path, map_of(np.full((9, 9), 0.9)), OPTIONS)
+    whole = path.read_bytes()
+    with pytest.raises(MapError):
+        load_map(cut(path, whole[:-30]), OPTIONS)
+    for position in range(len(whole)):
+        for damaged in (
+            whole[:position],
+            whole[:position] + bytes([whole[position] ^ 0xFF]) + whole[position + 1 :],
+        ):
+            try:
+                assert load_map(cut(path, damaged), OPTIONS).classes.max() <= CellClass.OCCUPIED
+            except MapError as error:
+                assert str(error).startswith(str(path))  # noqa: PT017  some damage does not show
+
+
+def cut(path: Path, content: bytes) -> Path:
+    path.write_bytes(content)
+    return path
+
+
+def test_an_image_of_16_bits_is_refused(tmp_path: Path) -> None:
+    Image.fromarray(np.zeros((2, 2), np.uint16)).save(tmp_path / "m.png")
+    with pytest.raises(MapError, match="are no map; save it as 8 bit"):
+        load_map(tmp_path / "m.png", OPTIONS)
