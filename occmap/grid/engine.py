@@ -6,7 +6,7 @@ from threading import Lock
 import numpy as np
 
 from occmap.errors import MapError
-from occmap.grid.lattice import CellBox
+from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.tiles import EvidenceKind, TileGrid, refuse_large
 from occmap.grid.windows import Observation, Projected, Window, choose_window, project
 from occmap.types import Rays, Update
@@ -20,6 +20,8 @@ MOST_PARTS = 64
 MAX_CELLS = 10**9
 MARGIN = 4
 """A box around rays has room beside them, but never three times as much as they need."""
+FARTHEST_UNIT = 1 << 52
+"""Beyond this a float cannot tell lattice units apart."""
 MOST_CELLS_OF_BEAM = 1 << 22
 """Beyond this the kernels' integers could overflow."""
 
@@ -50,16 +52,18 @@ class GridEngine:
         Raises
         ------
         MapError
-            A beam is too long for the resolution, or one scan makes too large a map.
+            A sensor is too far away or a beam too long for the resolution, or one scan makes too
+            large a map.
         """
+        refuse_far_sensors(rays, self.what.lattice)
         if self.what.update is Update.POLYGON:
             rays = join_viewpoints(rays)
+        refuse_long_beams(rays, self.what.lattice.resolution)
         most = self._window_type.most_observations
         if rays.kind.size > most and len(rays.kind) > 1:
             self._add_halves(rays)
             return
         projected = project(rays, self.what)
-        refuse_long_beams(projected, self.what.lattice.resolution)
         if projected.box.cells <= self._window_cells:
             self._trace(projected)
         elif projected.box.cells > MOST_PARTS * self._window_cells and len(rays.kind) > 1:
@@ -121,7 +125,25 @@ def split_box(box: CellBox, most_cells: int) -> list[CellBox]:
     ]
 
 
-def refuse_long_beams(projected: Projected, resolution: float) -> None:
+def refuse_far_sensors(rays: Rays, lattice: Lattice) -> None:
+    """Refuse places that are no whole number of lattice units in a float, or not finite.
+
+    Raises
+    ------
+    MapError
+        Saying how far away the farthest is.
+    """
+    farthest = float(np.abs(rays.origin).max(initial=0.0))
+    if not farthest * lattice.units_per_metre < FARTHEST_UNIT:
+        raise MapError(
+            f"a sensor {farthest:.6g} m from the map's zero is too far away for cells of "
+            f"{lattice.resolution} m",
+            fix="if a pose is wrong, leave it out with --start and --end; else use a coarser "
+            "--resolution",
+        )
+
+
+def refuse_long_beams(rays: Rays, resolution: float) -> None:
     """Refuse beams of more cells than a kernel's integers can hold.
 
     Raises
@@ -129,7 +151,7 @@ def refuse_long_beams(projected: Projected, resolution: float) -> None:
     MapError
         Saying how long the longest beam is.
     """
-    longest = float(projected.rays.distance.max(initial=0.0))
+    longest = float(rays.distance.max(initial=0.0))
     if longest / resolution > MOST_CELLS_OF_BEAM:
         raise MapError(
             f"a beam of {longest:.6g} m is too long for cells of {resolution} m",

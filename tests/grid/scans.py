@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from occmap.grid.engine import WINDOW_CELLS, GridEngine
 from occmap.grid.tiles import TILE, TileGrid
 from occmap.grid.windows import Observation
-from occmap.types import Float64, Int64, Kind, Rays, UInt8
+from occmap.types import Float64, Kind, Rays, UInt8
 from tests.grid.reference import Cell
 
 MIXED = [(0.1, 0.1, 0.8), (0.3, 0.3, 0.4), (0.02, 0.08, 0.9)]
@@ -150,6 +150,31 @@ def drives(
     return Drive(rays, resolution)
 
 
+TWELVE = [
+    (5, 0), (4, 3), (3, 4), (0, 5), (-3, 4), (-4, 3), (-5, 0), (-4, -3), (-3, -4), (0, -5),
+    (3, -4), (4, -3),
+]  # fmt: skip
+"""Of length 5, all the way round: five cells along any of them ends on the lattice again."""
+
+
+@st.composite
+def aligned_drives(draw: st.DrawFn) -> Drive:
+    """One scan of a full circle or less in which all lies on centres and borders of cells."""
+    resolution = draw(st.sampled_from([0.25, 1.0]))
+    beams = draw(st.integers(1, 12))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    distance = rng.integers(0, 7, (1, beams)) * draw(st.sampled_from([1.0, 2.5]))
+    kind = draw(kinds((1, beams)))
+    rays = Rays.along(
+        origin=rng.integers(-4, 5, (1, 1, 2)) * resolution / 2,
+        direction=np.array([TWELVE[:: draw(st.sampled_from([1, -1]))][:beams]]) / 5,
+        distance=(distance * resolution * (kind > 0)).astype(np.float32),
+        kind=kind,
+        full_circle=beams == 12,
+    )
+    return Drive(rays, resolution)
+
+
 def shift(rays: Rays, metres: tuple[float, float]) -> Rays:
     return Rays(
         rays.origin + np.array(metres),
@@ -159,7 +184,3 @@ def shift(rays: Rays, metres: tuple[float, float]) -> Rays:
         rays.kind,
         rays.full_circle,
     )
-
-
-def as_ints(values: Int64) -> list[int]:
-    return [int(value) for value in values.ravel()]

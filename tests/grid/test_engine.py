@@ -23,6 +23,7 @@ from tests.grid.scans import (
     MANY,
     Drive,
     aim,
+    aligned_drives,
     drives,
     observe,
     read_cells,
@@ -82,6 +83,21 @@ def test_polygon_update_follows_the_rule(
     what = Observation(Update.POLYGON, Lattice(resolution), jump, border_gap)
     expected = reference.trace_polygons(join_viewpoints(rays), resolution, jump, border_gap)
     assert observe(what, [rays], window_cells) == expected
+
+
+@pytest.mark.parametrize("update", list(Update))
+@MANY
+@given(drive=aligned_drives())
+def test_centres_that_lie_on_edges_and_ends_that_lie_on_borders(
+    update: Update, drive: Drive
+) -> None:
+    rays, resolution = drive
+    what = Observation(update, Lattice(resolution), 2 * resolution)
+    if update is Update.BEAM:
+        expected = reference.trace_beams(rays, resolution)
+    else:
+        expected = reference.trace_polygons(rays, resolution, what.jump)
+    assert observe(what, [rays]) == expected
 
 
 @KINDS_OF_MAP
@@ -222,6 +238,21 @@ def test_a_beam_that_is_too_long_is_refused_with_what_to_do() -> None:
         "a beam of 3e+06 m is too long for cells of 0.05 m; limit ranges with --max-range, or use "
         "a coarser --resolution"
     )
+
+
+@pytest.mark.parametrize("update", list(Update))
+@pytest.mark.parametrize("metres", [1e12, 1e300, -1e300, float("inf"), float("nan")])
+def test_a_sensor_that_is_too_far_away_is_refused(update: Update, metres: float) -> None:
+    rays = one_scan([3.0, 3.0], [Kind.HIT] * 2)
+    with pytest.raises(MapError, match=r"is too far away for cells of 0\.05 m; if a pose is wrong"):
+        make_engine(update).add(shift(rays, (0.0, metres)))
+
+
+def test_cells_that_are_too_small_are_refused() -> None:
+    rays = one_scan([3.0, 3.0], [Kind.HIT] * 2)
+    for resolution in (1e-9, 1e-300, 5e-324):
+        with pytest.raises(MapError, match="use a coarser --resolution"):
+            make_engine(resolution=resolution).add(rays)
 
 
 @KINDS_OF_MAP
