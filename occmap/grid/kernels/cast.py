@@ -1,0 +1,142 @@
+"""Casts measured beams through a finished map, to ask how well the map foretold them.
+
+A beam visits exactly the cells that it crosses, from the sensor's true position (Amanatides and Woo
+1987). The place of a cell on a beam is the middle of the beam's way through it.
+"""
+
+import math
+
+import numpy as np
+
+from occmap.grid.kernels.jit import kernel
+from occmap.types import Float32, Float64, UInt8
+
+NEAR = 2.0
+"""Cells: what lies so near to the measured range is what the beam met."""
+UNIFORM = 0.05
+"""Share of returns from just anywhere: people, glass, wrong poses (Thrun, Burgard, Fox 2005, ch.
+6); of these, the same share comes from near the measured range by chance."""
+UNKNOWN = 0.5
+CERTAIN = 0.001
+"""No cell costs more than if the map had given what was found there this probability, so that one
+cell in thousands does not decide."""
+FOLLOWED = 64
+"""So many unknown cells stop a beam with certainty; there is no likelihood left after them."""
+
+
+@kernel
+def cast_beams(
+    origin: Float64,
+    turn: Float64,
+    bearing: Float64,
+    distance: Float32,
+    kinds: UInt8,
+    probability: Float32,
+    free_cost: Float32,
+    corner: tuple[float, float],
+    resolution: float,
+    totals: Float64,
+) -> None:
+    """Score a map by beams that it was not made from.
+
+    Parameters
+    ----------
+    origin, turn, bearing, distance, kinds
+        (S, K, 2), (S, K, 2, 2), (2, B), (S, B), (S, B) as in `Rays`.
+    probability
+        (H, W) of being occupied, 0.5 where unknown.
+    free_cost
+        (H, W) -ln(1 - probability), bounded by CERTAIN.
+    corner
+        x and y of the map's lower-left corner (m).
+    totals
+        (6,) added to: HIT beams; those whose first occupied cell is near the measured range; the
+        log-likelihoods of their ranges; the costs of the cells that they ended in; cells that any
+        beam found free; the costs of those.
+    """
+    scans, beams = distance.shape
+    viewpoints, turns = origin.shape[1], turn.shape[1]
+    for s in range(scans):
+        for b in range(beams):
+            k, t = min(b, viewpoints - 1), min(b, turns - 1)
+            along_x = turn[s, t, 0, 0] * bearing[0, b] + turn[s, t, 0, 1] * bearing[1, b]
+            along_y = turn[s, t, 1, 0] * bearing[0, b] + turn[s, t, 1, 1] * bearing[1, b]
+            length = np.sqrt(along_x * along_x + along_y * along_y)
+            if kinds[s, b] == 0 or length == 0:  # nothing measured, or straight up
+                continue
+            found, stopped, free, cost, end = cast_beam(
+                probability,
+                free_cost,
+                (origin[s, k, 0] - corner[0]) / resolution,
+                (origin[s, k, 1] - corner[1]) / resolution,
+                along_x / length,
+                along_y / length,
+                distance[s, b] * length / resolution,
+            )
+            if kinds[s, b] == 2:
+                totals[0] += 1
+                totals[1] += found
+                totals[2] += math.log((1 - UNIFORM) * stopped + UNIFORM * UNIFORM)
+                totals[3] -= math.log(max(end, CERTAIN))
+            else:
+                free += 1
+                cost -= math.log(max(1 - end, CERTAIN))
+            totals[4] += free
+            totals[5] += cost
+
+
+@kernel
+def cast_beam(
+    probability: Float32,
+    free_cost: Float32,
+    x: float,
+    y: float,
+    along_x: float,
+    along_y: float,
+    reach: float,
+) -> tuple[int, float, int, float, float]:
+    """Follow one beam; lengths are in cells from the map's corner.
+
+    Returns
+    -------
+    1 if the first occupied cell is near the measured range; the probability that the beam stops
+    near it; the cells before its end, and their cost; the probability of its last cell.
+    """
+    rows, cols = probability.shape
+    col, row = int(np.floor(x)), int(np.floor(y))
+    last_col, last_row = int(np.floor(x + reach * along_x)), int(np.floor(y + reach * along_y))
+    right, up = int(along_x > 0), int(along_y > 0)
+    first = -1.0
+    entry = stopped = cost = 0.0
+    survived, end, free = 1.0, UNKNOWN, 0
+    while entry <= reach + NEAR:
+        leave_x = (col + right - x) / along_x if along_x != 0 else np.inf
+        leave_y = (row + up - y) / along_y if along_y != 0 else np.inf
+        leave = min(leave_x, leave_y)
+        if leave > entry:  # not only a corner of the cell
+            p, price = UNKNOWN, math.log(2.0)
+            if 0 <= col < cols and 0 <= row < rows:
+                p, price = float(probability[row, col]), float(free_cost[row, col])
+            middle = (entry + leave) / 2
+            if p > 0.5 and first < 0:
+                first = middle
+            if abs(middle - reach) <= NEAR:
+                stopped += survived * p
+            survived *= 1 - p
+            if leave <= reach:
+                free += 1
+                cost += price
+            elif entry <= reach:
+                end = p
+            entry = leave
+        if leave_x < leave_y:
+            col += 2 * right - 1
+        else:
+            row += 2 * up - 1
+        gone_x = (col >= cols and along_x >= 0) or (col < 0 and along_x <= 0)
+        gone_y = (row >= rows and along_y >= 0) or (row < 0 and along_y <= 0)
+        if gone_x or gone_y:
+            left = abs(last_col - col) + abs(last_row - row)
+            if entry < reach and left > FOLLOWED:  # nothing but unknown cells to come
+                return 0, 0.0, free + left, cost + left * math.log(2.0), UNKNOWN
+    return int(first >= 0 and abs(first - reach) <= NEAR), stopped, free, cost, end

@@ -1,0 +1,163 @@
+"""Several ways to map the same logs, in one read: which of them foretells scans best."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from occmap.errors import LogError
+from occmap.inspection.advice import name_map
+from occmap.inspection.flags import list_given, list_repeatable
+from occmap.pipeline import (
+    BuildOptions,
+    Progress,
+    count_scans,
+    ignore_progress,
+    refuse_unused,
+    trace_log,
+)
+from occmap.readers import open_log
+from occmap.report import Made, Tally
+from occmap.scoring.trials import HoldOut, Result, Task, Trials
+from occmap.scoring.variants import Variant, shorten_model
+from occmap.types import Rays
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What was compared, on what, and how it came out."""
+
+    options: BuildOptions
+    made: Made
+    tally: Tally
+    held_out: int
+    """Scans that the maps were scored on and not made from"""
+    results: tuple[Result, ...]
+    """The best share first"""
+
+    @property
+    def command(self) -> tuple[str, ...]:
+        """The command line that builds the map of the best variant from all scans."""
+        return compose_command(self.made.logs, self.results[0].variant, self.options)
+
+    def to_json(self) -> dict[str, Any]:
+        """The comparison as values that JSON has."""
+        tally = self.tally
+        return {
+            "logs": self.made.logs,
+            "scans": {
+                "read": tally.scans_read,
+                "used": tally.scans_used,
+                "held_out": self.held_out,
+                "dropped": tally.dropped,
+            },
+            "resolution": self.options.resolution,
+            "variants": [result_to_json(result) for result in self.results],
+            "best": self.results[0].variant.name,
+            "command": list(self.command),
+            "notes": self.made.notes,
+            "damage": self.made.damage,
+            "files": self.made.files,
+        }
+
+
+def compare(
+    paths: Sequence[Path],
+    variants: Sequence[Variant],
+    options: BuildOptions,
+    progress: Progress = ignore_progress,
+) -> Comparison:
+    """Map logs in several ways, with every fifth scan held out, and score the maps on those.
+
+    The held-out scans stay in memory: five bytes a beam.
+
+    Parameters
+    ----------
+    options
+        Shared by all variants; its own update and model do not matter.
+
+    Raises
+    ------
+    OccmapError
+        As `build`, or no held-out beam measured a range.
+    """
+    tally, hold_out = Tally(), HoldOut()
+    logs = [open_log(path) for path in paths]
+    total = sum(count_scans(log, options.selection.topics) for log in logs)
+    made = Made([str(log.path) for log in logs])
+    trials = Trials(variants, options)
+    with trials.tracing() as workers:
+
+        def observe(rays: Rays) -> None:
+            seen = hold_out.split(rays)
+            for evidence in trials.evidence.values():
+                workers.give(Task(evidence, seen))
+
+        for log in logs:
+            in_order = replace(options, jobs=1)  # which scans are held out must not be chance
+            poser = trace_log(log, in_order, observe, tally, lambda scans: progress(scans, total))
+            made.note(log, poser.notes)
+    refuse_unused(logs, tally)
+    refuse_unscored(made.logs, hold_out)
+    results = tuple(trials.score(hold_out.held))
+    return Comparison(options, made, tally, hold_out.scans, results)
+
+
+def refuse_unscored(logs: Sequence[str], hold_out: HoldOut) -> None:
+    """Refuse to rank maps by nothing.
+
+    Raises
+    ------
+    LogError
+        No held-out beam measured a range.
+    """
+    if not hold_out.hits:
+        raise LogError(
+            f"no beam of the {hold_out.scans} scans held out for scoring measured a range",
+            where=", ".join(logs),
+            fix="give more scans: every fifth is held out",
+        )
+
+
+def compose_command(
+    logs: Sequence[str], variant: Variant, options: BuildOptions
+) -> tuple[str, ...]:
+    """Compose the words of an `occmap build` that makes a variant's map."""
+    flags = {**list_given(options), **list_selection(options)}
+    words = [word for flag, value in flags.items() for word in (flag, value)]
+    words += list_repeatable(options)
+    model = shorten_model(variant.model)
+    return (
+        *("occmap", "build", variant.update.value, *logs),
+        *("--model", model, *words, "-o", f"{name_map(logs[0])}.pgm"),
+    )
+
+
+def list_selection(options: BuildOptions) -> dict[str, str]:
+    """List which scans and surfaces a user chose other than the defaults, as flags."""
+    default, chosen = BuildOptions(), options.selection
+    pairs = {
+        "--start": (chosen.start_s, default.selection.start_s),
+        "--end": (chosen.end_s, default.selection.end_s),
+        "--stride": (chosen.stride, default.selection.stride),
+        "--jump": (options.jump, default.jump),
+        "--border-gap": (options.border_gap, default.border_gap),
+        "--max-cells": (options.max_cells, default.max_cells),
+    }
+    return {flag: f"{value:.12g}" for flag, (value, usual) in pairs.items() if value != usual}
+
+
+def result_to_json(result: Result) -> dict[str, Any]:
+    """One variant as values that JSON has."""
+    cols, rows = reversed(result.map.shape)
+    return {
+        "name": result.variant.name,
+        "update": result.variant.update.value,
+        "model": shorten_model(result.variant.model),
+        **asdict(result.score),
+        "cross_entropy": result.score.cross_entropy,
+        "columns": cols,
+        "rows": rows,
+        "seconds": round(result.seconds, 4),
+        "bytes": result.bytes,
+    }

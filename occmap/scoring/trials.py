@@ -1,0 +1,150 @@
+"""Variants of a map that grow from the same scans, and the scans that are kept from them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import thread_time
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from occmap.pipeline import BuildOptions, make_engine, render
+from occmap.scoring.score import Score, score_map
+from occmap.scoring.variants import Variant
+from occmap.types import Bool, Kind, OccupancyMap, Rays
+from occmap.workers import Workers
+
+if TYPE_CHECKING:
+    from occmap.grid.engine import GridEngine
+    from occmap.grid.tiles import TileGrid
+
+EVERY = 5
+"""Every so manieth scan is held out ..."""
+FIRST = 2
+"""... from this one on."""
+
+
+class HoldOut:
+    """Keeps every fifth scan from the maps; the scans must come in one order, so in one thread."""
+
+    def __init__(self) -> None:
+        self.held: list[Rays] = []
+        self.scans = 0
+        self._seen = 0
+
+    def split(self, rays: Rays) -> Rays:
+        """Keep some scans, and return the others."""
+        scans = len(rays.kind)
+        kept = (self._seen + np.arange(scans)) % EVERY == FIRST
+        self._seen += scans
+        if kept.any():
+            self.held.append(take_scans(rays, kept))
+            self.scans += int(np.count_nonzero(kept))
+        return take_scans(rays, ~kept)
+
+    @property
+    def hits(self) -> int:
+        """Held-out beams that measured a range."""
+        return sum(int(np.count_nonzero(rays.kind == Kind.HIT)) for rays in self.held)
+
+
+def take_scans(rays: Rays, wanted: Bool) -> Rays:
+    """Some of the scans; (S,) says which."""
+    return replace(
+        rays,
+        origin=rays.origin[wanted],
+        turn=rays.turn[wanted],
+        distance=rays.distance[wanted],
+        kind=rays.kind[wanted],
+    )
+
+
+class Task(NamedTuple):
+    """Scans for one piece of evidence."""
+
+    evidence: "Evidence"
+    rays: Rays
+
+
+class Evidence:
+    """What one or more variants are rendered from, and the processor time that it took (s)."""
+
+    def __init__(self, options: BuildOptions) -> None:
+        observe_nothing(make_engine(options))  # so that no time is spent on loading kernels
+        self._engine = make_engine(options)
+        self._seconds: list[float] = []
+
+    def add(self, rays: Rays) -> None:
+        """Trace scans; any thread may."""
+        start = thread_time()
+        self._engine.add(rays)
+        self._seconds.append(thread_time() - start)
+
+    def finish(self) -> "TileGrid":
+        """Give all evidence."""
+        start = thread_time()
+        grid = self._engine.finish()
+        self._seconds.append(thread_time() - start)
+        return grid
+
+    @property
+    def seconds(self) -> float:
+        """Of processor time, all threads together."""
+        return sum(self._seconds)
+
+
+def observe_nothing(engine: "GridEngine") -> None:
+    """Make an engine load or compile its kernels."""
+    beam = np.array([[[1.0, 0.0]]])
+    kind = np.full((1, 1), Kind.HIT, np.uint8)
+    engine.add(Rays.along(0 * beam, beam, np.zeros((1, 1), np.float32), kind, False))
+    engine.finish()
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """A variant's map, its score and what it cost."""
+
+    variant: Variant
+    map: OccupancyMap
+    score: Score
+    seconds: float
+    """Of processor time, to trace and render"""
+    bytes: int
+    """Of the evidence"""
+
+
+class Trials:
+    """The variants of one comparison. Those that need the same evidence share it."""
+
+    def __init__(self, variants: Sequence[Variant], options: BuildOptions) -> None:
+        self._options = options
+        self.variants = variants
+        self.evidence: dict[str, Evidence] = {}
+        for variant in variants:
+            if variant.evidence not in self.evidence:
+                choice = replace(options, update=variant.update, model=variant.model)
+                self.evidence[variant.evidence] = Evidence(choice)
+
+    def tracing(self) -> Workers[Task]:
+        """Make threads that trace."""
+        return Workers(lambda task: task.evidence.add(task.rays), self._options.jobs)
+
+    def score(self, held_out: Sequence[Rays]) -> list[Result]:
+        """Render every variant and score it, the best share first.
+
+        Raises
+        ------
+        MapError
+            Nothing was observed, or a map would be too large.
+        """
+        grids = {key: evidence.finish() for key, evidence in self.evidence.items()}
+        results = [self._score(v, grids[v.evidence], held_out) for v in self.variants]
+        return sorted(results, key=lambda each: (-each.score.share, -each.score.log_likelihood))
+
+    def _score(self, variant: Variant, grid: "TileGrid", held_out: Sequence[Rays]) -> Result:
+        start = thread_time()
+        made = render(grid, variant.model, self._options.max_cells)
+        seconds = self.evidence[variant.evidence].seconds + thread_time() - start
+        score = score_map(made, held_out, self._options.jobs)
+        size = sum(tile.nbytes for tile in grid.tiles.values())
+        return Result(variant, made, score, seconds, size)

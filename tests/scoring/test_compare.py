@@ -1,0 +1,155 @@
+"""Comparing variants: what is held out, what is shared, and the scores of rooms known by heart."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from occmap.batching import Selection
+from occmap.errors import LogError, UsageError
+from occmap.pipeline import BuildOptions, build
+from occmap.scoring import trials
+from occmap.scoring.compare import Comparison, compare
+from occmap.scoring.trials import HoldOut
+from occmap.scoring.variants import Variant, combine, shorten_model
+from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel, parse_model
+from occmap.sensor.returns import ReturnOptions
+from occmap.types import Kind, Rays, Update
+from tests.samples import SAMPLE_LOGS, write_csv
+
+DRIVE = SAMPLE_LOGS / "drive.csv"
+
+
+def make_scans(scans: int) -> Rays:
+    """Scans that are told apart by their x."""
+    origin = np.zeros((scans, 1, 2))
+    origin[:, 0, 0] = np.arange(scans)
+    beam = np.tile([1.0, 0.0], (scans, 1, 1))
+    kind = np.full((scans, 1), Kind.HIT, np.uint8)
+    return Rays.along(origin, beam, np.ones((scans, 1), np.float32), kind, False)
+
+
+def list_x(batches: list[Rays]) -> list[float]:
+    return [float(x) for rays in batches for x in rays.origin[:, 0, 0]]
+
+
+@pytest.mark.parametrize("sizes", [[20], [1] * 20, [2, 3, 7, 8]])
+def test_every_fifth_scan_is_held_out_however_they_are_batched(sizes: list[int]) -> None:
+    everything, hold_out = make_scans(20), HoldOut()
+    ends = np.cumsum(sizes)
+    parts = [
+        np.isin(np.arange(20), range(end - n, end)) for n, end in zip(sizes, ends, strict=True)
+    ]
+    seen = [hold_out.split(trials.take_scans(everything, part)) for part in parts]
+    assert list_x(hold_out.held) == [2, 7, 12, 17]
+    assert hold_out.scans == 4
+    assert sorted(list_x(seen) + list_x(hold_out.held)) == list(range(20))
+
+
+def test_six_variants_need_four_pieces_of_evidence() -> None:
+    variants = combine([], [])
+    assert [variant.name for variant in variants] == [
+        *("beam simple", "beam counting", "beam quadratic"),
+        *("polygon simple", "polygon counting", "polygon quadratic"),
+    ]
+    assert len({variant.evidence for variant in variants}) == 4
+
+
+def test_variants_are_every_update_with_every_model_once() -> None:
+    models = [parse_model(text) for text in ("simple:p_hit=0.9", "simple:p_hit=0.90", "counting")]
+    names = [variant.name for variant in combine([Update.POLYGON], models)]
+    assert names == ["polygon simple:p_hit=0.9", "polygon counting"]
+
+
+@pytest.mark.parametrize(
+    ("model", "text"),
+    [
+        (SimpleModel(), "simple"),
+        (SimpleModel(p_hit=0.8, prior=0.4), "simple:p_hit=0.8,prior=0.4"),
+        (QuadraticModel(epsilon=0.1), "quadratic:epsilon=0.1"),
+    ],
+)
+def test_a_model_is_written_as_it_is_read(model: SimpleModel, text: str) -> None:
+    assert shorten_model(model) == text
+    assert parse_model(text) == model
+
+
+def stand_before_a_wall(folder: Path, ranges: list[float]) -> Comparison:
+    """Ten scans of the same wall, from one place; beams half a milliradian apart."""
+    log = write_csv(folder / "wall.csv", [(0.025, 0.025, 0.0)] * 10, ranges, 5e-4)
+    return compare([log], [Variant(Update.BEAM, SimpleModel(0.7, 0.4))], BuildOptions(jobs=1))
+
+
+def test_the_scores_of_a_wall(tmp_path: Path) -> None:
+    comparison = stand_before_a_wall(tmp_path, [1.0])
+    score = comparison.results[0].score
+    wall, free = (1 / (1 + math.exp(-8 * math.log(p / (1 - p)))) for p in (0.7, 0.4))
+    assert comparison.held_out == 2
+    assert (score.beams, score.share) == (2, 1.0)
+    assert score.occupied_cost == pytest.approx(-math.log(wall), rel=1e-4)
+    assert score.free_cost == pytest.approx(-math.log(1 - free), rel=1e-4)
+    # 18 cells lie before those near the range, two near it are free; of two unknown ones
+    # behind the wall each stops half of what passed it.
+    stopped = (1 - free) ** 18 * (1 - (1 - free) ** 2 * (1 - wall) / 4)
+    assert score.log_likelihood == pytest.approx(math.log(0.95 * stopped + 0.0025), rel=1e-3)
+
+
+def test_a_map_is_scored_by_scans_that_it_was_not_made_from(tmp_path: Path) -> None:
+    log = tmp_path / "wall.csv"
+    head = "# angle_min: 0\n# angle_increment: 0\nstamp,x,y,yaw,r0\n"
+    ranges = [1.0, 1.0, 2.0, 1.0, 1.0]  # the third is held out, and sees no wall at 1 m
+    log.write_text(head + "".join(f"{i},0.025,0.025,0,{r}\n" for i, r in enumerate(ranges)))
+    result = compare([log], [Variant(Update.BEAM, SimpleModel())], BuildOptions()).results[0]
+    assert (result.score.beams, result.score.share) == (1, 0.0)
+    assert result.map.shape == (1, 21)
+    assert result.score.log_likelihood < math.log(0.2)
+
+
+@pytest.fixture(scope="module")
+def drive() -> Comparison:
+    return compare([DRIVE], combine([], []), BuildOptions(jobs=2))
+
+
+def test_a_drive_is_foretold_well_by_every_variant(drive: Comparison) -> None:
+    shares = [result.score.share for result in drive.results]
+    assert shares == sorted(shares, reverse=True)
+    assert shares[-1] > 0.9
+    assert (drive.tally.scans_used, drive.held_out) == (414, 83)
+    assert all(result.bytes > 0 and result.seconds > 0 for result in drive.results)
+
+
+def test_threads_change_no_score(drive: Comparison) -> None:
+    alone = compare([DRIVE], combine([], []), BuildOptions(jobs=1))
+    for one, other in zip(alone.results, drive.results, strict=True):
+        assert (one.variant, one.score) == (other.variant, other.score)
+        assert np.array_equal(one.map.log_odds, other.map.log_odds)
+
+
+def test_a_map_is_what_a_build_of_the_same_scans_makes(tmp_path: Path) -> None:
+    rows = DRIVE.read_text().splitlines(keepends=True)
+    head = next(i for i, row in enumerate(rows) if not row.startswith("#")) + 1
+    kept = [row for i, row in enumerate(rows[head:]) if i % 5 != 2]
+    rest = tmp_path / "rest.csv"
+    rest.write_text("".join([*rows[:head], *kept]))
+    for result in compare([DRIVE], combine([Update.POLYGON], []), BuildOptions()).results:
+        options = BuildOptions(update=Update.POLYGON, model=result.variant.model)
+        assert np.array_equal(build([rest], options).map.log_odds, result.map.log_odds)
+
+
+def test_the_command_repeats_what_was_chosen() -> None:
+    options = BuildOptions(
+        resolution=0.1, jump=0.3, selection=Selection(stride=2), returns=ReturnOptions(max_range=9)
+    )
+    comparison = compare([DRIVE], [Variant(Update.BEAM, CountingModel(prior=0.4))], options)
+    words = "--model counting:prior=0.4 --resolution 0.1 --max-range 9 --stride 2 --jump 0.3"
+    expected = f"occmap build beam {DRIVE} {words} -o drive.pgm"
+    assert comparison.command == tuple(expected.split())
+
+
+def test_too_few_scans_or_hits_are_refused(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "short.csv", [(0.0, 0.0, 0.0)] * 2, [1.0])
+    with pytest.raises(LogError, match=r"short.csv: .* held out .* measured a range; give more"):
+        compare([log], combine([], []), BuildOptions())
+    with pytest.raises(UsageError, match="no model is called"):
+        combine([], [parse_model("simpel")])
