@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,10 +13,10 @@ from occmap.grid.lattice import Lattice
 from occmap.grid.tiles import LOG_ODDS_UNIT
 from occmap.grid.windows import TABLE_STEPS, Observation, tabulate
 from occmap.sensor.models import QuadraticModel
-from occmap.types import Rays, Update
+from occmap.types import Kind, Rays, Update
 from tests.grid import radial_reference
 from tests.grid.radial_reference import Observed, Quadratic
-from tests.grid.scans import FEW, Drive, Evidence, drives, observe
+from tests.grid.scans import FEW, Drive, Evidence, aim, drives, observe
 
 Trace = Callable[[Rays, float, Quadratic], Observed]
 
@@ -73,3 +74,65 @@ def test_random_scans_follow_the_rule(
     expected = TRACES[update](seen, resolution, model)
     what = make_observation(update, resolution, model)
     check(observe(what, [rays], window_cells), expected, model)
+
+
+def look_around(distance: list[float], degrees: float) -> Rays:
+    """One scan from the middle of cell (0, 0) of cells of a metre, its first beam along x."""
+    beams = len(distance)
+    return Rays.along(
+        np.full((1, 1, 2), 0.5),
+        aim(0.0, math.radians(degrees), beams)[None],
+        np.array([distance], np.float32),
+        np.full((1, beams), Kind.HIT, np.uint8),
+        full_circle=beams * degrees >= 360,
+    )
+
+
+@pytest.mark.parametrize("update", list(Update))
+def test_the_cells_of_one_beam_worked_out_by_hand(update: Update) -> None:
+    """Range 4, depth 1: free before 3 with p = (d / 3)^2 / 2, the hit from 3 to 5."""
+    model = Quadratic(depth=1.0, p_min=0.1)
+    rays = look_around([4.0], 10.0) if update is Update.BEAM else look_around([4.0] * 36, 10.0)
+    evidence = observe(make_observation(update, 1.0, model), [rays])
+    ahead = [(0, col) for col in range(6)]
+    assert [evidence.second[cell] for cell in ahead] == [1] * 6
+    p = np.array([0.1, 0.1, 2 / 9, 0.5, 0.9, 0.5])
+    log_odds = np.array([evidence.first[cell] for cell in ahead]) * LOG_ODDS_UNIT
+    np.testing.assert_allclose(log_odds, np.log(p / (1 - p)), atol=tolerance(model))
+
+
+def test_near_cells_are_observed_by_every_beam_but_once_by_a_scan() -> None:
+    model, rays = Quadratic(1.0, 0.1), look_around([4.0] * 36, 10.0)
+    counts = [
+        observe(make_observation(update, 1.0, model), [rays]).second[0, 0] for update in Update
+    ]
+    assert counts == [36, 1]
+
+
+@pytest.mark.parametrize("beams", [360, 361, 400, 720])
+def test_a_scan_of_more_than_a_turn_has_its_ranges_where_they_were_measured(beams: int) -> None:
+    """Nine metres ahead, three behind; the last beam does not speak for the whole turn."""
+    model = Quadratic(0.5, 0.1)
+    ahead = [math.cos(math.radians(b)) > 0 for b in range(beams)]
+    rays = look_around([9.0 if far else 3.0 for far in ahead], 1.0)
+    observed = observe(make_observation(Update.POLYGON, 1.0, model), [rays]).second
+    assert all(observed[0, col] == 1 for col in range(-3, 10))
+    assert observed[0, -4] == observed[0, 10] == 0
+
+
+def test_a_gap_in_the_scan_is_not_observed() -> None:
+    """Three beams 140 degrees apart: each speaks for 60 degrees to each side and no more."""
+    rays = look_around([6.0] * 3, 140.0)
+    observed = observe(make_observation(Update.POLYGON, 1.0, Quadratic(0.5, 0.1)), [rays]).second
+    for bearing, count in (
+        (0, 1),
+        (50, 1),
+        (65, 0),
+        (75, 0),
+        (90, 1),
+        (205, 0),
+        (215, 0),
+        (280, 1),
+    ):
+        at = 0.5 + 4 * math.cos(math.radians(bearing)), 0.5 + 4 * math.sin(math.radians(bearing))
+        assert observed[Lattice(1.0).to_cell(*at)] == count, bearing
