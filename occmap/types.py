@@ -157,7 +157,7 @@ class Rays:
     turn: Float64
     """(S, K, 2, 2): takes a bearing in the sensor's plane to the map plane"""
     bearing: Float64
-    """(B, 2) unit vectors in the sensor's plane"""
+    """(2, B) x and y of unit vectors in the sensor's plane"""
     distance: Float32
     """(S, B) m along the beam; 0 where SKIP"""
     kind: UInt8
@@ -171,14 +171,15 @@ class Rays:
     ) -> Self:
         """Build from a direction for every beam, (S, B, 2)."""
         turn = np.stack([direction, np.zeros_like(direction)], axis=-1)
-        bearing = np.tile([1.0, 0.0], (direction.shape[1], 1))
+        bearing = np.repeat([[1.0], [0.0]], direction.shape[1], axis=1)
         return cls(origin, turn, bearing, distance.astype(np.float32), kind, full_circle)
 
     @property
     def direction(self) -> Float64:
         """(S, B, 2): of length 1, or less where a tilted beam is projected down."""
         turned: Float64 = (
-            self.turn[..., 0] * self.bearing[:, :1] + self.turn[..., 1] * self.bearing[:, 1:]
+            self.turn[..., 0] * self.bearing[0, :, None]
+            + self.turn[..., 1] * self.bearing[1, :, None]
         )
         return turned
 

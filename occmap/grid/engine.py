@@ -23,7 +23,7 @@ MARGIN = 4
 FARTHEST_UNIT = 1 << 52
 """Beyond this a float cannot tell lattice units apart."""
 MOST_CELLS_OF_BEAM = 1 << 22
-"""Beyond this the kernels' integers could overflow."""
+"""More cells, from a sensor half as far from the anchor, and an int32 cannot hold the end."""
 
 
 class GridEngine:
@@ -60,7 +60,8 @@ class GridEngine:
             rays = join_viewpoints(rays)
         refuse_long_beams(rays, self.what.lattice.resolution)
         most = self._window_type.most_observations
-        if rays.kind.size > most and len(rays.kind) > 1:
+        too_much = rays.kind.size > most or lie_far_apart(rays, self.what.lattice.resolution)
+        if too_much and len(rays.kind) > 1:
             self._add_halves(rays)
             return
         projected = project(rays, self.what)
@@ -104,6 +105,12 @@ class GridEngine:
         while self._idle:
             self._empty(self._idle.pop())
         return self.grid
+
+
+def lie_far_apart(rays: Rays, resolution: float) -> bool:
+    """Whether sensors are so far apart that one anchor cannot serve the ends of all beams."""
+    spread = float(np.ptp(rays.origin, axis=(0, 1)).max())
+    return spread / resolution > MOST_CELLS_OF_BEAM / 2
 
 
 def add_room(box: CellBox, most_cells: int) -> CellBox:

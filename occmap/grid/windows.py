@@ -85,10 +85,14 @@ class Projected:
     """Rays and where on the lattice they begin and end."""
 
     rays: Rays
+    anchor: Int64
+    """(2,) x and y of a corner of a cell near them (lattice units)"""
     origins: Int64
-    """(S, K, 2) x and y (lattice units)"""
-    ends: Int64
-    """(S, B, 2) x and y (lattice units)"""
+    """(S, K, 2) x and y (lattice units from the anchor)"""
+    ends_x: Int32
+    """(S, B) (lattice units from the anchor)"""
+    ends_y: Int32
+    """(S, B) (lattice units from the anchor)"""
     box: CellBox
     """Around all cells that these rays may touch"""
 
@@ -96,8 +100,11 @@ class Projected:
 def project(rays: Rays, what: Observation) -> Projected:
     """Round rays to the lattice, once."""
     depth = 0.0 if what.radial is None else what.radial.depth
-    ends = np.empty((*rays.kind.shape, 2), np.int64)
-    low_x, low_y, high_x, high_y = project_ends(
+    origins = what.lattice.to_units(rays.origin)
+    anchor = origins[0, 0] >> SUBCELL_BITS << SUBCELL_BITS
+    origins -= anchor
+    ends_x, ends_y = np.empty(rays.kind.shape, np.int32), np.empty(rays.kind.shape, np.int32)
+    project_ends(
         rays.origin,
         rays.turn,
         rays.bearing,
@@ -105,18 +112,27 @@ def project(rays: Rays, what: Observation) -> Projected:
         rays.kind,
         depth,
         what.lattice.units_per_metre,
-        ends,
+        anchor.astype(np.float64),
+        ends_x,
+        ends_y,
     )
-    origins = what.lattice.to_units(rays.origin)
-    (left, bottom), (right, top) = origins.min(axis=(0, 1)), origins.max(axis=(0, 1))
+    left, bottom = (
+        min(int(ends.min()), int(origins[..., axis].min())) >> SUBCELL_BITS
+        for axis, ends in enumerate((ends_x, ends_y))
+    )
+    right, top = (
+        max(int(ends.max()), int(origins[..., axis].max())) >> SUBCELL_BITS
+        for axis, ends in enumerate((ends_x, ends_y))
+    )
+    to_col, to_row = (int(corner) >> SUBCELL_BITS for corner in anchor)
     margin = 1 + _reach_beside(rays, what)
     box = CellBox(
-        int(min(low_y, bottom) >> SUBCELL_BITS) - margin,
-        int(min(low_x, left) >> SUBCELL_BITS) - margin,
-        int(max(high_y, top) >> SUBCELL_BITS) + 1 + margin,
-        int(max(high_x, right) >> SUBCELL_BITS) + 1 + margin,
+        to_row + bottom - margin,
+        to_col + left - margin,
+        to_row + top + 1 + margin,
+        to_col + right + 1 + margin,
     )
-    return Projected(rays, origins, ends, box)
+    return Projected(rays, anchor, origins, ends_x, ends_y, box)
 
 
 def _reach_beside(rays: Rays, what: Observation) -> int:
@@ -124,7 +140,7 @@ def _reach_beside(rays: Rays, what: Observation) -> int:
     if what.radial is None or what.update is Update.BEAM or rays.kind.shape[1] < 2:
         return 0
     single = rays.turn.shape[1] == 1  # a turn makes no two bearings differ more
-    directions = rays.bearing if single else rays.direction
+    directions = rays.bearing.T if single else rays.direction
     spread = float(np.abs(np.diff(directions, axis=-2)).max())
     reach = float(rays.distance.max()) + what.radial.depth
     return int(reach * min(2 * spread, 1.0) / what.lattice.resolution) + 2
@@ -204,9 +220,10 @@ class BeamWindow(Window):
     def trace(self, projected: Projected) -> None:
         trace_beams(
             projected.origins,
-            projected.ends,
+            projected.ends_x,
+            projected.ends_y,
             projected.rays.kind,
-            self.corner,
+            self.corner - projected.anchor,
             self.hits,
             *self.row_changes,
             *self.col_changes,
@@ -234,15 +251,16 @@ class PolygonWindow(Window):
             what.jump,
             what.border_gap,
             rays.full_circle,
-            self.box.col * SUBCELLS,
-            self.box.row * SUBCELLS,
+            *map(int, self.corner),
+            *map(int, projected.anchor - self.corner),
         )
         trace_polygons(
             rays.origin,
             rays.turn,
             rays.bearing,
             rays.distance,
-            projected.ends,
+            projected.ends_x,
+            projected.ends_y,
             rays.kind,
             surfaces,
             self.hits,
@@ -303,12 +321,13 @@ class RadialBeamWindow(RadialWindow):
         units_per_metre = self.what.lattice.units_per_metre
         trace_radial_beams(
             projected.origins,
-            projected.ends,
+            projected.ends_x,
+            projected.ends_y,
             rays.turn,
             rays.bearing,
             rays.distance,
             rays.kind,
-            self.corner,
+            self.corner - projected.anchor,
             units_per_metre,
             tables.depth * units_per_metre,
             tables.free,

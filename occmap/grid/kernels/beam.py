@@ -30,7 +30,8 @@ BLOCK = 16
 @kernel
 def trace_beams(
     origins: Int64,
-    ends: Int64,
+    ends_x: Int32,
+    ends_y: Int32,
     kinds: UInt8,
     corner: Int64,
     hits: Int32,
@@ -43,10 +44,10 @@ def trace_beams(
 
     Parameters
     ----------
-    origins, ends, kinds
-        (S, K, 2) and (S, B, 2) x and y in lattice units; (S, B) of Kind.
+    origins, ends_x, ends_y, kinds
+        (S, K, 2) and (S, B) in lattice units from an anchor; (S, B) of Kind.
     corner
-        (2,) x and y of the window's corner in lattice units.
+        (2,) x and y of the window's corner in lattice units from the anchor.
     hits
         (H, W) counts.
     row_runs, row_steps
@@ -65,7 +66,7 @@ def trace_beams(
                 continue
             k = b if viewpoints > 1 else 0
             col, row = (origins[s, k, 0] >> 8) - left, (origins[s, k, 1] >> 8) - bottom
-            end_col, end_row = (ends[s, b, 0] >> 8) - left, (ends[s, b, 1] >> 8) - bottom
+            end_col, end_row = (ends_x[s, b] >> 8) - left, (ends_y[s, b] >> 8) - bottom
             if 0 <= end_row < rows and 0 <= end_col < cols:
                 if kind == 2:
                     hits[np.uint64(end_row), np.uint64(end_col)] += 1

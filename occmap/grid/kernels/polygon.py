@@ -32,6 +32,10 @@ class Surfaces(NamedTuple):
     """x of the window's corner (lattice units)"""
     bottom: int
     """y of the window's corner (lattice units)"""
+    shift_x: int
+    """x of the anchor of the ends of beams, from the window's corner (lattice units)"""
+    shift_y: int
+    """y of the same"""
 
 
 @kernel
@@ -40,7 +44,8 @@ def trace_polygons(
     turn: Float64,
     bearing: Float64,
     distance: Float32,
-    ends: Int64,
+    ends_x: Int32,
+    ends_y: Int32,
     kinds: UInt8,
     surfaces: Surfaces,
     hits: Int32,
@@ -53,9 +58,9 @@ def trace_polygons(
     Parameters
     ----------
     origin, turn, bearing, distance, kinds
-        (S, 1, 2), (S, K, 2, 2), (B, 2), (S, B), (S, B) as in `Rays`.
-    ends
-        (S, B, 2) x and y in lattice units of the world.
+        (S, 1, 2), (S, K, 2, 2), (2, B), (S, B), (S, B) as in `Rays`.
+    ends_x, ends_y
+        (S, B) lattice units from the anchor.
     hits, runs, marks
         (H, W) counts; H x (W + 1), flat, changes of the misses along rows; H x W, flat, the last
         scan whose border a cell was in, counted from `mark` + 1, none above `mark` before.
@@ -68,16 +73,18 @@ def trace_polygons(
     border = np.empty((beams * (surfaces.border_gap + 1), 2), np.int32)
     for s in range(scans):
         corners = outline_scan(
-            origin[s, 0], turn[s], bearing, distance[s], ends[s], kinds[s], surfaces, x, y, begins
-        )
+            origin[s, 0], turn[s], bearing, distance[s], ends_x[s], ends_y[s], kinds[s],
+            surfaces, x, y, begins,
+        )  # fmt: skip
         touched = find_rows(y, corners, rows)
         while not cross_rows(x, y, begins, corners, touched, buckets, counts):
             buckets = np.empty((rows, 2 * buckets.shape[1]), np.int32)
         make_spans(touched, buckets, counts, cols)
         _note_spans(touched, buckets, counts, cols, runs)
         listed = _mark_border(
-            distance[s], ends[s], kinds[s], surfaces, hits, marks, mark + s + 1, border
-        )
+            distance[s], ends_x[s], ends_y[s], kinds[s], surfaces, hits, marks, mark + s + 1,
+            border,
+        )  # fmt: skip
         _exempt_border(border, listed, buckets, counts, cols, runs)
 
 
@@ -87,7 +94,8 @@ def outline_scan(
     turn: Float64,
     bearing: Float64,
     distance: Float32,
-    ends: Int64,
+    ends_x: Int32,
+    ends_y: Int32,
     kinds: UInt8,
     surfaces: Surfaces,
     x: Int64,
@@ -121,8 +129,8 @@ def outline_scan(
             # Step at the nearer range, so that no space behind an edge is called free.
             near, far = (b, a) if distance[b] < distance[a] else (a, b)
             t = min(far, turn.shape[0] - 1)
-            along_x = turn[t, 0, 0] * bearing[far, 0] + turn[t, 0, 1] * bearing[far, 1]
-            along_y = turn[t, 1, 0] * bearing[far, 0] + turn[t, 1, 1] * bearing[far, 1]
+            along_x = turn[t, 0, 0] * bearing[0, far] + turn[t, 0, 1] * bearing[1, far]
+            along_y = turn[t, 1, 0] * bearing[0, far] + turn[t, 1, 1] * bearing[1, far]
             step_x = round_to_units(
                 origin[0] + np.float64(distance[near]) * along_x, surfaces.units_per_metre
             )
@@ -133,7 +141,7 @@ def outline_scan(
                 x, y, begins, corners, step_x - surfaces.left, step_y - surfaces.bottom, False
             )
         corners = _add_corner(
-            x, y, begins, corners, ends[b, 0] - surfaces.left, ends[b, 1] - surfaces.bottom,
+            x, y, begins, corners, ends_x[b] + surfaces.shift_x, ends_y[b] + surfaces.shift_y,
             closed and not drawing,
         )  # fmt: skip
         drawing = True
@@ -175,7 +183,8 @@ def _note_spans(
 @kernel
 def _mark_border(
     distance: Float32,
-    ends: Int64,
+    ends_x: Int32,
+    ends_y: Int32,
     kinds: UInt8,
     surfaces: Surfaces,
     hits: Int32,
@@ -189,12 +198,12 @@ def _mark_border(
     """
     beams = kinds.size
     rows, cols = hits.shape
-    left, bottom = surfaces.left >> 8, surfaces.bottom >> 8
+    shift_col, shift_row = surfaces.shift_x >> 8, surfaces.shift_y >> 8
     listed = 0
     beside = surfaces.full_circle and kinds[beams - 1] == 2
-    from_col, from_row = ends[beams - 1, 0] >> 8, ends[beams - 1, 1] >> 8
+    from_col, from_row = ends_x[beams - 1] >> 8, ends_y[beams - 1] >> 8
     for b in range(beams):
-        col, row = ends[b, 0] >> 8, ends[b, 1] >> 8
+        col, row = ends_x[b] >> 8, ends_y[b] >> 8
         if kinds[b] == 2:
             across, up = col - from_col, row - from_row
             n = max(abs(across), abs(up))
@@ -210,7 +219,7 @@ def _mark_border(
                 if i > 0:
                     c = col - _round_half_down(i * across, n)
                     r = row - _round_half_down(i * up, n)
-                c, r = c - left, r - bottom
+                c, r = c + shift_col, r + shift_row
                 if 0 <= r < rows and 0 <= c < cols:
                     # No branches: whether neighbours share a cell is a coin toss to a processor.
                     place = np.uint64(r * cols + c)

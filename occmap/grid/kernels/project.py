@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.jit import kernel
-from occmap.types import Float32, Float64, Int64, UInt8
+from occmap.types import Float32, Float64, UInt8
 
 
 @kernel
@@ -21,38 +22,49 @@ def project_ends(
     kinds: UInt8,
     depth: float,
     units_per_metre: float,
-    ends: Int64,
-) -> tuple[int, int, int, int]:
-    """Compute where beams end, in lattice units.
+    anchor: Float64,
+    ends_x: Int32,
+    ends_y: Int32,
+) -> None:
+    """Compute where beams end.
 
     Parameters
     ----------
     origin, turn, bearing, distance, kinds
-        (S, K, 2), (S, K, 2, 2), (B, 2), (S, B), (S, B) as in `Rays`.
+        (S, K, 2), (S, K, 2, 2), (2, B), (S, B), (S, B) as in `Rays`.
     depth
         How far beyond its range a HIT beam is followed (m).
-    ends
-        (S, B, 2) x and y, written here.
-
-    Returns
-    -------
-    Lowest x, lowest y, highest x, highest y of all ends.
+    anchor
+        (2,) x and y of a corner of a cell near the beams (lattice units).
+    ends_x, ends_y
+        (S, B) lattice units from the anchor, written here.
     """
     scans, beams = distance.shape
     viewpoints, turns = origin.shape[1], turn.shape[1]
-    low_x = low_y = 2**62
-    high_x = high_y = -(2**62)
     for s in range(scans):
-        for b in range(beams):
-            k, t = min(b, viewpoints - 1), min(b, turns - 1)
-            along_x = turn[s, t, 0, 0] * bearing[b, 0] + turn[s, t, 0, 1] * bearing[b, 1]
-            along_y = turn[s, t, 1, 0] * bearing[b, 0] + turn[s, t, 1, 1] * bearing[b, 1]
-            reach = float(distance[s, b])
-            if depth > 0 and kinds[s, b] == 2:
-                reach += depth / np.sqrt(along_x * along_x + along_y * along_y)
-            x = round_to_units(origin[s, k, 0] + reach * along_x, units_per_metre)
-            y = round_to_units(origin[s, k, 1] + reach * along_y, units_per_metre)
-            ends[s, b, 0], ends[s, b, 1] = x, y
-            low_x, high_x = min(low_x, x), max(high_x, x)
-            low_y, high_y = min(low_y, y), max(high_y, y)
-    return low_x, low_y, high_x, high_y
+        if turns == 1:  # nearly always: without a branch or an index by beam it is vectorised
+            at_x, at_y = origin[s, 0, 0], origin[s, 0, 1]
+            xx, xy, yx, yy = turn[s, 0, 0, 0], turn[s, 0, 0, 1], turn[s, 0, 1, 0], turn[s, 0, 1, 1]
+            for b in range(beams):
+                along_x = xx * bearing[0, b] + xy * bearing[1, b]
+                along_y = yx * bearing[0, b] + yy * bearing[1, b]
+                reach = _reach(distance[s, b], kinds[s, b], depth, along_x, along_y)
+                x, y = at_x + reach * along_x, at_y + reach * along_y
+                ends_x[s, b] = np.int32(np.rint(x * units_per_metre) - anchor[0])
+                ends_y[s, b] = np.int32(np.rint(y * units_per_metre) - anchor[1])
+        else:
+            for b in range(beams):
+                k = min(b, viewpoints - 1)
+                along_x = turn[s, b, 0, 0] * bearing[0, b] + turn[s, b, 0, 1] * bearing[1, b]
+                along_y = turn[s, b, 1, 0] * bearing[0, b] + turn[s, b, 1, 1] * bearing[1, b]
+                reach = _reach(distance[s, b], kinds[s, b], depth, along_x, along_y)
+                x, y = origin[s, k, 0] + reach * along_x, origin[s, k, 1] + reach * along_y
+                ends_x[s, b] = np.int32(np.rint(x * units_per_metre) - anchor[0])
+                ends_y[s, b] = np.int32(np.rint(y * units_per_metre) - anchor[1])
+
+
+@kernel
+def _reach(distance: float, kind: int, depth: float, along_x: float, along_y: float) -> float:
+    """How far to follow a beam: a HIT one by `depth` more on the map."""
+    beyond = depth / np.sqrt(along_x * along_x + along_y * along_y)
+    return np.float64(distance) + (beyond if kind == 2 else 0.0)

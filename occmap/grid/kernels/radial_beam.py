@@ -19,7 +19,8 @@ diagonal at the sensor, and half a cell beside the line."""
 @kernel
 def trace_radial_beams(
     origins: Int64,
-    ends: Int64,
+    ends_x: Int32,
+    ends_y: Int32,
     turn: Float64,
     bearing: Float64,
     distance: Float32,
@@ -40,12 +41,12 @@ def trace_radial_beams(
 
     Parameters
     ----------
-    origins, ends
-        (S, K, 2) and (S, B, 2) x and y in lattice units; a HIT beam ends at its range + depth.
+    origins, ends_x, ends_y
+        (S, K, 2) and (S, B) in lattice units from an anchor; a HIT beam ends at its range + depth.
     turn, bearing, distance, kinds
-        (S, K, 2, 2), (B, 2), (S, B), (S, B) as in `Rays`.
+        (S, K, 2, 2), (2, B), (S, B), (S, B) as in `Rays`.
     corner
-        (2,) x and y of the window's corner in lattice units.
+        (2,) x and y of the window's corner in lattice units from the anchor.
     depth
         In lattice units.
     free, hit
@@ -65,12 +66,12 @@ def trace_radial_beams(
             if kinds[s, b] == 0:
                 continue
             k, t = min(b, viewpoints - 1), min(b, turns - 1)
-            along_x = turn[s, t, 0, 0] * bearing[b, 0] + turn[s, t, 0, 1] * bearing[b, 1]
-            along_y = turn[s, t, 1, 0] * bearing[b, 0] + turn[s, t, 1, 1] * bearing[b, 1]
+            along_x = turn[s, t, 0, 0] * bearing[0, b] + turn[s, t, 0, 1] * bearing[1, b]
+            along_y = turn[s, t, 1, 0] * bearing[0, b] + turn[s, t, 1, 1] * bearing[1, b]
             length = np.sqrt(along_x * along_x + along_y * along_y)
             r = distance[s, b] * length * units_per_metre
             x, y = origins[s, k, 0] - corner[0], origins[s, k, 1] - corner[1]
-            end_x, end_y = ends[s, b, 0] - corner[0], ends[s, b, 1] - corner[1]
+            end_x, end_y = ends_x[s, b] - corner[0], ends_y[s, b] - corner[1]
             # u is the line's major axis, v the other.
             steep = abs((end_y >> 8) - (y >> 8)) > abs((end_x >> 8) - (x >> 8))
             if steep:

@@ -47,7 +47,7 @@ def trace_radial_polygons(
     Parameters
     ----------
     origin, turn, bearing, distance, kinds
-        (S, 1, 2), (S, K, 2, 2), (B, 2), (S, B), (S, B) as in `Rays`.
+        (S, 1, 2), (S, K, 2, 2), (2, B), (S, B), (S, B) as in `Rays`.
     corner
         (2,) x and y of the window's corner in lattice units.
     depth
@@ -109,8 +109,8 @@ def _aim(
     """Write one scan's unit vectors (B, 2) and ranges (B,) in the map plane (lattice units)."""
     for b in range(distance.size):
         t = min(b, turn.shape[0] - 1)
-        x = turn[t, 0, 0] * bearing[b, 0] + turn[t, 0, 1] * bearing[b, 1]
-        y = turn[t, 1, 0] * bearing[b, 0] + turn[t, 1, 1] * bearing[b, 1]
+        x = turn[t, 0, 0] * bearing[0, b] + turn[t, 0, 1] * bearing[1, b]
+        y = turn[t, 1, 0] * bearing[0, b] + turn[t, 1, 1] * bearing[1, b]
         length = max(np.sqrt(x * x + y * y), 1e-300)
         direction[b, 0], direction[b, 1] = x / length, y / length
         ranges[b] = distance[b] * length * units_per_metre
