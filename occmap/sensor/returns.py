@@ -145,6 +145,6 @@ def goes_round(batch: ScanBatch) -> bool:
 
 @lru_cache(maxsize=64)
 def tabulate_bearings(angle_min: float, angle_increment: float, beams: int) -> Float64:
-    """(B, 2) unit vectors of every bearing: a log repeats its geometry thousands of times."""
+    """(2, B) unit vectors of every bearing: a log repeats its geometry thousands of times."""
     bearings = angle_min + angle_increment * np.arange(beams)
-    return np.column_stack([np.cos(bearings), np.sin(bearings)])
+    return np.stack([np.cos(bearings), np.sin(bearings)])
