@@ -53,12 +53,17 @@ TABLE_STEPS = 2048
 """A free cell's log-odds is then within half a per cent of the formula's where it matters."""
 
 
+SUREST = 2.0**-53
+"""No probability is tabulated nearer to 0 or 1: a float tells none nearer to 1 from it, and sums of
+log-odds stay within a window's integers, whatever a model says."""
+
+
 def tabulate(free: Profile, hit: Profile, depth: float) -> RadialTables:
     """Tabulate a radial model's probabilities, each at the middle of its step."""
     middle = np.minimum((np.arange(TABLE_STEPS + 1) + 0.5) / TABLE_STEPS, 1)
     tables = []
     for profile in (free, hit):
-        p = profile(middle)
+        p = np.clip(profile(middle), SUREST, 1 - SUREST)
         tables.append(np.rint(np.log(p / (1 - p)) / LOG_ODDS_UNIT).astype(np.int64))
     largest = max(int(np.abs(table).max()) for table in tables)
     free_entries, hit_entries = ((table << COUNT_BITS) + 1 for table in tables)

@@ -136,3 +136,18 @@ def test_a_gap_in_the_scan_is_not_observed() -> None:
     ):
         at = 0.5 + 4 * math.cos(math.radians(bearing)), 0.5 + 4 * math.sin(math.radians(bearing))
         assert observed[Lattice(1.0).to_cell(*at)] == count, bearing
+
+
+def test_no_model_is_so_sure_that_its_sums_overflow() -> None:
+    """logit(2^-53) is -36.7; half a million such observations of one cell add up to as many."""
+    model = QuadraticModel(epsilon=1.0, p_min=1e-300)
+    what = Observation(Update.BEAM, Lattice(1.0), radial=tabulate(model.free, model.hit, 1.0))
+    beams = 1 << 19
+    rays = look_around([30.0] * beams, 0.0)
+    evidence = observe(what, [rays])
+    assert evidence.second[0, 0] == beams
+    # The sensor's own cell is looked up in the middle of the first of the table's steps.
+    p = 1 / (4 * TABLE_STEPS)
+    assert evidence.first[0, 0] * LOG_ODDS_UNIT / beams == pytest.approx(math.log(p / (1 - p)))
+    tables = tabulate(lambda u: 0 * u, lambda w: 1 + 0 * w, 1.0)
+    assert tables.largest * LOG_ODDS_UNIT == pytest.approx(53 * math.log(2), rel=1e-5)
