@@ -60,7 +60,7 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
 def inspect_path(path: Path, options: BuildOptions, extent: Extent) -> LogFindings:
     """Look into one log; `extent` grows by what its map would cover."""
     try:
-        log = open_log(path)
+        log = open_log(path, options.reading)
     except OccmapError as error:
         return LogFindings(str(path), (), (), (), (), _place(error, path))
     try:

@@ -14,7 +14,7 @@ from typing import BinaryIO
 from mcap.opcode import Opcode
 
 from occmap.errors import LogError
-from occmap.readers import Note, Probe
+from occmap.readers import DEFAULT_OPTIONS, Note, Probe
 from occmap.readers.inflate import Buffer, inflate
 from occmap.readers.mcap_records import (
     MAGIC,
@@ -26,6 +26,7 @@ from occmap.readers.mcap_records import (
     read_summary,
     split_records,
 )
+from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_log import RosLog
 from occmap.readers.ros_source import Channel, RawMessage, add_note
 
@@ -58,7 +59,11 @@ class McapReader:
         LogError
             Nothing in the file can be read.
         """
-        return RosLog(McapSource(path))
+        return self.open_tuned(path, DEFAULT_OPTIONS)
+
+    def open_tuned(self, path: Path, options: ReaderOptions) -> RosLog:
+        """Open a log; echoes and clouds become scans as the user chose. Raises what `open` does."""
+        return RosLog(McapSource(path), options)
 
 
 class McapSource:

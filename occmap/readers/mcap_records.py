@@ -23,7 +23,12 @@ RECORD = struct.Struct("<BQ")
 # What the mcap library raises on records that are not well formed.
 RECORD_ERRORS = (McapError, struct.error, ArithmeticError, LookupError, MemoryError, ValueError)
 
-_WIRES: Mapping[str, Wire] = {"cdr": "cdr", "ros1": "ros1"}
+_WIRES: Mapping[str, Wire] = {
+    "cdr": "cdr",
+    "ros1": "ros1",
+    "json": "json",
+    "protobuf": "protobuf",
+}
 _SYNTAXES: Mapping[str, Syntax] = {
     "ros1msg": "msg",
     "ros2msg": "msg",
@@ -85,6 +90,7 @@ class ChannelTable:
             definition=schema.data.decode(errors="replace") if syntax else "",
             syntax=syntax,
             count=count,
+            descriptors=schema.data if schema.encoding == "protobuf" else b"",
         )
 
 

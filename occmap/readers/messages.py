@@ -1,20 +1,24 @@
 """ROS messages as scans and pose samples: the types that occmap understands, and what each becomes.
 
 A type is listed under its ROS 2 name; ROS 1 names are brought to that form. To support another
-type, write its converter and add a line to `SCAN_TYPES` or `POSE_TYPES`: the table that a type
+type, write its converter and add a line to one of the tables at the end: the table that a type
 stands in is its role.
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from occmap.readers import Role
+from occmap.readers.flatten import convert_cloud, convert_multi_echo, read_frame, read_stamp
+from occmap.readers.options import ReaderOptions
 from occmap.types import Pose, PoseSample, Scan
 
 ToScan = Callable[[Any, str, int], Scan]
 """From a decoded message, its topic and its record time in ns."""
+TuneToScan = Callable[[ReaderOptions, Any, str, int], Scan]
 ToPoses = Callable[[Any, str, int], list[PoseSample]]
 
 
@@ -27,9 +31,19 @@ def normalise_type(name: str) -> str:
 def find_role(name: str) -> Role:
     """Say what messages of a type, in its ROS 1 or ROS 2 form, can be used for."""
     normal = normalise_type(name)
-    if normal in SCAN_TYPES:
+    if normal in SCAN_TYPES or normal in ECHO_TYPES:
         return Role.SCAN
+    if normal in CLOUD_TYPES:
+        return Role.CLOUD
     return Role.POSE if normal in POSE_TYPES else Role.OTHER
+
+
+def find_converter(name: str, options: ReaderOptions) -> ToScan:
+    """Find what makes scans of messages whose role is SCAN or CLOUD."""
+    normal = normalise_type(name)
+    if normal in SCAN_TYPES:
+        return SCAN_TYPES[normal]
+    return partial((ECHO_TYPES | CLOUD_TYPES)[normal], options)
 
 
 def is_static_topic(topic: str) -> bool:
@@ -40,8 +54,8 @@ def is_static_topic(topic: str) -> bool:
 def convert_laser_scan(message: Any, topic: str, record_ns: int) -> Scan:
     """Convert a sensor_msgs/LaserScan."""
     return Scan(
-        stamp_ns=_read_stamp(message.header),
-        frame=_read_frame(message.header.frame_id),
+        stamp_ns=read_stamp(message.header),
+        frame=read_frame(message.header.frame_id),
         angle_min=message.angle_min,
         angle_increment=message.angle_increment,
         # A copy, since the message is a view of all bytes that were read with it.
@@ -59,9 +73,9 @@ def convert_transforms(message: Any, topic: str, record_ns: int) -> list[PoseSam
     static = is_static_topic(topic)
     return [
         PoseSample(
-            stamp_ns=_read_stamp(transform.header),
-            parent=_read_frame(transform.header.frame_id),
-            child=_read_frame(transform.child_frame_id),
+            stamp_ns=read_stamp(transform.header),
+            parent=read_frame(transform.header.frame_id),
+            child=read_frame(transform.child_frame_id),
             pose=_read_pose(transform.transform.translation, transform.transform.rotation),
             static=static,
             topic=topic,
@@ -75,9 +89,9 @@ def convert_odometry(message: Any, topic: str, record_ns: int) -> list[PoseSampl
     """Convert a nav_msgs/Odometry, which names both of its frames."""
     return [
         PoseSample(
-            stamp_ns=_read_stamp(message.header),
-            parent=_read_frame(message.header.frame_id),
-            child=_read_frame(message.child_frame_id),
+            stamp_ns=read_stamp(message.header),
+            parent=read_frame(message.header.frame_id),
+            child=read_frame(message.child_frame_id),
             pose=_read_pose(message.pose.pose.position, message.pose.pose.orientation),
             topic=topic,
             record_ns=record_ns,
@@ -97,7 +111,7 @@ def convert_pose_with_covariance(message: Any, topic: str, record_ns: int) -> li
 
 def convert_path(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
     """Convert a nav_msgs/Path: each pose is a sample, in the path's frame where it names none."""
-    frame = _read_frame(message.header.frame_id)
+    frame = read_frame(message.header.frame_id)
     samples = (_make_sample(item.header, item.pose, topic, record_ns) for item in message.poses)
     return [sample if sample.parent else sample._replace(parent=frame) for sample in samples]
 
@@ -105,24 +119,13 @@ def convert_path(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
 def _make_sample(header: Any, pose: Any, topic: str, record_ns: int) -> PoseSample:
     """Build the sample of a pose that has a header and no name for what moved."""
     return PoseSample(
-        stamp_ns=_read_stamp(header),
-        parent=_read_frame(header.frame_id),
+        stamp_ns=read_stamp(header),
+        parent=read_frame(header.frame_id),
         child="",
         pose=_read_pose(pose.position, pose.orientation),
         topic=topic,
         record_ns=record_ns,
     )
-
-
-def _read_stamp(header: Any) -> int:
-    """Read a header's stamp, in ns."""
-    stamp_ns: int = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
-    return stamp_ns
-
-
-def _read_frame(name: str) -> str:
-    """Read a frame's name; old logs write `/laser` in one place and `laser` in another."""
-    return name.lstrip("/")
 
 
 def _read_pose(position: Any, rotation: Any) -> Pose:
@@ -132,6 +135,14 @@ def _read_pose(position: Any, rotation: Any) -> Pose:
 
 SCAN_TYPES: Mapping[str, ToScan] = {
     "sensor_msgs/msg/LaserScan": convert_laser_scan,
+}
+
+ECHO_TYPES: dict[str, TuneToScan] = {
+    "sensor_msgs/msg/MultiEchoLaserScan": convert_multi_echo,
+}
+
+CLOUD_TYPES: dict[str, TuneToScan] = {
+    "sensor_msgs/msg/PointCloud2": convert_cloud,
 }
 
 POSE_TYPES: Mapping[str, ToPoses] = {

@@ -14,8 +14,11 @@ from rosbags.typesys import (
 from rosbags.typesys.store import Typestore
 
 from occmap.errors import LogError
+from occmap.readers.foxglove import FOXGLOVE_WIRES, POSE_SCHEMAS, SCAN_SCHEMAS
+from occmap.readers.foxglove_decode import make_foxglove_reader
 from occmap.readers.inflate import inflate_message
-from occmap.readers.messages import POSE_TYPES, SCAN_TYPES, normalise_type
+from occmap.readers.messages import POSE_TYPES, find_converter, normalise_type
+from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_cdr import (
     STANDARD_DEFINITIONS,
     is_standard,
@@ -37,7 +40,7 @@ _TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms"
 _IDL_SEPARATOR = "=" * 80 + "\n"
 
 
-def make_scan_reader(channel: Channel) -> FromBytes[Scan]:
+def make_scan_reader(channel: Channel, options: ReaderOptions) -> FromBytes[Scan]:
     """Build the function that reads a channel's messages as scans.
 
     Raises
@@ -45,8 +48,9 @@ def make_scan_reader(channel: Channel) -> FromBytes[Scan]:
     LogError
         The channel's message definition cannot be understood.
     """
-    convert = SCAN_TYPES[normalise_type(channel.type)]
-    return _make_reader(channel, convert, read_laser_scan)
+    if channel.wire in FOXGLOVE_WIRES:
+        return make_foxglove_reader(channel, SCAN_SCHEMAS[channel.type])
+    return _make_reader(channel, find_converter(channel.type, options), read_laser_scan)
 
 
 def make_pose_reader(channel: Channel) -> FromBytes[list[PoseSample]]:
@@ -57,6 +61,8 @@ def make_pose_reader(channel: Channel) -> FromBytes[list[PoseSample]]:
     LogError
         The channel's message definition cannot be understood.
     """
+    if channel.wire in FOXGLOVE_WIRES:
+        return make_foxglove_reader(channel, POSE_SCHEMAS[channel.type])
     convert = POSE_TYPES[normalise_type(channel.type)]
     return _make_reader(channel, convert, read_transforms)
 

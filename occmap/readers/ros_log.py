@@ -5,13 +5,16 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Generic, TypeVar
 
 from rosbags.serde import SerdeError
 
 from occmap.errors import LogError
-from occmap.readers import Note, Role, Stream
+from occmap.readers import DEFAULT_OPTIONS, Note, Role, Stream
+from occmap.readers.foxglove import states_origins
+from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_decode import FromBytes, make_pose_reader, make_scan_reader
 from occmap.readers.ros_source import Channel, RawMessage, Source, add_note
 from occmap.types import PoseSample, Scan
@@ -38,8 +41,9 @@ class RosLog:
     path: Path
     notes: list[Note]
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: Source, options: ReaderOptions = DEFAULT_OPTIONS) -> None:
         self.path = source.path
+        self._options = options
         self.notes = source.notes
         self._source = source
 
@@ -53,7 +57,11 @@ class RosLog:
 
     def poses(self) -> Iterator[PoseSample]:
         """Every sample of every pose topic, in file order."""
-        wanted = [channel for channel in self._source.channels if channel.role is Role.POSE]
+        wanted = [
+            channel
+            for channel in self._source.channels
+            if channel.role is Role.POSE or states_origins(channel.type)
+        ]
         for samples in self._read(self._make_readers(wanted, make_pose_reader)):
             yield from samples
 
@@ -62,9 +70,10 @@ class RosLog:
         wanted = [
             channel
             for channel in self._source.channels
-            if channel.role is Role.SCAN and channel.topic in topics
+            if channel.role in {Role.SCAN, Role.CLOUD} and channel.topic in topics
         ]
-        return self._read(self._make_readers(wanted, make_scan_reader))
+        make = partial(make_scan_reader, options=self._options)
+        return self._read(self._make_readers(wanted, make))
 
     def _make_readers(
         self, channels: Collection[Channel], make: Callable[[Channel], FromBytes[T]]

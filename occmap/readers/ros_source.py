@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Literal, Protocol, TypeAlias
 
 from occmap.readers import Note, Role
+from occmap.readers.foxglove import find_foxglove_role
 from occmap.readers.messages import find_role
 
-Wire: TypeAlias = Literal["cdr", "ros1", ""]
+Wire: TypeAlias = Literal["cdr", "ros1", "json", "protobuf", ""]
 """How messages are written as bytes; "" for what occmap does not read."""
 Syntax: TypeAlias = Literal["msg", "idl", ""]
 """The language of a message definition; "" for none."""
@@ -29,11 +30,15 @@ class Channel:
     """Messages in the log."""
     zipped: bool = False
     """Each message is compressed with zstd on its own."""
+    descriptors: bytes = b""
+    """The protobuf FileDescriptorSet of the type, where `wire` is "protobuf"."""
 
     @property
     def role(self) -> Role:
         """What the messages can be used for."""
-        return find_role(self.type) if self.wire else Role.OTHER
+        if self.wire in {"cdr", "ros1"}:
+            return find_role(self.type)
+        return find_foxglove_role(self.type) if self.wire else Role.OTHER
 
 
 RawMessage: TypeAlias = tuple[Channel, int, memoryview]

@@ -4,7 +4,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from occmap.errors import LogError
-from occmap.readers import Probe, probe_path
+from occmap.readers import DEFAULT_OPTIONS, Probe, probe_path
+from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_log import RosLog
 from occmap.readers.ros_source import Source
 from occmap.readers.ros_sqlite import MAGIC as SQLITE_MAGIC
@@ -38,7 +39,11 @@ class RosbagReader:
         LogError
             Nothing in it can be read.
         """
-        return RosLog(_open_source(path))
+        return self.open_tuned(path, DEFAULT_OPTIONS)
+
+    def open_tuned(self, path: Path, options: ReaderOptions) -> RosLog:
+        """Open a log; echoes and clouds become scans as the user chose. Raises what `open` does."""
+        return RosLog(_open_source(path), options)
 
 
 def _open_source(path: Path) -> Source:

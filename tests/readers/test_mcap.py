@@ -137,15 +137,15 @@ def test_a_file_of_nothing_but_its_magic_is_refused(tmp_path: Path) -> None:
         open_log(path)
 
 
-def test_messages_that_are_not_of_ros_are_listed_and_not_read(tmp_path: Path) -> None:
+def test_messages_of_no_known_kind_are_listed_and_not_read(tmp_path: Path) -> None:
     path = tmp_path / "foxglove.mcap"
     with path.open("wb") as file:
         writer = McapWriter(file)
         writer.start()
-        schema = writer.register_schema("foxglove.LaserScan", "jsonschema", b"{}")
+        schema = writer.register_schema("foxglove.Log", "jsonschema", b"{}")
         # The name alone is not enough: these bytes are not CDR.
         other = writer.register_schema(SCAN, "jsonschema", b"{}")
-        for topic, kind in (("/scan", schema), ("/other", other), ("/bare", 0)):
+        for topic, kind in (("/log", schema), ("/other", other), ("/bare", 0)):
             channel = writer.register_channel(topic, "json", kind)
             writer.add_message(channel, 1, b"{}", 1)
         writer.finish()  # type: ignore[no-untyped-call]
@@ -153,7 +153,7 @@ def test_messages_that_are_not_of_ros_are_listed_and_not_read(tmp_path: Path) ->
     log = open_log(path)
 
     assert set(log.streams) == {
-        Stream("/scan", "foxglove.LaserScan", 1, Role.OTHER),
+        Stream("/log", "foxglove.Log", 1, Role.OTHER),
         Stream("/other", SCAN, 1, Role.OTHER),
         Stream("/bare", "", 1, Role.OTHER),
     }

@@ -1,0 +1,145 @@
+"""Foxglove's schemas as scans and pose samples, decoded from JSON or protobuf.
+
+https://docs.foxglove.dev/docs/visualization/message-schemas/introduction. Messages are objects
+with the schema's fields as attributes; the two encodings differ in how a time is written.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from occmap.readers import Role
+from occmap.types import Pose, PoseSample, Scan
+
+FOXGLOVE_WIRES = ("json", "protobuf")
+SCAN_SCHEMA = "foxglove.LaserScan"
+IDENTITY = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+ToScan: TypeAlias = Callable[[Any, str, int], Scan]
+"""From a decoded message, its topic and its record time in ns."""
+ToPoses: TypeAlias = Callable[[Any, str, int], list[PoseSample]]
+
+
+def find_foxglove_role(name: str) -> Role:
+    """Say what messages of a schema can be used for."""
+    if name in SCAN_SCHEMAS:
+        return Role.SCAN
+    return Role.POSE if name in POSE_SCHEMAS else Role.OTHER
+
+
+def states_origins(name: str) -> bool:
+    """Whether scans of a type state where in their frame they were taken."""
+    return name == SCAN_SCHEMA
+
+
+def convert_scan(message: Any, topic: str, record_ns: int) -> Scan:
+    """Convert a foxglove.LaserScan, which has no range limits.
+
+    Where it states an origin other than its frame's, it gets a frame of its own, whose pose
+    `convert_origin` gives.
+    """
+    beams = len(message.ranges)
+    frame = _read_frame(message.frame_id)
+    return Scan(
+        stamp_ns=_read_time(message.timestamp),
+        frame=frame if _read_origin(message) == IDENTITY else name_origin(frame, topic),
+        angle_min=message.start_angle,
+        angle_increment=(message.end_angle - message.start_angle) / max(beams - 1, 1),
+        ranges=np.array(message.ranges, dtype=np.float32),
+        range_min=0.0,
+        range_max=np.inf,
+        topic=topic,
+        record_ns=record_ns,
+    )
+
+
+def convert_origin(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
+    """Give the pose of a foxglove.LaserScan in its frame; none where it is the frame's own."""
+    origin, frame = _read_origin(message), _read_frame(message.frame_id)
+    if origin == IDENTITY:
+        return []
+    child, stamp_ns = name_origin(frame, topic), _read_time(message.timestamp)
+    return [PoseSample(stamp_ns, frame, child, origin, topic=topic, record_ns=record_ns)]
+
+
+def name_origin(frame: str, topic: str) -> str:
+    """Name the frame of scans that are not taken at the origin of theirs."""
+    return f"{frame}:{topic.strip('/')}"
+
+
+def convert_transform(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
+    """Convert a foxglove.FrameTransform."""
+    return [
+        PoseSample(
+            stamp_ns=_read_time(message.timestamp),
+            parent=_read_frame(message.parent_frame_id),
+            child=_read_frame(message.child_frame_id),
+            pose=_read_pose(message.translation, message.rotation),
+            topic=topic,
+            record_ns=record_ns,
+        )
+    ]
+
+
+def convert_transforms(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
+    """Convert a foxglove.FrameTransforms."""
+    return [
+        sample
+        for transform in message.transforms
+        for sample in convert_transform(transform, topic, record_ns)
+    ]
+
+
+def convert_pose(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
+    """Convert a foxglove.PoseInFrame, which does not name what moved."""
+    return [_make_sample(message, message.pose, topic, record_ns)]
+
+
+def convert_poses(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
+    """Convert a foxglove.PosesInFrame: one time for a whole path, so the last pose will hold."""
+    return [_make_sample(message, pose, topic, record_ns) for pose in message.poses]
+
+
+def _make_sample(message: Any, pose: Any, topic: str, record_ns: int) -> PoseSample:
+    return PoseSample(
+        stamp_ns=_read_time(message.timestamp),
+        parent=_read_frame(message.frame_id),
+        child="",
+        pose=_read_pose(pose.position, pose.orientation),
+        topic=topic,
+        record_ns=record_ns,
+    )
+
+
+def _read_origin(message: Any) -> Pose:
+    return _read_pose(message.pose.position, message.pose.orientation)
+
+
+def _read_time(time: Any) -> int:
+    """Read a time in ns; decoding has brought both encodings to these names."""
+    stamp_ns: int = time.sec * 1_000_000_000 + time.nsec
+    return stamp_ns
+
+
+def _read_frame(name: str) -> str:
+    return name.lstrip("/")
+
+
+def _read_pose(position: Any, rotation: Any) -> Pose:
+    """Read a position and a quaternion; one that was never set is no rotation at all."""
+    turn = (rotation.x, rotation.y, rotation.z, rotation.w)
+    return Pose(position.x, position.y, position.z, *(turn if any(turn) else IDENTITY[3:]))
+
+
+SCAN_SCHEMAS: Mapping[str, ToScan] = {
+    SCAN_SCHEMA: convert_scan,
+}
+
+POSE_SCHEMAS: Mapping[str, ToPoses] = {
+    "foxglove.FrameTransform": convert_transform,
+    "foxglove.FrameTransforms": convert_transforms,
+    "foxglove.PoseInFrame": convert_pose,
+    "foxglove.PosesInFrame": convert_poses,
+    SCAN_SCHEMA: convert_origin,
+}
