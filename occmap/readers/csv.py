@@ -22,6 +22,7 @@ from occmap.readers.text import (
     add_note,
     as_float32,
     note_cut_line,
+    parse_nanoseconds,
     parse_stamp,
     probe_lines,
     read_lines,
@@ -38,7 +39,7 @@ class CsvReader:
     """occmap's CSV."""
 
     name = "csv"
-    description = "CSV of one scan a row (stamp, x, y, yaw, angles, r0, r1, ...), plain or gzip"
+    description = "CSV of one scan a row (stamp, x, y, yaw, angles, r0, ... or rostopic's), or gzip"
 
     def recognises(self, probe: Probe) -> bool:
         """Whether the header, or before it a constant, is of this dialect.
@@ -183,7 +184,7 @@ def _parse_row(layout: Layout, text: str) -> Scan:
     stamp_ns = _read_stamp(layout, cells)
     return Scan(
         stamp_ns=stamp_ns,
-        frame=layout.pick("frame", cells).strip(),
+        frame=layout.pick("frame", cells).strip().lstrip("/"),
         angle_min=_read_finite(layout, cells, "angle_min"),
         angle_increment=_read_finite(layout, cells, "angle_increment"),
         ranges=_read_beams(layout, cells),
@@ -198,7 +199,8 @@ def _parse_row(layout: Layout, text: str) -> Scan:
 
 def _read_stamp(layout: Layout, cells: list[str]) -> int:
     try:
-        return parse_stamp(layout.pick("stamp", cells))
+        text = layout.pick("stamp", cells)
+        return parse_nanoseconds(text) if layout.stamp_unit == "ns" else parse_stamp(text)
     except ValueError as error:
         raise ValueError(f"stamp: {error}") from None
 

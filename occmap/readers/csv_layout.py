@@ -1,4 +1,8 @@
-"""What stands where in occmap's CSV: the header row, and comments that hold for every row."""
+"""What stands where in a CSV of scans: the header row, and comments that hold for every row.
+
+Beside occmap's own names a header may have those of `rostopic echo -p` for a LaserScan: `%time`,
+`field.header.stamp`, `field.ranges0` and so on, with times in nanoseconds.
+"""
 
 import csv
 import re
@@ -16,6 +20,17 @@ DEFAULTS = {"range_min": "0", "range_max": "inf", "time_increment": "0", "frame"
 NAMES = frozenset((*REQUIRED, *DEFAULTS, *POSE_NAMES))
 """What may stand as a column or in a comment; beams are columns only."""
 BEAM = re.compile(r"r\d+")
+ROSTOPIC = "%time"
+"""How the header of `rostopic echo -p` starts."""
+_ROSTOPIC_BEAM = re.compile(r"field\.ranges(\d+)")
+_ROSTOPIC_NAMES = {
+    "field.header.stamp": "stamp",
+    "field.header.frame_id": "frame",
+    **{
+        f"field.{name}": name
+        for name in ("angle_min", "angle_increment", "range_min", "range_max", "time_increment")
+    },
+}
 
 
 @dataclass(frozen=True)
@@ -30,6 +45,8 @@ class Layout:
     """The cell of each beam, from r0 on."""
     constants: Mapping[str, str]
     """The text of each of `NAMES` that is no column and has a value."""
+    stamp_unit: str = "s"
+    """"s" or "ns"."""
 
     @property
     def has_pose(self) -> bool:
@@ -69,6 +86,7 @@ def read_layout(path: Path, header: Line, comments: Mapping[str, Line]) -> Layou
         columns={name: at for name, at in places.items() if name in NAMES},
         beams=tuple(places[f"r{beam}"] for beam in range(beams)),
         constants=DEFAULTS | {name: _read_constant(path, line) for name, line in stated.items()},
+        stamp_unit="ns" if header.text.startswith(ROSTOPIC) else "s",
     )
 
 
@@ -89,8 +107,14 @@ def split_cells(text: str) -> list[str]:
 
 
 def split_names(text: str) -> list[str]:
-    """Split a header row; raises ValueError as `split_cells` does."""
-    return [cell.strip() for cell in split_cells(text)]
+    """Split a header row, in occmap's own names; raises ValueError as `split_cells` does."""
+    names = [cell.strip() for cell in split_cells(text)]
+    return [_translate(name) for name in names] if text.startswith(ROSTOPIC) else names
+
+
+def _translate(name: str) -> str:
+    """Bring a name of rostopic's to occmap's; others stay as they are."""
+    return _ROSTOPIC_NAMES.get(name) or _ROSTOPIC_BEAM.sub(r"r\1", name)
 
 
 def split_constant(text: str) -> tuple[str, str] | None:

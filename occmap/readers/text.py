@@ -143,6 +143,23 @@ def parse_stamp(text: str) -> int:
     raise ValueError(f"{shorten(text)} is no time in seconds")
 
 
+def parse_nanoseconds(text: str) -> int:
+    """Convert whole nanoseconds, as text.
+
+    Raises
+    ------
+    ValueError
+        The text is no whole number, or none that fits 64 bits.
+    """
+    try:
+        nanoseconds = int(text)
+    except ValueError:
+        nanoseconds = 2**63
+    if abs(nanoseconds) < 2**63:
+        return nanoseconds
+    raise ValueError(f"{shorten(text)} is no time in nanoseconds")
+
+
 def as_float32(values: ArrayLike) -> Float32:
     """Round to float32; what is too large for it becomes infinite, without a warning."""
     with np.errstate(over="ignore"):

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.errors import LogError
-from occmap.readers import Log, Note, Probe, Role, Stream
-from occmap.readers.csv import CsvReader
+from occmap.readers import Log, Note, Probe, Role, Stream, probe_path
+from occmap.readers.csv import CsvLog, CsvReader
 from occmap.types import Pose, Scan
 
 HEADER = "stamp,x,y,yaw,angle_min,angle_increment,range_min,range_max,time_increment,r0,r1,r2"
@@ -296,3 +296,35 @@ def test_recognises_csv_by_content(content: str) -> None:
 )
 def test_does_not_claim_what_is_not_its_csv(content: bytes) -> None:
     assert not CsvReader().recognises(Probe(Path("any"), content, content))
+
+
+def test_what_rostopic_writes_is_read(tmp_path: Path) -> None:
+    names = [
+        "%time", "field.header.seq", "field.header.stamp", "field.header.frame_id",
+        "field.angle_min", "field.angle_max", "field.angle_increment", "field.time_increment",
+        "field.scan_time", "field.range_min", "field.range_max", "field.ranges0", "field.ranges1",
+        "field.intensities0",
+    ]  # fmt: skip
+    row = "1555061575721518793,7,1555061575561518641,/laser,-1.5,1.5,3,0.25,0.5,0.125,8,2.5,inf,47"
+    ((scan,), log) = _read_with_log(tmp_path, f"{','.join(names)}\n{row}\n")
+
+    assert (scan.stamp_ns, scan.frame) == (1555061575561518641, "laser")
+    assert (scan.angle_min, scan.angle_increment, scan.time_increment) == (-1.5, 3.0, 0.25)
+    assert (scan.range_min, scan.range_max, scan.pose) == (0.125, 8.0, None)
+    assert scan.ranges.tolist() == [2.5, math.inf]
+    assert log.streams[0].count == 1
+
+
+def _read_with_log(tmp_path: Path, content: str) -> tuple[list[Scan], CsvLog]:
+    path = tmp_path / "rostopic.csv"
+    path.write_text(content)
+    assert CsvReader().recognises(probe_path(path))
+    log = CsvReader().open(path)
+    return list(log.scans(["scan"])), log
+
+
+@pytest.mark.parametrize("stamp", ["15550615755.5", "soon", ""])
+def test_a_stamp_of_rostopic_that_is_no_number_names_its_line(tmp_path: Path, stamp: str) -> None:
+    header = "%time,field.header.stamp,field.angle_min,field.angle_increment,field.ranges0"
+    with pytest.raises(LogError, match=r"rostopic.csv:2: stamp: .* is no time in nanoseconds"):
+        _read_with_log(tmp_path, f"{header}\n1,{stamp},0,0.1,2.5\n")
