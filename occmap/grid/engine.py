@@ -187,7 +187,7 @@ def join_viewpoints(rays: Rays) -> Rays:
         return rays
     middle = rays.origin[:, rays.origin.shape[1] // 2, None]
     offset = rays.end - middle
-    distance = np.hypot(offset[..., 0], offset[..., 1])
-    seen = (distance > 0)[..., None] & (rays.kind > 0)[..., None]
+    distance = np.hypot(offset[..., 0], offset[..., 1]) * (rays.kind > 0)
+    seen = (distance > 0)[..., None]
     direction = np.where(seen, offset / np.maximum(distance, 1e-300)[..., None], rays.direction)
     return Rays.along(middle, direction, distance, rays.kind, rays.full_circle)

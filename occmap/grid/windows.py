@@ -67,7 +67,7 @@ def tabulate(free: Profile, hit: Profile, depth: float) -> RadialTables:
         tables.append(np.rint(np.log(p / (1 - p)) / LOG_ODDS_UNIT).astype(np.int64))
     largest = max(int(np.abs(table).max()) for table in tables)
     free_entries, hit_entries = ((table << COUNT_BITS) + 1 for table in tables)
-    constant = int(np.argmax(np.append(free_entries, 0) != free_entries[0]))
+    constant = int(np.argmax(np.append(free_entries[:-1], 0) != free_entries[0]))
     return RadialTables(depth, free_entries, hit_entries, constant, largest)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from occmap.grid.kernels import jit
 from occmap.grid.kernels.beam import sum_beams, trace_beams
 from occmap.grid.kernels.polygon import sum_runs, trace_polygons
 from occmap.grid.kernels.project import project_ends
@@ -28,8 +29,9 @@ KERNELS: list[Any] = [
 ]
 SAMPLE = Path(__file__).parents[2] / "sample_logs" / "drive.mcap"
 NOWHERE_TO_KEEP = """
-from numba.core import caching
-caching.CacheImpl._locator_classes = []
+from pathlib import Path
+from occmap.grid.kernels import jit
+jit.list_bases = lambda: [Path("/dev/null/below a file")]
 from occmap.grid.warm import compile_kernels
 compile_kernels()
 print("compiled")
@@ -44,6 +46,30 @@ def test_a_build_needs_no_kernel_that_was_not_compiled_before(update: Update, mo
     assert min(compiled) >= 1
     build([SAMPLE], BuildOptions(update=update, model=parse_model(model), jobs=1))
     assert [len(kernel.signatures) for kernel in KERNELS] == compiled
+
+
+def test_machine_code_is_kept_for_just_these_sources(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    kernels = tmp_path / "kernels"
+    kernels.mkdir()
+    monkeypatch.setattr(jit, "__file__", str(kernels / "jit.py"))
+    folders = []
+    for text in ("one", "one", "another"):
+        (kernels / "called_by_others.py").write_text(text)
+        folders.append(jit.find_cache_folder.__wrapped__())
+    assert folders[0] == folders[1] != folders[2]
+    assert all(folder is not None and folder.parent == tmp_path for folder in folders)
+
+
+def test_a_folder_that_cannot_be_written_is_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(jit, "list_bases", lambda: iter([Path("/dev/null/x"), tmp_path]))
+    folder = jit.find_cache_folder.__wrapped__()
+    assert folder is not None
+    assert folder.parent == tmp_path
 
 
 def test_kernels_that_cannot_be_kept_work_and_say_so_once() -> None:

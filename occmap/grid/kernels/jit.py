@@ -1,8 +1,11 @@
 """How kernels are compiled: once, kept on disk where possible, without the interpreter's lock."""
 
+import hashlib
 import logging
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
 from functools import cache
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
@@ -15,20 +18,50 @@ log = logging.getLogger(__name__)
 def kernel(function: F) -> F:
     """Compile a function at its first call and keep the machine code for the next process.
 
-    Where neither the source's folder nor the user's cache can be written, it still works and
-    compiles anew in every process.
+    Where no folder can be written it still works, and compiles anew in every process.
     """
+    folder = find_cache_folder()
+    if folder is None:
+        return numba.njit(nogil=True, error_model="numpy")(function)  # type: ignore[return-value]
+    config: Any = numba.config
+    before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
     try:
         compiled = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:  # numba found no folder that it may write to
-        _report_no_cache()
-        compiled = numba.njit(nogil=True, error_model="numpy")(function)
+    finally:
+        config.CACHE_DIR = before
     return compiled  # type: ignore[return-value]  # it is called like the function it was made of
 
 
 @cache
-def _report_no_cache() -> None:
+def find_cache_folder() -> Path | None:
+    """Find a folder for the machine code of just these sources; None, and a warning, if none is.
+
+    numba compares only the file that a kernel stands in, not those of the kernels that it calls:
+    after an upgrade it would go on with the old ones. So the folder's name says what it is for.
+    """
+    sources = sorted(Path(__file__).parent.glob("*.py"))
+    digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
+    for base in list_bases():
+        folder = base / f"occmap-{digest[:16]}"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK | os.X_OK):
+            return folder
     log.warning(
         "compiled kernels cannot be kept: each run compiles anew, which takes some seconds; "
         "set NUMBA_CACHE_DIR to a folder that can be written"
     )
+    return None
+
+
+def list_bases() -> Iterator[Path]:
+    """Where machine code may be kept: where the user says, beside the source, or at home."""
+    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
+        yield Path(chosen)
+    yield Path(__file__).parent / "__pycache__"
+    if home := os.environ.get("XDG_CACHE_HOME"):
+        yield Path(home) / "occmap"
+    elif home := os.environ.get("HOME"):
+        yield Path(home) / ".cache" / "occmap"
