@@ -19,6 +19,7 @@ COMMANDS = {
     "build": "Build one map from one or more logs.",
     "check": "Say what is in logs, and what will go wrong with them.",
     "diff": "Say what changed between two maps, and fail above a limit.",
+    "compare": "Say which update and sensor model suits logs best.",
     "models": "List the sensor models that are installed.",
     "readers": "List the log formats that can be read.",
     "writers": "List the map formats that can be written.",

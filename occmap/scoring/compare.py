@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from occmap.errors import LogError
+from occmap.errors import LogError, UsageError
 from occmap.inspection.advice import name_map
 from occmap.inspection.flags import list_given, list_repeatable
 from occmap.pipeline import (
@@ -21,6 +21,7 @@ from occmap.report import Made, Tally
 from occmap.scoring.trials import HoldOut, Result, Task, Trials
 from occmap.scoring.variants import Variant, shorten_model
 from occmap.types import Rays
+from occmap.writers.atomic import check_target
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +66,7 @@ def compare(
     paths: Sequence[Path],
     variants: Sequence[Variant],
     options: BuildOptions,
+    picture: Path | None = None,
     progress: Progress = ignore_progress,
 ) -> Comparison:
     """Map logs in several ways, with every fifth scan held out, and score the maps on those.
@@ -75,12 +77,16 @@ def compare(
     ----------
     options
         Shared by all variants; its own update and model do not matter.
+    picture
+        Where to draw the maps and where they disagree, as a PNG.
 
     Raises
     ------
     OccmapError
         As `build`, or no held-out beam measured a range.
     """
+    if picture is not None:
+        check_picture(picture)
     tally, hold_out = Tally(), HoldOut()
     logs = [open_log(path) for path in paths]
     total = sum(count_scans(log, options.selection.topics) for log in logs)
@@ -100,7 +106,25 @@ def compare(
     refuse_unused(logs, tally)
     refuse_unscored(made.logs, hold_out)
     results = tuple(trials.score(hold_out.held))
+    if picture is not None:
+        from occmap.scoring.picture import write_picture  # noqa: PLC0415  late: it brings PIL
+
+        write_picture(picture, results)
+        made.files.append(str(picture))
     return Comparison(options, made, tally, hold_out.scans, results)
+
+
+def check_picture(path: Path) -> None:
+    """Find out before the work starts what could not be drawn after it.
+
+    Raises
+    ------
+    UsageError, OutputError
+        It is to be no PNG, or cannot be made.
+    """
+    if path.suffix.lower() != ".png":
+        raise UsageError("the picture is a PNG", where=path, fix="give it a name that ends in .png")
+    check_target(path)
 
 
 def refuse_unscored(logs: Sequence[str], hold_out: HoldOut) -> None:

@@ -1,0 +1,146 @@
+"""`occmap compare`: several updates and sensor models in one read, scored on held-out scans."""
+
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from occmap.batching import Selection
+from occmap.cli import COMMANDS, options
+from occmap.cli.collect import take
+from occmap.cli.console import Console
+from occmap.cli.progress import show_progress
+from occmap.cli.sections import SectionCommand, join, option
+from occmap.errors import UsageError
+from occmap.pipeline import BuildOptions
+from occmap.posing.options import PosingOptions
+from occmap.scoring.compare import Comparison, compare
+from occmap.scoring.trials import Result
+from occmap.scoring.variants import Variant, combine
+from occmap.sensor.models import parse_model
+from occmap.sensor.returns import ReturnOptions
+from occmap.types import Update
+
+HELP = f"""{COMMANDS["compare"]}
+
+Every fifth scan is kept from the maps. Each map is then asked what these scans will see: the share
+of beams whose first occupied cell is within two cells of the measured range, the log-likelihood of
+the range, and the cross-entropy of the cells found free and found occupied.
+
+\b
+  occmap compare drive.mcap
+  occmap compare intel.log.gz -o compare.png --resolution 0.1
+  occmap compare room.bag --update beam --model counting --model simple:p_hit=0.8
+"""
+
+VARIANTS = "What to compare"
+
+variants = join(
+    option(
+        VARIANTS,
+        "--update",
+        "updates",
+        type=click.Choice([update.value for update in Update]),
+        multiple=True,
+        show_default="both",
+        help="How a scan becomes observations. May repeat.",
+    ),
+    option(
+        VARIANTS,
+        "--model",
+        "model_texts",
+        multiple=True,
+        metavar="NAME[:KEY=NUMBER,...]",
+        show_default="each built-in one",
+        help="How evidence is weighed: see `occmap models`. May repeat.",
+    ),
+)
+picture = option(
+    options.FILES,
+    "-o",
+    "--output",
+    "picture",
+    type=click.Path(path_type=Path),
+    metavar="FILE.png",
+    help="Write a picture of all maps, and of where they disagree.",
+)
+
+
+@click.command("compare", cls=SectionCommand, help=HELP, short_help=COMMANDS["compare"])
+@click.argument("logs", nargs=-1, type=click.Path(path_type=Path), metavar="LOG...")
+@join(variants, picture, options.lattice, options.ranges)
+@join(options.selection, options.posing)
+@join(options.jobs, options.as_json, options.verbosity)
+@click.pass_obj
+def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
+    """Compare variants, and print the table."""
+    if not logs:
+        raise UsageError("no log is given", fix="type: occmap compare LOG")
+    chosen, common = collect_variants(values), collect_options(values)
+    with show_progress(console) as progress:
+        comparison = compare(logs, chosen, common, values["picture"], progress)
+    for note in comparison.made.notes:
+        console.note(note)
+    if values["as_json"]:
+        console.put_json(comparison.to_json())
+    else:
+        console.put(format_comparison(comparison))
+
+
+def collect_variants(values: dict[str, Any]) -> list[Variant]:
+    """Gather what is to be compared.
+
+    Raises
+    ------
+    UsageError
+        No such model, or a parameter that it does not have or allow.
+    """
+    models = [parse_model(text) for text in values["model_texts"]]
+    return combine([Update(text) for text in values["updates"]], models)
+
+
+def collect_options(values: dict[str, Any]) -> BuildOptions:
+    """Gather what all variants share.
+
+    Raises
+    ------
+    UsageError
+        A value is out of its range.
+    """
+    return replace(
+        take(BuildOptions, values),
+        returns=take(ReturnOptions, values),
+        posing=take(PosingOptions, values),
+        selection=take(Selection, values),
+    )
+
+
+def format_comparison(comparison: Comparison) -> str:
+    """Write the table, on what it rests, and the command line of the best."""
+    best = comparison.results[0]
+    rest = f"scored by {best.score.beams:,} beams of {comparison.held_out:,} held-out scans"
+    return "\n".join(
+        [
+            *format_table(comparison.results),
+            "",
+            f"{rest}; {comparison.tally.scans_used:,} of {comparison.tally.scans_read:,} used",
+            *(f"picture: {file}" for file in comparison.made.files),
+            f"best: {best.variant.name}",
+            shlex.join(comparison.command),
+        ]
+    )
+
+
+def format_table(results: Sequence[Result]) -> Iterator[str]:
+    """Write a line for each variant, the best share first; entropy as free / occupied cells."""
+    width = max(len(result.variant.name) for result in results)
+    yield f"{'variant':<{width}}   share  log-lik  entropy (free, occupied)    time   memory"
+    for result in results:
+        score = result.score
+        costs = f"{score.cross_entropy:7.3f} ({score.free_cost:.3f}, {score.occupied_cost:.3f})"
+        spent = f"{result.seconds:5.2f} s {result.bytes / 1e6:5.1f} MB"
+        shares = f"{score.share:7.4f}  {score.log_likelihood:7.3f}"
+        yield f"{result.variant.name:<{width}} {shares}  {costs:<24} {spent:>16}"

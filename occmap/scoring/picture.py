@@ -1,0 +1,108 @@
+"""The picture of a comparison: every variant's map on one scale, and where they disagree."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from occmap.scoring.trials import Result
+from occmap.types import Bool, OccupancyMap, UInt8
+from occmap.writers.panels import Panel, write_panels
+
+LARGEST_PX, SMALLEST_PX = 1000, 300
+"""The longer side of a panel."""
+UNKNOWN_GREY = 205
+RED, BLUE = (214, 39, 40), (110, 160, 230)
+
+Box = tuple[slice, slice]
+"""Rows and columns"""
+
+
+class Frame:
+    """The cells that any of several maps covers, and how large they are drawn."""
+
+    def __init__(self, maps: Sequence[OccupancyMap]) -> None:
+        corners = np.array([find_corner(each) for each in maps])
+        self._low = corners.min(axis=0)
+        self.shape = tuple((corners + [each.shape for each in maps]).max(axis=0) - self._low)
+        longest = max(self.shape)
+        self._step = -(-longest // LARGEST_PX)
+        self._times = max(1, SMALLEST_PX // longest)
+
+    def locate(self, grid: OccupancyMap) -> Box:
+        """Where a map's cells are."""
+        row, col = find_corner(grid) - self._low
+        return slice(row, row + grid.shape[0]), slice(col, col + grid.shape[1])
+
+    def shrink(self, cells: UInt8) -> UInt8:
+        """Draw (H, W) cells: the darkest of those that share a pixel, highest y on top."""
+        rows, cols = (-side % self._step for side in cells.shape)
+        padded = np.pad(cells, ((0, rows), (0, cols)), constant_values=255)
+        blocks = padded.reshape(padded.shape[0] // self._step, self._step, -1, self._step)
+        small = blocks.min(axis=(1, 3))[::-1]
+        drawn: UInt8 = small.repeat(self._times, axis=0).repeat(self._times, axis=1)
+        return drawn
+
+    def shrink_mask(self, cells: Bool) -> Bool:
+        """Draw (H, W) cells: true where any of those that share a pixel is."""
+        return np.asarray(self.shrink(np.where(cells, 0, 255).astype(np.uint8)) == 0)
+
+
+def find_corner(grid: OccupancyMap) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Row and column of a map's first cell on the lattice of its resolution."""
+    x, y = grid.origin
+    return np.rint(np.array([y, x]) / grid.resolution).astype(np.int64)
+
+
+def write_picture(path: Path, results: Sequence[Result]) -> None:
+    """Draw the maps, the best first, and where they disagree.
+
+    Raises
+    ------
+    OutputError
+        The picture cannot be written.
+    """
+    frame = Frame([result.map for result in results])
+    panels = [Panel(title(result), paint_map(result.map, frame)) for result in results]
+    if len(results) > 1:
+        panels.append(paint_disagreement([result.map for result in results], frame))
+    write_panels(path, panels)
+
+
+def title(result: Result) -> tuple[str, str]:
+    """Name a map and its score."""
+    score = result.score
+    numbers = f"share {score.share:.3f}, log-likelihood {score.log_likelihood:.3f}"
+    return result.variant.name, numbers
+
+
+def paint_map(grid: OccupancyMap, frame: Frame) -> UInt8:
+    """Paint probability as grey, dark is occupied; (h, w, 3)."""
+    cells = np.full(frame.shape, UNKNOWN_GREY, np.uint8)
+    grey = np.rint(255 * (1 - grid.probability)).astype(np.uint8)
+    cells[frame.locate(grid)] = np.where(grid.observed, grey, UNKNOWN_GREY)
+    return np.repeat(frame.shrink(cells)[..., None], 3, axis=2)
+
+
+def paint_disagreement(maps: Sequence[OccupancyMap], frame: Frame) -> Panel:
+    """Paint what all maps say of a cell, red where they contradict each other."""
+    free, occupied = np.zeros((2, *frame.shape), np.bool_)
+    decided = np.zeros(frame.shape, np.int64)
+    for grid in maps:
+        box = frame.locate(grid)
+        is_free, is_occupied = (
+            grid.observed & side for side in (grid.log_odds < 0, grid.log_odds > 0)
+        )
+        free[box] |= is_free
+        occupied[box] |= is_occupied
+        decided[box] += is_free | is_occupied
+    contradicted = free & occupied
+    partly = (decided > 0) & (decided < len(maps)) & ~contradicted
+    agreed = np.where(decided > 0, np.where(occupied, 0, 255), UNKNOWN_GREY).astype(np.uint8)
+    pixels = np.repeat(frame.shrink(agreed)[..., None], 3, axis=2)
+    pixels[frame.shrink_mask(partly)] = BLUE
+    pixels[frame.shrink_mask(contradicted)] = RED
+    known = max(int(np.count_nonzero(decided)), 1)
+    red, blue = (np.count_nonzero(mask) / known for mask in (contradicted, partly))
+    legend = f"red: free or occupied ({red:.1%}), blue: known or not ({blue:.1%})"
+    return Panel(("where they disagree", legend), pixels)

@@ -1,0 +1,106 @@
+"""`occmap compare` as a command line: table, JSON, picture, and what is refused."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.cli.runner import occmap, read_error
+from tests.samples import SAMPLE_LOGS, write_csv
+
+DRIVE = SAMPLE_LOGS / "drive.csv"
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """Ten scans of two walls; the second is seen at a slant."""
+    return write_csv(
+        tmp_path / "my room.csv", [(0.1 * i, 0, 0) for i in range(10)], [1.0, 2.0], 0.3
+    )
+
+
+def test_the_table_names_the_best_and_how_to_build_it(log: Path) -> None:
+    result = occmap("compare", log, "--resolution", 0.1, "--model", "simple", "--model", "counting")
+    assert (result.code, result.err) == (0, "")
+    lines = result.out.splitlines()
+    assert " ".join(lines[0].split()) == (
+        "variant share log-lik entropy (free, occupied) time memory"
+    )
+    names = [" ".join(line.split()[:2]) for line in lines[1:5]]
+    models = ("simple", "counting")
+    assert set(names) == {f"{update} {model}" for update in ("beam", "polygon") for model in models}
+    shares = [float(line.split()[2]) for line in lines[1:5]]
+    assert shares == sorted(shares, reverse=True)
+    assert lines[5:7] == ["", "scored by 4 beams of 2 held-out scans; 10 of 10 used"]
+    update, model = names[0].split()
+    build = f"occmap build {update} '{log}' --model {model} --resolution 0.1 -o 'my room.pgm'"
+    assert lines[7:] == [f"best: {names[0]}", build]
+
+
+def test_the_best_command_builds(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ["--start", "1", "--end", "8", "--stride", "2", "--border-gap", "3"]
+    words += ["--no-return", "clear", "--range-max", "9"]
+    command = json.loads(occmap("compare", log, *words, "--json").out)["command"]
+    assert set(words) <= set(command)
+    assert occmap(*command[1:]).code == 0
+    assert (tmp_path / "my room.pgm").exists()
+
+
+def test_json_says_all_of_every_variant(log: Path) -> None:
+    result = occmap("compare", log, "--json", "-q", "--update", "beam")
+    comparison = json.loads(result.out)
+    assert comparison["scans"] == {"read": 10, "used": 10, "held_out": 2, "dropped": {}}
+    assert comparison["best"] == comparison["variants"][0]["name"]
+    first = comparison["variants"][0]
+    assert first["beams"] == 4
+    assert first["cross_entropy"] == pytest.approx(
+        (first["free_cost"] + first["occupied_cost"]) / 2
+    )
+    assert {each["update"] for each in comparison["variants"]} == {"beam"}
+    assert result.err == ""
+
+
+def test_the_picture_shows_every_map_and_the_disagreement(log: Path, tmp_path: Path) -> None:
+    target = tmp_path / "compare.png"
+    result = occmap("compare", log, "-o", target)
+    assert f"picture: {target}" in result.out.splitlines()
+    with Image.open(target) as picture:
+        assert picture.format == "PNG"
+        pixels = np.asarray(picture.convert("RGB"))
+    again = tmp_path / "again.png"
+    assert occmap("compare", log, "-o", again, "--jobs", 1).code == 0
+    assert again.read_bytes() == target.read_bytes()
+    is_red = (pixels == (214, 39, 40)).all(axis=-1)
+    assert is_red.any()  # the polygon closes over what the beams left
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ([], "no log is given; type: occmap compare LOG"),
+        ([DRIVE, "-o", "map.pgm"], "map.pgm: the picture is a PNG; give it a name that ends in"),
+        ([DRIVE, "--update", "polygn"], "--update"),
+        ([DRIVE, "--model", "simpel"], "did you mean 'simple'?"),
+        ([DRIVE, "--model", "counting:p_hit=0.7"], "has no parameter 'p_hit'"),
+        ([DRIVE, "--resolution", "0"], "a resolution of 0.0 m is not possible"),
+        ([DRIVE, "--jobs", "0"], "0 jobs are not possible"),
+    ],
+)
+def test_wrong_usage(words: list[object], found: str) -> None:
+    assert found in read_error(occmap("compare", *words), 2)
+
+
+def test_what_fails_leaves_no_picture(log: Path, tmp_path: Path) -> None:
+    target = tmp_path / "compare.png"
+    assert "no such file" in read_error(occmap("compare", "no.log", "-o", target), 1)
+    assert "--max-cells 3" in read_error(occmap("compare", log, "--max-cells", 3, "-o", target), 1)
+    short = ["--end", 0.5, "-o", target]
+    assert "give more scans: every fifth" in read_error(occmap("compare", log, *short), 1)
+    lost = tmp_path / "none" / "compare.png"
+    assert "mkdir -p" in read_error(occmap("compare", log, "-o", lost), 1)
+    assert not target.exists()

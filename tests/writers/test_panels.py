@@ -1,0 +1,56 @@
+"""Panels side by side: where each lies, and that what fails leaves nothing."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from occmap.errors import OutputError
+from occmap.writers.panels import GAP_PX, LINE_PX, Panel, arrange, write_panels
+
+
+def make_panels(count: int, shape: tuple[int, int] = (40, 60)) -> list[Panel]:
+    return [
+        Panel((f"map {i}",), np.full((*shape, 3), (10 * i, 200, 30), np.uint8))
+        for i in range(count)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("count", "shape", "columns", "rows"),
+    [(1, (400, 400), 1, 1), (7, (400, 400), 4, 2), (4, (100, 900), 1, 4), (4, (900, 100), 4, 1)],
+)
+def test_the_picture_is_neither_a_strip_nor_a_tower(
+    count: int, shape: tuple[int, int], columns: int, rows: int
+) -> None:
+    layout = arrange(make_panels(count, shape), 50.0)
+    assert layout[:2] == (columns, rows)
+
+
+def test_each_panel_lies_below_its_title(tmp_path: Path) -> None:
+    panels = make_panels(5)
+    write_panels(tmp_path / "p.png", panels)
+    layout = arrange(panels, 50.0)
+    with Image.open(tmp_path / "p.png") as image:
+        pixels = np.asarray(image)
+    for _index, panel in enumerate(panels):
+        found = np.argwhere((pixels == panel.pixels[0, 0]).all(axis=-1))
+        low, high = found.min(axis=0), found.max(axis=0)
+        assert (high - low + 1).tolist() == [40, 60]
+        title = pixels[low[0] - LINE_PX : low[0], low[1] : low[1] + 60]
+        assert title.min() < 100
+        assert (low[0] - LINE_PX - GAP_PX) % layout.height == 0
+
+
+def test_a_title_wider_than_its_panel_is_whole(tmp_path: Path) -> None:
+    panel = Panel(("a title of many words, " * 4,), np.zeros((5, 5, 3), np.uint8))
+    write_panels(tmp_path / "p.png", [panel])
+    with Image.open(tmp_path / "p.png") as image:
+        assert image.width > 400
+        assert (np.asarray(image)[:, -GAP_PX:] == 255).all()
+
+
+def test_a_folder_that_is_missing_is_an_output_error(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="does not exist"):
+        write_panels(tmp_path / "none" / "p.png", make_panels(1))
