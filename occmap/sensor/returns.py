@@ -13,6 +13,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from occmap.errors import UsageError
+from occmap.sensor.ignore import Box, Sector, check_box, check_sector, mask_box, mask_sectors
 from occmap.types import Bool, Float32, Float64, Kind, PosedScans, Rays, ScanBatch, UInt8
 
 
@@ -37,19 +38,31 @@ class ReturnOptions:
         Replaces the sensor's limit that the log states (m).
     no_return
         What +inf, and anything at or beyond the sensor's limit, means.
+    ignore_sectors
+        Beams that the robot itself blocks; each from one bearing in the sensor's frame
+        counter-clockwise to another (rad).
+    footprint
+        Box in the sensor's frame that the robot fills, x_min, y_min, x_max, y_max (m): what is
+        measured in it is the robot.
 
     Raises
     ------
     UsageError
-        The limits leave no range to use.
+        The limits leave no range to use, or a sector or the box is empty.
     """
 
     min_range: float = 0.0
     max_range: float = math.inf
     range_max: float | None = None
     no_return: NoReturn = NoReturn.IGNORE
+    ignore_sectors: tuple[Sector, ...] = ()
+    footprint: Box | None = None
 
     def __post_init__(self) -> None:
+        for sector in self.ignore_sectors:
+            check_sector(sector)
+        if self.footprint is not None:
+            check_box(self.footprint)
         if not 0 <= self.min_range < self.max_range:
             raise UsageError(
                 f"--min-range {self.min_range} and --max-range {self.max_range} leave no range",
@@ -72,6 +85,8 @@ class ReturnCounts(NamedTuple):
     too_close: int = 0
     """Zero, negative, -inf, or below the nearest range that counts."""
     nan: int = 0
+    own_robot: int = 0
+    """In an --ignore-sector, or a hit in the --footprint."""
 
     def __add__(self, other: tuple[int, ...]) -> Self:  # type: ignore[override]
         return type(self)(*(mine + its for mine, its in zip(self, other, strict=True)))
@@ -117,13 +132,30 @@ def classify(batch: ScanBatch, options: ReturnOptions) -> tuple[UInt8, Float32, 
     other = ~(close | no_return | np.isnan(ranges))
     hit = (ranges <= _to_float32(options.max_range)) & other
     beyond = other & ~hit
+    own = _find_own(batch, options)
+    if own is not None:
+        hit, beyond, no_return, close = (mask & ~own for mask in (hit, beyond, no_return, close))
 
     clears = options.no_return is NoReturn.CLEAR and bool(np.isfinite(free_reach))
     free = beyond | no_return if clears else beyond
     kind = np.where(hit, np.uint8(Kind.HIT), free.astype(np.uint8) * np.uint8(Kind.FREE))
     reach = np.where(hit, ranges, free * (free_reach if free.any() else np.float32(0)))
     counts = _count(hit, beyond, no_return, close)
+    if own is not None:
+        robot = int(np.count_nonzero(own))
+        counts = counts._replace(nan=counts.nan - robot, own_robot=robot)
     return kind, reach, counts
+
+
+def _find_own(batch: ScanBatch, options: ReturnOptions) -> Bool | None:
+    """(S, B): which ranges are the robot's own or blocked by it; None where nobody asked."""
+    if not options.ignore_sectors and options.footprint is None:
+        return None
+    shape = batch.angle_min, batch.angle_increment, batch.ranges.shape[1]
+    own = np.broadcast_to(mask_sectors(*shape, options.ignore_sectors), batch.ranges.shape)
+    if options.footprint is None:
+        return own
+    return own | mask_box(batch.ranges, tabulate_bearings(*shape), options.footprint)
 
 
 def _to_float32(limit: float) -> np.float32:

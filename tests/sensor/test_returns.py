@@ -164,7 +164,8 @@ def test_every_beam_is_counted_once(
 
 
 def test_tallies_add_up() -> None:
-    assert ReturnCounts(1, 2, 3, 4, 5) + ReturnCounts(10, 20, 30, 40, 50) == (11, 22, 33, 44, 55)
+    total = ReturnCounts(1, 2, 3, 4, 5, 6) + ReturnCounts(10, 20, 30, 40, 50, 60)
+    assert total == (11, 22, 33, 44, 55, 66)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,83 @@
+"""The robot in its own scans: sectors that it blocks, and a box that it fills.
+
+Both are given in the sensor's frame, where a person reads them off a plot of one scan, and where
+they hold however the sensor is mounted.
+"""
+
+import math
+from functools import lru_cache
+from typing import TypeAlias
+
+import numpy as np
+
+from occmap.errors import UsageError
+from occmap.types import Bool, Float32, Float64
+
+Sector: TypeAlias = tuple[float, float]
+"""From one bearing counter-clockwise to another (rad)."""
+Box: TypeAlias = tuple[float, float, float, float]
+"""Lowest x and y, highest x and y (m)."""
+
+FULL_TURN = 2 * math.pi
+EDGE_RAD = 1e-6
+"""A beam on the edge of a sector is inside, whatever its bearing was rounded to."""
+
+
+def check_sector(sector: Sector) -> None:
+    """Raise UsageError unless a sector has two ends that differ."""
+    start, end = sector
+    if not (math.isfinite(start) and math.isfinite(end)) or start == end:
+        raise UsageError(
+            f"from {start} to {end} rad is no sector",
+            fix="give two bearings, counter-clockwise, such as --ignore-sector 2.5,-2.5",
+        )
+
+
+def check_box(box: Box) -> None:
+    """Raise UsageError unless a box has an inside."""
+    x_min, y_min, x_max, y_max = box
+    if not (all(map(math.isfinite, box)) and x_min < x_max and y_min < y_max):
+        raise UsageError(
+            f"{box} is no footprint",
+            fix="give x_min,y_min,x_max,y_max around the sensor in metres",
+        )
+
+
+@lru_cache(maxsize=64)
+def mask_sectors(
+    angle_min: float, angle_increment: float, beams: int, sectors: tuple[Sector, ...]
+) -> Bool:
+    """(B,): which beams point into one of the sectors."""
+    bearings = angle_min + angle_increment * np.arange(beams)
+    inside = np.zeros(beams, np.bool_)
+    for start, end in sectors:
+        width = (end - start) % FULL_TURN or FULL_TURN
+        inside |= (bearings - start + EDGE_RAD) % FULL_TURN <= width + 2 * EDGE_RAD
+    return inside
+
+
+def mask_box(ranges: Float32, bearing: Float64, box: Box) -> Bool:
+    """(S, B): which ranges, along bearings (2, B), end in the box."""
+    near, far = cross_box(bearing, box)
+    inside: Bool = (ranges >= near) & (ranges <= far)
+    return inside
+
+
+def cross_box(bearing: Float64, box: Box) -> tuple[Float32, Float32]:
+    """Where rays along unit vectors (2, B) from zero enter and leave a box (B,): slab by slab.
+
+    A ray that misses the box enters it behind where it leaves it.
+    """
+    tiny = float(np.finfo(np.float32).tiny)
+    along = np.where(np.abs(bearing) < tiny, tiny, bearing)
+    corners = np.array(box).reshape(2, 2, 1)
+    low, high = corners / along
+    near = np.maximum(np.minimum(low, high).max(axis=0), 0)
+    far = np.maximum(low, high).min(axis=0)
+    return as_float32(near), as_float32(far)
+
+
+def as_float32(limit: Float64) -> Float32:
+    """Round as the ranges are, so that one at the edge is inside; what is too large is infinite."""
+    with np.errstate(over="ignore"):
+        return limit.astype(np.float32)

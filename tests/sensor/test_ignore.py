@@ -1,0 +1,104 @@
+"""Beams that the robot blocks, and hits on the robot itself."""
+
+import math
+
+import numpy as np
+import pytest
+
+from occmap.errors import UsageError
+from occmap.sensor.ignore import Box, Sector, mask_sectors
+from occmap.sensor.returns import NoReturn, ReturnCounts, ReturnOptions, classify
+from occmap.types import Kind, ScanBatch
+
+FRONT, LEFT, BACK, RIGHT = range(4)
+ALL = {FRONT, LEFT, BACK, RIGHT}
+SKIP, FREE, HIT = Kind.SKIP, Kind.FREE, Kind.HIT
+
+
+def make_batch(ranges: list[list[float]], angle_min: float = 0.0) -> ScanBatch:
+    """Four beams: to the front, the left, the back and the right."""
+    values = np.array(ranges, np.float32)
+    stamps = np.zeros(len(values), np.int64)
+    return ScanBatch("laser", angle_min, math.pi / 2, 0.1, 8.0, 0.0, stamps, values, None)
+
+
+@pytest.mark.parametrize(
+    ("sector", "expected"),
+    [
+        ((-0.1, 0.1), {FRONT}),
+        ((0.1, -0.1), {LEFT, BACK, RIGHT}),
+        ((3.0, -3.0), {BACK}),
+        ((math.pi / 2, math.pi), {LEFT, BACK}),  # both edges are inside
+        ((-math.pi, math.pi), ALL),
+        ((0.0, 2 * math.pi), ALL),
+        ((math.radians(260), math.radians(280)), {RIGHT}),
+        ((0.2, 0.3), set()),
+    ],
+)
+@pytest.mark.parametrize("turns", [0, -1, 3])
+def test_beams_in_a_sector(sector: Sector, expected: set[int], turns: int) -> None:
+    mask = mask_sectors(turns * 2 * math.pi, math.pi / 2, 4, (sector,))
+
+    assert set(np.flatnonzero(mask)) == expected
+
+
+def test_sectors_run_counter_clockwise_whatever_way_the_beams_do() -> None:
+    assert mask_sectors(0.0, -math.pi / 2, 4, ((1.0, 2.0),)).tolist() == [False, False, False, True]
+
+
+def test_what_a_sector_holds_is_skipped_and_counted() -> None:
+    batch = make_batch([[1.0, 2.0, np.inf, np.nan], [0.0, 9.0, 3.0, 4.0]])
+    options = ReturnOptions(no_return=NoReturn.CLEAR, ignore_sectors=((3.0, -3.0), (-1.6, -1.5)))
+
+    kind, reach, counts = classify(batch, options)
+
+    assert kind.tolist() == [[HIT, HIT, SKIP, SKIP], [SKIP, FREE, SKIP, SKIP]]
+    assert reach.tolist() == [[1, 2, 0, 0], [0, 8, 0, 0]]
+    assert counts == ReturnCounts(hit=2, no_return=1, too_close=1, own_robot=4)
+    assert sum(counts) == batch.ranges.size
+
+
+@pytest.mark.parametrize(
+    ("box", "expected"),
+    [
+        ((-0.5, -0.3, 0.5, 0.3), [[SKIP, SKIP, SKIP, SKIP], [HIT, HIT, HIT, HIT]]),
+        ((-0.25, -0.3, 0.25, 0.3), [[HIT, SKIP, HIT, SKIP], [HIT, HIT, HIT, HIT]]),
+        # Before the sensor, and not around it: what is nearer than the box is not the robot.
+        ((0.6, -0.1, 1.0, 0.1), [[HIT, HIT, HIT, HIT], [SKIP, HIT, HIT, HIT]]),
+    ],
+)
+def test_hits_in_the_footprint_are_skipped(box: Box, expected: list[list[Kind]]) -> None:
+    batch = make_batch([[0.4, 0.3, 0.5, 0.2], [0.75, 0.5, 2.0, 3.0]])
+
+    kind, _, counts = classify(batch, ReturnOptions(footprint=box))
+
+    assert kind.tolist() == expected
+    assert counts.own_robot == int((kind == SKIP).sum())
+
+
+def test_a_footprint_says_nothing_of_beams_that_leave_it() -> None:
+    batch = make_batch([[5.0, np.inf, 9.0, 7.9]])
+    with_box = classify(batch, ReturnOptions(footprint=(-1, -1, 1, 1), no_return=NoReturn.CLEAR))
+
+    assert with_box[0].tolist() == [[HIT, FREE, FREE, HIT]]
+
+
+def test_a_slanted_beam_leaves_the_box_at_its_corner() -> None:
+    reach = math.hypot(0.5, 0.5)
+    batch = make_batch([[reach - 0.01] * 4, [reach + 0.01] * 4], angle_min=math.pi / 4)
+
+    kind, _, _ = classify(batch, ReturnOptions(footprint=(-0.5, -0.5, 0.5, 0.5)))
+
+    assert kind.tolist() == [[SKIP] * 4, [HIT] * 4]
+
+
+@pytest.mark.parametrize("sector", [(1.0, 1.0), (math.nan, 1.0), (0.0, math.inf)])
+def test_an_empty_sector_is_refused(sector: Sector) -> None:
+    with pytest.raises(UsageError, match="--ignore-sector"):
+        ReturnOptions(ignore_sectors=(sector,))
+
+
+@pytest.mark.parametrize("box", [(0, 0, 0, 1), (1, 0, 0, 1), (0, 0, 1, math.inf)])
+def test_an_empty_footprint_is_refused(box: Box) -> None:
+    with pytest.raises(UsageError, match="is no footprint; give x_min,y_min,x_max,y_max"):
+        ReturnOptions(footprint=box)
