@@ -226,7 +226,7 @@ def make_engine(options: BuildOptions) -> "GridEngine":
     """Make the grid engine for an update and a model."""
     from occmap.grid.engine import GridEngine  # noqa: PLC0415  late: numba takes a third of a second
     from occmap.grid.lattice import Lattice  # noqa: PLC0415
-    from occmap.grid.windows import Observation, tabulate  # noqa: PLC0415
+    from occmap.grid.observation import Observation, tabulate  # noqa: PLC0415
 
     lattice = Lattice(options.resolution)
     model = options.model

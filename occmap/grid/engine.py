@@ -7,8 +7,10 @@ import numpy as np
 
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid.observation import Observation
+from occmap.grid.projection import Projected, project
 from occmap.grid.tiles import EvidenceKind, TileGrid, refuse_large
-from occmap.grid.windows import Observation, Projected, Window, choose_window, project
+from occmap.grid.windows import Window, choose_window
 from occmap.types import Rays, Update
 
 WINDOW_CELLS = 1 << 24

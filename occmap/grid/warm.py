@@ -4,7 +4,7 @@ import numpy as np
 
 from occmap.grid.engine import GridEngine
 from occmap.grid.lattice import Lattice
-from occmap.grid.windows import Observation, tabulate
+from occmap.grid.observation import Observation, tabulate
 from occmap.types import Kind, Rays, Update
 
 

@@ -5,8 +5,6 @@ only when the scans leave it. What its arrays hold is the business of its kernel
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -15,141 +13,12 @@ from numpy.typing import NDArray
 from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.beam import sum_beams, trace_beams
 from occmap.grid.kernels.polygon import Surfaces, sum_runs, trace_polygons
-from occmap.grid.kernels.project import project_ends
 from occmap.grid.kernels.radial_beam import trace_radial_beams
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
-from occmap.grid.lattice import SUBCELL_BITS, SUBCELLS, CellBox, Lattice
-from occmap.grid.tiles import LOG_ODDS_UNIT
-from occmap.types import Float64, Int64, Rays, Update
-
-COUNT_BITS = 20
-"""A window cell counts fewer than 2^20 observations before it must be emptied."""
-
-
-@dataclass(frozen=True)
-class RadialTables:
-    """A radial sensor model, tabulated for the kernels: no cell costs a logarithm.
-
-    An entry holds the log-odds in fixed point above the lowest 20 bits, and an observation, 1, in
-    those: one addition to a cell counts both.
-    """
-
-    depth: float
-    """How far about the range a hit reaches (m)"""
-    free: Int64
-    """(T + 1,) over (d / (r - depth))^2"""
-    hit: Int64
-    """(T + 1,) over |d - r| / depth"""
-    constant: int
-    """How many entries at the start of `free` are equal"""
-    largest: int
-    """The largest log-odds, either way, that an entry adds"""
-
-
-Profile = Callable[[Float64], Float64]
-"""(T,) shares in [0, 1] to (T,) probabilities of being occupied."""
-
-TABLE_STEPS = 2048
-"""A free cell's log-odds is then within half a per cent of the formula's where it matters."""
-
-
-SUREST = 2.0**-53
-"""No probability is tabulated nearer to 0 or 1: a float tells none nearer to 1 from it, and sums of
-log-odds stay within a window's integers, whatever a model says."""
-
-
-def tabulate(free: Profile, hit: Profile, depth: float) -> RadialTables:
-    """Tabulate a radial model's probabilities, each at the middle of its step."""
-    middle = np.minimum((np.arange(TABLE_STEPS + 1) + 0.5) / TABLE_STEPS, 1)
-    tables = []
-    for profile in (free, hit):
-        p = np.clip(profile(middle), SUREST, 1 - SUREST)
-        tables.append(np.rint(np.log(p / (1 - p)) / LOG_ODDS_UNIT).astype(np.int64))
-    largest = max(int(np.abs(table).max()) for table in tables)
-    free_entries, hit_entries = ((table << COUNT_BITS) + 1 for table in tables)
-    constant = int(np.argmax(np.append(free_entries[:-1], 0) != free_entries[0]))
-    return RadialTables(depth, free_entries, hit_entries, constant, largest)
-
-
-@dataclass(frozen=True)
-class Observation:
-    """What a window is to observe, and how."""
-
-    update: Update
-    lattice: Lattice
-    jump: float = 0.2
-    """Neighbours whose ranges differ by at most this (m) see the same surface (polygon update)"""
-    border_gap: int = 8
-    """... and the border is closed over at most so many cells"""
-    radial: RadialTables | None = None
-    """None: hits and misses are counted"""
-
-
-@dataclass(frozen=True)
-class Projected:
-    """Rays and where on the lattice they begin and end."""
-
-    rays: Rays
-    anchor: Int64
-    """(2,) x and y of a corner of a cell near them (lattice units)"""
-    origins: Int64
-    """(S, K, 2) x and y (lattice units from the anchor)"""
-    ends_x: Int32
-    """(S, B) (lattice units from the anchor)"""
-    ends_y: Int32
-    """(S, B) (lattice units from the anchor)"""
-    box: CellBox
-    """Around all cells that these rays may touch"""
-
-
-def project(rays: Rays, what: Observation) -> Projected:
-    """Round rays to the lattice, once."""
-    depth = 0.0 if what.radial is None else what.radial.depth
-    origins = what.lattice.to_units(rays.origin)
-    anchor = origins[0, 0] >> SUBCELL_BITS << SUBCELL_BITS
-    origins -= anchor
-    ends_x, ends_y = np.empty(rays.kind.shape, np.int32), np.empty(rays.kind.shape, np.int32)
-    project_ends(
-        rays.origin,
-        rays.turn,
-        rays.bearing,
-        rays.distance,
-        rays.kind,
-        depth,
-        what.lattice.units_per_metre,
-        anchor.astype(np.float64),
-        ends_x,
-        ends_y,
-    )
-    left, bottom = (
-        min(int(ends.min()), int(origins[..., axis].min())) >> SUBCELL_BITS
-        for axis, ends in enumerate((ends_x, ends_y))
-    )
-    right, top = (
-        max(int(ends.max()), int(origins[..., axis].max())) >> SUBCELL_BITS
-        for axis, ends in enumerate((ends_x, ends_y))
-    )
-    to_col, to_row = (int(corner) >> SUBCELL_BITS for corner in anchor)
-    margin = 1 + _reach_beside(rays, what)
-    box = CellBox(
-        to_row + bottom - margin,
-        to_col + left - margin,
-        to_row + top + 1 + margin,
-        to_col + right + 1 + margin,
-    )
-    return Projected(rays, anchor, origins, ends_x, ends_y, box)
-
-
-def _reach_beside(rays: Rays, what: Observation) -> int:
-    """How many cells beside their ends beams have a say in: half-way to their neighbours."""
-    if what.radial is None or what.update is Update.BEAM or rays.kind.shape[1] < 2:
-        return 0
-    single = rays.turn.shape[1] == 1  # a turn makes no two bearings differ more
-    directions = rays.bearing.T if single else rays.direction
-    spread = float(np.abs(np.diff(directions, axis=-2)).max())
-    reach = float(rays.distance.max()) + what.radial.depth
-    return int(reach * min(2 * spread, 1.0) / what.lattice.resolution) + 2
-
+from occmap.grid.lattice import SUBCELLS, CellBox
+from occmap.grid.observation import COUNT_BITS, Observation, RadialTables
+from occmap.grid.projection import Projected
+from occmap.types import Int64, Update
 
 Evidence: TypeAlias = tuple[NDArray[Any], NDArray[Any]]
 

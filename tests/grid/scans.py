@@ -10,8 +10,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from occmap.grid.engine import WINDOW_CELLS, GridEngine
+from occmap.grid.observation import Observation
 from occmap.grid.tiles import TILE, TileGrid
-from occmap.grid.windows import Observation
 from occmap.types import Float64, Kind, Rays, UInt8
 from tests.grid.reference import Cell
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from occmap.errors import MapError
 from occmap.grid.engine import WINDOW_CELLS, GridEngine, join_viewpoints
 from occmap.grid.lattice import Lattice
+from occmap.grid.observation import Observation, tabulate
 from occmap.grid.tiles import TILE
-from occmap.grid.windows import Observation, tabulate
 from occmap.sensor.models import QuadraticModel
 from occmap.types import Kind, Rays, Update
 from tests.grid import reference

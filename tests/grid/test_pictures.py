@@ -6,7 +6,7 @@ from textwrap import dedent
 import pytest
 
 from occmap.grid.lattice import Lattice
-from occmap.grid.windows import Observation
+from occmap.grid.observation import Observation
 from occmap.types import Kind, Rays, Update
 from tests.grid import reference
 from tests.grid.pictures import Wall, box, draw, look

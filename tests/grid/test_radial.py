@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from occmap.grid.engine import WINDOW_CELLS, join_viewpoints
 from occmap.grid.lattice import Lattice
+from occmap.grid.observation import TABLE_STEPS, Observation, tabulate
 from occmap.grid.tiles import LOG_ODDS_UNIT
-from occmap.grid.windows import TABLE_STEPS, Observation, tabulate
 from occmap.sensor.models import QuadraticModel
 from occmap.types import Kind, Rays, Update
 from tests.grid import radial_reference

@@ -1,0 +1,72 @@
+"""What the grid engine is asked to observe: an update, a lattice, and a model's tables."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from occmap.grid.lattice import Lattice
+from occmap.grid.tiles import LOG_ODDS_UNIT
+from occmap.types import Float64, Int64, Update
+
+COUNT_BITS = 20
+"""A window cell counts fewer than 2^20 observations before it must be emptied."""
+
+
+@dataclass(frozen=True)
+class RadialTables:
+    """A radial sensor model, tabulated for the kernels: no cell costs a logarithm.
+
+    An entry holds the log-odds in fixed point above the lowest 20 bits, and an observation, 1, in
+    those: one addition to a cell counts both.
+    """
+
+    depth: float
+    """How far about the range a hit reaches (m)"""
+    free: Int64
+    """(T + 1,) over (d / (r - depth))^2"""
+    hit: Int64
+    """(T + 1,) over |d - r| / depth"""
+    constant: int
+    """How many entries at the start of `free` are equal"""
+    largest: int
+    """The largest log-odds, either way, that an entry adds"""
+
+
+Profile = Callable[[Float64], Float64]
+"""(T,) shares in [0, 1] to (T,) probabilities of being occupied."""
+
+TABLE_STEPS = 2048
+"""A free cell's log-odds is then within half a per cent of the formula's where it matters."""
+
+
+SUREST = 2.0**-53
+"""No probability is tabulated nearer to 0 or 1: a float tells none nearer to 1 from it, and sums of
+log-odds stay within a window's integers, whatever a model says."""
+
+
+def tabulate(free: Profile, hit: Profile, depth: float) -> RadialTables:
+    """Tabulate a radial model's probabilities, each at the middle of its step."""
+    middle = np.minimum((np.arange(TABLE_STEPS + 1) + 0.5) / TABLE_STEPS, 1)
+    tables = []
+    for profile in (free, hit):
+        p = np.clip(profile(middle), SUREST, 1 - SUREST)
+        tables.append(np.rint(np.log(p / (1 - p)) / LOG_ODDS_UNIT).astype(np.int64))
+    largest = max(int(np.abs(table).max()) for table in tables)
+    free_entries, hit_entries = ((table << COUNT_BITS) + 1 for table in tables)
+    constant = int(np.argmax(np.append(free_entries[:-1], 0) != free_entries[0]))
+    return RadialTables(depth, free_entries, hit_entries, constant, largest)
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What a window is to observe, and how."""
+
+    update: Update
+    lattice: Lattice
+    jump: float = 0.2
+    """Neighbours whose ranges differ by at most this (m) see the same surface (polygon update)"""
+    border_gap: int = 8
+    """... and the border is closed over at most so many cells"""
+    radial: RadialTables | None = None
+    """None: hits and misses are counted"""

@@ -1,0 +1,77 @@
+"""Rays on the lattice: where they begin and end, and the box of cells that they may touch."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from occmap.grid.kernels.arrays import Int32
+from occmap.grid.kernels.project import project_ends
+from occmap.grid.lattice import SUBCELL_BITS, CellBox
+from occmap.grid.observation import Observation
+from occmap.types import Int64, Rays, Update
+
+
+@dataclass(frozen=True)
+class Projected:
+    """Rays and where on the lattice they begin and end."""
+
+    rays: Rays
+    anchor: Int64
+    """(2,) x and y of a corner of a cell near them (lattice units)"""
+    origins: Int64
+    """(S, K, 2) x and y (lattice units from the anchor)"""
+    ends_x: Int32
+    """(S, B) (lattice units from the anchor)"""
+    ends_y: Int32
+    """(S, B) (lattice units from the anchor)"""
+    box: CellBox
+    """Around all cells that these rays may touch"""
+
+
+def project(rays: Rays, what: Observation) -> Projected:
+    """Round rays to the lattice, once."""
+    depth = 0.0 if what.radial is None else what.radial.depth
+    origins = what.lattice.to_units(rays.origin)
+    anchor = origins[0, 0] >> SUBCELL_BITS << SUBCELL_BITS
+    origins -= anchor
+    ends_x, ends_y = np.empty(rays.kind.shape, np.int32), np.empty(rays.kind.shape, np.int32)
+    project_ends(
+        rays.origin,
+        rays.turn,
+        rays.bearing,
+        rays.distance,
+        rays.kind,
+        depth,
+        what.lattice.units_per_metre,
+        anchor.astype(np.float64),
+        ends_x,
+        ends_y,
+    )
+    left, bottom = (
+        min(int(ends.min()), int(origins[..., axis].min())) >> SUBCELL_BITS
+        for axis, ends in enumerate((ends_x, ends_y))
+    )
+    right, top = (
+        max(int(ends.max()), int(origins[..., axis].max())) >> SUBCELL_BITS
+        for axis, ends in enumerate((ends_x, ends_y))
+    )
+    to_col, to_row = (int(corner) >> SUBCELL_BITS for corner in anchor)
+    margin = 1 + _reach_beside(rays, what)
+    box = CellBox(
+        to_row + bottom - margin,
+        to_col + left - margin,
+        to_row + top + 1 + margin,
+        to_col + right + 1 + margin,
+    )
+    return Projected(rays, anchor, origins, ends_x, ends_y, box)
+
+
+def _reach_beside(rays: Rays, what: Observation) -> int:
+    """How many cells beside their ends beams have a say in: half-way to their neighbours."""
+    if what.radial is None or what.update is Update.BEAM or rays.kind.shape[1] < 2:
+        return 0
+    single = rays.turn.shape[1] == 1  # a turn makes no two bearings differ more
+    directions = rays.bearing.T if single else rays.direction
+    spread = float(np.abs(np.diff(directions, axis=-2)).max())
+    reach = float(rays.distance.max()) + what.radial.depth
+    return int(reach * min(2 * spread, 1.0) / what.lattice.resolution) + 2
