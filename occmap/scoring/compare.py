@@ -96,8 +96,9 @@ def compare(
 
         def observe(rays: Rays) -> None:
             seen = hold_out.split(rays)
-            for evidence in trials.evidence.values():
-                workers.give(Task(evidence, seen))
+            if len(seen.kind):
+                for evidence in trials.evidence.values():
+                    workers.give(Task(evidence, seen))
 
         for log in logs:
             in_order = replace(options, jobs=1)  # which scans are held out must not be chance

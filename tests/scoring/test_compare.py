@@ -106,6 +106,15 @@ def test_a_map_is_scored_by_scans_that_it_was_not_made_from(tmp_path: Path) -> N
     assert result.score.log_likelihood < math.log(0.2)
 
 
+def test_scans_that_all_differ_in_geometry_are_held_out_one_by_one(tmp_path: Path) -> None:
+    log = tmp_path / "turning.csv"
+    head = "# angle_increment: 0\nstamp,x,y,yaw,angle_min,r0\n"
+    log.write_text(head + "".join(f"{i},0.025,0.025,0,{0.001 * i},1.0\n" for i in range(10)))
+    comparison = compare([log], combine([Update.BEAM], []), BuildOptions(jobs=2))
+    assert comparison.held_out == 2
+    assert all(result.score.share == 1 for result in comparison.results)
+
+
 @pytest.fixture(scope="module")
 def drive() -> Comparison:
     return compare([DRIVE], combine([], []), BuildOptions(jobs=2))
