@@ -88,7 +88,7 @@ def compare(
     if picture is not None:
         check_picture(picture)
     tally, hold_out = Tally(), HoldOut()
-    logs = [open_log(path) for path in paths]
+    logs = [open_log(path, options.reading) for path in paths]
     total = sum(count_scans(log, options.selection.topics) for log in logs)
     made = Made([str(log.path) for log in logs])
     trials = Trials(variants, options)

@@ -9,7 +9,7 @@ from occmap.scoring.trials import Result
 from occmap.types import Bool, OccupancyMap, UInt8
 from occmap.writers.panels import Panel, write_panels
 
-LARGEST_PX, SMALLEST_PX = 1000, 300
+LARGEST_PX, SMALLEST_PX = 1000, 360
 """The longer side of a panel."""
 UNKNOWN_GREY = 205
 RED, BLUE = (214, 39, 40), (110, 160, 230)
@@ -27,7 +27,7 @@ class Frame:
         self.shape = tuple((corners + [each.shape for each in maps]).max(axis=0) - self._low)
         longest = max(self.shape)
         self._step = -(-longest // LARGEST_PX)
-        self._times = max(1, SMALLEST_PX // longest)
+        self._times = -(-SMALLEST_PX // longest)
 
     def locate(self, grid: OccupancyMap) -> Box:
         """Where a map's cells are."""

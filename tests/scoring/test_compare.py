@@ -8,7 +8,7 @@ import pytest
 
 from occmap.batching import Selection
 from occmap.errors import LogError, UsageError
-from occmap.pipeline import BuildOptions, build
+from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
 from occmap.scoring import trials
 from occmap.scoring.compare import Comparison, compare
 from occmap.scoring.trials import HoldOut
@@ -16,7 +16,7 @@ from occmap.scoring.variants import Variant, combine, shorten_model
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel, parse_model
 from occmap.sensor.returns import ReturnOptions
 from occmap.types import Kind, Rays, Update
-from tests.samples import SAMPLE_LOGS, write_csv
+from tests.samples import REAL_LOGS, SAMPLE_LOGS, write_csv
 
 DRIVE = SAMPLE_LOGS / "drive.csv"
 
@@ -162,3 +162,16 @@ def test_too_few_scans_or_hits_are_refused(tmp_path: Path) -> None:
         compare([log], combine([], []), BuildOptions())
     with pytest.raises(UsageError, match="no model is called"):
         combine([], [parse_model("simpel")])
+
+
+@pytest.mark.skipif(
+    not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}: set OCCMAP_REAL_LOGS"
+)
+@pytest.mark.parametrize(
+    ("name", "share"),
+    [("carmen/intel-corrected.log.gz", 0.85), ("carmen/csail-corrected.log.gz", 0.75)],
+)
+def test_the_default_build_foretells_real_logs_best(name: str, share: float) -> None:
+    best = compare([REAL_LOGS / name], combine([], []), BuildOptions()).results[0]
+    assert best.variant == Variant(DEFAULT_UPDATE, BuildOptions().model)
+    assert best.score.share > share

@@ -20,15 +20,15 @@ def test_maps_are_aligned_by_their_lattice_and_the_highest_row_is_on_top() -> No
     first, second = draw("#./.."), draw("#", (0.1, -0.05))
     frame = Frame([first, second])
     assert frame.shape == (3, 3)
-    grey = paint_map(first, frame)[50::100, 50::100, 0]
+    grey = paint_map(first, frame)[60::120, 60::120, 0]
     assert grey.tolist() == [[12, 243, 205], [243, 243, 205], [205, 205, 205]]
-    assert paint_map(second, frame)[50::100, 50::100, 0][2].tolist() == [205, 205, 12]
+    assert paint_map(second, frame)[60::120, 60::120, 0][2].tolist() == [205, 205, 12]
 
 
 def test_red_is_contradiction_and_blue_is_what_not_all_know() -> None:
     maps = [draw("#.#?# "), draw("#...  "), draw("#.#.# ")]
     panel = paint_disagreement(maps, Frame(maps))
-    row = [tuple(pixel) for pixel in panel.pixels[25, 25::50].tolist()]
+    row = [tuple(pixel) for pixel in panel.pixels[30, 30::60].tolist()]
     assert row == [(0, 0, 0), (255, 255, 255), RED, BLUE, BLUE, (205, 205, 205)]
     assert panel.title[1] == "red: free or occupied (20.0%), blue: known or not (40.0%)"
 
