@@ -14,8 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from occmap.errors import MapError, UsageError
+from occmap.evidence import MAX_CELLS, render_saved
+from occmap.sensor.models import parse_model
 from occmap.types import Bool, Int64, UInt8
 from occmap.writers import MapMode, WriteOptions
+from occmap.writers.npz import read_evidence
 
 YAML_BYTES = 1 << 20
 """A map's YAML has seven lines."""
@@ -56,7 +59,7 @@ def load_map(path: Path, thresholds: WriteOptions) -> ClassMap:
     Parameters
     ----------
     path
-        A map_server YAML, a PGM with its YAML beside it, or a PNG of probabilities.
+        A map_server YAML, a PGM with its YAML beside it, a PNG of probabilities, or evidence.
     thresholds
         For formats that hold probabilities; a YAML states its own.
 
@@ -118,11 +121,28 @@ def load_png(path: Path, thresholds: WriteOptions) -> ClassMap:
     return ClassMap(path, classify(path, meta), None)
 
 
+def load_evidence(path: Path, thresholds: WriteOptions) -> ClassMap:
+    """Load evidence as the map that its own model makes of it.
+
+    Raises
+    ------
+    MapError
+        It cannot be read, or is damaged.
+    """
+    evidence = read_evidence(path)
+    grid = render_saved(evidence, parse_model(evidence.manifest.model), MAX_CELLS)
+    classes = np.full(grid.shape, CellClass.UNKNOWN, np.uint8)
+    classes[grid.is_free(thresholds.free_thresh)] = CellClass.FREE
+    classes[grid.is_occupied(thresholds.occupied_thresh)] = CellClass.OCCUPIED
+    return ClassMap(path, classes, Place(grid.resolution, *grid.origin))
+
+
 LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {
     ".pgm": load_pgm,
     ".yaml": load_yaml,
     ".yml": load_yaml,
     ".png": load_png,
+    ".npz": load_evidence,
 }
 
 

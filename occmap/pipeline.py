@@ -1,13 +1,17 @@
 """The whole tool on one page: logs in, an occupancy map and a report out."""
 
 from collections.abc import Callable, Generator, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from occmap.batching import Batcher, Selection
 from occmap.errors import LogError, PoseError, UsageError
+from occmap.evidence import keep, open_saved, render
+from occmap.grid.lattice import Lattice
+from occmap.grid.stacks import add_stack
+from occmap.manifest import describe_build, plan_manifest
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.readers import Log, Role, open_log
@@ -15,13 +19,12 @@ from occmap.readers.options import ReaderOptions
 from occmap.report import Made, Report, Tally, measure_shares
 from occmap.sensor.models import RadialModel, SensorModel, SimpleModel, describe_model
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.types import Float64, Int64, OccupancyMap, Rays, Scan, ScanBatch, Update, to_log_odds
+from occmap.types import Evidence, OccupancyMap, Rays, Scan, ScanBatch, Update
 from occmap.workers import Workers, count_cores
-from occmap.writers import WriteOptions, check_outputs, find_writer
+from occmap.writers import Product, WriteOptions, check_outputs, write_outputs
 
 if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
     from occmap.grid.engine import GridEngine
-    from occmap.grid.tiles import TileGrid
 
 DEFAULT_UPDATE = Update.BEAM
 MAX_CELLS = 10**9
@@ -51,6 +54,8 @@ class BuildOptions:
     """A map with more cells is refused"""
     jobs: int = field(default_factory=count_cores)
     """Threads"""
+    resume: Path | None = None
+    """An evidence file: its observations are added to those of the logs"""
 
     def __post_init__(self) -> None:
         if self.jobs < 1:
@@ -90,6 +95,8 @@ def build(
     """
     tally = Tally()
     check_outputs(outputs)
+    plan = plan_manifest(options.resolution, options.update, options.model)
+    saved = open_saved(options.resume, plan) if options.resume else None
     with tally.time("open"):
         logs = [open_log(path, options.reading) for path in paths]
     total = sum(count_scans(log, options.selection.topics) for log in logs)
@@ -104,12 +111,19 @@ def build(
         made.note(log, poser.notes)
     refuse_unused(logs, tally)
     with tally.time("fold"):
-        evidence = engine.finish()
+        tiles = engine.finish()
+        if saved:
+            add_stack(tiles, saved.tiles, saved.cells)
     with tally.time("render"):
-        grid = render(evidence, options.model, options.max_cells)
+        grid = render(tiles, options.model, options.max_cells)
+
+    def keep_evidence() -> Evidence:
+        past = saved.manifest if saved else plan
+        this = describe_build(paths, options, tally.to_json())
+        return keep(tiles, replace(plan, builds=(*past.builds, this), subtracted=past.subtracted))
+
     with tally.time("write"):
-        for path in outputs:
-            made.files += map(str, find_writer(path).write(path, grid, options.writing))
+        made.files += write_outputs(outputs, Product(grid, keep_evidence), options.writing)
     return Build(grid, make_report(grid, options, tally, made))
 
 
@@ -225,7 +239,6 @@ def timed(batches: Iterator[ScanBatch], tally: Tally) -> Iterator[ScanBatch]:
 def make_engine(options: BuildOptions) -> "GridEngine":
     """Make the grid engine for an update and a model."""
     from occmap.grid.engine import GridEngine  # noqa: PLC0415  late: numba takes a third of a second
-    from occmap.grid.lattice import Lattice  # noqa: PLC0415
     from occmap.grid.observation import Observation, tabulate  # noqa: PLC0415
 
     lattice = Lattice(options.resolution)
@@ -256,25 +269,6 @@ def refuse_unused(logs: Sequence[Log], tally: Tally) -> None:
             fix="`occmap check` tells more about poses and times",
         )
     raise LogError("holds no laser scan that can be read", where=where)
-
-
-def render(evidence: "TileGrid", model: SensorModel, max_cells: int) -> OccupancyMap:
-    """Let a model say what the evidence means.
-
-    Raises
-    ------
-    MapError
-        Nothing was observed, or the map would be too large.
-    """
-    from occmap.grid.tiles import LOG_ODDS_UNIT  # noqa: PLC0415  as above
-
-    prior = to_log_odds(model.prior)
-
-    def add_up(log_odds: Int64, observations: Int64) -> Float64:
-        return prior + log_odds * LOG_ODDS_UNIT - observations * prior
-
-    translate = add_up if isinstance(model, RadialModel) else model.log_odds
-    return evidence.render(translate, prior, max_cells)
 
 
 def make_report(grid: OccupancyMap, options: BuildOptions, tally: Tally, made: Made) -> Report:

@@ -38,6 +38,15 @@ class Tally:
             self.scans_used += scans
             self.beams += beams
 
+    def to_json(self) -> dict[str, Any]:
+        """What became of the scans, as values that JSON has."""
+        return {
+            "read": self.scans_read,
+            "used": self.scans_used,
+            "dropped": dict(self.dropped),
+            "beams": self.beams._asdict(),
+        }
+
     @contextmanager
     def time(self, stage: str) -> Iterator[None]:
         """Add the time of a block to a stage; threads add up."""

@@ -10,7 +10,7 @@ otherwise. Frames follow REP 103 and REP 105: x forward, y left, z up, yaw count
 import math
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from typing import NamedTuple, Self, TypeAlias
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -236,3 +236,35 @@ class OccupancyMap:
         """Rows and columns."""
         rows, cols = self.log_odds.shape
         return rows, cols
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What evidence is, and what it was made of; every value is one that JSON has."""
+
+    resolution: float
+    """Side of a cell (m)"""
+    update: str
+    kind: str
+    """What the two numbers of a cell are: "counts" or "log_odds"."""
+    profile: str
+    """The radial model that log-odds were summed by, without its prior; "" for counts"""
+    model: str
+    """The model to render with, unless the user wants another"""
+    builds: tuple[dict[str, Any], ...]
+    """What was added: inputs with sizes and hashes, options, scans; see `occmap.manifest`"""
+    subtracted: tuple[dict[str, Any], ...] = ()
+    """What was taken away that no entry of `builds` stands for"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What was observed, as it is kept in a file: integers in tiles, and where they come from."""
+
+    manifest: Manifest
+    tiles: Int64
+    """(T, 2) row and column of each tile in the lattice of tiles, in ascending order"""
+    cells: Int64
+    """(T, 2, 64, 64) the two numbers of every cell; row 0 is the lowest y"""
+    where: str = ""
+    """The file that it was read from"""

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from occmap.pipeline import BuildOptions, build
+
 PACKAGE = Path(__file__).parent.parent / "occmap"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
@@ -93,7 +95,7 @@ def list_loaded(code: str) -> set[str]:
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60
     )
-    return set(json.loads(done.stderr))
+    return set(json.loads(done.stderr.splitlines()[-1]))
 
 
 @pytest.mark.parametrize(
@@ -120,3 +122,12 @@ def test_a_csv_is_read_without_the_ros_libraries() -> None:
     log = PACKAGE.parent / "sample_logs" / "drive.csv"
     loaded = list_loaded(f"import occmap; assert occmap.read_log({str(log)!r}).streams")
     assert loaded.isdisjoint({"numba", "rosbags", "mcap", "PIL"})
+
+
+def test_saved_evidence_needs_no_engine(tmp_path: Path) -> None:
+    log, saved = PACKAGE.parent / "sample_logs" / "drive.csv", tmp_path / "m.npz"
+    build([log], BuildOptions(), [saved])
+    for words in (["render", saved], ["merge", saved, saved]):
+        line = [*map(str, words), "-o", str(tmp_path / "m.pgm")]
+        loaded = list_loaded(f"from occmap.cli import run; assert run({line}) == 0")
+        assert loaded.isdisjoint({"numba", "rosbags", "mcap", "PIL", "tqdm"})

@@ -9,7 +9,9 @@ from PIL import Image
 from occmap.errors import MapError, UsageError
 from occmap.maps import CellClass, Place, load_map
 from occmap.types import UInt8
-from occmap.writers import MapMode, WriteOptions, find_writer
+from occmap.writers import MapMode, WriteOptions, Writer
+from occmap.writers.pgm import PgmWriter
+from occmap.writers.png import PngWriter
 from tests.writers.maps import map_of, map_of_art
 
 OPTIONS = WriteOptions()
@@ -29,7 +31,7 @@ def draw(classes: UInt8) -> str:
 @pytest.mark.parametrize("mode", MapMode)
 def test_every_mode_of_a_pgm_is_read_back(tmp_path: Path, mode: MapMode) -> None:
     grid = map_of_art(ART)
-    find_writer(Path("m.pgm")).write(tmp_path / "m.pgm", grid, WriteOptions(mode))
+    PgmWriter().write(tmp_path / "m.pgm", grid, WriteOptions(mode))
     for name in ("m.pgm", "m.yaml"):
         loaded = load_map(tmp_path / name, OPTIONS)
         assert draw(loaded.classes) == "#..? ..#?"
@@ -37,7 +39,7 @@ def test_every_mode_of_a_pgm_is_read_back(tmp_path: Path, mode: MapMode) -> None
 
 
 def test_a_png_is_read_back_by_the_thresholds_given(tmp_path: Path) -> None:
-    find_writer(Path("m.png")).write(tmp_path / "m.png", map_of([[0.7, 0.3, np.nan]]), OPTIONS)
+    PngWriter().write(tmp_path / "m.png", map_of([[0.7, 0.3, np.nan]]), OPTIONS)
     loaded = load_map(tmp_path / "m.png", OPTIONS)
     assert (draw(loaded.classes), loaded.place) == ("#??", None)
     loaded = load_map(tmp_path / "m.png", WriteOptions(occupied_thresh=0.8, free_thresh=0.4))
@@ -101,10 +103,12 @@ def test_a_file_that_is_no_map_is_one_line(tmp_path: Path) -> None:
         load_map(tmp_path / "m.pgm", OPTIONS)
 
 
-@pytest.mark.parametrize("name", ["m.png", "m.pgm"])
-def test_a_cut_or_altered_image_raises_nothing_else(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize(("writer", "name"), [(PngWriter(), "m.png"), (PgmWriter(), "m.pgm")])
+def test_a_cut_or_altered_image_raises_nothing_else(
+    tmp_path: Path, writer: Writer, name: str
+) -> None:
     path = tmp_path / name
-    find_writer(path).write(path, map_of(np.full((9, 9), 0.9)), OPTIONS)
+    writer.write(path, map_of(np.full((9, 9), 0.9)), OPTIONS)
     whole = path.read_bytes()
     with pytest.raises(MapError):
         load_map(cut(path, whole[:-30]), OPTIONS)

@@ -20,8 +20,10 @@ COMMANDS = {
     "check": "Say what is in logs, and what will go wrong with them.",
     "diff": "Say what changed between two maps, and fail above a limit.",
     "compare": "Say which update and sensor model suits logs best.",
+    "merge": "Add saved evidence, or take some of it away, exactly.",
     "models": "List the sensor models that are installed.",
     "readers": "List the log formats that can be read.",
+    "render": "Make a map of saved evidence, without reading the log.",
     "writers": "List the map formats that can be written.",
 }
 """Each is `command` in the module of its name here; the texts are what --help says of it."""

@@ -32,6 +32,14 @@ strict = option(
     options.RUN, "--strict", is_flag=True, help="Exit with 1 where a log is damaged; map it first."
 )
 
+resume = option(
+    options.FILES,
+    "--resume",
+    type=click.Path(path_type=Path),
+    metavar="NPZ",
+    help="Add to the evidence in this file, which -o may name again.",
+)
+
 
 class Request(NamedTuple):
     """What a command line asks for."""
@@ -43,7 +51,7 @@ class Request(NamedTuple):
 
 @click.command("build", cls=SectionCommand, help=HELP, short_help=COMMANDS["build"])
 @click.argument("words", nargs=-1, metavar="[beam|polygon] LOG...")
-@join(options.writing, options.lattice, options.ranges, options.model)
+@join(options.writing, resume, options.lattice, options.ranges, options.model)
 @join(options.selection, options.posing)
 @join(options.jobs, strict, options.as_json, options.verbosity)
 @click.pass_obj

@@ -20,9 +20,9 @@ from occmap.writers.atomic import check_target
 
 HELP = f"""{COMMANDS["diff"]}
 
-A and B are maps as PGM with YAML, or PNG; they may differ in size where they share a lattice, as
-all maps of one resolution do. A PNG does not say where it lies: it is compared with a map of its
-size, and read as dark is occupied.
+A and B are maps as PGM with YAML, PNG, or evidence (.npz); they may differ in size where they share
+a lattice, as all maps of one resolution do. A PNG does not say where it lies: it is compared with a
+map of its size, and read as dark is occupied.
 
 In the picture, cells that became occupied are orange, cells that became free blue, and cells that
 became unknown pink; stronger colours are contradictions, paler ones news.

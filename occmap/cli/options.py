@@ -49,8 +49,8 @@ output = option(
     type=click.Path(path_type=Path),
     multiple=True,
     metavar="FILE",
-    help="Write the map here; the suffix picks the format (.pgm, .png: see `occmap writers`). "
-    "May repeat.",
+    help="Write the map here; the suffix picks the format: .pgm, .png, or .npz for what can be "
+    "rendered, merged and resumed. May repeat.",
 )
 thresholds = join(
     option(
@@ -123,22 +123,31 @@ lattice = join(
     max_cells,
 )
 
-model = join(
-    option(
+
+def choose_model(**default: str) -> Any:
+    """Declare the option that names a sensor model."""
+    return option(
         MODEL,
         "--model",
         "model_text",
         metavar="NAME[:KEY=NUMBER,...]",
-        default=DEFAULTS.model.name,
-        show_default=describe_model(DEFAULTS.model),
         help="How evidence is weighed: see `occmap models`.",
-    ),
+        **default,
+    )
+
+
+model_parameters = join(
     number("--p-hit", "simple: probability of occupied, given one hit."),
     number("--p-miss", "simple: probability of occupied, given one miss."),
     option(MODEL, "--epsilon", type=float, metavar="M", help="quadratic: half the depth of a hit."),
     number("--p-min", "quadratic: no observation is surer than this."),
     number("--prior", "Probability of occupied before any observation."),
 )
+model = join(
+    choose_model(default=DEFAULTS.model.name, show_default=describe_model(DEFAULTS.model)),
+    model_parameters,
+)
+saved_model = join(choose_model(show_default="what it was built with"), model_parameters)
 
 ranges = join(
     metres(RANGES, "--min-range", default=0.0, help="Ignore nearer ranges."),

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from occmap.pipeline import BuildOptions, make_engine, render
+from occmap.evidence import render
+from occmap.pipeline import BuildOptions, make_engine
 from occmap.scoring.score import Score, score_map
 from occmap.scoring.variants import Variant
 from occmap.types import Bool, Kind, OccupancyMap, Rays

@@ -1,19 +1,20 @@
 """Writers: one file per map format, found through entry points and chosen by suffix.
 
 A writer is registered under its suffix without the dot and is a class with a `description`, a
-`targets(path)` and a `write(path, grid, options)`. Nothing here imports PIL: a writer is loaded on
-use.
+`targets(path)` and either a `write(path, grid, options)`, for a map, or a
+`write_evidence(path, evidence)`, for what maps are made of. Nothing here imports PIL: a writer is
+loaded on use.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Protocol, cast, runtime_checkable
 
 from occmap.errors import UsageError
 from occmap.plugins import list_plugins, load_plugin
-from occmap.types import OccupancyMap
+from occmap.types import Evidence, OccupancyMap
 from occmap.writers.atomic import check_target
 
 BAND_CELLS = 1 << 22
@@ -84,7 +85,26 @@ class Writer(Protocol):
         """
 
 
-def find_writer(path: Path) -> Writer:
+@runtime_checkable
+class EvidenceWriter(Protocol):
+    """A format for what was observed."""
+
+    description: str
+
+    def targets(self, path: Path) -> tuple[Path, ...]:
+        """Every file that `write_evidence` makes."""
+
+    def write_evidence(self, path: Path, evidence: Evidence) -> tuple[Path, ...]:
+        """Write evidence; return the files written.
+
+        Raises
+        ------
+        OutputError
+            A file cannot be written; then none is left behind.
+        """
+
+
+def find_writer(path: Path) -> Writer | EvidenceWriter:
     """Find the writer for a file name by its suffix, upper or lower case.
 
     Raises
@@ -101,7 +121,7 @@ def find_writer(path: Path) -> Writer:
     writer_class = load_plugin("occmap.writers", name)
     if writer_class is None:
         raise UsageError(f"the writer for .{name} does not load", where=path, fix=listing)
-    return cast(Writer, writer_class())
+    return cast(Writer | EvidenceWriter, writer_class())
 
 
 def check_outputs(outputs: Sequence[Path]) -> None:
@@ -119,6 +139,33 @@ def check_outputs(outputs: Sequence[Path]) -> None:
             raise UsageError(
                 "would be written twice", where=target, fix="give each -o its own name"
             )
+
+
+@dataclass(frozen=True)
+class Product:
+    """What there is to write."""
+
+    grid: OccupancyMap
+    evidence: Callable[[], Evidence]
+    """Called where a format wants it: it takes memory, and time to hash the logs"""
+
+
+def write_outputs(outputs: Sequence[Path], product: Product, options: WriteOptions) -> list[str]:
+    """Write a map, or its evidence, in the formats of these suffixes; return the files written.
+
+    Raises
+    ------
+    OutputError
+        A file cannot be written; the one at fault is not left behind.
+    """
+    files: list[Path] = []
+    for path in outputs:
+        writer = find_writer(path)
+        if isinstance(writer, EvidenceWriter):
+            files += writer.write_evidence(path, product.evidence())
+        else:
+            files += writer.write(path, product.grid, options)
+    return [str(file) for file in files]
 
 
 def bands_from_top(grid: OccupancyMap) -> Iterator[OccupancyMap]:

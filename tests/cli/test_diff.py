@@ -9,7 +9,9 @@ from PIL import Image
 
 from occmap.cli.values import parse_share
 from occmap.errors import UsageError
-from occmap.writers import WriteOptions, find_writer
+from occmap.writers import WriteOptions
+from occmap.writers.pgm import PgmWriter
+from occmap.writers.png import PngWriter
 from tests.cli.runner import occmap, read_error
 from tests.writers.maps import map_of_art
 
@@ -19,9 +21,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Work in a folder with two maps that differ in one of five known cells."""
     monkeypatch.chdir(tmp_path)
     for name, art in (("a", "#.? ..#"), ("b", "#.? .##")):
-        for suffix in (".pgm", ".png"):
-            path = Path(name + suffix)
-            find_writer(path).write(path, map_of_art(art), WriteOptions())
+        for writer, suffix in ((PgmWriter(), ".pgm"), (PngWriter(), ".png")):
+            writer.write(Path(name + suffix), map_of_art(art), WriteOptions())
     return tmp_path
 
 

@@ -1,0 +1,49 @@
+"""`occmap merge`: saved evidence added up and taken apart."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from occmap.cli import COMMANDS, options
+from occmap.cli.console import Console
+from occmap.cli.saved import put_out, refuse_no_output
+from occmap.cli.sections import SectionCommand, join, option
+from occmap.errors import UsageError
+from occmap.evidence import merge, subtract
+from occmap.writers.npz import read_evidence
+
+HELP = f"""{COMMANDS["merge"]}
+
+The sum has the same cells as one build of all the logs, whatever the order; what is subtracted
+leaves no trace. All must have one resolution, update and kind of model.
+
+\b
+  occmap merge monday.npz tuesday.npz -o both.npz
+  occmap merge both.npz --subtract monday.npz -o tuesday.npz -o tuesday.pgm
+"""
+
+subtracted = option(
+    options.FILES,
+    "--subtract",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    metavar="NPZ",
+    help="Take the evidence in this file away. May repeat.",
+)
+
+
+@click.command("merge", cls=SectionCommand, help=HELP, short_help=COMMANDS["merge"])
+@click.argument("paths", nargs=-1, type=click.Path(path_type=Path), metavar="NPZ...")
+@join(options.writing, subtracted, options.max_cells)
+@join(options.as_json, options.verbosity)
+@click.pass_obj
+def command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> None:
+    """Add and subtract evidence, and write what comes out."""
+    if not paths:
+        raise UsageError("no evidence is given", fix="type: occmap merge A.npz B.npz -o AB.npz")
+    refuse_no_output(values["outputs"], "merged.npz")
+    evidence = merge([read_evidence(path) for path in paths])
+    for path in values["subtract"]:
+        evidence = subtract(evidence, read_evidence(path))
+    put_out(console, evidence, values)

@@ -1,0 +1,33 @@
+"""`occmap render`: a map of saved evidence."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from occmap.cli import COMMANDS, options
+from occmap.cli.console import Console
+from occmap.cli.saved import put_out, refuse_no_output
+from occmap.cli.sections import SectionCommand, join
+from occmap.writers.npz import read_evidence
+
+HELP = f"""{COMMANDS["render"]}
+
+The evidence is what `occmap build -o map.npz` wrote. Hits and misses can be weighed by any model
+that counts; the evidence of a radial model, such as quadratic, only by that one, with any --prior.
+
+\b
+  occmap render map.npz -o map.pgm --p-hit 0.8
+  occmap render map.npz -o map.pgm -o map.png --model counting --mode scale
+"""
+
+
+@click.command("render", cls=SectionCommand, help=HELP, short_help=COMMANDS["render"])
+@click.argument("path", type=click.Path(path_type=Path), metavar="NPZ")
+@join(options.writing, options.max_cells, options.saved_model)
+@join(options.as_json, options.verbosity)
+@click.pass_obj
+def command(console: Console, /, path: Path, **values: Any) -> None:
+    """Read evidence, and write a map of it."""
+    refuse_no_output(values["outputs"], "map.pgm")
+    put_out(console, read_evidence(path), values)

@@ -1,0 +1,67 @@
+"""What the commands on saved evidence share: writing what it makes, and saying so."""
+
+from pathlib import Path
+from typing import Any
+
+from occmap.cli.collect import SHORTHANDS, collect_model, take
+from occmap.cli.console import Console
+from occmap.cli.summary import LABEL, format_counts, format_shares, format_size, label_files
+from occmap.errors import UsageError
+from occmap.evidence import RenderOptions, publish
+from occmap.report import Report
+from occmap.sensor.models import SensorModel
+from occmap.types import Evidence
+from occmap.writers import WriteOptions
+
+
+def put_out(console: Console, evidence: Evidence, values: dict[str, Any]) -> None:
+    """Render evidence, write it as the user wants, and sum it up."""
+    options = RenderOptions(
+        choose_model(evidence, values), take(WriteOptions, values), values["max_cells"]
+    )
+    report = publish(evidence, options, values["outputs"])
+    for note in report.notes:
+        console.note(note)
+    if values["as_json"]:
+        console.put_json(report.to_json())
+    else:
+        console.put(format_saved(report))
+
+
+def refuse_no_output(outputs: tuple[Path, ...], example: str) -> None:
+    """Refuse work that nobody would see.
+
+    Raises
+    ------
+    UsageError
+        No output is given.
+    """
+    if not outputs:
+        raise UsageError("where to write is not given", fix=f"add -o {example}")
+
+
+def choose_model(evidence: Evidence, values: dict[str, Any]) -> SensorModel | None:
+    """Make the model that the user wants, if any; a shorthand changes the one of the evidence.
+
+    Raises
+    ------
+    UsageError
+        No such model, or a parameter that it does not have or allow.
+    """
+    text = values.get("model_text")
+    if text is None and all(values.get(name) is None for name in SHORTHANDS):
+        return None
+    return collect_model({**values, "model_text": text or evidence.manifest.model})
+
+
+def format_saved(report: Report) -> str:
+    """Sum up a map of saved evidence in a few lines."""
+    lines = [
+        ("map", format_size(report)),
+        ("cells", format_shares(report)),
+        ("update", f"{report.update}, model {report.model}"),
+        ("scans", f"{report.scans_used:,} of {report.scans_read:,} used"),
+        ("dropped", format_counts(report.dropped)),
+        *label_files(report),
+    ]
+    return "\n".join(f"{label:<{LABEL}}{text}" for label, text in lines if text)

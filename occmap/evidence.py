@@ -1,0 +1,253 @@
+"""Saved evidence: rendered by another model, added, and taken apart again, all exactly."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from occmap.errors import MapError, UsageError
+from occmap.grid.lattice import Lattice
+from occmap.grid.stacks import add_stack, drop_empty, stack_tiles
+from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid
+from occmap.manifest import describe_profile
+from occmap.report import Report, measure_shares
+from occmap.sensor.models import RadialModel, SensorModel, describe_model, parse_model
+from occmap.sensor.returns import ReturnCounts
+from occmap.types import Evidence, Float64, Int64, Manifest, OccupancyMap, to_log_odds
+from occmap.writers import Product, WriteOptions, check_outputs, write_outputs
+from occmap.writers.npz import read_evidence
+
+MAX_CELLS = 10**9
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """What a user may choose about a map of saved evidence."""
+
+    model: SensorModel | None = None
+    """None: the one that the evidence was built with"""
+    writing: WriteOptions = field(default_factory=WriteOptions)
+    max_cells: int = MAX_CELLS
+    """A map with more cells is refused"""
+
+
+def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
+    """Let a model say what the evidence means.
+
+    Raises
+    ------
+    MapError
+        Nothing was observed, or the map would be too large.
+    """
+    prior = to_log_odds(model.prior)
+
+    def add_up(log_odds: Int64, observations: Int64) -> Float64:
+        return prior + log_odds * LOG_ODDS_UNIT - observations * prior
+
+    translate = add_up if isinstance(model, RadialModel) else model.log_odds
+    return grid.render(translate, prior, max_cells)
+
+
+def render_saved(evidence: Evidence, model: SensorModel, max_cells: int) -> OccupancyMap:
+    """Make a map of evidence, without the log.
+
+    Raises
+    ------
+    UsageError
+        The evidence was not made for this model.
+    MapError
+        As `render`.
+    """
+    refuse_other_profile(evidence, model)
+    return render(to_grid(evidence), model, max_cells)
+
+
+def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path]) -> Report:
+    """Render evidence and write it, as a map or as evidence; the report sums up its builds.
+
+    Raises
+    ------
+    OccmapError
+        As `render_saved`, or an output cannot be written.
+    """
+    check_outputs(outputs)
+    model = options.model or parse_model(evidence.manifest.model)
+    grid = render_saved(evidence, model, options.max_cells)
+    manifest = replace(evidence.manifest, model=describe_model(model))
+    product = Product(grid, lambda: replace(evidence, manifest=manifest))
+    files = write_outputs(outputs, product, options.writing)
+    report = summarise(manifest, grid, options.writing)
+    return replace(report, files=tuple(files))
+
+
+def open_saved(path: Path, plan: Manifest) -> Evidence:
+    """Read evidence that a build is to add to.
+
+    Raises
+    ------
+    MapError
+        It cannot be read, or does not add up with what the build makes.
+    """
+    saved = read_evidence(path)
+    refuse_different(plan, saved)
+    return saved
+
+
+def keep(grid: TileGrid, manifest: Manifest) -> Evidence:
+    """Make evidence of a grid."""
+    return Evidence(manifest, *stack_tiles(grid))
+
+
+def to_grid(evidence: Evidence) -> TileGrid:
+    """Make a grid of evidence."""
+    manifest = evidence.manifest
+    grid = TileGrid(Lattice(manifest.resolution), EvidenceKind(manifest.kind))
+    add_stack(grid, evidence.tiles, evidence.cells)
+    return grid
+
+
+def merge(evidences: Sequence[Evidence]) -> Evidence:
+    """Add evidence: the same cells as if all logs were built together.
+
+    Raises
+    ------
+    MapError
+        Their resolutions, updates or kinds differ.
+    """
+    first, *others = evidences
+    if not others:
+        return first
+    grid, builds = to_grid(first), first.manifest.builds
+    subtracted = first.manifest.subtracted
+    for other in others:
+        refuse_different(first.manifest, other)
+        add_stack(grid, other.tiles, other.cells)
+        builds += other.manifest.builds
+        subtracted += other.manifest.subtracted
+    return keep(grid, replace(first.manifest, builds=builds, subtracted=subtracted))
+
+
+def subtract(evidence: Evidence, other: Evidence) -> Evidence:
+    """Take evidence away: what is left is as if `other` had never been added.
+
+    Raises
+    ------
+    MapError
+        As `merge`, or `other` holds something that is not there.
+    """
+    refuse_different(evidence.manifest, other)
+    grid = to_grid(evidence)
+    add_stack(grid, other.tiles, -other.cells.astype(np.int64))
+    refuse_negative(grid, evidence, other)
+    drop_empty(grid)
+    builds, unknown = list(evidence.manifest.builds), list(evidence.manifest.subtracted)
+    for build in other.manifest.builds:
+        if build in builds:
+            builds.remove(build)
+        else:
+            unknown.append(build)
+    manifest = replace(evidence.manifest, builds=tuple(builds), subtracted=tuple(unknown))
+    return keep(grid, manifest)
+
+
+def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None:
+    """Refuse a difference that no observation can have made.
+
+    Raises
+    ------
+    MapError
+        Saying in how many cells too much was taken away.
+    """
+    _, cells = stack_tiles(grid)
+    if grid.kind is EvidenceKind.COUNTS:
+        wrong = (cells < 0).any(axis=1)
+    else:  # log-odds may be negative, but not without an observation
+        wrong = (cells[:, 1] < 0) | ((cells[:, 1] == 0) & (cells[:, 0] != 0))
+    if wrong.any():
+        minuend = evidence.where or "the sum"
+        raise MapError(
+            f"holds observations of {np.count_nonzero(wrong)} cells that {minuend} lacks",
+            where=other.where,
+            fix="subtract only what was merged before",
+        )
+
+
+def refuse_different(manifest: Manifest, other: Evidence) -> None:
+    """Refuse evidence that does not add up with other evidence.
+
+    Raises
+    ------
+    MapError
+        Naming what differs.
+    """
+    for name in ("resolution", "update", "kind", "profile"):
+        mine, its = getattr(manifest, name), getattr(other.manifest, name)
+        if mine != its:
+            raise MapError(
+                f"its {name} is {its or 'none'}, that of what it is to be combined with is "
+                f"{mine or 'none'}",
+                where=other.where,
+                fix="build both with the same options",
+            )
+
+
+def refuse_other_profile(evidence: Evidence, model: SensorModel) -> None:
+    """Refuse a model that cannot read this evidence.
+
+    Raises
+    ------
+    UsageError
+        Naming the model that can.
+    """
+    made_for, wanted = evidence.manifest.profile, describe_profile(model)
+    if made_for and made_for != wanted:
+        found = f"was summed up for the model {made_for}; no other can read it"
+        raise UsageError(found, where=evidence.where, fix="leave out --model, or change --prior")
+    if wanted and not made_for:
+        raise UsageError(
+            f"holds hits and misses, which {model.name} cannot read",
+            where=evidence.where,
+            fix=f"build it with --model {model.name}",
+        )
+
+
+def list_repeated(manifest: Manifest) -> list[str]:
+    """Names of inputs that are in more than one build of evidence: their scans count twice.
+
+    Parts of one log are built apart by --start, --end, --stride or --scan-topic: with other
+    options for the scans it is no repetition.
+    """
+    seen: list[tuple[Any, Any]] = []
+    repeated = []
+    for build in manifest.builds:
+        for entry in build["inputs"]:
+            key = (entry["sha256"], build["options"]["selection"])
+            if key in seen:
+                repeated.append(str(entry["name"]))
+            seen.append(key)
+    return repeated
+
+
+def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> Report:
+    """Sum up all builds of evidence, and the map that was made of it."""
+    scans = [build["scans"] for build in manifest.builds]
+    dropped: dict[str, int] = {}
+    for reason, count in (pair for each in scans for pair in each["dropped"].items()):
+        dropped[reason] = dropped.get(reason, 0) + count
+    rows, cols = grid.shape
+    return Report(
+        logs=tuple(entry["name"] for build in manifest.builds for entry in build["inputs"]),
+        scans_read=sum(each["read"] for each in scans),
+        scans_used=sum(each["used"] for each in scans),
+        dropped=dropped,
+        beams=sum((ReturnCounts(**each["beams"]) for each in scans), ReturnCounts()),
+        notes=tuple(f"{name} is in it twice" for name in list_repeated(manifest)),
+        update=manifest.update,
+        model=manifest.model,
+        resolution=manifest.resolution,
+        cells=(cols, rows),
+        extent=grid.extent,
+        shares=measure_shares(grid, writing),
+    )

@@ -1,0 +1,28 @@
+"""Tiles as one array, for files and sums; no part of this needs the engine."""
+
+import numpy as np
+
+from occmap.grid.tiles import TILE, TileGrid
+from occmap.types import Int64
+
+
+def stack_tiles(grid: TileGrid) -> tuple[Int64, Int64]:
+    """Row and column of each tile (T, 2), in ascending order, and their cells (T, 2, 64, 64)."""
+    keys = sorted(grid.tiles)
+    tiles = np.array(keys, np.int64).reshape(-1, 2)
+    cells = np.stack([grid.tiles[key] for key in keys]) if keys else np.zeros((0, 2, TILE, TILE))
+    return tiles, np.asarray(cells, np.result_type(cells, np.int32) if keys else np.int64)
+
+
+def add_stack(grid: TileGrid, tiles: Int64, cells: Int64) -> None:
+    """Add stacked tiles to a grid; a sum is 64 bits wide, and no tile is shared with the stack."""
+    for (row, col), tile in zip(tiles.tolist(), cells, strict=True):
+        known = grid.tiles.get((row, col))
+        wide = tile.astype(np.int64)
+        grid.tiles[row, col] = wide if known is None else known + wide
+
+
+def drop_empty(grid: TileGrid) -> None:
+    """Forget tiles in which nothing is observed any more."""
+    for key in [key for key, tile in grid.tiles.items() if not tile.any()]:
+        del grid.tiles[key]

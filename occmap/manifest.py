@@ -1,0 +1,91 @@
+"""What evidence was made of: input files with their hashes, options, and what became of scans."""
+
+import hashlib
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from occmap.errors import LogError
+from occmap.grid.tiles import EvidenceKind
+from occmap.sensor.models import RadialModel, SensorModel, describe_model
+from occmap.types import Manifest, Update
+
+NO_OPTIONS = ("jobs", "resume")
+"""Fields of options that change nothing about what is observed."""
+
+
+def describe_build(paths: Sequence[Path], options: Any, scans: dict[str, Any]) -> dict[str, Any]:
+    """Say what one build used, as values that JSON has.
+
+    Names of files are without their folders: the hashes say which files they are, and the same
+    build makes the same bytes on every machine.
+
+    Raises
+    ------
+    LogError
+        A file cannot be read any more.
+    """
+    chosen = {name: value for name, value in to_plain(options).items() if name not in NO_OPTIONS}
+    poses = options.posing.poses
+    trajectory = [Path(poses)] if poses and Path(poses).is_file() else []
+    if trajectory:
+        chosen["posing"]["poses"] = trajectory[0].name
+    return {
+        "occmap": version("occmap"),
+        "inputs": [entry for path in (*paths, *trajectory) for entry in describe_files(path)],
+        "options": {**chosen, "model": describe_model(options.model)},
+        "scans": scans,
+    }
+
+
+def describe_files(path: Path) -> Iterator[dict[str, Any]]:
+    """Name, size and SHA-256 of a file, or of each file in a folder.
+
+    Raises
+    ------
+    LogError
+        A file cannot be read any more.
+    """
+    inner = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
+    for each in inner:
+        try:
+            with each.open("rb") as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
+                size = file.tell()
+        except OSError as error:
+            raise LogError(f"cannot be read ({error.strerror})", where=each) from None
+        name = each.relative_to(path.parent).as_posix()
+        yield {"name": name, "bytes": size, "sha256": digest}
+
+
+def to_plain(value: Any) -> Any:
+    """Turn options into values that JSON has; a number that is not finite becomes its name."""
+    if is_dataclass(value):
+        return {field.name: to_plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, tuple):
+        return [to_plain(each) for each in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value if isinstance(value, int | float | str | None) else str(value)
+
+
+def plan_manifest(resolution: float, update: Update, model: SensorModel) -> Manifest:
+    """Say what evidence a build will make, before any log is read."""
+    profile = describe_profile(model)
+    kind = EvidenceKind.LOG_ODDS if profile else EvidenceKind.COUNTS
+    return Manifest(resolution, update.value, kind.value, profile, describe_model(model), ())
+
+
+def describe_profile(model: SensorModel) -> str:
+    """What evidence in log-odds depends on: a radial model without its prior; else nothing."""
+    if not isinstance(model, RadialModel):
+        return ""
+    name, _, pairs = describe_model(model).partition(":")
+    kept = (pair for pair in pairs.split(",") if not pair.startswith("prior="))
+    return f"{name}:{','.join(kept)}"

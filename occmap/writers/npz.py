@@ -1,0 +1,197 @@
+"""Evidence files: a NumPy .npz of plain integers, nothing pickled and nothing compressed.
+
+| array | shape, type | holds |
+|---|---|---|
+| `manifest` | (M,) uint8 | JSON in UTF-8: what this is, what it was made of, and a checksum |
+| `tiles` | (T, 2) int64 | row and column of each tile; (r, c) begins at cell (64 r, 64 c) |
+| `observed` | (T, 512) uint8 | a bit for each of the 64 x 64 cells, `np.packbits` order |
+| `first` | (N,) smallest signed type that fits | hits, or sums of log-odds in units of 1/65536 |
+| `second` | (N,) likewise | misses, or observations |
+
+N counts the observed cells, tile by tile, row by row. Cell (row, col) reaches from
+(col, row) * resolution to (col + 1, row + 1) * resolution in metres. Without occmap:
+
+    file = np.load("map.npz")
+    seen = np.unpackbits(file["observed"], axis=1).reshape(-1, 64, 64).astype(bool)
+    hits = np.zeros(seen.shape, int); hits[seen] = file["first"]
+
+Equal evidence makes equal bytes on every machine: no time stamps, no compression library.
+"""
+
+import hashlib
+import io
+import json
+import struct
+import tokenize
+import zipfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from occmap.errors import MapError
+from occmap.types import Bool, Evidence, Int64, Manifest, UInt8
+from occmap.writers.atomic import open_atomic
+
+FORMAT, VERSION = "occmap evidence", 1
+SIDE = 64
+"""Cells along the side of a tile."""
+MAGIC = b"PK\x03\x04"
+WIDTHS = ("<i1", "<i2", "<i4", "<i8")
+ARRAYS = ("tiles", "observed", "first", "second")
+DAMAGE = (
+    *(zipfile.BadZipFile, struct.error, tokenize.TokenError, EOFError, NotImplementedError),
+    *(LookupError, ValueError, TypeError, OverflowError, RuntimeError, MemoryError, OSError),
+)
+"""What zipfile, json and NumPy raise on damaged files."""
+
+Arrays = dict[str, Any]
+
+
+class NpzWriter:
+    """What was observed, to be rendered, merged and resumed."""
+
+    description = "evidence, not yet a map: for `occmap render`, `merge` and `build --resume`"
+
+    def targets(self, path: Path) -> tuple[Path, ...]:
+        """Return the file."""
+        return (path,)
+
+    def write_evidence(self, path: Path, evidence: Evidence) -> tuple[Path, ...]:
+        """Write evidence; return its path.
+
+        Raises
+        ------
+        OutputError
+            It cannot be written; then nothing is left behind.
+        """
+        arrays = pack(evidence)
+        head = {"format": FORMAT, "version": VERSION, **asdict(evidence.manifest)}
+        head["checksum"] = sum_up(head, arrays)
+        text = json.dumps(head, sort_keys=True, indent=1, allow_nan=False)
+        arrays = {"manifest": np.frombuffer(text.encode(), np.uint8), **arrays}
+        with open_atomic(path) as file, zipfile.ZipFile(file, "w") as archive:
+            for name, array in arrays.items():
+                add_array(archive, name, array)
+        return (path,)
+
+
+def add_array(archive: zipfile.ZipFile, name: str, array: Any) -> None:
+    """Store an array as `np.savez` does, but without a word about this machine."""
+    member = zipfile.ZipInfo(f"{name}.npy")  # of the year 1980
+    member.create_system = 3
+    with archive.open(member, "w", force_zip64=True) as file:
+        np.lib.format.write_array(file, array, version=(1, 0), allow_pickle=False)
+
+
+def pack(evidence: Evidence) -> Arrays:
+    """Keep the observed cells only, each number as narrow as all of its kind allow."""
+    seen: Bool = (evidence.cells != 0).any(axis=1)
+    return {
+        "tiles": evidence.tiles.astype("<i8"),
+        "observed": np.packbits(seen.reshape(len(seen), SIDE * SIDE), axis=1),
+        "first": narrow(evidence.cells[:, 0][seen]),
+        "second": narrow(evidence.cells[:, 1][seen]),
+    }
+
+
+def narrow(values: Int64) -> Any:
+    """Convert integers to the smallest signed type that holds them all."""
+    low, high = int(values.min(initial=0)), int(values.max(initial=0))
+    for width in WIDTHS:
+        limits = np.iinfo(width)
+        if limits.min <= low and high <= limits.max:
+            break
+    return values.astype(width)
+
+
+def sum_up(head: dict[str, Any], arrays: Arrays) -> str:
+    """SHA-256 over all that the file says, but the checksum itself."""
+    said = {name: value for name, value in head.items() if name != "checksum"}
+    digest = hashlib.sha256(json.dumps(said, sort_keys=True).encode())
+    for name in ARRAYS:
+        array = arrays[name]
+        digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def read_evidence(path: Path) -> Evidence:
+    """Read an evidence file.
+
+    Raises
+    ------
+    MapError
+        It is missing, no evidence file, of a newer format, or not as it was written.
+    """
+    try:
+        with path.open("rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                raise MapError("is no evidence file", where=path, fix="build one with -o map.npz")
+            return unpack(path, *load(path, file.seek(0) or file))
+    except FileNotFoundError:
+        raise MapError("no such file", where=path, fix="check the path") from None
+    except DAMAGE as error:
+        reason = getattr(error, "strerror", None) or "it is cut or altered"
+        raise MapError(
+            f"the evidence cannot be read: {reason}", where=path, fix="build it again"
+        ) from None
+
+
+def load(path: Path, file: Any) -> tuple[dict[str, Any], Arrays]:
+    """Read the manifest and the arrays of the format that this module knows.
+
+    Raises
+    ------
+    MapError
+        The file is of another kind, or its format is newer.
+    """
+    with zipfile.ZipFile(file) as archive:
+        if "manifest.npy" not in archive.namelist():
+            raise MapError("an .npz, but no evidence of occmap", where=path)
+        head = json.loads(read_array(archive, "manifest").tobytes())
+        if head["format"] != FORMAT or head["version"] > VERSION:
+            raise MapError(
+                f"{head['format']} of version {head['version']}, while this occmap reads {VERSION}",
+                where=path,
+                fix="use a newer occmap",
+            )
+        return head, {name: read_array(archive, name) for name in ARRAYS}
+
+
+def read_array(archive: zipfile.ZipFile, name: str) -> Any:
+    """Read an array of integers, never more than the file is large."""
+    member = archive.getinfo(f"{name}.npy")
+    if member.compress_type != zipfile.ZIP_STORED or member.file_size != member.compress_size:
+        raise ValueError(name)
+    data = archive.read(member)
+    stream = io.BytesIO(data)
+    np.lib.format.read_magic(stream)
+    shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+    if dtype.kind not in "iu":
+        raise ValueError(name)
+    return np.frombuffer(data, dtype, offset=stream.tell()).reshape(shape)
+
+
+def unpack(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidence:
+    """Make evidence of what a file holds, if that is what was written.
+
+    Raises
+    ------
+    MapError
+        The checksum does not fit.
+    """
+    if head["checksum"] != sum_up(head, arrays):
+        raise MapError(
+            "the checksum does not fit: the file was altered", where=path, fix="build it again"
+        )
+    fields = {name: head[name] for name in Manifest.__dataclass_fields__}
+    lists = {name: tuple(head[name]) for name in ("builds", "subtracted")}
+    observed: UInt8 = arrays["observed"]
+    seen = np.unpackbits(observed, axis=1).reshape(-1, SIDE, SIDE).astype(np.bool_)
+    width = max(arrays["first"].dtype.itemsize, arrays["second"].dtype.itemsize, 4)
+    cells = np.zeros((len(arrays["tiles"]), 2, SIDE, SIDE), f"<i{width}")
+    cells[:, 0][seen] = arrays["first"]
+    cells[:, 1][seen] = arrays["second"]
+    return Evidence(Manifest(**{**fields, **lists}), arrays["tiles"], cells, str(path))

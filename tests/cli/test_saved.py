@@ -1,0 +1,102 @@
+"""`occmap render`, `occmap merge` and `occmap build --resume` as a user types them."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.cli.runner import occmap, read_error
+from tests.samples import write_csv
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Work in a folder with the evidence of two logs, and of a quadratic build."""
+    monkeypatch.chdir(tmp_path)
+    write_csv(tmp_path / "a.csv", [(0.0, 0.0, 0.0)], [0.3])
+    write_csv(tmp_path / "b.csv", [(0.0, 1.0, 0.0)], [0.4])
+    for name in ("a", "b"):
+        assert occmap("build", f"{name}.csv", "-o", f"{name}.npz").code == 0
+    words = ["build", "a.csv", "-o", "q.npz", "--model", "quadratic"]
+    assert occmap(*words).code == 0
+    return tmp_path
+
+
+def read_bytes(*names: str) -> bytes:
+    return b"".join(Path(name).read_bytes() for name in names)
+
+
+def test_render_says_what_it_made() -> None:
+    result = occmap("render", "a.npz", "-o", "a.pgm")
+    assert (result.code, result.err) == (0, "")
+    assert result.out.splitlines() == [
+        "map      7 x 1 cells of 0.05 m, x 0 to 0.35 m, y 0 to 0.05 m",
+        "cells    14.3% occupied, 85.7% undecided",
+        "update   beam, model simple:p_hit=0.7,p_miss=0.4,prior=0.5",
+        "scans    1 of 1 used",
+        "files    a.pgm",
+        "         a.yaml",
+    ]
+
+
+def test_render_takes_a_model_thresholds_and_a_mode() -> None:
+    words = ["--p-miss", "0.1", "--free-thresh", "0.15", "--mode", "raw"]
+    assert occmap("build", "a.csv", "-o", "built.pgm", *words).code == 0
+    assert occmap("render", "a.npz", "-o", "built2.pgm", *words).code == 0
+    assert read_bytes("built.pgm") == read_bytes("built2.pgm")
+    found = json.loads(occmap("render", "a.npz", "-o", "c.pgm", "--json", *words).out)
+    assert found["map"]["model"] == "simple:p_hit=0.7,p_miss=0.1,prior=0.5"
+    assert found["map"]["free"] == pytest.approx(6 / 7)
+    words = ["--model", "counting", "--prior", "0.4"]
+    assert "counting:prior=0.4" in occmap("render", "a.npz", "-o", "c.pgm", *words).out
+    assert occmap("render", "q.npz", "-o", "c.pgm", "--prior", "0.3").code == 0
+
+
+def test_merge_is_a_build_of_both_and_back() -> None:
+    assert occmap("build", "a.csv", "b.csv", "-o", "both.pgm").code == 0
+    assert occmap("merge", "a.npz", "b.npz", "-o", "ab.npz", "-o", "ab.pgm").code == 0
+    assert read_bytes("ab.pgm") == read_bytes("both.pgm")
+    assert occmap("merge", "ab.npz", "--subtract", "a.npz", "-o", "rest.npz").code == 0
+    assert read_bytes("rest.npz") == read_bytes("b.npz")
+
+
+def test_resume_is_a_build_of_both() -> None:
+    assert occmap("merge", "a.npz", "b.npz", "-o", "ab.npz").code == 0
+    assert occmap("build", "b.csv", "--resume", "a.npz", "-o", "a.npz").code == 0
+    assert read_bytes("a.npz") == read_bytes("ab.npz")
+
+
+def test_a_log_that_counts_twice_is_noted() -> None:
+    result = occmap("merge", "a.npz", "a.npz", "-o", "aa.npz")
+    assert (result.code, result.err) == (0, "note: a.csv is in it twice\n")
+
+
+def test_evidence_is_a_map_to_diff() -> None:
+    assert occmap("build", "a.csv", "-o", "a.pgm").code == 0
+    assert occmap("diff", "a.npz", "a.pgm", "--fail-above", "0").code == 0
+    assert occmap("diff", "a.npz", "b.npz", "--fail-above", "0").code == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "found"),
+    [
+        (["render", "a.npz"], 2, "where to write is not given; add -o map.pgm"),
+        (["render", "x.npz", "-o", "m.pgm"], 1, "x.npz: no such file"),
+        (["render", "a.csv", "-o", "m.pgm"], 1, "a.csv: is no evidence file; build one with -o"),
+        (["render", "a.npz", "-o", "m.jpg"], 2, "occmap writes .npz, .pgm, .png"),
+        (["render", "a.npz", "-o", "m.pgm", "--max-cells", "3"], 1, "more than --max-cells 3"),
+        (["render", "a.npz", "-o", "m.pgm", "--epsilon", "1"], 2, "--epsilon does not go with"),
+        (["render", "q.npz", "-o", "m.pgm", "--model", "simple"], 2, "q.npz: was summed up for"),
+        (["render", "q.npz", "-o", "m.pgm", "--p-min", "0.3"], 2, "no other can read it"),
+        (["merge", "-o", "m.npz"], 2, "no evidence is given"),
+        (["merge", "a.npz"], 2, "add -o merged.npz"),
+        (["merge", "a.npz", "q.npz", "-o", "m.npz"], 1, "q.npz: its kind is log_odds"),
+        (["merge", "a.npz", "--subtract", "b.npz", "-o", "m.npz"], 1, "cells that a.npz lacks"),
+        (["build", "b.csv", "--resume", "q.npz", "-o", "m.npz"], 1, "q.npz: its kind is log_odds"),
+        (["build", "b.csv", "--resume", "b.csv", "-o", "m.npz"], 1, "is no evidence file"),
+    ],
+)
+def test_bad_input_is_one_line_and_no_file(words: list[str], code: int, found: str) -> None:
+    before = sorted(Path.cwd().iterdir())
+    assert found in read_error(occmap(*words), code)
+    assert sorted(Path.cwd().iterdir()) == before

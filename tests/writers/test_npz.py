@@ -1,0 +1,174 @@
+"""Evidence files: plain NumPy, the same bytes every time, and refused when not as written."""
+
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from occmap.errors import MapError
+from occmap.grid.tiles import TILE
+from occmap.types import Evidence, Manifest
+from occmap.writers.npz import SIDE, NpzWriter, add_array, narrow, read_evidence
+
+MANIFEST = Manifest(0.05, "beam", "counts", "", "simple:prior=0.5", ({"inputs": []},))
+
+
+def evidence_of(cells: dict[tuple[int, int], tuple[int, int]]) -> Evidence:
+    """Two tiles, at (-1, 0) and (2, 3), with these numbers at (row, col) of the first."""
+    values = np.zeros((2, 2, SIDE, SIDE), np.int64)
+    values[1, :, 63, 63] = 1, 0
+    for (row, col), pair in cells.items():
+        values[0, :, row, col] = pair
+    return Evidence(MANIFEST, np.array([[-1, 0], [2, 3]]), values)
+
+
+SMALL = evidence_of({(0, 0): (3, 5), (0, 1): (0, 200), (7, 9): (1, 0)})
+
+
+def write(path: Path, evidence: Evidence = SMALL) -> Path:
+    assert NpzWriter().write_evidence(path, evidence) == (path,)
+    return path
+
+
+def test_a_tile_is_as_large_as_the_grid_has_it() -> None:
+    assert SIDE == TILE
+
+
+def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
+    path = write(tmp_path / "m.npz")
+    back = read_evidence(path)
+    assert back.manifest == MANIFEST
+    assert np.array_equal(back.tiles, SMALL.tiles)
+    assert np.array_equal(back.cells, SMALL.cells)
+    assert back.where == str(path)
+
+
+def test_numpy_alone_reads_it(tmp_path: Path) -> None:
+    with np.load(write(tmp_path / "m.npz"), allow_pickle=False) as file:
+        assert json.loads(bytes(file["manifest"]))["resolution"] == 0.05
+        seen = np.unpackbits(file["observed"], axis=1).reshape(-1, 64, 64).astype(bool)
+        assert file["first"].tolist() == [3, 0, 1, 1]
+        assert (file["first"].dtype, file["second"].dtype) == (np.int8, np.int16)
+    assert np.argwhere(seen).tolist() == [[0, 0, 0], [0, 0, 1], [0, 7, 9], [1, 63, 63]]
+
+
+def test_writing_twice_gives_the_same_bytes(tmp_path: Path) -> None:
+    first, second = write(tmp_path / "a.npz"), write(tmp_path / "b.npz")
+    assert first.read_bytes() == second.read_bytes()
+    with zipfile.ZipFile(first) as archive:
+        assert {each.date_time[0] for each in archive.infolist()} == {1980}
+
+
+@pytest.mark.parametrize(
+    ("values", "width"),
+    [
+        ([], 1),
+        ([127, -128], 1),
+        ([128], 2),
+        ([-(2**15) - 1], 4),
+        ([2**31], 8),
+        ([-(2**63), 2**63 - 1], 8),
+    ],
+)
+def test_numbers_are_as_narrow_as_they_can_be(values: list[int], width: int) -> None:
+    narrowed = narrow(np.array(values, np.int64))
+    assert (narrowed.dtype.itemsize, narrowed.tolist()) == (width, values)
+
+
+def test_sums_beyond_32_bits_survive(tmp_path: Path) -> None:
+    large = evidence_of({(1, 1): (2**40, 2**33)})
+    assert np.array_equal(read_evidence(write(tmp_path / "m.npz", large)).cells, large.cells)
+
+
+def damage(path: Path, content: bytes) -> str:
+    """Return the one line that reading such a file ends with."""
+    path.write_bytes(content)
+    with pytest.raises(MapError) as caught:
+        read_evidence(path)
+    line = str(caught.value)
+    assert line.startswith(f"{path}: ")
+    return line
+
+
+def test_a_cut_file_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "m.npz")
+    whole = path.read_bytes()
+    for length in range(0, len(whole), 17):
+        damage(path, whole[:length])
+
+
+def test_an_altered_file_is_refused_or_says_the_same(tmp_path: Path) -> None:
+    path = write(tmp_path / "m.npz")
+    whole = path.read_bytes()
+    refused = 0
+    for position in range(0, len(whole), 3):
+        path.write_bytes(whole[:position] + bytes([whole[position] ^ 0x41]) + whole[position + 1 :])
+        try:
+            back = read_evidence(path)
+        except MapError:
+            refused += 1
+        else:  # a date in the zip's directory, say
+            assert np.array_equal(back.cells, SMALL.cells)
+            assert back.manifest == MANIFEST
+    assert refused > 0.8 * len(whole) / 3
+
+
+def rewrite(path: Path, **changed: Any) -> bytes:
+    """The file with other arrays, stored as a program that means well might."""
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files} | changed
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, array in arrays.items():
+            add_array(archive, name, array)
+    return path.read_bytes()
+
+
+def to_bytes(text: str) -> Any:
+    return np.frombuffer(text.encode(), np.uint8)
+
+
+def test_what_was_altered_on_purpose_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "m.npz")
+    content = rewrite(path, first=np.array([4, 0, 1, 1], np.int8))
+    assert "the checksum does not fit: the file was altered; build it again" in damage(
+        path, content
+    )
+    write(path)
+    with np.load(path) as file:
+        text = bytes(file["manifest"]).decode()
+    content = rewrite(path, manifest=to_bytes(text.replace("0.05", "0.06")))
+    assert "the checksum does not fit" in damage(path, content)
+
+
+@pytest.mark.parametrize(
+    ("manifest", "found"),
+    [
+        ("", "it is cut or altered"),
+        ("[]", "it is cut or altered"),
+        ("{}", "it is cut or altered"),
+        ('{"format": "occmap evidence", "version": 1}', "it is cut or altered"),
+        ('{"format": "occmap evidence", "version": 2}', "version 2, while this occmap reads 1"),
+        ('{"format": "else", "version": 1}', "else of version 1"),
+    ],
+)
+def test_other_manifests_are_refused(tmp_path: Path, manifest: str, found: str) -> None:
+    path = write(tmp_path / "m.npz")
+    assert found in damage(path, rewrite(path, manifest=to_bytes(manifest)))
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "m.npz"
+    with pytest.raises(MapError, match=r"m.npz: no such file"):
+        read_evidence(path)
+    assert "is no evidence file" in damage(path, b"P5 1 1 255 x")
+    np.savez(path, a=np.zeros(3))
+    assert "an .npz, but no evidence of occmap" in damage(path, path.read_bytes())
+    np.savez(path, manifest=np.array([{}], dtype=object))
+    assert "it is cut or altered" in damage(path, path.read_bytes())
+    np.savez_compressed(path, manifest=to_bytes("{}"))
+    assert "it is cut or altered" in damage(path, path.read_bytes())
+    with pytest.raises(MapError, match="Is a directory"):
+        read_evidence(tmp_path)
