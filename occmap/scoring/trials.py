@@ -62,11 +62,11 @@ def take_scans(rays: Rays, wanted: Bool) -> Rays:
 class Task(NamedTuple):
     """Scans for one piece of evidence."""
 
-    evidence: "Evidence"
+    evidence: "SharedEvidence"
     rays: Rays
 
 
-class Evidence:
+class SharedEvidence:
     """What one or more variants are rendered from, and the processor time that it took (s)."""
 
     def __init__(self, options: BuildOptions) -> None:
@@ -120,11 +120,11 @@ class Trials:
     def __init__(self, variants: Sequence[Variant], options: BuildOptions) -> None:
         self._options = options
         self.variants = variants
-        self.evidence: dict[str, Evidence] = {}
+        self.evidence: dict[str, SharedEvidence] = {}
         for variant in variants:
             if variant.evidence not in self.evidence:
                 choice = replace(options, update=variant.update, model=variant.model)
-                self.evidence[variant.evidence] = Evidence(choice)
+                self.evidence[variant.evidence] = SharedEvidence(choice)
 
     def tracing(self) -> Workers[Task]:
         """Make threads that trace."""
