@@ -55,6 +55,7 @@ def test_two_sensors_make_one_map(tmp_path: Path) -> None:
         "no_return": 0,
         "too_close": 0,
         "nan": 1,
+        "own_robot": 0,
     }
 
 

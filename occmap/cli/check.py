@@ -15,6 +15,7 @@ from occmap.errors import UsageError
 from occmap.inspection import inspect
 from occmap.pipeline import BuildOptions
 from occmap.posing.options import PosingOptions
+from occmap.readers.options import ReaderOptions
 from occmap.sensor.returns import ReturnOptions
 
 HELP = f"""{COMMANDS["check"]}
@@ -32,7 +33,7 @@ command line that it recommends. Exits with 1 where a build with the options giv
 @click.command("check", cls=SectionCommand, help=HELP, short_help=COMMANDS["check"])
 @click.argument("logs", nargs=-1, type=click.Path(path_type=Path), metavar="LOG...")
 @join(options.resolution, options.max_cells, options.ranges)
-@join(options.scan_topic, options.posing)
+@join(options.scan_topic, options.reading, options.posing)
 @join(options.as_json, options.verbosity)
 @click.pass_context
 def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> None:
@@ -60,6 +61,7 @@ def collect_options(values: dict[str, Any]) -> BuildOptions:
     return BuildOptions(
         resolution=values["resolution"],
         max_cells=values["max_cells"],
+        reading=take(ReaderOptions, values),
         returns=take(ReturnOptions, values),
         posing=take(PosingOptions, values),
         selection=take(Selection, values),

@@ -10,6 +10,7 @@ from occmap.batching import Selection
 from occmap.errors import UsageError
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions
 from occmap.posing.options import PosingOptions
+from occmap.readers.options import ReaderOptions
 from occmap.sensor.models import SensorModel, parse_model
 from occmap.sensor.returns import ReturnOptions
 from occmap.types import Update
@@ -35,6 +36,7 @@ def collect_options(update: Update, values: Values) -> BuildOptions:
         take(BuildOptions, values),
         update=update,
         model=collect_model(values),
+        reading=take(ReaderOptions, values),
         returns=take(ReturnOptions, values),
         posing=take(PosingOptions, values),
         selection=take(Selection, values),

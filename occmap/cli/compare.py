@@ -17,6 +17,7 @@ from occmap.cli.sections import SectionCommand, join, option
 from occmap.errors import UsageError
 from occmap.pipeline import BuildOptions
 from occmap.posing.options import PosingOptions
+from occmap.readers.options import ReaderOptions
 from occmap.scoring.compare import Comparison, compare
 from occmap.scoring.trials import Result
 from occmap.scoring.variants import Variant, combine
@@ -115,6 +116,7 @@ def collect_options(values: dict[str, Any]) -> BuildOptions:
         returns=take(ReturnOptions, values),
         posing=take(PosingOptions, values),
         selection=take(Selection, values),
+        reading=take(ReaderOptions, values),
     )
 
 

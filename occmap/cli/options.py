@@ -11,9 +11,18 @@ import click
 
 from occmap.cli.console import Verbosity
 from occmap.cli.sections import join, option
-from occmap.cli.values import one_of, parse_sensor_pose, parse_transform, read_by, set_verbosity
+from occmap.cli.values import (
+    one_of,
+    parse_box,
+    parse_sector,
+    parse_sensor_pose,
+    parse_transform,
+    read_by,
+    set_verbosity,
+)
 from occmap.pipeline import BuildOptions
 from occmap.posing.options import Deskew, Stamps
+from occmap.readers.options import Echo
 from occmap.sensor.models import describe_model
 from occmap.sensor.returns import NoReturn
 from occmap.types import Update
@@ -172,6 +181,42 @@ ranges = join(
         show_default=True,
         help="Where nothing came back: free up to the limit, or nothing known.",
     ),
+    option(
+        RANGES,
+        "--ignore-sector",
+        "ignore_sectors",
+        **read_by(parse_sector),
+        multiple=True,
+        metavar="FROM,TO",
+        help="Leave out the beams from one bearing counter-clockwise to another (rad, as the "
+        "sensor sees it): the robot blocks them. May repeat.",
+    ),
+    option(
+        RANGES,
+        "--footprint",
+        **read_by(parse_box),
+        metavar="X_MIN,Y_MIN,X_MAX,Y_MAX",
+        help="Leave out what is measured in this box around the sensor (m, as the sensor sees it): "
+        "it is the robot.",
+    ),
+)
+
+reading = join(
+    option(
+        SCANS,
+        "--echo",
+        **one_of(Echo),
+        default=DEFAULTS.reading.echo.value,
+        show_default=True,
+        help="MultiEchoLaserScan: the echo of a beam that counts.",
+    ),
+    metres(
+        SCANS,
+        "--min-height",
+        default=DEFAULTS.reading.min_height,
+        help="PointCloud2: use points from this height over the sensor ...",
+    ),
+    metres(SCANS, "--max-height", default=DEFAULTS.reading.max_height, help="... up to this one."),
 )
 
 scan_topic = option(
@@ -196,6 +241,7 @@ selection = join(
     option(
         SCANS, "--stride", type=int, metavar="N", default=1, help="Use every N-th of these scans."
     ),
+    reading,
 )
 
 posing = join(

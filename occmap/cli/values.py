@@ -64,6 +64,33 @@ def parse_share(text: str) -> float:
     return share
 
 
+def parse_sector(text: str) -> tuple[float, float]:
+    """Read two bearings; raises UsageError where there are not two numbers."""
+    start, end = read_list(text, 2, "write FROM,TO in radians, counter-clockwise, such as 2.5,-2.5")
+    return start, end
+
+
+def parse_box(text: str) -> tuple[float, float, float, float]:
+    """Read the lowest and the highest x and y; raises UsageError where that is no box."""
+    form = "write x_min,y_min,x_max,y_max in metres, such as -0.4,-0.3,0.2,0.3"
+    x_min, y_min, x_max, y_max = read_list(text, 4, form)
+    return x_min, y_min, x_max, y_max
+
+
+def read_list(text: str, size: int, form: str) -> list[float]:
+    """Read so many numbers with commas between.
+
+    Raises
+    ------
+    UsageError
+        There are more or fewer, or one is none.
+    """
+    words = text.split(",")
+    if len(words) != size:
+        raise UsageError(f"{len(words)} values where {size} belong", where=text, fix=form)
+    return read_numbers(words, text, form)
+
+
 def read_numbers(words: list[str], where: str, form: str) -> list[float]:
     """Read finite decimal numbers.
 

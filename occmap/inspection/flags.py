@@ -1,12 +1,17 @@
 """Options as the flags that a command line has them in."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import fields
+from typing import TypeVar
 
 from occmap.pipeline import BuildOptions
 from occmap.posing.options import PosingOptions
+from occmap.readers.options import ReaderOptions
 from occmap.sensor.returns import ReturnOptions
 from occmap.types import Pose
+
+Group = TypeVar("Group", PosingOptions, ReaderOptions, ReturnOptions)
 
 POSING_FLAGS = {
     "map_frame": "--map-frame",
@@ -16,6 +21,11 @@ POSING_FLAGS = {
     "time_offset_s": "--time-offset",
     "deskew": "--deskew",
     "stamps": "--stamps",
+}
+READER_FLAGS = {
+    "echo": "--echo",
+    "min_height": "--min-height",
+    "max_height": "--max-height",
 }
 RETURN_FLAGS = {
     "min_range": "--min-range",
@@ -30,10 +40,13 @@ def list_given(options: BuildOptions) -> dict[str, str]:
     flags = {}
     if options.resolution != BuildOptions.resolution:
         flags["--resolution"] = f"{options.resolution:g}"
+    flags |= _list_changed(options.reading, ReaderOptions(), READER_FLAGS)
     flags |= _list_changed(options.posing, PosingOptions(), POSING_FLAGS)
     flags |= _list_changed(options.returns, ReturnOptions(), RETURN_FLAGS)
     if options.posing.sensor_pose is not None:
         flags["--sensor-pose"] = format_mount(options.posing.sensor_pose)
+    if options.returns.footprint is not None:
+        flags["--footprint"] = _join(options.returns.footprint)
     return flags
 
 
@@ -42,6 +55,8 @@ def list_repeatable(options: BuildOptions) -> list[str]:
     words = []
     for sample in options.posing.static_transforms:
         words += ["--static-tf", format_static(sample.parent, sample.child, sample.pose)]
+    for sector in options.returns.ignore_sectors:
+        words += ["--ignore-sector", _join(sector)]
     for topic in options.selection.topics:
         words += ["--scan-topic", topic]
     return words
@@ -68,14 +83,14 @@ def to_rpy(pose: Pose) -> tuple[float, float, float]:
     return roll, pitch, yaw
 
 
-def _join(numbers: list[float]) -> str:
+def _join(numbers: Sequence[float]) -> str:
     """Join numbers, to hundredths of a millimetre and without a negative zero."""
     return ",".join(f"{round(number, 5) + 0.0:.7g}" for number in numbers)
 
 
 def _list_changed(
-    given: PosingOptions | ReturnOptions,
-    default: PosingOptions | ReturnOptions,
+    given: Group,
+    default: Group,
     flags: dict[str, str],
 ) -> dict[str, str]:
     changed = {}

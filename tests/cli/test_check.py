@@ -71,3 +71,31 @@ def test_transforms_are_written_as_they_are_read() -> None:
     text = "base_link,laser,0.1,0.2,0.3,0.1,-0.2,1.5"
     sample = parse_transform(text)
     assert format_static(sample.parent, sample.child, sample.pose) == text
+
+
+def test_the_robot_and_the_reading_come_back_as_flags(tmp_path: Path, capsys: Capture) -> None:
+    path = write_csv(tmp_path / "room.csv", Drive())
+    flags = [
+        "--echo", "last", "--min-height", "0.1", "--max-height", "0.5",
+        "--footprint", "-0.4,-0.3,0.2,0.3", "--ignore-sector", "2.5,-2.5", "--ignore-sector", "1,2",
+    ]  # fmt: skip
+
+    assert run(["check", str(path), *flags, "--json"]) == 0
+
+    assert json.loads(capsys.readouterr().out)["command"][3:-2] == flags
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--ignore-sector", "1"],
+        ["--ignore-sector", "1,one"],
+        ["--ignore-sector", "1,1"],
+        ["--footprint", "1,2,3"],
+        ["--footprint", "1,1,0,0"],
+        ["--min-height", "1", "--max-height", "0"],
+    ],
+)
+def test_values_that_make_no_sense_are_usage_errors(words: list[str], capsys: Capture) -> None:
+    assert run(["check", "x.bag", *words]) == 2
+    assert capsys.readouterr().err.startswith("error: ")
