@@ -242,7 +242,7 @@ def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> 
         scans_read=sum(each["read"] for each in scans),
         scans_used=sum(each["used"] for each in scans),
         dropped=dropped,
-        beams=sum((ReturnCounts(**each["beams"]) for each in scans), ReturnCounts()),
+        beams=sum((read_counts(each["beams"]) for each in scans), ReturnCounts()),
         notes=tuple(f"{name} is in it twice" for name in list_repeated(manifest)),
         update=manifest.update,
         model=manifest.model,
@@ -251,3 +251,8 @@ def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> 
         extent=grid.extent,
         shares=measure_shares(grid, writing),
     )
+
+
+def read_counts(beams: dict[str, int]) -> ReturnCounts:
+    """What beams meant, as an older occmap may have counted it, with fewer reasons or others."""
+    return ReturnCounts(*(beams.get(name, 0) for name in ReturnCounts._fields))

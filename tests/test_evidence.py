@@ -16,6 +16,7 @@ from occmap.manifest import describe_files
 from occmap.pipeline import BuildOptions, build
 from occmap.posing.options import PosingOptions
 from occmap.sensor.models import parse_model
+from occmap.sensor.returns import ReturnCounts
 from occmap.types import Evidence, Update
 from occmap.writers.npz import read_evidence
 from tests.samples import REAL_LOGS, SAMPLE_LOGS
@@ -205,6 +206,17 @@ def test_a_model_that_cannot_read_it_is_refused(
     evidence = save(tmp_path / "m.npz", choose(model=made_by))
     with pytest.raises(UsageError, match=rf"m.npz: .*{found}"):
         render_saved(evidence, parse_model(wanted), 10**9)
+
+
+def test_a_report_sums_up_what_an_older_occmap_counted(tmp_path: Path) -> None:
+    evidence = save(tmp_path / "m.npz", choose())
+    (made,) = evidence.manifest.builds
+    older = {**made, "scans": {**made["scans"], "beams": {"hit": 5, "lost": 7}}}
+    manifest = replace(evidence.manifest, builds=(older, older))
+    report = publish(replace(evidence, manifest=manifest), RenderOptions(), [tmp_path / "m.pgm"])
+    assert report.beams == ReturnCounts(hit=10)
+    assert report.scans_used == 2 * made["scans"]["used"]
+    assert report.notes == ("drive.csv is in it twice",)
 
 
 @pytest.mark.skipif(not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}")
