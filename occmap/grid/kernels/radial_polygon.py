@@ -135,6 +135,8 @@ def _reach_out(
             lengths[b, side] = reach / (
                 sides[b, 2 * side] * direction[b, 0] + sides[b, 2 * side + 1] * direction[b, 1]
             )
+    for b in range(1, kinds.size):
+        lengths[b - 1, 1] = lengths[b, 0] = max(lengths[b - 1, 1], lengths[b, 0])
 
 
 @kernel
@@ -160,6 +162,8 @@ def _stay_within(
         else:
             nearest = min(ranges[b], ranges[before], ranges[after]) - depth
             lengths[b, 0] = lengths[b, 1] = max(plain * nearest - 2, 0.0)
+    for b in range(1, beams):
+        lengths[b - 1, 1] = lengths[b, 0] = min(lengths[b - 1, 1], lengths[b, 0])
 
 
 @kernel
@@ -221,10 +225,11 @@ def _observe_spans(
                     part = from_x / max(abs(from_x) + abs(from_y), 1e-300)
                     b = covering[np.uint64((start + turned * part) * (BEARINGS / 4))]
                     squared = from_x * from_x + from_y * from_y
-                    # No branches: whether a cell lies before, in or behind a hit cannot be guessed.
+                    # Both places, then a choice without a branch: whether a cell lies before, in or
+                    # behind a hit cannot be guessed.
                     off = abs(np.sqrt(squared) - limits[b, RANGE]) * to_steps
-                    place = nothing
-                    place = hits_from + min(off, steps) if squared <= limits[b, FAR] else place
-                    place = squared * limits[b, SCALE] if squared < limits[b, NEAR] else place
+                    as_hit, as_free = hits_from + min(off, steps), squared * limits[b, SCALE]
+                    is_free, is_hit = squared < limits[b, NEAR], squared <= limits[b, FAR]
+                    place = as_free if is_free else (as_hit if is_hit else nothing)
                     cells[row, np.uint64(c)] += entries[np.uint64(place)]
                 col = beyond

@@ -116,7 +116,8 @@ def outline_sectors(
     """Write corners around the sectors of beams; returns their number.
 
     `lengths` (B, 2) says how far each sector goes along its two sides, in lattice units from the
-    sensor at `at_x`, `at_y`. A run of sectors that share their sides is closed at the sensor.
+    sensor at `at_x`, `at_y`; neighbours agree on the side between them, which makes one corner. A
+    run of sectors that share their sides is closed at the sensor.
     """
     beams = covers.size
     corners = 0
@@ -125,12 +126,14 @@ def outline_sectors(
             continue
         if b == 0 or not (covers[b - 1] and _share_side(sides, b - 1, b)):
             x[corners], y[corners], begins[corners] = at_x, at_y, True
-            corners += 1
-        for side in range(2):
-            x[corners] = at_x + int(np.rint(lengths[b, side] * sides[b, 2 * side]))
-            y[corners] = at_y + int(np.rint(lengths[b, side] * sides[b, 2 * side + 1]))
-            begins[corners] = False
-            corners += 1
+            x[corners + 1] = at_x + int(np.rint(lengths[b, 0] * sides[b, 0]))
+            y[corners + 1] = at_y + int(np.rint(lengths[b, 0] * sides[b, 1]))
+            begins[corners + 1] = False
+            corners += 2
+        x[corners] = at_x + int(np.rint(lengths[b, 1] * sides[b, 2]))
+        y[corners] = at_y + int(np.rint(lengths[b, 1] * sides[b, 3]))
+        begins[corners] = False
+        corners += 1
         if b == beams - 1 or not (covers[b + 1] and _share_side(sides, b, b + 1)):
             x[corners], y[corners], begins[corners] = at_x, at_y, False
             corners += 1
