@@ -1,9 +1,10 @@
 """Saved evidence: rendered by another model, added, and taken apart again, all exactly."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -21,6 +22,11 @@ from occmap.writers.npz import read_evidence
 
 MAX_CELLS = 10**9
 
+Box: TypeAlias = tuple[float, float, float, float]
+"""Lowest x and y, highest x and y (m)"""
+CELL_SLACK = 1e-6
+"""In cells: 0.15 m is three cells of 0.05 m, whatever floats say."""
+
 
 @dataclass(frozen=True)
 class RenderOptions:
@@ -31,6 +37,8 @@ class RenderOptions:
     writing: WriteOptions = field(default_factory=WriteOptions)
     max_cells: int = MAX_CELLS
     """A map with more cells is refused"""
+    crop: Box | None = None
+    """Only this part of the map, to whole cells; evidence is never cropped"""
 
 
 def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
@@ -64,6 +72,28 @@ def render_saved(evidence: Evidence, model: SensorModel, max_cells: int) -> Occu
     return render(to_grid(evidence), model, max_cells)
 
 
+def crop(grid: OccupancyMap, box: Box) -> OccupancyMap:
+    """Cut out the cells that a box touches; where it reaches beyond the map, the map ends it.
+
+    Raises
+    ------
+    MapError
+        The box touches no cell of the map.
+    """
+    size, (rows, cols) = grid.resolution, grid.shape
+    left, low = (round(edge / size) for edge in grid.origin)
+    first_col, first_row = (math.floor(edge / size + CELL_SLACK) for edge in box[:2])
+    end_col, end_row = (math.ceil(edge / size - CELL_SLACK) for edge in box[2:])
+    row, row_end = max(first_row - low, 0), min(end_row - low, rows)
+    col, col_end = max(first_col - left, 0), min(end_col - left, cols)
+    if row >= row_end or col >= col_end:
+        reach = ", ".join(f"{edge:.6g}" for edge in grid.extent)
+        raise MapError("no cell of the map lies in --crop", fix=f"the map's own box is {reach}")
+    part = slice(row, row_end), slice(col, col_end)
+    origin = (left + col) * size, (low + row) * size
+    return OccupancyMap(grid.log_odds[part], grid.observed[part], size, origin)
+
+
 def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path]) -> Report:
     """Render evidence and write it, as a map or as evidence; the report sums up its builds.
 
@@ -75,6 +105,8 @@ def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path])
     check_outputs(outputs)
     model = options.model or parse_model(evidence.manifest.model)
     grid = render_saved(evidence, model, options.max_cells)
+    if options.crop:
+        grid = crop(grid, options.crop)
     manifest = replace(evidence.manifest, model=describe_model(model))
     product = Product(grid, lambda: replace(evidence, manifest=manifest))
     files = write_outputs(outputs, product, options.writing)

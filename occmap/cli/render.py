@@ -8,7 +8,10 @@ import click
 from occmap.cli import COMMANDS, options
 from occmap.cli.console import Console
 from occmap.cli.saved import put_out, refuse_no_output
-from occmap.cli.sections import SectionCommand, join
+from occmap.cli.sections import SectionCommand, join, option
+from occmap.cli.values import read_by, read_numbers
+from occmap.errors import UsageError
+from occmap.evidence import Box
 from occmap.writers.npz import read_evidence
 
 HELP = f"""{COMMANDS["render"]}
@@ -19,12 +22,42 @@ that counts; the evidence of a radial model, such as quadratic, only by that one
 \b
   occmap render map.npz -o map.pgm --p-hit 0.8
   occmap render map.npz -o map.pgm -o map.png --model counting --mode scale
+  occmap render map.npz -o room.png --crop 0,0,5,4
 """
+
+CROP_FORM = "write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4"
+
+
+def parse_crop(text: str) -> Box:
+    """Read the part of a map to keep.
+
+    Raises
+    ------
+    UsageError
+        The text is not of four numbers, or they span nothing.
+    """
+    where = f"--crop {text}"
+    words = text.split(",")
+    if len(words) != 4:
+        raise UsageError(f"{len(words)} values where 4 belong", where=where, fix=CROP_FORM)
+    x_min, y_min, x_max, y_max = read_numbers(words, where, CROP_FORM)
+    if not (x_min < x_max and y_min < y_max):
+        raise UsageError("the box is empty", where=where, fix=CROP_FORM)
+    return x_min, y_min, x_max, y_max
+
+
+part = option(
+    options.MAP,
+    "--crop",
+    **read_by(parse_crop),
+    metavar="X_MIN,Y_MIN,X_MAX,Y_MAX",
+    help="Only this part of the map (m), to whole cells; an .npz stays whole.",
+)
 
 
 @click.command("render", cls=SectionCommand, help=HELP, short_help=COMMANDS["render"])
 @click.argument("path", type=click.Path(path_type=Path), metavar="NPZ")
-@join(options.writing, options.max_cells, options.saved_model)
+@join(options.writing, part, options.max_cells, options.saved_model)
 @join(options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, path: Path, **values: Any) -> None:

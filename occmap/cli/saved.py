@@ -17,7 +17,10 @@ from occmap.writers import WriteOptions
 def put_out(console: Console, evidence: Evidence, values: dict[str, Any]) -> None:
     """Render evidence, write it as the user wants, and sum it up."""
     options = RenderOptions(
-        choose_model(evidence, values), take(WriteOptions, values), values["max_cells"]
+        choose_model(evidence, values),
+        take(WriteOptions, values),
+        values["max_cells"],
+        values.get("crop"),
     )
     report = publish(evidence, options, values["outputs"])
     for note in report.notes:

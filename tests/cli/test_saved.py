@@ -52,6 +52,12 @@ def test_render_takes_a_model_thresholds_and_a_mode() -> None:
     assert occmap("render", "q.npz", "-o", "c.pgm", "--prior", "0.3").code == 0
 
 
+def test_render_crops_a_map_and_never_evidence() -> None:
+    words = ["render", "a.npz", "-o", "c.pgm", "-o", "c.npz", "--crop", "0.1,0,0.2,1"]
+    assert "map      2 x 1 cells of 0.05 m, x 0.1 to 0.2 m, y 0 to 0.05 m" in occmap(*words).out
+    assert read_bytes("c.npz") == read_bytes("a.npz")
+
+
 def test_merge_is_a_build_of_both_and_back() -> None:
     assert occmap("build", "a.csv", "b.csv", "-o", "both.pgm").code == 0
     assert occmap("merge", "a.npz", "b.npz", "-o", "ab.npz", "-o", "ab.pgm").code == 0
@@ -85,6 +91,9 @@ def test_evidence_is_a_map_to_diff() -> None:
         (["render", "a.csv", "-o", "m.pgm"], 1, "a.csv: is no evidence file; build one with -o"),
         (["render", "a.npz", "-o", "m.jpg"], 2, "occmap writes .npz, .pgm, .png"),
         (["render", "a.npz", "-o", "m.pgm", "--max-cells", "3"], 1, "more than --max-cells 3"),
+        (["render", "a.npz", "-o", "m.pgm", "--crop", "0,0,1"], 2, "3 values where 4 belong"),
+        (["render", "a.npz", "-o", "m.pgm", "--crop", "0,0,0,1"], 2, "the box is empty"),
+        (["render", "a.npz", "-o", "m.pgm", "--crop", "5,5,6,6"], 1, "no cell of the map lies in"),
         (["render", "a.npz", "-o", "m.pgm", "--epsilon", "1"], 2, "--epsilon does not go with"),
         (["render", "q.npz", "-o", "m.pgm", "--model", "simple"], 2, "q.npz: was summed up for"),
         (["render", "q.npz", "-o", "m.pgm", "--p-min", "0.3"], 2, "no other can read it"),
