@@ -57,6 +57,8 @@ class GridEngine:
             A sensor is too far away or a beam too long for the resolution, or one scan makes too
             large a map.
         """
+        if not rays.kind.size:
+            return
         refuse_far_sensors(rays, self.what.lattice)
         if self.what.update is Update.POLYGON:
             rays = join_viewpoints(rays)
