@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from occmap.readers.options import Echo, ReaderOptions
+from occmap.readers.text import as_float32
 from occmap.types import Float32, Float64, Scan
 
 BEARINGS = 720
@@ -88,7 +89,7 @@ def find_nearest(points: Float64) -> Float32:
 
     Points at zero itself stand for no return with some drivers.
     """
-    distance = np.hypot(points[:, 0], points[:, 1]).astype(np.float32)
+    distance = as_float32(np.hypot(points[:, 0], points[:, 1]))
     bearing = np.arctan2(points[:, 1], points[:, 0])
     sector = ((bearing + math.pi) * (BEARINGS / (2 * math.pi))).astype(np.int64) % BEARINGS
     nearest = np.full(BEARINGS, np.inf, np.float32)

@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from occmap.readers import Role
+from occmap.readers.text import as_float32
 from occmap.types import Pose, PoseSample, Scan
 
 FOXGLOVE_WIRES = ("json", "protobuf")
@@ -46,7 +47,7 @@ def convert_scan(message: Any, topic: str, record_ns: int) -> Scan:
         frame=frame if _read_origin(message) == IDENTITY else name_origin(frame, topic),
         angle_min=message.start_angle,
         angle_increment=(message.end_angle - message.start_angle) / max(beams - 1, 1),
-        ranges=np.array(message.ranges, dtype=np.float32),
+        ranges=as_float32(np.array(message.ranges, dtype=np.float64)),
         range_min=0.0,
         range_max=np.inf,
         topic=topic,

@@ -45,7 +45,7 @@ class McapReader:
     """Reads MCAP files, as https://mcap.dev/spec has them."""
 
     name = "mcap"
-    description = "MCAP with ROS 2 or ROS 1 messages (uncompressed, lz4, zstd)"
+    description = "MCAP with ROS 2, ROS 1 or Foxglove messages (uncompressed, lz4, zstd)"
 
     def recognises(self, probe: Probe) -> bool:
         """Say whether a file starts as MCAP files do."""

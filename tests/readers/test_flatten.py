@@ -122,6 +122,7 @@ def test_points_that_are_none() -> None:
 
     assert np.isinf(flatten(cloud(ROS2, nothing))).all()
     assert np.isinf(flatten(cloud(ROS2, []))).all()
+    assert np.isinf(flatten(cloud(ROS2, [(1e300, 0.0, 0.0)], "<f8"))).all()
 
 
 def test_an_organised_cloud_with_padded_rows() -> None:

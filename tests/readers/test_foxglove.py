@@ -251,10 +251,10 @@ def test_poses_in_a_frame(write: Callable[..., Path], tmp_path: Path) -> None:
 
 def test_ranges_that_json_cannot_write(tmp_path: Path) -> None:
     message = scan(0)
-    message.fields["ranges"] = [None, "Infinity", "NaN", math.inf, 1.5]
+    message.fields["ranges"] = [None, "Infinity", "NaN", math.inf, 1.5, 1e300]
     ((found,), _) = read(open_log(write_json(tmp_path / "odd.mcap", [message])))
 
-    np.testing.assert_array_equal(found.ranges, [np.nan, np.inf, np.nan, np.inf, 1.5])
+    np.testing.assert_array_equal(found.ranges, [np.nan, np.inf, np.nan, np.inf, 1.5, np.inf])
 
 
 def test_messages_that_are_not_what_they_claim_are_counted(tmp_path: Path) -> None:
