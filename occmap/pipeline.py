@@ -140,21 +140,21 @@ def trace_log(
         poser = make_poser(log, topics, options.posing)
     batcher = Batcher(options.selection, by_record_time=options.posing.stamps is Stamps.RECORD)
 
-    def trace(batch: ScanBatch) -> None:
-        with tally.time("pose"):
-            posed, dropped = poser.attach(batch)
-        tally.drop(dropped)
-        if posed is None:
-            return
-        with tally.time("interpret"):
-            rays, beams = interpret(posed, options.returns)
+    def trace(rays: Rays) -> None:
         with tally.time("trace"):
             observe(rays)
-        tally.use(len(rays.kind), beams)
 
     with Workers(trace, options.jobs) as workers:
         for batch in timed(batcher.stack(log.scans(topics)), tally):
-            workers.give(batch)
+            # Here and not in a worker: of many short NumPy calls each would wait for its turn.
+            with tally.time("pose"):
+                posed, dropped = poser.attach(batch)
+            tally.drop(dropped)
+            if posed is not None:
+                with tally.time("interpret"):
+                    rays, beams = interpret(posed, options.returns)
+                tally.use(len(rays.kind), beams)
+                workers.give(rays)
             advance(len(batch.stamp_ns))
     tally.scans_read += batcher.read
     tally.drop(dict(batcher.left_out))
