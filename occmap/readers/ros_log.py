@@ -13,7 +13,6 @@ from rosbags.serde import SerdeError
 
 from occmap.errors import LogError
 from occmap.readers import DEFAULT_OPTIONS, Note, Role, Stream
-from occmap.readers.foxglove import states_origins
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_decode import FromBytes, make_pose_reader, make_scan_reader
 from occmap.readers.ros_source import Channel, RawMessage, Source, add_note
@@ -57,11 +56,7 @@ class RosLog:
 
     def poses(self) -> Iterator[PoseSample]:
         """Every sample of every pose topic, in file order."""
-        wanted = [
-            channel
-            for channel in self._source.channels
-            if channel.role is Role.POSE or states_origins(channel.type)
-        ]
+        wanted = [channel for channel in self._source.channels if channel.has_poses]
         for samples in self._read(self._make_readers(wanted, make_pose_reader)):
             yield from samples
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal, Protocol, TypeAlias
 
 from occmap.readers import Note, Role
-from occmap.readers.foxglove import find_foxglove_role
+from occmap.readers.foxglove import find_foxglove_role, states_origins
 from occmap.readers.messages import find_role
 
 Wire: TypeAlias = Literal["cdr", "ros1", "json", "protobuf", ""]
@@ -39,6 +39,11 @@ class Channel:
         if self.wire in {"cdr", "ros1"}:
             return find_role(self.type)
         return find_foxglove_role(self.type) if self.wire else Role.OTHER
+
+    @property
+    def has_poses(self) -> bool:
+        """Whether the messages state poses, be it beside a scan."""
+        return self.role is Role.POSE or (self.role is Role.SCAN and states_origins(self.type))
 
 
 RawMessage: TypeAlias = tuple[Channel, int, memoryview]

@@ -16,6 +16,8 @@ from occmap.readers.carmen import CarmenReader
 from occmap.readers.csv import CsvReader
 from occmap.readers.mcap import McapReader
 from occmap.readers.rosbag import RosbagReader
+from tests.readers.foxglove_logs import WRITERS, place, scan
+from tests.readers.foxglove_logs import drive as foxglove_drive
 from tests.readers.ros import ROS1, ROS2, Bag2, drive, write_bag1, write_mcap
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
@@ -83,6 +85,17 @@ def make_sqlite(folder: Path) -> list[bytes]:
     return [(bag / "drive.db3").read_bytes()]
 
 
+def make_foxglove(folder: Path) -> list[bytes]:
+    """Foxglove's schemas in both encodings, with scans that state their origin."""
+    posed = [scan(index, place(0.5 * index, 0.1)) for index in range(SCANS)]
+    paths = [
+        write(folder / f"{name}-{index}.mcap", log)
+        for name, write in WRITERS.items()
+        for index, log in enumerate((foxglove_drive(), posed))
+    ]
+    return [path.read_bytes() for path in paths]
+
+
 def make_mcap(folder: Path) -> list[bytes]:
     """ROS 1 and ROS 2 messages, in chunks and without."""
     options: list[dict[str, Any]] = [
@@ -105,5 +118,6 @@ TARGETS = {
         Target("bag", RosbagReader, make_bag),
         Target("db3", RosbagReader, make_sqlite),
         Target("mcap", McapReader, make_mcap),
+        Target("foxglove", McapReader, make_foxglove),
     )
 }

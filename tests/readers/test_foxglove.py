@@ -1,185 +1,32 @@
 """Foxglove's schemas in MCAP, as JSON and as protobuf."""
 
-import json
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
-from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory
-from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
-from mcap.writer import Writer
 
 from occmap.errors import LogError
 from occmap.pipeline import BuildOptions, build
 from occmap.readers import Log, Role, open_log
 from occmap.readers.foxglove import POSE_SCHEMAS, SCAN_SCHEMAS, find_foxglove_role
 from occmap.types import Pose, PoseSample
+from tests.readers.foxglove_logs import (
+    SECOND,
+    WRITERS,
+    Message,
+    drive,
+    place,
+    scan,
+    stamp,
+    write_json,
+    write_protobuf,
+)
 
-SECOND = 10**9
-NO_POSE: dict[str, Any] = {
-    "position": {"x": 0.0, "y": 0.0, "z": 0.0},
-    "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
-}
-
-
-class Message(NamedTuple):
-    topic: str
-    schema: str
-    record_ns: int
-    fields: dict[str, Any]
-
-
-def stamp(index: int) -> dict[str, int]:
-    return {"sec": 100 + index, "nsec": 5}
-
-
-def place(x: float, yaw: float) -> dict[str, Any]:
-    orientation = {"x": 0.0, "y": 0.0, "z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
-    return {"position": {"x": x, "y": 2.0, "z": 0.0}, "orientation": orientation}
-
-
-def scan(index: int, pose: dict[str, Any] | None = None) -> Message:
-    fields = {
-        "timestamp": stamp(index),
-        "frame_id": "/laser",
-        "pose": pose or NO_POSE,
-        "start_angle": -1.0,
-        "end_angle": 1.0,
-        "ranges": [1.0, 2.5, 3.0, 4.0, 5.0 + index],
-        "intensities": [],
-    }
-    return Message("/scan", "foxglove.LaserScan", (100 + index) * SECOND, fields)
-
-
-def transform(index: int, parent: str, child: str, x: float) -> dict[str, Any]:
-    where = place(x, 0.5)
-    return {
-        "timestamp": stamp(index),
-        "parent_frame_id": parent,
-        "child_frame_id": child,
-        "translation": where["position"],
-        "rotation": where["orientation"],
-    }
-
-
-def drive() -> list[Message]:
-    mount = transform(0, "base", "laser", 0.25)
-    log = [Message("/mount", "foxglove.FrameTransform", 100 * SECOND, mount)]
-    for index in range(5):
-        moved = {"transforms": [transform(index, "odom", "base", 0.5 * index)]}
-        log += [
-            Message("/tf", "foxglove.FrameTransforms", (100 + index) * SECOND, moved),
-            scan(index),
-        ]
-    return log
-
-
-def write_json(path: Path, log: Sequence[Message]) -> Path:
-    return _write(path, log, lambda _, fields: json.dumps(fields).encode(), "json")
-
-
-def write_protobuf(path: Path, log: Sequence[Message]) -> Path:
-    return _write(path, log, encode_protobuf, "protobuf")
-
-
-WRITERS = {"json": write_json, "protobuf": write_protobuf}
 each_wire = pytest.mark.parametrize("write", WRITERS.values(), ids=list(WRITERS))
-
-
-def _write(
-    path: Path,
-    log: Sequence[Message],
-    encode: Callable[[str, dict[str, Any]], bytes],
-    wire: str,
-) -> Path:
-    schema_data = b"{}" if wire == "json" else b"".join([make_descriptors().SerializeToString()])
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        channels: dict[str, int] = {}
-        for topic, schema, record_ns, fields in log:
-            if topic not in channels:
-                kind = "jsonschema" if wire == "json" else "protobuf"
-                schema_id = writer.register_schema(schema, kind, schema_data)
-                channels[topic] = writer.register_channel(topic, wire, schema_id)
-            writer.add_message(channels[topic], record_ns, encode(schema, fields), record_ns)
-        writer.finish()  # type: ignore[no-untyped-call]  # the library's gap
-    return path
-
-
-# Every message of the schemas: its fields, each of a number type, another message, or a list.
-SCHEMA = {
-    "Vector3": {"x": "double", "y": "double", "z": "double"},
-    "Quaternion": {"x": "double", "y": "double", "z": "double", "w": "double"},
-    "Pose": {"position": "Vector3", "orientation": "Quaternion"},
-    "LaserScan": {
-        "timestamp": "Timestamp",
-        "frame_id": "string",
-        "pose": "Pose",
-        "start_angle": "double",
-        "end_angle": "double",
-        "ranges": "double*",
-        "intensities": "double*",
-    },
-    "FrameTransform": {
-        "timestamp": "Timestamp",
-        "parent_frame_id": "string",
-        "child_frame_id": "string",
-        "translation": "Vector3",
-        "rotation": "Quaternion",
-    },
-    "FrameTransforms": {"transforms": "FrameTransform*"},
-    "PoseInFrame": {"timestamp": "Timestamp", "frame_id": "string", "pose": "Pose"},
-    "PosesInFrame": {"timestamp": "Timestamp", "frame_id": "string", "poses": "Pose*"},
-}
-
-
-def make_descriptors() -> descriptor_pb2.FileDescriptorSet:
-    """The schemas, their file before that of the times that it needs."""
-    time = FileDescriptorProto(
-        name="google/protobuf/timestamp.proto", package="google.protobuf", syntax="proto3"
-    )
-    stamp_type = time.message_type.add(name="Timestamp")
-    for number, (name, kind) in enumerate((("seconds", "INT64"), ("nanos", "INT32")), start=1):
-        _add_field(stamp_type, name, number, kind)
-    file = FileDescriptorProto(name="foxglove/all.proto", package="foxglove", syntax="proto3")
-    file.dependency.append(time.name)
-    for message, fields in SCHEMA.items():
-        described = file.message_type.add(name=message)
-        for number, (name, text) in enumerate(fields.items(), start=1):
-            field = _add_field(described, name, number, text.rstrip("*"))
-            if text.endswith("*"):
-                field.label = FieldDescriptorProto.LABEL_REPEATED
-    return descriptor_pb2.FileDescriptorSet(file=[file, time])
-
-
-def _add_field(
-    message: descriptor_pb2.DescriptorProto, name: str, number: int, kind: str
-) -> FieldDescriptorProto:
-    field = message.field.add(name=name, number=number)
-    field.label = FieldDescriptorProto.LABEL_OPTIONAL
-    if kind in SCHEMA or kind == "Timestamp":
-        package = "google.protobuf" if kind == "Timestamp" else "foxglove"
-        field.type, field.type_name = FieldDescriptorProto.TYPE_MESSAGE, f".{package}.{kind}"
-    else:
-        field.type = FieldDescriptorProto.Type.Value(f"TYPE_{kind.upper()}")
-    return field
-
-
-def encode_protobuf(schema: str, fields: dict[str, Any]) -> bytes:
-    pool = descriptor_pool.DescriptorPool()
-    for file in reversed(make_descriptors().file):
-        pool.Add(file)
-    message = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema))()
-    text = json.dumps(fields)
-    for index in range(9):  # protobuf's JSON writes a time as text
-        text = text.replace(json.dumps(stamp(index)), f'"1970-01-01T00:01:4{index}.000000005Z"')
-    encoded: bytes = json_format.Parse(text, message).SerializeToString()
-    return encoded
 
 
 def read(log: Log) -> tuple[list[Any], list[PoseSample]]:
