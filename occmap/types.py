@@ -8,7 +8,7 @@ otherwise. Frames follow REP 103 and REP 105: x forward, y left, z up, yaw count
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from typing import Any, NamedTuple, Self, TypeAlias
 
@@ -173,6 +173,16 @@ class Rays:
         turn = np.stack([direction, np.zeros_like(direction)], axis=-1)
         bearing = np.repeat([[1.0], [0.0]], direction.shape[1], axis=1)
         return cls(origin, turn, bearing, distance.astype(np.float32), kind, full_circle)
+
+    def take(self, scans: slice | Bool) -> Self:
+        """Some of the scans: a slice, or (S,) which."""
+        return replace(
+            self,
+            origin=self.origin[scans],
+            turn=self.turn[scans],
+            distance=self.distance[scans],
+            kind=self.kind[scans],
+        )
 
     @property
     def direction(self) -> Float64:

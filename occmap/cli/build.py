@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import click
 
-from occmap.cli import COMMANDS, options
+from occmap.cli import COMMANDS, log_options, options
 from occmap.cli.collect import collect_options, split_words
 from occmap.cli.console import Console
 from occmap.cli.progress import show_progress
@@ -51,8 +51,8 @@ class Request(NamedTuple):
 
 @click.command("build", cls=SectionCommand, help=HELP, short_help=COMMANDS["build"])
 @click.argument("words", nargs=-1, metavar="[beam|polygon] LOG...")
-@join(options.writing, resume, options.lattice, options.ranges, options.model)
-@join(options.selection, options.posing)
+@join(options.writing, resume, options.lattice, log_options.ranges, options.model)
+@join(log_options.selection, log_options.posing)
 @join(options.jobs, strict, options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:

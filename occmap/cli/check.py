@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from occmap.batching import Selection
-from occmap.cli import COMMANDS, options
+from occmap.cli import COMMANDS, log_options, options
 from occmap.cli.collect import take
 from occmap.cli.console import Console
 from occmap.cli.findings import format_inspection
@@ -32,8 +32,8 @@ command line that it recommends. Exits with 1 where a build with the options giv
 
 @click.command("check", cls=SectionCommand, help=HELP, short_help=COMMANDS["check"])
 @click.argument("logs", nargs=-1, type=click.Path(path_type=Path), metavar="LOG...")
-@join(options.resolution, options.max_cells, options.ranges)
-@join(options.scan_topic, options.reading, options.posing)
+@join(options.resolution, options.max_cells, log_options.ranges)
+@join(log_options.scan_topic, log_options.reading, log_options.posing)
 @join(options.as_json, options.verbosity)
 @click.pass_context
 def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from occmap.batching import Selection
-from occmap.cli import COMMANDS, options
+from occmap.cli import COMMANDS, log_options, options
 from occmap.cli.collect import take
 from occmap.cli.console import Console
 from occmap.cli.progress import show_progress
@@ -72,8 +72,8 @@ picture = option(
 
 @click.command("compare", cls=SectionCommand, help=HELP, short_help=COMMANDS["compare"])
 @click.argument("logs", nargs=-1, type=click.Path(path_type=Path), metavar="LOG...")
-@join(variants, picture, options.lattice, options.ranges)
-@join(options.selection, options.posing)
+@join(variants, picture, options.lattice, log_options.ranges)
+@join(log_options.selection, log_options.posing)
 @join(options.jobs, options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:

@@ -1,6 +1,5 @@
 """The grid engine: takes rays from any number of threads, gives one grid of evidence."""
 
-from dataclasses import replace
 from threading import Lock
 
 import numpy as np
@@ -83,8 +82,8 @@ class GridEngine:
 
     def _add_halves(self, rays: Rays) -> None:
         middle = len(rays.kind) // 2
-        self.add(slice_scans(rays, slice(None, middle)))
-        self.add(slice_scans(rays, slice(middle, None)))
+        self.add(rays.take(slice(None, middle)))
+        self.add(rays.take(slice(middle, None)))
 
     def _trace(self, projected: Projected) -> None:
         """Trace in a window that nobody else is writing to, with room for the scans to come."""
@@ -168,17 +167,6 @@ def refuse_long_beams(rays: Rays, resolution: float) -> None:
             f"a beam of {longest:.6g} m is too long for cells of {resolution} m",
             fix="limit ranges with --max-range, or use a coarser --resolution",
         )
-
-
-def slice_scans(rays: Rays, scans: slice) -> Rays:
-    """Take some of the scans."""
-    return replace(
-        rays,
-        origin=rays.origin[scans],
-        turn=rays.turn[scans],
-        distance=rays.distance[scans],
-        kind=rays.kind[scans],
-    )
 
 
 def join_viewpoints(rays: Rays) -> Rays:

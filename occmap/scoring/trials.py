@@ -11,7 +11,7 @@ from occmap.evidence import render
 from occmap.pipeline import BuildOptions, make_engine
 from occmap.scoring.score import Score, score_map
 from occmap.scoring.variants import Variant
-from occmap.types import Bool, Kind, OccupancyMap, Rays
+from occmap.types import Kind, OccupancyMap, Rays
 from occmap.workers import Workers
 
 if TYPE_CHECKING:
@@ -38,25 +38,14 @@ class HoldOut:
         kept = (self._seen + np.arange(scans)) % EVERY == FIRST
         self._seen += scans
         if kept.any():
-            self.held.append(take_scans(rays, kept))
+            self.held.append(rays.take(kept))
             self.scans += int(np.count_nonzero(kept))
-        return take_scans(rays, ~kept)
+        return rays.take(~kept)
 
     @property
     def hits(self) -> int:
         """Held-out beams that measured a range."""
         return sum(int(np.count_nonzero(rays.kind == Kind.HIT)) for rays in self.held)
-
-
-def take_scans(rays: Rays, wanted: Bool) -> Rays:
-    """Some of the scans; (S,) says which."""
-    return replace(
-        rays,
-        origin=rays.origin[wanted],
-        turn=rays.turn[wanted],
-        distance=rays.distance[wanted],
-        kind=rays.kind[wanted],
-    )
 
 
 class Task(NamedTuple):

@@ -9,7 +9,6 @@ import pytest
 from occmap.batching import Selection
 from occmap.errors import LogError, UsageError
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
-from occmap.scoring import trials
 from occmap.scoring.compare import Comparison, compare
 from occmap.scoring.trials import HoldOut
 from occmap.scoring.variants import Variant, combine, shorten_model
@@ -41,7 +40,7 @@ def test_every_fifth_scan_is_held_out_however_they_are_batched(sizes: list[int])
     parts = [
         np.isin(np.arange(20), range(end - n, end)) for n, end in zip(sizes, ends, strict=True)
     ]
-    seen = [hold_out.split(trials.take_scans(everything, part)) for part in parts]
+    seen = [hold_out.split(everything.take(part)) for part in parts]
     assert list_x(hold_out.held) == [2, 7, 12, 17]
     assert hold_out.scans == 4
     assert sorted(list_x(seen) + list_x(hold_out.held)) == list(range(20))
