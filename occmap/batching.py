@@ -11,9 +11,9 @@ import numpy as np
 from occmap.errors import UsageError
 from occmap.types import Scan, ScanBatch
 
-BATCH_BEAMS = 1 << 16
-"""Beams that are held before they are handed on: enough to forget NumPy's overhead, and they fit
-in a core's cache."""
+BATCH_BEAMS = 1 << 18
+"""Beams that are held before they are handed on: a few megabytes, and enough work that threads
+seldom wait for each other's Python."""
 
 
 class LeftOut(StrEnum):
