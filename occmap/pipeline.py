@@ -106,6 +106,7 @@ def build(
 
     engine = make_engine(options)
     made = Made([str(log.path) for log in logs])
+    made.note_repeated()
     for log in logs:
         poser = trace_log(log, options, engine.add, tally, advance)
         made.note(log, poser.notes)

@@ -1,5 +1,6 @@
 """What a build did: numbers for people and for programs."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -115,6 +116,12 @@ class Made:
     notes: list[str] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
+
+    def note_repeated(self) -> None:
+        """Say which logs were given more than once: their evidence counts as often."""
+        for log, times in Counter(self.logs).items():
+            if times > 1:
+                self.notes.append(f"{log}: given {times} times, and counted as often")
 
     def note(self, log: Log, others: Iterable[str]) -> None:
         """Keep what a log has to say, and what others have to say of it."""

@@ -251,3 +251,11 @@ def test_a_report_needs_no_files(tmp_path: Path) -> None:
     assert isinstance(report, Report)
     assert report.files == ()
     assert list(tmp_path.iterdir()) == [tmp_path / "log.csv"]
+
+
+def test_a_log_that_is_given_twice_is_noted() -> None:
+    once = build([DRIVES[0]], BuildOptions()).report
+    twice = build([DRIVES[0], DRIVES[0]], BuildOptions()).report
+    assert once.notes == ()
+    assert twice.notes == (f"{DRIVES[0]}: given 2 times, and counted as often",)
+    assert twice.scans_used == 2 * once.scans_used

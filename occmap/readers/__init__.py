@@ -179,6 +179,8 @@ def _describe_unknown(probe: Probe) -> str:
         return "the file is empty"
     if not probe.content:
         return "a gzip file with nothing in it that can be read"
+    if probe.content.startswith(b"PK\x03\x04"):
+        return "not a log but an archive: evidence in .npz is for `occmap render`, or for --resume"
     if probe.content.isascii():
         first_line = probe.content.decode("ascii").splitlines()[0][:60]
         return f"a text file of no known log format: it starts with {first_line!r}"

@@ -153,7 +153,7 @@ def check_probabilities(model: Any) -> None:
             flag = "--" + field.name.replace("_", "-")
             raise UsageError(
                 f"{field.name} {value} is not a probability between 0 and 1",
-                fix=f"give a value such as {flag} 0.3",
+                fix=f"give a value such as {flag} {field.default}",
             )
 
 
