@@ -20,7 +20,8 @@ MOST_PARTS = 64
 """Scans that would need more windows than this lie far apart: they are traced one by one."""
 MAX_CELLS = 10**9
 MARGIN = 4
-"""A box around rays has room beside them, but never three times as much as they need."""
+"""A box around rays has room beside them: only one this many times too large is refused at once,
+and a smaller one when it is known what was observed."""
 FARTHEST_UNIT = 1 << 52
 """Beyond this a float cannot tell lattice units apart."""
 MOST_CELLS_OF_BEAM = 1 << 22

@@ -70,7 +70,8 @@ def _reach_beside(rays: Rays, what: Observation) -> int:
     """How many cells beside their ends beams have a say in: half-way to their neighbours."""
     if what.radial is None or what.update is Update.BEAM or rays.kind.shape[1] < 2:
         return 0
-    single = rays.turn.shape[1] == 1  # a turn makes no two bearings differ more
+    # A turn makes no difference of two bearings longer, and at most doubles its larger part.
+    single = rays.turn.shape[1] == 1
     directions = rays.bearing.T if single else rays.direction
     spread = float(np.abs(np.diff(directions, axis=-2)).max())
     reach = float(rays.distance.max()) + what.radial.depth

@@ -12,7 +12,6 @@ TILTED_RAD = math.radians(3)
 """A tilted scan plane meets the floor: at three degrees, 30 cm above it, within six metres."""
 SHARE_OF_NOTE = 0.05
 DRIFT_S = 0.1
-OFFSET_S = 1.0
 
 
 def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple[str, ...]:

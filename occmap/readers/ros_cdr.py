@@ -18,8 +18,6 @@ from occmap.types import Pose, PoseSample, Scan
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import Typesdict
 
-LITTLE_ENDIAN = b"\x00\x01"
-
 _HEADER = """
 builtin_interfaces/Time stamp
 string frame_id
