@@ -51,9 +51,3 @@ class UsageError(OccmapError):
     """An option or a name that occmap does not know, or a value out of its range."""
 
     exit_code = 2
-
-
-class GateError(OccmapError):
-    """A limit that the user set was not met."""
-
-    exit_code = 3

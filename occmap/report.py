@@ -86,6 +86,11 @@ class Report:
     damage: tuple[str, ...] = ()
     """Those of the notes that say what is lost"""
 
+    @property
+    def undecided(self) -> float:
+        """Share of the map's cells that were observed and are neither occupied nor free."""
+        return max(round(1 - sum(self.shares), 12), 0.0)  # 0 where the shares add up to all
+
     def to_json(self) -> dict[str, Any]:
         """The report as values that JSON has."""
         return {
@@ -100,6 +105,7 @@ class Report:
                 "rows": self.cells[1],
                 "extent": list(self.extent),
                 **dict(zip(("occupied", "free", "unknown"), self.shares, strict=True)),
+                "undecided": self.undecided,
             },
             "notes": list(self.notes),
             "damage": list(self.damage),

@@ -85,28 +85,28 @@ def cli() -> None:
 
 def run(args: Sequence[str]) -> int:
     """Run a command line and return its exit code; no error leaves this function."""
-    console = Console()
+    console = Console(as_json="--json" in args)  # so that errors in the other words are JSON, too
     try:
         with cli.make_context("occmap", list(args) or ["--help"], obj=console) as context:
             cli.invoke(context)
     except click.exceptions.Exit as done:
         return done.exit_code
     except OccmapError as error:
-        return console.fail(str(error), error.exit_code)
+        return console.fail(error, error.exit_code)
     except click.ClickException as error:
         return console.fail(describe_misuse(error), error.exit_code)
     except (KeyboardInterrupt, click.Abort):
-        return console.fail("interrupted: nothing more is written", INTERRUPTED)
+        return console.fail(OccmapError("interrupted: nothing more is written"), INTERRUPTED)
     except Exception as error:  # noqa: BLE001  whatever it is, the user gets one line
         return answer_unforeseen(error, console)
     return 0
 
 
-def describe_misuse(error: click.ClickException) -> str:
-    """Put what click found, and where to read on, in one line."""
+def describe_misuse(error: click.ClickException) -> OccmapError:
+    """Say what click found, and where to read on."""
     found = " ".join(error.format_message().split()).removesuffix(".")
     context = error.ctx if isinstance(error, click.UsageError) else None
-    return f"{found}; see `{context.command_path} --help`" if context else found
+    return UsageError(found, fix=f"see `{context.command_path} --help`" if context else "")
 
 
 def answer_unforeseen(error: Exception, console: Console) -> int:
@@ -116,9 +116,10 @@ def answer_unforeseen(error: Exception, console: Console) -> int:
         return 0
     if isinstance(error, OSError):  # a path too long, a disk that fails
         reason = error.strerror or type(error).__name__
-        return console.fail(f"{error.filename}: {reason}" if error.filename else reason, 1)
+        return console.fail(OccmapError(reason, where=error.filename or ""), 1)
     if isinstance(error, MemoryError):
-        return console.fail("out of memory; try a coarser --resolution or fewer --jobs", 1)
+        full = OccmapError("out of memory", fix="try a coarser --resolution or fewer --jobs")
+        return console.fail(full, 1)
     return console.fail_unexpectedly(error)
 
 

@@ -6,13 +6,15 @@ from typing import Any, NamedTuple
 
 import click
 
-from occmap.cli import COMMANDS, log_options, options
+from occmap.cli import COMMANDS, limits, log_options, options
 from occmap.cli.collect import collect_options, split_words
 from occmap.cli.console import Console
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.summary import format_report
 from occmap.errors import LogError, UsageError
+from occmap.gates import judge
+from occmap.measures import BUILD
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
 from occmap.report import Report
 
@@ -53,7 +55,7 @@ class Request(NamedTuple):
 @click.argument("words", nargs=-1, metavar="[beam|polygon] LOG...")
 @join(options.writing, resume, options.lattice, log_options.ranges, options.model)
 @join(log_options.selection, log_options.posing)
-@join(options.jobs, strict, options.as_json, options.verbosity)
+@join(limits.fail_if(BUILD), options.jobs, strict, options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
     """Build a map, write it, and say how it came about."""
@@ -63,12 +65,15 @@ def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
         report = build(request.logs, request.options, request.outputs, progress).report
     for note in report.notes:
         console.note(note)
+    failed = judge(values["limits"], report)
     if values["as_json"]:
-        console.put_json(report.to_json())
+        console.put_json("build", report.to_json() | limits.to_json(failed))
     else:
         console.put(format_report(report, perf_counter() - start))
+    limits.tell(console, failed)
     if values["strict"]:
         refuse_damage(report)
+    limits.leave(failed)
 
 
 def collect_request(words: tuple[str, ...], values: dict[str, Any]) -> Request:

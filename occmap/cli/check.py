@@ -6,13 +6,15 @@ from typing import Any
 import click
 
 from occmap.batching import Selection
-from occmap.cli import COMMANDS, log_options, options
+from occmap.cli import COMMANDS, limits, log_options, options
 from occmap.cli.collect import take
 from occmap.cli.console import Console
 from occmap.cli.findings import format_inspection
 from occmap.cli.sections import SectionCommand, join
 from occmap.errors import UsageError
+from occmap.gates import judge
 from occmap.inspection import inspect
+from occmap.measures import CHECK
 from occmap.pipeline import BuildOptions
 from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions
@@ -34,7 +36,7 @@ command line that it recommends. Exits with 1 where a build with the options giv
 @click.argument("logs", nargs=-1, type=click.Path(path_type=Path), metavar="LOG...")
 @join(options.resolution, options.max_cells, log_options.ranges)
 @join(log_options.scan_topic, log_options.reading, log_options.posing)
-@join(options.as_json, options.verbosity)
+@join(limits.fail_if(CHECK), options.as_json, options.verbosity)
 @click.pass_context
 def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> None:
     """Look into logs, and print what was found."""
@@ -42,12 +44,15 @@ def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> Non
         raise UsageError("no log is given", fix="type: occmap check LOG")
     inspection = inspect(logs, collect_options(values))
     console = ctx.ensure_object(Console)
+    failed = judge(values["limits"], inspection)
     if values["as_json"]:
-        console.put_json(inspection.to_json())
+        console.put_json("check", inspection.to_json() | limits.to_json(failed))
     else:
         console.put(format_inspection(inspection))
+    limits.tell(console, failed)
     if not inspection.buildable:
         ctx.exit(1)
+    limits.leave(failed)
 
 
 def collect_options(values: dict[str, Any]) -> BuildOptions:

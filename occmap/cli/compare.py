@@ -9,12 +9,14 @@ from typing import Any
 import click
 
 from occmap.batching import Selection
-from occmap.cli import COMMANDS, log_options, options
+from occmap.cli import COMMANDS, limits, log_options, options
 from occmap.cli.collect import take
 from occmap.cli.console import Console
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.errors import UsageError
+from occmap.gates import judge
+from occmap.measures import COMPARE
 from occmap.pipeline import BuildOptions
 from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions
@@ -74,7 +76,7 @@ picture = option(
 @click.argument("logs", nargs=-1, type=click.Path(path_type=Path), metavar="LOG...")
 @join(variants, picture, options.lattice, log_options.ranges)
 @join(log_options.selection, log_options.posing)
-@join(options.jobs, options.as_json, options.verbosity)
+@join(limits.fail_if(COMPARE), options.jobs, options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     """Compare variants, and print the table."""
@@ -85,10 +87,13 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
         comparison = compare(logs, chosen, common, values["picture"], progress)
     for note in comparison.made.notes:
         console.note(note)
+    failed = judge(values["limits"], comparison)
     if values["as_json"]:
-        console.put_json(comparison.to_json())
+        console.put_json("compare", comparison.to_json() | limits.to_json(failed))
     else:
         console.put(format_comparison(comparison))
+    limits.tell(console, failed)
+    limits.leave(failed)
 
 
 def collect_variants(values: dict[str, Any]) -> list[Variant]:

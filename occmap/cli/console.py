@@ -2,13 +2,17 @@
 
 import os
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
 import click
 
-from occmap.errors import OutputError
+from occmap.errors import OccmapError, OutputError
+
+RESULT_VERSION = 1
+"""Of what --json prints: it grows where a field changes its meaning or goes."""
 
 
 class Verbosity(IntEnum):
@@ -26,26 +30,36 @@ class Console:
     """The two streams, and how much goes to them."""
 
     verbosity: Verbosity = Verbosity.NORMAL
+    as_json: bool = False
+    """A program reads stdout: it gets one JSON object, whatever happens"""
+    answered: bool = False
+    """It has got it"""
 
     def put(self, text: str) -> None:
         """Print a result, unless the user wants quiet."""
         if self.verbosity > Verbosity.QUIET:
             put_line(text)
 
-    def put_json(self, value: dict[str, Any]) -> None:
-        """Print a result as one JSON object."""
+    def put_json(self, kind: str, value: dict[str, Any]) -> None:
+        """Print a result as one JSON object that names its schema."""
         import json  # noqa: PLC0415  late: most runs print none
 
-        put_line(json.dumps(value, indent=2, allow_nan=False))
+        self.answered = True
+        named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **value}
+        put_line(json.dumps(named, indent=2, allow_nan=False))
 
     def note(self, text: str) -> None:
         """Print something worth knowing."""
         if self.verbosity > Verbosity.QUIET:
             tell(f"note: {text}")
 
-    def fail(self, text: str, code: int) -> int:
-        """Print an error; return its exit code."""
-        tell(f"error: {text}")
+    def fail(self, error: OccmapError, code: int) -> int:
+        """Print an error, for a program that still waits as JSON, too; return its exit code."""
+        tell(f"error: {error}")
+        if self.as_json and not self.answered:
+            parts = {"where": error.where, "found": " ".join(error.found.split()), "fix": error.fix}
+            with suppress(OutputError):
+                self.put_json("error", {"error": {"exit_code": code, **parts}})
         return code
 
     def fail_unexpectedly(self, error: Exception) -> int:
@@ -54,9 +68,9 @@ class Console:
             import traceback  # noqa: PLC0415
 
             tell("".join(traceback.format_exception(error)).rstrip())
-        what = " ".join(f"{type(error).__name__}: {error}".split())
+        found = f"{type(error).__name__}: {error} (at {find_place(error)})"
         advice = "this is a fault in occmap: please report it, with what the same command prints"
-        return self.fail(f"{what} (at {find_place(error)}); {advice} with -v", 1)
+        return self.fail(OccmapError(found, fix=f"{advice} with -v"), 1)
 
 
 def find_place(error: BaseException) -> str:

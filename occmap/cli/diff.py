@@ -6,15 +6,17 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, options
+from occmap.cli import COMMANDS, limits, options
 from occmap.cli.collect import take
 from occmap.cli.console import Console
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.summary import LABEL
 from occmap.cli.values import parse_share, read_by
 from occmap.comparison import Comparison, compare_maps, paint
-from occmap.errors import GateError, UsageError
+from occmap.errors import UsageError
+from occmap.gates import Limit, judge
 from occmap.maps import load_map
+from occmap.measures import DIFF
 from occmap.writers import WriteOptions
 from occmap.writers.atomic import check_target
 
@@ -32,7 +34,12 @@ became unknown pink; stronger colours are contradictions, paler ones news.
   occmap diff golden.yaml build/map.pgm -o diff.png --fail-above 1%
 """
 
-LIMIT = "Limit"
+
+def limit_change(text: str) -> Limit:
+    """Read how much may have changed; raises UsageError where that is no share."""
+    bound = parse_share(text)
+    return Limit(DIFF[0], ">", bound, in_percent=text.endswith("%"), option="--fail-above")
+
 
 picture = option(
     options.FILES,
@@ -43,9 +50,9 @@ picture = option(
     help="Write a picture of the changes here.",
 )
 fail_above = option(
-    LIMIT,
+    limits.LIMITS,
     "--fail-above",
-    **read_by(parse_share),
+    **read_by(limit_change),
     metavar="SHARE",
     help="Exit with 3 if more of the known cells changed: 0.01, or 1%.",
 )
@@ -54,7 +61,8 @@ fail_above = option(
 @click.command("diff", cls=SectionCommand, help=HELP, short_help=COMMANDS["diff"])
 @click.argument("before", type=click.Path(path_type=Path), metavar="A")
 @click.argument("after", type=click.Path(path_type=Path), metavar="B")
-@join(picture, options.thresholds, fail_above, options.as_json, options.verbosity)
+@join(picture, options.thresholds, fail_above, limits.fail_if(DIFF))
+@join(options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, before: Path, after: Path, **values: Any) -> None:
     """Compare two maps, paint the changes, and hold the limit."""
@@ -65,11 +73,14 @@ def command(console: Console, /, before: Path, after: Path, **values: Any) -> No
         from occmap.writers.images import write_colours  # noqa: PLC0415  late: it brings pillow
 
         write_colours(values["output"], paint(comparison))
+    above = values["fail_above"]
+    failed = judge([*([above] if above else []), *values["limits"]], comparison)
     if values["as_json"]:
-        console.put_json(comparison.to_json())
+        console.put_json("diff", comparison.to_json() | limits.to_json(failed))
     else:
         console.put("\n".join(format_comparison(comparison)))
-    hold_limit(comparison, values["fail_above"])
+    limits.tell(console, failed)
+    limits.leave(failed)
 
 
 def check_picture(path: Path | None) -> None:
@@ -99,17 +110,3 @@ def format_comparison(comparison: Comparison) -> Iterator[str]:
         low_x, low_y, high_x, high_y = (f"{value:.6g}" for value in comparison.largest.extent)
         where = f"x {low_x} to {high_x}, y {low_y} to {high_y}"
         yield f"{'largest':<{LABEL}}{comparison.largest.cells:,} connected cells, {where}"
-
-
-def hold_limit(comparison: Comparison, limit: float | None) -> None:
-    """Fail where more changed than the user allows.
-
-    Raises
-    ------
-    GateError
-        Naming both shares.
-    """
-    if limit is not None and comparison.share > limit:
-        raise GateError(
-            f"{comparison.share:.3%} of the known cells changed, more than --fail-above {limit:g}"
-        )

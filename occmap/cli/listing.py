@@ -59,6 +59,6 @@ def list_group(kind: str, group: Group) -> Listing:
 def show(console: Console, listing: Listing, values: dict[str, Any]) -> None:
     """Print a listing in the form that was asked for."""
     if values["as_json"]:
-        console.put_json(listing.to_json())
+        console.put_json(listing.kind, listing.to_json())
     else:
         console.put(listing.to_text())

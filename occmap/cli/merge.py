@@ -5,12 +5,13 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, options
+from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console
 from occmap.cli.saved import put_out, refuse_no_output
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.errors import UsageError
 from occmap.evidence import merge, subtract
+from occmap.measures import SAVED
 from occmap.writers.npz import read_evidence
 
 HELP = f"""{COMMANDS["merge"]}
@@ -36,7 +37,7 @@ subtracted = option(
 @click.command("merge", cls=SectionCommand, help=HELP, short_help=COMMANDS["merge"])
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path), metavar="NPZ...")
 @join(options.writing, subtracted, options.max_cells)
-@join(options.as_json, options.verbosity)
+@join(limits.fail_if(SAVED), options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> None:
     """Add and subtract evidence, and write what comes out."""
@@ -46,4 +47,4 @@ def command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> None
     evidence = merge([read_evidence(path) for path in paths])
     for path in values["subtract"]:
         evidence = subtract(evidence, read_evidence(path))
-    put_out(console, evidence, values)
+    put_out(console, "merge", evidence, values)

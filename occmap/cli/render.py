@@ -5,13 +5,14 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, options
+from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console
 from occmap.cli.saved import put_out, refuse_no_output
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.values import read_by, read_numbers
 from occmap.errors import UsageError
 from occmap.evidence import Box
+from occmap.measures import SAVED
 from occmap.writers.npz import read_evidence
 
 HELP = f"""{COMMANDS["render"]}
@@ -58,9 +59,9 @@ part = option(
 @click.command("render", cls=SectionCommand, help=HELP, short_help=COMMANDS["render"])
 @click.argument("path", type=click.Path(path_type=Path), metavar="NPZ")
 @join(options.writing, part, options.max_cells, options.saved_model)
-@join(options.as_json, options.verbosity)
+@join(limits.fail_if(SAVED), options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, path: Path, **values: Any) -> None:
     """Read evidence, and write a map of it."""
     refuse_no_output(values["outputs"], "map.pgm")
-    put_out(console, read_evidence(path), values)
+    put_out(console, "render", read_evidence(path), values)

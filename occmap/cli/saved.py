@@ -3,19 +3,21 @@
 from pathlib import Path
 from typing import Any
 
+from occmap.cli import limits
 from occmap.cli.collect import SHORTHANDS, collect_model, take
 from occmap.cli.console import Console
 from occmap.cli.summary import LABEL, format_counts, format_shares, format_size, label_files
 from occmap.errors import UsageError
 from occmap.evidence import RenderOptions, publish
+from occmap.gates import judge
 from occmap.report import Report
 from occmap.sensor.models import SensorModel
 from occmap.types import Evidence
 from occmap.writers import WriteOptions
 
 
-def put_out(console: Console, evidence: Evidence, values: dict[str, Any]) -> None:
-    """Render evidence, write it as the user wants, and sum it up."""
+def put_out(console: Console, command: str, evidence: Evidence, values: dict[str, Any]) -> None:
+    """Render evidence, write it as the user wants, sum it up, and hold the limits."""
     options = RenderOptions(
         choose_model(evidence, values),
         take(WriteOptions, values),
@@ -25,10 +27,13 @@ def put_out(console: Console, evidence: Evidence, values: dict[str, Any]) -> Non
     report = publish(evidence, options, values["outputs"])
     for note in report.notes:
         console.note(note)
+    failed = judge(values["limits"], report)
     if values["as_json"]:
-        console.put_json(report.to_json())
+        console.put_json(command, report.to_json() | limits.to_json(failed))
     else:
         console.put(format_saved(report))
+    limits.tell(console, failed)
+    limits.leave(failed)
 
 
 def refuse_no_output(outputs: tuple[Path, ...], example: str) -> None:

@@ -34,7 +34,7 @@ def format_size(report: Report) -> str:
 def format_shares(report: Report) -> str:
     """Say what the cells are; between occupied and free there may be undecided ones."""
     names = ("occupied", "free", "unknown", "undecided")
-    shares = (*report.shares, 1 - sum(report.shares))
+    shares = (*report.shares, report.undecided)
     pairs = zip(names, shares, strict=True)
     return ", ".join(f"{share:.1%} {name}" for name, share in pairs if share > 5e-4)
 

@@ -62,13 +62,13 @@ def inspect_path(path: Path, options: BuildOptions, extent: Extent) -> LogFindin
     try:
         log = open_log(path, options.reading)
     except OccmapError as error:
-        return LogFindings(str(path), (), (), (), (), _place(error, path))
+        return LogFindings(str(path), (), (), (), (), (), _place(error, path))
     try:
         topics = choose_topics(log, options.selection.topics)
         posing = prepare(log, topics, options)
     except OccmapError as error:
-        notes = tuple(note.text for note in log.notes)
-        return LogFindings(str(path), tuple(log.streams), (), (), notes, _place(error, path))
+        found = _list_notes(log)
+        return LogFindings(str(path), tuple(log.streams), (), (), *found, _place(error, path))
     return inspect_log(log, posing, options, extent)
 
 
@@ -86,14 +86,22 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
         for topic in topics
         if topic in survey.topics
     )
+    notes, damage = _list_notes(log)
     return LogFindings(
         path=str(log.path),
         streams=tuple(log.streams),
         scans=scans,
         coverage=tuple(list_coverage(posing.poser.sources)),
-        notes=(*(note.text for note in log.notes), *posing.poser.notes),
+        notes=(*notes, *posing.poser.notes),
+        damage=damage,
         problem=problem or ("" if scans else f"{log.path}: holds no scan that can be read"),
     )
+
+
+def _list_notes(log: Log) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """List all notes of a log, and those that tell of damage."""
+    damage = tuple(note.text for note in log.notes if note.damage)
+    return tuple(note.text for note in log.notes), damage
 
 
 def _place(error: OccmapError, path: Path) -> str:

@@ -167,6 +167,8 @@ class LogFindings:
     scans: tuple[ScanFindings, ...]
     coverage: tuple[Coverage, ...]
     notes: tuple[str, ...]
+    damage: tuple[str, ...]
+    """Those of the notes that say what is lost"""
     problem: str
     """Why the log gives no scans for a map; "" where it does"""
 

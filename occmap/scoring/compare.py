@@ -37,9 +37,14 @@ class Comparison:
     """The best share first"""
 
     @property
+    def named(self) -> Result:
+        """The one that the comparison recommends."""
+        return self.results[0]
+
+    @property
     def command(self) -> tuple[str, ...]:
         """The command line that builds the map of the best variant from all scans."""
-        return compose_command(self.made.logs, self.results[0].variant, self.options)
+        return compose_command(self.made.logs, self.named.variant, self.options)
 
     def to_json(self) -> dict[str, Any]:
         """The comparison as values that JSON has."""
@@ -54,7 +59,7 @@ class Comparison:
             },
             "resolution": self.options.resolution,
             "variants": [result_to_json(result) for result in self.results],
-            "best": self.results[0].variant.name,
+            "best": self.named.variant.name,
             "command": list(self.command),
             "notes": self.made.notes,
             "damage": self.made.damage,

@@ -188,6 +188,7 @@ def test_help_lists_options_by_section() -> None:
         "Sensor model:",
         "Which scans:",
         "Where the scans were taken:",
+        "Limits:",
         "Run:",
     ]
     assert "--resolution M" in text.split("Map:")[1].split("What a")[0]

@@ -1,5 +1,6 @@
 """The command table: its help agrees with the commands, and errors become exit codes."""
 
+import json
 from importlib import import_module
 from importlib.metadata import version
 
@@ -8,7 +9,7 @@ import pytest
 
 from occmap import cli
 from occmap.cli import COMMANDS, readers
-from occmap.errors import GateError, LogError, OccmapError, UsageError
+from occmap.errors import LogError, OccmapError, UsageError
 from tests.cli.runner import occmap, read_error
 
 
@@ -61,9 +62,7 @@ def fail_with(error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(readers, "show", fail)
 
 
-@pytest.mark.parametrize(
-    ("error", "code"), [(OccmapError, 1), (LogError, 1), (UsageError, 2), (GateError, 3)]
-)
+@pytest.mark.parametrize(("error", "code"), [(OccmapError, 1), (LogError, 1), (UsageError, 2)])
 def test_an_error_knows_its_exit_code(
     monkeypatch: pytest.MonkeyPatch, error: type[OccmapError], code: int
 ) -> None:
@@ -85,6 +84,22 @@ def test_what_no_layer_foresees_is_one_line(
 ) -> None:
     fail_with(error, monkeypatch)
     assert read_error(occmap("readers"), code).startswith(found)
+
+
+def test_a_program_that_waits_for_json_gets_the_error_in_its_parts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fail_with(LogError("found\nthis", where="a.log:3", fix="do that"), monkeypatch)
+    told = occmap("readers", "--json")
+    assert (told.code, told.err) == (1, "error: a.log:3: found this; do that\n")
+    parts = {"exit_code": 1, "where": "a.log:3", "found": "found this", "fix": "do that"}
+    assert json.loads(told.out) == {"schema": "occmap/error/1", "error": parts}
+
+
+@pytest.mark.parametrize("words", [["--json", "--jsn"], ["extra", "--json"]])
+def test_wrong_usage_is_json_too_wherever_json_is_asked_for(words: list[str]) -> None:
+    error = json.loads(occmap("readers", *words).out)["error"]
+    assert (error["exit_code"], error["fix"]) == (2, "see `occmap readers --help`")
 
 
 def test_a_fault_of_occmap_is_one_line_and_with_v_a_traceback(

@@ -1,0 +1,54 @@
+"""Limits as options, and what becomes of them: one line on stderr each, and exit code 3."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import click
+
+from occmap.cli.console import Console
+from occmap.cli.sections import Command, option
+from occmap.cli.values import read_by
+from occmap.errors import OccmapError
+from occmap.gates import SHARE, Failed, parse_limit
+from occmap.measures import Measures
+
+LIMITS = "Limits"
+LIMIT_NOT_MET = 3
+
+
+def fail_if(measures: Measures) -> Callable[[Command], Command]:
+    """Declare the option that sets limits on what a command measures."""
+    names = ", ".join(measure.name for measure in measures)
+    return option(
+        LIMITS,
+        "--fail-if",
+        "limits",
+        **read_by(lambda text: parse_limit(text, measures)),
+        multiple=True,
+        metavar="'NAME > NUMBER'",
+        help=f"Exit with 3 where this holds, such as '{suggest_limit(measures)}'; < <= >= == != "
+        f"do, too. May repeat. Names: {names}.",
+    )
+
+
+def suggest_limit(measures: Measures) -> str:
+    """Give an example: the first share there is."""
+    name = next(measure.name for measure in measures if measure.unit == SHARE)
+    return f"{name} > 5%"
+
+
+def tell(console: Console, failed: Sequence[Failed]) -> None:
+    """Print a line for each limit that is not kept."""
+    for each in failed:
+        console.fail(OccmapError(each.sentence), LIMIT_NOT_MET)
+
+
+def to_json(failed: Sequence[Failed]) -> dict[str, Any]:
+    """The limits that are not kept, as a field of a result."""
+    return {"failed": [each.to_json() for each in failed]}
+
+
+def leave(failed: Sequence[Failed]) -> None:
+    """End the command where a limit is not kept; its result is printed and its files written."""
+    if failed:
+        raise click.exceptions.Exit(LIMIT_NOT_MET)

@@ -1,0 +1,165 @@
+"""Limits that a user sets on what was measured: `NAME > NUMBER`, read and held against it."""
+
+import math
+import operator
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Any, Generic, TypeVar
+
+from occmap.errors import UsageError
+
+Result = TypeVar("Result")
+
+SIGNS: dict[str, Callable[[float, float], bool]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "==": operator.eq,
+    "!=": operator.ne,
+}
+SHARE = "%"
+"""The unit of what is part of a whole; a limit on it is 5% or 0.05."""
+COUNT = ""
+"""The unit of what is counted."""
+
+FORM = "write NAME, one of < <= > >= == != and a number, such as '{} > {}'"
+EXPRESSION = re.compile(r"\s*([^\s<>=!]+)\s*([<>=!]+)\s*([^\s%]+)\s*(%?)\s*")
+
+
+@dataclass(frozen=True)
+class Measure(Generic[Result]):
+    """Something about the result of a command that a limit can be set on."""
+
+    name: str
+    unit: str
+    """Such as s, or m2; SHARE or COUNT"""
+    meaning: str
+    """Without the unit, to follow the name in a list"""
+    take: Callable[[Result], float]
+
+
+@dataclass(frozen=True)
+class Limit:
+    """What must not be."""
+
+    measure: Measure[Any]
+    sign: str
+    bound: float
+    """In the unit of the measure, a share from 0 to 1"""
+    in_percent: bool = False
+    """The bound was written as 5% rather than 0.05"""
+    option: str = "--fail-if"
+    """Where the user set it"""
+
+    def is_met_by(self, value: float) -> bool:
+        """Whether a value is what must not be."""
+        return SIGNS[self.sign](value, self.bound)
+
+    @property
+    def text(self) -> str:
+        """The limit as it can be typed."""
+        return f"{self.measure.name} {self.sign} {self._write(self.bound, 15)}"
+
+    def format_value(self, value: float) -> str:
+        """Write a value in few digits, but in so many that it lies where it does."""
+        if isinstance(value, int):
+            return f"{value}"
+        for digits in (3, 6, 9):
+            if self.is_met_by(float(f"{value:.{digits}g}")) == self.is_met_by(value):
+                return self._write(value, digits)
+        return self._write(value, 17)
+
+    def _write(self, value: float, digits: int) -> str:
+        return f"{100 * value:.{digits}g}%" if self.in_percent else f"{value:.{digits}g}"
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A limit that a result does not keep to."""
+
+    limit: Limit
+    value: float
+
+    @property
+    def sentence(self) -> str:
+        """What was measured, and what the user says of it."""
+        limit, value = self.limit, self.limit.format_value(self.value)
+        bound = limit.text.removeprefix(f"{limit.measure.name} ")
+        return f"{limit.measure.name} is {value}, and {limit.option} says {bound}"
+
+    def to_json(self) -> dict[str, Any]:
+        """The failure as values that JSON has."""
+        return {"name": self.limit.measure.name, "value": self.value, "limit": self.limit.text}
+
+
+def parse_limit(text: str, measures: Sequence[Measure[Any]]) -> Limit:
+    """Read a limit such as `dropped_scans > 5%`.
+
+    Raises
+    ------
+    UsageError
+        It is of another form, names none of the measures, or has a number that makes no sense.
+    """
+    where = f"--fail-if {text!r}"
+    found = EXPRESSION.fullmatch(text)
+    if found is None or found[2] not in SIGNS:
+        first = measures[0]
+        example = FORM.format(first.name, "5%" if first.unit == SHARE else "5")
+        raise UsageError("is no limit", where=where, fix=example)
+    measure = find_measure(found[1], measures, where)
+    bound = parse_bound(found[3] + found[4], measure, where)
+    return Limit(measure, found[2], bound, in_percent=bool(found[4]))
+
+
+def find_measure(name: str, measures: Sequence[Measure[Any]], where: str) -> Measure[Any]:
+    """Find a measure by its name.
+
+    Raises
+    ------
+    UsageError
+        There is none; the message lists what there is.
+    """
+    by_name = {measure.name: measure for measure in measures}
+    if name in by_name:
+        return by_name[name]
+    close = get_close_matches(name, by_name, n=1)
+    guess = f"did you mean {close[0]!r}? " if close else ""
+    there = ", ".join(f"{measure.name} ({measure.meaning})" for measure in measures)
+    raise UsageError(f"nothing is called {name!r}", where=where, fix=f"{guess}there are {there}")
+
+
+def parse_bound(text: str, measure: Measure[Any], where: str) -> float:
+    """Read the number of a limit, with % where it is one on a share.
+
+    Raises
+    ------
+    UsageError
+        It is none, or none that the measure can reach.
+    """
+    in_percent = text.endswith("%")
+    try:
+        bound = float(text.removesuffix("%"))
+    except ValueError:
+        bound = math.nan
+    if not math.isfinite(bound):
+        raise UsageError(f"{text!r} is not a number", where=where)
+    if measure.unit != SHARE and in_percent:
+        raise UsageError(
+            f"{measure.name} is no share ({measure.meaning})", where=where, fix="leave out the %"
+        )
+    if in_percent:
+        bound /= 100
+    if measure.unit == SHARE and not 0 <= bound <= 1:
+        raise UsageError(
+            f"{text} is no share of a whole", where=where, fix="write a share such as 5% or 0.05"
+        )
+    return bound
+
+
+def judge(limits: Iterable[Limit], result: object) -> list[Failed]:
+    """Hold a result against every limit; list those that it does not keep to."""
+    measured = ((limit, limit.measure.take(result)) for limit in limits)
+    return [Failed(limit, value) for limit, value in measured if limit.is_met_by(value)]

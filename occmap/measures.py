@@ -1,0 +1,188 @@
+"""What limits can be set on, command by command: names, units, meanings, and where they come from.
+
+A name means the same wherever it stands.
+"""
+
+from collections.abc import Callable
+from itertools import permutations
+from typing import Any
+
+from occmap.comparison import Comparison
+from occmap.gates import COUNT, SHARE, Measure
+from occmap.inspection.findings import Inspection, ScanFindings
+from occmap.maps import CellClass
+from occmap.report import Report
+from occmap.scoring.compare import Comparison as Contest
+
+Measures = tuple[Measure[Any], ...]
+
+
+def divide(part: float, whole: float) -> float:
+    """A share; 0 of nothing."""
+    return part / whole if whole else 0.0
+
+
+def share_beams(kind: str) -> Callable[[Report], float]:
+    """Measure the share of beams that were read as one kind."""
+    return lambda report: divide(getattr(report.beams, kind), sum(report.beams))
+
+
+def measure_area(report: Report) -> float:
+    """Area of the cells that something observed (m2)."""
+    cols, rows = report.cells
+    return cols * rows * (1 - report.shares[2]) * report.resolution**2
+
+
+SAVED: tuple[Measure[Report], ...] = (
+    Measure("scans_read", COUNT, "scans in the logs", lambda report: report.scans_read),
+    Measure("scans_used", COUNT, "scans in the map", lambda report: report.scans_used),
+    Measure(
+        *("dropped_scans", SHARE, "of the scans read, those that are not used"),
+        lambda report: divide(report.scans_read - report.scans_used, report.scans_read),
+    ),
+    Measure("hits", SHARE, "of the beams, those that hit something", share_beams("hit")),
+    Measure(
+        "no_return",
+        SHARE,
+        "of the beams, those that nothing came back to",
+        share_beams("no_return"),
+    ),
+    Measure("occupied", SHARE, "of the map's cells", lambda report: report.shares[0]),
+    Measure("free", SHARE, "of the map's cells", lambda report: report.shares[1]),
+    Measure(
+        *("unknown", SHARE, "of the map's cells, those that nothing observed"),
+        lambda report: report.shares[2],
+    ),
+    Measure(
+        *("undecided", SHARE, "of the map's cells, those observed, but neither occupied nor free"),
+        lambda report: report.undecided,
+    ),
+    Measure(
+        *("cells", COUNT, "columns times rows of the map"),
+        lambda report: report.cells[0] * report.cells[1],
+    ),
+    Measure("area", "m2", "area of the cells that are not unknown, in m2", measure_area),
+    Measure("notes", COUNT, "notes on stderr", lambda report: len(report.notes)),
+)
+"""Of what `occmap render` and `occmap merge` make."""
+
+BUILD: tuple[Measure[Report], ...] = (
+    *SAVED,
+    Measure("damage", COUNT, "notes of something lost in a log", lambda report: len(report.damage)),
+)
+
+
+def list_topics(inspection: Inspection) -> list[ScanFindings]:
+    """All topics of scans, of all logs."""
+    return [topic for log in inspection.logs for topic in log.scans]
+
+
+def sum_topics(count: Callable[[ScanFindings], int]) -> Callable[[Inspection], int]:
+    """Measure something that adds up over topics."""
+    return lambda inspection: sum(count(topic) for topic in list_topics(inspection))
+
+
+def measure_largest(time: Callable[[ScanFindings], float]) -> Callable[[Inspection], float]:
+    """Measure the largest of all topics."""
+    return lambda inspection: max(map(time, list_topics(inspection)), default=0.0)
+
+
+def share_ranges(inspection: Inspection) -> float:
+    """Of all range values, those that are a measurement."""
+    topics = list_topics(inspection)
+    measured = sum(topic.ranges.measured for topic in topics)
+    return divide(measured, sum(topic.ranges.total for topic in topics))
+
+
+def share_lost(inspection: Inspection) -> float:
+    """Of all scans, those that a build with the same options would drop."""
+    topics = list_topics(inspection)
+    scans, posed = sum(topic.scans for topic in topics), sum(each.poses.posed for each in topics)
+    return divide(scans - posed, scans)
+
+
+CHECK: tuple[Measure[Inspection], ...] = (
+    Measure("scans_read", COUNT, "scans in the logs", sum_topics(lambda topic: topic.scans)),
+    Measure("topics", COUNT, "topics with scans", lambda inspection: len(list_topics(inspection))),
+    Measure("dropped_scans", SHARE, "of the scans read, those that a build drops", share_lost),
+    Measure("hits", SHARE, "of the ranges, those that measure something", share_ranges),
+    Measure(
+        *("largest_gap", "s", "longest time between two scans of a topic, in s"),
+        measure_largest(lambda topic: topic.times.largest_gap_s),
+    ),
+    Measure(
+        *("drift", "s", "growth of the stamps against the record times, in s"),
+        measure_largest(lambda topic: abs(topic.times.drift_s)),
+    ),
+    Measure(
+        *("jumps_back", COUNT, "stamps earlier than the one before"),
+        sum_topics(lambda topic: topic.times.jumps_back),
+    ),
+    Measure(
+        *("cells", COUNT, "columns times rows of the map"),
+        lambda inspection: inspection.map.columns * inspection.map.rows if inspection.map else 0,
+    ),
+    Measure("warnings", COUNT, "warnings", lambda inspection: len(inspection.warnings)),
+    Measure(
+        *("damage", COUNT, "notes of something lost in a log"),
+        lambda inspection: sum(len(log.damage) for log in inspection.logs),
+    ),
+)
+
+COMPARE: tuple[Measure[Contest], ...] = (
+    Measure(
+        *("share", SHARE, "of the held-out beams, those that the named variant foretells"),
+        lambda contest: contest.named.score.share,
+    ),
+    Measure(
+        *("log_likelihood", "nat", "mean of the held-out ranges under the named variant"),
+        lambda contest: contest.named.score.log_likelihood,
+    ),
+    Measure(
+        *("cross_entropy", "nat", "mean of the cells found free and found occupied"),
+        lambda contest: contest.named.score.cross_entropy,
+    ),
+    Measure(
+        *("seconds", "s", "processor time of the named variant, in s"),
+        lambda contest: contest.named.seconds,
+    ),
+    Measure("scans_read", COUNT, "scans in the logs", lambda contest: contest.tally.scans_read),
+    Measure("scans_used", COUNT, "scans with a pose", lambda contest: contest.tally.scans_used),
+    Measure(
+        *("dropped_scans", SHARE, "of the scans read, those that are not used"),
+        lambda contest: divide(
+            contest.tally.scans_read - contest.tally.scans_used, contest.tally.scans_read
+        ),
+    ),
+    Measure(
+        *("damage", COUNT, "notes of something lost in a log"),
+        lambda contest: len(contest.made.damage),
+    ),
+)
+
+
+def share_pair(pair: str) -> Callable[[Comparison], float]:
+    """Measure the share of known cells that changed from one class to another."""
+    return lambda comparison: divide(comparison.changed[pair], comparison.known)
+
+
+PAIRS = [f"{was.name.lower()} to {now.name.lower()}" for was, now in permutations(CellClass, 2)]
+
+DIFF: tuple[Measure[Comparison], ...] = (
+    Measure(
+        "changed", SHARE, "of the cells known in either map", lambda comparison: comparison.share
+    ),
+    *(
+        Measure(pair.replace(" ", "_"), SHARE, "of the same cells", share_pair(pair))
+        for pair in PAIRS
+    ),
+    Measure(
+        *("changed_cells", COUNT, "cells that changed"),
+        lambda comparison: sum(comparison.changed.values()),
+    ),
+    Measure(
+        *("largest_blob", COUNT, "cells of the largest connected change"),
+        lambda comparison: comparison.largest.cells if comparison.largest else 0,
+    ),
+    Measure("known", COUNT, "cells known in either map", lambda comparison: comparison.known),
+)

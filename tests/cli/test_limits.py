@@ -1,0 +1,178 @@
+"""`--fail-if` where something is measured: exit code 3, a line each, and the result as usual."""
+
+import gzip
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from occmap.gates import COUNT
+from occmap.measures import BUILD, CHECK, COMPARE, DIFF, SAVED, Measures
+from tests.cli.runner import occmap, read_error
+from tests.samples import write_csv
+
+COMMANDS: dict[str, tuple[list[str], Measures]] = {
+    "build": (["log.csv", "--end", "7", "-o", "m.png"], BUILD),
+    "check": (["log.csv"], CHECK),
+    "compare": (["log.csv", "--model", "simple"], COMPARE),
+    "render": (["log.npz", "-o", "m.png"], SAVED),
+    "merge": (["log.npz", "log.npz", "-o", "m.png"], SAVED),
+    "diff": (["log.npz", "half.npz"], DIFF),
+}
+by_command = pytest.mark.parametrize(
+    ("command", "words", "measures"),
+    [(name, *rest) for name, rest in COMMANDS.items()],
+    ids=list(COMMANDS),
+)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten scans of a wall and of nothing, and two pieces of evidence of them."""
+    folder = tmp_path_factory.mktemp("limits")
+    log = write_csv(folder / "log.csv", [(0.025, 0.025, 0.0)] * 10, [1.0, float("inf")], 0.3)
+    assert occmap("build", log, "-o", folder / "log.npz").code == 0
+    assert occmap("build", log, "--end", 1, "-o", folder / "half.npz").code == 0
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def folder(logs: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(logs)
+    (logs / "m.png").unlink(missing_ok=True)
+    return logs
+
+
+def run(command: str, *more: str) -> Any:
+    return occmap(command, *COMMANDS[command][0], *more)
+
+
+@by_command
+def test_all_that_is_measured_is_a_number_and_fails_where_it_is_told_to(
+    command: str, words: list[str], measures: Measures
+) -> None:
+    limits = [word for each in measures for word in ("--fail-if", f"{each.name} >= 0")]
+    low = [word for each in measures for word in ("--fail-if", f"{each.name} < 0")]
+    result = occmap(command, *words, *limits, *low, "--json", "-q")
+    assert result.code == 3
+    found = json.loads(result.out)["failed"]
+    assert [each["name"] for each in found if each["limit"].endswith(">= 0")] == [
+        each.name for each in measures if each.name != "log_likelihood"
+    ]
+    assert [each["name"] for each in found if each["limit"].endswith("< 0")] == [
+        each.name for each in measures if each.name == "log_likelihood"
+    ]
+    assert len(result.err.splitlines()) == len(measures)
+    for measure in measures:
+        value = next(each["value"] for each in found if each["name"] == measure.name)
+        assert isinstance(value, int if measure.unit == COUNT else int | float)
+
+
+@by_command
+def test_a_limit_that_is_kept_changes_nothing(
+    command: str, words: list[str], measures: Measures
+) -> None:
+    limit = f"{measures[0].name} < 0"
+    result = occmap(command, *words, "--fail-if", limit, "--json")
+    assert (result.code, json.loads(result.out)["failed"]) == (0, [])
+
+
+@by_command
+def test_a_name_of_nothing_is_refused_before_anything_is_read(
+    command: str, words: list[str], measures: Measures
+) -> None:
+    gone = [word.replace("log.", "no.").replace("half.", "no.") for word in words]
+    error = read_error(occmap(command, *gone, "--fail-if", "nothing > 1"), 2)
+    assert all(f"{each.name} ({each.meaning})" in error for each in measures)
+
+
+@by_command
+def test_the_names_are_in_the_help(command: str, words: list[str], measures: Measures) -> None:
+    assert words
+    text = " ".join(occmap(command, "--help").out.split())
+    assert f"Names: {', '.join(each.name for each in measures)}." in text
+
+
+def measure(command: str, name: str, *more: str) -> float:
+    for sign in (">=", "<"):
+        result = run(command, "--fail-if", f"{name} {sign} 0", "--json", *more)
+        if result.code == 3:
+            return float(json.loads(result.out)["failed"][0]["value"])
+    raise AssertionError(name)
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "value"),
+    [
+        ("build", "scans_read", 10),
+        ("build", "scans_used", 8),  # at 0 to 7 s
+        ("build", "dropped_scans", 0.2),
+        ("build", "hits", 0.5),
+        ("build", "no_return", 0.5),
+        ("build", "cells", 21),  # one row from the sensor's cell to that of the wall
+        ("build", "area", 21 * 0.05**2),
+        ("build", "occupied", 1 / 21),
+        ("build", "free", 20 / 21),
+        ("build", "unknown", 0),
+        ("build", "damage", 0),
+        ("render", "scans_used", 10),
+        ("merge", "scans_used", 20),
+        ("merge", "notes", 1),  # the log is in it twice
+        ("check", "scans_read", 10),
+        ("check", "topics", 1),
+        ("check", "dropped_scans", 0),
+        ("check", "hits", 0.5),
+        ("check", "largest_gap", 1),
+        ("check", "cells", 21),
+        ("compare", "share", 1),
+        ("compare", "scans_used", 10),
+        ("diff", "known", 21),
+        ("diff", "changed", 20 / 21),  # two scans leave the wall occupied, and all else undecided
+        ("diff", "free_to_occupied", 0),
+        ("diff", "changed_cells", 20),
+        ("diff", "largest_blob", 20),
+    ],
+)
+def test_what_is_measured(command: str, name: str, value: float) -> None:
+    assert measure(command, name) == pytest.approx(value)
+
+
+def test_files_and_result_come_before_the_limits() -> None:
+    result = run("build", "--fail-if", "unknown < 1%", "--fail-if", "scans_used < 100")
+    assert result.code == 3
+    assert Path("m.png").exists()
+    assert result.out.startswith("map ")
+    assert result.err.splitlines() == [
+        "error: unknown is 0%, and --fail-if says < 1%",
+        "error: scans_used is 8, and --fail-if says < 100",
+    ]
+
+
+def test_damage_weighs_more_than_a_limit_and_both_are_told(tmp_path: Path) -> None:
+    whole = write_csv(tmp_path / "whole.csv", [(0.0, 0.0, 0.0)] * 3000, [0.3])
+    log = tmp_path / "cut.csv.gz"
+    log.write_bytes(gzip.compress(whole.read_bytes())[:-1000])
+    words = ["-o", "m.png", "--strict", "--fail-if", "damage > 0", "-q"]
+    limit, damage = occmap("build", log, *words).err.splitlines()
+    assert limit == "error: damage is 1, and --fail-if says > 0"
+    assert "(--strict; 1 such)" in damage
+    assert occmap("build", log, *words).code == 1
+    assert occmap("check", log, "--fail-if", "damage > 0").code == 3
+
+
+def test_a_log_that_cannot_be_mapped_weighs_more_than_a_limit() -> None:
+    result = occmap("check", "no.csv", "--fail-if", "scans_read < 1", "--json")
+    assert (result.code, len(json.loads(result.out)["failed"])) == (1, 1)
+
+
+def test_fail_above_is_a_limit_on_what_changed() -> None:
+    result = run("diff", "--fail-above", "1%", "--fail-if", "changed > 0.5", "--json")
+    assert result.err.splitlines() == [
+        "error: changed is 95.2%, and --fail-above says > 1%",
+        "error: changed is 0.952, and --fail-if says > 0.5",
+    ]
+    assert [each["limit"] for each in json.loads(result.out)["failed"]] == [
+        "changed > 1%",
+        "changed > 0.5",
+    ]

@@ -1,0 +1,107 @@
+"""Limits as they are typed: what they mean, when they hold, and what is said of them."""
+
+import math
+
+import pytest
+
+from occmap.errors import UsageError
+from occmap.gates import COUNT, SHARE, Measure, judge, parse_limit
+
+MEASURES = (
+    Measure[dict[str, float]]("lost", SHARE, "of the scans", lambda result: result["lost"]),
+    Measure[dict[str, float]]("scans", COUNT, "scans there are", lambda result: result["scans"]),
+    Measure[dict[str, float]]("gap", "s", "longest gap, in s", lambda result: result["gap"]),
+)
+
+
+def fails(text: str, **result: float) -> list[str]:
+    return [failed.sentence for failed in judge([parse_limit(text, MEASURES)], result)]
+
+
+@pytest.mark.parametrize(
+    ("sign", "low", "same", "high"),
+    [
+        ("<", True, False, False),
+        ("<=", True, True, False),
+        (">", False, False, True),
+        (">=", False, True, True),
+        ("==", False, True, False),
+        ("!=", True, False, True),
+    ],
+)
+def test_every_sign_below_at_and_above_the_bound(
+    sign: str, low: bool, same: bool, high: bool
+) -> None:
+    assert [bool(fails(f"scans {sign} 5", scans=n)) for n in (4, 5, 6)] == [low, same, high]
+
+
+@pytest.mark.parametrize("text", ["lost > 5%", "lost>5%", " lost  >  0.05 ", "lost > 5e-2"])
+def test_a_share_is_a_part_or_a_percentage(text: str) -> None:
+    assert fails(text, lost=0.051)
+    assert not fails(text, lost=0.05)
+
+
+@pytest.mark.parametrize(
+    ("text", "result", "sentence"),
+    [
+        ("lost > 5%", {"lost": 0.072}, "lost is 7.2%, and --fail-if says > 5%"),
+        ("lost > 0.05", {"lost": 0.072}, "lost is 0.072, and --fail-if says > 0.05"),
+        ("lost > 5%", {"lost": 0.0500012}, "lost is 5.00012%, and --fail-if says > 5%"),
+        ("lost>=0%", {"lost": 0.0}, "lost is 0%, and --fail-if says >= 0%"),
+        ("lost > 7%", {"lost": 1 / 3}, "lost is 33.3%, and --fail-if says > 7%"),
+        ("scans < 1234568", {"scans": 1234567}, "scans is 1234567, and --fail-if says < 1234568"),
+        ("gap > 2", {"gap": 2.25}, "gap is 2.25, and --fail-if says > 2"),
+        ("gap > -1.5", {"gap": -1.25}, "gap is -1.25, and --fail-if says > -1.5"),
+        ("gap != 1", {"gap": 1 + 2**-50}, "gap is 1.0000000000000009, and --fail-if says != 1"),
+    ],
+)
+def test_the_sentence_tells_the_value_from_the_bound(
+    text: str, result: dict[str, float], sentence: str
+) -> None:
+    assert fails(text, **result) == [sentence]
+
+
+def test_all_limits_are_held_and_each_that_fails_is_listed() -> None:
+    texts = ["scans < 5", "lost > 5%", "gap > 1"]
+    failed = judge(
+        [parse_limit(text, MEASURES) for text in texts], {"scans": 4, "lost": 0, "gap": 3}
+    )
+    assert [each.to_json() for each in failed] == [
+        {"name": "scans", "value": 4, "limit": "scans < 5"},
+        {"name": "gap", "value": 3, "limit": "gap > 1"},
+    ]
+
+
+@pytest.mark.parametrize("text", ["0.1%", "7%", "12.5%", "0.001", "100%"])
+def test_a_limit_is_written_as_it_is_read(text: str) -> None:
+    assert parse_limit(f"lost > {text}", MEASURES).text == f"lost > {text}"
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("", "is no limit; write NAME, one of < <= > >= == != and a number, such as 'lost > 5%'"),
+        ("lost", "is no limit"),
+        ("lost 5%", "is no limit"),
+        ("lost = 5%", "is no limit"),
+        ("lost => 5%", "is no limit"),
+        ("lost > 5% or scans < 3", "is no limit"),
+        ("lost > five", "'five' is not a number"),
+        ("lost > nan", "'nan' is not a number"),
+        ("gap > inf", "'inf' is not a number"),
+        ("lots > 5%", "nothing is called 'lots'; did you mean 'lost'? there are lost (of the sc"),
+        ("zzz > 5", "nothing is called 'zzz'; there are lost (of the scans), scans (scans there"),
+        ("scans > 5%", "scans is no share (scans there are); leave out the %"),
+        ("lost > 5", "5 is no share of a whole; write a share such as 5% or 0.05"),
+        ("lost > -1%", "-1% is no share of a whole"),
+    ],
+)
+def test_what_is_no_limit_is_refused(text: str, found: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse_limit(text, MEASURES)
+    assert str(caught.value).startswith(f"--fail-if {text!r}: ")
+    assert found in str(caught.value)
+
+
+def test_a_bound_is_finite() -> None:
+    assert math.isfinite(parse_limit("gap > 1e300", MEASURES).bound)
