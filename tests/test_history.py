@@ -1,0 +1,71 @@
+"""A point in a map: which cell it is in, and what that cell holds."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from occmap.errors import UsageError
+from occmap.grid.tiles import EvidenceKind
+from occmap.history import look_at
+from occmap.pipeline import BuildOptions, build
+from occmap.sensor.models import parse_model
+from occmap.types import Evidence
+from occmap.writers.npz import read_evidence
+from tests.samples import Planar, write_csv
+
+
+def observe(folder: Path, poses: list[Planar], model: str = "simple") -> Evidence:
+    """Build evidence of scans with one beam of 0.32 m each, in cells of 0.1 m."""
+    log = write_csv(folder / "log.csv", poses, [0.32])
+    build([log], BuildOptions(resolution=0.1, model=parse_model(model)), [folder / "m.npz"])
+    return read_evidence(folder / "m.npz")
+
+
+def test_one_beam_clears_three_cells_and_hits_the_fourth(tmp_path: Path) -> None:
+    evidence = observe(tmp_path, [(0.05, 0.05, 0.0)])
+    seen = [look_at(evidence, x, 0.05) for x in (0.05, 0.15, 0.25, 0.35, 0.45)]
+    assert [(cell.first, cell.second) for cell in seen] == [(0, 1), (0, 1), (0, 1), (1, 0), (0, 0)]
+    assert [cell.observed for cell in seen] == [True] * 4 + [False]
+    hit = seen[3]
+    assert (hit.row, hit.col, hit.kind) == (0, 3, EvidenceKind.COUNTS)
+    assert hit.extent == pytest.approx((0.3, 0.0, 0.4, 0.1))
+
+
+def test_neighbours_lie_around_the_cell(tmp_path: Path) -> None:
+    evidence = observe(tmp_path, [(0.05, 0.05, 0.0)])
+    around = look_at(evidence, 0.3, 0.099).around
+    assert around.shape == (3, 3, 2)
+    assert around[1].tolist() == [[0, 1], [1, 0], [0, 0]]
+    assert not around[[0, 2]].any()
+
+
+def test_cells_below_zero_are_in_tiles_below_zero(tmp_path: Path) -> None:
+    evidence = observe(tmp_path, [(-6.45, -6.45, math.pi / 2)])
+    assert evidence.tiles.tolist() == [[-2, -2], [-1, -2]]  # the beam goes up across row -64
+    cell = look_at(evidence, -6.45, -6.15)
+    assert (cell.row, cell.col) == (-62, -65)
+    assert (cell.first, cell.second) == (1, 0)
+    assert look_at(evidence, -6.45, -6.45).second == 1
+
+
+def test_log_odds_come_with_observations(tmp_path: Path) -> None:
+    pose = (0.05, 0.05, 0.0)
+    once = look_at(observe(tmp_path, [pose], "quadratic"), 0.15, 0.05)
+    twice = look_at(observe(tmp_path, [pose, pose], "quadratic"), 0.15, 0.05)
+    assert once.kind is EvidenceKind.LOG_ODDS
+    assert once.first < 0
+    assert (twice.first, twice.second) == (2 * once.first, 2)
+
+
+def test_a_point_elsewhere_is_not_observed(tmp_path: Path) -> None:
+    far = look_at(observe(tmp_path, [(0.05, 0.05, 0.0)]), -1e6, 1e6)
+    assert not far.observed
+    assert not np.any(far.around)
+
+
+@pytest.mark.parametrize("point", [(math.nan, 0), (0, math.inf), (1e30, 0)])
+def test_a_point_in_no_map_is_refused(tmp_path: Path, point: tuple[float, float]) -> None:
+    with pytest.raises(UsageError, match="is in no map; give x and y in metres"):
+        look_at(observe(tmp_path, [(0.05, 0.05, 0.0)]), *point)
