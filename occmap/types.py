@@ -19,6 +19,7 @@ Float32: TypeAlias = NDArray[np.float32]
 Float64: TypeAlias = NDArray[np.float64]
 Int64: TypeAlias = NDArray[np.int64]
 UInt8: TypeAlias = NDArray[np.uint8]
+UInt64: TypeAlias = NDArray[np.uint64]
 Bool: TypeAlias = NDArray[np.bool_]
 
 
@@ -162,17 +163,27 @@ class Rays:
     """(S, B) m along the beam; 0 where SKIP"""
     kind: UInt8
     """(S, B) of Kind"""
+    stamp_ns: Int64
+    """(S,) when each scan was taken, by the clock that the log's stamps are of"""
     full_circle: bool
     """The last beam and the first are neighbours: the scans go all the way round"""
 
     @classmethod
-    def along(
-        cls, origin: Float64, direction: Float64, distance: Float32, kind: UInt8, full_circle: bool
+    def along(  # noqa: PLR0913  the fields, but for the two that a direction stands for
+        cls,
+        origin: Float64,
+        direction: Float64,
+        distance: Float32,
+        kind: UInt8,
+        stamp_ns: Int64,
+        *,
+        full_circle: bool,
     ) -> Self:
         """Build from a direction for every beam, (S, B, 2)."""
         turn = np.stack([direction, np.zeros_like(direction)], axis=-1)
         bearing = np.repeat([[1.0], [0.0]], direction.shape[1], axis=1)
-        return cls(origin, turn, bearing, distance.astype(np.float32), kind, full_circle)
+        reach = distance.astype(np.float32)
+        return cls(origin, turn, bearing, reach, kind, stamp_ns, full_circle)
 
     def take(self, scans: slice | Bool) -> Self:
         """Some of the scans: a slice, or (S,) which."""
@@ -182,6 +193,7 @@ class Rays:
             turn=self.turn[scans],
             distance=self.distance[scans],
             kind=self.kind[scans],
+            stamp_ns=self.stamp_ns[scans],
         )
 
     @property

@@ -183,4 +183,5 @@ def join_viewpoints(rays: Rays) -> Rays:
     distance = np.hypot(offset[..., 0], offset[..., 1]) * (rays.kind > 0)
     seen = (distance > 0)[..., None]
     direction = np.where(seen, offset / np.maximum(distance, 1e-300)[..., None], rays.direction)
-    return Rays.along(middle, direction, distance, rays.kind, rays.full_circle)
+    circle = rays.full_circle
+    return Rays.along(middle, direction, distance, rays.kind, rays.stamp_ns, full_circle=circle)

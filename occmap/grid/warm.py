@@ -16,6 +16,7 @@ def compile_kernels() -> None:
         bearing=np.array([[1.0, 0.0], [0.0, 1.0]]),
         distance=np.ones((1, 2), np.float32),
         kind=np.full((1, 2), Kind.HIT, np.uint8),
+        stamp_ns=np.zeros(1, np.int64),
         full_circle=False,
     )
     tables = tabulate(lambda u: 0.4 + 0.1 * u, lambda w: 0.6 - 0.1 * w, depth=0.05)

@@ -86,7 +86,8 @@ def observe_nothing(engine: "GridEngine") -> None:
     """Make an engine load or compile its kernels."""
     beam = np.array([[[1.0, 0.0]]])
     kind = np.full((1, 1), Kind.HIT, np.uint8)
-    engine.add(Rays.along(0 * beam, beam, np.zeros((1, 1), np.float32), kind, False))
+    reach, stamp_ns = np.zeros((1, 1), np.float32), np.zeros(1, np.int64)
+    engine.add(Rays.along(0 * beam, beam, reach, kind, stamp_ns, full_circle=False))
     engine.finish()
 
 

@@ -109,6 +109,7 @@ def interpret(posed: PosedScans, options: ReturnOptions) -> tuple[Rays, ReturnCo
         bearing=tabulate_bearings(batch.angle_min, batch.angle_increment, batch.ranges.shape[1]),
         distance=distance,
         kind=kind,
+        stamp_ns=batch.stamp_ns,
         full_circle=goes_round(batch),
     )
     return rays, counts

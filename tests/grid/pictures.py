@@ -46,6 +46,7 @@ def look(
         direction[None],
         np.array([[limit if d is None else d for d in reached]], np.float32),
         np.where(found, np.uint8(Kind.HIT), np.uint8(kind_of_nothing))[None],
+        np.zeros(1, np.int64),
         full_circle=(beams + 0.5) * step >= 360,
     )
 

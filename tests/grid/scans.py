@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,9 @@ from tests.grid.reference import Cell
 
 MIXED = [(0.1, 0.1, 0.8), (0.3, 0.3, 0.4), (0.02, 0.08, 0.9)]
 """Shares of SKIP, FREE and HIT."""
+
+STAMPS = st.integers(-20, 30)
+"""Some scans then are of one time, or of one second before zero and after it."""
 
 FEW = settings(max_examples=50, deadline=None, derandomize=True, database=None)
 MANY = settings(FEW, max_examples=150)
@@ -62,6 +66,7 @@ def take(rays: Rays, scans: slice | list[int]) -> Rays:
         rays.bearing,
         rays.distance[scans],
         rays.kind[scans],
+        rays.stamp_ns[scans],
         rays.full_circle,
     )
 
@@ -145,6 +150,7 @@ def drives(
         direction=direction,
         distance=(draw(distances(shape)) * resolution * (kind > 0)).astype(np.float32),
         kind=kind,
+        stamp_ns=np.array(draw(st.lists(STAMPS, min_size=shape[0], max_size=shape[0])), np.int64),
         full_circle=geometry.full_circle,
     )
     return Drive(rays, resolution)
@@ -170,17 +176,11 @@ def aligned_drives(draw: st.DrawFn) -> Drive:
         direction=np.array([TWELVE[:: draw(st.sampled_from([1, -1]))][:beams]]) / 5,
         distance=(distance * resolution * (kind > 0)).astype(np.float32),
         kind=kind,
+        stamp_ns=np.zeros(1, np.int64),
         full_circle=beams == 12,
     )
     return Drive(rays, resolution)
 
 
 def shift(rays: Rays, metres: tuple[float, float]) -> Rays:
-    return Rays(
-        rays.origin + np.array(metres),
-        rays.turn,
-        rays.bearing,
-        rays.distance,
-        rays.kind,
-        rays.full_circle,
-    )
+    return replace(rays, origin=rays.origin + np.array(metres))

@@ -124,7 +124,12 @@ def make_rays(kinds: list[Kind], tilt: float = 1.0) -> Rays:
     direction = np.tile([1 / tilt, 0.0], (1, len(kinds), 1))
     distance = np.full((1, len(kinds)), 1.8 * tilt, np.float32)
     return Rays.along(
-        np.array([[[0, 0.25]]]), direction, distance, np.array([kinds], np.uint8), False
+        np.array([[[0, 0.25]]]),
+        direction,
+        distance,
+        np.array([kinds], np.uint8),
+        np.zeros(1, np.int64),
+        full_circle=False,
     )
 
 

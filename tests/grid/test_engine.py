@@ -170,6 +170,7 @@ def one_scan(distance: list[float], kind: list[Kind], increment: float = 0.5) ->
         aim(0.0, increment, beams)[None],
         np.array([distance], np.float32),
         np.array([kind], np.uint8),
+        np.zeros(1, np.int64),
         full_circle=False,
     )
 
@@ -217,6 +218,7 @@ def test_a_wild_pose_costs_only_the_tiles_that_it_touches(update: Update) -> Non
         near.bearing,
         np.repeat(near.distance, 3, axis=0),
         np.repeat(near.kind, 3, axis=0),
+        np.repeat(near.stamp_ns, 3),
         near.full_circle,
     )
     engine = make_engine(update)
@@ -264,6 +266,7 @@ def test_threads_give_the_same_sums(kind_of_map: int) -> None:
             np.repeat(aim(-1.0, 0.02, 100)[None], 4, axis=0),
             rng.uniform(0.5, 8, (4, 100)).astype(np.float32),
             rng.choice(np.array(Kind, np.uint8), (4, 100)),
+            np.zeros(4, np.int64),
             full_circle=False,
         )
         for _ in range(12)

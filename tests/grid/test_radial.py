@@ -84,6 +84,7 @@ def look_around(distance: list[float], degrees: float) -> Rays:
         aim(0.0, math.radians(degrees), beams)[None],
         np.array([distance], np.float32),
         np.full((1, beams), Kind.HIT, np.uint8),
+        np.zeros(1, np.int64),
         full_circle=beams * degrees >= 360,
     )
 

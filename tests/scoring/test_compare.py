@@ -26,7 +26,8 @@ def make_scans(scans: int) -> Rays:
     origin[:, 0, 0] = np.arange(scans)
     beam = np.tile([1.0, 0.0], (scans, 1, 1))
     kind = np.full((scans, 1), Kind.HIT, np.uint8)
-    return Rays.along(origin, beam, np.ones((scans, 1), np.float32), kind, False)
+    reach, stamp_ns = np.ones((scans, 1), np.float32), np.arange(scans, dtype=np.int64)
+    return Rays.along(origin, beam, reach, kind, stamp_ns, full_circle=False)
 
 
 def list_x(batches: list[Rays]) -> list[float]:

@@ -188,6 +188,14 @@ def test_a_beam_ends_where_range_and_bearing_say() -> None:
     np.testing.assert_allclose(rays.end[0], expected, atol=1e-12)
 
 
+def test_rays_know_when_each_scan_was_taken() -> None:
+    batch = replace(make_batch([[2.0], [3.0], [4.0]]), stamp_ns=np.array([7, 5, 9]))
+    rays, _ = interpret(pose_scans(batch, rotate()), ReturnOptions())
+    assert rays.stamp_ns.tolist() == [7, 5, 9]
+    some = rays.take(np.array([True, False, True]))
+    assert (some.stamp_ns.tolist(), some.distance[:, 0].tolist()) == ([7, 9], [2, 4])
+
+
 def test_the_matrix_of_a_pose_is_what_these_tests_take_it_for() -> None:
     pose = Pose.from_xyzrpy((0, 0, 0), (0.3, -0.4, 2.0))
     x, y, z, w = pose[3:]
