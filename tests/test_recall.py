@@ -1,0 +1,147 @@
+"""Options survive the manifest: what a build wrote down is what it was built with."""
+
+import json
+import math
+from dataclasses import fields, is_dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from occmap.batching import Selection
+from occmap.errors import MapError
+from occmap.manifest import NO_OPTIONS, describe_build
+from occmap.pipeline import BuildOptions
+from occmap.posing.options import Deskew, PosingOptions, Stamps
+from occmap.readers.options import Echo, ReaderOptions
+from occmap.recall import recall_options
+from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel
+from occmap.sensor.returns import NoReturn, ReturnOptions
+from occmap.types import Pose, PoseSample, Update
+from occmap.writers import MapMode, Shade, WriteOptions
+from tests.samples import write_csv
+
+MOUNT = Pose.from_xyzrpy((0.1, -0.2, 0.3), (math.pi, 0.1, -0.7))
+UNUSUAL = BuildOptions(
+    resolution=0.1 + 0.2,
+    update=Update.POLYGON,
+    model=SimpleModel(p_hit=0.9, p_miss=1 / 3, prior=0.45),
+    reading=ReaderOptions(echo=Echo.LAST, min_height=-0.5, max_height=1.1),
+    returns=ReturnOptions(
+        min_range=0.05,
+        max_range=7.7,
+        range_max=29.9,
+        no_return=NoReturn.CLEAR,
+        ignore_sectors=((2.5, -2.5), (0.1, 0.2)),
+        footprint=(-0.4, -0.3, 0.2, 0.3),
+    ),
+    posing=PosingOptions(
+        map_frame="world",
+        base_frame="robot",
+        sensor_pose=MOUNT,
+        poses="/slam/pose",
+        max_pose_gap_s=None,
+        time_offset_s=-1e-9,
+        deskew=Deskew.AUTO,
+        stamps=Stamps.RECORD,
+        static_transforms=(PoseSample(0, "robot", "laser", MOUNT, static=True),),
+    ),
+    selection=Selection(topics=("/front", "/rear"), start_s=1.5, end_s=1e6, stride=3),
+    writing=WriteOptions(MapMode.SCALE, 0.7, 0.2, Shade.LIGHT_OCCUPIED),
+    jump=math.inf,
+    border_gap=0,
+    max_cells=12,
+)
+"""Nothing in it is as usual."""
+
+
+def write_down(options: BuildOptions, folder: Path) -> dict[str, Any]:
+    """What a manifest says of a build with these options, by way of JSON as in a file."""
+    log = write_csv(folder / "log.csv", [(0.0, 0.0, 0.0)], [0.3])
+    text = json.dumps(describe_build([log], options, {}), allow_nan=False)
+    chosen: dict[str, Any] = json.loads(text)["options"]
+    return chosen
+
+
+def list_usual(group: Any, usual: Any, name: str = "") -> list[str]:
+    """Names of the options that have the same value in both."""
+    if not is_dataclass(group):
+        return [name] if group == usual else []
+    pairs = [(f.name, getattr(group, f.name), getattr(usual, f.name)) for f in fields(group)]
+    return [each for field, mine, its in pairs for each in list_usual(mine, its, field)]
+
+
+def test_every_option_is_tested() -> None:
+    assert set(list_usual(UNUSUAL, BuildOptions())) == set(NO_OPTIONS)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        BuildOptions(),
+        UNUSUAL,
+        replace(UNUSUAL, model=QuadraticModel(0.07, 0.3, 0.4)),
+        replace(UNUSUAL, model=CountingModel(prior=0.2)),
+        replace(UNUSUAL, returns=ReturnOptions(), posing=PosingOptions(max_pose_gap_s=math.inf)),
+    ],
+    ids=lambda options: options.model.name,
+)
+def test_options_come_back(tmp_path: Path, options: BuildOptions) -> None:
+    assert recall_options(write_down(options, tmp_path), "m.npz") == options
+
+
+@pytest.mark.parametrize(
+    ("update", "stamps", "deskew", "no_return"), list(product(Update, Stamps, Deskew, NoReturn))
+)
+def test_every_choice_comes_back(
+    tmp_path: Path, update: Update, stamps: Stamps, deskew: Deskew, no_return: NoReturn
+) -> None:
+    posing = PosingOptions(stamps=stamps, deskew=deskew)
+    options = BuildOptions(update=update, posing=posing, returns=ReturnOptions(no_return=no_return))
+    again = recall_options(write_down(options, tmp_path), "m.npz")
+    assert again == options
+    assert isinstance(again.posing.stamps, Stamps)
+
+
+def test_threads_and_resuming_are_forgotten(tmp_path: Path) -> None:
+    options = replace(UNUSUAL, jobs=7, resume=Path("old.npz"))
+    assert recall_options(write_down(options, tmp_path), "m.npz") == UNUSUAL
+
+
+def test_a_trajectory_file_is_a_name(tmp_path: Path) -> None:
+    trajectory = tmp_path / "poses.txt"
+    trajectory.write_text("0 0 0 0 0 0 0 1\n")
+    options = BuildOptions(posing=PosingOptions(poses=str(trajectory)))
+    assert recall_options(write_down(options, tmp_path), "m.npz").posing.poses == "poses.txt"
+
+
+def test_an_option_that_was_not_there_yet_has_its_default(tmp_path: Path) -> None:
+    plain = write_down(UNUSUAL, tmp_path)
+    del plain["jump"]
+    assert recall_options(plain, "m.npz") == replace(UNUSUAL, jump=BuildOptions().jump)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "found"),
+    [
+        ("smoothing", 3, "no option is called 'smoothing'"),
+        ("resolution", "wide", "could not convert"),
+        ("resolution", None, "float"),
+        ("update", "circle", "circle"),
+        ("model", "clever:p=1", "no model is called"),
+        ("model", None, "no model is called"),
+        ("posing", 5, "keys"),
+        ("posing", {"sensor_pose": [1, 2]}, "zip"),
+        ("selection", {"stride": 0}, "a stride of 0"),
+        ("selection", {"topics": 4}, "not iterable"),
+    ],
+)
+def test_what_cannot_be_an_option_is_refused(
+    tmp_path: Path, name: str, value: Any, found: str
+) -> None:
+    plain = {**write_down(BuildOptions(), tmp_path), name: value}
+    with pytest.raises(MapError) as caught:
+        recall_options(plain, "m.npz")
+    assert str(caught.value).startswith("m.npz: the options of a build in it cannot be read (")
+    assert found in str(caught.value)
