@@ -31,7 +31,8 @@ HELP = f"""{COMMANDS["compare"]}
 
 Every fifth scan is kept from the maps. Each map is then asked what these scans will see: the share
 of beams whose first occupied cell is within two cells of the measured range, the log-likelihood of
-the range, and the cross-entropy of the cells found free and found occupied.
+the range, and the cross-entropy of the cells found free and found occupied. Shares that lie within
+two standard errors count as equal; of those the default is named, or the best log-likelihood.
 
 \b
   occmap compare drive.mcap
@@ -127,7 +128,8 @@ def collect_options(values: dict[str, Any]) -> BuildOptions:
 
 def format_comparison(comparison: Comparison) -> str:
     """Write the table, on what it rests, and the command line of the best."""
-    best = comparison.results[0]
+    best, equals = comparison.named, comparison.equals
+    names = ", ".join(result.variant.name for result in equals)
     rest = f"scored by {best.score.beams:,} beams of {comparison.held_out:,} held-out scans"
     return "\n".join(
         [
@@ -135,6 +137,7 @@ def format_comparison(comparison: Comparison) -> str:
             "",
             f"{rest}; {comparison.tally.scans_used:,} of {comparison.tally.scans_read:,} used",
             *(f"picture: {file}" for file in comparison.made.files),
+            *([f"not told apart, for noise: {names}"] if len(equals) > 1 else []),
             f"best: {best.variant.name}",
             shlex.join(comparison.command),
         ]
@@ -144,10 +147,11 @@ def format_comparison(comparison: Comparison) -> str:
 def format_table(results: Sequence[Result]) -> Iterator[str]:
     """Write a line for each variant, the best share first; entropy as free / occupied cells."""
     width = max(len(result.variant.name) for result in results)
-    yield f"{'variant':<{width}}   share  log-lik  entropy (free, occupied)    time   memory"
+    costs = "entropy (free, occupied)"
+    yield f"{'variant':<{width}}   share   error  log-lik  {costs}    time   memory"
     for result in results:
         score = result.score
         costs = f"{score.cross_entropy:7.3f} ({score.free_cost:.3f}, {score.occupied_cost:.3f})"
         spent = f"{result.seconds:5.2f} s {result.bytes / 1e6:5.1f} MB"
-        shares = f"{score.share:7.4f}  {score.log_likelihood:7.3f}"
+        shares = f"{score.share:7.4f}  {score.share_error:6.4f}  {score.log_likelihood:7.3f}"
         yield f"{result.variant.name:<{width}} {shares}  {costs:<24} {spent:>16}"

@@ -1,5 +1,6 @@
 """Several ways to map the same logs, in one read: which of them foretells scans best."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from occmap.errors import LogError, UsageError
 from occmap.inspection.advice import name_map
 from occmap.inspection.flags import list_given, list_repeatable
 from occmap.pipeline import (
+    DEFAULT_UPDATE,
     BuildOptions,
     Progress,
     count_scans,
@@ -38,8 +40,19 @@ class Comparison:
 
     @property
     def named(self) -> Result:
-        """The one that the comparison recommends."""
-        return self.results[0]
+        """The one to use: the best, or, of those within noise of it, the default one.
+
+        Where that is not among them, their log-likelihood decides, which tells more than a share.
+        """
+        usual = Variant(DEFAULT_UPDATE, BuildOptions().model)
+        equal = self.equals
+        default = [each for each in equal if each.variant == usual]
+        return default[0] if default else max(equal, key=lambda each: each.score.log_likelihood)
+
+    @property
+    def equals(self) -> list[Result]:
+        """The best one, and those whose share cannot be told from its own."""
+        return [each for each in self.results if each.within_noise]
 
     @property
     def command(self) -> tuple[str, ...]:
@@ -185,9 +198,18 @@ def result_to_json(result: Result) -> dict[str, Any]:
         "update": result.variant.update.value,
         "model": shorten_model(result.variant.model),
         **asdict(result.score),
+        "share_error": drop_infinite(result.score.share_error),
+        "behind": result.behind,
+        "behind_error": drop_infinite(result.behind_error),
+        "within_noise": result.within_noise,
         "cross_entropy": result.score.cross_entropy,
         "columns": cols,
         "rows": rows,
         "seconds": round(result.seconds, 4),
         "bytes": result.bytes,
     }
+
+
+def drop_infinite(value: float) -> float | None:
+    """What JSON has of a number: nothing where it is not finite."""
+    return value if math.isfinite(value) else None

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,8 @@ class Score:
     """That measured a range; the first two figures are of these"""
     share: float
     """Whose first occupied cell (probability above 0.5) is within two cells of the range"""
+    share_error: float
+    """Standard error of the share (`estimate_error`); inf where that is not known"""
     log_likelihood: float
     """Mean ln of the probability that the beam stops within two cells of the range, mixed with 5%
     of returns from anywhere (nat)"""
@@ -32,13 +35,21 @@ class Score:
         return (self.occupied_cost + self.free_cost) / 2
 
 
-def score_map(grid: OccupancyMap, held_out: Sequence[Rays], jobs: int) -> Score:
+class Trial(NamedTuple):
+    """How a map fared."""
+
+    score: Score
+    foretold: Float64
+    """(N, 2) of each held-out scan: its beams that measured a range, and of these those foretold"""
+
+
+def score_map(grid: OccupancyMap, held_out: Sequence[Rays], jobs: int) -> Trial:
     """Cast held-out beams, of which some must have measured a range, through a map."""
     from occmap.grid.kernels.cast import CERTAIN, cast_beams  # noqa: PLC0415  late: loads numba
 
     probability = np.where(grid.observed, grid.probability, np.float32(0.5))
     free_cost = -np.log(np.maximum(1 - probability, np.float32(CERTAIN)))
-    totals = np.zeros((len(held_out), 6))
+    totals = [np.zeros((len(rays.kind), 6)) for rays in held_out]
 
     def cast(index: int) -> None:
         rays = held_out[index]
@@ -50,12 +61,31 @@ def score_map(grid: OccupancyMap, held_out: Sequence[Rays], jobs: int) -> Score:
     with Workers(cast, jobs) as workers:
         for index in range(len(held_out)):
             workers.give(index)
-    return sum_up(totals)
+    by_scan = np.concatenate(totals)
+    return Trial(sum_up(by_scan), by_scan[:, :2])
 
 
 def sum_up(totals: Float64) -> Score:
-    """Turn (N, 6) totals of N batches, as `cast_beams` writes them, into means."""
+    """Turn (N, 6) totals of N scans, as `cast_beams` writes them, into means."""
     beams, near, log_likelihood, occupied, cells, free = (math.fsum(each) for each in totals.T)
     return Score(
-        int(beams), near / beams, log_likelihood / beams, occupied / beams, free / max(cells, 1)
+        beams=int(beams),
+        share=near / beams,
+        share_error=estimate_error(totals[:, 1], totals[:, 0]),
+        log_likelihood=log_likelihood / beams,
+        occupied_cost=occupied / beams,
+        free_cost=free / max(cells, 1),
     )
+
+
+def estimate_error(part: Float64, whole: Float64) -> float:
+    """Estimate the standard error of sum(part) / sum(whole) over scans (N,).
+
+    A scan, not a beam, is an independent draw: its beams see the same wall by the same pose. So
+    this is the error of a ratio of sums over clusters (Cochran 1977, ch. 6); inf for one scan.
+    """
+    scans, total = int(np.count_nonzero(whole)), math.fsum(whole)
+    if scans < 2:
+        return math.inf
+    rest = part - math.fsum(part) / total * whole
+    return math.sqrt(scans / (scans - 1) * math.fsum(rest**2)) / total

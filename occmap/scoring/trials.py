@@ -9,9 +9,9 @@ import numpy as np
 
 from occmap.evidence import render
 from occmap.pipeline import BuildOptions, make_engine
-from occmap.scoring.score import Score, score_map
+from occmap.scoring.score import Score, estimate_error, score_map
 from occmap.scoring.variants import Variant
-from occmap.types import Kind, OccupancyMap, Rays
+from occmap.types import Float64, Kind, OccupancyMap, Rays
 from occmap.workers import Workers
 
 if TYPE_CHECKING:
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 EVERY = 5
 """Every so manieth scan is held out ..."""
+NOISE = 2.0
+"""Standard errors: a difference that is not larger may be chance."""
 FIRST = 2
 """... from this one on."""
 
@@ -102,6 +104,24 @@ class Result:
     """Of processor time, to trace and render"""
     bytes: int
     """Of the evidence"""
+    foretold: Float64
+    """(N, 2) of each held-out scan: its beams that measured a range, and of these those foretold"""
+    behind: float = 0.0
+    """How much lower the share is than the best one"""
+    behind_error: float = 0.0
+    """Standard error of that; it is smaller than those of the shares, since all variants are asked
+    about the same scans"""
+
+    @property
+    def within_noise(self) -> bool:
+        """Whether another draw of scans might as well have put it before the best."""
+        return self.behind <= NOISE * self.behind_error
+
+    def compare_with(self, best: "Result") -> "Result":
+        """Measure how far the share is from the best one, scan by scan."""
+        beams, near = best.foretold.T
+        error = estimate_error(near - self.foretold[:, 1], beams)
+        return replace(self, behind=best.score.share - self.score.share, behind_error=error)
 
 
 class Trials:
@@ -130,12 +150,13 @@ class Trials:
         """
         grids = {key: evidence.finish() for key, evidence in self.evidence.items()}
         results = [self._score(v, grids[v.evidence], held_out) for v in self.variants]
-        return sorted(results, key=lambda each: (-each.score.share, -each.score.log_likelihood))
+        results.sort(key=lambda each: (-each.score.share, -each.score.log_likelihood))
+        return [each.compare_with(results[0]) for each in results]
 
     def _score(self, variant: Variant, grid: "TileGrid", held_out: Sequence[Rays]) -> Result:
         start = thread_time()
         made = render(grid, variant.model, self._options.max_cells)
         seconds = self.evidence[variant.evidence].seconds + thread_time() - start
-        score = score_map(made, held_out, self._options.jobs)
+        score, foretold = score_map(made, held_out, self._options.jobs)
         size = sum(tile.nbytes for tile in grid.tiles.values())
-        return Result(variant, made, score, seconds, size)
+        return Result(variant, made, score, seconds, size, foretold)

@@ -111,12 +111,12 @@ def test_beyond_the_map_all_is_unknown_and_costs_no_time(cells: int) -> None:
 
 
 def total(rays: Rays, probability: Float32, resolution: float = 1.0) -> Float64:
-    totals = np.zeros(6)
+    totals = np.zeros((len(rays.kind), 6))
     cast_beams(
         *(rays.origin, rays.turn, rays.bearing, rays.distance, rays.kind),
         *(probability, cost_free(probability), (-1.0, -1.0), resolution, totals),
     )
-    return totals
+    return totals.sum(axis=0)
 
 
 def make_rays(kinds: list[Kind], tilt: float = 1.0) -> Rays:

@@ -9,12 +9,20 @@ import pytest
 from occmap.batching import Selection
 from occmap.errors import LogError, UsageError
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
+from occmap.report import Made, Tally
 from occmap.scoring.compare import Comparison, compare
-from occmap.scoring.trials import HoldOut
+from occmap.scoring.score import Score, estimate_error
+from occmap.scoring.trials import HoldOut, Result
 from occmap.scoring.variants import Variant, combine, shorten_model
-from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel, parse_model
+from occmap.sensor.models import (
+    CountingModel,
+    QuadraticModel,
+    SensorModel,
+    SimpleModel,
+    parse_model,
+)
 from occmap.sensor.returns import ReturnOptions
-from occmap.types import Kind, Rays, Update
+from occmap.types import Kind, OccupancyMap, Rays, Update
 from tests.samples import REAL_LOGS, SAMPLE_LOGS, write_csv
 
 DRIVE = SAMPLE_LOGS / "drive.csv"
@@ -118,6 +126,63 @@ def test_scans_that_all_differ_in_geometry_are_held_out_one_by_one(tmp_path: Pat
 @pytest.fixture(scope="module")
 def drive() -> Comparison:
     return compare([DRIVE], combine([], []), BuildOptions(jobs=2))
+
+
+@pytest.mark.parametrize(
+    ("part", "whole", "error"),
+    [
+        ([2, 1, 0], [2, 2, 2], 0.5 / math.sqrt(3)),  # of 1, 1/2, 0: as of any mean of three
+        ([2, 1, 0, 0], [2, 2, 2, 0], 0.5 / math.sqrt(3)),  # a scan of no range is no draw
+        ([1, 2, 3], [2, 4, 6], 0.0),
+        # The share is 1/2, off by 0, 1 and -1 beams: sqrt(3/2 (0 + 1 + 1)) / 12
+        ([4, 2, 0], [8, 2, 2], math.sqrt(3) / 12),
+        ([1], [2], math.inf),
+    ],
+)
+def test_the_error_of_a_share_is_that_of_scans(
+    part: list[float], whole: list[float], error: float
+) -> None:
+    assert estimate_error(np.array(part, float), np.array(whole, float)) == pytest.approx(error)
+
+
+def make_result(model: SensorModel, foretold: list[int], log_likelihood: float) -> Result:
+    """Of scans of ten beams each."""
+    by_scan = np.array([(10, near) for near in foretold], float)
+    share = sum(foretold) / (10 * len(foretold))
+    score = Score(10 * len(foretold), share, 0.0, log_likelihood, 0.0, 0.0)
+    grid = OccupancyMap(np.zeros((1, 1), np.float32), np.ones((1, 1), bool), 0.05, (0.0, 0.0))
+    return Result(Variant(Update.BEAM, model), grid, score, 0.0, 0, by_scan)
+
+
+def choose(*results: Result) -> str:
+    ranked = tuple(result.compare_with(results[0]) for result in results)
+    return Comparison(BuildOptions(), Made(["x"]), Tally(), 3, ranked).named.variant.name
+
+
+def test_what_noise_may_have_put_first_does_not_displace_the_default() -> None:
+    lucky = make_result(CountingModel(), [10, 4, 7], -1.0)  # ahead by 2, -1, 0 beams
+    default = make_result(SimpleModel(), [8, 5, 7], -2.0)
+    other = make_result(SimpleModel(p_hit=0.8), [8, 5, 7], -0.5)
+    assert choose(lucky, default, other) == "beam simple"
+    assert choose(lucky, other) == "beam simple:p_hit=0.8"  # by its log-likelihood
+    assert choose(lucky) == "beam counting"
+
+
+def test_a_lead_in_every_scan_is_no_noise_however_much_scans_differ() -> None:
+    ahead = make_result(CountingModel(), [10, 4, 7], -1.0)
+    default = make_result(SimpleModel(), [9, 3, 6], -0.5)
+    assert choose(ahead, default) == "beam counting"
+    behind = default.compare_with(ahead)
+    assert [behind.behind, behind.behind_error] == pytest.approx([0.1, 0.0])
+    assert not behind.within_noise
+
+
+def test_a_drive_of_83_scans_does_not_tell_its_best_variants_apart(drive: Comparison) -> None:
+    first, *others = drive.results
+    assert (first.behind, first.behind_error, first.within_noise) == (0, 0, True)
+    assert all(0 < each.behind_error < each.score.share_error for each in others)
+    names = {each.variant.name for each in drive.equals}
+    assert {drive.named.variant.name, first.variant.name} <= names
 
 
 def test_a_drive_is_foretold_well_by_every_variant(drive: Comparison) -> None:

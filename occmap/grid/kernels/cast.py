@@ -50,9 +50,9 @@ def cast_beams(
     corner
         x and y of the map's lower-left corner (m).
     totals
-        (6,) added to: HIT beams; those whose first occupied cell is near the measured range; the
-        log-likelihoods of their ranges; the costs of the cells that they ended in; cells that any
-        beam found free; the costs of those.
+        (S, 6) added to, scan by scan: HIT beams; those whose first occupied cell is near the
+        measured range; the log-likelihoods of their ranges; the costs of the cells that they ended
+        in; cells that any beam found free; the costs of those.
     """
     scans, beams = distance.shape
     viewpoints, turns = origin.shape[1], turn.shape[1]
@@ -74,15 +74,15 @@ def cast_beams(
                 distance[s, b] * length / resolution,
             )
             if kinds[s, b] == 2:
-                totals[0] += 1
-                totals[1] += found
-                totals[2] += math.log((1 - UNIFORM) * stopped + UNIFORM * UNIFORM)
-                totals[3] -= math.log(max(end, CERTAIN))
+                totals[s, 0] += 1
+                totals[s, 1] += found
+                totals[s, 2] += math.log((1 - UNIFORM) * stopped + UNIFORM * UNIFORM)
+                totals[s, 3] -= math.log(max(end, CERTAIN))
             else:
                 free += 1
                 cost -= math.log(max(1 - end, CERTAIN))
-            totals[4] += free
-            totals[5] += cost
+            totals[s, 4] += free
+            totals[s, 5] += cost
 
 
 @kernel
