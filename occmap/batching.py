@@ -125,6 +125,7 @@ class Batcher:
                 stamp_ns=np.array([self._stamp(scan) for scan in scans], np.int64),
                 ranges=np.stack([scan.ranges for scan in scans]),
                 pose=np.array([scan.pose for scan in scans]) if geometry.posed else None,
+                topic=geometry.topic,
             )
 
 

@@ -111,6 +111,8 @@ class ScanBatch:
     """(S, B) m"""
     pose: Float64 | None
     """(S, 7) x y z qx qy qz qw of the sensor, where the log states it beside the scans."""
+    topic: str = ""
+    """The stream in its log that the scans came from."""
 
 
 @dataclass(frozen=True, slots=True)

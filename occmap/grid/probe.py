@@ -1,0 +1,62 @@
+"""What each single scan does to one cell: the engine's own windows, one cell large."""
+
+import math
+
+import numpy as np
+
+from occmap.grid.engine import join_viewpoints, refuse_far_sensors, refuse_long_beams
+from occmap.grid.lattice import CellBox
+from occmap.grid.observation import Observation
+from occmap.grid.projection import project
+from occmap.grid.windows import choose_window
+from occmap.types import Bool, Int64, Rays, Update
+
+
+class CellProbe:
+    """Looks at one cell through the windows that a `GridEngine` of the same kind would use."""
+
+    def __init__(self, what: Observation, row: int, col: int) -> None:
+        self.what = what
+        self.box = CellBox(row, col, row + 1, col + 1)
+        self._window_type = choose_window(what)
+
+    def look(self, rays: Rays) -> Int64:
+        """(S, 2) the two numbers that each scan adds to the cell.
+
+        Raises
+        ------
+        MapError
+            As `GridEngine.add`.
+        """
+        seen = np.zeros((len(rays.kind), 2), np.int64)
+        if not rays.kind.size:
+            return seen
+        refuse_far_sensors(rays, self.what.lattice)
+        refuse_long_beams(rays, self.what.lattice.resolution)
+        for scan in np.flatnonzero(self.find_near(rays)):
+            seen[scan] = self._trace(rays.take(slice(scan, scan + 1)))
+        return seen
+
+    def find_near(self, rays: Rays) -> Bool:
+        """(S,): the scans that may touch the cell; all others do not.
+
+        All that a scan touches lies in a circle about its first viewpoint: the ends of its beams,
+        the lines between these, and, to a cell's diagonal, the cells that they are in.
+        """
+        resolution, radial = self.what.lattice.resolution, self.what.radial
+        start = rays.origin[:, 0]
+        away = np.hypot(*(start - (np.array([self.box.col, self.box.row]) + 0.5) * resolution).T)
+        spread = np.hypot(*np.moveaxis(rays.origin - start[:, None], -1, 0)).max(axis=1)
+        # A polygon's viewpoint lies up to `spread` from the first, and its beams are that much
+        # longer; a beam's other viewpoints are nearer.
+        reach = rays.distance.max(axis=1) + 3 * spread + (0.0 if radial is None else radial.depth)
+        near: Bool = away <= reach + 2 * math.sqrt(2) * resolution
+        return near
+
+    def _trace(self, rays: Rays) -> tuple[int, int]:
+        if self.what.update is Update.POLYGON:
+            rays = join_viewpoints(rays)
+        window = self._window_type(self.what, self.box)
+        window.observe(project(rays, self.what))
+        _, first, second = window.read()
+        return int(first.sum()), int(second.sum())
