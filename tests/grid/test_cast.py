@@ -116,7 +116,8 @@ def total(rays: Rays, probability: Float32, resolution: float = 1.0) -> Float64:
         *(rays.origin, rays.turn, rays.bearing, rays.distance, rays.kind),
         *(probability, cost_free(probability), (-1.0, -1.0), resolution, totals),
     )
-    return totals.sum(axis=0)
+    by_kind: Float64 = totals.sum(axis=0)
+    return by_kind
 
 
 def make_rays(kinds: list[Kind], tilt: float = 1.0) -> Rays:

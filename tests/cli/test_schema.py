@@ -1,0 +1,173 @@
+"""What commands print with --json is what the schemas say, no more and no less."""
+
+import gzip
+import json
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+from jsonschema import Draft202012Validator
+
+from occmap.cli import COMMANDS
+from occmap.cli.schema import SCHEMAS
+from tests.cli.runner import occmap, read_error
+from tests.inspection_logs import Drive, write_bag
+from tests.samples import DRIVES, SAMPLE_LOGS, write_csv
+
+
+def load(name: str) -> dict[str, Any]:
+    schema: dict[str, Any] = json.loads(occmap("schema", name).out)
+    return schema
+
+
+def validate(*words: object, code: int = 0) -> dict[str, Any]:
+    """Run a command with --json, and hold what it prints against the schema that it names."""
+    result = occmap(*words, "--json")
+    assert result.code == code, result.err
+    printed: dict[str, Any] = json.loads(result.out)
+    name, version = printed["schema"].split("/")[1:]
+    assert version == "1"
+    Draft202012Validator(load(name)).validate(printed)
+    return printed
+
+
+def walk(schema: Any) -> Iterator[dict[str, Any]]:
+    """All parts of a schema, also those of lists."""
+    if isinstance(schema, dict):
+        yield schema
+    for part in schema.values() if isinstance(schema, dict) else schema:
+        if isinstance(part, dict | list):
+            yield from walk(part)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Work in a folder with logs that have something to tell, and evidence of one."""
+    folder = tmp_path_factory.mktemp("schema")
+    whole = write_csv(folder / "a.csv", [(0.0, 0.0, 0.0)] * 3000, [0.3, 0.5, float("nan")], 0.3)
+    (folder / "cut.csv.gz").write_bytes(gzip.compress(whole.read_bytes())[:-1000])
+    write_csv(folder / "b.csv", [(1.0, 0.0, 0.0)] * 9, [0.4, float("inf")], 0.3)
+    write_bag(folder / "room.bag", Drive(3.14159))
+    (folder / "notes.txt").write_text("hello\n")
+    for name in ("a", "b"):
+        assert occmap("build", folder / f"{name}.csv", "-o", folder / f"{name}.npz").code == 0
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def folder(logs: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(logs)
+    return logs
+
+
+def test_every_command_that_has_json_has_a_schema() -> None:
+    commands = {name: import_module(f"occmap.cli.{name}").command for name in COMMANDS}
+    having = {
+        name
+        for name, command in commands.items()
+        if any("--json" in option.opts for option in command.params)
+    }
+    assert having == set(COMMANDS) - {"schema"}  # which prints nothing else
+    assert set(SCHEMAS) == having | {"error"}
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_a_schema_is_sound_and_strict_and_describes_every_field(name: str) -> None:
+    schema = load(name)
+    Draft202012Validator.check_schema(schema)
+    assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
+    for part in walk(schema):
+        if part.get("type") == "object":
+            assert "additionalProperties" in part
+        if isinstance(fields := part.get("properties"), dict) and "type" in part:
+            assert part["additionalProperties"] is False
+            assert part["required"] == list(fields)
+            assert all(field["description"] for field in fields.values())
+    used = {part["$ref"].removeprefix("#/$defs/") for part in walk(schema) if "$ref" in part}
+    assert used == set(schema.get("$defs", {}))
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_numbers_have_units(name: str) -> None:
+    for part in walk(load(name)):
+        for field in part.get("properties", {}).values():
+            kinds = field.get("type", ())
+            if isinstance(field, dict) and ("number" in kinds):
+                words = ("(", "hare", "How much", "error", "unit")
+                assert any(word in field["description"] for word in words), field
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "build a.csv -o m.pgm -o m.png --start 1 --end 100 --stride 3",
+        "build polygon a.csv b.csv -o m.pgm --model quadratic --max-range 0.4",
+        "build cut.csv.gz b.csv b.csv -o m.pgm",
+        "build b.csv --resume a.npz -o m.npz",
+        "render a.npz -o m.pgm --crop 0,0,1,1 --model counting",
+        "merge a.npz b.npz b.npz -o m.npz",
+        "merge a.npz --subtract a.npz b.npz -o m.npz",
+        "check a.csv b.csv cut.csv.gz",
+        "compare a.csv -o compare.png",
+        "compare b.csv --model simple:p_hit=0.8 --update beam",
+        "diff a.npz b.npz -o d.png",
+        "diff a.npz a.npz",
+        "models",
+        "readers",
+        "writers",
+    ],
+)
+def test_results_are_as_their_schemas_say(words: str) -> None:
+    command, *rest = words.split()
+    printed = validate(command, *rest)
+    assert printed["schema"] == f"occmap/{command}/1"
+
+
+@pytest.mark.parametrize("log", DRIVES, ids=lambda log: str(log.name))
+def test_sample_logs_are_as_the_schema_says(log: Path) -> None:
+    assert validate("check", log)["buildable"]
+
+
+def test_what_cannot_be_built_is_as_the_schema_says() -> None:
+    assert not validate("check", "room.bag", "notes.txt", "none.csv", code=1)["buildable"]
+
+
+def test_a_limit_that_is_not_kept_is_as_the_schema_says() -> None:
+    words = ["build", "b.csv", "-o", "m.pgm", "--fail-if", "hits < 60%"]
+    assert validate(*words, code=3)["failed"] == [
+        {"name": "hits", "value": 0.5, "limit": "hits < 60%"}
+    ]
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "where"),
+    [
+        ("build none.csv -o m.pgm", 1, "none.csv"),
+        ("build", 2, ""),
+        ("build b.csv -o m.gif", 2, "m.gif"),
+        ("compare b.csv --fail-if nothing>1", 2, "--fail-if 'nothing>1'"),
+        ("diff a.npz", 2, ""),
+        ("diff a.npz none.npz", 1, "none.npz"),
+        ("check --resolution x", 2, ""),
+        ("bild", 2, ""),
+    ],
+)
+def test_errors_are_as_their_schema_says(words: str, code: int, where: str) -> None:
+    printed = validate(*words.split(), code=code)
+    assert printed["schema"] == "occmap/error/1"
+    assert printed["error"]["exit_code"] == code
+    assert printed["error"]["where"] == where
+
+
+def test_an_unknown_field_or_a_missing_one_is_found() -> None:
+    printed = validate("build", SAMPLE_LOGS / "drive.csv", "-o", "m.pgm")
+    validator = Draft202012Validator(load("build"))
+    assert not validator.is_valid(printed | {"news": 1})
+    assert not validator.is_valid({**printed, "map": {**printed["map"], "news": 1}})
+    assert not validator.is_valid({key: printed[key] for key in printed if key != "notes"})
+
+
+def test_a_schema_of_nothing_is_refused() -> None:
+    assert "'bild' is not one of 'build', 'check'" in read_error(occmap("schema", "bild"), 2)
