@@ -1,7 +1,7 @@
 """Saved evidence: rendered by another model, added, and taken apart again, all exactly."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -49,13 +49,15 @@ def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
     MapError
         Nothing was observed, or the map would be too large.
     """
+    return grid.render(weigh(model), to_log_odds(model.prior), max_cells)
+
+
+def weigh(model: SensorModel) -> Callable[[Int64, Int64], Float64]:
+    """What turns the two numbers of observed cells (N,) into log-odds."""
+    if not isinstance(model, RadialModel):
+        return model.log_odds
     prior = to_log_odds(model.prior)
-
-    def add_up(log_odds: Int64, observations: Int64) -> Float64:
-        return prior + log_odds * LOG_ODDS_UNIT - observations * prior
-
-    translate = add_up if isinstance(model, RadialModel) else model.log_odds
-    return grid.render(translate, prior, max_cells)
+    return lambda log_odds, observations: prior + log_odds * LOG_ODDS_UNIT - observations * prior
 
 
 def render_saved(evidence: Evidence, model: SensorModel, max_cells: int) -> OccupancyMap:
