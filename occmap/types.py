@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 Float32: TypeAlias = NDArray[np.float32]
 Float64: TypeAlias = NDArray[np.float64]
+Int32: TypeAlias = NDArray[np.int32]
 Int64: TypeAlias = NDArray[np.int64]
 UInt8: TypeAlias = NDArray[np.uint8]
 UInt64: TypeAlias = NDArray[np.uint64]
@@ -279,6 +280,25 @@ class Manifest:
     """What was added: inputs with sizes and hashes, options, scans; see `occmap.manifest`"""
     subtracted: tuple[dict[str, Any], ...] = ()
     """What was taken away that no entry of `builds` stands for"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Times:
+    """When the cells of one build were observed, tile by tile, row by row; N cells in all."""
+
+    tiles: Int64
+    """(T, 2) row and column of each tile, in ascending order"""
+    observed: UInt8
+    """(T, 512) a bit for each of the 64 x 64 cells, in the order of `np.packbits`"""
+    first_ns: Int64
+    """(N,) stamp of the first scan that observed the cell ..."""
+    last_ns: Int64
+    """(N,) ... and of the last"""
+    hit_visits: Int32
+    """(N,) runs of consecutive slices of time in which the cell was hit; 0 where the evidence has
+    no hits"""
+    seen_visits: Int32
+    """(N,) runs of consecutive slices of time in which the cell was observed at all"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ from occmap.grid.observation import Observation
 from occmap.grid.projection import Projected, project
 from occmap.grid.tiles import EvidenceKind, TileGrid, refuse_large
 from occmap.grid.windows import Window, choose_window
-from occmap.types import Rays, Update
+from occmap.types import Rays, Times, Update
 
 WINDOW_CELLS = 1 << 24
 """The largest window; scans that need more are traced part by part."""
@@ -77,7 +77,7 @@ class GridEngine:
             if len(rays.kind) == 1 and projected.box.cells > MARGIN * self._max_cells:
                 refuse_large(projected.box, self.what.lattice, self._max_cells)
             for part in split_box(projected.box, self._window_cells):
-                window = self._window_type(self.what, part)
+                window = self._open(part)
                 window.observe(projected)
                 self._empty(window)
 
@@ -94,10 +94,13 @@ class GridEngine:
             self._empty(window)
             window = None
         if window is None:
-            window = self._window_type(self.what, add_room(projected.box, self._window_cells))
+            window = self._open(add_room(projected.box, self._window_cells))
         window.observe(projected)
         with self._lock:
             self._idle.append(window)
+
+    def _open(self, box: CellBox) -> Window:
+        return self._window_type(self.what, box)
 
     def _empty(self, window: Window) -> None:
         box, first, second = window.read()
@@ -109,6 +112,10 @@ class GridEngine:
         while self._idle:
             self._empty(self._idle.pop())
         return self.grid
+
+    def read_times(self) -> tuple[Times, ...]:
+        """When each cell was observed of what `finish` gave: nothing, as nobody asked."""
+        return ()
 
 
 def lie_far_apart(rays: Rays, resolution: float) -> bool:

@@ -18,6 +18,7 @@ from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.lattice import SUBCELLS, CellBox
 from occmap.grid.observation import COUNT_BITS, Observation, RadialTables
 from occmap.grid.projection import Projected
+from occmap.grid.times import TimeGrid
 from occmap.types import Int64, Update
 
 Evidence: TypeAlias = tuple[NDArray[Any], NDArray[Any]]
@@ -58,6 +59,9 @@ class Window(ABC):
         row, col = box.row - self.box.row, box.col - self.box.col
         first, second = self.read_from(row, col, (box.rows, box.cols))
         return box, first, second
+
+    def fold_times(self, grid: TimeGrid) -> None:  # noqa: B027  most windows keep no times
+        """Hand on when cells were observed: nothing, where nobody asked."""
 
     @abstractmethod
     def trace(self, projected: Projected) -> None:
@@ -109,6 +113,18 @@ class BeamWindow(Window):
         return self.hits[row : row + shape[0], col : col + shape[1]], misses
 
 
+def describe_surfaces(what: Observation, projected: Projected, corner: Int64) -> Surfaces:
+    """What a polygon kernel needs to know beside the rays."""
+    return Surfaces(
+        what.lattice.units_per_metre,
+        what.jump,
+        what.border_gap,
+        projected.rays.full_circle,
+        *map(int, corner),
+        *map(int, projected.anchor - corner),
+    )
+
+
 class PolygonWindow(Window):
     """Hits and misses, scan by scan."""
 
@@ -119,15 +135,8 @@ class PolygonWindow(Window):
         self.scans = 0
 
     def trace(self, projected: Projected) -> None:
-        rays, what = projected.rays, self.what
-        surfaces = Surfaces(
-            what.lattice.units_per_metre,
-            what.jump,
-            what.border_gap,
-            rays.full_circle,
-            *map(int, self.corner),
-            *map(int, projected.anchor - self.corner),
-        )
+        rays = projected.rays
+        surfaces = describe_surfaces(self.what, projected, self.corner)
         trace_polygons(
             rays.origin,
             rays.turn,
@@ -150,6 +159,13 @@ class PolygonWindow(Window):
         return self.hits[row : row + shape[0], col : col + shape[1]], misses
 
 
+def get_tables(what: Observation) -> RadialTables:
+    """The tables of the model; a radial window has one."""
+    if what.radial is None:
+        raise TypeError("a radial window needs a radial model")
+    return what.radial
+
+
 class RadialWindow(Window):
     """Sums of log-odds and numbers of observations, packed in one integer for each cell."""
 
@@ -160,11 +176,7 @@ class RadialWindow(Window):
 
     @property
     def tables(self) -> RadialTables:
-        """Of the model; a radial window has one."""
-        tables = self.what.radial
-        if tables is None:
-            raise TypeError("a radial window needs a radial model")
-        return tables
+        return get_tables(self.what)
 
     @abstractmethod
     def sum_plain(self, row: int, col: int, plain: Int32) -> None:

@@ -19,7 +19,7 @@ from occmap.grid.kernels.sectors import (
 from occmap.types import Bool, Float32, Float64, Int64, UInt8
 
 NEAR, FAR, SCALE, RANGE = range(4)
-"""Columns of what `_limit_ranges` writes."""
+"""Columns of what `limit_ranges` writes."""
 
 
 @kernel
@@ -74,10 +74,10 @@ def trace_radial_polygons(
     for s in range(scans):
         at_x = round_to_units(origin[s, 0, 0], units_per_metre) - corner[0]
         at_y = round_to_units(origin[s, 0, 1], units_per_metre) - corner[1]
-        _aim(turn[s], bearing, distance[s], units_per_metre, direction, ranges)
+        aim(turn[s], bearing, distance[s], units_per_metre, direction, ranges)
         sign = find_sectors(direction, kinds[s], full_circle, sides, covers)
         side_by_side = cover_bearings(sides, kinds[s], covers, sign, covering)
-        _reach_out(direction, ranges, kinds[s], depth, sides, lengths)
+        reach_out(direction, ranges, kinds[s], depth, sides, lengths)
         corners = outline_sectors(at_x, at_y, sides, lengths, covers, x, y, begins)
         touched = find_rows(y, corners, rows)
         while not cross_rows(x, y, begins, corners, touched, buckets, counts):
@@ -85,12 +85,12 @@ def trace_radial_polygons(
         make_spans(touched, buckets, counts, cols)
         inner_counts[:] = 0
         if side_by_side:
-            _stay_within(ranges, covers, full_circle, depth, plain, lengths)
+            stay_within(ranges, covers, full_circle, depth, plain, lengths)
             corners = outline_sectors(at_x, at_y, sides, lengths, covers, x, y, begins)
             while not cross_rows(x, y, begins, corners, touched, inner, inner_counts):
                 inner = np.empty((rows, 2 * inner.shape[1]), np.int32)
             make_spans(touched, inner, inner_counts, cols)
-        _limit_ranges(ranges, kinds[s], depth, free.size - 1, limits)
+        limit_ranges(ranges, kinds[s], depth, free.size - 1, limits)
         _observe_spans(
             at_x, at_y, touched, buckets, counts, inner, inner_counts, covering, limits, depth,
             entries, cells, runs,
@@ -98,7 +98,7 @@ def trace_radial_polygons(
 
 
 @kernel
-def _aim(
+def aim(
     turn: Float64,
     bearing: Float64,
     distance: Float32,
@@ -117,7 +117,7 @@ def _aim(
 
 
 @kernel
-def _reach_out(
+def reach_out(
     direction: Float64,
     ranges: Float64,
     kinds: UInt8,
@@ -140,7 +140,7 @@ def _reach_out(
 
 
 @kernel
-def _stay_within(
+def stay_within(
     ranges: Float64,
     covers: Bool,
     full_circle: bool,
@@ -167,7 +167,7 @@ def _stay_within(
 
 
 @kernel
-def _limit_ranges(ranges: Float64, kinds: UInt8, depth: float, steps: int, limits: Float64) -> None:
+def limit_ranges(ranges: Float64, kinds: UInt8, depth: float, steps: int, limits: Float64) -> None:
     """Write, for each beam, up to which squared distance it speaks of free cells and of its hit.
 
     The last row of `limits` (B + 1, 4) is nobody's: what no beam covers, index -1, gets nothing.

@@ -1,0 +1,222 @@
+"""When cells were observed, by the polygon update: every scan's region is filled.
+
+What is kept of a window is as in `time_beams`.
+"""
+
+import numpy as np
+
+from occmap.grid.kernels.arrays import Int32
+from occmap.grid.kernels.fill import cross_rows, find_rows, make_spans
+from occmap.grid.kernels.jit import kernel
+from occmap.grid.kernels.polygon import Surfaces, outline_scan
+from occmap.grid.kernels.project import round_to_units
+from occmap.grid.kernels.radial_polygon import (
+    FAR,
+    NEAR,
+    aim,
+    limit_ranges,
+    reach_out,
+    stay_within,
+)
+from occmap.grid.kernels.sectors import (
+    BEARINGS,
+    bearing_of,
+    cover_bearings,
+    find_sectors,
+    outline_sectors,
+)
+from occmap.grid.kernels.time_beams import mark_cell, set_bit
+from occmap.types import Float32, Float64, Int64, UInt8, UInt64
+
+
+@kernel
+def mark_span(
+    times: UInt64, seen: UInt64, row: int, col: int, end: int, early: int, late: int
+) -> None:
+    """Note that the cells of a row from one column up to another were seen."""
+    r = np.uint64(row)
+    for c in range(col, end):
+        times[r, np.uint64(c), 0] = max(times[r, np.uint64(c), 0], early)
+        times[r, np.uint64(c), 1] = max(times[r, np.uint64(c), 1], late)
+        seen[r, np.uint64(c >> 6)] |= np.uint64(1) << np.uint64(c & 63)
+
+
+@kernel
+def time_polygons(
+    origin: Float64,
+    turn: Float64,
+    bearing: Float64,
+    distance: Float32,
+    ends_x: Int32,
+    ends_y: Int32,
+    kinds: UInt8,
+    stamps: UInt64,
+    surfaces: Surfaces,
+    times: UInt64,
+    hit: UInt64,
+    seen: UInt64,
+) -> None:
+    """Note when every scan had a cell inside its regions or on its border.
+
+    Parameters
+    ----------
+    origin, turn, bearing, distance, ends_x, ends_y, kinds, surfaces
+        As for `trace_polygons`.
+    stamps, times, hit, seen
+        As for `time_beams`.
+    """
+    scans, beams = kinds.shape
+    rows, cols = times.shape[0], times.shape[1]
+    x, y = np.empty(2 * beams + 4, np.int64), np.empty(2 * beams + 4, np.int64)
+    begins = np.empty(2 * beams + 4, np.bool_)
+    buckets, counts = np.empty((rows, 32), np.int32), np.empty(rows, np.int64)
+    for s in range(scans):
+        early, late = stamps[s, 0], stamps[s, 1]
+        corners = outline_scan(
+            origin[s, 0], turn[s], bearing, distance[s], ends_x[s], ends_y[s], kinds[s],
+            surfaces, x, y, begins,
+        )  # fmt: skip
+        touched = find_rows(y, corners, rows)
+        while not cross_rows(x, y, begins, corners, touched, buckets, counts):
+            buckets = np.empty((rows, 2 * buckets.shape[1]), np.int32)
+        make_spans(touched, buckets, counts, cols)
+        for row in range(touched[0], touched[1]):
+            for i in range(0, counts[row], 2):
+                mark_span(times, seen, row, buckets[row, i], buckets[row, i + 1], early, late)
+        _time_border(
+            distance[s], ends_x[s], ends_y[s], kinds[s], early, late, surfaces, times, hit, seen
+        )
+
+
+@kernel
+def _time_border(
+    distance: Float32,
+    ends_x: Int32,
+    ends_y: Int32,
+    kinds: UInt8,
+    early: int,
+    late: int,
+    surfaces: Surfaces,
+    times: UInt64,
+    hit: UInt64,
+    seen: UInt64,
+) -> None:
+    """Note the end cells of one scan's HIT beams, and those that close the border between them."""
+    beams = kinds.size
+    rows, cols = times.shape[0], times.shape[1]
+    for b in range(beams):
+        if kinds[b] != 2:
+            continue
+        a = b - 1 if b > 0 else beams - 1
+        col, row = (ends_x[b] + surfaces.shift_x) >> 8, (ends_y[b] + surfaces.shift_y) >> 8
+        across = col - ((ends_x[a] + surfaces.shift_x) >> 8)
+        up = row - ((ends_y[a] + surfaces.shift_y) >> 8)
+        n = max(abs(across), abs(up))
+        closed = (
+            (b > 0 or surfaces.full_circle)
+            and kinds[a] == 2
+            and n <= surfaces.border_gap
+            and abs(np.float64(distance[b]) - distance[a]) <= surfaces.jump
+        )
+        for i in range(n if closed and n > 0 else 1):
+            # Seen from the line's end, Bresenham rounds a half towards zero.
+            aside = (2 * i * abs(across) + n - 1) // (2 * n) if i > 0 else 0
+            along = (2 * i * abs(up) + n - 1) // (2 * n) if i > 0 else 0
+            c = col - (aside if across > 0 else -aside)
+            r = row - (along if up > 0 else -along)
+            if 0 <= r < rows and 0 <= c < cols:
+                set_bit(hit, r, c)
+                mark_cell(times, seen, r, c, early, late)
+
+
+@kernel
+def time_radial_polygons(
+    origin: Float64,
+    turn: Float64,
+    bearing: Float64,
+    distance: Float32,
+    kinds: UInt8,
+    full_circle: bool,
+    stamps: UInt64,
+    corner: Int64,
+    units_per_metre: float,
+    depth: float,
+    steps: int,
+    constant: int,
+    times: UInt64,
+    seen: UInt64,
+) -> None:
+    """Note when every scan said something about the cells that it covers.
+
+    Parameters
+    ----------
+    origin, turn, bearing, distance, kinds, full_circle, corner, units_per_metre, depth
+        As for `trace_radial_polygons`.
+    steps, constant
+        Steps of the model's tables, and at how many of them the first, free one stays the same.
+    stamps, times, seen
+        As for `time_beams`.
+    """
+    scans, beams = kinds.shape
+    rows, cols = times.shape[0], times.shape[1]
+    plain = np.sqrt(constant / steps)
+    direction, ranges = np.empty((beams, 2), np.float64), np.empty(beams, np.float64)
+    sides, covers = np.empty((beams, 4), np.float64), np.empty(beams, np.bool_)
+    lengths, covering = np.empty((beams, 2), np.float64), np.empty(BEARINGS + 1, np.int32)
+    limits = np.empty((beams + 1, 4), np.float64)
+    x, y = np.empty(4 * beams + 4, np.int64), np.empty(4 * beams + 4, np.int64)
+    begins = np.empty(4 * beams + 4, np.bool_)
+    buckets, counts = np.empty((rows, 32), np.int32), np.empty(rows, np.int64)
+    for s in range(scans):
+        early, late = stamps[s, 0], stamps[s, 1]
+        at_x = round_to_units(origin[s, 0, 0], units_per_metre) - corner[0]
+        at_y = round_to_units(origin[s, 0, 1], units_per_metre) - corner[1]
+        aim(turn[s], bearing, distance[s], units_per_metre, direction, ranges)
+        sign = find_sectors(direction, kinds[s], full_circle, sides, covers)
+        side_by_side = cover_bearings(sides, kinds[s], covers, sign, covering)
+        reach_out(direction, ranges, kinds[s], depth, sides, lengths)
+        limit_ranges(ranges, kinds[s], depth, steps, limits)
+        corners = outline_sectors(at_x, at_y, sides, lengths, covers, x, y, begins)
+        touched = find_rows(y, corners, rows)
+        while not cross_rows(x, y, begins, corners, touched, buckets, counts):
+            buckets = np.empty((rows, 2 * buckets.shape[1]), np.int32)
+        make_spans(touched, buckets, counts, cols)
+        _time_sectors(
+            at_x, at_y, touched, buckets, counts, covering, limits, early, late, times, seen
+        )
+        if side_by_side:
+            # What lies well within the ranges is observed whatever the bearing's rounding says.
+            stay_within(ranges, covers, full_circle, depth, plain, lengths)
+            corners = outline_sectors(at_x, at_y, sides, lengths, covers, x, y, begins)
+            while not cross_rows(x, y, begins, corners, touched, buckets, counts):
+                buckets = np.empty((rows, 2 * buckets.shape[1]), np.int32)
+            make_spans(touched, buckets, counts, cols)
+            for row in range(touched[0], touched[1]):
+                for i in range(0, counts[row], 2):
+                    mark_span(times, seen, row, buckets[row, i], buckets[row, i + 1], early, late)
+
+
+@kernel
+def _time_sectors(
+    at_x: int,
+    at_y: int,
+    touched: tuple[int, int],
+    spans: Int32,
+    counts: Int64,
+    covering: Int32,
+    limits: Float64,
+    early: int,
+    late: int,
+    times: UInt64,
+    seen: UInt64,
+) -> None:
+    """Note the cells of one scan's spans of which the beam that covers their bearing speaks."""
+    for row in range(touched[0], touched[1]):
+        from_y = float((row << 8) + 128 - at_y)
+        for i in range(0, counts[row], 2):
+            for col in range(spans[row, i], spans[row, i + 1]):
+                from_x = float((col << 8) + 128 - at_x)
+                b = covering[bearing_of(from_x, from_y)]
+                squared = from_x * from_x + from_y * from_y
+                if squared < limits[b, NEAR] or squared <= limits[b, FAR]:
+                    mark_cell(times, seen, row, col, early, late)
