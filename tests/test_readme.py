@@ -1,5 +1,6 @@
 """The README is true: its commands print what it shows, its code runs."""
 
+import json
 import re
 import shlex
 import subprocess
@@ -10,7 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from ruamel.yaml import YAML
 
+from occmap.measures import BUILD, CHECK, COMPARE, DIFF, SAVED, Measures
 from occmap.pipeline import BuildOptions, build
 from occmap.readers import Probe, Role
 from tests.samples import ROOT
@@ -88,6 +91,44 @@ def test_the_reader_in_the_readme_reads(tmp_path: Path) -> None:
     assert scans[1].ranges.tolist() == [4, 5, 6]
     assert scans[0].pose == (2, 3, 0, 0, 0, 0, 1)
     assert scans[0].angle_increment == pytest.approx(np.pi / 2)
+
+
+def test_the_steps_of_the_ci_job_run(folder: Path) -> None:
+    (job,) = blocks("yaml")
+    steps = YAML(typ="safe").load(job)["jobs"]["map"]["steps"]
+    script = [step["run"] for step in steps if step.get("run", "").startswith("occmap ")]
+    assert len(script) == 3
+    (folder / "logs").symlink_to(ROOT / "sample_logs")
+    (folder / "reference").mkdir()
+    build([folder / "logs" / "drive.csv"], BuildOptions(), [folder / "reference" / "map.pgm"])
+    head = f'set -e; occmap() {{ "{sys.executable}" -m occmap "$@"; }}'
+    done = subprocess.run(
+        ["bash", "-c", "\n".join([head, *script])],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=folder,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    for name in ("check", "build", "diff"):
+        assert json.loads((folder / f"{name}.json").read_text())["failed"] == []
+
+
+def test_every_limit_is_in_the_table_with_its_unit_and_commands() -> None:
+    rows = re.findall(r"^\| (`[a-z_`, ]+`) \| ([a-z0-9%]*) ?\| ([a-z, ]+) \|", README, re.MULTILINE)
+    shown = {
+        (name, unit, command)
+        for names, unit, commands in rows
+        for name in re.findall(r"[a-z_]+", names)
+        for command in commands.split(", ")
+    }
+    tables: dict[str, Measures] = {"build": BUILD, "render": SAVED, "merge": SAVED}
+    tables |= {"check": CHECK, "compare": COMPARE, "diff": DIFF}
+    assert shown == {
+        (measure.name, measure.unit, command)
+        for command, measures in tables.items()
+        for measure in measures
+    }
 
 
 def test_every_option_that_the_readme_names_exists() -> None:
