@@ -26,6 +26,7 @@ from occmap.scoring.variants import Variant, combine
 from occmap.sensor.models import parse_model
 from occmap.sensor.returns import ReturnOptions
 from occmap.types import Update
+from occmap.wording import count
 
 HELP = f"""{COMMANDS["compare"]}
 
@@ -130,7 +131,8 @@ def format_comparison(comparison: Comparison) -> str:
     """Write the table, on what it rests, and the command line of the best."""
     best, equals = comparison.named, comparison.equals
     names = ", ".join(result.variant.name for result in equals)
-    rest = f"scored by {best.score.beams:,} beams of {comparison.held_out:,} held-out scans"
+    held = count(comparison.held_out, "held-out scan")
+    rest = f"scored by {count(best.score.beams, 'beam')} of {held}"
     return "\n".join(
         [
             *format_table(comparison.results),

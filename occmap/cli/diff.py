@@ -17,6 +17,7 @@ from occmap.errors import UsageError
 from occmap.gates import Limit, judge
 from occmap.maps import load_map
 from occmap.measures import DIFF
+from occmap.wording import count
 from occmap.writers import WriteOptions
 from occmap.writers.atomic import check_target
 
@@ -101,12 +102,13 @@ def check_picture(path: Path | None) -> None:
 def format_comparison(comparison: Comparison) -> Iterator[str]:
     """Sum up a comparison in a few lines."""
     changed = sum(comparison.changed.values())
-    known = f"{comparison.share:.3%} of {comparison.known:,} known cells"
-    yield f"{'changed':<{LABEL}}{changed:,} cells, {known}"
-    for name, count in comparison.changed.items():
-        if count:
-            yield f"{'':<{LABEL}}{count:,} {name}"
+    known = f"{comparison.share:.3%} of {count(comparison.known, 'known cell')}"
+    yield f"{'changed':<{LABEL}}{count(changed, 'cell')}, {known}"
+    for name, cells in comparison.changed.items():
+        if cells:
+            yield f"{'':<{LABEL}}{cells:,} {name}"
     if comparison.largest:
         low_x, low_y, high_x, high_y = (f"{value:.6g}" for value in comparison.largest.extent)
+        blob = count(comparison.largest.cells, "connected cell")
         where = f"x {low_x} to {high_x}, y {low_y} to {high_y}"
-        yield f"{'largest':<{LABEL}}{comparison.largest.cells:,} connected cells, {where}"
+        yield f"{'largest':<{LABEL}}{blob}, {where}"

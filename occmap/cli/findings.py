@@ -17,6 +17,7 @@ from occmap.inspection.findings import (
 )
 from occmap.posing.coverage import Coverage
 from occmap.readers import Role
+from occmap.wording import count
 
 LABEL = 10
 """Width of the first column."""
@@ -79,8 +80,8 @@ def list_topic(topic: ScanFindings) -> Iterator[Row]:
 def list_shapes(topic: ScanFindings) -> Iterator[str]:
     """List the beams and limits that the scans have, the most frequent first."""
     for shape in topic.shapes:
-        count = "" if topic.shape_count == 1 else f"{shape.scans:,} scans: "
-        yield count + format_shape(shape)
+        scans = "" if topic.shape_count == 1 else f"{count(shape.scans, 'scan')}: "
+        yield scans + format_shape(shape)
     if topic.shape_count > len(topic.shapes):
         yield f"and {topic.shape_count - len(topic.shapes)} more"
 
@@ -90,7 +91,7 @@ def format_shape(shape: Shape) -> str:
     start, step = math.degrees(shape.angle_min), math.degrees(shape.angle_increment)
     limit = "without limit" if math.isinf(shape.range_max) else f"to {shape.range_max:.6g} m"
     return (
-        f"{shape.beams} beams over {math.degrees(shape.field_of_view):.4g} deg, from "
+        f"{count(shape.beams, 'beam')} over {math.degrees(shape.field_of_view):.4g} deg, from "
         f"{start:.4g} deg every {step:.3g} deg, ranges from {shape.range_min:.3g} {limit}"
     )
 
@@ -103,8 +104,8 @@ def list_ranges(ranges: RangeFindings) -> Iterator[Row]:
     yield "ranges", text
     for special in ranges.specials:
         advice = f": --no-return {special.no_return}" if special.no_return else ": skipped"
-        count = f"{special.name:<12} {special.count:>10,} {special.share:>6.1%}"
-        yield "", f"{count}  {special.meaning}{advice}"
+        found = f"{special.name:<12} {special.count:>10,} {special.share:>6.1%}"
+        yield "", f"{found}  {special.meaning}{advice}"
     for item in ranges.repeated:
         meaning = "no return, by the limit" if item.is_no_return else "may mean no return"
         yield "", f"{item.value:<12.6g} repeated: {item.share:.1%} of the ranges; {meaning}"
@@ -117,9 +118,10 @@ def format_times(times: TimeFindings) -> str:
     parts = [f"{times.offset_s:.3g} s from the record times, drift {times.drift_s:.2g} s"]
     parts += [f"largest gap {times.largest_gap_s:.3g} s"]
     if times.jumps_back:
-        parts.append(f"{times.jumps_back} jumps back, up to {times.largest_jump_back_s:.3g} s")
+        jumps = count(times.jumps_back, "jump")
+        parts.append(f"{jumps} back, up to {times.largest_jump_back_s:.3g} s")
     if times.duplicates:
-        parts.append(f"{times.duplicates:,} stand twice")
+        parts.append(f"{count(times.duplicates, 'stamp')} as the one before")
     if times.all_equal:
         parts.append("all zero" if times.all_zero else "all equal")
     return ", ".join(parts)
@@ -130,7 +132,7 @@ def format_poses(topic: ScanFindings) -> str:
     poses = topic.poses
     way = "stated beside the scans" if poses.stated else " > ".join(poses.chain)
     lost = format_counts(poses.dropped)
-    share = f"{poses.posed:,} of {topic.scans:,} scans"
+    share = f"{poses.posed:,} of {count(topic.scans, 'scan')}"
     given = f" with --sensor-pose {poses.assumed}" if poses.assumed else ""
     return f"{share}{given}" + (f", {way}" if way else "") + (f"; {lost}" if lost else "")
 
@@ -151,8 +153,10 @@ def list_sources(log: LogFindings) -> Iterator[Row]:
     """List the pose sources that move; of the others their number is enough."""
     moving = [source for source in log.coverage if source.moves]
     texts = [format_source(source) for source in moving]
-    if len(log.coverage) > len(moving):
-        texts.append(f"{len(log.coverage) - len(moving)} transforms that never change")
+    fixed = len(log.coverage) - len(moving)
+    if fixed:
+        changes = "changes" if fixed == 1 else "change"
+        texts.append(f"{count(fixed, 'transform')} that never {changes}")
     if texts:
         yield "", ""
     yield from _label_first("sources", texts)
@@ -163,7 +167,7 @@ def format_source(source: Coverage) -> str:
     name = f"{source.parent} > {source.child or '?'}"
     step = f"{source.largest_step_m:.3g} m, {math.degrees(source.largest_step_rad):.3g} deg"
     return (
-        f"{name} on {source.topic}: {source.samples:,} samples, "
+        f"{name} on {source.topic}: {count(source.samples, 'sample')}, "
         f"largest gap {source.largest_gap_s:.3g} s, largest step {step}"
     )
 
@@ -178,18 +182,18 @@ def format_map(grid: MapFindings) -> str:
     )
 
 
-def format_bytes(count: float) -> str:
+def format_bytes(size: float) -> str:
     """Write a number of bytes with a unit."""
     for unit in ("B", "kB", "MB"):
-        if count < 1000:
-            return f"{count:.3g} {unit}"
-        count /= 1000
-    return f"{count:,.3g} GB"
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:,.3g} GB"
 
 
 def format_counts(counts: Mapping[str, int]) -> str:
     """List what there is of each."""
-    return ", ".join(f"{count:,} {name}" for name, count in counts.items())
+    return ", ".join(f"{number:,} {name}" for name, number in counts.items())
 
 
 def _label_first(name: str, texts: list[str]) -> list[Row]:

@@ -9,7 +9,7 @@ from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console
 from occmap.cli.saved import put_out, refuse_no_output
 from occmap.cli.sections import SectionCommand, join, option
-from occmap.cli.values import read_by, read_numbers
+from occmap.cli.values import read_by, read_list
 from occmap.errors import UsageError
 from occmap.evidence import Box
 from occmap.measures import SAVED
@@ -38,10 +38,7 @@ def parse_crop(text: str) -> Box:
         The text is not of four numbers, or they span nothing.
     """
     where = f"--crop {text}"
-    words = text.split(",")
-    if len(words) != 4:
-        raise UsageError(f"{len(words)} values where 4 belong", where=where, fix=CROP_FORM)
-    x_min, y_min, x_max, y_max = read_numbers(words, where, CROP_FORM)
+    x_min, y_min, x_max, y_max = read_list(text, 4, where, CROP_FORM)
     if not (x_min < x_max and y_min < y_max):
         raise UsageError("the box is empty", where=where, fix=CROP_FORM)
     return x_min, y_min, x_max, y_max

@@ -10,6 +10,7 @@ import click
 from occmap.cli.console import Console, Verbosity
 from occmap.errors import UsageError
 from occmap.types import Pose, PoseSample
+from occmap.wording import count
 
 POSE_FORM = "write x,y,yaw or x,y,yaw,roll,pitch in metres and radians, such as 0.1,0,3.14159"
 TRANSFORM_FORM = "write parent,child,x,y,z,roll,pitch,yaw in metres and radians"
@@ -26,7 +27,8 @@ def parse_sensor_pose(text: str) -> Pose:
     where = f"--sensor-pose {text}"
     words = text.split(",")
     if len(words) not in (3, 5):
-        raise UsageError(f"{len(words)} values where 3 or 5 belong", where=where, fix=POSE_FORM)
+        found = f"{count(len(words), 'value')} where 3 or 5 belong"
+        raise UsageError(found, where=where, fix=POSE_FORM)
     x, y, yaw, roll, pitch, *_ = [*read_numbers(words, where, POSE_FORM), 0.0, 0.0]
     return Pose.from_xyzrpy((x, y, 0.0), (roll, pitch, yaw))
 
@@ -56,28 +58,29 @@ def parse_share(text: str) -> float:
     UsageError
         It is no number from 0 to 1.
     """
-    form = "write a share such as 0.05 or 5%"
-    (number,) = read_numbers([text.removesuffix("%")], text, form)
+    where, form = f"--fail-above {text}", "write a share such as 0.05 or 5%"
+    (number,) = read_numbers([text.removesuffix("%")], where, form)
     share = number / 100 if text.endswith("%") else number
     if not 0 <= share <= 1:
-        raise UsageError("is no share of a whole", where=text, fix=form)
+        raise UsageError("is no share of a whole", where=where, fix=form)
     return share
 
 
 def parse_sector(text: str) -> tuple[float, float]:
     """Read two bearings; raises UsageError where there are not two numbers."""
-    start, end = read_list(text, 2, "write FROM,TO in radians, counter-clockwise, such as 2.5,-2.5")
+    form = "write FROM,TO in radians, counter-clockwise, such as 2.5,-2.5"
+    start, end = read_list(text, 2, f"--ignore-sector {text}", form)
     return start, end
 
 
 def parse_box(text: str) -> tuple[float, float, float, float]:
     """Read the lowest and the highest x and y; raises UsageError where that is no box."""
     form = "write x_min,y_min,x_max,y_max in metres, such as -0.4,-0.3,0.2,0.3"
-    x_min, y_min, x_max, y_max = read_list(text, 4, form)
+    x_min, y_min, x_max, y_max = read_list(text, 4, f"--footprint {text}", form)
     return x_min, y_min, x_max, y_max
 
 
-def read_list(text: str, size: int, form: str) -> list[float]:
+def read_list(text: str, size: int, where: str, form: str) -> list[float]:
     """Read so many numbers with commas between.
 
     Raises
@@ -87,8 +90,9 @@ def read_list(text: str, size: int, form: str) -> list[float]:
     """
     words = text.split(",")
     if len(words) != size:
-        raise UsageError(f"{len(words)} values where {size} belong", where=text, fix=form)
-    return read_numbers(words, text, form)
+        found = f"{count(len(words), 'value')} where {size} belong"
+        raise UsageError(found, where=where, fix=form)
+    return read_numbers(words, where, form)
 
 
 def read_numbers(words: list[str], where: str, form: str) -> list[float]:

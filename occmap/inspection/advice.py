@@ -7,6 +7,7 @@ from pathlib import Path
 from occmap.inspection.findings import LogFindings, ScanFindings
 from occmap.inspection.flags import list_given, list_repeatable
 from occmap.pipeline import BuildOptions
+from occmap.wording import count
 
 TILTED_RAD = math.radians(3)
 """A tilted scan plane meets the floor: at three degrees, 30 cm above it, within six metres."""
@@ -71,7 +72,7 @@ def _warn_mount(topic: ScanFindings) -> list[str]:
 def _warn_poses(topic: ScanFindings) -> list[str]:
     lost = topic.poses.dropped
     if topic.poses.posed and sum(lost.values()) > SHARE_OF_NOTE * topic.scans:
-        reasons = ", ".join(f"{count} {reason}" for reason, count in lost.items())
+        reasons = ", ".join(f"{scans} {reason}" for reason, scans in lost.items())
         return [f"scans without a pose: {reasons}"]
     return []
 
@@ -84,7 +85,7 @@ def _warn_times(topic: ScanFindings) -> list[str]:
     if times.all_equal:
         found.append("all stamps are equal")
     if times.jumps_back:
-        found.append(f"stamps jump back {times.jumps_back} times")
+        found.append(f"stamps jump back {count(times.jumps_back, 'time')}")
     if abs(times.drift_s) > DRIFT_S:
         found.append(f"stamps drift by {times.drift_s:.3g} s against the record times")
     return found

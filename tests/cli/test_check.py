@@ -10,6 +10,7 @@ from occmap.cli import run
 from occmap.cli.values import parse_sensor_pose, parse_transform
 from occmap.inspection.flags import format_mount, format_static
 from tests.inspection_logs import SCANS, Drive, write_bag, write_csv
+from tests.samples import write_csv as write_planar
 
 Capture = pytest.CaptureFixture[str]
 
@@ -99,3 +100,13 @@ def test_the_robot_and_the_reading_come_back_as_flags(tmp_path: Path, capsys: Ca
 def test_values_that_make_no_sense_are_usage_errors(words: list[str], capsys: Capture) -> None:
     assert run(["check", "x.bag", *words]) == 2
     assert capsys.readouterr().err.startswith("error: ")
+
+
+def test_one_of_a_thing_is_in_the_singular(tmp_path: Path, capsys: Capture) -> None:
+    assert run(["check", str(write_bag(tmp_path / "room.bag", Drive(), mount=[(0.0, 0.0)]))]) == 0
+    assert "1 transform that never changes" in capsys.readouterr().out
+    log = write_planar(tmp_path / "one.csv", [(0.0, 0.0, 0.0)], [1.0])
+    assert run(["check", str(log)]) == 0
+    out = capsys.readouterr().out
+    assert "  shape   1 beam over 0 deg" in out
+    assert "  poses   1 of 1 scan, stated" in out

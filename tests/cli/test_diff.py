@@ -30,9 +30,9 @@ def test_the_text_says_what_changed() -> None:
     result = occmap("diff", "a.pgm", "b.yaml")
     assert (result.code, result.err) == (0, "")
     assert result.out.splitlines() == [
-        "changed  1 cells, 20.000% of 5 known cells",
+        "changed  1 cell, 20.000% of 5 known cells",
         "         1 free to occupied",
-        "largest  1 connected cells, x 0.05 to 0.1, y 0 to 0.05",
+        "largest  1 connected cell, x 0.05 to 0.1, y 0 to 0.05",
     ]
 
 
@@ -60,7 +60,7 @@ def test_the_picture_is_painted() -> None:
 def test_the_limit_is_held(limit: str, code: int) -> None:
     result = occmap("diff", "a.pgm", "b.pgm", "--fail-above", limit, "-o", "d.png")
     assert result.code == code
-    assert "changed  1 cells" in result.out
+    assert "changed  1 cell," in result.out
     assert Path("d.png").exists()
     assert ("changed is 20%, and --fail-above says > " in result.err) == (limit == "19.9%")
     assert bool(result.err) == (code == 3)

@@ -1,8 +1,16 @@
 import math
+from collections.abc import Callable
 
 import pytest
 
-from occmap.cli.values import parse_sensor_pose, parse_transform
+from occmap.cli.render import parse_crop
+from occmap.cli.values import (
+    parse_box,
+    parse_sector,
+    parse_sensor_pose,
+    parse_share,
+    parse_transform,
+)
 from occmap.errors import UsageError
 from occmap.types import Pose
 
@@ -24,18 +32,37 @@ def test_a_sensor_pose_upside_down() -> None:
     [
         ("0,0", "2 values where 3 or 5 belong"),
         ("0,0,0,0", "4 values where 3 or 5 belong"),
-        ("", "1 values where 3 or 5 belong"),
+        ("", "1 value where 3 or 5 belong"),
         ("0,0,pi", "'pi' is not a number"),
         ("0,,0", "'' is not a number"),
         ("0,nan,0", "'nan' is not a number"),
         ("inf,0,0", "'inf' is not a number"),
-        ("0;0;0", "1 values where 3 or 5 belong"),
+        ("0;0;0", "1 value where 3 or 5 belong"),
     ],
 )
 def test_a_wrong_sensor_pose_says_what_to_write(text: str, found: str) -> None:
     with pytest.raises(UsageError, match=found) as caught:
         parse_sensor_pose(text)
     assert "write x,y,yaw or x,y,yaw,roll,pitch in metres" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("parse", "text", "found"),
+    [
+        (parse_sector, "1", "--ignore-sector 1: 1 value where 2 belong; write FROM,TO in radians"),
+        (parse_sector, "1,one", "--ignore-sector 1,one: 'one' is not a number"),
+        (parse_box, "1,2,3", "--footprint 1,2,3: 3 values where 4 belong; write x_min,y_min"),
+        (parse_share, "lots", "--fail-above lots: 'lots' is not a number; write a share such as"),
+        (parse_share, "5", "--fail-above 5: is no share of a whole; write a share such as 0.05"),
+        (parse_crop, "1", "--crop 1: 1 value where 4 belong; write x_min"),
+    ],
+)
+def test_a_refused_value_names_its_option(
+    parse: Callable[[str], object], text: str, found: str
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        parse(text)
+    assert str(caught.value).startswith(found)
 
 
 def test_a_transform() -> None:

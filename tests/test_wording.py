@@ -1,0 +1,13 @@
+"""One of a thing is written in the singular."""
+
+import pytest
+
+from occmap.wording import count
+
+
+@pytest.mark.parametrize(
+    ("number", "text"),
+    [(0, "0 beams"), (1, "1 beam"), (2, "2 beams"), (1234567, "1,234,567 beams")],
+)
+def test_things_are_counted(number: int, text: str) -> None:
+    assert count(number, "beam") == text
