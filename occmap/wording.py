@@ -2,5 +2,6 @@
 
 
 def count(number: int, noun: str) -> str:
-    """Write how many there are: 1 beam, 2,000 beams."""
-    return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"
+    """Write how many there are: 1 beam, 2,000 beams, 2 misses."""
+    ending = "" if number == 1 else "es" if noun.endswith("s") else "s"
+    return f"{number:,} {noun}{ending}"

@@ -11,3 +11,7 @@ from occmap.wording import count
 )
 def test_things_are_counted(number: int, text: str) -> None:
     assert count(number, "beam") == text
+
+
+def test_a_noun_in_s_gets_es() -> None:
+    assert [count(number, "miss") for number in (0, 1, 2)] == ["0 misses", "1 miss", "2 misses"]

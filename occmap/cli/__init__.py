@@ -20,6 +20,7 @@ COMMANDS = {
     "check": "Say what is in logs, and what will go wrong with them.",
     "diff": "Say what changed between two maps, and fail above a limit.",
     "compare": "Say which update and sensor model suits logs best.",
+    "explain": "Say what was seen at a point of saved evidence, and by which scans.",
     "merge": "Add saved evidence, or take some of it away, exactly.",
     "models": "List the sensor models that are installed.",
     "readers": "List the log formats that can be read.",

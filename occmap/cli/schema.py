@@ -12,6 +12,7 @@ SCHEMAS = {
     "check": "check",
     "compare": "compare",
     "diff": "diff",
+    "explain": "explain",
     "merge": "build",
     "models": "models",
     "readers": "readers",

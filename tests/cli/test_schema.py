@@ -53,6 +53,8 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "notes.txt").write_text("hello\n")
     for name in ("a", "b"):
         assert occmap("build", folder / f"{name}.csv", "-o", folder / f"{name}.npz").code == 0
+    words = ["build", folder / "a.csv", "-o", folder / "q.npz", "--model", "quadratic"]
+    assert occmap(*words).code == 0
     return folder
 
 
@@ -114,6 +116,9 @@ def test_numbers_have_units(name: str) -> None:
         "compare b.csv --model simple:p_hit=0.8 --update beam",
         "diff a.npz b.npz -o d.png",
         "diff a.npz a.npz",
+        "explain a.npz 0.3 0",
+        "explain q.npz 0.3 0 --log a.csv",
+        "explain b.npz -90 -1e3 --log b.csv --model counting",
         "models",
         "readers",
         "writers",

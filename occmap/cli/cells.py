@@ -1,0 +1,143 @@
+"""An explanation as text: aligned lines for people; programs read the JSON."""
+
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from occmap.cli.summary import LABEL
+from occmap.explanation import Explanation, describe_numbers
+from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
+from occmap.sightings import Numbers, Sighting, add_up
+from occmap.wording import count
+
+MOST_SCANS = 12
+"""More are cut out of the middle of the list"""
+DATES_S = range(631_152_000, 4_102_444_800)
+"""1990 to 2100: such stamps are dates; others count from the start of something"""
+
+Row = tuple[str, ...]
+
+
+def format_explanation(explanation: Explanation) -> str:
+    """Write all that was found."""
+    lines = [*list_cell(explanation)]
+    if explanation.question.logs:
+        lines += list_scans(explanation)
+    return "\n".join(f"{name:<{LABEL}}{text}".rstrip() for name, text in lines)
+
+
+def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
+    """Say where the cell is, what it is, and what is beside it."""
+    history = explanation.history
+    place = f"row {history.row}, column {history.col}"
+    yield "cell", f"{place}: {format_extent(history.extent)}"
+    if history.observed:
+        by = f"probability {explanation.probability:.3f} by {explanation.model}"
+        yield "class", f"{explanation.verdict}: {by}"
+        yield "seen", describe_numbers((history.first, history.second), history.kind)
+    else:
+        yield "class", "unknown: nothing observed this cell"
+    if explanation.extent:
+        low_x, low_y, high_x, high_y = explanation.extent
+        x, y = explanation.question.x, explanation.question.y
+        if not (low_x <= x < high_x and low_y <= y < high_y):
+            yield "", f"it lies outside of the map: {format_extent(explanation.extent)}"
+    else:
+        yield "", "nor any other: the evidence is empty"
+    if history.around.any():
+        yield from list_around(explanation)
+
+
+def format_extent(extent: tuple[float, float, float, float]) -> str:
+    """Say from where to where a box reaches."""
+    low_x, low_y, high_x, high_y = (f"{value:.6g}" for value in extent)
+    return f"x {low_x} to {high_x} m, y {low_y} to {high_y} m"
+
+
+def list_around(explanation: Explanation) -> Iterator[tuple[str, str]]:
+    """Write the cell and its eight neighbours as they lie on a map, y upwards."""
+    kind = explanation.history.kind
+    names = "log-odds/observations" if kind is EvidenceKind.LOG_ODDS else "hits/misses"
+    rows = explanation.history.around[::-1].tolist()
+    table = [tuple(format_pair((cell[0], cell[1]), kind) for cell in row) for row in rows]
+    yield "around", f"{names} of the cells beside it, y upwards"
+    for line in align(table):
+        yield "", line
+
+
+def format_pair(numbers: Numbers, kind: EvidenceKind) -> str:
+    """Write the two numbers of a cell in as little space as possible."""
+    return "/".join(split_pair(numbers, kind)) if any(numbers) else "-"
+
+
+def split_pair(numbers: Numbers, kind: EvidenceKind) -> Row:
+    """Write the two numbers of a cell."""
+    first, second = numbers
+    if kind is EvidenceKind.LOG_ODDS:
+        return f"{first * LOG_ODDS_UNIT:.2f}", f"{second}"
+    return f"{first}", f"{second}"
+
+
+def list_scans(explanation: Explanation) -> Iterator[tuple[str, str]]:
+    """Sum up the scans that observed the cell, and list the first and the last of them."""
+    scans = explanation.sightings
+    used = f"of {count(explanation.scans_used, 'scan')} used"
+    if not scans:
+        yield "scans", f"none {used} observed the cell"
+        return
+    kind = explanation.history.kind
+    yield "scans", f"{len(scans):,} {used}: {describe_sum(scans, kind)}"
+    yield "", f"from {format_time(scans[0].stamp_ns)} to {format_time(scans[-1].stamp_ns)}"
+    shown = choose_shown(scans)
+    table = [name_columns(kind), *(describe_scan(each, kind) for each in shown)]
+    for index, line in enumerate(align(table)):
+        if index == MOST_SCANS // 2 + 1 and len(shown) < len(scans):
+            yield "", f"... {len(scans) - len(shown):,} more: --json lists all ..."
+        yield "", line
+
+
+def choose_shown(scans: Sequence[Sighting]) -> list[Sighting]:
+    """Choose the first and the last, or all where there are few."""
+    if len(scans) <= MOST_SCANS:
+        return list(scans)
+    return [*scans[: MOST_SCANS // 2], *scans[-MOST_SCANS // 2 :]]
+
+
+def describe_sum(scans: Sequence[Sighting], kind: EvidenceKind) -> str:
+    """Say how many scans spoke for what, and what they add up to."""
+    sums = describe_numbers(add_up(scans), kind)
+    if kind is EvidenceKind.LOG_ODDS:
+        raised = sum(each.numbers[0] > 0 for each in scans)
+        lowered = sum(each.numbers[0] < 0 for each in scans)
+        return f"{raised:,} for occupied, {lowered:,} for free; {sums}"
+    hit, cleared = (sum(each.numbers[part] > 0 for each in scans) for part in (0, 1))
+    return f"{hit:,} hit it, {cleared:,} cleared it; {sums}"
+
+
+def name_columns(kind: EvidenceKind) -> Row:
+    """Write the head of the table of scans."""
+    names = ("log-odds", "obs.") if kind is EvidenceKind.LOG_ODDS else ("hits", "misses")
+    return ("stamp (s)", *names, "sensor at (m)", "away (m)", "from")
+
+
+def describe_scan(scan: Sighting, kind: EvidenceKind) -> Row:
+    """Write what one scan did as a row of that table."""
+    x, y = scan.sensor
+    where = f"{x:.3f}, {y:.3f}", f"{scan.distance:.3f}", f"{Path(scan.log).name} {scan.topic}"
+    return (f"{scan.stamp_ns / 1e9:.3f}", *split_pair(scan.numbers, kind), *where)
+
+
+def format_time(stamp_ns: int) -> str:
+    """Write a stamp in seconds as in the log, and as a date where it is one."""
+    seconds = f"{stamp_ns / 1e9:.3f} s"
+    if stamp_ns // 1_000_000_000 not in DATES_S:
+        return seconds
+    date = datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC)
+    return f"{seconds} ({date:%Y-%m-%d %H:%M:%S} UTC)"
+
+
+def align(table: Sequence[Row]) -> Iterator[str]:
+    """Write rows with their columns under each other, numbers to the right."""
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    for row in table:
+        yield "  ".join(f"{text:>{width}}" for text, width in zip(row, widths, strict=True))

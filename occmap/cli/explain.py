@@ -1,0 +1,90 @@
+"""`occmap explain`: what was seen at a point, and by which scans."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import click
+
+from occmap.cli import COMMANDS, options
+from occmap.cli.cells import format_explanation
+from occmap.cli.collect import take
+from occmap.cli.console import Console
+from occmap.cli.progress import show_progress
+from occmap.cli.saved import choose_model
+from occmap.cli.sections import SectionCommand, join, option
+from occmap.explanation import Question, explain
+from occmap.writers import WriteOptions
+from occmap.writers.npz import read_evidence
+
+HELP = f"""{COMMANDS["explain"]}
+
+X and Y are metres in the map frame. Each --log that the evidence was made of is read as it was
+built, and its scans are listed that hit or cleared the cell; a log is known by its hash, wherever
+it lies now.
+
+\b
+  occmap explain map.npz 1.5 -0.25
+  occmap explain map.npz 1.5 -0.25 --log drive.mcap
+  occmap explain map.npz 1.5 -0.25 --log scans.csv --poses trajectory.txt --json
+"""
+
+NEGATIVE = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+
+
+class PointCommand(SectionCommand):
+    """A command whose arguments may be negative numbers, which look like options."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Put a space before negative numbers: no option begins with one, and a number may."""
+        return super().parse_args(ctx, [f" {a}" if NEGATIVE.fullmatch(a) else a for a in args])
+
+
+logs = option(
+    options.SCANS,
+    "--log",
+    "logs",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    metavar="LOG",
+    help="List the scans of this log that observed the cell. May repeat.",
+)
+poses = option(
+    options.POSES,
+    "--poses",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    metavar="FILE",
+    help="The trajectory that the log was built with. May repeat.",
+)
+
+
+@click.command("explain", cls=PointCommand, help=HELP, short_help=COMMANDS["explain"])
+@click.argument("path", type=click.Path(path_type=Path), metavar="NPZ")
+@click.argument("x", type=float)
+@click.argument("y", type=float)
+@join(logs, poses, options.saved_model, options.thresholds, options.as_json, options.verbosity)
+@click.pass_obj
+def command(console: Console, /, path: Path, **values: Any) -> None:
+    """Look at a cell, and print what was found."""
+    evidence = read_evidence(path)
+    question = take(Question, values | collect_view(evidence, values))
+    with show_progress(console) as progress:
+        explanation = explain(evidence, question, progress)
+    for note in explanation.notes:
+        console.note(note)
+    if values["as_json"]:
+        console.put_json("explain", explanation.to_json())
+    else:
+        console.put(format_explanation(explanation))
+
+
+def collect_view(evidence: Any, values: dict[str, Any]) -> dict[str, Any]:
+    """Gather what a cell is to be judged by.
+
+    Raises
+    ------
+    UsageError
+        A value is out of its range, or does not fit another.
+    """
+    return {"model": choose_model(evidence, values), "writing": take(WriteOptions, values)}

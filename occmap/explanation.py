@@ -1,0 +1,191 @@
+"""Why a cell is what it is: what evidence holds of it, and which scans made it so."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from occmap.errors import UsageError
+from occmap.evidence import refuse_other_profile, to_grid, weigh
+from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
+from occmap.history import CellHistory, look_at
+from occmap.pipeline import Progress, ignore_progress
+from occmap.provenance import Use, find_uses, list_missing, shorten
+from occmap.sensor.models import SensorModel, describe_model, parse_model
+from occmap.sightings import Numbers, Sighting, add_up, find_sightings
+from occmap.types import Evidence, OccupancyMap, to_log_odds
+from occmap.wording import count
+from occmap.writers import WriteOptions
+
+
+@dataclass(frozen=True)
+class Question:
+    """What a user wants to know about a map."""
+
+    x: float
+    y: float
+    """A point in the map frame (m)"""
+    logs: tuple[Path, ...] = ()
+    """Whose scans to look for; none: what the evidence alone says"""
+    poses: tuple[Path, ...] = ()
+    """The trajectory files of the builds that had one"""
+    model: SensorModel | None = None
+    """None: the one that the evidence was built with"""
+    writing: WriteOptions = field(default_factory=WriteOptions)
+    """For its thresholds"""
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """What was found out about a cell."""
+
+    question: Question
+    history: CellHistory
+    model: str
+    cell: OccupancyMap
+    """Of this one cell"""
+    extent: tuple[float, float, float, float] | None
+    """Of all observed cells: lowest x and y, highest x and y (m); None: there are none"""
+    scans_used: int = 0
+    """Scans of the logs that were looked through: those that their builds used"""
+    sightings: tuple[Sighting, ...] = ()
+    """By time; those scans of the logs that observed the cell"""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def probability(self) -> float:
+        """Of being occupied."""
+        return float(self.cell.probability[0, 0])
+
+    @property
+    def verdict(self) -> str:
+        """Occupied, free, undecided, or unknown."""
+        if not self.history.observed:
+            return "unknown"
+        if self.cell.is_occupied(self.question.writing.occupied_thresh).all():
+            return "occupied"
+        is_free = self.cell.is_free(self.question.writing.free_thresh).all()
+        return "free" if is_free else "undecided"
+
+    def to_json(self) -> dict[str, Any]:
+        """The explanation as values that JSON has."""
+        history, kind = self.history, self.history.kind
+        rows = history.around.tolist()
+        around = [[numbers_to_json((a, b), kind) for a, b in row] for row in rows]
+        return {
+            "point": [self.question.x, self.question.y],
+            "cell": {"row": history.row, "column": history.col, "extent": list(history.extent)},
+            "map_extent": self.extent and list(self.extent),
+            "class": self.verdict,
+            "probability": self.probability,
+            "model": self.model,
+            "seen": numbers_to_json((history.first, history.second), kind),
+            "around": around[::-1],
+            "scans_used": self.scans_used,
+            "scans": [sighting_to_json(each, kind) for each in self.sightings],
+            "notes": list(self.notes),
+        }
+
+
+def explain(
+    evidence: Evidence, question: Question, progress: Progress = ignore_progress
+) -> Explanation:
+    """Say what was observed at a point, and by which scans of the logs that the user has.
+
+    Raises
+    ------
+    OccmapError
+        The point is in no map, the model cannot read the evidence, a log cannot be read or is none
+        that the evidence was made of, or a trajectory is missing.
+    """
+    model = question.model or parse_model(evidence.manifest.model)
+    refuse_other_profile(evidence, model)
+    if question.poses and not question.logs:
+        raise UsageError("--poses goes with a log", fix="add --log LOG, or leave it out")
+    history = look_at(evidence, question.x, question.y)
+    uses = find_uses(evidence, question.logs, question.poses)
+    sightings, scans_used = find_sightings(uses, history, progress)
+    return Explanation(
+        question,
+        history,
+        describe_model(model),
+        judge_cell(history, model),
+        measure_extent(evidence),
+        scans_used,
+        tuple(sorted(sightings, key=lambda each: each.stamp_ns)),
+        tuple(list_notes(evidence, history, uses, sightings)) if uses else (),
+    )
+
+
+def judge_cell(history: CellHistory, model: SensorModel) -> OccupancyMap:
+    """Make a map of the one cell."""
+    log_odds = np.array([[to_log_odds(model.prior)]], np.float32)
+    if history.observed:
+        numbers = np.array([[history.first]]), np.array([[history.second]])
+        log_odds = weigh(model)(*numbers).astype(np.float32)
+    low_x, low_y, high_x, _ = history.extent
+    return OccupancyMap(log_odds, np.array([[history.observed]]), high_x - low_x, (low_x, low_y))
+
+
+def measure_extent(evidence: Evidence) -> tuple[float, float, float, float] | None:
+    """Lowest x and y, highest x and y of the observed cells (m); None where there are none."""
+    grid = to_grid(evidence)
+    if not grid.tiles:
+        return None
+    box = grid.find_bounds()
+    low_x, low_y, high_x, high_y = map(
+        grid.lattice.to_metres, (box.col, box.row, box.col_end, box.row_end)
+    )
+    return low_x, low_y, high_x, high_y
+
+
+def list_notes(
+    evidence: Evidence, history: CellHistory, uses: Sequence[Use], sightings: Sequence[Sighting]
+) -> Iterator[str]:
+    """Say what is not explained by the scans that were found."""
+    found, held = add_up(sightings), (history.first, history.second)
+    if found == held:
+        return
+    sums = f"{describe_numbers(found, history.kind)} of {describe_numbers(held, history.kind)}"
+    missing = list_missing(evidence, uses)
+    if missing:
+        yield f"these logs explain {sums}; the rest is in {shorten(missing)}"
+    elif evidence.manifest.subtracted:
+        yield f"the scans explain {sums}; other evidence was subtracted"
+    else:
+        makers = ", ".join(sorted({build["occmap"] for build in evidence.manifest.builds}))
+        yield f"the scans explain {sums}: the occmap that built it ({makers}) read them otherwise"
+
+
+def describe_numbers(numbers: Numbers, kind: EvidenceKind) -> str:
+    """Spell out the two numbers of a cell."""
+    first, second = numbers
+    if kind is EvidenceKind.LOG_ODDS:
+        return f"log-odds {first * LOG_ODDS_UNIT:.3f} of {count(second, 'observation')}"
+    return f"{count(first, 'hit')} and {count(second, 'miss')}"
+
+
+def numbers_to_json(numbers: Numbers, kind: EvidenceKind) -> dict[str, Any]:
+    """The two numbers of a cell by name; None for what evidence of this kind does not hold."""
+    first, second = numbers
+    if kind is EvidenceKind.LOG_ODDS:
+        odds = {"log_odds": first * LOG_ODDS_UNIT, "observations": second}
+        return {"hits": None, "misses": None, **odds}
+    return {"hits": first, "misses": second, "log_odds": None, "observations": first + second}
+
+
+def sighting_to_json(sighting: Sighting, kind: EvidenceKind) -> dict[str, Any]:
+    """One scan as values that JSON has."""
+    x, y = sighting.sensor
+    return {
+        "stamp_ns": sighting.stamp_ns,
+        "log": sighting.log,
+        "build": sighting.build,
+        "topic": sighting.topic,
+        "seen": numbers_to_json(sighting.numbers, kind),
+        "x": x,
+        "y": y,
+        "distance": sighting.distance,
+    }

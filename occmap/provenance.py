@@ -1,0 +1,169 @@
+"""Which builds of evidence a log went into: found by its hash, not its name."""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from occmap.errors import LogError, UsageError
+from occmap.manifest import describe_files
+from occmap.pipeline import BuildOptions
+from occmap.recall import recall_options
+from occmap.types import Evidence
+
+MOST_NAMES = 5
+Build = dict[str, Any]
+"""An entry of `Manifest.builds`"""
+
+
+@dataclass(frozen=True)
+class Use:
+    """A log, and how a build used it."""
+
+    log: Path
+    build: int
+    """Which of `Manifest.builds`"""
+    options: BuildOptions
+
+
+def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Sequence[Path]) -> list[Use]:
+    """Find every build that used a log; one that used it twice is found twice.
+
+    Parameters
+    ----------
+    poses
+        The trajectory files of the builds that had one, in any order.
+
+    Raises
+    ------
+    LogError
+        The evidence was not made of a log, or a file cannot be read.
+    UsageError
+        A trajectory is missing, or none of these builds had it.
+    """
+    given = {digest: path for path in poses for digest in hash_files(path)}
+    uses: list[Use] = []
+    wanted: set[str] = set()
+    for log in dict.fromkeys(logs):
+        hashes = hash_files(log)
+        counts = [count_uses(hashes, build) for build in evidence.manifest.builds]
+        if not any(counts):
+            refuse_stranger(evidence, log)
+        for index, times in enumerate(counts):
+            if times:
+                build = evidence.manifest.builds[index]
+                options = recall_options(build["options"], evidence.where)
+                trajectory = find_trajectory(build)
+                if trajectory:
+                    wanted.add(trajectory["sha256"])
+                    options = follow(options, log, trajectory, given)
+                uses += [Use(log, index, options)] * times
+    refuse_idle([path for digest, path in given.items() if digest not in wanted])
+    return uses
+
+
+def hash_files(path: Path) -> Counter[str]:
+    """SHA-256 of a file, or of all files in a folder, with how many have it.
+
+    Raises
+    ------
+    LogError
+        A file cannot be read.
+    """
+    return Counter(str(entry["sha256"]) for entry in describe_files(path))
+
+
+def count_uses(hashes: Counter[str], build: Build) -> int:
+    """How many times a build read the log that has these hashes."""
+    held = Counter(entry["sha256"] for entry in list_inputs(build))
+    return min((held[digest] // count for digest, count in hashes.items()), default=0)
+
+
+def find_trajectory(build: Build) -> dict[str, Any] | None:
+    """Find the entry of the trajectory file: the last input, where poses are of its name."""
+    last: dict[str, Any] = build["inputs"][-1]
+    return last if last["name"] == build["options"]["posing"]["poses"] else None
+
+
+def list_inputs(build: Build) -> list[dict[str, Any]]:
+    """List the entries of a build's logs, without its trajectory."""
+    return list(build["inputs"][:-1] if find_trajectory(build) else build["inputs"])
+
+
+def list_logs(build: Build) -> list[str]:
+    """Name the logs of a build: the files, and the folders that were read as one log."""
+    return list(dict.fromkeys(entry["name"].partition("/")[0] for entry in list_inputs(build)))
+
+
+def list_missing(evidence: Evidence, uses: Sequence[Use]) -> list[str]:
+    """Name the logs that went into the evidence, and that no use reads."""
+    held = Counter(
+        (index, entry["sha256"], entry["name"].partition("/")[0])
+        for index, build in enumerate(evidence.manifest.builds)
+        for entry in list_inputs(build)
+    )
+    read = {(use.build, digest) for use in uses for digest in hash_files(use.log)}
+    return list(dict.fromkeys(name for index, digest, name in held if (index, digest) not in read))
+
+
+def follow(
+    options: BuildOptions, log: Path, trajectory: dict[str, Any], given: dict[str, Path]
+) -> BuildOptions:
+    """Take the poses from the trajectory that the build had.
+
+    Raises
+    ------
+    UsageError
+        It is not among those given.
+    """
+    path = given.get(trajectory["sha256"])
+    if path is None:
+        others = ", ".join(map(str, given.values()))
+        differs = f" (the SHA-256 of {others} is another)" if others else ""
+        raise UsageError(
+            f"its poses came from {trajectory['name']}, which is needed again{differs}",
+            where=log,
+            fix=f"add --poses {trajectory['name']}",
+        )
+    return replace(options, posing=replace(options.posing, poses=str(path)))
+
+
+def refuse_stranger(evidence: Evidence, log: Path) -> None:
+    """Refuse a log that the evidence was not made of.
+
+    Raises
+    ------
+    LogError
+        Saying whether it was changed, and what the evidence was made of.
+    """
+    names = list(dict.fromkeys(n for build in evidence.manifest.builds for n in list_logs(build)))
+    if log.resolve().name in names:
+        found = f"is not the {log.resolve().name} that {evidence.where} was made of: it was changed"
+        raise LogError(found, where=log, fix="give the log as it was, or build the evidence again")
+    raise LogError(
+        f"{evidence.where} was not made of it",
+        where=log,
+        fix=f"it was made of {shorten(names)}: give --log with one of these",
+    )
+
+
+def refuse_idle(poses: Sequence[Path]) -> None:
+    """Refuse a trajectory that nothing would be done with.
+
+    Raises
+    ------
+    UsageError
+        Naming it.
+    """
+    if poses:
+        raise UsageError(
+            "is no trajectory that these logs were built with", where=poses[0], fix="leave it out"
+        )
+
+
+def shorten(names: Sequence[str]) -> str:
+    """List the first few names, and how many more there are."""
+    more = len(names) - MOST_NAMES
+    rest = f" and {more} more" if more > 0 else ""
+    return f"{', '.join(names[:MOST_NAMES]) or 'no log'}{rest}"

@@ -1,0 +1,111 @@
+"""Which scans hit a cell or cleared it: each traced once more, as its build traced it."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from occmap.batching import Batcher
+from occmap.history import CellHistory
+from occmap.pipeline import Progress, choose_topics, count_scans, make_engine, make_poser
+from occmap.posing.options import Stamps
+from occmap.provenance import Use
+from occmap.readers import Log, open_log
+from occmap.sensor.returns import interpret
+from occmap.types import Int64, PosedScans
+
+Numbers = tuple[int, int]
+"""Hits and misses, or log-odds in units of 1/65536 and observations."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """What one scan did to the cell."""
+
+    stamp_ns: int
+    log: str
+    build: int
+    """Which of `Manifest.builds`"""
+    topic: str
+    numbers: Numbers
+    """That it added to the cell's"""
+    sensor: tuple[float, float]
+    """Where it was, x and y (m)"""
+    distance: float
+    """From there to the middle of the cell (m)"""
+
+
+class Look(NamedTuple):
+    """What came of one batch of scans."""
+
+    found: list[Sighting]
+    used: int
+    """Scans of it that have a pose: all that a build uses"""
+    read: int
+
+
+def find_sightings(
+    uses: Sequence[Use], history: CellHistory, progress: Progress
+) -> tuple[list[Sighting], int]:
+    """Trace all scans of the logs once more, and see what each does to the cell.
+
+    Returns
+    -------
+    sightings, used
+        In the order of the logs; and how many scans the builds made of these logs.
+    """
+    opened = [(use, open_log(use.log, use.options.reading)) for use in uses]
+    total = sum(count_scans(log, use.options.selection.topics) for use, log in opened)
+    sightings: list[Sighting] = []
+    used = 0
+    for look in (look for use, log in opened for look in look_through(use, log, history)):
+        sightings += look.found
+        used += look.used
+        progress(look.read, total)
+    return sightings, used
+
+
+def look_through(use: Use, log: Log, history: CellHistory) -> Iterator[Look]:
+    """Read, pose, interpret and trace the scans of a log, batch by batch."""
+    from occmap.grid.probe import CellProbe  # noqa: PLC0415  late: it brings numba
+
+    options = use.options
+    probe = CellProbe(make_engine(options).what, history.row, history.col)
+    topics = choose_topics(log, options.selection.topics)
+    poser = make_poser(log, topics, options.posing)
+    batcher = Batcher(options.selection, by_record_time=options.posing.stamps is Stamps.RECORD)
+    for batch in batcher.stack(log.scans(topics)):
+        posed, _ = poser.attach(batch)
+        if posed is None:
+            yield Look([], 0, len(batch.stamp_ns))
+            continue
+        rays, _ = interpret(posed, options.returns)
+        found = list(list_sightings(use, posed, probe.look(rays), history))
+        yield Look(found, len(rays.kind), len(batch.stamp_ns))
+
+
+def list_sightings(
+    use: Use, posed: PosedScans, numbers: Int64, history: CellHistory
+) -> Iterator[Sighting]:
+    """List the scans of a batch that added something (S, 2) to the cell."""
+    low_x, low_y, high_x, high_y = history.extent
+    middle = np.array([low_x + high_x, low_y + high_y]) / 2
+    for scan in np.flatnonzero(numbers.any(axis=1)):
+        place = posed.position[scan].reshape(-1, 3)  # one, or one a beam
+        sensor = place[len(place) // 2, :2]
+        yield Sighting(
+            int(posed.batch.stamp_ns[scan]),
+            str(use.log),
+            use.build,
+            posed.batch.topic,
+            numbers=(int(numbers[scan, 0]), int(numbers[scan, 1])),
+            sensor=(float(sensor[0]), float(sensor[1])),
+            distance=float(np.hypot(*(sensor - middle))),
+        )
+
+
+def add_up(sightings: Sequence[Sighting]) -> Numbers:
+    """Sum up what scans added to the cell."""
+    first, second = (sum(each.numbers[part] for each in sightings) for part in (0, 1))
+    return first, second

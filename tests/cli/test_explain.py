@@ -1,0 +1,155 @@
+"""`occmap explain` as a user types it."""
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from occmap.cli.cells import format_time
+from tests.cli.runner import occmap, read_error
+from tests.samples import write_csv
+
+ACROSS = [(0.05, 0.05, 0.0), (0.65, 0.05, math.pi), (0.25, 0.05, 0.0)]
+"""With a beam of 0.32 m: two that hit the cell at (0.35, 0.05), and one that crosses it"""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Work in a folder with two logs, evidence of the first, and the same as log-odds."""
+    monkeypatch.chdir(tmp_path)
+    write_csv(tmp_path / "a.csv", ACROSS, [0.32])
+    write_csv(tmp_path / "b.csv", [(-1.95, -0.55, 0.0)], [0.32])
+    for log, name, model in (("a", "a", "simple"), ("b", "b", "simple"), ("a", "q", "quadratic")):
+        words = ["--resolution", "0.1", "--model", model, "-o", f"{name}.npz"]
+        assert occmap("build", f"{log}.csv", *words).code == 0
+    return tmp_path
+
+
+def test_a_cell_in_lines() -> None:
+    result = occmap("explain", "a.npz", "0.37", "0.05")
+    assert (result.code, result.err) == (0, "")
+    assert result.out.splitlines() == [
+        "cell     row 0, column 3: x 0.3 to 0.4 m, y 0 to 0.1 m",
+        "class    occupied: probability 0.784 by simple:p_hit=0.7,p_miss=0.4,prior=0.5",
+        "seen     2 hits and 1 miss",
+        "around   hits/misses of the cells beside it, y upwards",
+        "           -    -    -",
+        "         0/2  2/1  0/2",
+        "           -    -    -",
+    ]
+
+
+def test_scans_in_lines() -> None:
+    result = occmap("explain", "a.npz", "0.37", "0.05", "--log", "a.csv")
+    assert (result.code, result.err) == (0, "")
+    assert result.out.splitlines()[7:] == [
+        "scans    3 of 3 scans used: 2 hit it, 1 cleared it; 2 hits and 1 miss",
+        "         from 0.000 s to 2.000 s",
+        "         stamp (s)  hits  misses  sensor at (m)  away (m)        from",
+        "             0.000     1       0   0.050, 0.050     0.300  a.csv scan",
+        "             1.000     1       0   0.650, 0.050     0.300  a.csv scan",
+        "             2.000     0       1   0.250, 0.050     0.100  a.csv scan",
+    ]
+
+
+def test_log_odds_in_lines() -> None:
+    lines = occmap("explain", "q.npz", "0.37", "0.05", "--log", "a.csv").out.splitlines()
+    assert (
+        lines[2] == "seen     log-odds 0.405 of 3 observations"
+    )  # logit(0.6), twice up, once down
+    assert lines[7] == (
+        "scans    3 of 3 scans used: 2 for occupied, 1 for free; log-odds 0.405 of 3 observations"
+    )
+    assert lines[9].startswith("         stamp (s)  log-odds  obs.  sensor at (m)")
+    assert [line.split()[1] for line in lines[10:]] == ["0.41", "0.41", "-0.41"]
+
+
+def test_coordinates_may_be_negative() -> None:
+    for words in (["-1.65", "-.55"], ["-1.65e0", "-0.55"], ["--", "-1.65", "-0.55"]):
+        found = json.loads(occmap("explain", "--json", "b.npz", *words).out)
+        assert found["cell"]["row"], found["cell"]["column"] == (-6, -17)
+        assert found["seen"]["hits"] == 1
+    assert occmap("explain", "b.npz", "-1.65", "-0.55", "--prior", "0.4", "-q").code == 0
+
+
+def test_a_cell_that_nothing_observed() -> None:
+    inside = occmap("explain", "a.npz", "0.05", "0.15", "--log", "a.csv").out.splitlines()
+    assert inside[1] == "class    unknown: nothing observed this cell"
+    assert inside[2] == "         it lies outside of the map: x 0 to 0.7 m, y 0 to 0.1 m"
+    assert inside[-1] == "scans    none of 3 scans used observed the cell"
+    far = occmap("explain", "a.npz", "-70", "0").out.splitlines()
+    assert far[1:] == inside[1:3]
+
+
+def test_evidence_that_is_empty() -> None:
+    assert occmap("merge", "a.npz", "--subtract", "a.npz", "-o", "none.npz").code == 1
+    # No map can be made of nothing, so no such file is written.
+    assert not Path("none.npz").exists()
+
+
+def test_a_long_list_is_cut_and_json_is_not() -> None:
+    write_csv(Path("long.csv"), ACROSS[:1] * 50, [0.32])
+    assert occmap("build", "long.csv", "-o", "long.npz", "--resolution", "0.1").code == 0
+    words = ["explain", "long.npz", "0.37", "0.05", "--log", "long.csv"]
+    lines = occmap(*words).out.splitlines()
+    stamps = [line.split()[0] for line in lines[10:]]
+    assert stamps == [*(f"{s}.000" for s in range(6)), "...", *(f"{s}.000" for s in range(44, 50))]
+    assert lines[16] == "         ... 38 more: --json lists all ..."
+    found = json.loads(occmap(*words, "--json").out)
+    assert [scan["stamp_ns"] for scan in found["scans"]] == [s * 10**9 for s in range(50)]
+
+
+def test_another_model_and_other_thresholds() -> None:
+    words = ["explain", "a.npz", "0.37", "0.05"]
+    assert "probability 0.600 by counting:prior=0.5" in occmap(*words, "--model", "counting").out
+    assert "class    undecided: " in occmap(*words, "--occupied-thresh", "0.8").out
+    assert "p_hit=0.6" in occmap(*words, "--p-hit", "0.6").out
+
+
+def test_what_is_not_explained_is_noted() -> None:
+    assert occmap("merge", "a.npz", "b.npz", "-o", "ab.npz").code == 0
+    result = occmap("explain", "ab.npz", "-1.65", "-0.55", "--log", "a.csv")
+    assert result.err == (
+        "note: these logs explain 0 hits and 0 misses of 1 hit and 0 misses; the rest is in b.csv\n"
+    )
+    both = occmap("explain", "ab.npz", "-1.65", "-0.55", "--log", "a.csv", "--log", "b.csv")
+    assert both.err == ""
+
+
+@pytest.mark.parametrize(
+    ("stamp_ns", "text"),
+    [
+        (1_500_000_000, "1.500 s"),
+        (-1_500_000_000, "-1.500 s"),
+        (631_151_999_999_999_999, "631152000.000 s"),
+        (631_152_000_000_000_000, "631152000.000 s (1990-01-01 00:00:00 UTC)"),
+        (1_700_000_000_999_000_000, "1700000000.999 s (2023-11-14 22:13:20 UTC)"),
+        (2**63 - 1, "9223372036.855 s"),
+    ],
+)
+def test_stamps_are_dates_where_they_can_be(stamp_ns: int, text: str) -> None:
+    assert format_time(stamp_ns) == text
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "found"),
+    [
+        (["a.npz", "0", "0", "--log", "b.csv"], 1, "b.csv: a.npz was not made of it; it was made"),
+        (["a.npz", "0", "0", "--log", "c.csv"], 1, "c.csv: cannot be read (No such file"),
+        (["a.npz", "0", "0", "--poses", "b.csv"], 2, "--poses goes with a log; add --log LOG"),
+        (["a.csv", "0", "0"], 1, "a.csv: is no evidence file"),
+        (["c.npz", "0", "0"], 1, "c.npz: no such file"),
+        (["a.npz", "0", "nan"], 2, "the point (0, nan) is in no map; give x and y in metres"),
+        (["a.npz", "-inf", "0"], 2, "No such option '-i'"),
+        (["a.npz", "1e300", "0"], 2, "is in no map"),
+        (["a.npz", "0"], 2, "Missing argument 'Y'"),
+        (["a.npz", "0", "north"], 2, "'north' is not a valid float"),
+        (["a.npz", "0", "0", "--modle", "counting"], 2, "Did you mean '--model'?"),
+        (["a.npz", "0", "0", "--model", "quadratic"], 2, "which quadratic cannot read"),
+        (["q.npz", "0", "0", "--p-min", "0.3"], 2, "no other can read it"),
+        (["a.npz", "0", "0", "--free-thresh", "0.9"], 2, "0 < free < occupied < 1"),
+    ],
+)
+def test_bad_input_is_one_line(words: list[str], code: int, found: str) -> None:
+    assert found in read_error(occmap("explain", *words), code)

@@ -1,0 +1,147 @@
+"""Which builds a log went into: by its hash, wherever it lies and whatever it is called."""
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from occmap.batching import Selection
+from occmap.errors import LogError, UsageError
+from occmap.evidence import merge
+from occmap.pipeline import BuildOptions, build
+from occmap.posing.options import PosingOptions
+from occmap.provenance import Use, find_uses, list_logs, list_missing
+from occmap.types import Evidence
+from occmap.writers.npz import read_evidence
+from tests.samples import SAMPLE_LOGS, write_csv
+
+SELECTED = BuildOptions(selection=Selection(end_s=0.5), jobs=1)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Work in a folder with three logs, of which the third states no poses, and a trajectory."""
+    monkeypatch.chdir(tmp_path)
+    for name, reach in (("a", 0.3), ("b", 0.4)):
+        write_csv(tmp_path / f"{name}.csv", [(0.0, 0.0, 0.0)], [reach])
+    head = "# angle_min: 0\n# angle_increment: 0\nstamp,r0,r1\n"
+    Path("bare.csv").write_text(head + "0.5,0.3,0.3\n")
+    Path("path.txt").write_text("0 0 0 0 0 0 0 1\n1 0.1 0 0 0 0 0 1\n")
+    return tmp_path
+
+
+def save(*logs: str, options: BuildOptions = SELECTED, into: str = "m.npz") -> Evidence:
+    build([Path(log) for log in logs], options, [Path(into)])
+    return read_evidence(Path(into))
+
+
+def name_uses(uses: Sequence[Use]) -> list[tuple[str, int]]:
+    return [(str(use.log), use.build) for use in uses]
+
+
+def find(evidence: Evidence, *logs: str, poses: Sequence[str] = ()) -> list[Use]:
+    return find_uses(evidence, [Path(log) for log in logs], [Path(path) for path in poses])
+
+
+def test_a_log_is_found_with_the_options_of_its_build() -> None:
+    (use,) = find(save("a.csv", "b.csv"), "b.csv")
+    assert use == Use(Path("b.csv"), 0, replace(SELECTED, jobs=use.options.jobs))
+
+
+def test_a_log_that_moved_is_found() -> None:
+    evidence = save("a.csv")
+    shutil.move("a.csv", "other.txt")
+    assert name_uses(find(evidence, "other.txt")) == [("other.txt", 0)]
+
+
+def test_every_build_that_used_a_log_is_found_with_its_own_options() -> None:
+    later = BuildOptions(selection=Selection(start_s=-1.0))
+    evidence = merge([save("b.csv"), save("a.csv", "b.csv"), save("b.csv", options=later)])
+    uses = find(evidence, "b.csv", "a.csv")
+    assert name_uses(uses) == [("b.csv", 0), ("b.csv", 1), ("b.csv", 2), ("a.csv", 1)]
+    assert [use.options.selection.start_s for use in uses[:3]] == [-float("inf")] * 2 + [-1.0]
+
+
+def test_a_log_that_counted_twice_is_found_twice_and_given_twice_once() -> None:
+    evidence = save("a.csv", "a.csv")
+    assert name_uses(find(evidence, "a.csv", "a.csv")) == [("a.csv", 0)] * 2
+
+
+def test_a_folder_is_known_by_its_files(tmp_path: Path) -> None:
+    shutil.copytree(SAMPLE_LOGS / "drive_ros2", tmp_path / "drive")
+    evidence = save("drive", "a.csv")
+    assert list_logs(evidence.manifest.builds[0]) == ["drive", "a.csv"]
+    shutil.move("drive", "elsewhere")
+    assert name_uses(find(evidence, "elsewhere")) == [("elsewhere", 0)]
+    assert list_missing(evidence, find(evidence, "elsewhere")) == ["a.csv"]
+    assert list_missing(evidence, find(evidence, "a.csv")) == ["drive"]
+    Path("elsewhere", "more.txt").write_text("?")
+    with pytest.raises(LogError, match=r"elsewhere: m.npz was not made of it"):
+        find(evidence, "elsewhere")
+
+
+def test_a_strange_log_is_refused_with_what_to_type() -> None:
+    with pytest.raises(LogError) as caught:
+        find(save("a.csv"), "b.csv")
+    assert str(caught.value) == (
+        "b.csv: m.npz was not made of it; it was made of a.csv: give --log with one of these"
+    )
+
+
+def test_a_log_that_was_changed_is_refused_as_such() -> None:
+    evidence = save("a.csv")
+    Path("a.csv").write_text(Path("a.csv").read_text() + "1,0,0,0,0.3\n")
+    with pytest.raises(LogError, match=r"a.csv: is not the a.csv that m.npz was made of: it was c"):
+        find(evidence, "a.csv")
+
+
+def test_a_log_that_is_not_there_is_refused() -> None:
+    with pytest.raises(LogError, match=r"no.csv: cannot be read \(No such file"):
+        find(save("a.csv"), "no.csv")
+
+
+def build_followed() -> Evidence:
+    return save("bare.csv", options=BuildOptions(posing=PosingOptions(poses="path.txt")))
+
+
+def test_a_trajectory_is_found_by_its_hash() -> None:
+    evidence = build_followed()
+    shutil.move("path.txt", "moved.txt")
+    (use,) = find(evidence, "bare.csv", poses=["moved.txt"])
+    assert use.options.posing.poses == "moved.txt"
+    assert list_missing(evidence, [use]) == []
+    assert list_logs(evidence.manifest.builds[0]) == ["bare.csv"]
+
+
+def test_each_build_gets_its_own_trajectory() -> None:
+    first = build_followed()
+    Path("second.txt").write_text("0 1 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n")
+    posing = PosingOptions(poses="second.txt")
+    second = save("bare.csv", options=BuildOptions(posing=posing), into="n.npz")
+    uses = find(merge([first, second]), "bare.csv", poses=["second.txt", "path.txt"])
+    assert [use.options.posing.poses for use in uses] == ["path.txt", "second.txt"]
+
+
+@pytest.mark.parametrize(
+    ("log", "poses", "found"),
+    [
+        ("bare.csv", [], "bare.csv: its poses came from path.txt, which is needed again; add --po"),
+        ("bare.csv", ["a.csv"], "needed again (the SHA-256 of a.csv is another); add --poses path"),
+        ("bare.csv", ["path.txt", "a.csv"], "a.csv: is no trajectory that these logs were built"),
+        ("a.csv", ["path.txt"], "path.txt: is no trajectory that these logs were built with; leav"),
+    ],
+)
+def test_a_trajectory_too_few_or_too_many_is_refused(
+    log: str, poses: list[str], found: str
+) -> None:
+    evidence = merge([build_followed(), save("a.csv", into="n.npz")])
+    with pytest.raises(UsageError) as caught:
+        find(evidence, log, poses=poses)
+    assert found in str(caught.value)
+
+
+def test_a_trajectory_is_no_log() -> None:
+    with pytest.raises(LogError, match=r"path.txt: m.npz was not made of it; it was made of ba"):
+        find(build_followed(), "path.txt")
