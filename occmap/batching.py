@@ -68,36 +68,18 @@ class Geometry(NamedTuple):
     posed: bool
 
 
-class Batcher:
-    """Selects and stacks the scans of one log; `left_out` counts the others by reason."""
+class Selector:
+    """Says of the scans of one log, one after the other, which are not used, and why."""
 
     def __init__(self, selection: Selection, *, by_record_time: bool = False) -> None:
         self.selection = selection
-        self.read = 0
-        self.left_out: dict[LeftOut, int] = {}
         self._by_record_time = by_record_time
         self._first_ns: int | None = None
         self._wanted = 0
 
-    def stack(self, scans: Iterable[Scan]) -> Iterator[ScanBatch]:
-        """Stack scans, holding no more than a batch at a time."""
-        held: dict[Geometry, list[Scan]] = {}
-        beams = 0
-        for scan in scans:
-            self.read += 1
-            reason = self._find_fault(scan)
-            if reason is not None:
-                self.left_out[reason] = self.left_out.get(reason, 0) + 1
-                continue
-            held.setdefault(describe(scan), []).append(scan)
-            beams += len(scan.ranges)
-            if beams >= BATCH_BEAMS:
-                yield from self._release(held)
-                held, beams = {}, 0
-        yield from self._release(held)
-
-    def _find_fault(self, scan: Scan) -> LeftOut | None:
-        stamp_ns = self._stamp(scan)
+    def find_fault(self, scan: Scan) -> LeftOut | None:
+        """Say why the next scan is not used; None where it is."""
+        stamp_ns = self.stamp(scan)
         if self._first_ns is None:
             self._first_ns = stamp_ns
         if not len(scan.ranges):
@@ -110,8 +92,35 @@ class Batcher:
         self._wanted += 1
         return LeftOut.STRIDE if (self._wanted - 1) % self.selection.stride else None
 
-    def _stamp(self, scan: Scan) -> int:
+    def stamp(self, scan: Scan) -> int:
+        """The time of a scan that counts (ns)."""
         return scan.record_ns if self._by_record_time else scan.stamp_ns
+
+
+class Batcher:
+    """Selects and stacks the scans of one log; `left_out` counts the others by reason."""
+
+    def __init__(self, selection: Selection, *, by_record_time: bool = False) -> None:
+        self.read = 0
+        self.left_out: dict[LeftOut, int] = {}
+        self._selector = Selector(selection, by_record_time=by_record_time)
+
+    def stack(self, scans: Iterable[Scan]) -> Iterator[ScanBatch]:
+        """Stack scans, holding no more than a batch at a time."""
+        held: dict[Geometry, list[Scan]] = {}
+        beams = 0
+        for scan in scans:
+            self.read += 1
+            reason = self._selector.find_fault(scan)
+            if reason is not None:
+                self.left_out[reason] = self.left_out.get(reason, 0) + 1
+                continue
+            held.setdefault(describe(scan), []).append(scan)
+            beams += len(scan.ranges)
+            if beams >= BATCH_BEAMS:
+                yield from self._release(held)
+                held, beams = {}, 0
+        yield from self._release(held)
 
     def _release(self, held: dict[Geometry, list[Scan]]) -> Iterator[ScanBatch]:
         for geometry, scans in held.items():
@@ -122,7 +131,7 @@ class Batcher:
                 range_min=geometry.range_min,
                 range_max=geometry.range_max,
                 time_increment=geometry.time_increment,
-                stamp_ns=np.array([self._stamp(scan) for scan in scans], np.int64),
+                stamp_ns=np.array([self._selector.stamp(scan) for scan in scans], np.int64),
                 ranges=np.stack([scan.ranges for scan in scans]),
                 pose=np.array([scan.pose for scan in scans]) if geometry.posed else None,
                 topic=geometry.topic,

@@ -66,8 +66,12 @@ def write_bag(
     drive: Drive,
     mount: Sequence[tuple[float, float]] = (),
     scan_stamp: Callable[[int], int] = lambda stamp: stamp,
+    topics: Sequence[str] = ("/scan",),
 ) -> Path:
-    """Write the drive as a ROS 1 bag: odometry on /tf, perhaps the mount (roll, yaw), /scan."""
+    """Write the drive as a ROS 1 bag: odometry on /tf, perhaps the mount (roll, yaw), /scan.
+
+    The scans are on the topics in turn.
+    """
     log = [
         Written("/tf_static", 0, _transform(0, "base_link", "laser", (0, 0, 0), *turn))
         for turn in mount
@@ -78,7 +82,8 @@ def write_bag(
         log.append(
             Written("/tf", stamp, _transform(stamp, "odom", "base_link", (x, y, 0), 0.0, yaw))
         )
-        log.append(Written("/scan", stamp, _scan(scan_stamp(stamp), drive.ranges(index))))
+        topic = topics[index % len(topics)]
+        log.append(Written(topic, stamp, _scan(scan_stamp(stamp), drive.ranges(index))))
     return write_bag1(path, log)
 
 

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from occmap.batching import Selection
 from occmap.inspection import Inspection, inspect
 from occmap.inspection.findings import ScanFindings
 from occmap.inspection.ranges import BLOCK_RANGES, RangeCensus, find_repeated
@@ -282,6 +284,44 @@ def test_options_come_back_as_flags(tmp_path: Path) -> None:
         "--resolution", "0.1", "--map-frame", "odom", "--max-pose-gap", "0.5",
         "--max-range", "6.5", "--no-return", "clear",
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "selection",
+    [Selection(start_s=5, end_s=20), Selection(stride=3), Selection(start_s=2, stride=5)],
+)
+@pytest.mark.parametrize("topics", [["/scan"], ["/front", "/back"]])
+def test_a_part_of_a_log_is_what_a_build_takes_of_it(
+    tmp_path: Path, selection: Selection, topics: list[str]
+) -> None:
+    path = write_bag(tmp_path / "room.bag", Drive(), mount=[(0.0, 0.0)], topics=topics)
+    options = BuildOptions(selection=selection)
+    found, made = look(path, options), build([path], options)
+    scans = found.logs[0].scans
+    assert sum(each.poses.posed for each in scans) == made.report.scans_used
+    assert sum(each.kept for each in scans) == made.report.scans_used
+    left_out: Counter[str] = sum((Counter(each.left_out) for each in scans), Counter())
+    assert left_out == made.report.dropped
+    assert sum(each.ranges.total for each in scans) == sum(made.report.beams)
+    assert found.map is not None
+    assert (found.map.rows, found.map.columns) == made.map.shape
+
+
+def test_the_part_that_was_asked_for_is_in_the_command(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "room.bag", Drive(), mount=[(0.0, 0.0)])
+    found = look(path, BuildOptions(selection=Selection(start_s=5, end_s=20.5, stride=3)))
+    assert found.command[3:-2] == ("--start", "5", "--end", "20.5", "--stride", "3")
+    assert topic(found).times.start_ns == 105 * 10**9
+    assert topic(found).times.largest_gap_s == 3
+
+
+def test_a_part_without_scans_is_a_problem(tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "room.csv", Drive())
+    found = look(path, BuildOptions(selection=Selection(start_s=900)))
+    assert found.problems == (
+        f"{path}: none of {SCANS} scans can be used: {SCANS} outside --start and --end",
+    )
+    assert found.command == ()
 
 
 REAL = {

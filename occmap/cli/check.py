@@ -35,7 +35,7 @@ command line that it recommends. Exits with 1 where a build with the options giv
 @click.command("check", cls=SectionCommand, help=HELP, short_help=COMMANDS["check"])
 @click.argument("logs", nargs=-1, type=click.Path(path_type=Path), metavar="LOG...")
 @join(options.resolution, options.max_cells, log_options.ranges)
-@join(log_options.scan_topic, log_options.reading, log_options.posing)
+@join(log_options.selection, log_options.posing)
 @join(limits.fail_if(CHECK), options.as_json, options.verbosity)
 @click.pass_context
 def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> None:

@@ -66,9 +66,10 @@ def list_topic(topic: ScanFindings) -> Iterator[Row]:
     frames = ", ".join(topic.frames)
     duration = f"{topic.times.duration_s:.6g} s, {topic.times.rate_hz:.3g} a second"
     yield "", ""
-    yield "scans", f"{topic.topic}: {topic.scans:,} in {duration}, frame {frames}"
+    left = f"{topic.kept:,} of " if topic.left_out else ""
+    yield "scans", f"{topic.topic}: {left}{topic.scans:,} in {duration}, frame {frames}"
     if topic.left_out:
-        yield "unusable", format_counts(topic.left_out)
+        yield "dropped", format_counts(topic.left_out)
     yield from _label_first("shape", list(list_shapes(topic)))
     yield from list_ranges(topic.ranges)
     yield "stamps", format_times(topic.times)
@@ -132,7 +133,7 @@ def format_poses(topic: ScanFindings) -> str:
     poses = topic.poses
     way = "stated beside the scans" if poses.stated else " > ".join(poses.chain)
     lost = format_counts(poses.dropped)
-    share = f"{poses.posed:,} of {count(topic.scans, 'scan')}"
+    share = f"{poses.posed:,} of {count(topic.kept, 'scan')}"
     given = f" with --sensor-pose {poses.assumed}" if poses.assumed else ""
     return f"{share}{given}" + (f", {way}" if way else "") + (f"; {lost}" if lost else "")
 

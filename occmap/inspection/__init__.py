@@ -4,6 +4,7 @@ It reads the poses once and the scans once, as a build does; only where the moun
 missing are the scans read twice, for the mount is then guessed from them.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -75,17 +76,15 @@ def inspect_path(path: Path, options: BuildOptions, extent: Extent) -> LogFindin
 def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent) -> LogFindings:
     """Read the scans of an opened log once, and sum up."""
     topics = choose_topics(log, options.selection.topics)
-    survey = Survey(posing.poser, options.returns, count_scans(log, topics), extent)
+    expected = count_scans(log, topics)
+    survey = Survey(posing.poser, options.returns, options.selection, expected, extent)
     problem = ""
     try:
         survey.read(log.scans(topics))
     except LogError as error:
         problem = _place(error, log.path)
-    scans = tuple(
-        _sum_up(log, survey.topics[topic], posing, options)
-        for topic in topics
-        if topic in survey.topics
-    )
+    seen = [survey.topics[topic] for topic in topics if topic in survey.topics]
+    scans = tuple(_sum_up(log, topic, posing, options) for topic in seen if topic.shapes)
     notes, damage = _list_notes(log)
     return LogFindings(
         path=str(log.path),
@@ -94,8 +93,19 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
         coverage=tuple(list_coverage(posing.poser.sources)),
         notes=(*notes, *posing.poser.notes),
         damage=damage,
-        problem=problem or ("" if scans else f"{log.path}: holds no scan that can be read"),
+        problem=problem or ("" if scans else f"{log.path}: {_explain_nothing(seen)}"),
     )
+
+
+def _explain_nothing(topics: Sequence[TopicSurvey]) -> str:
+    """Say why no scan of a log is left."""
+    reasons: Counter[str] = Counter()
+    for topic in topics:
+        reasons.update({reason.value: count for reason, count in topic.left_out.items()})
+    if not reasons:
+        return "holds no scan that can be read"
+    counts = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
+    return f"none of {reasons.total()} scans can be used: {counts}"
 
 
 def _list_notes(log: Log) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -118,8 +128,8 @@ def _sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions)
         topic=topic.topic,
         type=next(stream.type for stream in log.streams if stream.topic == topic.topic),
         frames=tuple(topic.frames),
-        scans=topic.batcher.read,
-        left_out={reason.value: count for reason, count in topic.batcher.left_out.items()},
+        scans=topic.read,
+        left_out={reason.value: count for reason, count in topic.left_out.items()},
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
         ranges=topic.census.sum_up(crossed),

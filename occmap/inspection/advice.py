@@ -71,7 +71,7 @@ def _warn_mount(topic: ScanFindings) -> list[str]:
 
 def _warn_poses(topic: ScanFindings) -> list[str]:
     lost = topic.poses.dropped
-    if topic.poses.posed and sum(lost.values()) > SHARE_OF_NOTE * topic.scans:
+    if topic.poses.posed and sum(lost.values()) > SHARE_OF_NOTE * topic.kept:
         reasons = ", ".join(f"{scans} {reason}" for reason, scans in lost.items())
         return [f"scans without a pose: {reasons}"]
     return []

@@ -142,6 +142,11 @@ class ScanFindings:
     poses: PoseFindings
     mount: MountFindings | None
 
+    @property
+    def kept(self) -> int:
+        """Scans that are not left out before anybody asks for their poses."""
+        return self.scans - sum(self.left_out.values())
+
 
 @dataclass(frozen=True)
 class MapFindings:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 from typing import TypeVar
 
+from occmap.batching import Selection
 from occmap.pipeline import BuildOptions
 from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions
@@ -43,11 +44,23 @@ def list_given(options: BuildOptions) -> dict[str, str]:
     flags |= _list_changed(options.reading, ReaderOptions(), READER_FLAGS)
     flags |= _list_changed(options.posing, PosingOptions(), POSING_FLAGS)
     flags |= _list_changed(options.returns, ReturnOptions(), RETURN_FLAGS)
+    flags |= list_selection(options.selection)
     if options.posing.sensor_pose is not None:
         flags["--sensor-pose"] = format_mount(options.posing.sensor_pose)
     if options.returns.footprint is not None:
         flags["--footprint"] = _join(options.returns.footprint)
     return flags
+
+
+def list_selection(chosen: Selection) -> dict[str, str]:
+    """List which scans of a log are asked for, where not all are, as flags."""
+    default = Selection()
+    pairs = {
+        "--start": (chosen.start_s, default.start_s),
+        "--end": (chosen.end_s, default.end_s),
+        "--stride": (chosen.stride, default.stride),
+    }
+    return {flag: f"{value:.12g}" for flag, (value, usual) in pairs.items() if value != usual}
 
 
 def list_repeatable(options: BuildOptions) -> list[str]:

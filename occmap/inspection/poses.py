@@ -72,7 +72,8 @@ def assume_mount(
     log: Log, topics: Sequence[str], options: BuildOptions, unturned: Posing
 ) -> Posing:
     """Read the scans as if the sensor were the body, and find the turn that suits them best."""
-    survey = Survey(unturned.poser, options.returns, count_scans(log, topics))
+    expected = count_scans(log, topics)
+    survey = Survey(unturned.poser, options.returns, options.selection, expected)
     survey.read(log.scans(topics))
     parts = [part for topic in survey.topics.values() for part in topic.sample.parts]
     mount = guess_mount(parts, options.returns)
@@ -89,7 +90,7 @@ def count_scans(log: Log, topics: Sequence[str]) -> int:
 def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> str:
     """Say which of the two times of messages gives more scans a pose."""
     chosen = posing.poser.options.stamps
-    scans = sum(topic.batcher.left_out.values()) + topic.posed + topic.dropped.total()
+    scans = topic.left_out.total() + topic.posed + topic.dropped.total()
     if topic.stated or not posing.poser.chains or topic.posed >= WELL_POSED * scans:
         return chosen.value
     other = Stamps.HEADER if chosen is Stamps.RECORD else Stamps.RECORD

@@ -1,12 +1,21 @@
 """One pass over the scans of a log: everything about them is counted as they stream by."""
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from occmap.batching import BATCH_BEAMS, Batcher, Geometry, Selection, describe
+from occmap.batching import (
+    BATCH_BEAMS,
+    Batcher,
+    Geometry,
+    LeftOut,
+    Selection,
+    Selector,
+    describe,
+)
 from occmap.errors import PoseError
 from occmap.inspection.extent import Extent
 from occmap.inspection.findings import Shape
@@ -18,6 +27,7 @@ from occmap.posing.options import DropReason, Stamps
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Kind, Scan, ScanBatch
 
+NOT_ASKED_FOR = (LeftOut.TIME, LeftOut.STRIDE)
 MAX_SHAPES = 1000
 """Shapes that are told apart; a log whose every scan has another must not fill the memory."""
 
@@ -33,6 +43,8 @@ class TopicSurvey:
     census: RangeCensus = field(default_factory=RangeCensus)
     shapes: Counter[Shape] = field(default_factory=Counter)
     frames: dict[str, None] = field(default_factory=dict)
+    read: int = 0
+    left_out: Counter[LeftOut] = field(default_factory=Counter)
     posed: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
     stated: bool = True
@@ -55,26 +67,49 @@ class Survey:
 
     poser: Poser
     returns: ReturnOptions
+    selection: Selection
     expected: int
     """Scans in the log, as its reader counts them"""
     extent: Extent = field(default_factory=Extent)
     topics: dict[str, TopicSurvey] = field(default_factory=dict)
 
+    @property
+    def by_record_time(self) -> bool:
+        """Whether a scan was taken when it was recorded."""
+        return self.poser.options.stamps is Stamps.RECORD
+
     def read(self, scans: Iterable[Scan]) -> None:
         """Read all scans, holding no more than a batch of each topic."""
-        for topic, some in gather_topics(scans):
-            survey = self.topics.get(topic) or self._begin(topic)
-            for scan in some:
-                survey.see(scan)
+        for topic, some in gather_topics(self._select(scans)):
+            survey = self.topics[topic]
             for batch in survey.batcher.stack(some):
                 survey.census.add(batch)
                 self._attach(survey, batch)
 
+    def _select(self, scans: Iterable[Scan]) -> Iterator[Scan]:
+        """Give the scans that a build would use; of those not asked for nothing else is told."""
+        selector = Selector(self.selection, by_record_time=self.by_record_time)
+        for scan in scans:
+            survey = self.topics.get(scan.topic) or self._begin(scan.topic)
+            survey.read += 1
+            reason = selector.find_fault(scan)
+            if reason not in NOT_ASKED_FOR:
+                survey.see(scan)
+            if reason is None:
+                yield scan
+            else:
+                survey.left_out[reason] += 1
+
     def _begin(self, topic: str) -> TopicSurvey:
-        by_record_time = self.poser.options.stamps is Stamps.RECORD
-        batcher = Batcher(Selection(), by_record_time=by_record_time)
-        self.topics[topic] = TopicSurvey(topic, Sample(self.expected), batcher)
+        batcher = Batcher(Selection(), by_record_time=self.by_record_time)
+        self.topics[topic] = TopicSurvey(topic, Sample(self._expect()), batcher)
         return self.topics[topic]
+
+    def _expect(self) -> int:
+        """Estimate how many scans are wanted; of a part of a log, so few that all are taken."""
+        chosen = self.selection
+        part = math.isfinite(chosen.start_s) or math.isfinite(chosen.end_s)
+        return 0 if part else self.expected // chosen.stride
 
     def _attach(self, survey: TopicSurvey, batch: ScanBatch) -> None:
         """See which scans of a batch get a pose, and how far they reach."""
