@@ -4,7 +4,9 @@ import ast
 import json
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
@@ -81,6 +83,18 @@ def test_a_package_has_one_owner(package: str) -> None:
         if any(name.split(".")[0] == package for name in list_imports(path))
     }
     assert importing == {OWNERS[package]}
+
+
+def test_what_is_imported_is_named_as_a_dependency_and_nothing_else() -> None:
+    project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text())["project"]
+    lines = [*project["dependencies"], *project["optional-dependencies"]["foxglove"]]
+    named = {line.partition(">=")[0] for line in lines}
+    imported = {name.split(".")[0] for path in MODULES for name in list_imports(path)}
+    foreign = imported - sys.stdlib_module_names - {"occmap", "_typeshed"}
+    # A namespace such as google is shared by several packages.
+    owners = [{name.lower() for name in packages_distributions()[each]} for each in foreign]
+    assert all(names & named for names in owners)
+    assert not named - set().union(*owners)
 
 
 def test_the_walk_sees_the_imports() -> None:
