@@ -17,17 +17,17 @@ LATTICE_TOLERANCE = 0.05
 SAME_RESOLUTION = 1e-6
 """Relative: so little that it does not add up to a cell across a map."""
 
-FREE, OCCUPIED, UNKNOWN = CellClass.FREE, CellClass.OCCUPIED, CellClass.UNKNOWN
+FREE, OCCUPIED, NEITHER = CellClass.FREE, CellClass.OCCUPIED, CellClass.NEITHER
 COLOURS = {
-    (UNKNOWN, UNKNOWN): (205, 205, 205),
+    (NEITHER, NEITHER): (205, 205, 205),
     (FREE, FREE): (254, 254, 254),
     (OCCUPIED, OCCUPIED): (0, 0, 0),
     (FREE, OCCUPIED): (213, 94, 0),
-    (UNKNOWN, OCCUPIED): (230, 159, 0),
+    (NEITHER, OCCUPIED): (230, 159, 0),
     (OCCUPIED, FREE): (0, 114, 178),
-    (UNKNOWN, FREE): (86, 180, 233),
-    (OCCUPIED, UNKNOWN): (204, 121, 167),
-    (FREE, UNKNOWN): (204, 121, 167),
+    (NEITHER, FREE): (86, 180, 233),
+    (OCCUPIED, NEITHER): (204, 121, 167),
+    (FREE, NEITHER): (204, 121, 167),
 }
 """Of what a cell was and is: warm is new and occupied, blue new and free, pink lost. These are told
 apart by colour-blind people, too (Okabe and Ito, 2008)."""
@@ -48,7 +48,7 @@ class Comparison:
 
     before: UInt8
     after: UInt8
-    """(H, W) of CellClass, over both maps; what a map does not reach is unknown in it"""
+    """(H, W) of CellClass, over both maps; NEITHER is also what a map does not reach"""
     place: Place
     """Where cell (0, 0) of both lies"""
     changed: dict[str, int]
@@ -159,10 +159,10 @@ def refuse_far_apart(after: ClassMap, shape: tuple[int, int]) -> None:
 
 
 def place_in(shape: tuple[int, int], classes: UInt8, at: tuple[int, int]) -> UInt8:
-    """Put a map into a larger one of unknown cells."""
+    """Put a map into a larger one, whose other cells are neither occupied nor free."""
     if classes.shape == shape:
         return classes
-    larger = np.full(shape, UNKNOWN, np.uint8)
+    larger = np.full(shape, NEITHER, np.uint8)
     larger[at[0] : at[0] + classes.shape[0], at[1] : at[1] + classes.shape[1]] = classes
     return larger
 

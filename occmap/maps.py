@@ -1,7 +1,7 @@
 """Maps that were written, read back as what their cells are, whatever the format.
 
 A cell is occupied, free, or neither; a map image does not tell a cell that nothing observed from
-one that stayed undecided, so both are unknown here.
+one that stayed undecided, so both are called neither here.
 """
 
 import math
@@ -27,7 +27,8 @@ YAML_BYTES = 1 << 20
 class CellClass(IntEnum):
     """What a cell is."""
 
-    UNKNOWN = 0
+    NEITHER = 0
+    """Nothing observed it, or it is undecided: an image may not tell"""
     FREE = 1
     OCCUPIED = 2
 
@@ -110,7 +111,7 @@ def load_pgm(path: Path, _thresholds: WriteOptions) -> ClassMap:
 
 
 def load_png(path: Path, thresholds: WriteOptions) -> ClassMap:
-    """Load a PNG as occmap writes it: dark is occupied, transparent unknown.
+    """Load a PNG as occmap writes it: dark is occupied, transparent neither.
 
     Raises
     ------
@@ -131,7 +132,7 @@ def load_evidence(path: Path, thresholds: WriteOptions) -> ClassMap:
     """
     evidence = read_evidence(path)
     grid = render_saved(evidence, parse_model(evidence.manifest.model), MAX_CELLS)
-    classes = np.full(grid.shape, CellClass.UNKNOWN, np.uint8)
+    classes = np.full(grid.shape, CellClass.NEITHER, np.uint8)
     classes[grid.is_free(thresholds.free_thresh)] = CellClass.FREE
     classes[grid.is_occupied(thresholds.occupied_thresh)] = CellClass.OCCUPIED
     return ClassMap(path, classes, Place(grid.resolution, *grid.origin))
@@ -253,8 +254,8 @@ def classify(image: Path, meta: Meta) -> UInt8:
     else:
         occupancy = (levels if meta.negate else 255 - levels) / 255
         occupied, free = occupancy > meta.occupied_thresh, occupancy < meta.free_thresh
-    table = np.select([occupied, free], [CellClass.OCCUPIED, CellClass.FREE], CellClass.UNKNOWN)
-    classes: UInt8 = np.where(visible, table.astype(np.uint8)[grey], np.uint8(CellClass.UNKNOWN))
+    table = np.select([occupied, free], [CellClass.OCCUPIED, CellClass.FREE], CellClass.NEITHER)
+    classes: UInt8 = np.where(visible, table.astype(np.uint8)[grey], np.uint8(CellClass.NEITHER))
     return classes[::-1]
 
 

@@ -33,9 +33,9 @@ def test_changes_are_counted_by_class() -> None:
     assert list_changes(comparison) == {
         "occupied to free": 1,
         "free to occupied": 1,
-        "unknown to free": 1,
-        "occupied to unknown": 1,
-        "unknown to occupied": 1,
+        "neither to free": 1,
+        "occupied to neither": 1,
+        "neither to occupied": 1,
     }
     assert comparison.known == 9
     assert comparison.share == pytest.approx(5 / 9)
@@ -50,9 +50,9 @@ def test_maps_of_different_size_are_compared_where_they_lie() -> None:
     assert comparison.before.shape == comparison.after.shape == (3, 3)
     # Below lost: two; above and on the left new: three; the wall is free now.
     assert list_changes(comparison) == {
-        "free to unknown": 3,
-        "unknown to free": 2,
-        "unknown to occupied": 1,
+        "free to neither": 3,
+        "neither to free": 2,
+        "neither to occupied": 1,
         "occupied to free": 1,
     }
     assert comparison.place == Place(0.5, -0.5, 0.0)

@@ -24,7 +24,7 @@ THRESHOLDS = "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
 
 
 def draw(classes: UInt8) -> str:
-    """Top line = highest y; undecided cells look unknown."""
+    """Top line = highest y; undecided and unknown cells look alike."""
     return " ".join("".join("?.#"[cell] for cell in row) for row in classes[::-1])
 
 

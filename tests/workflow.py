@@ -107,7 +107,7 @@ def hold_against_reference(log: str, seconds: float) -> None:
     expect("nothing changed between a map and itself", found=same["changed"], wanted=0)
     call("build", log, "--end", str(seconds / 4), *write_into("changed", ("map.pgm",)))
     words = ["diff", "whole/map.pgm", "changed/map.pgm", "--fail-above", "2%", "-o", "diff.png"]
-    other = call(*words, *limit("occupied_to_unknown > 100%"), code=LIMIT_NOT_MET)
+    other = call(*words, *limit("occupied_to_neither > 100%"), code=LIMIT_NOT_MET)
     expect(
         "a changed scene fails by its limit",
         found=[each["limit"] for each in other["failed"]],

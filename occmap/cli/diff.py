@@ -27,8 +27,11 @@ A and B are maps as PGM with YAML, PNG, or evidence (.npz); they may differ in s
 a lattice, as all maps of one resolution do. A PNG does not say where it lies: it is compared with a
 map of its size, and read as dark is occupied.
 
+A cell that is neither occupied nor free is unknown or undecided; images do not tell one from the
+other, so both count as neither.
+
 In the picture, cells that became occupied are orange, cells that became free blue, and cells that
-became unknown pink; stronger colours are contradictions, paler ones news.
+became neither pink; stronger colours are contradictions, paler ones news.
 
 \b
   occmap diff yesterday.pgm today.pgm

@@ -83,6 +83,12 @@ def test_evidence_is_a_map_to_diff() -> None:
     assert occmap("diff", "a.npz", "b.npz", "--fail-above", "0").code == 3
 
 
+def test_an_undecided_cell_is_not_called_unknown() -> None:
+    assert "85.7% undecided" in occmap("render", "a.npz", "-o", "a.pgm").out
+    assert occmap("render", "a.npz", "-o", "sure.pgm", "--p-miss", "0.1").code == 0
+    assert "6 neither to free" in occmap("diff", "a.npz", "sure.pgm").out
+
+
 @pytest.mark.parametrize(
     ("words", "code", "found"),
     [
