@@ -43,6 +43,24 @@ def list_storage(folder: Path) -> list[Path]:
     return sorted(paths, key=lambda path: ([int(n) for n in re.findall(r"\d+", path.name)], path))
 
 
+def refuse_mixed(folder: Path, files: Sequence[Path]) -> None:
+    """Refuse to read several recordings as one, where no metadata says what belongs together.
+
+    Raises
+    ------
+    LogError
+        The files are not those of one split recording, NAME_0.db3, NAME_1.db3 and so on.
+    """
+    names = [file.name.removesuffix(".zstd") for file in files]
+    recordings = {re.sub(r"(_\d+)?(\.\w+)$", r"\2", name) for name in names}
+    if len(recordings) > 1 or len(set(names)) < len(names):
+        raise LogError(
+            f"holds more than one recording and no {METADATA}: {', '.join(f.name for f in files)}",
+            where=folder,
+            fix=f"give one of them, such as {files[0]}",
+        )
+
+
 class Bag2Source:
     """The channels and raw messages of a ROS 2 bag folder."""
 
@@ -82,7 +100,10 @@ class Bag2Source:
             raise LogError(f"{METADATA} names files that are missing: {missing}", where=self.path)
         if missing:
             add_note(self.notes, f"{METADATA} names files that are missing: {missing}")
-        return [file for file in named if file.exists()] or present
+        there = [file for file in named if file.exists()]
+        if not there:
+            refuse_mixed(self.path, present)
+        return there or present
 
     def _open_parts(self, files: Sequence[Path]) -> list[Source]:
         """Open storage files; one that cannot be read is noted, unless there is no other."""

@@ -246,6 +246,21 @@ def test_a_storage_file_that_cannot_be_read_does_not_spoil_the_others(tmp_path: 
     assert log.notes == [Note("drive_2.db3 is not used: neither SQLite nor MCAP", True)]
 
 
+@pytest.mark.parametrize("other", ["walk_0.db3", "drive.mcap", "drive.db3.zstd"])
+def test_a_folder_of_several_recordings_is_refused(other: str, tmp_path: Path) -> None:
+    folder = SQLITE.write(tmp_path / "drive", drive(ROS2))
+    shutil.copy(folder / "drive.db3", folder / other)
+    assert count_scans(open_log(folder)) == 6  # the metadata says which file it is
+    (folder / "metadata.yaml").unlink()
+
+    with pytest.raises(
+        LogError, match=r"more than one recording and no metadata\.yaml: "
+    ) as caught:
+        open_log(folder)
+    assert other in caught.value.found
+    assert caught.value.fix.startswith(f"give one of them, such as {folder}/")
+
+
 def test_a_database_that_is_no_bag_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "other.db3"
     database = sqlite3.connect(path)
