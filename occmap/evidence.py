@@ -1,24 +1,22 @@
-"""Saved evidence: rendered by another model, added, and taken apart again, all exactly."""
+"""Saved evidence: from a grid and back, and rendered by another model."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import numpy as np
-
 from occmap.errors import MapError, UsageError
 from occmap.grid.lattice import Lattice
-from occmap.grid.stacks import add_stack, drop_empty, stack_tiles
+from occmap.grid.stacks import add_stack, stack_tiles
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid
 from occmap.manifest import describe_profile
+from occmap.persistence import check_passes, keep_lasting
 from occmap.report import Report, measure_shares
 from occmap.sensor.models import RadialModel, SensorModel, describe_model, parse_model
 from occmap.sensor.returns import ReturnCounts
-from occmap.types import Evidence, Float64, Int64, Manifest, OccupancyMap, to_log_odds
+from occmap.types import Evidence, Float64, Int64, Manifest, OccupancyMap, Times, to_log_odds
 from occmap.writers import Product, WriteOptions, check_outputs, write_outputs
-from occmap.writers.npz import read_evidence
 
 MAX_CELLS = 10**9
 
@@ -39,6 +37,8 @@ class RenderOptions:
     """A map with more cells is refused"""
     crop: Box | None = None
     """Only this part of the map, to whole cells; evidence is never cropped"""
+    min_passes: int | None = None
+    """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
 
 
 def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
@@ -60,18 +60,22 @@ def weigh(model: SensorModel) -> Callable[[Int64, Int64], Float64]:
     return lambda log_odds, observations: prior + log_odds * LOG_ODDS_UNIT - observations * prior
 
 
-def render_saved(evidence: Evidence, model: SensorModel, max_cells: int) -> OccupancyMap:
+def render_saved(
+    evidence: Evidence, model: SensorModel, max_cells: int, min_passes: int | None = None
+) -> OccupancyMap:
     """Make a map of evidence, without the log.
 
     Raises
     ------
     UsageError
-        The evidence was not made for this model.
+        The evidence was not made for this model, or this one knows no visits that hit.
     MapError
         As `render`.
     """
     refuse_other_profile(evidence, model)
-    return render(to_grid(evidence), model, max_cells)
+    check_passes(min_passes, model)
+    lasting = keep_lasting(to_grid(evidence), evidence.times, min_passes)
+    return render(lasting, model, max_cells)
 
 
 def crop(grid: OccupancyMap, box: Box) -> OccupancyMap:
@@ -106,32 +110,19 @@ def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path])
     """
     check_outputs(outputs)
     model = options.model or parse_model(evidence.manifest.model)
-    grid = render_saved(evidence, model, options.max_cells)
+    grid = render_saved(evidence, model, options.max_cells, options.min_passes)
     if options.crop:
         grid = crop(grid, options.crop)
     manifest = replace(evidence.manifest, model=describe_model(model))
     product = Product(grid, lambda: replace(evidence, manifest=manifest))
     files = write_outputs(outputs, product, options.writing)
     report = summarise(manifest, grid, options.writing)
-    return replace(report, files=tuple(files))
+    return replace(report, files=tuple(files), min_passes=options.min_passes)
 
 
-def open_saved(path: Path, plan: Manifest) -> Evidence:
-    """Read evidence that a build is to add to.
-
-    Raises
-    ------
-    MapError
-        It cannot be read, or does not add up with what the build makes.
-    """
-    saved = read_evidence(path)
-    refuse_different(plan, saved)
-    return saved
-
-
-def keep(grid: TileGrid, manifest: Manifest) -> Evidence:
-    """Make evidence of a grid."""
-    return Evidence(manifest, *stack_tiles(grid))
+def keep(grid: TileGrid, manifest: Manifest, times: tuple[Times, ...]) -> Evidence:
+    """Make evidence of a grid, and of when each build observed its cells."""
+    return Evidence(manifest, *stack_tiles(grid), times)
 
 
 def to_grid(evidence: Evidence) -> TileGrid:
@@ -140,91 +131,6 @@ def to_grid(evidence: Evidence) -> TileGrid:
     grid = TileGrid(Lattice(manifest.resolution), EvidenceKind(manifest.kind))
     add_stack(grid, evidence.tiles, evidence.cells)
     return grid
-
-
-def merge(evidences: Sequence[Evidence]) -> Evidence:
-    """Add evidence: the same cells as if all logs were built together.
-
-    Raises
-    ------
-    MapError
-        Their resolutions, updates or kinds differ.
-    """
-    first, *others = evidences
-    if not others:
-        return first
-    grid, builds = to_grid(first), first.manifest.builds
-    subtracted = first.manifest.subtracted
-    for other in others:
-        refuse_different(first.manifest, other)
-        add_stack(grid, other.tiles, other.cells)
-        builds += other.manifest.builds
-        subtracted += other.manifest.subtracted
-    return keep(grid, replace(first.manifest, builds=builds, subtracted=subtracted))
-
-
-def subtract(evidence: Evidence, other: Evidence) -> Evidence:
-    """Take evidence away: what is left is as if `other` had never been added.
-
-    Raises
-    ------
-    MapError
-        As `merge`, or `other` holds something that is not there.
-    """
-    refuse_different(evidence.manifest, other)
-    grid = to_grid(evidence)
-    add_stack(grid, other.tiles, -other.cells.astype(np.int64))
-    refuse_negative(grid, evidence, other)
-    drop_empty(grid)
-    builds, unknown = list(evidence.manifest.builds), list(evidence.manifest.subtracted)
-    for build in other.manifest.builds:
-        if build in builds:
-            builds.remove(build)
-        else:
-            unknown.append(build)
-    manifest = replace(evidence.manifest, builds=tuple(builds), subtracted=tuple(unknown))
-    return keep(grid, manifest)
-
-
-def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None:
-    """Refuse a difference that no observation can have made.
-
-    Raises
-    ------
-    MapError
-        Saying in how many cells too much was taken away.
-    """
-    _, cells = stack_tiles(grid)
-    if grid.kind is EvidenceKind.COUNTS:
-        wrong = (cells < 0).any(axis=1)
-    else:  # log-odds may be negative, but not without an observation
-        wrong = (cells[:, 1] < 0) | ((cells[:, 1] == 0) & (cells[:, 0] != 0))
-    if wrong.any():
-        minuend = evidence.where or "the sum"
-        raise MapError(
-            f"holds observations of {np.count_nonzero(wrong)} cells that {minuend} lacks",
-            where=other.where,
-            fix="subtract only what was merged before",
-        )
-
-
-def refuse_different(manifest: Manifest, other: Evidence) -> None:
-    """Refuse evidence that does not add up with other evidence.
-
-    Raises
-    ------
-    MapError
-        Naming what differs.
-    """
-    for name in ("resolution", "update", "kind", "profile"):
-        mine, its = getattr(manifest, name), getattr(other.manifest, name)
-        if mine != its:
-            raise MapError(
-                f"its {name} is {its or 'none'}, that of what it is to be combined with is "
-                f"{mine or 'none'}",
-                where=other.where,
-                fix="build both with the same options",
-            )
 
 
 def refuse_other_profile(evidence: Evidence, model: SensorModel) -> None:
@@ -245,6 +151,13 @@ def refuse_other_profile(evidence: Evidence, model: SensorModel) -> None:
             where=evidence.where,
             fix=f"build it with --model {model.name}",
         )
+
+
+def list_notes(manifest: Manifest) -> Iterator[str]:
+    """Say what a reader of evidence should know of it."""
+    yield from (f"{name} is in it twice" for name in list_repeated(manifest))
+    if manifest.subtracted:
+        yield "something else than a whole build was subtracted: times and visits are bounds"
 
 
 def list_repeated(manifest: Manifest) -> list[str]:
@@ -277,7 +190,7 @@ def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> 
         scans_used=sum(each["used"] for each in scans),
         dropped=dropped,
         beams=sum((read_counts(each["beams"]) for each in scans), ReturnCounts()),
-        notes=tuple(f"{name} is in it twice" for name in list_repeated(manifest)),
+        notes=tuple(list_notes(manifest)),
         update=manifest.update,
         model=manifest.model,
         resolution=manifest.resolution,

@@ -2,16 +2,29 @@
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from occmap.errors import UsageError
 from occmap.grid.lattice import Lattice
+from occmap.grid.layers import find_cell
 from occmap.grid.tiles import TILE, EvidenceKind
-from occmap.types import Evidence, Int64
+from occmap.types import Evidence, Int64, Times
 
 FARTHEST_CELL = 1 << 44
 """Beyond this a float cannot tell the parts of a cell apart."""
+
+
+class Visits(NamedTuple):
+    """When one build observed a cell."""
+
+    first_ns: int
+    last_ns: int
+    hit_visits: int
+    """On how many visits the cell was hit; 0 where the evidence is log-odds"""
+    seen_visits: int
+    """On how many it was observed at all"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +40,8 @@ class CellHistory:
     around: Int64
     """(3, 3, 2) the two numbers of the cell, in the middle, and its neighbours; row 0 is the lowest
     y"""
+    builds: tuple[Visits | None, ...] = ()
+    """For each of the manifest's builds; None where it did not observe the cell"""
 
     @property
     def first(self) -> int:
@@ -64,6 +79,7 @@ def look_at(evidence: Evidence, x: float, y: float) -> CellHistory:
         extent=(low_x, low_y, high_x, high_y),
         kind=EvidenceKind(evidence.manifest.kind),
         around=np.array(around),
+        builds=tuple(read_visits(times, row, col) for times in evidence.times),
     )
 
 
@@ -80,6 +96,15 @@ def refuse_far_point(lattice: Lattice, x: float, y: float) -> None:
         raise UsageError(
             f"the point ({x:g}, {y:g}) is in no map", fix="give x and y in metres, in the map frame"
         )
+
+
+def read_visits(times: Times, row: int, col: int) -> Visits | None:
+    """When a build observed a cell; None where it did not."""
+    at = find_cell(times, row, col)
+    if at is None:
+        return None
+    columns = (times.first_ns, times.last_ns, times.hit_visits, times.seen_visits)
+    return Visits(*(int(column[at]) for column in columns))
 
 
 def read_cell(evidence: Evidence, row: int, col: int) -> Int64:

@@ -8,20 +8,23 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from occmap.batching import Batcher, Selection
 from occmap.errors import LogError, PoseError, UsageError
-from occmap.evidence import keep, open_saved, render
+from occmap.evidence import keep, render
 from occmap.grid.lattice import Lattice
+from occmap.grid.observation import Observation, tabulate
 from occmap.grid.stacks import add_stack
 from occmap.manifest import describe_build, plan_manifest
+from occmap.merging import open_saved
+from occmap.persistence import check_gap, check_passes, keep_lasting
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.readers import Log, Role, open_log
 from occmap.readers.options import ReaderOptions
-from occmap.report import Made, Report, Tally, measure_shares
+from occmap.report import Made, Report, Tally, measure_shares, refuse_unused
 from occmap.sensor.models import RadialModel, SensorModel, SimpleModel, describe_model
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.types import Evidence, OccupancyMap, Rays, Scan, ScanBatch, Update
+from occmap.types import Evidence, OccupancyMap, Rays, Scan, Update
 from occmap.workers import Workers, count_cores
-from occmap.writers import Product, WriteOptions, check_outputs, write_outputs
+from occmap.writers import Product, WriteOptions, check_outputs, want_evidence, write_outputs
 
 if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
     from occmap.grid.engine import GridEngine
@@ -52,12 +55,18 @@ class BuildOptions:
     """... and its border is closed between end cells at most this far apart (cells; polygon)"""
     max_cells: int = MAX_CELLS
     """A map with more cells is refused"""
+    min_passes: int | None = None
+    """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
+    pass_gap_s: float = 10.0
+    """Two visits of a cell lie at least so far apart"""
     jobs: int = field(default_factory=count_cores)
     """Threads"""
     resume: Path | None = None
     """An evidence file: its observations are added to those of the logs"""
 
     def __post_init__(self) -> None:
+        check_passes(self.min_passes, self.model)
+        check_gap(self.pass_gap_s)
         if self.jobs < 1:
             raise UsageError(f"{self.jobs} jobs are not possible", fix="give --jobs 1 or more")
         if not self.jump >= 0:
@@ -104,7 +113,7 @@ def build(
     def advance(scans: int) -> None:
         progress(scans, total)
 
-    engine = make_engine(options)
+    engine = choose_engine(options, outputs)
     made = Made([str(log.path) for log in logs])
     made.note_repeated()
     for log in logs:
@@ -112,16 +121,19 @@ def build(
         made.note(log, poser.notes)
     refuse_unused(logs, tally)
     with tally.time("fold"):
-        tiles = engine.finish()
+        tiles, times = engine.finish(), engine.read_times()
         if saved:
             add_stack(tiles, saved.tiles, saved.cells)
+            times = saved.times + times
     with tally.time("render"):
-        grid = render(tiles, options.model, options.max_cells)
+        lasting = keep_lasting(tiles, times, options.min_passes)
+        grid = render(lasting, options.model, options.max_cells)
 
     def keep_evidence() -> Evidence:
         past = saved.manifest if saved else plan
         this = describe_build(paths, options, tally.to_json())
-        return keep(tiles, replace(plan, builds=(*past.builds, this), subtracted=past.subtracted))
+        manifest = replace(plan, builds=(*past.builds, this), subtracted=past.subtracted)
+        return keep(tiles, manifest, times)
 
     with tally.time("write"):
         made.files += write_outputs(outputs, Product(grid, keep_evidence), options.writing)
@@ -146,7 +158,7 @@ def trace_log(
             observe(rays)
 
     with Workers(trace, options.jobs) as workers:
-        for batch in timed(batcher.stack(log.scans(topics)), tally):
+        for batch in tally.time_each("read", batcher.stack(log.scans(topics))):
             # Here and not in a worker: of many short NumPy calls each would wait for its turn.
             with tally.time("pose"):
                 posed, dropped = poser.attach(batch)
@@ -227,49 +239,31 @@ def take_one(scans: Iterator[Scan]) -> list[Scan]:
     return first
 
 
-def timed(batches: Iterator[ScanBatch], tally: Tally) -> Iterator[ScanBatch]:
-    """The same batches; the time to read them is noted."""
-    while True:
-        with tally.time("read"):
-            batch = next(batches, None)
-        if batch is None:
-            return
-        yield batch
+def choose_engine(options: BuildOptions, outputs: Sequence[Path]) -> "GridEngine":
+    """Make an engine, one that keeps times only where they are asked for: it takes longer."""
+    if options.min_passes is None and not want_evidence(outputs):
+        return make_engine(options)
+    from occmap.grid.timed import TimedEngine  # noqa: PLC0415  late: as below
+
+    return TimedEngine(plan_observation(options), max_cells=options.max_cells)
 
 
 def make_engine(options: BuildOptions) -> "GridEngine":
     """Make the grid engine for an update and a model."""
     from occmap.grid.engine import GridEngine  # noqa: PLC0415  late: numba takes a third of a second
-    from occmap.grid.observation import Observation, tabulate  # noqa: PLC0415
 
+    return GridEngine(plan_observation(options), max_cells=options.max_cells)
+
+
+def plan_observation(options: BuildOptions) -> Observation:
+    """Say what an engine is to observe, and how."""
     lattice = Lattice(options.resolution)
     model = options.model
     radial = None
     if isinstance(model, RadialModel):
         radial = tabulate(model.free, model.hit, model.depth(options.resolution))
-    what = Observation(options.update, lattice, options.jump, options.border_gap, radial)
-    return GridEngine(what, max_cells=options.max_cells)
-
-
-def refuse_unused(logs: Sequence[Log], tally: Tally) -> None:
-    """Refuse to make a map of nothing.
-
-    Raises
-    ------
-    LogError, PoseError
-        No scan was used; the message says why.
-    """
-    if tally.scans_used:
-        return
-    where = ", ".join(str(log.path) for log in logs)
-    reasons = ", ".join(f"{count} {reason}" for reason, count in tally.dropped.items())
-    if tally.scans_read:
-        raise PoseError(
-            f"none of {tally.scans_read} scans can be used: {reasons}",
-            where=where,
-            fix="`occmap check` tells more about poses and times",
-        )
-    raise LogError("holds no laser scan that can be read", where=where)
+    slice_ns = round(options.pass_gap_s * 1e9)
+    return Observation(options.update, lattice, options.jump, options.border_gap, radial, slice_ns)
 
 
 def make_report(grid: OccupancyMap, options: BuildOptions, tally: Tally, made: Made) -> Report:
@@ -285,6 +279,7 @@ def make_report(grid: OccupancyMap, options: BuildOptions, tally: Tally, made: M
         damage=tuple(made.damage),
         update=options.update.value,
         model=describe_model(options.model),
+        min_passes=options.min_passes,
         resolution=options.resolution,
         cells=(cols, rows),
         extent=grid.extent,

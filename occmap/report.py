@@ -1,19 +1,22 @@
 """What a build did: numbers for people and for programs."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from threading import Lock
 from time import perf_counter
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
+from occmap.errors import LogError, PoseError
 from occmap.readers import Log
 from occmap.sensor.returns import ReturnCounts
 from occmap.types import OccupancyMap
 from occmap.writers import WriteOptions
+
+Item = TypeVar("Item")
 
 
 class Tally:
@@ -59,6 +62,15 @@ class Tally:
             with self._lock:
                 self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
 
+    def time_each(self, stage: str, items: Iterator[Item]) -> Iterator[Item]:
+        """The same items; the time that it takes to get each is added to a stage."""
+        while True:
+            with self.time(stage):
+                item = next(items, None)
+            if item is None:
+                return
+            yield item
+
 
 @dataclass(frozen=True)
 class Report:
@@ -85,6 +97,8 @@ class Report:
     files: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
     """Those of the notes that say what is lost"""
+    min_passes: int | None = None
+    """On how many visits a cell had to be hit to keep its hits; None: nobody asked"""
 
     @property
     def undecided(self) -> float:
@@ -100,6 +114,7 @@ class Report:
             "map": {
                 "update": self.update,
                 "model": self.model,
+                "min_passes": self.min_passes,
                 "resolution": self.resolution,
                 "columns": self.cells[0],
                 "rows": self.cells[1],
@@ -133,6 +148,27 @@ class Made:
         """Keep what a log has to say, and what others have to say of it."""
         self.notes += [f"{log.path}: {text}" for text in (*others, *(n.text for n in log.notes))]
         self.damage += [f"{log.path}: {note.text}" for note in log.notes if note.damage]
+
+
+def refuse_unused(logs: Sequence[Log], tally: Tally) -> None:
+    """Refuse to make a map of nothing.
+
+    Raises
+    ------
+    LogError, PoseError
+        No scan was used; the message says why.
+    """
+    if tally.scans_used:
+        return
+    where = ", ".join(str(log.path) for log in logs)
+    reasons = ", ".join(f"{count} {reason}" for reason, count in tally.dropped.items())
+    if tally.scans_read:
+        raise PoseError(
+            f"none of {tally.scans_read} scans can be used: {reasons}",
+            where=where,
+            fix="`occmap check` tells more about poses and times",
+        )
+    raise LogError("holds no laser scan that can be read", where=where)
 
 
 def measure_shares(grid: OccupancyMap, writing: WriteOptions) -> tuple[float, float, float]:

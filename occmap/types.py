@@ -310,5 +310,7 @@ class Evidence:
     """(T, 2) row and column of each tile in the lattice of tiles, in ascending order"""
     cells: Int64
     """(T, 2, 64, 64) the two numbers of every cell; row 0 is the lowest y"""
+    times: tuple[Times, ...] = ()
+    """When cells were observed, for each of the manifest's builds"""
     where: str = ""
     """The file that it was read from"""

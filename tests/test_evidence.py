@@ -11,14 +11,16 @@ import pytest
 
 from occmap.batching import Selection
 from occmap.errors import MapError, UsageError
-from occmap.evidence import Box, RenderOptions, crop, merge, publish, render_saved, subtract
+from occmap.evidence import Box, RenderOptions, crop, publish, render_saved
+from occmap.grid.layers import unpack_cells
 from occmap.manifest import describe_files
+from occmap.merging import merge, subtract
 from occmap.pipeline import BuildOptions, build
 from occmap.posing.options import PosingOptions
 from occmap.sensor.models import parse_model
 from occmap.sensor.returns import ReturnCounts
-from occmap.types import Evidence, OccupancyMap, Update
-from occmap.writers.npz import read_evidence
+from occmap.types import Evidence, Int64, OccupancyMap, Times, Update
+from occmap.writers.npz import NpzWriter, read_evidence
 from tests.samples import REAL_LOGS, SAMPLE_LOGS
 
 DRIVE = SAMPLE_LOGS / "drive.csv"
@@ -61,6 +63,85 @@ def test_two_halves_make_the_whole(tmp_path: Path, update: Update, model: str) -
     assert np.array_equal(rest.tiles, first.tiles)
     assert np.array_equal(rest.cells, first.cells)
     assert rest.manifest == first.manifest
+    assert merge([first, second]).times == first.times + second.times
+    assert write_bytes(tmp_path, rest) == write_bytes(tmp_path, first)
+
+
+def write_bytes(folder: Path, evidence: Evidence) -> bytes:
+    path = folder / "written.npz"
+    NpzWriter().write_evidence(path, evidence)
+    return path.read_bytes()
+
+
+def spread(times: Times) -> dict[str, Int64]:
+    """(T, 64, 64) of each of a layer's four numbers, 0 where it has none."""
+    cells = unpack_cells(times)
+    tables = {}
+    for name in ("first_ns", "last_ns", "hit_visits", "seen_visits"):
+        tables[name] = np.zeros(cells.shape, np.int64)
+        tables[name][cells] = getattr(times, name)
+    return tables
+
+
+@each_combination
+def test_the_layers_of_two_halves_bound_the_times_of_the_whole(
+    tmp_path: Path, update: Update, model: str
+) -> None:
+    options = choose(update, model)
+    halves = [save(tmp_path / "half.npz", each) for each in halve(options)]
+    (whole,) = save(tmp_path / "whole.npz", options).times
+    first, second = (fit_tiles(half.times[0], whole) for half in halves)
+    cells, before, after = (unpack_cells(each) for each in (whole, first, second))
+    assert np.array_equal(before | after, cells)
+    early, late, all_of_it = spread(first), spread(second), spread(whole)
+    since = np.where(before, early["first_ns"], late["first_ns"])
+    until = np.where(after, late["last_ns"], early["last_ns"])
+    assert np.array_equal(all_of_it["first_ns"], since)
+    assert np.array_equal(all_of_it["last_ns"], until)
+    for name in ("hit_visits", "seen_visits"):  # a visit may go on over the middle
+        apart = early[name] + late[name] - all_of_it[name]
+        assert set(np.unique(apart)) <= {0, 1}
+    assert all_of_it["hit_visits"].any() == (model != "quadratic")
+
+
+def fit_tiles(times: Times, whole: Times) -> Times:
+    """The same layer with a row of cells for each tile of another."""
+    mine = map(tuple, times.tiles.tolist())
+    known = dict(zip(mine, times.observed, strict=True))
+    empty = np.zeros(512, np.uint8)
+    observed = np.array([known.get(tuple(tile), empty) for tile in whole.tiles.tolist()])
+    assert known.keys() <= set(map(tuple, whole.tiles.tolist()))
+    return replace(times, tiles=whole.tiles, observed=observed)
+
+
+def test_what_was_no_build_leaves_layers_that_are_bounds(tmp_path: Path) -> None:
+    whole, part = (save(tmp_path / "m.npz", each) for each in (choose(), halve(choose())[0]))
+    rest = subtract(whole, part)
+    (layer,), (before,) = rest.times, whole.times
+    seen = (rest.cells != 0).any(axis=1)
+    assert np.array_equal(layer.tiles, rest.tiles)
+    assert np.array_equal(unpack_cells(layer), seen)
+    assert 0 < len(layer.first_ns) < len(before.first_ns)
+    assert rest.manifest.builds == whole.manifest.builds
+    note = "something else than a whole build was subtracted: times and visits are bounds"
+    assert note in publish(rest, RenderOptions(), [tmp_path / "m.pgm"]).notes
+    assert publish(whole, RenderOptions(), [tmp_path / "m.pgm"]).notes == ()
+
+
+def test_a_build_that_is_there_only_in_part_takes_no_layer_away(tmp_path: Path) -> None:
+    options = choose()
+    whole = save(tmp_path / "whole.npz", options)
+    half, quarter = (
+        save(tmp_path / "m.npz", replace(options, selection=Selection(end_s=end)))
+        for end in (MIDDLE_S, MIDDLE_S / 2)
+    )
+    part_of_half = subtract(half, quarter)
+    rest = subtract(merge([whole, half]), part_of_half)
+    assert rest.manifest.builds == whole.manifest.builds + half.manifest.builds
+    assert rest.manifest.subtracted == half.manifest.builds
+    assert [len(each.first_ns) for each in rest.times] == [
+        len(each.times[0].first_ns) for each in (whole, half)
+    ]
 
 
 @each_combination
@@ -111,6 +192,8 @@ def test_a_build_resumes(tmp_path: Path, model: str) -> None:
     resumed = build([DRIVE], replace(second, resume=path), [path])
     whole = save(tmp_path / "whole.npz", options)
     assert np.array_equal(read_evidence(path).cells, whole.cells)
+    parts = merge([save(tmp_path / "half.npz", each) for each in (first, second)])
+    assert path.read_bytes() == write_bytes(tmp_path, parts)
     assert np.array_equal(resumed.map.log_odds, build([DRIVE], options).map.log_odds)
     assert len(read_evidence(path).manifest.builds) == 2
 

@@ -10,8 +10,9 @@ import pytest
 
 from occmap.batching import Selection
 from occmap.errors import UsageError
-from occmap.evidence import merge, render_saved, subtract
+from occmap.evidence import render_saved
 from occmap.explanation import Explanation, Question, explain
+from occmap.merging import merge, subtract
 from occmap.pipeline import BuildOptions, build
 from occmap.posing.options import Deskew, PosingOptions
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel, parse_model

@@ -8,7 +8,8 @@ import pytest
 
 from occmap.errors import UsageError
 from occmap.grid.tiles import EvidenceKind
-from occmap.history import look_at
+from occmap.history import Visits, look_at
+from occmap.merging import merge
 from occmap.pipeline import BuildOptions, build
 from occmap.sensor.models import parse_model
 from occmap.types import Evidence
@@ -31,6 +32,20 @@ def test_one_beam_clears_three_cells_and_hits_the_fourth(tmp_path: Path) -> None
     hit = seen[3]
     assert (hit.row, hit.col, hit.kind) == (0, 3, EvidenceKind.COUNTS)
     assert hit.extent == pytest.approx((0.3, 0.0, 0.4, 0.1))
+
+
+def test_times_are_told_build_by_build(tmp_path: Path) -> None:
+    """A scan a second; slices of ten seconds are of 10 scans each, and 30 s lie between visits."""
+    step, cell = [(0.05, 0.05, 0.0)], (0.35, 0.05)
+    once = observe(tmp_path, step)
+    long = observe(tmp_path, [*step * 12, *[(0.05, 9.05, 0.0)] * 30, *step])
+    both = merge([once, long])
+    second = 10**9
+    assert look_at(once, *cell).builds == (Visits(0, 0, 1, 1),)
+    assert look_at(both, *cell).builds == (Visits(0, 0, 1, 1), Visits(0, 42 * second, 2, 2))
+    assert look_at(both, 0.05, 0.05).builds[1] == Visits(0, 42 * second, 0, 2)
+    assert look_at(both, 0.35, 9.05).builds == (None, Visits(12 * second, 41 * second, 1, 1))
+    assert look_at(both, 50.0, 9.05).builds == (None, None)
 
 
 def test_neighbours_lie_around_the_cell(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from occmap.batching import Selection
 from occmap.errors import LogError, UsageError
-from occmap.evidence import merge
+from occmap.merging import merge
 from occmap.pipeline import BuildOptions, build
 from occmap.posing.options import PosingOptions
 from occmap.provenance import Use, find_uses, list_logs, list_missing

@@ -52,6 +52,8 @@ UNUSUAL = BuildOptions(
     jump=math.inf,
     border_gap=0,
     max_cells=12,
+    min_passes=3,
+    pass_gap_s=0.25,
 )
 """Nothing in it is as usual."""
 
@@ -81,7 +83,7 @@ def test_every_option_is_tested() -> None:
     [
         BuildOptions(),
         UNUSUAL,
-        replace(UNUSUAL, model=QuadraticModel(0.07, 0.3, 0.4)),
+        replace(UNUSUAL, model=QuadraticModel(0.07, 0.3, 0.4), min_passes=None),
         replace(UNUSUAL, model=CountingModel(prior=0.2)),
         replace(UNUSUAL, returns=ReturnOptions(), posing=PosingOptions(max_pose_gap_s=math.inf)),
     ],

@@ -10,8 +10,8 @@ from occmap.cli.console import Console
 from occmap.cli.saved import put_out, refuse_no_output
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.errors import UsageError
-from occmap.evidence import merge, subtract
 from occmap.measures import SAVED
+from occmap.merging import merge, subtract
 from occmap.writers.npz import read_evidence
 
 HELP = f"""{COMMANDS["merge"]}
@@ -36,7 +36,7 @@ subtracted = option(
 
 @click.command("merge", cls=SectionCommand, help=HELP, short_help=COMMANDS["merge"])
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path), metavar="NPZ...")
-@join(options.writing, subtracted, options.max_cells)
+@join(options.writing, subtracted, options.min_passes, options.max_cells)
 @join(limits.fail_if(SAVED), options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> None:

@@ -123,6 +123,23 @@ lattice = join(
     max_cells,
 )
 
+min_passes = option(
+    MAP,
+    "--min-passes",
+    type=int,
+    metavar="K",
+    help="Forget hits of cells that were hit on fewer visits, such as people; keep walls that were "
+    "hit on most.",
+)
+pass_gap = seconds(
+    MAP,
+    "--pass-gap",
+    "pass_gap_s",
+    default=DEFAULTS.pass_gap_s,
+    show_default=True,
+    help="Two visits of a cell lie at least so far apart.",
+)
+
 
 def choose_model(**default: str) -> Any:
     """Declare the option that names a sensor model."""

@@ -55,7 +55,7 @@ part = option(
 
 @click.command("render", cls=SectionCommand, help=HELP, short_help=COMMANDS["render"])
 @click.argument("path", type=click.Path(path_type=Path), metavar="NPZ")
-@join(options.writing, part, options.max_cells, options.saved_model)
+@join(options.writing, part, options.min_passes, options.max_cells, options.saved_model)
 @join(limits.fail_if(SAVED), options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, path: Path, **values: Any) -> None:

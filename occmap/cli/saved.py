@@ -6,14 +6,21 @@ from typing import Any
 from occmap.cli import limits
 from occmap.cli.collect import SHORTHANDS, collect_model, take
 from occmap.cli.console import Console
-from occmap.cli.summary import LABEL, format_counts, format_shares, format_size, label_files
+from occmap.cli.summary import (
+    LABEL,
+    format_counts,
+    format_shares,
+    format_size,
+    format_update,
+    label_files,
+)
 from occmap.errors import UsageError
 from occmap.evidence import RenderOptions, publish
 from occmap.gates import judge
 from occmap.report import Report
 from occmap.sensor.models import SensorModel
 from occmap.types import Evidence
-from occmap.writers import WriteOptions
+from occmap.writers import WriteOptions, check_outputs
 
 
 def put_out(console: Console, command: str, evidence: Evidence, values: dict[str, Any]) -> None:
@@ -23,6 +30,7 @@ def put_out(console: Console, command: str, evidence: Evidence, values: dict[str
         take(WriteOptions, values),
         values["max_cells"],
         values.get("crop"),
+        values["min_passes"],
     )
     report = publish(evidence, options, values["outputs"])
     for note in report.notes:
@@ -37,15 +45,16 @@ def put_out(console: Console, command: str, evidence: Evidence, values: dict[str
 
 
 def refuse_no_output(outputs: tuple[Path, ...], example: str) -> None:
-    """Refuse work that nobody would see.
+    """Refuse, before anything is read, work that nobody would see or that cannot be written.
 
     Raises
     ------
-    UsageError
-        No output is given.
+    UsageError, OutputError
+        No output is given, or one that cannot be made.
     """
     if not outputs:
         raise UsageError("where to write is not given", fix=f"add -o {example}")
+    check_outputs(outputs)
 
 
 def choose_model(evidence: Evidence, values: dict[str, Any]) -> SensorModel | None:
@@ -67,7 +76,7 @@ def format_saved(report: Report) -> str:
     lines = [
         ("map", format_size(report)),
         ("cells", format_shares(report)),
-        ("update", f"{report.update}, model {report.model}"),
+        ("update", format_update(report)),
         ("scans", f"{report.scans_used:,} of {report.scans_read:,} used"),
         ("dropped", format_counts(report.dropped)),
         *label_files(report),

@@ -13,7 +13,7 @@ def format_report(report: Report, seconds: float) -> str:
     lines = [
         ("map", format_size(report)),
         ("cells", format_shares(report)),
-        ("update", f"{report.update}, model {report.model}"),
+        ("update", format_update(report)),
         ("scans", f"{report.scans_used:,} of {report.scans_read:,} used"),
         ("dropped", format_counts(report.dropped)),
         ("beams", format_beams(report)),
@@ -21,6 +21,12 @@ def format_report(report: Report, seconds: float) -> str:
         *label_files(report),
     ]
     return "\n".join(f"{label:<{LABEL}}{text}" for label, text in lines if text)
+
+
+def format_update(report: Report) -> str:
+    """Say how observations came about, and what was made of them."""
+    passes = "" if report.min_passes is None else f", hits of {report.min_passes} visits or more"
+    return f"{report.update}, model {report.model}{passes}"
 
 
 def format_size(report: Report) -> str:

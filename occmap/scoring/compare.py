@@ -15,11 +15,10 @@ from occmap.pipeline import (
     Progress,
     count_scans,
     ignore_progress,
-    refuse_unused,
     trace_log,
 )
 from occmap.readers import open_log
-from occmap.report import Made, Tally
+from occmap.report import Made, Tally, refuse_unused
 from occmap.scoring.trials import HoldOut, Result, Task, Trials
 from occmap.scoring.variants import Variant, shorten_model
 from occmap.types import Rays

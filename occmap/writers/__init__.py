@@ -141,6 +141,11 @@ def check_outputs(outputs: Sequence[Path]) -> None:
             )
 
 
+def want_evidence(outputs: Sequence[Path]) -> bool:
+    """Whether any output is of what was observed, not of a map."""
+    return any(isinstance(find_writer(path), EvidenceWriter) for path in outputs)
+
+
 @dataclass(frozen=True)
 class Product:
     """What there is to write."""

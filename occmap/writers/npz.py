@@ -7,13 +7,24 @@
 | `observed` | (T, 512) uint8 | a bit for each of the 64 x 64 cells, `np.packbits` order |
 | `first` | (N,) smallest signed type that fits | hits, or sums of log-odds in units of 1/65536 |
 | `second` | (N,) likewise | misses, or observations |
+| `layers` | (L, 2) int64 | tiles and cells that each of the manifest's builds observed |
+| `time_tiles` | (U, 2) int64 | as `tiles`: those of the first build, then those of the next |
+| `time_observed` | (U, 512) uint8 | as `observed`, for them |
+| `stamps` | (K,) int64 | times of scans in ns, ascending |
+| `first_seen` | (M,) likewise | the first scan that observed the cell: its place in `stamps` |
+| `last_seen` | (M,) likewise | the last one |
+| `hit_visits` | (M,) likewise | on how many visits the cell was hit; 0 for log-odds |
+| `seen_visits` | (M,) likewise | on how many it was observed at all |
 
-N counts the observed cells, tile by tile, row by row. Cell (row, col) reaches from
-(col, row) * resolution to (col + 1, row + 1) * resolution in metres. Without occmap:
+N counts the observed cells, tile by tile, row by row; M those of all builds, one after the other.
+Cell (row, col) reaches from (col, row) * resolution to (col + 1, row + 1) * resolution in metres.
+A visit is a run of slices of time in which a cell was observed, without a slice between; slices are
+`pass_gap_s` long (in the build's options) and begin at whole multiples of it. Without occmap:
 
     file = np.load("map.npz")
     seen = np.unpackbits(file["observed"], axis=1).reshape(-1, 64, 64).astype(bool)
     hits = np.zeros(seen.shape, int); hits[seen] = file["first"]
+    since = file["stamps"][file["first_seen"]]  # of one build: as `file["first"]`
 
 Equal evidence makes equal bytes on every machine: no time stamps, no compression library.
 """
@@ -31,22 +42,20 @@ from typing import Any
 import numpy as np
 
 from occmap.errors import MapError
-from occmap.types import Bool, Evidence, Int64, Manifest, UInt8
+from occmap.types import Bool, Evidence, Manifest, UInt8
 from occmap.writers.atomic import open_atomic
+from occmap.writers.compact import TIME_ARRAYS, Arrays, narrow, pack_times, unpack_times
 
-FORMAT, VERSION = "occmap evidence", 1
+FORMAT, VERSION = "occmap evidence", 2
 SIDE = 64
 """Cells along the side of a tile."""
 MAGIC = b"PK\x03\x04"
-WIDTHS = ("<i1", "<i2", "<i4", "<i8")
-ARRAYS = ("tiles", "observed", "first", "second")
+ARRAYS = ("tiles", "observed", "first", "second", *TIME_ARRAYS)
 DAMAGE = (
     *(zipfile.BadZipFile, struct.error, tokenize.TokenError, EOFError, NotImplementedError),
     *(LookupError, ValueError, TypeError, OverflowError, RuntimeError, MemoryError, OSError),
 )
 """What zipfile, json and NumPy raise on damaged files."""
-
-Arrays = dict[str, Any]
 
 
 class NpzWriter:
@@ -93,17 +102,8 @@ def pack(evidence: Evidence) -> Arrays:
         "observed": np.packbits(seen.reshape(len(seen), SIDE * SIDE), axis=1),
         "first": narrow(evidence.cells[:, 0][seen]),
         "second": narrow(evidence.cells[:, 1][seen]),
+        **pack_times(evidence.times),
     }
-
-
-def narrow(values: Int64) -> Any:
-    """Convert integers to the smallest signed type that holds them all."""
-    low, high = int(values.min(initial=0)), int(values.max(initial=0))
-    for width in WIDTHS:
-        limits = np.iinfo(width)
-        if limits.min <= low and high <= limits.max:
-            break
-    return values.astype(width)
 
 
 def sum_up(head: dict[str, Any], arrays: Arrays) -> str:
@@ -123,7 +123,7 @@ def read_evidence(path: Path) -> Evidence:
     Raises
     ------
     MapError
-        It is missing, no evidence file, of a newer format, or not as it was written.
+        It is missing, no evidence file, of another format, or not as it was written.
     """
     try:
         with path.open("rb") as file:
@@ -145,7 +145,7 @@ def load(path: Path, file: Any) -> tuple[dict[str, Any], Arrays]:
     Raises
     ------
     MapError
-        The file is of another kind, or its format is newer.
+        The file is of another kind, or its format is newer or older.
     """
     with zipfile.ZipFile(file) as archive:
         if "manifest.npy" not in archive.namelist():
@@ -156,6 +156,12 @@ def load(path: Path, file: Any) -> tuple[dict[str, Any], Arrays]:
                 f"{head['format']} of version {head['version']}, while this occmap reads {VERSION}",
                 where=path,
                 fix="use a newer occmap",
+            )
+        if head["version"] < VERSION:
+            raise MapError(
+                f"{FORMAT} of an older occmap, without times (version {head['version']})",
+                where=path,
+                fix="build it again",
             )
         return head, {name: read_array(archive, name) for name in ARRAYS}
 
@@ -194,4 +200,5 @@ def unpack(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidence:
     cells = np.zeros((len(arrays["tiles"]), 2, SIDE, SIDE), f"<i{width}")
     cells[:, 0][seen] = arrays["first"]
     cells[:, 1][seen] = arrays["second"]
-    return Evidence(Manifest(**{**fields, **lists}), arrays["tiles"], cells, str(path))
+    manifest = Manifest(**{**fields, **lists})
+    return Evidence(manifest, arrays["tiles"], cells, unpack_times(arrays), str(path))

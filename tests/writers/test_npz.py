@@ -2,6 +2,7 @@
 
 import json
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,12 @@ import pytest
 
 from occmap.errors import MapError
 from occmap.grid.tiles import TILE
-from occmap.types import Evidence, Manifest
-from occmap.writers.npz import SIDE, NpzWriter, add_array, narrow, read_evidence
+from occmap.types import Bool, Evidence, Manifest, Times
+from occmap.writers.compact import TIME_ARRAYS, narrow
+from occmap.writers.npz import SIDE, NpzWriter, add_array, read_evidence
 
-MANIFEST = Manifest(0.05, "beam", "counts", "", "simple:prior=0.5", ({"inputs": []},))
+MANIFEST = Manifest(0.05, "beam", "counts", "", "simple:prior=0.5", ({"inputs": []}, {}))
+START_NS = 1_700_000_000_123_456_789
 
 
 def evidence_of(cells: dict[tuple[int, int], tuple[int, int]]) -> Evidence:
@@ -22,7 +25,24 @@ def evidence_of(cells: dict[tuple[int, int], tuple[int, int]]) -> Evidence:
     values[1, :, 63, 63] = 1, 0
     for (row, col), pair in cells.items():
         values[0, :, row, col] = pair
-    return Evidence(MANIFEST, np.array([[-1, 0], [2, 3]]), values)
+    tiles = np.array([[-1, 0], [2, 3]])
+    return Evidence(MANIFEST, tiles, values, (time_cells(values[:, 0] > 0), NO_TIMES))
+
+
+def time_cells(seen: Bool) -> Times:
+    """First stamps that rise from cell to cell, last ones a nanosecond later, and visits."""
+    bits = np.packbits(seen.reshape(len(seen), -1), axis=1)
+    first = START_NS + np.arange(np.count_nonzero(seen))
+    visits = np.arange(len(first), dtype=np.int32)
+    return Times(np.array([[-1, 0], [2, 3]]), bits, first, first + 1, visits, 200 + visits)
+
+
+NO_TIMES = Times(
+    np.zeros((0, 2), np.int64),
+    np.zeros((0, 512), np.uint8),
+    *np.zeros((2, 0), np.int64),
+    *np.zeros((2, 0), np.int32),
+)
 
 
 SMALL = evidence_of({(0, 0): (3, 5), (0, 1): (0, 200), (7, 9): (1, 0)})
@@ -43,7 +63,24 @@ def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
     assert back.manifest == MANIFEST
     assert np.array_equal(back.tiles, SMALL.tiles)
     assert np.array_equal(back.cells, SMALL.cells)
+    assert_equal_times(back, SMALL)
     assert back.where == str(path)
+
+
+def assert_equal_times(one: Evidence, other: Evidence) -> None:
+    assert len(one.times) == len(other.times)
+    for mine, its in zip(one.times, other.times, strict=True):
+        for name in Times.__dataclass_fields__:
+            assert np.array_equal(getattr(mine, name), getattr(its, name)), name
+
+
+def test_times_of_no_build_and_of_the_whole_range_of_stamps(tmp_path: Path) -> None:
+    limits = np.iinfo(np.int64)
+    (some, _) = SMALL.times
+    wide = replace(some, first_ns=np.array([limits.min, 0, 1]), last_ns=np.full(3, limits.max))
+    for times in ((), (NO_TIMES,), (NO_TIMES, wide, NO_TIMES, some)):
+        evidence = replace(SMALL, times=times)
+        assert_equal_times(read_evidence(write(tmp_path / "m.npz", evidence)), evidence)
 
 
 def test_numpy_alone_reads_it(tmp_path: Path) -> None:
@@ -52,6 +89,11 @@ def test_numpy_alone_reads_it(tmp_path: Path) -> None:
         seen = np.unpackbits(file["observed"], axis=1).reshape(-1, 64, 64).astype(bool)
         assert file["first"].tolist() == [3, 0, 1, 1]
         assert (file["first"].dtype, file["second"].dtype) == (np.int8, np.int16)
+        assert file["layers"].tolist() == [[2, 3], [0, 0]]
+        since = file["stamps"][file["first_seen"]] - START_NS
+        until = file["stamps"][file["last_seen"]] - START_NS
+        assert (since.tolist(), until.tolist()) == ([0, 1, 2], [1, 2, 3])
+        assert (file["first_seen"].dtype, file["seen_visits"].dtype) == (np.int8, np.int16)
     assert np.argwhere(seen).tolist() == [[0, 0, 0], [0, 0, 1], [0, 7, 9], [1, 63, 63]]
 
 
@@ -113,6 +155,7 @@ def test_an_altered_file_is_refused_or_says_the_same(tmp_path: Path) -> None:
         else:  # a date in the zip's directory, say
             assert np.array_equal(back.cells, SMALL.cells)
             assert back.manifest == MANIFEST
+            assert_equal_times(back, SMALL)
     assert refused > 0.8 * len(whole) / 3
 
 
@@ -133,9 +176,14 @@ def to_bytes(text: str) -> Any:
 def test_what_was_altered_on_purpose_is_refused(tmp_path: Path) -> None:
     path = write(tmp_path / "m.npz")
     content = rewrite(path, first=np.array([4, 0, 1, 1], np.int8))
-    assert "the checksum does not fit: the file was altered; build it again" in damage(
-        path, content
-    )
+    altered = "the checksum does not fit: the file was altered; build it again"
+    assert altered in damage(path, content)
+    for name in TIME_ARRAYS:
+        write(path)
+        with np.load(path) as file:
+            array = file[name]
+        array.flat[0] ^= 1
+        assert altered in damage(path, rewrite(path, **{name: array})), name
     write(path)
     with np.load(path) as file:
         text = bytes(file["manifest"]).decode()
@@ -149,8 +197,12 @@ def test_what_was_altered_on_purpose_is_refused(tmp_path: Path) -> None:
         ("", "it is cut or altered"),
         ("[]", "it is cut or altered"),
         ("{}", "it is cut or altered"),
-        ('{"format": "occmap evidence", "version": 1}', "it is cut or altered"),
-        ('{"format": "occmap evidence", "version": 2}', "version 2, while this occmap reads 1"),
+        ('{"format": "occmap evidence", "version": 2}', "it is cut or altered"),
+        ('{"format": "occmap evidence", "version": 3}', "version 3, while this occmap reads 2"),
+        (
+            '{"format": "occmap evidence", "version": 1}',
+            "occmap evidence of an older occmap, without times (version 1); build it again",
+        ),
         ('{"format": "else", "version": 1}', "else of version 1"),
     ],
 )

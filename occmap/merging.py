@@ -1,0 +1,120 @@
+"""Evidence added up and taken apart again, exactly."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from occmap.errors import MapError
+from occmap.evidence import keep, to_grid
+from occmap.grid.layers import restrict
+from occmap.grid.stacks import add_stack, drop_empty, stack_tiles
+from occmap.grid.tiles import EvidenceKind, TileGrid
+from occmap.types import Evidence, Manifest
+from occmap.writers.npz import read_evidence
+
+
+def open_saved(path: Path, plan: Manifest) -> Evidence:
+    """Read evidence that a build is to add to.
+
+    Raises
+    ------
+    MapError
+        It cannot be read, or does not add up with what the build makes.
+    """
+    saved = read_evidence(path)
+    refuse_different(plan, saved)
+    return saved
+
+
+def merge(evidences: Sequence[Evidence]) -> Evidence:
+    """Add evidence: the same cells as if all logs were built together.
+
+    Raises
+    ------
+    MapError
+        Their resolutions, updates or kinds differ.
+    """
+    first, *others = evidences
+    if not others:
+        return first
+    grid, times = to_grid(first), first.times
+    builds, subtracted = first.manifest.builds, first.manifest.subtracted
+    for other in others:
+        refuse_different(first.manifest, other)
+        add_stack(grid, other.tiles, other.cells)
+        times += other.times
+        builds += other.manifest.builds
+        subtracted += other.manifest.subtracted
+    manifest = replace(first.manifest, builds=builds, subtracted=subtracted)
+    return keep(grid, manifest, times)
+
+
+def subtract(evidence: Evidence, other: Evidence) -> Evidence:
+    """Take evidence away: what is left is as if `other` had never been added.
+
+    The times of its builds go with it. Where it is none of the builds that were added, or only a
+    part of one, no scan is known to be the first or last any more: times then are bounds.
+
+    Raises
+    ------
+    MapError
+        As `merge`, or `other` holds something that is not there.
+    """
+    refuse_different(evidence.manifest, other)
+    grid = to_grid(evidence)
+    add_stack(grid, other.tiles, -other.cells.astype(np.int64))
+    refuse_negative(grid, evidence, other)
+    drop_empty(grid)
+    builds, times = list(evidence.manifest.builds), list(evidence.times)
+    unknown = list(evidence.manifest.subtracted)
+    for build in other.manifest.builds:
+        if build in builds and not other.manifest.subtracted:
+            place = builds.index(build)
+            del builds[place], times[place]
+        else:
+            unknown.append(build)
+    manifest = replace(evidence.manifest, builds=tuple(builds), subtracted=tuple(unknown))
+    return keep(grid, manifest, tuple(restrict(layer, grid) for layer in times))
+
+
+def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None:
+    """Refuse a difference that no observation can have made.
+
+    Raises
+    ------
+    MapError
+        Saying in how many cells too much was taken away.
+    """
+    _, cells = stack_tiles(grid)
+    if grid.kind is EvidenceKind.COUNTS:
+        wrong = (cells < 0).any(axis=1)
+    else:  # log-odds may be negative, but not without an observation
+        wrong = (cells[:, 1] < 0) | ((cells[:, 1] == 0) & (cells[:, 0] != 0))
+    if wrong.any():
+        minuend = evidence.where or "the sum"
+        raise MapError(
+            f"holds observations of {np.count_nonzero(wrong)} cells that {minuend} lacks",
+            where=other.where,
+            fix="subtract only what was merged before",
+        )
+
+
+def refuse_different(manifest: Manifest, other: Evidence) -> None:
+    """Refuse evidence that does not add up with other evidence.
+
+    Raises
+    ------
+    MapError
+        Naming what differs.
+    """
+    for name in ("resolution", "update", "kind", "profile"):
+        mine, its = getattr(manifest, name), getattr(other.manifest, name)
+        if mine != its:
+            raise MapError(
+                f"its {name} is {its or 'none'}, that of what it is to be combined with is "
+                f"{mine or 'none'}",
+                where=other.where,
+                fix="build both with the same options",
+            )
