@@ -24,6 +24,11 @@ MAX_AUTO_TURN_S = 1.0
 MOMENTS = 33
 """Poses looked up for one de-skewed scan; see `_keep_deskewed` for how close that is."""
 
+POSES_OF_BODY = (
+    "the poses beside the scans are taken as the robot's, with the laser at --sensor-pose on it; "
+    "leave that out if they are the laser's own"
+)
+
 UNTURNED = (0, 0, 0, 0, 0, 0, 1)
 """Stands in for a pose that is not finite."""
 
@@ -96,6 +101,8 @@ class Poser:
             No scan frame so far has a chain to the map frame.
         """
         if batch.pose is not None and self.sources.trajectory is None:
+            if self.options.sensor_pose is not None:
+                self._note(POSES_OF_BODY)
             return _keep_posed(batch, _read_stated(batch.pose, self.options.sensor_pose))
         if batch.frame not in self.chains:
             self.resolve([batch.frame])

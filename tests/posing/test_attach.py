@@ -114,6 +114,17 @@ def test_a_stated_pose_is_the_bodys_where_the_sensors_is_given() -> None:
     np.testing.assert_allclose(np.abs(yaw_of(posed.rotation)), [math.pi])
 
 
+def test_whose_stated_poses_are_is_said_once_and_only_where_it_was_decided() -> None:
+    mounted, plain = build(sensor_pose=turned(90, x=2)), build()
+    for poser in (mounted, mounted, plain):
+        poser.attach(stated(turned(90, x=1)))
+    assert mounted.notes == [
+        "the poses beside the scans are taken as the robot's, with the laser at --sensor-pose on "
+        "it; leave that out if they are the laser's own"
+    ]
+    assert plain.notes == []
+
+
 def test_a_chosen_trajectory_goes_before_stated_poses() -> None:
     log = drive("map", "", "/slam")
     posed, _ = build(*log, poses="/slam").attach(stated(turned(0, x=5)))
