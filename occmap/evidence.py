@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from occmap.errors import MapError, UsageError
+from occmap.errors import MapError
 from occmap.grid.lattice import Lattice
 from occmap.grid.stacks import add_stack, stack_tiles
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid
@@ -68,9 +68,9 @@ def render_saved(
     Raises
     ------
     UsageError
-        The evidence was not made for this model, or this one knows no visits that hit.
+        The model knows no visits that hit.
     MapError
-        As `render`.
+        As `render`, or the evidence was not made for this model.
     """
     refuse_other_profile(evidence, model)
     check_passes(min_passes, model)
@@ -138,15 +138,15 @@ def refuse_other_profile(evidence: Evidence, model: SensorModel) -> None:
 
     Raises
     ------
-    UsageError
-        Naming the model that can.
+    MapError
+        Naming the model that can: other evidence may well be for this one.
     """
     made_for, wanted = evidence.manifest.profile, describe_profile(model)
     if made_for and made_for != wanted:
         found = f"was summed up for the model {made_for}; no other can read it"
-        raise UsageError(found, where=evidence.where, fix="leave out --model, or change --prior")
+        raise MapError(found, where=evidence.where, fix="leave out --model, or change --prior")
     if wanted and not made_for:
-        raise UsageError(
+        raise MapError(
             f"holds hits and misses, which {model.name} cannot read",
             where=evidence.where,
             fix=f"build it with --model {model.name}",

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from occmap.batching import Selection
-from occmap.errors import MapError, UsageError
+from occmap.errors import MapError
 from occmap.evidence import Box, RenderOptions, crop, publish, render_saved
 from occmap.grid.layers import unpack_cells
 from occmap.manifest import describe_files
@@ -287,7 +287,7 @@ def test_a_model_that_cannot_read_it_is_refused(
     tmp_path: Path, made_by: str, wanted: str, found: str
 ) -> None:
     evidence = save(tmp_path / "m.npz", choose(model=made_by))
-    with pytest.raises(UsageError, match=rf"m.npz: .*{found}"):
+    with pytest.raises(MapError, match=rf"m.npz: .*{found}"):
         render_saved(evidence, parse_model(wanted), 10**9)
 
 

@@ -146,8 +146,8 @@ def test_stamps_are_dates_where_they_can_be(stamp_ns: int, text: str) -> None:
         (["a.npz", "0"], 2, "Missing argument 'Y'"),
         (["a.npz", "0", "north"], 2, "'north' is not a valid float"),
         (["a.npz", "0", "0", "--modle", "counting"], 2, "Did you mean '--model'?"),
-        (["a.npz", "0", "0", "--model", "quadratic"], 2, "which quadratic cannot read"),
-        (["q.npz", "0", "0", "--p-min", "0.3"], 2, "no other can read it"),
+        (["a.npz", "0", "0", "--model", "quadratic"], 1, "which quadratic cannot read"),
+        (["q.npz", "0", "0", "--p-min", "0.3"], 1, "no other can read it"),
         (["a.npz", "0", "0", "--free-thresh", "0.9"], 2, "0 < free < occupied < 1"),
     ],
 )

@@ -1,0 +1,138 @@
+"""All commands fail alike: 2 where the command line can never work, 1 where a file is at fault."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.cli.runner import occmap
+from tests.samples import write_csv
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log, a map of it, its evidence, and evidence of another model."""
+    folder = tmp_path_factory.mktemp("codes")
+    log = write_csv(folder / "log.csv", [(0.0, 0.0, 0.0)] * 10, [0.3])
+    assert occmap("build", log, "-o", folder / "a.npz", "-o", folder / "a.pgm").code == 0
+    assert occmap("build", log, "-o", folder / "q.npz", "--model", "quadratic").code == 0
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def folder(files: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(files)
+    return files
+
+
+FAULTS = {
+    "no such file": (
+        1,
+        [
+            "build none.csv -o m.pgm",
+            "check none.csv",
+            "compare none.csv",
+            "render none.npz -o m.pgm",
+            "merge a.npz none.npz -o m.npz",
+            "diff a.pgm none.pgm",
+            "build log.csv -o m.npz --resume none.npz",
+        ],
+    ),
+    "a file that is none of its kind": (
+        1,
+        [
+            "build a.npz -o m.pgm",
+            "check a.npz",
+            "compare a.npz",
+            "render log.csv -o m.pgm",
+            "merge log.csv -o m.npz",
+            "build log.csv -o m.npz --resume log.csv",
+        ],
+    ),
+    "the folder of an output is missing": (
+        1,
+        [
+            "build log.csv -o no/m.pgm",
+            "compare log.csv -o no/m.png",
+            "render a.npz -o no/m.pgm",
+            "merge a.npz -o no/m.npz",
+            "diff a.pgm a.pgm -o no/m.png",
+        ],
+    ),
+    "options that leave nothing of this log": (
+        1,
+        [
+            "build log.csv -o m.pgm --scan-topic /x",
+            "check log.csv --scan-topic /x",
+            "compare log.csv --scan-topic /x",
+            "build log.csv -o m.pgm --max-cells 2",
+            "check log.csv --max-cells 2",
+            "compare log.csv --max-cells 2",
+            "render a.npz -o m.pgm --max-cells 2",
+            "merge a.npz -o m.pgm --max-cells 2",
+            "render a.npz -o m.pgm --crop 9,9,10,10",
+        ],
+    ),
+    "evidence of another kind": (
+        1,
+        [
+            "build log.csv -o m.npz --resume q.npz",
+            "merge a.npz q.npz -o m.npz",
+            "render q.npz -o m.pgm --model simple",
+            "render a.npz -o m.pgm --model quadratic",
+        ],
+    ),
+    "unknown suffix, found before anything is read": (
+        2,
+        [
+            "build none.csv -o m.gif",
+            "compare none.csv -o m.gif",
+            "render none.npz -o m.gif",
+            "merge none.npz -o m.gif",
+            "diff none.pgm none.pgm -o m.gif",
+            "diff a.pgm a.gif",
+        ],
+    ),
+    "nothing given": (
+        2,
+        ["build", "build log.csv", "check", "compare", "render", "render a.npz", "merge", "diff"],
+    ),
+    "a value out of its range": (
+        2,
+        [
+            "build log.csv -o m.pgm --resolution 0",
+            "check log.csv --resolution 0",
+            "compare log.csv --resolution 0",
+            "build log.csv -o m.pgm --occupied-thresh 2",
+            "render a.npz -o m.pgm --occupied-thresh 2",
+            "merge a.npz -o m.pgm --occupied-thresh 2",
+            "diff a.pgm a.pgm --occupied-thresh 2",
+            "build log.csv -o m.pgm --max-range -1",
+            "check log.csv --max-range -1",
+            "compare log.csv --max-range -1",
+            "build log.csv -o m.pgm --p-hit 2",
+            "render a.npz -o m.pgm --p-hit 2",
+            "build log.csv -o m.pgm --max-cells 0",
+            "check log.csv --max-cells 0",
+            "merge a.npz -o m.pgm --max-cells 0",
+            "compare log.csv --jobs 0",
+            "build log.csv -o m.pgm --jobs 0",
+            "build log.csv -o m.pgm --stride 0",
+            "check log.csv --stride 0",
+            "compare log.csv --stride 0",
+            "build log.csv -o m.pgm --start 5 --end 2",
+            "check log.csv --start 5 --end 2",
+            "diff a.pgm a.pgm --fail-above 5",
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [(code, words) for code, lines in FAULTS.values() for words in lines],
+    ids=str,
+)
+def test_exit_codes(code: int, words: str) -> None:
+    result = occmap(*words.split())
+    assert result.code == code, result.err
+    assert result.err.count("\n") <= 1  # check lists problems of logs on stdout
