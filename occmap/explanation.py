@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from occmap.errors import UsageError
-from occmap.evidence import refuse_other_profile, to_grid, weigh
+from occmap.evidence import list_notes, refuse_other_profile, to_grid, weigh
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
-from occmap.history import CellHistory, look_at
+from occmap.history import CellHistory, Visits, look_at
+from occmap.persistence import check_passes, weigh_visits
 from occmap.pipeline import Progress, ignore_progress
-from occmap.provenance import Use, find_uses, list_missing, shorten
+from occmap.provenance import Use, find_uses, list_logs, list_missing, shorten
 from occmap.sensor.models import SensorModel, describe_model, parse_model
 from occmap.sightings import Numbers, Sighting, add_up, find_sightings
 from occmap.types import Evidence, OccupancyMap, to_log_odds
@@ -33,8 +34,21 @@ class Question:
     """The trajectory files of the builds that had one"""
     model: SensorModel | None = None
     """None: the one that the evidence was built with"""
+    min_passes: int | None = None
+    """The cell keeps its hits only if they came on so many visits; None: it keeps all"""
     writing: WriteOptions = field(default_factory=WriteOptions)
     """For its thresholds"""
+
+
+@dataclass(frozen=True)
+class BuildVisits:
+    """When one build observed the cell."""
+
+    build: int
+    """Which of `Manifest.builds`"""
+    logs: tuple[str, ...]
+    """Their names"""
+    visits: Visits
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +59,9 @@ class Explanation:
     history: CellHistory
     model: str
     cell: OccupancyMap
-    """Of this one cell"""
+    """Of this one cell: nothing is observed where --min-passes leaves nothing"""
+    builds: tuple[BuildVisits, ...]
+    """Those that observed the cell"""
     extent: tuple[float, float, float, float] | None
     """Of all observed cells: lowest x and y, highest x and y (m); None: there are none"""
     scans_used: int = 0
@@ -62,7 +78,7 @@ class Explanation:
     @property
     def verdict(self) -> str:
         """Occupied, free, undecided, or unknown."""
-        if not self.history.observed:
+        if not self.cell.observed.all():
             return "unknown"
         if self.cell.is_occupied(self.question.writing.occupied_thresh).all():
             return "occupied"
@@ -83,6 +99,8 @@ class Explanation:
             "model": self.model,
             "seen": numbers_to_json((history.first, history.second), kind),
             "around": around[::-1],
+            "min_passes": self.question.min_passes,
+            "builds": [visits_to_json(each, kind) for each in self.builds],
             "scans_used": self.scans_used,
             "scans": [sighting_to_json(each, kind) for each in self.sightings],
             "notes": list(self.notes),
@@ -102,6 +120,7 @@ def explain(
     """
     model = question.model or parse_model(evidence.manifest.model)
     refuse_other_profile(evidence, model)
+    check_passes(question.min_passes, model)
     if question.poses and not question.logs:
         raise UsageError("--poses goes with a log", fix="add --log LOG, or leave it out")
     history = look_at(evidence, question.x, question.y)
@@ -111,22 +130,36 @@ def explain(
         question,
         history,
         describe_model(model),
-        judge_cell(history, model),
+        judge_cell(history, model, question.min_passes),
+        tuple(list_visits(evidence, history)),
         measure_extent(evidence),
         scans_used,
         tuple(sorted(sightings, key=lambda each: each.stamp_ns)),
-        tuple(list_notes(evidence, history, uses, sightings)) if uses else (),
+        (
+            *list_notes(evidence.manifest),
+            *(list_unexplained(evidence, history, uses, sightings) if uses else ()),
+        ),
     )
 
 
-def judge_cell(history: CellHistory, model: SensorModel) -> OccupancyMap:
+def judge_cell(history: CellHistory, model: SensorModel, min_passes: int | None) -> OccupancyMap:
     """Make a map of the one cell."""
-    log_odds = np.array([[to_log_odds(model.prior)]], np.float32)
-    if history.observed:
-        numbers = np.array([[history.first]]), np.array([[history.second]])
-        log_odds = weigh(model)(*numbers).astype(np.float32)
+    numbers = history.around[1, 1].reshape(2, 1, 1)
+    if min_passes is not None:
+        numbers = weigh_visits(numbers, history.visits.reshape(2, 1, 1), min_passes)
+    observed = numbers.any(axis=0)
+    log_odds = np.where(observed, weigh(model)(*numbers), to_log_odds(model.prior))
     low_x, low_y, high_x, _ = history.extent
-    return OccupancyMap(log_odds, np.array([[history.observed]]), high_x - low_x, (low_x, low_y))
+    place = high_x - low_x, (low_x, low_y)
+    return OccupancyMap(log_odds.astype(np.float32), observed, *place)
+
+
+def list_visits(evidence: Evidence, history: CellHistory) -> Iterator[BuildVisits]:
+    """List the builds that observed the cell."""
+    for index, visits in enumerate(history.builds):
+        if visits is not None:
+            logs = list_logs(evidence.manifest.builds[index])
+            yield BuildVisits(index, tuple(logs), visits)
 
 
 def measure_extent(evidence: Evidence) -> tuple[float, float, float, float] | None:
@@ -141,7 +174,7 @@ def measure_extent(evidence: Evidence) -> tuple[float, float, float, float] | No
     return low_x, low_y, high_x, high_y
 
 
-def list_notes(
+def list_unexplained(
     evidence: Evidence, history: CellHistory, uses: Sequence[Use], sightings: Sequence[Sighting]
 ) -> Iterator[str]:
     """Say what is not explained by the scans that were found."""
@@ -188,4 +221,17 @@ def sighting_to_json(sighting: Sighting, kind: EvidenceKind) -> dict[str, Any]:
         "x": x,
         "y": y,
         "distance": sighting.distance,
+    }
+
+
+def visits_to_json(build: BuildVisits, kind: EvidenceKind) -> dict[str, Any]:
+    """When one build observed the cell, as values that JSON has."""
+    first_ns, last_ns, hit_visits, seen_visits = build.visits
+    return {
+        "build": build.build,
+        "logs": list(build.logs),
+        "first_ns": first_ns,
+        "last_ns": last_ns,
+        "hit_visits": None if kind is EvidenceKind.LOG_ODDS else hit_visits,
+        "seen_visits": seen_visits,
     }

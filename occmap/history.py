@@ -54,6 +54,13 @@ class CellHistory:
         return int(self.around[1, 1, 1])
 
     @property
+    def visits(self) -> Int64:
+        """(2,) on how many visits the cell was hit, and observed at all; builds add up."""
+        each = [(visits.hit_visits, visits.seen_visits) for visits in self.builds if visits]
+        total: Int64 = np.array(each, np.int64).reshape(-1, 2).sum(axis=0)
+        return total
+
+    @property
     def observed(self) -> bool:
         """Whether anything observed the cell."""
         return bool(self.around[1, 1].any())

@@ -7,9 +7,9 @@ import numpy as np
 from occmap.errors import MapError, UsageError
 from occmap.grid.layers import sum_visits
 from occmap.grid.stacks import drop_empty
-from occmap.grid.tiles import TILE, TileGrid
+from occmap.grid.tiles import TILE, Tile, TileGrid
 from occmap.sensor.models import RadialModel, SensorModel
-from occmap.types import Times
+from occmap.types import Int64, Times
 
 SHORTEST_GAP_S, LONGEST_GAP_S = 1e-3, 1e9
 
@@ -40,11 +40,8 @@ def keep_lasting(grid: TileGrid, layers: Sequence[Times], min_passes: int | None
     visits = sum_visits(layers)
     nothing = np.zeros((2, TILE, TILE), np.int64)
     lasting = TileGrid(grid.lattice, grid.kind)
-    for key, (hits, misses) in grid.tiles.items():
-        hit, seen = visits.get(key, nothing)
-        often = hit >= min_passes
-        mostly = often & (2 * hit >= seen)
-        lasting.tiles[key] = np.stack([np.where(often, hits, 0), np.where(mostly, 0, misses)])
+    for key, tile in grid.tiles.items():
+        lasting.tiles[key] = weigh_visits(tile, visits.get(key, nothing), min_passes)
     drop_empty(lasting)
     if grid.tiles and not lasting.tiles:
         raise MapError(
@@ -52,6 +49,14 @@ def keep_lasting(grid: TileGrid, layers: Sequence[Times], min_passes: int | None
             fix="give a smaller --min-passes",
         )
     return lasting
+
+
+def weigh_visits(numbers: Tile, visits: Int64, min_passes: int) -> Int64:
+    """Forget hits or misses (2, ...) of cells by the visits (2, ...) that hit and that saw them."""
+    (hits, misses), (hit, seen) = numbers, visits
+    often = hit >= min_passes
+    mostly = often & (2 * hit >= seen)
+    return np.stack([np.where(often, hits, 0), np.where(mostly, 0, misses)])
 
 
 def check_passes(min_passes: int | None, model: SensorModel) -> None:

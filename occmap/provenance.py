@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from occmap.errors import LogError, UsageError
+from occmap.errors import LogError, PoseError
 from occmap.manifest import describe_files
 from occmap.pipeline import BuildOptions
 from occmap.recall import recall_options
@@ -39,7 +39,7 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Sequence[Path]) -
     ------
     LogError
         The evidence was not made of a log, or a file cannot be read.
-    UsageError
+    PoseError
         A trajectory is missing, or none of these builds had it.
     """
     given = {digest: path for path in poses for digest in hash_files(path)}
@@ -114,14 +114,14 @@ def follow(
 
     Raises
     ------
-    UsageError
+    PoseError
         It is not among those given.
     """
     path = given.get(trajectory["sha256"])
     if path is None:
         others = ", ".join(map(str, given.values()))
         differs = f" (the SHA-256 of {others} is another)" if others else ""
-        raise UsageError(
+        raise PoseError(
             f"its poses came from {trajectory['name']}, which is needed again{differs}",
             where=log,
             fix=f"add --poses {trajectory['name']}",
@@ -153,11 +153,11 @@ def refuse_idle(poses: Sequence[Path]) -> None:
 
     Raises
     ------
-    UsageError
+    PoseError
         Naming it.
     """
     if poses:
-        raise UsageError(
+        raise PoseError(
             "is no trajectory that these logs were built with", where=poses[0], fix="leave it out"
         )
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from occmap.batching import Selection
-from occmap.errors import LogError, UsageError
+from occmap.errors import LogError, PoseError
 from occmap.merging import merge
 from occmap.pipeline import BuildOptions, build
 from occmap.posing.options import PosingOptions
@@ -137,7 +137,7 @@ def test_a_trajectory_too_few_or_too_many_is_refused(
     log: str, poses: list[str], found: str
 ) -> None:
     evidence = merge([build_followed(), save("a.csv", into="n.npz")])
-    with pytest.raises(UsageError) as caught:
+    with pytest.raises(PoseError) as caught:
         find(evidence, log, poses=poses)
     assert found in str(caught.value)
 

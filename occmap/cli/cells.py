@@ -5,13 +5,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from occmap.cli.summary import LABEL
-from occmap.explanation import Explanation, describe_numbers
+from occmap.explanation import BuildVisits, Explanation, describe_numbers
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
+from occmap.provenance import shorten
 from occmap.sightings import Numbers, Sighting, add_up
 from occmap.wording import count
 
 MOST_SCANS = 12
 """More are cut out of the middle of the list"""
+MOST_BUILDS = 6
 DATES_S = range(631_152_000, 4_102_444_800)
 """1990 to 2100: such stamps are dates; others count from the start of something"""
 
@@ -28,15 +30,19 @@ def format_explanation(explanation: Explanation) -> str:
 
 def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
     """Say where the cell is, what it is, and what is beside it."""
-    history = explanation.history
+    history, observed = explanation.history, explanation.cell.observed.all()
     place = f"row {history.row}, column {history.col}"
     yield "cell", f"{place}: {format_extent(history.extent)}"
-    if history.observed:
+    if observed:
         by = f"probability {explanation.probability:.3f} by {explanation.model}"
         yield "class", f"{explanation.verdict}: {by}"
-        yield "seen", describe_numbers((history.first, history.second), history.kind)
+    elif history.observed:
+        yield "class", "unknown: it was hit, but on fewer visits than --min-passes"
     else:
         yield "class", "unknown: nothing observed this cell"
+    if history.observed:
+        yield "seen", describe_numbers((history.first, history.second), history.kind)
+        yield from list_builds(explanation)
     if explanation.extent:
         low_x, low_y, high_x, high_y = explanation.extent
         x, y = explanation.question.x, explanation.question.y
@@ -46,6 +52,25 @@ def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
         yield "", "nor any other: the evidence is empty"
     if history.around.any():
         yield from list_around(explanation)
+
+
+def list_builds(explanation: Explanation) -> Iterator[tuple[str, str]]:
+    """Say on how many visits each build observed the cell, and when."""
+    shown = explanation.builds[:MOST_BUILDS]
+    for index, build in enumerate(shown):
+        yield "" if index else "visits", describe_visits(build, explanation.history.kind)
+    if len(shown) < len(explanation.builds):
+        yield "", f"and {len(explanation.builds) - len(shown):,} more builds: --json lists all"
+
+
+def describe_visits(build: BuildVisits, kind: EvidenceKind) -> str:
+    """Write when one build observed the cell."""
+    first_ns, last_ns, hit_visits, seen_visits = build.visits
+    visits = count(seen_visits, "visit")
+    if kind is EvidenceKind.COUNTS:
+        visits = f"hit on {hit_visits:,} of {visits}"
+    span = f"from {format_time(first_ns)} to {format_time(last_ns)}"
+    return f"{shorten(build.logs)}: {visits}, {span}"
 
 
 def format_extent(extent: tuple[float, float, float, float]) -> str:

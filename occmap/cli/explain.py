@@ -14,6 +14,7 @@ from occmap.cli.progress import show_progress
 from occmap.cli.saved import choose_model
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.explanation import Question, explain
+from occmap.types import Evidence
 from occmap.writers import WriteOptions
 from occmap.writers.npz import read_evidence
 
@@ -63,7 +64,8 @@ poses = option(
 @click.argument("path", type=click.Path(path_type=Path), metavar="NPZ")
 @click.argument("x", type=float)
 @click.argument("y", type=float)
-@join(logs, poses, options.saved_model, options.thresholds, options.as_json, options.verbosity)
+@join(logs, poses, options.min_passes, options.saved_model, options.thresholds)
+@join(options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, path: Path, **values: Any) -> None:
     """Look at a cell, and print what was found."""
@@ -79,7 +81,7 @@ def command(console: Console, /, path: Path, **values: Any) -> None:
         console.put(format_explanation(explanation))
 
 
-def collect_view(evidence: Any, values: dict[str, Any]) -> dict[str, Any]:
+def collect_view(evidence: Evidence, values: dict[str, Any]) -> dict[str, Any]:
     """Gather what a cell is to be judged by.
 
     Raises

@@ -33,6 +33,7 @@ def test_a_cell_in_lines() -> None:
         "cell     row 0, column 3: x 0.3 to 0.4 m, y 0 to 0.1 m",
         "class    occupied: probability 0.784 by simple:p_hit=0.7,p_miss=0.4,prior=0.5",
         "seen     2 hits and 1 miss",
+        "visits   a.csv: hit on 1 of 1 visit, from 0.000 s to 2.000 s",
         "around   hits/misses of the cells beside it, y upwards",
         "           -    -    -",
         "         0/2  2/1  0/2",
@@ -43,7 +44,7 @@ def test_a_cell_in_lines() -> None:
 def test_scans_in_lines() -> None:
     result = occmap("explain", "a.npz", "0.37", "0.05", "--log", "a.csv")
     assert (result.code, result.err) == (0, "")
-    assert result.out.splitlines()[7:] == [
+    assert result.out.splitlines()[8:] == [
         "scans    3 of 3 scans used: 2 hit it, 1 cleared it; 2 hits and 1 miss",
         "         from 0.000 s to 2.000 s",
         "         stamp (s)  hits  misses  sensor at (m)  away (m)        from",
@@ -58,11 +59,40 @@ def test_log_odds_in_lines() -> None:
     assert (
         lines[2] == "seen     log-odds 0.405 of 3 observations"
     )  # logit(0.6), twice up, once down
-    assert lines[7] == (
+    assert lines[8] == (
         "scans    3 of 3 scans used: 2 for occupied, 1 for free; log-odds 0.405 of 3 observations"
     )
-    assert lines[9].startswith("         stamp (s)  log-odds  obs.  sensor at (m)")
-    assert [line.split()[1] for line in lines[10:]] == ["0.41", "0.41", "-0.41"]
+    assert lines[10].startswith("         stamp (s)  log-odds  obs.  sensor at (m)")
+    assert [line.split()[1] for line in lines[11:]] == ["0.41", "0.41", "-0.41"]
+
+
+def test_visits_come_by_build() -> None:
+    # Two visits, half a minute apart: on the first the cell is hit, on the second it is crossed.
+    write_csv(Path("late.csv"), [ACROSS[0], *[(5.0, 5.0, 0.0)] * 29, ACROSS[2]], [0.32])
+    words = ["--resume", "a.npz", "-o", "al.npz", "--resolution", "0.1"]
+    assert occmap("build", "late.csv", *words).code == 0
+    words = ["explain", "al.npz", "0.37", "0.05"]
+    assert occmap(*words).out.splitlines()[3:5] == [
+        "visits   a.csv: hit on 1 of 1 visit, from 0.000 s to 2.000 s",
+        "         late.csv: hit on 1 of 2 visits, from 0.000 s to 30.000 s",
+    ]
+    assert occmap(*words[:2], "5.05", "5.05").out.splitlines()[3] == (
+        "visits   late.csv: hit on 0 of 1 visit, from 1.000 s to 29.000 s"
+    )
+    found = json.loads(occmap(*words, "--json", "--min-passes", "3").out)
+    assert [build["last_ns"] for build in found["builds"]] == [2 * 10**9, 30 * 10**9]
+    assert (found["class"], found["min_passes"]) == ("undecided", 3)  # two misses are left: 0.31
+
+
+def test_hits_on_too_few_visits_are_forgotten() -> None:
+    write_csv(Path("once.csv"), ACROSS[:1], [0.32])
+    assert occmap("build", "once.csv", "-o", "once.npz", "--resolution", "0.1").code == 0
+    words = ["explain", "once.npz", "0.37", "0.05", "--min-passes"]
+    assert occmap(*words, "2").out.splitlines()[1:3] == [
+        "class    unknown: it was hit, but on fewer visits than --min-passes",
+        "seen     1 hit and 0 misses",
+    ]
+    assert "class    occupied" in occmap(*words, "1").out
 
 
 def test_coordinates_may_be_negative() -> None:
@@ -93,9 +123,9 @@ def test_a_long_list_is_cut_and_json_is_not() -> None:
     assert occmap("build", "long.csv", "-o", "long.npz", "--resolution", "0.1").code == 0
     words = ["explain", "long.npz", "0.37", "0.05", "--log", "long.csv"]
     lines = occmap(*words).out.splitlines()
-    stamps = [line.split()[0] for line in lines[10:]]
+    stamps = [line.split()[0] for line in lines[11:]]
     assert stamps == [*(f"{s}.000" for s in range(6)), "...", *(f"{s}.000" for s in range(44, 50))]
-    assert lines[16] == "         ... 38 more: --json lists all ..."
+    assert lines[17] == "         ... 38 more: --json lists all ..."
     found = json.loads(occmap(*words, "--json").out)
     assert [scan["stamp_ns"] for scan in found["scans"]] == [s * 10**9 for s in range(50)]
 
@@ -147,6 +177,8 @@ def test_stamps_are_dates_where_they_can_be(stamp_ns: int, text: str) -> None:
         (["a.npz", "0", "north"], 2, "'north' is not a valid float"),
         (["a.npz", "0", "0", "--modle", "counting"], 2, "Did you mean '--model'?"),
         (["a.npz", "0", "0", "--model", "quadratic"], 1, "which quadratic cannot read"),
+        (["q.npz", "0", "0", "--min-passes", "2"], 2, "quadratic sums up log-odds"),
+        (["a.npz", "0", "0", "--min-passes", "0"], 2, "--min-passes 0 is not possible"),
         (["q.npz", "0", "0", "--p-min", "0.3"], 1, "no other can read it"),
         (["a.npz", "0", "0", "--free-thresh", "0.9"], 2, "0 < free < occupied < 1"),
     ],
