@@ -165,7 +165,7 @@ def compose_command(
     logs: Sequence[str], variant: Variant, options: BuildOptions
 ) -> tuple[str, ...]:
     """Compose the words of an `occmap build` that makes a variant's map."""
-    flags = {**list_given(options), **list_selection(options)}
+    flags = {**list_given(options), **list_grid(options)}
     words = [word for flag, value in flags.items() for word in (flag, value)]
     words += list_repeatable(options)
     model = shorten_model(variant.model)
@@ -175,13 +175,10 @@ def compose_command(
     )
 
 
-def list_selection(options: BuildOptions) -> dict[str, str]:
-    """List which scans and surfaces a user chose other than the defaults, as flags."""
-    default, chosen = BuildOptions(), options.selection
+def list_grid(options: BuildOptions) -> dict[str, str]:
+    """List what a user chose about surfaces and the size of the map other than the defaults."""
+    default = BuildOptions()
     pairs = {
-        "--start": (chosen.start_s, default.selection.start_s),
-        "--end": (chosen.end_s, default.selection.end_s),
-        "--stride": (chosen.stride, default.selection.stride),
         "--jump": (options.jump, default.jump),
         "--border-gap": (options.border_gap, default.border_gap),
         "--max-cells": (options.max_cells, default.max_cells),
