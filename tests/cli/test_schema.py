@@ -109,6 +109,7 @@ def test_numbers_have_units(name: str) -> None:
         "build cut.csv.gz b.csv b.csv -o m.pgm",
         "build b.csv --resume a.npz -o m.npz",
         "render a.npz -o m.pgm --crop 0,0,1,1 --model counting",
+        "render a.npz -o m.pgm --min-passes 1",
         "merge a.npz b.npz b.npz -o m.npz",
         "merge a.npz --subtract a.npz b.npz -o m.npz",
         "check a.csv b.csv cut.csv.gz",
