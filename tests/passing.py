@@ -1,0 +1,89 @@
+"""A robot that drives down a corridor again and again, past thin walls and, once, a person."""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from occmap.types import Float64
+
+BEAMS, FIRST, STEP = 80, -19.75, 0.5
+"""Degrees: a narrow view ahead."""
+WALLS_Y = (-0.42, 0.42)
+"""In the rows of cells from -0.45 and from 0.4 m, in cells of 5 cm. The sensor looks ahead, so all
+beams come in flat and cross some cells of the row before they end."""
+LENGTH = 6.0
+"""From x = 0 (m); the corridor is open at both ends."""
+STEP_S, STEP_M = 0.4, 0.15
+PASS_S = 60.0
+RADIUS = 0.15
+
+
+class Look(NamedTuple):
+    """One scan: when, from where along the corridor, and what was measured (B,) m."""
+
+    stamp: float
+    x: float
+    ranges: Float64
+
+
+class Person(NamedTuple):
+    """Walks along the corridor's axis, or stands."""
+
+    on_pass: int
+    x: float
+    y: float
+    speed: float
+
+    def at(self, seconds: float) -> tuple[float, float]:
+        return self.x + self.speed * seconds, self.y
+
+
+def drive(passes: int, person: Person) -> Iterator[Look]:
+    for index in range(passes):
+        for step in range(int(LENGTH / STEP_M)):
+            x, seconds = step * STEP_M, step * STEP_S
+            ranges = measure_walls(x)
+            if index == person.on_pass:
+                ranges = np.minimum(ranges, measure_person(x, person.at(seconds)))
+            yield Look(index * PASS_S + seconds, x, ranges)
+
+
+def aim() -> tuple[Float64, Float64]:
+    """40 degrees ahead; none runs along a wall."""
+    bearings = np.radians(FIRST + STEP * np.arange(BEAMS))
+    return np.cos(bearings), np.sin(bearings)
+
+
+def measure_walls(x: float) -> Float64:
+    """From (x, 0) to the nearer wall; infinite where the corridor is open."""
+    along, up = aim()
+    reach = np.where(up > 0, WALLS_Y[1], WALLS_Y[0]) / up
+    end = x + reach * along
+    return np.where((end >= 0) & (end <= LENGTH), reach, math.inf)
+
+
+def measure_person(x: float, place: tuple[float, float]) -> Float64:
+    """From (x, 0) to a circle; infinite where a beam misses it."""
+    along, up = aim()
+    to_x, to_y = place[0] - x, place[1]
+    middle = to_x * along + to_y * up
+    squared = RADIUS**2 - (to_x**2 + to_y**2 - middle**2)
+    met = (squared > 0) & (middle > 0)
+    return np.where(met, middle - np.sqrt(np.maximum(squared, 0)), math.inf)
+
+
+def write_passes(path: Path, passes: int, person: Person) -> Path:
+    beams = ",".join(f"r{beam}" for beam in range(BEAMS))
+    head = (
+        f"# angle_min: {math.radians(FIRST)}\n# angle_increment: {math.radians(STEP)}\n"
+        f"stamp,x,y,yaw,{beams}\n"
+    )
+    rows = [
+        f"{look.stamp},{look.x},0,0,{','.join(f'{r:.6g}' for r in look.ranges)}\n"
+        for look in drive(passes, person)
+    ]
+    path.write_text(head + "".join(rows))
+    return path

@@ -1,0 +1,174 @@
+"""Hits that last: people who walk through once vanish, walls that are hit on every pass stay."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from occmap.errors import MapError, UsageError
+from occmap.evidence import render_saved
+from occmap.grid.lattice import Lattice
+from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
+from occmap.persistence import keep_lasting
+from occmap.pipeline import BuildOptions, build
+from occmap.sensor.models import parse_model
+from occmap.types import Times, Update
+from occmap.writers.npz import read_evidence
+from tests.cli.runner import occmap, read_error
+from tests.passing import LENGTH, WALLS_Y, Person, aim, write_passes
+from tests.samples import write_csv
+
+PASSES = 3
+PERSON = Person(on_pass=1, x=1.0, y=0.1, speed=0.375)
+"""At the robot's own pace, a metre ahead of it."""
+FIRST_HIT_X = WALLS_Y[1] * float(aim()[0][-1] / aim()[1][-1])
+"""Where the widest beam meets a wall on the first scan."""
+WALL_CELLS = 2 * (round(LENGTH / 0.05) - math.floor(FIRST_HIT_X / 0.05))
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_passes(tmp_path_factory.mktemp("passes") / "log.csv", PASSES, PERSON)
+
+
+def count_occupied(log: Path, options: BuildOptions) -> tuple[int, int]:
+    """Cells of the map that are occupied: between the walls, and where these are."""
+    grid = build([log], options).map
+    rows, _ = np.nonzero(grid.is_occupied(0.65))
+    y = grid.origin[1] + (rows + 0.5) * grid.resolution
+    on_wall = np.abs(y) > 0.4
+    return int(np.count_nonzero(~on_wall)), int(np.count_nonzero(on_wall))
+
+
+@pytest.mark.parametrize(
+    ("update", "model", "ghosts", "walls"),
+    [
+        (Update.BEAM, "simple", 28, 140),
+        (Update.BEAM, "counting", 15, 4),
+        (Update.POLYGON, "simple", 27, WALL_CELLS),
+        (Update.POLYGON, "counting", 27, WALL_CELLS),
+    ],
+)
+def test_a_person_vanishes_and_thin_walls_stay(
+    log: Path, update: Update, model: str, ghosts: int, walls: int
+) -> None:
+    options = BuildOptions(update=update, model=parse_model(model), jobs=1)
+    assert WALL_CELLS == 194
+    assert count_occupied(log, options) == (ghosts, walls)
+    assert count_occupied(log, replace(options, min_passes=2)) == (0, WALL_CELLS)
+    # One visit is what the person made.
+    assert count_occupied(log, replace(options, min_passes=1))[0] >= ghosts
+
+
+def test_passes_without_a_pause_are_one_visit(log: Path) -> None:
+    options = BuildOptions(jobs=1, min_passes=2, pass_gap_s=100)
+    assert count_occupied(log, options) == (0, 0)
+
+
+def test_build_and_render_agree_and_evidence_stays(log: Path, tmp_path: Path) -> None:
+    plain, lasting = tmp_path / "plain.npz", tmp_path / "lasting.npz"
+    map_words = ["-o", tmp_path / "built.pgm"]
+    assert occmap("build", log, "-o", plain).code == 0
+    built = occmap("build", log, "-o", lasting, *map_words, "--min-passes", 2)
+    assert ", hits of 2 visits or more\n" in built.out
+    words = ["render", lasting, "-o", tmp_path / "rendered.pgm", "--min-passes", 2, "--json"]
+    assert json.loads(occmap(*words).out)["map"]["min_passes"] == 2
+    assert json.loads(occmap(*words[:4], "--json").out)["map"]["min_passes"] is None
+    occmap(*words)
+    assert (tmp_path / "rendered.pgm").read_bytes() == (tmp_path / "built.pgm").read_bytes()
+    one, other = read_evidence(plain), read_evidence(lasting)
+    assert np.array_equal(one.cells, other.cells)
+    assert other.manifest.builds[0]["options"]["min_passes"] == 2
+    model = parse_model("simple")
+    expected = build([log], BuildOptions(min_passes=2)).map
+    assert np.array_equal(render_saved(one, model, 10**9, 2).log_odds, expected.log_odds)
+
+
+def test_visits_of_resumed_and_merged_builds_add_up(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_csv(tmp_path / f"{name}.csv", [(0.0, 0.0, 0.0)], [0.32])
+        words = [tmp_path / f"{name}.csv", "-o", tmp_path / f"{name}.npz"]
+        assert occmap("build", *words).code == 0
+    lasting = ["-o", tmp_path / "m.pgm", "--min-passes", 2, "--json"]
+
+    def share(*words: object) -> float:
+        found = json.loads(occmap(*words, *lasting).out)
+        return float(found["map"]["occupied"])
+
+    assert share("render", tmp_path / "a.npz") == 0
+    assert share("merge", tmp_path / "a.npz", tmp_path / "b.npz") > 0
+    assert share("build", tmp_path / "b.csv", "--resume", tmp_path / "a.npz") > 0
+
+
+def observe(cells: Sequence[tuple[int, int, int, int]]) -> tuple[TileGrid, Times]:
+    """Cells in a row with these hits, misses, visits that hit and visits that saw."""
+    grid = TileGrid(Lattice(1.0), EvidenceKind.COUNTS)
+    tile = np.zeros((2, TILE, TILE), np.int64)
+    tile[:, 0, : len(cells)] = np.array(cells).T[:2]
+    grid.tiles[5, -7] = tile
+    seen = np.packbits(tile.any(axis=0).reshape(1, -1), axis=1)
+    stamps = np.zeros(len(cells), np.int64)
+    visits = np.array(cells, np.int32).T[2:]
+    return grid, Times(np.array([[5, -7]]), seen, stamps, stamps, *visits)
+
+
+@pytest.mark.parametrize(
+    ("cell", "left"),
+    [
+        ((9, 5, 1, 4), (0, 5)),  # hit on one visit only: as its misses say
+        ((9, 0, 1, 1), (0, 0)),  # without any: unknown
+        ((9, 50, 2, 4), (9, 0)),  # on half of the visits: misses are forgotten
+        ((9, 50, 2, 5), (9, 50)),  # on fewer: as the model says
+        ((9, 50, 3, 1), (9, 0)),  # one long visit with three hits apart
+        ((0, 50, 0, 7), (0, 50)),
+    ],
+)
+def test_what_is_left_of_a_cell(cell: tuple[int, int, int, int], left: tuple[int, int]) -> None:
+    grid, times = observe([cell, (1, 1, 2, 2)])
+    before = grid.tiles[5, -7].copy()
+    lasting = keep_lasting(grid, [times], 2).tiles[5, -7]
+    assert tuple(lasting[:, 0, 0].tolist()) == left
+    assert lasting[:, 0, 1].tolist() == [1, 0]
+    assert np.array_equal(grid.tiles[5, -7], before)
+    assert keep_lasting(grid, [times], None) is grid
+
+
+def test_visits_of_all_builds_count() -> None:
+    grid, times = observe([(9, 5, 1, 1)])
+    lasting = keep_lasting(grid, [times, times], 2).tiles[5, -7]
+    assert lasting[:, 0, 0].tolist() == [9, 0]
+
+
+def test_nothing_left_is_no_map() -> None:
+    grid, times = observe([(9, 0, 1, 1)])
+    with pytest.raises(MapError, match=r"no cell was hit on 2 visits, .*; give a smaller --min-"):
+        keep_lasting(grid, [times], 2)
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ({"min_passes": 0}, "--min-passes 0 is not possible; give 1 or more"),
+        ({"pass_gap_s": 0.0}, "--pass-gap 0 is not possible; give 0.001 to 1e+09 seconds"),
+        ({"pass_gap_s": math.nan}, "--pass-gap nan is not possible"),
+        ({"pass_gap_s": math.inf}, "--pass-gap inf is not possible"),
+    ],
+)
+def test_impossible_options_are_refused(words: dict[str, float], found: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        BuildOptions(**words)  # type: ignore[arg-type]  # each is of its field's type
+    assert found in str(caught.value)
+
+
+def test_a_radial_model_knows_no_hits(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "a.csv", [(0.0, 0.0, 0.0)], [0.3])
+    quadratic = ["--model", "quadratic", "-o", tmp_path / "q.npz"]
+    found = "quadratic sums up log-odds and knows no hits; leave it out, or build with --model "
+    assert found in read_error(occmap("build", log, *quadratic, "--min-passes", 2), 2)
+    assert occmap("build", log, *quadratic).code == 0
+    words = ["render", tmp_path / "q.npz", "-o", tmp_path / "q.pgm", "--min-passes", 2]
+    assert found in read_error(occmap(*words), 2)
