@@ -64,7 +64,9 @@ class GridEngine:
             rays = join_viewpoints(rays)
         refuse_long_beams(rays, self.what.lattice.resolution)
         most = self._window_type.most_observations
-        too_much = rays.kind.size > most or lie_far_apart(rays, self.what.lattice.resolution)
+        too_much = self._window_type.count(rays) > most or lie_far_apart(
+            rays, self.what.lattice.resolution
+        )
         if too_much and len(rays.kind) > 1:
             self._add_halves(rays)
             return

@@ -69,7 +69,7 @@ class TileGrid:
             slice(cols.start - box.col, cols.stop - box.col),
         )
         parts = [block[source] for block in blocks]
-        if not (parts[0].any() or parts[1].any()):
+        if not any(np.count_nonzero(part) for part in parts):
             return
         tile = self._widen(key, bound)
         target = (

@@ -8,7 +8,7 @@ import numpy as np
 from occmap.grid.engine import MAX_CELLS, WINDOW_CELLS, GridEngine
 from occmap.grid.kernels.time_beams import time_beams, time_radial_beams
 from occmap.grid.kernels.time_polygons import time_polygons, time_radial_polygons
-from occmap.grid.lattice import SUBCELLS, CellBox
+from occmap.grid.lattice import CellBox
 from occmap.grid.observation import Observation
 from occmap.grid.projection import Projected
 from occmap.grid.tiles import TILE
@@ -18,6 +18,7 @@ from occmap.grid.windows import (
     Window,
     choose_window,
     describe_surfaces,
+    find_corner,
     get_tables,
 )
 from occmap.types import Int64, Times, Update
@@ -96,7 +97,7 @@ class TimedWindow(Window):
     @property
     def frame_corner(self) -> Int64:
         """(2,) x and y of the lower-left corner of the frame (lattice units)."""
-        return np.array([self.frame.col * SUBCELLS, self.frame.row * SUBCELLS], np.int64)
+        return find_corner(self.frame)
 
 
 def align(box: CellBox) -> CellBox:
@@ -160,7 +161,7 @@ def _time_polygons(window: TimedWindow, projected: Projected) -> None:
         projected.ends_y,
         rays.kind,
         encode_stamps(rays.stamp_ns),
-        describe_surfaces(window.what, projected, window.frame_corner),
+        describe_surfaces(window.what, projected, window.frame),
         window.times,
         *window.bits,
     )

@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 
 from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.beam import sum_beams, trace_beams
-from occmap.grid.kernels.polygon import Surfaces, sum_runs, trace_polygons
+from occmap.grid.kernels.outline import Surfaces
+from occmap.grid.kernels.polygon import MOST_SCANS, read_border, sum_runs, trace_polygons
 from occmap.grid.kernels.radial_beam import trace_radial_beams
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.lattice import SUBCELLS, CellBox
 from occmap.grid.observation import COUNT_BITS, Observation, RadialTables
 from occmap.grid.projection import Projected
 from occmap.grid.times import TimeGrid
-from occmap.types import Int64, Update
+from occmap.types import Int64, Rays, Update
 
 Evidence: TypeAlias = tuple[NDArray[Any], NDArray[Any]]
 
@@ -41,15 +42,20 @@ class Window(ABC):
     def allocate(self, rows: int, cols: int) -> None:
         """Make empty arrays."""
 
+    @staticmethod
+    def count(rays: Rays) -> int:
+        """How often rays may observe one cell."""
+        return rays.kind.size
+
     def has_room(self, projected: Projected) -> bool:
         """Whether rays lie wholly in the box and cannot make a number overflow."""
-        observations = self.observations + projected.rays.kind.size
+        observations = self.observations + self.count(projected.rays)
         return self.box.contains(projected.box) and observations <= self.most_observations
 
     def observe(self, projected: Projected) -> None:
         """Observe what lies in the box."""
         self.trace(projected)
-        self.observations += projected.rays.kind.size
+        self.observations += self.count(projected.rays)
         touched = self.box.clip(projected.box)
         self.touched = touched if self.touched is None else self.touched.join(touched)
 
@@ -79,7 +85,12 @@ class Window(ABC):
     @property
     def corner(self) -> Int64:
         """(2,) x and y of the lower-left corner (lattice units)."""
-        return np.array([self.box.col * SUBCELLS, self.box.row * SUBCELLS], np.int64)
+        return find_corner(self.box)
+
+
+def find_corner(box: CellBox) -> Int64:
+    """(2,) x and y of the lower-left corner of a box (lattice units)."""
+    return np.array([box.col * SUBCELLS, box.row * SUBCELLS], np.int64)
 
 
 def allocate_changes(rows: int, cols: int) -> tuple[Int32, Int32]:
@@ -113,30 +124,40 @@ class BeamWindow(Window):
         return self.hits[row : row + shape[0], col : col + shape[1]], misses
 
 
-def describe_surfaces(what: Observation, projected: Projected, corner: Int64) -> Surfaces:
-    """What a polygon kernel needs to know beside the rays."""
+def describe_surfaces(what: Observation, projected: Projected, box: CellBox) -> Surfaces:
+    """What a polygon kernel needs to know beside the rays and the arrays of a box of cells."""
+    left, bottom = find_corner(box).tolist()
+    shift_x, shift_y = (projected.anchor - (left, bottom)).tolist()
     return Surfaces(
-        what.lattice.units_per_metre,
-        what.jump,
-        what.border_gap,
-        projected.rays.full_circle,
-        *map(int, corner),
-        *map(int, projected.anchor - corner),
+        units_per_metre=what.lattice.units_per_metre,
+        jump=what.jump,
+        border_gap=what.border_gap,
+        full_circle=projected.rays.full_circle,
+        left=left,
+        bottom=bottom,
+        shift_x=shift_x,
+        shift_y=shift_y,
+        clipped=not box.contains(projected.box),
     )
 
 
 class PolygonWindow(Window):
     """Hits and misses, scan by scan."""
 
+    most_observations = MOST_SCANS
+
+    @staticmethod
+    def count(rays: Rays) -> int:
+        """A scan observes a cell once."""
+        return len(rays.kind)
+
     def allocate(self, rows: int, cols: int) -> None:
-        self.hits = np.zeros((rows, cols), np.int32)
+        self.border = np.zeros((rows, cols), np.int64)
         self.runs = np.zeros(rows * (cols + 1), np.int32)
-        self.marks = np.zeros(rows * cols, np.int32)
-        self.scans = 0
 
     def trace(self, projected: Projected) -> None:
         rays = projected.rays
-        surfaces = describe_surfaces(self.what, projected, self.corner)
+        surfaces = describe_surfaces(self.what, projected, self.box)
         trace_polygons(
             rays.origin,
             rays.turn,
@@ -146,17 +167,15 @@ class PolygonWindow(Window):
             projected.ends_y,
             rays.kind,
             surfaces,
-            self.hits,
+            self.border,
             self.runs,
-            self.marks,
-            self.scans,
+            self.observations,
         )
-        self.scans += len(rays.kind)
 
     def read_from(self, row: int, col: int, shape: tuple[int, int]) -> Evidence:
-        misses = np.empty(shape, np.int32)
-        sum_runs(self.runs, self.box.cols + 1, (row, col), misses)
-        return self.hits[row : row + shape[0], col : col + shape[1]], misses
+        hits, misses = np.empty(shape, np.int32), np.empty(shape, np.int32)
+        read_border(self.border, self.runs, (row, col), hits, misses)
+        return hits, misses
 
 
 def get_tables(what: Observation) -> RadialTables:

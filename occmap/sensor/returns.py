@@ -123,29 +123,54 @@ def classify(batch: ScanBatch, options: ReturnOptions) -> tuple[UInt8, Float32, 
     kind, reach, counts
         (S, B) of Kind; (S, B) m along the beam, 0 where SKIP; and the tally.
     """
-    ranges = batch.ranges
-    sensor_limit = batch.range_max if options.range_max is None else options.range_max
-    free_reach = _to_float32(min(sensor_limit, options.max_range))
-    nearest = max(batch.range_min, options.min_range, float(np.finfo(np.float32).tiny))
-
-    close = ranges < _to_float32(nearest)
-    no_return = (ranges >= _to_float32(sensor_limit)) & ~close
-    other = ~(close | no_return | np.isnan(ranges))
-    hit = (ranges <= _to_float32(options.max_range)) & other
-    beyond = other & ~hit
+    limits = _find_limits(batch, options)
     own = _find_own(batch, options)
+    hit = (batch.ranges >= limits.nearest) & (batch.ranges < limits.no_return)
+    if np.isfinite(limits.farthest):
+        hit &= batch.ranges <= limits.farthest
     if own is not None:
-        hit, beyond, no_return, close = (mask & ~own for mask in (hit, beyond, no_return, close))
+        hit &= ~own
+    kind = hit.view(np.uint8) * np.uint8(Kind.HIT)
+    reach = batch.ranges.copy()
+    # Most beams hit: only the few others are looked at more closely.
+    others = np.flatnonzero(~hit)
+    robot = None if own is None else own.ravel()[others]
+    free, counts = _classify_others(batch.ranges.ravel()[others], robot, limits, options)
+    kind.ravel()[others] = free * np.uint8(Kind.FREE)
+    reach.ravel()[others] = np.where(free, limits.free_reach, np.float32(0))
+    return kind, reach, counts._replace(hit=hit.size - others.size)
 
-    clears = options.no_return is NoReturn.CLEAR and bool(np.isfinite(free_reach))
-    free = beyond | no_return if clears else beyond
-    kind = np.where(hit, np.uint8(Kind.HIT), free.astype(np.uint8) * np.uint8(Kind.FREE))
-    reach = np.where(hit, ranges, free * (free_reach if free.any() else np.float32(0)))
-    counts = _count(hit, beyond, no_return, close)
-    if own is not None:
-        robot = int(np.count_nonzero(own))
-        counts = counts._replace(nan=counts.nan - robot, own_robot=robot)
-    return kind, reach, counts
+
+class _Limits(NamedTuple):
+    """Where a range value changes its meaning (m), rounded as ranges are."""
+
+    nearest: np.float32
+    farthest: np.float32
+    no_return: np.float32
+    free_reach: np.float32
+
+
+def _find_limits(batch: ScanBatch, options: ReturnOptions) -> _Limits:
+    sensor_limit = batch.range_max if options.range_max is None else options.range_max
+    nearest = max(batch.range_min, options.min_range, float(np.finfo(np.float32).tiny))
+    values = nearest, options.max_range, sensor_limit, min(sensor_limit, options.max_range)
+    return _Limits(*map(_to_float32, values))
+
+
+def _classify_others(
+    ranges: Float32, own: Bool | None, limits: _Limits, options: ReturnOptions
+) -> tuple[Bool, ReturnCounts]:
+    """Say which beams that hit nothing are free (N,), and count what they are instead of hits."""
+    robot = np.zeros(ranges.shape, np.bool_) if own is None else own
+    close = (ranges < limits.nearest) & ~robot
+    no_return = (ranges >= limits.no_return) & ~close & ~robot
+    beyond = ~(close | no_return | robot | np.isnan(ranges))
+    clears = options.no_return is NoReturn.CLEAR and bool(np.isfinite(limits.free_reach))
+    far, none, near, own_robot = map(int, map(np.count_nonzero, (beyond, no_return, close, robot)))
+    counts = ReturnCounts(
+        0, far, none, near, ranges.size - far - none - near - own_robot, own_robot
+    )
+    return (beyond | no_return if clears else beyond), counts
 
 
 def _find_own(batch: ScanBatch, options: ReturnOptions) -> Bool | None:
@@ -162,12 +187,6 @@ def _find_own(batch: ScanBatch, options: ReturnOptions) -> Bool | None:
 def _to_float32(limit: float) -> np.float32:
     """Round a limit as the ranges are; one that no float32 can hold is infinite."""
     return np.float32(limit if limit <= float(np.finfo(np.float32).max) else np.inf)
-
-
-def _count(hit: Bool, beyond: Bool, no_return: Bool, close: Bool) -> ReturnCounts:
-    counts = [int(np.count_nonzero(mask)) for mask in (hit, beyond, no_return, close)]
-    hits, far, none, near = counts
-    return ReturnCounts(hits, far, none, near, hit.size - sum(counts))
 
 
 def goes_round(batch: ScanBatch) -> bool:

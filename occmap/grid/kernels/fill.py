@@ -4,7 +4,7 @@ A cell is inside when its centre is: from a crossing on, up to but not at the ne
 rule). A centre that edges wind around more than once is inside once, so an outline may overlap
 itself, as that of a scan of more than 360 degrees does.
 
-Rows keep their crossings in `buckets` (H, C); `counts` (H,) says how many each has.
+What rows have, crossings and then limits of spans, is kept in one short array, row after row.
 """
 
 import numpy as np
@@ -12,10 +12,6 @@ import numpy as np
 from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.jit import kernel
 from occmap.types import Bool, Int64
-
-PADDING = 8
-"""Limits of spans that a row has at least, so that most rows are searched without a branch."""
-NOWHERE = 2**31 - 1
 
 
 @kernel
@@ -28,16 +24,19 @@ def find_rows(y: Int64, corners: int, rows: int) -> tuple[int, int]:
 
 
 @kernel
-def cross_rows(
+def fill_outline(
     x: Int64,
     y: Int64,
     begins: Bool,
     corners: int,
     touched: tuple[int, int],
-    buckets: Int32,
-    counts: Int64,
-) -> bool:
-    """Sort the crossings of all edges into their rows: 2 x first column inside, + 1 if upward.
+    cols: int,
+    starts: Int32,
+    counts: Int32,
+    found: Int32,
+    spans: Int32,
+) -> tuple[Int32, Int32]:
+    """Write the spans of all cells inside an outline, row by row.
 
     Parameters
     ----------
@@ -46,77 +45,138 @@ def cross_rows(
         before, unless it begins an outline.
     touched
         The rows, as `find_rows` gives them; others are left as they are.
+    starts, counts, spans
+        (H,), (H,), (N,): the spans of row r are from `spans[starts[r]]` on, and are `counts[r]`
+        numbers: first column, last + 1, and so on.
+    found
+        (N, 2) to work with.
 
     Returns
     -------
-    False where a row has more crossings than `buckets` can hold; it must then be made wider.
+    `found` and `spans`, or larger ones where these were too small.
     """
-    rows, capacity = buckets.shape
-    most = 0
+    crossings = _cross_rows(x, y, begins, corners, touched, counts, found)
+    if crossings >= min(found.shape[1], len(spans)):
+        room = 2 * crossings + 1
+        found, spans = np.empty((2, room), np.int32), np.empty(room, np.int32)
+        _cross_rows(x, y, begins, corners, touched, counts, found)
+    _sort_by_row(touched, found, crossings, starts, counts, spans)
+    _make_spans(touched, starts, counts, spans, cols)
+    return found, spans
+
+
+@kernel
+def _cross_rows(
+    x: Int64,
+    y: Int64,
+    begins: Bool,
+    corners: int,
+    touched: tuple[int, int],
+    counts: Int32,
+    found: Int32,
+) -> int:
+    """Write where edges cross the centre lines of rows, and how many crossings each row has.
+
+    A crossing is its row, and 2 x the first column inside, + 1 if upward. Returns how many there
+    are; if `found` cannot hold these, it must be made larger.
+    """
+    rows, room = counts.size, found.shape[1]
+    crossings = 0
     counts[touched[0] : touched[1]] = 0
     row_after = 0
     for i in range(corners):
         row_before, row_after = row_after, (int(y[i]) + 127) >> 8
         if begins[i] or row_before == row_after:
             continue
-        if row_before < row_after:
-            low, high, upward = i - 1, i, 1
-        else:
-            low, high, upward = i, i - 1, 0
+        upward = int(row_before < row_after)
+        low, high = i - upward, i - 1 + upward
         first, last = max(min(row_before, row_after), 0), min(max(row_before, row_after), rows)
-        rise, run = y[high] - y[low], x[high] - x[low]
-        # The first column whose centre is at or right of the edge, on the row's centre line.
-        numerator = (x[low] + 128) * rise + ((first << 8) + 128 - y[low]) * run - 1
-        for row in range(first, last):
-            crossing = 2 * _floor_divide(numerator, rise << 8) + upward
-            numerator += run << 8
-            place = counts[np.uint64(row)]
-            counts[np.uint64(row)] = place + 1
-            most = max(most, place + 1)
-            if place < capacity:
-                _insert(buckets, row, place, crossing)
-    return bool(most <= capacity)
+        if last <= first:
+            continue
+        if crossings + last - first <= room:
+            rise, run = y[high] - y[low], x[high] - x[low]
+            # The first column whose centre is at or right of the edge, on the row's centre line.
+            numerator = (x[low] + 128) * rise + ((first << 8) + 128 - y[low]) * run - 1
+            inverse = 1.0 / float(rise << 8)
+            slope, base = run << 8, rise << 8
+            for k in range(last - first):
+                col = _floor_divide(numerator + k * slope, base, inverse)
+                found[1, np.uint64(crossings + k)] = 2 * col + upward
+                found[0, np.uint64(crossings + k)] = first + k
+                counts[np.uint64(first + k)] += 1
+        crossings += last - first
+    return crossings
 
 
 @kernel
-def _floor_divide(numerator: int, denominator: int) -> int:
-    """Divide integers exactly; a float division and two checks are faster than dividing them."""
-    quotient = int(np.floor(float(numerator) / float(denominator)))
-    if quotient * denominator > numerator:
-        return quotient - 1
-    if (quotient + 1) * denominator <= numerator:
-        return quotient + 1
+def _floor_divide(numerator: int, denominator: int, inverse: float) -> int:
+    """Divide integers exactly; a float product and two checks are faster than dividing them."""
+    quotient = int(np.floor(float(numerator) * inverse))
+    quotient -= quotient * denominator > numerator
+    quotient += (quotient + 1) * denominator <= numerator
     return quotient
 
 
 @kernel
-def _insert(buckets: Int32, row: int, place: int, crossing: int) -> None:
-    """Put a crossing where it belongs among the sorted ones of its row."""
-    r = np.uint64(row)
-    while place > 0 and buckets[r, np.uint64(place - 1)] > crossing:
-        buckets[r, np.uint64(place)] = buckets[r, np.uint64(place - 1)]
-        place -= 1
-    buckets[r, np.uint64(place)] = crossing
+def _sort_by_row(
+    touched: tuple[int, int],
+    found: Int32,
+    crossings: int,
+    starts: Int32,
+    counts: Int32,
+    limits: Int32,
+) -> None:
+    """Put the crossings of each row together in `limits`, at `starts`."""
+    total = 0
+    for r in range(touched[0], touched[1]):
+        total += counts[np.uint64(r)]
+        starts[np.uint64(r)] = total
+    for i in range(crossings - 1, -1, -1):
+        row = np.uint64(found[0, i])
+        place = starts[row] - 1
+        starts[row] = place
+        limits[np.uint64(place)] = found[1, i]
 
 
 @kernel
-def make_spans(touched: tuple[int, int], buckets: Int32, counts: Int64, cols: int) -> None:
-    """Turn each row's crossings, in place, into first column and last + 1 of its spans.
-
-    A row with fewer than `PADDING` limits of spans is padded with limits beyond every column.
-    """
-    for row in range(touched[0], touched[1]):
-        winding, first, place = 0, 0, 0
-        for i in range(counts[row]):
-            crossing = buckets[np.uint64(row), np.uint64(i)]
+def _make_spans(
+    touched: tuple[int, int], starts: Int32, counts: Int32, limits: Int32, cols: int
+) -> None:
+    """Turn each row's crossings, in place, into first column and last + 1 of its spans."""
+    for r in range(touched[0], touched[1]):
+        row = np.uint64(r)
+        begin, crossings = starts[row], counts[row]
+        if crossings == 2:  # nearly always, and then no matter which of them leads up
+            one, other = limits[np.uint64(begin)] >> 1, limits[np.uint64(begin + 1)] >> 1
+            first, end = min(max(min(one, other), 0), cols), min(max(one, other, 0), cols)
+            limits[np.uint64(begin)], limits[np.uint64(begin + 1)] = first, end
+            counts[row] = 2 if end > first else 0
+            continue
+        _sort(limits, begin, begin + crossings)
+        winding, first, place = 0, 0, begin
+        for i in range(begin, begin + crossings):
+            crossing = limits[i]
             col = min(max(crossing >> 1, 0), cols)
             if winding == 0:
                 first = col
             winding += 2 * (crossing & 1) - 1
             if winding == 0 and col > first:
-                buckets[np.uint64(row), np.uint64(place)] = first
-                buckets[np.uint64(row), np.uint64(place + 1)] = col
+                limits[place], limits[place + 1] = first, col
                 place += 2
-        counts[row] = place
-        for i in range(place, PADDING):
-            buckets[np.uint64(row), np.uint64(i)] = NOWHERE
+        counts[row] = place - begin
+
+
+@kernel
+def _sort(values: Int32, begin: int, end: int) -> None:
+    """Sort a part of an array in place, as Shell did: short, or nearly in order either way."""
+    if end > begin and values[begin] > values[end - 1]:
+        low, high = begin, end - 1
+        while low < high:
+            values[low], values[high] = values[high], values[low]
+            low, high = low + 1, high - 1
+    for i in range(begin + 1, end):
+        value, place = values[i], i
+        while place > begin and values[place - 1] > value:
+            values[place] = values[place - 1]
+            place -= 1
+        values[place] = value

@@ -7,7 +7,7 @@ are noted as spans, as in `polygon`; only the cells beyond are visited.
 import numpy as np
 
 from occmap.grid.kernels.arrays import Int32
-from occmap.grid.kernels.fill import cross_rows, find_rows, make_spans
+from occmap.grid.kernels.fill import fill_outline, find_rows
 from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.project import round_to_units
 from occmap.grid.kernels.sectors import (
@@ -69,8 +69,10 @@ def trace_radial_polygons(
     entries = np.concatenate((free, hit, np.zeros(1, np.int64)))
     x, y = np.empty(4 * beams + 4, np.int64), np.empty(4 * beams + 4, np.int64)
     begins = np.empty(4 * beams + 4, np.bool_)
-    buckets, counts = np.empty((rows, 32), np.int32), np.empty(rows, np.int64)
-    inner, inner_counts = np.empty((rows, 32), np.int32), np.empty(rows, np.int64)
+    starts, counts = np.empty(rows, np.int32), np.empty(rows, np.int32)
+    inner_starts, inner_counts = np.empty(rows, np.int32), np.empty(rows, np.int32)
+    found = np.empty((4 * rows, 2), np.int32)
+    spans, inner = np.empty(4 * rows, np.int32), np.empty(4 * rows, np.int32)
     for s in range(scans):
         at_x = round_to_units(origin[s, 0, 0], units_per_metre) - corner[0]
         at_y = round_to_units(origin[s, 0, 1], units_per_metre) - corner[1]
@@ -80,20 +82,20 @@ def trace_radial_polygons(
         reach_out(direction, ranges, kinds[s], depth, sides, lengths)
         corners = outline_sectors(at_x, at_y, sides, lengths, covers, x, y, begins)
         touched = find_rows(y, corners, rows)
-        while not cross_rows(x, y, begins, corners, touched, buckets, counts):
-            buckets = np.empty((rows, 2 * buckets.shape[1]), np.int32)
-        make_spans(touched, buckets, counts, cols)
+        found, spans = fill_outline(
+            x, y, begins, corners, touched, cols, starts, counts, found, spans
+        )
         inner_counts[:] = 0
         if side_by_side:
             stay_within(ranges, covers, full_circle, depth, plain, lengths)
             corners = outline_sectors(at_x, at_y, sides, lengths, covers, x, y, begins)
-            while not cross_rows(x, y, begins, corners, touched, inner, inner_counts):
-                inner = np.empty((rows, 2 * inner.shape[1]), np.int32)
-            make_spans(touched, inner, inner_counts, cols)
+            found, inner = fill_outline(
+                x, y, begins, corners, touched, cols, inner_starts, inner_counts, found, inner
+            )
         limit_ranges(ranges, kinds[s], depth, free.size - 1, limits)
         _observe_spans(
-            at_x, at_y, touched, buckets, counts, inner, inner_counts, covering, limits, depth,
-            entries, cells, runs,
+            at_x, at_y, touched, starts, counts, spans, inner_starts, inner_counts, inner,
+            covering, limits, depth, entries, cells, runs,
         )  # fmt: skip
 
 
@@ -186,10 +188,12 @@ def _observe_spans(
     at_x: int,
     at_y: int,
     touched: tuple[int, int],
+    starts: Int32,
+    counts: Int32,
     spans: Int32,
-    counts: Int64,
+    inner_starts: Int32,
+    inner_counts: Int32,
     inner: Int32,
-    inner_counts: Int64,
     covering: Int32,
     limits: Float64,
     depth: float,
@@ -208,14 +212,14 @@ def _observe_spans(
         row = np.uint64(r)
         from_y = float((r << 8) + 128 - at_y)
         start, turned = (1.0, -1.0) if from_y >= 0 else (3.0, 1.0)
-        n = 0
-        for i in range(0, counts[row], 2):
-            col, end = np.int64(spans[row, np.uint64(i)]), np.int64(spans[row, np.uint64(i + 1)])
+        n, inner_end = inner_starts[row], inner_starts[row] + inner_counts[row]
+        for i in range(starts[row], starts[row] + counts[row], 2):
+            col, end = np.int64(spans[np.uint64(i)]), np.int64(spans[np.uint64(i + 1)])
             while col < end:
                 until, beyond = end, end
-                if n < inner_counts[row] and inner[row, np.uint64(n)] < end:
-                    until = np.int64(inner[row, np.uint64(n)])
-                    beyond = np.int64(inner[row, np.uint64(n + 1)])
+                if n < inner_end and inner[np.uint64(n)] < end:
+                    until = np.int64(inner[np.uint64(n)])
+                    beyond = np.int64(inner[np.uint64(n + 1)])
                     runs[np.uint64(r * (cols + 1) + until)] += 1
                     runs[np.uint64(r * (cols + 1) + beyond)] -= 1
                     n += 2

@@ -6,9 +6,9 @@ What is kept of a window is as in `time_beams`.
 import numpy as np
 
 from occmap.grid.kernels.arrays import Int32
-from occmap.grid.kernels.fill import cross_rows, find_rows, make_spans
+from occmap.grid.kernels.fill import fill_outline, find_rows
 from occmap.grid.kernels.jit import kernel
-from occmap.grid.kernels.polygon import Surfaces, outline_scan
+from occmap.grid.kernels.outline import Surfaces, link_beams, list_border, outline_scan
 from occmap.grid.kernels.project import round_to_units
 from occmap.grid.kernels.radial_polygon import (
     FAR,
@@ -67,66 +67,44 @@ def time_polygons(
     """
     scans, beams = kinds.shape
     rows, cols = times.shape[0], times.shape[1]
-    x, y = np.empty(2 * beams + 4, np.int64), np.empty(2 * beams + 4, np.int64)
-    begins = np.empty(2 * beams + 4, np.bool_)
-    buckets, counts = np.empty((rows, 32), np.int32), np.empty(rows, np.int64)
+    x, y = np.empty(3 * beams + 4, np.int64), np.empty(3 * beams + 4, np.int64)
+    begins = np.empty(3 * beams + 4, np.bool_)
+    links, listed = np.empty(beams, np.uint8), np.empty(beams, np.int32)
+    cells = np.empty((beams * max(surfaces.border_gap, 1) + 1, 2), np.int32)
+    starts, counts = np.empty(rows, np.int32), np.empty(rows, np.int32)
+    found, spans = np.empty((2, 4 * rows), np.int32), np.empty(4 * rows, np.int32)
     for s in range(scans):
         early, late = stamps[s, 0], stamps[s, 1]
-        corners = outline_scan(
+        link_beams(distance[s], ends_x[s], ends_y[s], kinds[s], surfaces, links)
+        corners, touched = outline_scan(
             origin[s, 0], turn[s], bearing, distance[s], ends_x[s], ends_y[s], kinds[s],
-            surfaces, x, y, begins,
+            surfaces, links, listed, x, y, begins, rows,
         )  # fmt: skip
-        touched = find_rows(y, corners, rows)
-        while not cross_rows(x, y, begins, corners, touched, buckets, counts):
-            buckets = np.empty((rows, 2 * buckets.shape[1]), np.int32)
-        make_spans(touched, buckets, counts, cols)
-        for row in range(touched[0], touched[1]):
-            for i in range(0, counts[row], 2):
-                mark_span(times, seen, row, buckets[row, i], buckets[row, i + 1], early, late)
-        _time_border(
-            distance[s], ends_x[s], ends_y[s], kinds[s], early, late, surfaces, times, hit, seen
+        found, spans = fill_outline(
+            x, y, begins, corners, touched, cols, starts, counts, found, spans
         )
+        _time_spans(touched, starts, counts, spans, early, late, times, seen)
+        size = list_border(ends_x[s], ends_y[s], links, listed, surfaces, rows, cols, cells)
+        for i in range(size):
+            set_bit(hit, cells[i, 0], cells[i, 1])
+            mark_cell(times, seen, cells[i, 0], cells[i, 1], early, late)
 
 
 @kernel
-def _time_border(
-    distance: Float32,
-    ends_x: Int32,
-    ends_y: Int32,
-    kinds: UInt8,
+def _time_spans(
+    touched: tuple[int, int],
+    starts: Int32,
+    counts: Int32,
+    spans: Int32,
     early: int,
     late: int,
-    surfaces: Surfaces,
     times: UInt64,
-    hit: UInt64,
     seen: UInt64,
 ) -> None:
-    """Note the end cells of one scan's HIT beams, and those that close the border between them."""
-    beams = kinds.size
-    rows, cols = times.shape[0], times.shape[1]
-    for b in range(beams):
-        if kinds[b] != 2:
-            continue
-        a = b - 1 if b > 0 else beams - 1
-        col, row = (ends_x[b] + surfaces.shift_x) >> 8, (ends_y[b] + surfaces.shift_y) >> 8
-        across = col - ((ends_x[a] + surfaces.shift_x) >> 8)
-        up = row - ((ends_y[a] + surfaces.shift_y) >> 8)
-        n = max(abs(across), abs(up))
-        closed = (
-            (b > 0 or surfaces.full_circle)
-            and kinds[a] == 2
-            and n <= surfaces.border_gap
-            and abs(np.float64(distance[b]) - distance[a]) <= surfaces.jump
-        )
-        for i in range(n if closed and n > 0 else 1):
-            # Seen from the line's end, Bresenham rounds a half towards zero.
-            aside = (2 * i * abs(across) + n - 1) // (2 * n) if i > 0 else 0
-            along = (2 * i * abs(up) + n - 1) // (2 * n) if i > 0 else 0
-            c = col - (aside if across > 0 else -aside)
-            r = row - (along if up > 0 else -along)
-            if 0 <= r < rows and 0 <= c < cols:
-                set_bit(hit, r, c)
-                mark_cell(times, seen, r, c, early, late)
+    """Note that the cells of one scan's spans were seen."""
+    for row in range(touched[0], touched[1]):
+        for i in range(starts[row], starts[row] + counts[row], 2):
+            mark_span(times, seen, row, spans[i], spans[i + 1], early, late)
 
 
 @kernel
@@ -166,7 +144,8 @@ def time_radial_polygons(
     limits = np.empty((beams + 1, 4), np.float64)
     x, y = np.empty(4 * beams + 4, np.int64), np.empty(4 * beams + 4, np.int64)
     begins = np.empty(4 * beams + 4, np.bool_)
-    buckets, counts = np.empty((rows, 32), np.int32), np.empty(rows, np.int64)
+    starts, counts = np.empty(rows, np.int32), np.empty(rows, np.int32)
+    found, spans = np.empty((2, 4 * rows), np.int32), np.empty(4 * rows, np.int32)
     for s in range(scans):
         early, late = stamps[s, 0], stamps[s, 1]
         at_x = round_to_units(origin[s, 0, 0], units_per_metre) - corner[0]
@@ -178,22 +157,20 @@ def time_radial_polygons(
         limit_ranges(ranges, kinds[s], depth, steps, limits)
         corners = outline_sectors(at_x, at_y, sides, lengths, covers, x, y, begins)
         touched = find_rows(y, corners, rows)
-        while not cross_rows(x, y, begins, corners, touched, buckets, counts):
-            buckets = np.empty((rows, 2 * buckets.shape[1]), np.int32)
-        make_spans(touched, buckets, counts, cols)
+        found, spans = fill_outline(
+            x, y, begins, corners, touched, cols, starts, counts, found, spans
+        )
         _time_sectors(
-            at_x, at_y, touched, buckets, counts, covering, limits, early, late, times, seen
+            at_x, at_y, touched, starts, counts, spans, covering, limits, early, late, times, seen
         )
         if side_by_side:
             # What lies well within the ranges is observed whatever the bearing's rounding says.
             stay_within(ranges, covers, full_circle, depth, plain, lengths)
             corners = outline_sectors(at_x, at_y, sides, lengths, covers, x, y, begins)
-            while not cross_rows(x, y, begins, corners, touched, buckets, counts):
-                buckets = np.empty((rows, 2 * buckets.shape[1]), np.int32)
-            make_spans(touched, buckets, counts, cols)
-            for row in range(touched[0], touched[1]):
-                for i in range(0, counts[row], 2):
-                    mark_span(times, seen, row, buckets[row, i], buckets[row, i + 1], early, late)
+            found, spans = fill_outline(
+                x, y, begins, corners, touched, cols, starts, counts, found, spans
+            )
+            _time_spans(touched, starts, counts, spans, early, late, times, seen)
 
 
 @kernel
@@ -201,8 +178,9 @@ def _time_sectors(
     at_x: int,
     at_y: int,
     touched: tuple[int, int],
+    starts: Int32,
+    counts: Int32,
     spans: Int32,
-    counts: Int64,
     covering: Int32,
     limits: Float64,
     early: int,
@@ -213,8 +191,8 @@ def _time_sectors(
     """Note the cells of one scan's spans of which the beam that covers their bearing speaks."""
     for row in range(touched[0], touched[1]):
         from_y = float((row << 8) + 128 - at_y)
-        for i in range(0, counts[row], 2):
-            for col in range(spans[row, i], spans[row, i + 1]):
+        for i in range(starts[row], starts[row] + counts[row], 2):
+            for col in range(spans[i], spans[i + 1]):
                 from_x = float((col << 8) + 128 - at_x)
                 b = covering[bearing_of(from_x, from_y)]
                 squared = from_x * from_x + from_y * from_y

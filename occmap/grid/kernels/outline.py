@@ -1,0 +1,234 @@
+"""The outline of a scan: which neighbouring beams belong together, and the corners around them."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from occmap.grid.kernels.arrays import Int32
+from occmap.grid.kernels.jit import kernel
+from occmap.grid.kernels.project import round_to_units
+from occmap.types import Bool, Float32, Float64, Int64, UInt8
+
+EDGE, CELL, JOINED = 1, 2, 4
+"""Of a beam: the edge from the one before may matter; so does its own cell; so do those between."""
+
+
+class Surfaces(NamedTuple):
+    """Which neighbouring beams see one surface, and the lattice that they are on."""
+
+    units_per_metre: float
+    """Of the lattice"""
+    jump: float
+    """Neighbours see one surface where their ranges differ by at most this (m)"""
+    border_gap: int
+    """... and the border is closed between their end cells where these are at most so far apart"""
+    full_circle: bool
+    """The last beam and the first are neighbours"""
+    left: int
+    """x of the window's corner (lattice units)"""
+    bottom: int
+    """y of the window's corner (lattice units)"""
+    shift_x: int
+    """x of the anchor of the ends of beams, from the window's corner (lattice units)"""
+    shift_y: int
+    """y of the same"""
+    clipped: bool
+    """The scans may reach beyond the window"""
+
+
+@kernel
+def link_beams(
+    distance: Float32,
+    ends_x: Int32,
+    ends_y: Int32,
+    kinds: UInt8,
+    surfaces: Surfaces,
+    links: UInt8,
+) -> None:
+    """Say what each beam of a scan has to do with the one before it.
+
+    No branches: then many beams are compared at a time, and few are left to be looked at.
+    """
+    last = kinds.size - 1
+    jump, gap = surfaces.jump, surfaces.border_gap
+    for b in range(1, kinds.size):
+        links[b] = _link(
+            kinds[b - 1], kinds[b], np.float64(distance[b - 1]), np.float64(distance[b]),
+            ends_x[b - 1], ends_x[b], ends_y[b - 1], ends_y[b], jump, gap,
+        )  # fmt: skip
+    before = int(kinds[last]) if surfaces.full_circle else 0
+    links[0] = _link(
+        before, kinds[0], np.float64(distance[last]), np.float64(distance[0]),
+        ends_x[last], ends_x[0], ends_y[last], ends_y[0], jump, gap,
+    )  # fmt: skip
+    links[0] |= CELL * (kinds[0] == 2)  # all beams may end in one cell
+
+
+@kernel
+def _link(
+    kind_before: int,
+    kind: int,
+    distance_before: float,
+    distance: float,
+    x_before: int,
+    x: int,
+    y_before: int,
+    y: int,
+    jump: float,
+    border_gap: int,
+) -> int:
+    one_surface = abs(distance - distance_before) <= jump
+    solid = (kind_before != 0) & (kind != 0)
+    crosses = ((y_before + 127) >> 8) != ((y + 127) >> 8)
+    edge = (solid & (crosses | (not one_surface))) | ((kind_before != 0) != (kind != 0))
+    both = (kind_before == 2) & (kind == 2)
+    across, up = abs((x >> 8) - (x_before >> 8)), abs((y >> 8) - (y_before >> 8))
+    steps = max(across, up)
+    cell = (kind == 2) & (not (both & (steps == 0)))
+    joined = both & one_surface & (steps > 1) & (steps <= border_gap)
+    return edge * EDGE + cell * CELL + joined * JOINED
+
+
+@kernel
+def outline_scan(
+    origin: Float64,
+    turn: Float64,
+    bearing: Float64,
+    distance: Float32,
+    ends_x: Int32,
+    ends_y: Int32,
+    kinds: UInt8,
+    surfaces: Surfaces,
+    links: UInt8,
+    listed: Int32,
+    x: Int64,
+    y: Int64,
+    begins: Bool,
+    rows: int,
+) -> tuple[int, tuple[int, int]]:
+    """Write the corners of one scan's regions: one region for each run of beams that are not SKIP.
+
+    A region is closed through the sensor or, where a full circle has all its beams, on itself.
+    Corners between which no row's centre line is crossed are left out. Returns the number of
+    corners; and of the window's `rows` the first that the scan touches, and the one after the last.
+    """
+    beams = kinds.size
+    at_x = round_to_units(origin[0], surfaces.units_per_metre) - surfaces.left
+    at_y = round_to_units(origin[1], surfaces.units_per_metre) - surfaces.bottom
+    low, high = ends_y[0], ends_y[0]
+    for b in range(beams):
+        low, high = min(low, ends_y[b]), max(high, ends_y[b])
+    corners, drawn = 0, -1
+    for i in range(list_beams(links, EDGE, listed)):
+        b = listed[i]
+        a = b - 1 if b > 0 else beams - 1
+        begun = kinds[a] != 0 and (b > 0 or surfaces.full_circle)
+        if not begun:
+            corners = _add_corner(x, y, begins, corners, at_x, at_y, True)
+        elif drawn != a:
+            from_x, from_y = ends_x[a] + surfaces.shift_x, ends_y[a] + surfaces.shift_y
+            corners = _add_corner(x, y, begins, corners, from_x, from_y, True)
+        if kinds[b] == 0:
+            corners = _add_corner(x, y, begins, corners, at_x, at_y, False)
+            continue
+        if begun and abs(np.float64(distance[b]) - distance[a]) > surfaces.jump:
+            # Step at the nearer range, so that no space behind an edge is called free.
+            near, far = (b, a) if distance[b] < distance[a] else (a, b)
+            t = min(far, turn.shape[0] - 1)
+            along_x = turn[t, 0, 0] * bearing[0, far] + turn[t, 0, 1] * bearing[1, far]
+            along_y = turn[t, 1, 0] * bearing[0, far] + turn[t, 1, 1] * bearing[1, far]
+            step_x = round_to_units(
+                origin[0] + np.float64(distance[near]) * along_x, surfaces.units_per_metre
+            )
+            step_y = round_to_units(
+                origin[1] + np.float64(distance[near]) * along_y, surfaces.units_per_metre
+            )
+            corners = _add_corner(
+                x, y, begins, corners, step_x - surfaces.left, step_y - surfaces.bottom, False
+            )
+        to_x, to_y = ends_x[b] + surfaces.shift_x, ends_y[b] + surfaces.shift_y
+        corners = _add_corner(x, y, begins, corners, to_x, to_y, False)
+        drawn = b
+    last = beams - 1
+    if kinds[last] != 0 and not surfaces.full_circle:
+        if drawn != last:
+            from_x, from_y = ends_x[last] + surfaces.shift_x, ends_y[last] + surfaces.shift_y
+            corners = _add_corner(x, y, begins, corners, from_x, from_y, True)
+        corners = _add_corner(x, y, begins, corners, at_x, at_y, False)
+    lowest = min(at_y, int(low) + surfaces.shift_y) >> 8
+    highest = max(at_y, int(high) + surfaces.shift_y) >> 8
+    return corners, (max(lowest, 0), min(highest + 1, rows))
+
+
+@kernel
+def list_beams(links: UInt8, wanted: int, listed: Int32) -> int:
+    """Write the beams of which something is said, and return how many."""
+    beams = 0
+    for b in range(links.size):
+        listed[np.uint64(beams)] = b
+        beams += (links[b] & wanted) != 0
+    return beams
+
+
+@kernel
+def _add_corner(
+    x: Int64, y: Int64, begins: Bool, corners: int, at_x: int, at_y: int, first: bool
+) -> int:
+    i = np.uint64(corners)
+    x[i], y[i], begins[i] = at_x, at_y, first
+    return corners + 1
+
+
+@kernel
+def list_border(
+    ends_x: Int32,
+    ends_y: Int32,
+    links: UInt8,
+    listed: Int32,
+    surfaces: Surfaces,
+    rows: int,
+    cols: int,
+    cells: Int32,
+) -> int:
+    """Write row and column of the cells of a scan's border that lie in the window; some twice.
+
+    Returns how many.
+    """
+    size, to_row, to_col = 0, surfaces.shift_y >> 8, surfaces.shift_x >> 8
+    for b in range(links.size):
+        k = np.uint64(size)
+        cells[k, 0], cells[k, 1] = (ends_y[b] >> 8) + to_row, (ends_x[b] >> 8) + to_col
+        size += (links[b] & CELL) != 0
+    for i in range(list_beams(links, JOINED, listed)):
+        b = listed[i]
+        a = b - 1 if b > 0 else links.size - 1
+        col, row = ends_x[b] >> 8, ends_y[b] >> 8
+        across, up = col - (ends_x[a] >> 8), row - (ends_y[a] >> 8)
+        right, above = np.sign(across), np.sign(up)
+        n = max(abs(across), abs(up))
+        # From the end cell back along the Bresenham line, up to the neighbour's own; seen from
+        # there, halves are rounded towards the end.
+        rest_x = rest_y = n - 1
+        for _ in range(1, n):
+            rest_x += 2 * abs(across)
+            rest_y += 2 * abs(up)
+            steps_x, steps_y = rest_x >= 2 * n, rest_y >= 2 * n
+            rest_x -= 2 * n * steps_x
+            rest_y -= 2 * n * steps_y
+            col -= right * steps_x
+            row -= above * steps_y
+            k = np.uint64(size)
+            cells[k, 0], cells[k, 1] = row + to_row, col + to_col
+            size += 1
+    return _keep_inside(cells, size, rows, cols) if surfaces.clipped else size
+
+
+@kernel
+def _keep_inside(cells: Int32, size: int, rows: int, cols: int) -> int:
+    kept = 0
+    for i in range(size):
+        row, col = cells[i, 0], cells[i, 1]
+        if 0 <= row < rows and 0 <= col < cols:
+            cells[kept, 0], cells[kept, 1] = row, col
+            kept += 1
+    return kept
