@@ -13,6 +13,8 @@ from occmap.grid.kernels.polygon import sum_runs, trace_polygons
 from occmap.grid.kernels.project import project_ends
 from occmap.grid.kernels.radial_beam import trace_radial_beams
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
+from occmap.grid.kernels.time_beams import time_beams, time_radial_beams
+from occmap.grid.kernels.time_polygons import time_polygons, time_radial_polygons
 from occmap.grid.warm import compile_kernels
 from occmap.pipeline import BuildOptions, build
 from occmap.sensor.models import parse_model
@@ -26,6 +28,10 @@ KERNELS: list[Any] = [
     trace_radial_polygons,
     sum_beams,
     sum_runs,
+    time_beams,
+    time_polygons,
+    time_radial_beams,
+    time_radial_polygons,
 ]
 SAMPLE = Path(__file__).parents[2] / "sample_logs" / "drive.mcap"
 NOWHERE_TO_KEEP = """
@@ -40,11 +46,14 @@ print("compiled")
 
 @pytest.mark.parametrize("update", Update)
 @pytest.mark.parametrize("model", ["simple", "quadratic"])
-def test_a_build_needs_no_kernel_that_was_not_compiled_before(update: Update, model: str) -> None:
+def test_a_build_needs_no_kernel_that_was_not_compiled_before(
+    update: Update, model: str, tmp_path: Path
+) -> None:
     compile_kernels()
     compiled = [len(kernel.signatures) for kernel in KERNELS]
     assert min(compiled) >= 1
-    build([SAMPLE], BuildOptions(update=update, model=parse_model(model), jobs=1))
+    options = BuildOptions(update=update, model=parse_model(model), jobs=1)
+    build([SAMPLE], options, [tmp_path / "m.npz"])
     assert [len(kernel.signatures) for kernel in KERNELS] == compiled
 
 
