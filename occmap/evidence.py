@@ -12,7 +12,7 @@ from occmap.grid.stacks import add_stack, stack_tiles
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid
 from occmap.manifest import describe_profile
 from occmap.persistence import check_passes, keep_lasting
-from occmap.report import Report, measure_shares
+from occmap.report import Report, Resumed, measure_shares
 from occmap.sensor.models import RadialModel, SensorModel, describe_model, parse_model
 from occmap.sensor.returns import ReturnCounts
 from occmap.types import Evidence, Float64, Int64, Manifest, OccupancyMap, Times, to_log_odds
@@ -180,14 +180,16 @@ def list_repeated(manifest: Manifest) -> list[str]:
 def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> Report:
     """Sum up all builds of evidence, and the map that was made of it."""
     scans = [build["scans"] for build in manifest.builds]
+    read, used = count_scans(manifest)
     dropped: dict[str, int] = {}
     for reason, count in (pair for each in scans for pair in each["dropped"].items()):
         dropped[reason] = dropped.get(reason, 0) + count
     rows, cols = grid.shape
     return Report(
         logs=tuple(entry["name"] for build in manifest.builds for entry in build["inputs"]),
-        scans_read=sum(each["read"] for each in scans),
-        scans_used=sum(each["used"] for each in scans),
+        scans_read=read,
+        scans_used=used,
+        builds=len(scans),
         dropped=dropped,
         beams=sum((read_counts(each["beams"]) for each in scans), ReturnCounts()),
         notes=tuple(list_notes(manifest)),
@@ -198,6 +200,17 @@ def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> 
         extent=grid.extent,
         shares=measure_shares(grid, writing),
     )
+
+
+def count_scans(manifest: Manifest) -> tuple[int, int]:
+    """How many scans all builds of evidence read, and how many they used."""
+    scans = [build["scans"] for build in manifest.builds]
+    return sum(each["read"] for each in scans), sum(each["used"] for each in scans)
+
+
+def describe_resumed(evidence: Evidence) -> Resumed:
+    """Say what a build was added to."""
+    return Resumed(evidence.where, *count_scans(evidence.manifest))
 
 
 def read_counts(beams: dict[str, int]) -> ReturnCounts:

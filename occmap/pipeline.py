@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from occmap.batching import Batcher, Selection
 from occmap.errors import LogError, PoseError, UsageError
-from occmap.evidence import keep, render
+from occmap.evidence import describe_resumed, keep, render
 from occmap.grid.lattice import Lattice
 from occmap.grid.observation import Observation, tabulate
 from occmap.grid.stacks import add_stack
@@ -114,7 +114,7 @@ def build(
         progress(scans, total)
 
     engine = choose_engine(options, outputs)
-    made = Made([str(log.path) for log in logs])
+    made = Made([str(log.path) for log in logs], describe_resumed(saved) if saved else None)
     made.note_repeated()
     for log in logs:
         poser = trace_log(log, options, engine.add, tally, advance)
@@ -286,4 +286,5 @@ def make_report(grid: OccupancyMap, options: BuildOptions, tally: Tally, made: M
         shares=measure_shares(grid, options.writing),
         seconds=dict(tally.seconds),
         files=tuple(made.files),
+        resumed=made.resumed,
     )

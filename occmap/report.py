@@ -73,6 +73,19 @@ class Tally:
 
 
 @dataclass(frozen=True)
+class Resumed:
+    """The evidence that a build was added to."""
+
+    file: str
+    scans_read: int
+    scans_used: int
+
+    def to_json(self) -> dict[str, Any]:
+        """As values that JSON has."""
+        return {"file": self.file, "read": self.scans_read, "used": self.scans_used}
+
+
+@dataclass(frozen=True)
 class Report:
     """What a build read, used, dropped and made."""
 
@@ -99,6 +112,10 @@ class Report:
     """Those of the notes that say what is lost"""
     min_passes: int | None = None
     """On how many visits a cell had to be hit to keep its hits; None: nobody asked"""
+    builds: int = 1
+    """How many builds the logs, scans and beams are of: in merged evidence more than one"""
+    resumed: Resumed | None = None
+    """What else is in the map: logs, scans and beams do not count it"""
 
     @property
     def undecided(self) -> float:
@@ -110,6 +127,8 @@ class Report:
         return {
             "logs": list(self.logs),
             "scans": {"read": self.scans_read, "used": self.scans_used, "dropped": self.dropped},
+            "builds": self.builds,
+            "resumed": self.resumed and self.resumed.to_json(),
             "beams": self.beams._asdict(),
             "map": {
                 "update": self.update,
@@ -134,6 +153,7 @@ class Made:
     """What a report names; grows while a map is built."""
 
     logs: list[str]
+    resumed: Resumed | None = None
     notes: list[str] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
     files: list[str] = field(default_factory=list)

@@ -9,6 +9,7 @@ from occmap.cli.console import Console
 from occmap.cli.summary import (
     LABEL,
     format_counts,
+    format_scans,
     format_shares,
     format_size,
     format_update,
@@ -77,7 +78,7 @@ def format_saved(report: Report) -> str:
         ("map", format_size(report)),
         ("cells", format_shares(report)),
         ("update", format_update(report)),
-        ("scans", f"{report.scans_used:,} of {report.scans_read:,} used"),
+        ("scans", format_scans(report)),
         ("dropped", format_counts(report.dropped)),
         *label_files(report),
     ]

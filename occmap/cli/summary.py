@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 
 from occmap.report import Report
+from occmap.wording import count
 
 LABEL = 9
 """Width of the first column."""
@@ -14,13 +15,22 @@ def format_report(report: Report, seconds: float) -> str:
         ("map", format_size(report)),
         ("cells", format_shares(report)),
         ("update", format_update(report)),
-        ("scans", f"{report.scans_used:,} of {report.scans_read:,} used"),
+        ("scans", format_scans(report)),
         ("dropped", format_counts(report.dropped)),
         ("beams", format_beams(report)),
         ("time", format_time(report, seconds)),
         *label_files(report),
     ]
     return "\n".join(f"{label:<{LABEL}}{text}" for label, text in lines if text)
+
+
+def format_scans(report: Report) -> str:
+    """Say how many scans were used, and what they were added to."""
+    used = f"{report.scans_used:,} of {report.scans_read:,} used"
+    if report.resumed:
+        past = f"{report.resumed.scans_used:,} of {report.resumed.scans_read:,}"
+        return f"{used}, added to {past} in {report.resumed.file}"
+    return f"{used}, in {count(report.builds, 'build')}" if report.builds > 1 else used
 
 
 def format_update(report: Report) -> str:

@@ -72,6 +72,20 @@ def test_resume_is_a_build_of_both() -> None:
     assert read_bytes("a.npz") == read_bytes("ab.npz")
 
 
+def test_scan_counts_say_what_they_count() -> None:
+    words = ["build", "b.csv", "--resume", "a.npz", "-o", "ab.npz"]
+    lines = occmap(*words).out.splitlines()
+    assert "scans    1 of 1 used, added to 1 of 1 in a.npz" in lines
+    words = ["build", "b.csv", "--resume", "ab.npz", "-o", "abb.npz", "--json"]
+    found = json.loads(occmap(*words).out)
+    assert found["scans"]["used"] == found["builds"] == 1
+    assert found["resumed"] == {"file": "ab.npz", "read": 2, "used": 2}
+    merged = occmap("merge", "ab.npz", "a.npz", "-o", "m.npz").out.splitlines()
+    assert "scans    3 of 3 used, in 3 builds" in merged
+    rendered = json.loads(occmap("render", "m.npz", "-o", "m.pgm", "--json").out)
+    assert (rendered["scans"]["used"], rendered["builds"], rendered["resumed"]) == (3, 3, None)
+
+
 def test_a_log_that_counts_twice_is_noted() -> None:
     result = occmap("merge", "a.npz", "a.npz", "-o", "aa.npz")
     assert (result.code, result.err) == (0, "note: a.csv is in it twice\n")
