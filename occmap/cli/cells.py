@@ -112,7 +112,6 @@ def list_scans(explanation: Explanation) -> Iterator[tuple[str, str]]:
         return
     kind = explanation.history.kind
     yield "scans", f"{len(scans):,} {used}: {describe_sum(scans, kind)}"
-    yield "", f"from {format_time(scans[0].stamp_ns)} to {format_time(scans[-1].stamp_ns)}"
     shown = choose_shown(scans)
     table = [name_columns(kind), *(describe_scan(each, kind) for each in shown)]
     for index, line in enumerate(align(table)):
