@@ -16,7 +16,7 @@ from occmap.report import Report, Resumed, measure_shares
 from occmap.sensor.models import RadialModel, SensorModel, describe_model, parse_model
 from occmap.sensor.returns import ReturnCounts
 from occmap.types import Evidence, Float64, Int64, Manifest, OccupancyMap, Times, to_log_odds
-from occmap.writers import Product, WriteOptions, check_outputs, write_outputs
+from occmap.writers import Product, WriteOptions, check_outputs, list_idle, write_outputs
 
 MAX_CELLS = 10**9
 
@@ -117,7 +117,8 @@ def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path])
     product = Product(grid, lambda: replace(evidence, manifest=manifest))
     files = write_outputs(outputs, product, options.writing)
     report = summarise(manifest, grid, options.writing)
-    return replace(report, files=tuple(files), min_passes=options.min_passes)
+    notes = (*report.notes, *list_idle(outputs, options.writing))
+    return replace(report, notes=notes, files=tuple(files), min_passes=options.min_passes)
 
 
 def keep(grid: TileGrid, manifest: Manifest, times: tuple[Times, ...]) -> Evidence:

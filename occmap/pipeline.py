@@ -115,7 +115,7 @@ def build(
 
     engine = choose_engine(options, outputs)
     made = Made([str(log.path) for log in logs], describe_resumed(saved) if saved else None)
-    made.note_repeated()
+    made.note_request(outputs, options.writing)
     for log in logs:
         poser = trace_log(log, options, engine.add, tally, advance)
         made.note(log, poser.notes)

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from threading import Lock
 from time import perf_counter
 from typing import Any, TypeVar
@@ -14,7 +15,7 @@ from occmap.errors import LogError, PoseError
 from occmap.readers import Log
 from occmap.sensor.returns import ReturnCounts
 from occmap.types import OccupancyMap
-from occmap.writers import WriteOptions
+from occmap.writers import WriteOptions, list_idle
 
 Item = TypeVar("Item")
 
@@ -158,8 +159,9 @@ class Made:
     damage: list[str] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
 
-    def note_repeated(self) -> None:
-        """Say which logs were given more than once: their evidence counts as often."""
+    def note_request(self, outputs: Sequence[Path], writing: WriteOptions) -> None:
+        """Say which logs were given more than once, and count as often, and what does nothing."""
+        self.notes += list_idle(outputs, writing)
         for log, times in Counter(self.logs).items():
             if times > 1:
                 self.notes.append(f"{log}: given {times} times, and counted as often")

@@ -146,6 +146,15 @@ def want_evidence(outputs: Sequence[Path]) -> bool:
     return any(isinstance(find_writer(path), EvidenceWriter) for path in outputs)
 
 
+def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
+    """Say which options do nothing, since no output is of the format that they are for."""
+    suffixes = {path.suffix.lower() for path in outputs}
+    if options.mode is not MapMode.TRINARY and suffixes <= {".png", ".npz"}:
+        yield f"--mode {options.mode} does nothing: it is for a PGM, and no -o ends in .pgm"
+    if options.shade is not Shade.DARK_OCCUPIED and suffixes <= {".pgm", ".npz"}:
+        yield "--light-occupied does nothing: it is for a PNG, and no -o ends in .png"
+
+
 @dataclass(frozen=True)
 class Product:
     """What there is to write."""

@@ -86,6 +86,30 @@ def test_scan_counts_say_what_they_count() -> None:
     assert (rendered["scans"]["used"], rendered["builds"], rendered["resumed"]) == (3, 3, None)
 
 
+@pytest.mark.parametrize("words", [["build", "a.csv"], ["render", "a.npz"], ["merge", "a.npz"]])
+@pytest.mark.parametrize(
+    ("flags", "found"),
+    [
+        (
+            "-o m.png --mode scale",
+            "--mode scale does nothing: it is for a PGM, and no -o ends in .p",
+        ),
+        (
+            "-o m.pgm -o n.npz --light-occupied",
+            "--light-occupied does nothing: it is for a PNG, an",
+        ),
+        ("-o m.PGM -o m.png --mode raw --light-occupied", ""),
+        ("-o m.png --mode trinary", ""),
+    ],
+)
+def test_an_option_that_does_nothing_is_noted(words: list[str], flags: str, found: str) -> None:
+    result = occmap(*words, *flags.split())
+    assert result.code == 0
+    assert result.err.startswith(f"note: {found}" if found else "")
+    assert len(result.err.splitlines()) == bool(found)
+    assert len(json.loads(occmap(*words, *flags.split(), "--json").out)["notes"]) == bool(found)
+
+
 def test_a_log_that_counts_twice_is_noted() -> None:
     result = occmap("merge", "a.npz", "a.npz", "-o", "aa.npz")
     assert (result.code, result.err) == (0, "note: a.csv is in it twice\n")
