@@ -67,4 +67,17 @@ def unpack_times(arrays: Arrays) -> tuple[Times, ...]:
         np.split(arrays["hit_visits"].astype(np.int32), cells),
         np.split(arrays["seen_visits"].astype(np.int32), cells),
     )
-    return tuple(Times(*layer) for layer in zip(*columns, strict=True))[:-1]  # behind the last
+    layers = tuple(Times(*layer) for layer in zip(*columns, strict=True))
+    for each in layers:
+        if not len(each.tiles) == len(each.observed) or not is_whole(each):
+            raise ValueError("layers")
+    return layers[:-1]  # nothing lies behind the last
+
+
+def is_whole(times: Times) -> bool:
+    """Whether every cell that was observed has its four numbers."""
+    cells = int(np.bitwise_count(times.observed).sum(dtype=np.int64))
+    return {cells} == {
+        *(len(times.first_ns), len(times.last_ns)),
+        *(len(times.hit_visits), len(times.seen_visits)),
+    }

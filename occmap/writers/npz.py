@@ -200,5 +200,7 @@ def unpack(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidence:
     cells = np.zeros((len(arrays["tiles"]), 2, SIDE, SIDE), f"<i{width}")
     cells[:, 0][seen] = arrays["first"]
     cells[:, 1][seen] = arrays["second"]
-    manifest = Manifest(**{**fields, **lists})
-    return Evidence(manifest, arrays["tiles"], cells, unpack_times(arrays), str(path))
+    manifest, times = Manifest(**{**fields, **lists}), unpack_times(arrays)
+    if len(times) != len(manifest.builds):
+        raise ValueError("layers")
+    return Evidence(manifest, arrays["tiles"], cells, times, str(path))

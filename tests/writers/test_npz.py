@@ -79,8 +79,25 @@ def test_times_of_no_build_and_of_the_whole_range_of_stamps(tmp_path: Path) -> N
     (some, _) = SMALL.times
     wide = replace(some, first_ns=np.array([limits.min, 0, 1]), last_ns=np.full(3, limits.max))
     for times in ((), (NO_TIMES,), (NO_TIMES, wide, NO_TIMES, some)):
-        evidence = replace(SMALL, times=times)
+        manifest = replace(MANIFEST, builds=({},) * len(times))
+        evidence = replace(SMALL, manifest=manifest, times=times)
         assert_equal_times(read_evidence(write(tmp_path / "m.npz", evidence)), evidence)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"times": ()},
+        {"times": (NO_TIMES,) * 3},
+        {"times": (replace(SMALL.times[0], tiles=np.zeros((1, 2), np.int64)), NO_TIMES)},
+        {"times": (replace(SMALL.times[0], last_ns=np.zeros(4, np.int64)), NO_TIMES)},
+        {"times": (replace(SMALL.times[0], hit_visits=np.zeros(2, np.int32)), NO_TIMES)},
+        {"times": (replace(NO_TIMES, first_ns=np.zeros(1, np.int64)), SMALL.times[0])},
+    ],
+)
+def test_layers_that_do_not_fit_are_refused(tmp_path: Path, change: dict[str, Any]) -> None:
+    path = write(tmp_path / "m.npz", replace(SMALL, **change))
+    assert "it is cut or altered; build it again" in damage(path, path.read_bytes())
 
 
 def test_numpy_alone_reads_it(tmp_path: Path) -> None:

@@ -1,0 +1,42 @@
+"""Builds whose evidence is saved: of the sample drive, whole and in two halves."""
+
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+from occmap.batching import Selection
+from occmap.pipeline import BuildOptions, build
+from occmap.sensor.models import parse_model
+from occmap.types import Evidence, Update
+from occmap.writers.npz import NpzWriter, read_evidence
+from tests.samples import SAMPLE_LOGS
+
+DRIVE = SAMPLE_LOGS / "drive.csv"
+COMBINATIONS = list(product(Update, ["simple", "quadratic", "counting"]))
+each_combination = pytest.mark.parametrize(("update", "model"), COMBINATIONS)
+MIDDLE_S = 20.0005
+
+
+def choose(update: Update = Update.BEAM, model: str = "simple", jobs: int = 1) -> BuildOptions:
+    return BuildOptions(update=update, model=parse_model(model), jobs=jobs)
+
+
+def save(path: Path, options: BuildOptions, log: Path = DRIVE) -> Evidence:
+    build([log], options, [path])
+    return read_evidence(path)
+
+
+def halve(options: BuildOptions, middle: float = MIDDLE_S) -> tuple[BuildOptions, BuildOptions]:
+    """Two builds of one log: what comes before a time, and what after."""
+    return (
+        replace(options, selection=Selection(end_s=middle)),
+        replace(options, selection=Selection(start_s=middle)),
+    )
+
+
+def write_bytes(folder: Path, evidence: Evidence) -> bytes:
+    path = folder / "written.npz"
+    NpzWriter().write_evidence(path, evidence)
+    return path.read_bytes()
