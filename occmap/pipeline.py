@@ -17,7 +17,7 @@ from occmap.merging import open_saved
 from occmap.persistence import check_gap, check_passes, keep_lasting
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions, Stamps
-from occmap.readers import Log, Role, open_log
+from occmap.readers import Log, Role, open_log, read_poses
 from occmap.readers.options import ReaderOptions
 from occmap.report import Made, Report, Tally, measure_shares, refuse_unused
 from occmap.sensor.models import RadialModel, SensorModel, SimpleModel, describe_model
@@ -222,7 +222,7 @@ def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser
     """
     first = [scan for topic in topics for scan in take_one(log.scans([topic]))]
     stated = options.poses is None and all(scan.pose is not None for scan in first)
-    poser = Poser.build([] if stated else log.poses(), options)
+    poser = Poser.build([] if stated else read_poses(log), options)
     if not stated:
         try:
             poser.resolve({scan.frame for scan in first})

@@ -97,6 +97,22 @@ class PoseSample(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
+class PoseBatch:
+    """Samples of one frame in another from one source, stacked so that NumPy sees many at once."""
+
+    stamp_ns: Int64
+    """(N,)"""
+    record_ns: Int64
+    """(N,)"""
+    pose: Float64
+    """(N, 7) x y z qx qy qz qw"""
+    parent: str
+    child: str
+    static: bool
+    topic: str
+
+
+@dataclass(frozen=True, slots=True)
 class ScanBatch:
     """Scans of one sensor with equal geometry, stacked so that NumPy sees many at once."""
 

@@ -14,7 +14,7 @@ from occmap.posing.chain import Status
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.posing.resolve import resolve
 from occmap.posing.sources import Sources
-from occmap.readers import Log
+from occmap.readers import Log, read_poses
 from occmap.types import Pose
 
 WELL_POSED = 0.9
@@ -42,7 +42,7 @@ def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:
     PoseError, LogError
         The trajectory that the user chose cannot be used.
     """
-    poser = Poser.build(log.poses(), options.posing)
+    poser = Poser.build(read_poses(log), options.posing)
     first = [scan for topic in topics for scan in take_one(log.scans([topic]))]
     frames = {scan.frame for scan in first if scan.pose is None or options.posing.poses}
     faults = find_faults(poser.sources, options.posing, frames)
@@ -94,7 +94,7 @@ def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> str:
     if topic.stated or not posing.poser.chains or topic.posed >= WELL_POSED * scans:
         return chosen.value
     other = Stamps.HEADER if chosen is Stamps.RECORD else Stamps.RECORD
-    poser = Poser.build(log.poses(), replace(posing.poser.options, stamps=other))
+    poser = Poser.build(read_poses(log), replace(posing.poser.options, stamps=other))
     try:
         poser.resolve(topic.frames)
     except PoseError:

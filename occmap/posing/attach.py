@@ -13,7 +13,7 @@ from occmap.posing.resolve import resolve
 from occmap.posing.rotations import rotate_by
 from occmap.posing.sources import Sources, gather
 from occmap.posing.tracks import MAX_STAMP_NS, Track, find_usable
-from occmap.types import Float64, Pose, PosedScans, PoseSample, ScanBatch, UInt8
+from occmap.types import Float64, Pose, PoseBatch, PosedScans, PoseSample, ScanBatch, UInt8
 
 MAX_TURN_S = 60.0
 """A log that gives one scan longer states the time between its beams wrongly."""
@@ -53,7 +53,9 @@ class Poser:
     """By scan frame; None where there is no way to it."""
 
     @classmethod
-    def build(cls, samples: Iterable[PoseSample], options: PosingOptions | None = None) -> Self:
+    def build(
+        cls, samples: Iterable[PoseSample | PoseBatch], options: PosingOptions | None = None
+    ) -> Self:
         """Read all samples of a log once, in any order.
 
         Raises

@@ -11,7 +11,7 @@ from occmap.posing.frames import Edge, FrameTree, Source, last_part
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.posing.tracks import Track, TrackBuilder
 from occmap.posing.trajectory import TRAJECTORY_FRAME, read_trajectory
-from occmap.types import PoseSample
+from occmap.types import PoseBatch, PoseSample
 
 TF_TOPICS = frozenset({"", "tf", "tf_static"})
 """Last parts of topics that carry the tree itself; any other states the pose of one body."""
@@ -47,7 +47,7 @@ class Sources:
         return next((edge for edge in usable if not _is_intention(edge.topic)), None)
 
 
-def gather(samples: Iterable[PoseSample], options: PosingOptions) -> Sources:
+def gather(samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) -> Sources:
     """Read every sample once and sort them by what they say.
 
     Raises
@@ -67,16 +67,19 @@ def gather(samples: Iterable[PoseSample], options: PosingOptions) -> Sources:
 
 
 def _build_tracks(
-    samples: Iterable[PoseSample], stamps: Stamps
+    samples: Iterable[PoseSample | PoseBatch], stamps: Stamps
 ) -> tuple[list[tuple[_Key, Track]], list[str]]:
     """Make a track of all samples that share topic and frames; say what could not be used."""
-    builders: dict[_Key, TrackBuilder] = defaultdict(TrackBuilder)
-    for sample in samples:
-        key = _Key(sample.topic, sample.parent, sample.child, sample.static)
-        builders[key].add(sample, stamps)
+    builders: dict[tuple[str, str, str, bool], TrackBuilder] = defaultdict(TrackBuilder)
+    for item in samples:
+        builder = builders[item.topic, item.parent, item.child, item.static]
+        if isinstance(item, PoseBatch):
+            builder.add_batch(item, stamps)
+        else:
+            builder.add(item, stamps)
     tracks: list[tuple[_Key, Track]] = []
     notes: list[str] = []
-    for key, builder in sorted(builders.items()):
+    for key, builder in ((_Key(*names), each) for names, each in sorted(builders.items())):
         track = builder.build()
         if builder.unusable:
             name = f"{key.parent} -> {key.child or 'a body'}"

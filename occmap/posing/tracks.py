@@ -9,7 +9,7 @@ import numpy as np
 
 from occmap.posing.options import Stamps
 from occmap.posing.rotations import angle_between
-from occmap.types import Bool, Float64, Int64, Pose, PoseSample
+from occmap.types import Bool, Float64, Int64, Pose, PoseBatch, PoseSample
 
 STILL_M = 1e-4
 STILL_RAD = 1e-4
@@ -91,6 +91,15 @@ class TrackBuilder:
             return
         self._times.extend((stamp, record))
         self._values.extend(sample.pose)
+
+    def add_batch(self, batch: PoseBatch, stamps: Stamps) -> None:
+        """Take many samples, as `add` takes one."""
+        stamp = batch.record_ns if stamps is Stamps.RECORD else batch.stamp_ns
+        times = np.stack([stamp, batch.record_ns], axis=1)
+        sound = ((times >= -MAX_STAMP_NS) & (times <= MAX_STAMP_NS)).all(axis=1)
+        self.unusable += int(np.count_nonzero(~sound))
+        self._times.frombytes(times[sound].tobytes())
+        self._values.frombytes(batch.pose[sound].tobytes())
 
     def build(self) -> Track | None:
         """Sort what was gathered; None where nothing is usable.

@@ -15,7 +15,7 @@ from occmap.errors import LogError
 from occmap.plugins import list_plugins, load_plugin
 from occmap.readers.gunzip import GUNZIP_ERRORS, GunzipStream
 from occmap.readers.options import ReaderOptions
-from occmap.types import PoseSample, Scan
+from occmap.types import PoseBatch, PoseSample, Scan
 
 PROBE_BYTES = 4096
 LFS_MAGIC = b"version https://git-lfs"
@@ -78,6 +78,19 @@ class Log(Protocol):
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """The scans of these topics, in file order, one at a time."""
+
+
+@runtime_checkable
+class StackingLog(Protocol):
+    """A log that can give poses many at a stroke, where it would take long one by one."""
+
+    def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
+        """What `poses` gives; samples of one frame in another stay in file order."""
+
+
+def read_poses(log: Log) -> Iterator[PoseSample | PoseBatch]:
+    """Every pose source of a log, in the way that is quickest for it."""
+    return log.stacked_poses() if isinstance(log, StackingLog) else log.poses()
 
 
 class Reader(Protocol):

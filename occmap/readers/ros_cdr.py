@@ -90,10 +90,10 @@ def read_laser_scan(data: memoryview, topic: str, record_ns: int) -> Scan:
         The message is not as long as its own counts say.
     """
     seconds, nanoseconds, length = _header(data, 4)
-    at = _align(16 + length, 4)
+    at = align(16 + length, 4)
     angle_min, _, increment, time_increment, _, range_min, range_max, beams = _geometry(data, at)
     end = at + 32 + 4 * beams
-    _check_end(data, end + 4 + 4 * _count(data, end)[0])
+    _check_end(data, end + 4 + 4 * count_at(data, end))
     return Scan(
         seconds * 1_000_000_000 + nanoseconds,
         _read_frame(data, 16, length),
@@ -120,14 +120,14 @@ def read_transforms(data: memoryview, topic: str, record_ns: int) -> list[PoseSa
     static = is_static_topic(topic)
     samples = []
     at = 8
-    for _ in range(_count(data, 4)[0]):
-        at = _align(at, 4)
+    for _ in range(count_at(data, 4)):
+        at = align(at, 4)
         seconds, nanoseconds, length = _header(data, at)
         parent = _read_frame(data, at + 12, length)
-        at = _align(at + 12 + length, 4)
-        (length,) = _count(data, at)
+        at = align(at + 12 + length, 4)
+        length = count_at(data, at)
         child = _read_frame(data, at + 4, length)
-        at = _align(at + 4 + length, 8)
+        at = align(at + 4 + length, 8)
         pose = Pose(*_transform(data, at))
         at += 56
         stamp_ns = seconds * 1_000_000_000 + nanoseconds
@@ -136,7 +136,13 @@ def read_transforms(data: memoryview, topic: str, record_ns: int) -> list[PoseSa
     return samples
 
 
-def _align(at: int, size: int) -> int:
+def count_at(data: memoryview, at: int) -> int:
+    """Read the count of what follows, as a sequence and a string begin with one."""
+    count: int = _count(data, at)[0]
+    return count
+
+
+def align(at: int, size: int) -> int:
     """Round an offset up; CDR counts its alignment from behind the four encapsulation bytes."""
     return at + (4 - at) % size
 

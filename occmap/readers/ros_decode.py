@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from functools import cache
 from typing import Any, TypeAlias, TypeVar
 
 from rosbags.typesys import (
@@ -65,6 +66,18 @@ def make_pose_reader(channel: Channel) -> FromBytes[list[PoseSample]]:
         return make_foxglove_reader(channel, POSE_SCHEMAS[channel.type])
     convert = POSE_TYPES[normalise_type(channel.type)]
     return _make_reader(channel, convert, read_transforms)
+
+
+@cache
+def holds_plain_transforms(channel: Channel) -> bool:
+    """Say whether `read_transforms` can read a channel's little-endian messages as they are."""
+    name = normalise_type(channel.type)
+    if channel.zipped or channel.wire != "cdr" or name != _TF_TYPES[0]:
+        return False
+    try:
+        return is_standard(name, _load_types(channel, name).fielddefs)
+    except _DEFINITION_ERRORS:
+        return False
 
 
 def _make_reader(

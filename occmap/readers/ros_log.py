@@ -14,9 +14,15 @@ from rosbags.serde import SerdeError
 from occmap.errors import LogError
 from occmap.readers import DEFAULT_OPTIONS, Note, Role, Stream
 from occmap.readers.options import ReaderOptions
-from occmap.readers.ros_decode import FromBytes, make_pose_reader, make_scan_reader
+from occmap.readers.ros_decode import (
+    FromBytes,
+    holds_plain_transforms,
+    make_pose_reader,
+    make_scan_reader,
+)
 from occmap.readers.ros_source import Channel, RawMessage, Source, add_note
-from occmap.types import PoseSample, Scan
+from occmap.readers.ros_tf import RawTransforms, read_alike
+from occmap.types import PoseBatch, PoseSample, Scan
 
 T = TypeVar("T")
 
@@ -32,6 +38,11 @@ _DECODE_ERRORS = (
     TypeError,
     ValueError,
 )
+
+STACK_BYTES = 1 << 19
+"""Messages of one channel and length that are held, to be read at a stroke."""
+MOST_STACKS = 64
+"""... for so many channels and lengths; more of them are damage."""
 
 
 class RosLog:
@@ -59,6 +70,25 @@ class RosLog:
         wanted = [channel for channel in self._source.channels if channel.has_poses]
         for samples in self._read(self._make_readers(wanted, make_pose_reader)):
             yield from samples
+
+    def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
+        """The same; transforms, of which a log holds most, many messages at a stroke."""
+        wanted = [channel for channel in self._source.channels if channel.has_poses]
+        readers = self._make_readers(wanted, make_pose_reader)
+        stacks: dict[tuple[Channel, int], list[RawTransforms]] = {}
+        for channel, record_ns, data in self._messages(readers):
+            key = channel, len(data)
+            known = key in stacks or len(stacks) < MOST_STACKS
+            if not (known and holds_plain_transforms(channel)):
+                yield from readers[channel].read(data, record_ns) or ()
+                continue
+            stack = stacks.setdefault(key, [])
+            stack.append((bytes(data), record_ns))
+            if len(stack) * len(data) >= STACK_BYTES:
+                yield from _unstack(stacks.pop(key), channel.topic, readers[channel])
+        for (channel, _), stack in stacks.items():
+            yield from _unstack(stack, channel.topic, readers[channel])
+        self._note_damage(readers)
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """The scans of these topics, in file order."""
@@ -88,6 +118,9 @@ class RosLog:
             item = readers[channel].read(data, record_ns)
             if item is not None:
                 yield item
+        self._note_damage(readers)
+
+    def _note_damage(self, readers: Mapping[Channel, "_ChannelReader[T]"]) -> None:
         for reader in readers.values():
             for text in reader.list_damage():
                 add_note(self.notes, text)
@@ -158,3 +191,16 @@ class _ChannelReader(Generic[T]):
             yield f"the definition of {kind} on {topic} is damaged; the standard one is used"
         if self._failures:
             yield f"{self._failures} of {count} messages on {topic} are damaged and not used"
+
+
+def _unstack(
+    stack: list[RawTransforms], topic: str, reader: _ChannelReader[list[PoseSample]]
+) -> Iterator[PoseSample | PoseBatch]:
+    """Read stacked messages at a stroke; singly those that are damaged or like no other."""
+    try:
+        batches, others = read_alike(stack, topic)
+    except _DECODE_ERRORS:
+        batches, others = [], stack
+    yield from batches
+    for data, record_ns in others:
+        yield from reader.read(memoryview(data), record_ns) or ()

@@ -1,0 +1,118 @@
+"""Transforms that are read at a stroke must be those that are read one by one."""
+
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from occmap.readers import Note, ros_log
+from occmap.readers.ros_log import RosLog
+from occmap.readers.ros_source import Channel, RawMessage
+from occmap.types import Pose, PoseBatch, PoseSample
+from tests.readers.ros import ROS2, TF, transforms
+
+Edges = Sequence[tuple[str, str, float]]
+Key = tuple[str, str, str, bool]
+# Names of one length and of several, so that messages of one length name different frames.
+NAMES = st.sampled_from(["map", "odo", "odom", "base_link", "/odom", ""])
+EDGES = st.lists(st.tuples(NAMES, NAMES, st.floats(-9, 9)), max_size=3)
+DAMAGE = st.sampled_from(["", "", "", "cut", "count", "big-endian"])
+
+
+class Memory:
+    """A container whose messages are given."""
+
+    path = Path("memory")
+
+    def __init__(self, messages: Iterable[tuple[Channel, int, bytes]]) -> None:
+        self.notes: list[Note] = []
+        self._messages = list(messages)
+
+    @property
+    def channels(self) -> Sequence[Channel]:
+        return list(dict.fromkeys(channel for channel, _, _ in self._messages))
+
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+        for channel, record_ns, data in self._messages:
+            if channel in wanted:
+                yield channel, record_ns, memoryview(data)
+
+
+def write(edges: Edges, stamp_ns: int, damage: str = "") -> bytes:
+    data = bytearray(ROS2.serialize_cdr(transforms(ROS2, stamp_ns, edges), TF))
+    if damage == "cut":
+        del data[-1:]
+    elif damage == "count":
+        data[4:8] = b"\xff\xff\xff\x7f"
+    elif damage == "big-endian":
+        data[1] = 0
+    return bytes(data)
+
+
+def by_key(items: Iterable[PoseSample | PoseBatch]) -> dict[Key, list[PoseSample]]:
+    """Single samples by what they are of, in their order."""
+    samples: dict[Key, list[PoseSample]] = defaultdict(list)
+    for item in items:
+        samples[item.topic, item.parent, item.child, item.static] += split(item)
+    return {key: sorted(each, key=lambda sample: sample.record_ns) for key, each in samples.items()}
+
+
+def split(item: PoseSample | PoseBatch) -> list[PoseSample]:
+    if isinstance(item, PoseSample):
+        return [item]
+    return [
+        PoseSample(
+            stamp_ns, item.parent, item.child, Pose(*pose), item.static, item.topic, record_ns
+        )
+        for stamp_ns, record_ns, pose in zip(
+            item.stamp_ns.tolist(), item.record_ns.tolist(), item.pose.tolist(), strict=True
+        )
+    ]
+
+
+@given(st.lists(st.tuples(EDGES, st.integers(0, 1), DAMAGE), max_size=12))
+@settings(max_examples=150, deadline=None)
+def test_stacked_transforms_are_those_read_one_by_one(
+    written: list[tuple[Edges, int, str]],
+) -> None:
+    channels = [Channel(topic, TF, "cdr", count=9) for topic in ("/tf", "/tf_static")]
+    messages = [
+        (channels[c], 7 * i, write(edges, 10**9 * i + 5, damage))
+        for i, (edges, c, damage) in enumerate(written)
+    ]
+    alone, stacked = RosLog(Memory(messages)), RosLog(Memory(messages))
+
+    assert by_key(stacked.stacked_poses()) == by_key(alone.poses())
+    assert stacked.notes == alone.notes
+
+
+def test_messages_laid_out_alike_are_read_at_a_stroke(monkeypatch: pytest.MonkeyPatch) -> None:
+    channel = Channel("/tf", TF, "cdr", count=100)
+    messages = [(channel, i, write([("odom", "base", float(i))], i)) for i in range(100)]
+    monkeypatch.setattr(ros_log, "STACK_BYTES", 40 * len(messages[0][2]))
+
+    items = list(RosLog(Memory(messages)).stacked_poses())
+
+    batches = [item for item in items if isinstance(item, PoseBatch)]
+    assert [len(batch.stamp_ns) for batch in batches] == [40, 40, 20]
+    assert len(items) == 3
+    assert np.concatenate([batch.pose[:, 0] for batch in batches]).tolist() == list(range(100))
+
+
+def test_a_log_whose_messages_all_differ_in_length_holds_only_some_of_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(ros_log, "MOST_STACKS", 5)
+    channel = Channel("/tf", TF, "cdr", count=30)
+    messages = [
+        (channel, i, write([("odom", "base", float(k)) for k in range(i)], i)) for i in range(30)
+    ]
+
+    items = list(RosLog(Memory(messages)).stacked_poses())
+
+    assert sum(isinstance(item, PoseBatch) for item in items) == 0 + 1 + 2 + 3 + 4
+    assert sum(isinstance(item, PoseSample) for item in items) == sum(range(5, 30))
