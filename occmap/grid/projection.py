@@ -46,7 +46,7 @@ def project(rays: Rays, what: Observation) -> Projected:
     anchor = origins[0, 0] >> SUBCELL_BITS << SUBCELL_BITS
     origins -= anchor
     ends_x, ends_y = np.empty(rays.kind.shape, np.int32), np.empty(rays.kind.shape, np.int32)
-    project_ends(
+    lowest_x, lowest_y, highest_x, highest_y = project_ends(
         rays.origin,
         rays.turn,
         rays.bearing,
@@ -58,14 +58,10 @@ def project(rays: Rays, what: Observation) -> Projected:
         ends_x,
         ends_y,
     )
-    left, bottom = (
-        min(int(ends.min()), int(origins[..., axis].min())) >> SUBCELL_BITS
-        for axis, ends in enumerate((ends_x, ends_y))
-    )
-    right, top = (
-        max(int(ends.max()), int(origins[..., axis].max())) >> SUBCELL_BITS
-        for axis, ends in enumerate((ends_x, ends_y))
-    )
+    lowest, highest = origins.min(axis=(0, 1)).tolist(), origins.max(axis=(0, 1)).tolist()
+    left, bottom = min(lowest_x, lowest[0]), min(lowest_y, lowest[1])
+    right, top = max(highest_x, highest[0]), max(highest_y, highest[1])
+    left, bottom, right, top = (edge >> SUBCELL_BITS for edge in (left, bottom, right, top))
     to_col, to_row = (int(corner) >> SUBCELL_BITS for corner in anchor)
     margin = 1 + _reach_beside(rays, what)
     box = CellBox(

@@ -75,9 +75,7 @@ class Bench:
     def __init__(self, settings: Settings, folder: Path) -> None:
         self._settings = settings
         self._folder = folder
-        self._yardsticks: dict[str, Trace] = {"numba": trace_in_numba}
-        if (in_cpp := compile_cpp(folder)) is not None:
-            self._yardsticks = {"C++": in_cpp, **self._yardsticks}
+        self._yardsticks: dict[str, Trace] = {**compile_cpp(folder), "numba": trace_in_numba}
         self.results = Results(settings, describe_machine())
 
     def run(self) -> Results:
@@ -150,7 +148,7 @@ def describe_machine() -> dict[str, Any]:
         "load before": os.getloadavg(),
         "python": platform.python_version(),
         "numba": numba.__version__,
-        "g++": " ".join(FLAGS),
+        "g++": {name: " ".join(flags) for name, flags in FLAGS.items()},
     }
 
 

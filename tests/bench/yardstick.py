@@ -22,7 +22,13 @@ Trace = Callable[[Workload, CellBox], tuple[Counts, Counts]]
 """From scans and the box that they lie in to (H, W) hits and misses."""
 
 SOURCE = Path(__file__).with_name("yardstick.cpp")
-FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-ffp-contract=off", "-shared", "-fPIC")
+PLAIN, TUNED = "C++ -O3", "C++ -O3 tuned"
+FLAGS = {
+    PLAIN: ("-O3",),
+    TUNED: ("-O3", "-march=native", "-fno-math-errno"),
+}
+"""As a distribution builds its packages; and for this processor only, as numba always does."""
+LIBRARY_FLAGS = ("-ffp-contract=off", "-shared", "-fPIC")
 """A fused multiply-add would round differently from occmap and find other cells."""
 
 
@@ -133,8 +139,8 @@ class _Grid(ctypes.Structure):
     )
 
 
-def compile_cpp(folder: Path) -> Trace | None:
-    """Compile the C++ yardstick into a folder; None where there is no g++.
+def compile_cpp(folder: Path) -> dict[str, Trace]:
+    """Compile the C++ yardstick into a folder, with each set of flags; none where there is no g++.
 
     Raises
     ------
@@ -143,9 +149,17 @@ def compile_cpp(folder: Path) -> Trace | None:
     """
     compiler = shutil.which("g++")
     if compiler is None:
-        return None
-    library = folder / "yardstick.so"
-    subprocess.run([compiler, *FLAGS, str(SOURCE), "-o", str(library)], check=True)
+        return {}
+    traces = {}
+    for name, flags in FLAGS.items():
+        library = folder / f"{name.replace(' ', '')}.so"
+        command = [compiler, *flags, *LIBRARY_FLAGS, str(SOURCE), "-o", str(library)]
+        subprocess.run(command, check=True)
+        traces[name] = _load(library)
+    return traces
+
+
+def _load(library: Path) -> Trace:
     trace = ctypes.CDLL(str(library)).trace
     trace.restype = None
 

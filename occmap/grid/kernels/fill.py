@@ -56,8 +56,8 @@ def fill_outline(
     `found` and `spans`, or larger ones where these were too small.
     """
     crossings = _cross_rows(x, y, begins, corners, touched, counts, found)
-    if crossings >= min(found.shape[1], len(spans)):
-        room = 2 * crossings + 1
+    if crossings + 1 >= min(found.shape[1], len(spans)):  # one is read beyond the last
+        room = 2 * crossings + 2
         found, spans = np.empty((2, room), np.int32), np.empty(room, np.int32)
         _cross_rows(x, y, begins, corners, touched, counts, found)
     _sort_by_row(touched, found, crossings, starts, counts, spans)

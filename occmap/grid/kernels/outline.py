@@ -44,10 +44,12 @@ def link_beams(
     kinds: UInt8,
     surfaces: Surfaces,
     links: UInt8,
-) -> None:
+    listed: Int32,
+) -> Int32:
     """Say what each beam of a scan has to do with the one before it.
 
-    No branches: then many beams are compared at a time, and few are left to be looked at.
+    No branches: then many beams are compared at a time, and few are left to be looked at: returns
+    those with an edge that may matter, or cells between, from the start of `listed`.
     """
     last = kinds.size - 1
     jump, gap = surfaces.jump, surfaces.border_gap
@@ -62,6 +64,11 @@ def link_beams(
         ends_x[last], ends_x[0], ends_y[last], ends_y[0], jump, gap,
     )  # fmt: skip
     links[0] |= CELL * (kinds[0] == 2)  # all beams may end in one cell
+    size = 0
+    for b in range(kinds.size):
+        listed[np.uint64(size)] = b
+        size += (links[b] & (EDGE | JOINED)) != 0
+    return listed[:size]
 
 
 @kernel
@@ -119,8 +126,10 @@ def outline_scan(
     for b in range(beams):
         low, high = min(low, ends_y[b]), max(high, ends_y[b])
     corners, drawn = 0, -1
-    for i in range(list_beams(links, EDGE, listed)):
-        b = listed[i]
+    for i in range(listed.size):
+        b = int(listed[i])
+        if not links[b] & EDGE:
+            continue
         a = b - 1 if b > 0 else beams - 1
         begun = kinds[a] != 0 and (b > 0 or surfaces.full_circle)
         if not begun:
@@ -161,16 +170,6 @@ def outline_scan(
 
 
 @kernel
-def list_beams(links: UInt8, wanted: int, listed: Int32) -> int:
-    """Write the beams of which something is said, and return how many."""
-    beams = 0
-    for b in range(links.size):
-        listed[np.uint64(beams)] = b
-        beams += (links[b] & wanted) != 0
-    return beams
-
-
-@kernel
 def _add_corner(
     x: Int64, y: Int64, begins: Bool, corners: int, at_x: int, at_y: int, first: bool
 ) -> int:
@@ -199,8 +198,10 @@ def list_border(
         k = np.uint64(size)
         cells[k, 0], cells[k, 1] = (ends_y[b] >> 8) + to_row, (ends_x[b] >> 8) + to_col
         size += (links[b] & CELL) != 0
-    for i in range(list_beams(links, JOINED, listed)):
-        b = listed[i]
+    for i in range(listed.size):
+        b = int(listed[i])
+        if not links[b] & JOINED:
+            continue
         a = b - 1 if b > 0 else links.size - 1
         col, row = ends_x[b] >> 8, ends_y[b] >> 8
         across, up = col - (ends_x[a] >> 8), row - (ends_y[a] >> 8)

@@ -19,7 +19,7 @@ BORDER_BITS = 22
 MOST_SCANS = (1 << 20) - 1
 """... for which so many bits are left."""
 FEW = 4
-"""A row with more limits of spans is drawn as a mask: a wall along it has many, and many cells."""
+"""A row with more limits of spans, two to a span, is drawn as a mask: a wall along it has many."""
 
 
 @kernel
@@ -54,13 +54,13 @@ def trace_polygons(
     rows, cols = border.shape
     x, y = np.empty(3 * beams + 4, np.int64), np.empty(3 * beams + 4, np.int64)
     begins = np.empty(3 * beams + 4, np.bool_)
-    links, listed = np.empty(beams, np.uint8), np.empty(beams, np.int32)
+    links, room = np.empty(beams, np.uint8), np.empty(beams, np.int32)
     cells = np.empty((beams * max(surfaces.border_gap, 1) + 1, 2), np.int32)
     starts, counts = np.empty(rows, np.int32), np.empty(rows, np.int32)
     found, spans = np.empty((2, 4 * rows), np.int32), np.empty(4 * rows, np.int32)
     mask = np.empty((rows, cols), np.bool_)
     for s in range(scans):
-        link_beams(distance[s], ends_x[s], ends_y[s], kinds[s], surfaces, links)
+        listed = link_beams(distance[s], ends_x[s], ends_y[s], kinds[s], surfaces, links, room)
         corners, touched = outline_scan(
             origin[s, 0], turn[s], bearing, distance[s], ends_x[s], ends_y[s], kinds[s],
             surfaces, links, listed, x, y, begins, rows,
@@ -110,18 +110,19 @@ def _note_border(
     for i in range(size):
         row, col = np.uint64(cells[i, 0]), cells[i, 1]
         begin, limits = starts[row], counts[row]
-        last = spans[np.uint64(max(begin + limits - 1, 0))]
-        inside = (limits > 0) & (spans[np.uint64(begin)] <= col) & (col < last)
-        if limits > FEW:
-            inside &= mask[row, np.uint64(col)]
-        else:
-            for j in range(begin + 1, begin + limits - 1, 2):
-                inside &= (col < spans[np.uint64(j)]) | (spans[np.uint64(j + 1)] <= col)
+        first, last = spans[np.uint64(begin)], spans[np.uint64(begin + 1)]
+        inside = (limits == 2) & (first <= col) & (col < last)
+        if limits > 2:
+            inside = (first <= col) & (col < spans[np.uint64(begin + limits - 1)])
+            if limits > FEW:
+                inside &= mask[row, np.uint64(col)]
+            else:
+                inside &= (col < last) | (spans[np.uint64(begin + 2)] <= col)
         # No branch: whether neighbours share a cell is a coin toss to a processor.
         cell = border[row, np.uint64(col)]
-        is_new = np.int64((cell >> (2 * BORDER_BITS)) != mark)
-        more = is_new * (1 + (np.int64(inside) << BORDER_BITS))
-        border[row, np.uint64(col)] = ((cell & counted) + more) | (mark << (2 * BORDER_BITS))
+        hit = (cell & counted) + 1 + (np.int64(inside) << BORDER_BITS)
+        is_new = (cell >> (2 * BORDER_BITS)) != mark
+        border[row, np.uint64(col)] = hit | (mark << (2 * BORDER_BITS)) if is_new else cell
 
 
 @kernel

@@ -25,8 +25,8 @@ def project_ends(
     anchor: Float64,
     ends_x: Int32,
     ends_y: Int32,
-) -> None:
-    """Compute where beams end.
+) -> tuple[int, int, int, int]:
+    """Compute where beams end; return the lowest x and y of all ends, and the highest x and y.
 
     Parameters
     ----------
@@ -41,6 +41,8 @@ def project_ends(
     """
     scans, beams = distance.shape
     viewpoints, turns = origin.shape[1], turn.shape[1]
+    left = bottom = np.int32(2**31 - 1)
+    right = top = np.int32(-(2**31))
     for s in range(scans):
         if turns == 1:  # nearly always: without a branch or an index by beam it is vectorised
             at_x, at_y = origin[s, 0, 0], origin[s, 0, 1]
@@ -61,6 +63,10 @@ def project_ends(
                 x, y = origin[s, k, 0] + reach * along_x, origin[s, k, 1] + reach * along_y
                 ends_x[s, b] = np.int32(np.rint(x * units_per_metre) - anchor[0])
                 ends_y[s, b] = np.int32(np.rint(y * units_per_metre) - anchor[1])
+        for b in range(beams):  # a loop of its own: many ends are compared at a time
+            left, right = min(left, ends_x[s, b]), max(right, ends_x[s, b])
+            bottom, top = min(bottom, ends_y[s, b]), max(top, ends_y[s, b])
+    return int(left), int(bottom), int(right), int(top)
 
 
 @kernel

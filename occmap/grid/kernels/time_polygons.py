@@ -69,13 +69,13 @@ def time_polygons(
     rows, cols = times.shape[0], times.shape[1]
     x, y = np.empty(3 * beams + 4, np.int64), np.empty(3 * beams + 4, np.int64)
     begins = np.empty(3 * beams + 4, np.bool_)
-    links, listed = np.empty(beams, np.uint8), np.empty(beams, np.int32)
+    links, room = np.empty(beams, np.uint8), np.empty(beams, np.int32)
     cells = np.empty((beams * max(surfaces.border_gap, 1) + 1, 2), np.int32)
     starts, counts = np.empty(rows, np.int32), np.empty(rows, np.int32)
     found, spans = np.empty((2, 4 * rows), np.int32), np.empty(4 * rows, np.int32)
     for s in range(scans):
         early, late = stamps[s, 0], stamps[s, 1]
-        link_beams(distance[s], ends_x[s], ends_y[s], kinds[s], surfaces, links)
+        listed = link_beams(distance[s], ends_x[s], ends_y[s], kinds[s], surfaces, links, room)
         corners, touched = outline_scan(
             origin[s, 0], turn[s], bearing, distance[s], ends_x[s], ends_y[s], kinds[s],
             surfaces, links, listed, x, y, begins, rows,
