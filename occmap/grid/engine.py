@@ -54,8 +54,8 @@ class GridEngine:
         Raises
         ------
         MapError
-            A sensor is too far away or a beam too long for the resolution, or one scan makes too
-            large a map.
+            A sensor is too far away or a beam too long for the resolution, or one scan has too
+            many beams or makes too large a map.
         """
         if not rays.kind.size:
             return
@@ -64,10 +64,10 @@ class GridEngine:
             rays = join_viewpoints(rays)
         refuse_long_beams(rays, self.what.lattice.resolution)
         most = self._window_type.most_observations
-        too_much = self._window_type.count(rays) > most or lie_far_apart(
-            rays, self.what.lattice.resolution
-        )
-        if too_much and len(rays.kind) > 1:
+        refuse_many_beams(rays, self._window_type)
+        too_much = self._window_type.count(rays) > most
+        too_wide = lie_far_apart(rays, self.what.lattice.resolution)
+        if (too_much or too_wide) and len(rays.kind) > 1:
             self._add_halves(rays)
             return
         projected = project(rays, self.what)
@@ -118,6 +118,21 @@ class GridEngine:
     def read_times(self) -> tuple[Times, ...]:
         """When each cell was observed of what `finish` gave: nothing, as nobody asked."""
         return ()
+
+
+def refuse_many_beams(rays: Rays, window_type: type[Window]) -> None:
+    """Refuse scans that could each make the numbers of a cell overflow.
+
+    Raises
+    ------
+    MapError
+        Saying how many beams a scan has.
+    """
+    if window_type.count(rays.take(slice(1))) > window_type.most_observations:
+        raise MapError(
+            f"a scan of {rays.kind.shape[1]} beams is more than this model can count",
+            fix="no laser has so many: see what is in the log with `occmap check`",
+        )
 
 
 def lie_far_apart(rays: Rays, resolution: float) -> bool:

@@ -243,6 +243,14 @@ def test_a_beam_that_is_too_long_is_refused_with_what_to_do() -> None:
 
 
 @pytest.mark.parametrize("update", list(Update))
+def test_a_scan_that_could_make_a_cell_overflow_is_refused(update: Update) -> None:
+    beams = 2**20
+    rays = one_scan([1.0] * beams, [Kind.HIT] * beams)
+    with pytest.raises(MapError, match="a scan of 1048576 beams is more than this model can count"):
+        GridEngine(replace(radial_tables(0.5), update=update)).add(rays)
+
+
+@pytest.mark.parametrize("update", list(Update))
 @pytest.mark.parametrize("metres", [1e12, 1e300, -1e300, float("inf"), float("nan")])
 def test_a_sensor_that_is_too_far_away_is_refused(update: Update, metres: float) -> None:
     rays = one_scan([3.0, 3.0], [Kind.HIT] * 2)
