@@ -6,13 +6,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from occmap.errors import MapError
 from occmap.grid.lattice import Lattice
 from occmap.grid.stacks import add_stack, stack_tiles
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid
 from occmap.manifest import describe_profile
 from occmap.persistence import check_passes, keep_lasting
-from occmap.report import Report, Resumed, measure_shares
+from occmap.report import Report, Resumed, list_unreached, measure_shares
+from occmap.sensor.bounds import Clamped
 from occmap.sensor.models import RadialModel, SensorModel, describe_model, parse_model
 from occmap.sensor.returns import ReturnCounts
 from occmap.types import Evidence, Float64, Int64, Manifest, OccupancyMap, Times, to_log_odds
@@ -20,6 +23,8 @@ from occmap.writers import Product, WriteOptions, check_outputs, list_idle, writ
 
 MAX_CELLS = 10**9
 
+Weigh: TypeAlias = Callable[[Int64, Int64], Float64]
+"""Takes hits and misses, or log-odds and observations"""
 Box: TypeAlias = tuple[float, float, float, float]
 """Lowest x and y, highest x and y (m)"""
 CELL_SLACK = 1e-6
@@ -52,12 +57,20 @@ def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
     return grid.render(weigh(model), to_log_odds(model.prior), max_cells)
 
 
-def weigh(model: SensorModel) -> Callable[[Int64, Int64], Float64]:
+def weigh(model: SensorModel) -> Weigh:
     """What turns the two numbers of observed cells (N,) into log-odds."""
-    if not isinstance(model, RadialModel):
-        return model.log_odds
-    prior = to_log_odds(model.prior)
-    return lambda log_odds, observations: prior + log_odds * LOG_ODDS_UNIT - observations * prior
+    add_up = add_radial(model.prior) if isinstance(model, RadialModel) else model.log_odds
+    if not isinstance(model, Clamped):
+        return add_up
+    low = to_log_odds(model.clamp_min) if model.clamp_min > 0 else -math.inf
+    high = to_log_odds(model.clamp_max) if model.clamp_max < 1 else math.inf
+    return lambda first, second: np.clip(add_up(first, second), low, high)
+
+
+def add_radial(prior: float) -> Weigh:
+    """What adds up evidence in log-odds, from a prior."""
+    start = to_log_odds(prior)
+    return lambda log_odds, observations: start + log_odds * LOG_ODDS_UNIT - observations * start
 
 
 def render_saved(
@@ -117,7 +130,11 @@ def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path])
     product = Product(grid, lambda: replace(evidence, manifest=manifest))
     files = write_outputs(outputs, product, options.writing)
     report = summarise(manifest, grid, options.writing)
-    notes = (*report.notes, *list_idle(outputs, options.writing))
+    notes = (
+        *report.notes,
+        *list_idle(outputs, options.writing),
+        *list_unreached(model, options.writing),
+    )
     return replace(report, notes=notes, files=tuple(files), min_passes=options.min_passes)
 
 

@@ -11,11 +11,14 @@ from typing import Any
 
 from occmap.errors import LogError
 from occmap.grid.tiles import EvidenceKind
+from occmap.sensor.bounds import NO_CLAMP
 from occmap.sensor.models import RadialModel, SensorModel, describe_model
 from occmap.types import Manifest, Update
 
 NO_OPTIONS = ("jobs", "resume")
 """Fields of options that change nothing about what is observed."""
+OF_MAPS = ("prior", *NO_CLAMP)
+"""Parameters of models that change nothing about the evidence, only what a map makes of it."""
 
 
 def describe_build(paths: Sequence[Path], options: Any, scans: dict[str, Any]) -> dict[str, Any]:
@@ -83,9 +86,9 @@ def plan_manifest(resolution: float, update: Update, model: SensorModel) -> Mani
 
 
 def describe_profile(model: SensorModel) -> str:
-    """What evidence in log-odds depends on: a radial model without its prior; else nothing."""
+    """What evidence in log-odds depends on: a radial model but prior and bounds; else nothing."""
     if not isinstance(model, RadialModel):
         return ""
     name, _, pairs = describe_model(model).partition(":")
-    kept = (pair for pair in pairs.split(",") if not pair.startswith("prior="))
+    kept = (pair for pair in pairs.split(",") if pair.partition("=")[0] not in OF_MAPS)
     return f"{name}:{','.join(kept)}"

@@ -115,10 +115,9 @@ def build(
 
     engine = choose_engine(options, outputs)
     made = Made([str(log.path) for log in logs], describe_resumed(saved) if saved else None)
-    made.note_request(outputs, options.writing)
+    made.note_request(outputs, options.writing, options.model)
     for log in logs:
-        poser = trace_log(log, options, engine.add, tally, advance)
-        made.note(log, poser.notes)
+        made.note(log, trace_log(log, options, engine.add, tally, advance).notes)
     refuse_unused(logs, tally)
     with tally.time("fold"):
         tiles, times = engine.finish(), engine.read_times()

@@ -13,6 +13,8 @@ import numpy as np
 
 from occmap.errors import LogError, PoseError
 from occmap.readers import Log
+from occmap.sensor.bounds import Clamped
+from occmap.sensor.models import SensorModel
 from occmap.sensor.returns import ReturnCounts
 from occmap.types import OccupancyMap
 from occmap.writers import WriteOptions, list_idle
@@ -159,9 +161,11 @@ class Made:
     damage: list[str] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
 
-    def note_request(self, outputs: Sequence[Path], writing: WriteOptions) -> None:
+    def note_request(
+        self, outputs: Sequence[Path], writing: WriteOptions, model: SensorModel
+    ) -> None:
         """Say which logs were given more than once, and count as often, and what does nothing."""
-        self.notes += list_idle(outputs, writing)
+        self.notes += [*list_idle(outputs, writing), *list_unreached(model, writing)]
         for log, times in Counter(self.logs).items():
             if times > 1:
                 self.notes.append(f"{log}: given {times} times, and counted as often")
@@ -202,3 +206,15 @@ def measure_shares(grid: OccupancyMap, writing: WriteOptions) -> tuple[float, fl
     )
     occupied, free, unknown = (int(np.count_nonzero(mask)) / mask.size for mask in masks)
     return occupied, free, unknown
+
+
+def list_unreached(model: SensorModel, writing: WriteOptions) -> Iterator[str]:
+    """Say which class no cell can be of, for the bounds of the model."""
+    if not isinstance(model, Clamped):
+        return
+    occupied, free = writing.occupied_thresh, writing.free_thresh
+    if model.clamp_max < occupied:
+        bound = f"clamp_max {model.clamp_max:g} is below --occupied-thresh {occupied:g}"
+        yield f"no cell can be occupied: {bound}"
+    if model.clamp_min > free:
+        yield f"no cell can be free: clamp_min {model.clamp_min:g} is above --free-thresh {free:g}"

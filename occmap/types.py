@@ -289,7 +289,7 @@ class Manifest:
     kind: str
     """What the two numbers of a cell are: "counts" or "log_odds"."""
     profile: str
-    """The radial model that log-odds were summed by, without its prior; "" for counts"""
+    """The radial model that log-odds were summed by, without prior and bounds; "" for counts"""
     model: str
     """The model to render with, unless the user wants another"""
     builds: tuple[dict[str, Any], ...]

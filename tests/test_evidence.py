@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from occmap.errors import MapError
-from occmap.evidence import Box, RenderOptions, crop, publish, render_saved
+from occmap.evidence import Box, RenderOptions, crop, publish, render_saved, weigh
 from occmap.manifest import describe_files
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
-from occmap.sensor.models import parse_model
+from occmap.sensor.models import SimpleModel, parse_model
 from occmap.sensor.returns import ReturnCounts
 from occmap.types import OccupancyMap, Update
 from occmap.writers.npz import read_evidence
@@ -51,6 +51,52 @@ def test_another_model_renders_what_a_build_with_it_would(
     grid = render_saved(evidence, parse_model(other), 10**9)
     assert np.array_equal(grid.log_odds, expected.log_odds)
     assert (grid.origin, grid.resolution) == (expected.origin, expected.resolution)
+
+
+@each_combination
+def test_bounds_are_set_where_a_map_is_rendered(tmp_path: Path, update: Update, model: str) -> None:
+    evidence = save(tmp_path / "m.npz", choose(update, model))
+    bounded = choose(update, f"{model}:clamp_min=0.2,clamp_max=0.9")
+    grid, plain = (
+        render_saved(evidence, each.model, 10**9) for each in (bounded, choose(update, model))
+    )
+    expected = np.where(plain.observed, np.clip(plain.log_odds, -math.log(4), math.log(9)), 0)
+    np.testing.assert_array_equal(grid.log_odds, expected.astype(np.float32))
+    assert 0 < np.count_nonzero(grid.log_odds != plain.log_odds) < np.count_nonzero(plain.observed)
+    again = save(tmp_path / "bounded.npz", bounded)
+    assert np.array_equal(again.cells, evidence.cells)
+    assert again.manifest.profile == evidence.manifest.profile
+
+
+def test_bounds_are_of_probability_and_leave_what_is_between() -> None:
+    model = SimpleModel(p_hit=0.75, p_miss=0.25, clamp_min=0.2, clamp_max=0.9)
+    hits, misses = np.array([0, 1, 2, 3, 0, 0]), np.array([0, 0, 0, 0, 1, 2])
+    expected = [0, math.log(3), math.log(9), math.log(9), -math.log(3), -math.log(4)]
+    np.testing.assert_allclose(weigh(model)(hits, misses), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("model", "notes"),
+    [
+        ("simple:clamp_max=0.64", ("no cell can be occupied: clamp_max 0.64 is below --occ",)),
+        (
+            "simple:clamp_min=0.2",
+            ("no cell can be free: clamp_min 0.2 is above --free-thresh 0.1",),
+        ),
+        ("simple:clamp_min=0.196,clamp_max=0.65", ()),
+    ],
+)
+def test_bounds_within_the_thresholds_are_noted(
+    tmp_path: Path, model: str, notes: tuple[str, ...]
+) -> None:
+    options = choose(model=model)
+    built = build([DRIVE], options, [tmp_path / "m.npz"]).report
+    rendered = publish(read_evidence(tmp_path / "m.npz"), RenderOptions(), [tmp_path / "m.pgm"])
+    for report in (built, rendered):
+        assert len(report.notes) == len(notes)
+        assert all(note.startswith(text) for note, text in zip(report.notes, notes, strict=True))
+        occupied, free, _ = report.shares
+        assert (occupied > 0, free > 0) == ("=0.64" not in model, "min=0.2" not in model)
 
 
 @pytest.mark.parametrize("jobs", [2, 5])

@@ -20,7 +20,7 @@ Values = Mapping[str, Any]
 """What click read, by the names of the options."""
 Group = TypeVar("Group")
 
-SHORTHANDS = ("p_hit", "p_miss", "epsilon", "p_min", "prior")
+SHORTHANDS = ("p_hit", "p_miss", "epsilon", "p_min", "prior", "clamp_min", "clamp_max")
 """Parameters of sensor models that are flags, too."""
 
 
@@ -66,7 +66,7 @@ def collect_model(values: Values) -> SensorModel:
         if key not in known:
             raise UsageError(
                 f"{list_flags([key])} does not go with the model {name}",
-                fix=f"it has {list_flags(known)}",
+                fix=f"it has {list_flags([key for key in SHORTHANDS if key in known])}",
             )
     pairs = [text.partition(":")[2], *(f"{key}={value!r}" for key, value in given.items())]
     return parse_model(f"{name}:{','.join(filter(None, pairs))}")

@@ -159,6 +159,8 @@ model_parameters = join(
     option(MODEL, "--epsilon", type=float, metavar="M", help="quadratic: half the depth of a hit."),
     number("--p-min", "quadratic: no observation is surer than this."),
     number("--prior", "Probability of occupied before any observation."),
+    number("--clamp-min", "No observed cell is less probably occupied than this."),
+    number("--clamp-max", "... and none more probably than this."),
 )
 model = join(
     choose_model(default=DEFAULTS.model.name, show_default=describe_model(DEFAULTS.model)),

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from itertools import product
 
-from occmap.sensor.models import RadialModel, SensorModel, describe_model, make_model
+from occmap.manifest import describe_profile
+from occmap.sensor.models import SensorModel, make_model
 from occmap.types import Update
 
 DEFAULT_MODELS = ("simple", "counting", "quadratic")
@@ -25,8 +26,7 @@ class Variant:
     @property
     def evidence(self) -> str:
         """Equal for variants that differ only in what they make of the same evidence."""
-        radial = isinstance(self.model, RadialModel)
-        return f"{self.update} {describe_model(self.model) if radial else 'counts'}"
+        return f"{self.update} {describe_profile(self.model) or 'counts'}"
 
 
 def shorten_model(model: SensorModel) -> str:

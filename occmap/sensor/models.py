@@ -2,6 +2,9 @@
 
 Every model starts from a prior and adds independent evidence (Elfes 1989; Thrun, Burgard, Fox 2005,
 ch. 9): l = l0 + sum(logit(p_i) - l0). A model is a frozen dataclass; its fields are its parameters.
+Observations of one cell are not independent, and sums of thousands are surer than any sensor is; so
+a model may bound the result, as OctoMap's clamping thresholds do (Hornung et al. 2013), though only
+when a map is rendered: evidence stays whole, and adds up in any order.
 """
 
 from dataclasses import dataclass, fields
@@ -11,6 +14,7 @@ import numpy as np
 
 from occmap.errors import UsageError
 from occmap.plugins import list_plugins, load_plugin, suggest
+from occmap.sensor.bounds import NO_CLAMP, check_clamp, check_probabilities, check_weight
 from occmap.types import Float64, Int64, to_log_odds
 
 
@@ -68,9 +72,12 @@ class SimpleModel:
     p_miss: float = 0.4
     """... given one miss"""
     prior: float = 0.5
+    clamp_min: float = NO_CLAMP["clamp_min"]
+    clamp_max: float = NO_CLAMP["clamp_max"]
 
     def __post_init__(self) -> None:
         check_probabilities(self)
+        check_clamp(self)
         if not self.p_miss < self.p_hit:
             raise UsageError(
                 f"p_miss {self.p_miss} is not below p_hit {self.p_hit}",
@@ -95,13 +102,26 @@ class CountingModel:
     description: ClassVar[str] = "share of hits among all observations (Beta posterior mean)"
 
     prior: float = 0.5
+    strength: float = 2.0
+    """How many observations the prior weighs; less takes the first ones more at their word"""
+    hit_weight: float = 1.0
+    """How many misses a hit weighs: above 1 keeps walls that beams graze"""
+    clamp_min: float = NO_CLAMP["clamp_min"]
+    clamp_max: float = NO_CLAMP["clamp_max"]
 
     def __post_init__(self) -> None:
         check_probabilities(self)
+        check_weight("strength", self.strength)
+        check_weight("hit_weight", self.hit_weight)
+        check_clamp(self)
 
     def log_odds(self, hits: Int64, misses: Int64) -> Float64:
-        """Posterior mean (hits + 2 p0) / (hits + misses + 2), as log-odds."""
-        return np.log((hits + 2 * self.prior) / (misses + 2 * (1 - self.prior)))
+        """Posterior mean (k hits + n p0) / (k hits + misses + n), as log-odds.
+
+        k is the weight of a hit, n the strength of the prior.
+        """
+        occupied = self.hit_weight * hits + self.strength * self.prior
+        return np.log(occupied / (misses + self.strength * (1 - self.prior)))
 
 
 @dataclass(frozen=True)
@@ -118,9 +138,12 @@ class QuadraticModel:
     p_min: float = 0.4
     """No single observation is surer than this"""
     prior: float = 0.5
+    clamp_min: float = NO_CLAMP["clamp_min"]
+    clamp_max: float = NO_CLAMP["clamp_max"]
 
     def __post_init__(self) -> None:
         check_probabilities(self)
+        check_clamp(self)
         if not 0 <= self.epsilon <= DEEPEST_HIT_M:
             raise UsageError(f"epsilon {self.epsilon} m is not possible", fix="try --epsilon 0.05")
         if self.p_min >= 0.5:
@@ -137,24 +160,6 @@ class QuadraticModel:
     def hit(self, w: Float64) -> Float64:
         """O = 1 - w^2, so p = 1 - w^2 / 2, within [p_min, 1 - p_min]."""
         return np.clip(1 - w**2 / 2, self.p_min, 1 - self.p_min)
-
-
-def check_probabilities(model: Any) -> None:
-    """Refuse a model whose probabilities are not strictly between 0 and 1.
-
-    Raises
-    ------
-    UsageError
-        Naming the first such parameter.
-    """
-    for field in fields(model):
-        value = getattr(model, field.name)
-        if (field.name == "prior" or field.name.startswith("p_")) and not 0 < value < 1:
-            flag = "--" + field.name.replace("_", "-")
-            raise UsageError(
-                f"{field.name} {value} is not a probability between 0 and 1",
-                fix=f"give a value such as {flag} {field.default}",
-            )
 
 
 def make_model(name: str, parameters: dict[str, float]) -> SensorModel:
@@ -182,8 +187,10 @@ def make_model(name: str, parameters: dict[str, float]) -> SensorModel:
 
 
 def describe_model(model: Any) -> str:
-    """The text that `parse_model` makes the model of."""
-    return f"{model.name}:" + ",".join(f"{f.name}={getattr(model, f.name)}" for f in fields(model))
+    """The text that `parse_model` makes the model of; bounds that bound nothing are left out."""
+    pairs = {field.name: getattr(model, field.name) for field in fields(model)}
+    told = {name: value for name, value in pairs.items() if NO_CLAMP.get(name) != value}
+    return f"{model.name}:" + ",".join(f"{name}={value}" for name, value in told.items())
 
 
 def parse_model(text: str) -> SensorModel:

@@ -49,6 +49,10 @@ def test_render_takes_a_model_thresholds_and_a_mode() -> None:
     assert found["map"]["free"] == pytest.approx(6 / 7)
     words = ["--model", "counting", "--prior", "0.4"]
     assert "counting:prior=0.4" in occmap("render", "a.npz", "-o", "c.pgm", *words).out
+    words = ["--clamp-min", "0.1", "--clamp-max", "0.9"]
+    bounded = "prior=0.5,clamp_min=0.1,clamp_max=0.9"
+    assert bounded in occmap("render", "a.npz", "-o", "c.pgm", *words).out
+    assert bounded in occmap("render", "q.npz", "-o", "c.pgm", *words).out
     assert occmap("render", "q.npz", "-o", "c.pgm", "--prior", "0.3").code == 0
 
 
@@ -139,6 +143,10 @@ def test_an_undecided_cell_is_not_called_unknown() -> None:
         (["render", "a.npz", "-o", "m.pgm", "--crop", "0,0,0,1"], 2, "the box is empty"),
         (["render", "a.npz", "-o", "m.pgm", "--crop", "5,5,6,6"], 1, "no cell of the map lies in"),
         (["render", "a.npz", "-o", "m.pgm", "--epsilon", "1"], 2, "--epsilon does not go with"),
+        (
+            ["render", "a.npz", "-o", "m.pgm", "--model", "counting", "--p-hit", "0.8"],
+            *(2, "model counting; it has --prior, --clamp-min, --clamp-max"),
+        ),
         (["render", "q.npz", "-o", "m.pgm", "--model", "simple"], 1, "q.npz: was summed up for"),
         (["render", "q.npz", "-o", "m.pgm", "--p-min", "0.3"], 1, "no other can read it"),
         (["merge", "-o", "m.npz"], 2, "no evidence is given"),

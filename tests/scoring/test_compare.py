@@ -64,6 +64,13 @@ def test_six_variants_need_four_pieces_of_evidence() -> None:
     assert len({variant.evidence for variant in variants}) == 4
 
 
+def test_what_only_a_map_depends_on_needs_no_evidence_of_its_own() -> None:
+    texts = ["quadratic", "quadratic:clamp_max=0.9", "quadratic:prior=0.4", "quadratic:p_min=0.3"]
+    variants = combine([Update.BEAM], [parse_model(text) for text in texts])
+    assert len(variants) == 4
+    assert len({variant.evidence for variant in variants}) == 2
+
+
 def test_variants_are_every_update_with_every_model_once() -> None:
     models = [parse_model(text) for text in ("simple:p_hit=0.9", "simple:p_hit=0.90", "counting")]
     names = [variant.name for variant in combine([Update.POLYGON], models)]

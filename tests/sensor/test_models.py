@@ -59,6 +59,25 @@ def test_counting_imagines_them_as_the_prior_says() -> None:
     np.testing.assert_allclose(1 / (1 + np.exp(-log_odds)), [0.2, 1.4 / 3], rtol=1e-12)
 
 
+def test_counting_with_little_prior_takes_observations_at_their_word() -> None:
+    """Beta(0.01, 0.01): one hit is 1.01 / 1.02; a hit among three is 1.01 / 3.02."""
+    log_odds = CountingModel(strength=0.02).log_odds(counts(1, 0, 1), counts(0, 1, 2))
+    shares = [1.01 / 1.02, 0.01 / 1.02, 1.01 / 3.02]
+    np.testing.assert_allclose(1 / (1 + np.exp(-log_odds)), shares, rtol=1e-12)
+
+
+def test_a_hit_may_weigh_more_than_a_miss() -> None:
+    """With weight 2.5: two hits and five misses are one to one; the prior weighs as before."""
+    log_odds = CountingModel(hit_weight=2.5).log_odds(counts(2, 0, 4), counts(5, 3, 0))
+    np.testing.assert_allclose(log_odds, [0, -math.log(4), math.log(11)], atol=1e-12)
+
+
+def test_the_weights_of_a_count_are_those_that_the_prior_has() -> None:
+    """Beta(0.8, 3.2) with hits of weight 3: (3 * 2 + 0.8) / (1 + 3.2)."""
+    model = CountingModel(prior=0.2, strength=4, hit_weight=3)
+    assert model.log_odds(counts(2), counts(1))[0] == pytest.approx(math.log(6.8 / 4.2))
+
+
 def test_quadratic_falls_off_before_the_hit() -> None:
     """p = (1 - V) / 2 with V = 1 - u: half of u, but never surer than p_min."""
     free = QuadraticModel(p_min=0.1).free(np.array([0.0, 0.1, 0.2, 0.5, 0.9]))
@@ -88,6 +107,13 @@ def test_models_are_found_by_name_and_described_as_they_are_written(name: str, k
     assert parse_model(describe_model(model)) == model
 
 
+def test_bounds_are_described_where_they_bound_anything() -> None:
+    assert describe_model(CountingModel()) == "counting:prior=0.5,strength=2.0,hit_weight=1.0"
+    model = QuadraticModel(clamp_max=0.97)
+    assert describe_model(model) == "quadratic:epsilon=0.0,p_min=0.4,prior=0.5,clamp_max=0.97"
+    assert parse_model(describe_model(model)) == model
+
+
 def test_parameters_are_read_from_text() -> None:
     assert parse_model("simple") == SimpleModel()
     assert parse_model("simple:") == SimpleModel()
@@ -111,6 +137,15 @@ def test_parameters_are_read_from_text() -> None:
         ("simple:prior=-0.5", ["prior -0.5"]),
         ("simple:p_hit=0.4,p_miss=0.4", ["p_miss 0.4 is not below p_hit 0.4"]),
         ("counting:prior=1", ["prior 1.0"]),
+        ("counting:strength=0", ["strength 0.0 is not possible", "counting:strength=1"]),
+        ("counting:strength=nan", ["strength nan", "1e-06 to 1e+06"]),
+        ("counting:hit_weight=-1", ["hit_weight -1.0 is not possible", "counting:hit_weight=1"]),
+        ("counting:hit_weight=inf", ["hit_weight inf"]),
+        ("counting:clamp_min=0.5", ["clamp_min 0.5 and clamp_max 1.0", "either side of 0.5"]),
+        ("simple:clamp_max=0.5", ["clamp_min 0.0 and clamp_max 0.5", "--clamp-max 0.97"]),
+        ("simple:clamp_min=-0.1", ["clamp_min -0.1"]),
+        ("quadratic:clamp_max=1.1", ["clamp_max 1.1"]),
+        ("quadratic:clamp_max=nan", ["clamp_max nan"]),
         ("quadratic:epsilon=-0.1", ["epsilon -0.1"]),
         ("quadratic:epsilon=nan", ["epsilon nan"]),
         ("quadratic:epsilon=inf", ["epsilon inf"]),
@@ -137,7 +172,7 @@ def test_the_probability_of_extreme_log_odds_is_certain_and_warns_of_nothing() -
 def test_a_robot_that_stands_still_for_hours_makes_no_model_overflow() -> None:
     """Ten hours of 40 scans a second, 1081 beams each, all through one cell."""
     beams = 10 * 3600 * 40 * 1081
-    for model in (SimpleModel(), CountingModel()):
+    for model in (SimpleModel(), CountingModel(), CountingModel(strength=1e-6, hit_weight=1e6)):
         hit, missed = (
             float(model.log_odds(counts(a), counts(b))[0]) for a, b in ((beams, 0), (0, beams))
         )

@@ -1,0 +1,73 @@
+"""Which parameters a sensor model can have, and the bounds that it may set to what a map says."""
+
+from dataclasses import fields
+from typing import Any, Protocol, runtime_checkable
+
+from occmap.errors import UsageError
+
+LEAST_WEIGHT, MOST_WEIGHT = 1e-6, 1e6
+"""In observations."""
+NO_CLAMP = {"clamp_min": 0.0, "clamp_max": 1.0}
+"""Bounds that bound nothing."""
+
+
+@runtime_checkable
+class Clamped(Protocol):
+    """A model of any kind that bounds what a finished map says of observed cells."""
+
+    @property
+    def clamp_min(self) -> float:
+        """No cell is less probably occupied than this; 0: no bound."""
+
+    @property
+    def clamp_max(self) -> float:
+        """No cell is more probably occupied than this; 1: no bound."""
+
+
+def check_probabilities(model: Any) -> None:
+    """Refuse a model whose probabilities are not strictly between 0 and 1.
+
+    Raises
+    ------
+    UsageError
+        Naming the first such parameter.
+    """
+    for field in fields(model):
+        value = getattr(model, field.name)
+        if (field.name == "prior" or field.name.startswith("p_")) and not 0 < value < 1:
+            flag = "--" + field.name.replace("_", "-")
+            raise UsageError(
+                f"{field.name} {value} is not a probability between 0 and 1",
+                fix=f"give a value such as {flag} {field.default}",
+            )
+
+
+def check_clamp(model: Clamped) -> None:
+    """Refuse bounds that leave a cell nothing to be.
+
+    Raises
+    ------
+    UsageError
+        They are not on either side of 0.5, or no probabilities.
+    """
+    low, high = model.clamp_min, model.clamp_max
+    if not 0 <= low < 0.5 < high <= 1:
+        raise UsageError(
+            f"clamp_min {low} and clamp_max {high} do not lie on either side of 0.5, from 0 to 1",
+            fix="try --clamp-max 0.97, or leave them out",
+        )
+
+
+def check_weight(name: str, weight: float) -> None:
+    """Refuse a weight that no sum of observations can be taken with.
+
+    Raises
+    ------
+    UsageError
+        It is not positive, or extreme.
+    """
+    if not LEAST_WEIGHT <= weight <= MOST_WEIGHT:
+        raise UsageError(
+            f"{name} {weight} is not possible",
+            fix=f"give {LEAST_WEIGHT:g} to {MOST_WEIGHT:g}, such as --model counting:{name}=1",
+        )
