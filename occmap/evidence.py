@@ -13,7 +13,7 @@ from occmap.grid.lattice import Lattice
 from occmap.grid.stacks import add_stack, stack_tiles
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid
 from occmap.manifest import describe_profile
-from occmap.persistence import check_passes, keep_lasting
+from occmap.persistence import check_passes, keep_lasting, list_forgotten
 from occmap.report import Report, Resumed, list_unreached, measure_shares
 from occmap.sensor.bounds import Clamped
 from occmap.sensor.models import RadialModel, SensorModel, describe_model, parse_model
@@ -134,6 +134,7 @@ def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path])
         *report.notes,
         *list_idle(outputs, options.writing),
         *list_unreached(model, options.writing),
+        *list_forgotten(evidence.times, options.min_passes),
     )
     return replace(report, notes=notes, files=tuple(files), min_passes=options.min_passes)
 

@@ -1,6 +1,6 @@
 """What lasts: hits that came on several visits stay, people who walked through once do not."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -10,8 +10,12 @@ from occmap.grid.stacks import drop_empty
 from occmap.grid.tiles import TILE, Tile, TileGrid
 from occmap.sensor.models import RadialModel, SensorModel
 from occmap.types import Int64, Times
+from occmap.wording import count
 
 SHORTEST_GAP_S, LONGEST_GAP_S = 1e-3, 1e9
+NEARLY_ALL = 0.9
+"""Of the cells that real logs of many visits hit, half were hit on one visit only (43 to 51%); of
+those that a robot hit which never came back, 92 to 99%."""
 
 
 def keep_lasting(grid: TileGrid, layers: Sequence[Times], min_passes: int | None) -> TileGrid:
@@ -57,6 +61,21 @@ def weigh_visits(numbers: Tile, visits: Int64, min_passes: int) -> Int64:
     often = hit >= min_passes
     mostly = often & (2 * hit >= seen)
     return np.stack([np.where(often, hits, 0), np.where(mostly, 0, misses)])
+
+
+def list_forgotten(layers: Sequence[Times], min_passes: int | None) -> Iterator[str]:
+    """Say where nearly all cells lose their hits: then there was hardly more than one visit."""
+    if min_passes is None:
+        return
+    visits = [hit for hit, _ in sum_visits(layers).values()]
+    were_hit = sum(int(np.count_nonzero(hit)) for hit in visits)
+    lost = sum(int(np.count_nonzero((hit > 0) & (hit < min_passes))) for hit in visits)
+    if lost > NEARLY_ALL * were_hit:
+        yield (
+            f"--min-passes {min_passes} forgets the hits of {lost:,} of {count(were_hit, 'cell')}, "
+            "walls among them: they were hit on fewer visits; leave it out, or build with a "
+            "smaller --pass-gap"
+        )
 
 
 def check_passes(min_passes: int | None, model: SensorModel) -> None:

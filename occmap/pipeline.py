@@ -14,7 +14,7 @@ from occmap.grid.observation import Observation, tabulate
 from occmap.grid.stacks import add_stack
 from occmap.manifest import describe_build, plan_manifest
 from occmap.merging import open_saved
-from occmap.persistence import check_gap, check_passes, keep_lasting
+from occmap.persistence import check_gap, check_passes, keep_lasting, list_forgotten
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.readers import Log, Role, open_log, read_poses
@@ -127,6 +127,7 @@ def build(
     with tally.time("render"):
         lasting = keep_lasting(tiles, times, options.min_passes)
         grid = render(lasting, options.model, options.max_cells)
+    made.notes += list_forgotten(times, options.min_passes)
 
     def keep_evidence() -> Evidence:
         past = saved.manifest if saved else plan

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from occmap.errors import MapError, UsageError
 from occmap.evidence import render_saved
 from occmap.grid.lattice import Lattice
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
-from occmap.persistence import keep_lasting
+from occmap.persistence import keep_lasting, list_forgotten
 from occmap.pipeline import BuildOptions, build
 from occmap.sensor.models import parse_model
 from occmap.types import Times, Update
@@ -67,6 +68,25 @@ def test_a_person_vanishes_and_thin_walls_stay(
 def test_passes_without_a_pause_are_one_visit(log: Path) -> None:
     options = BuildOptions(jobs=1, min_passes=2, pass_gap_s=100)
     assert count_occupied(log, options) == (0, 0)
+
+
+def test_walls_that_one_visit_hit_do_not_vanish_without_a_word(log: Path, tmp_path: Path) -> None:
+    saved, target = tmp_path / "one.npz", tmp_path / "one.pgm"
+    lasting = ["-o", target, "--min-passes", 2]
+    built = occmap("build", log, "-o", saved, "--pass-gap", 100, *lasting)
+    found = r"note: --min-passes 2 forgets the hits of (\d+) of \1 cells, .* smaller --pass-gap\n"
+    assert re.fullmatch(found, built.err)
+    assert occmap("render", saved, *lasting).err == built.err
+    assert occmap("render", saved, "-o", target, "--min-passes", 1).err == ""
+    assert occmap("build", log, *lasting).err == ""
+
+
+def test_hits_of_nearly_all_cells_are_the_walls() -> None:
+    """19 of 20 cells; of 18 it may be people."""
+    for short, notes in ((19, 1), (18, 0)):
+        cells = [(3, 0, 1, 1)] * short + [(3, 0, 2, 2)] * (20 - short) + [(0, 5, 0, 1)] * 9
+        assert len(list(list_forgotten([observe(cells)[1]], 2))) == notes
+    assert list(list_forgotten([observe([(3, 0, 1, 1)])[1]], None)) == []
 
 
 def test_build_and_render_agree_and_evidence_stays(log: Path, tmp_path: Path) -> None:
