@@ -36,21 +36,33 @@ class Surfaces(NamedTuple):
     """The scans may reach beyond the window"""
 
 
+class Beams(NamedTuple):
+    """The beams of one scan, as in `Rays`, and where on the lattice they end."""
+
+    origin: Float64
+    """(2,)"""
+    turn: Float64
+    """(K, 2, 2)"""
+    bearing: Float64
+    """(2, B)"""
+    distance: Float32
+    """(B,)"""
+    kinds: UInt8
+    """(B,)"""
+    ends_x: Int32
+    """(B,) lattice units from the anchor"""
+    ends_y: Int32
+    """(B,) likewise"""
+
+
 @kernel
-def link_beams(
-    distance: Float32,
-    ends_x: Int32,
-    ends_y: Int32,
-    kinds: UInt8,
-    surfaces: Surfaces,
-    links: UInt8,
-    listed: Int32,
-) -> Int32:
+def link_beams(beams: Beams, surfaces: Surfaces, links: UInt8, listed: Int32) -> Int32:
     """Say what each beam of a scan has to do with the one before it.
 
     No branches: then many beams are compared at a time, and few are left to be looked at: returns
     those with an edge that may matter, or cells between, from the start of `listed`.
     """
+    distance, kinds, ends_x, ends_y = beams.distance, beams.kinds, beams.ends_x, beams.ends_y
     last = kinds.size - 1
     jump, gap = surfaces.jump, surfaces.border_gap
     for b in range(1, kinds.size):
@@ -98,13 +110,7 @@ def _link(
 
 @kernel
 def outline_scan(
-    origin: Float64,
-    turn: Float64,
-    bearing: Float64,
-    distance: Float32,
-    ends_x: Int32,
-    ends_y: Int32,
-    kinds: UInt8,
+    beams: Beams,
     surfaces: Surfaces,
     links: UInt8,
     listed: Int32,
@@ -119,18 +125,19 @@ def outline_scan(
     Corners between which no row's centre line is crossed are left out. Returns the number of
     corners; and of the window's `rows` the first that the scan touches, and the one after the last.
     """
-    beams = kinds.size
+    origin, turn, bearing = beams.origin, beams.turn, beams.bearing
+    distance, kinds, ends_x, ends_y = beams.distance, beams.kinds, beams.ends_x, beams.ends_y
     at_x = round_to_units(origin[0], surfaces.units_per_metre) - surfaces.left
     at_y = round_to_units(origin[1], surfaces.units_per_metre) - surfaces.bottom
     low, high = ends_y[0], ends_y[0]
-    for b in range(beams):
+    for b in range(kinds.size):
         low, high = min(low, ends_y[b]), max(high, ends_y[b])
     corners, drawn = 0, -1
     for i in range(listed.size):
         b = int(listed[i])
         if not links[b] & EDGE:
             continue
-        a = b - 1 if b > 0 else beams - 1
+        a = b - 1 if b > 0 else kinds.size - 1
         begun = kinds[a] != 0 and (b > 0 or surfaces.full_circle)
         if not begun:
             corners = _add_corner(x, y, begins, corners, at_x, at_y, True)
@@ -158,7 +165,7 @@ def outline_scan(
         to_x, to_y = ends_x[b] + surfaces.shift_x, ends_y[b] + surfaces.shift_y
         corners = _add_corner(x, y, begins, corners, to_x, to_y, False)
         drawn = b
-    last = beams - 1
+    last = kinds.size - 1
     if kinds[last] != 0 and not surfaces.full_circle:
         if drawn != last:
             from_x, from_y = ends_x[last] + surfaces.shift_x, ends_y[last] + surfaces.shift_y
@@ -180,8 +187,7 @@ def _add_corner(
 
 @kernel
 def list_border(
-    ends_x: Int32,
-    ends_y: Int32,
+    beams: Beams,
     links: UInt8,
     listed: Int32,
     surfaces: Surfaces,
@@ -193,6 +199,7 @@ def list_border(
 
     Returns how many.
     """
+    ends_x, ends_y = beams.ends_x, beams.ends_y
     size, to_row, to_col = 0, surfaces.shift_y >> 8, surfaces.shift_x >> 8
     for b in range(links.size):
         k = np.uint64(size)

@@ -11,7 +11,7 @@ import numpy as np
 from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.fill import fill_outline
 from occmap.grid.kernels.jit import kernel
-from occmap.grid.kernels.outline import Surfaces, link_beams, list_border, outline_scan
+from occmap.grid.kernels.outline import Beams, Surfaces, link_beams, list_border, outline_scan
 from occmap.types import Bool, Float32, Float64, Int64, UInt8
 
 BORDER_BITS = 22
@@ -60,16 +60,14 @@ def trace_polygons(
     found, spans = np.empty((2, 4 * rows), np.int32), np.empty(4 * rows, np.int32)
     mask = np.empty((rows, cols), np.bool_)
     for s in range(scans):
-        listed = link_beams(distance[s], ends_x[s], ends_y[s], kinds[s], surfaces, links, room)
-        corners, touched = outline_scan(
-            origin[s, 0], turn[s], bearing, distance[s], ends_x[s], ends_y[s], kinds[s],
-            surfaces, links, listed, x, y, begins, rows,
-        )  # fmt: skip
+        scan = Beams(origin[s, 0], turn[s], bearing, distance[s], kinds[s], ends_x[s], ends_y[s])
+        listed = link_beams(scan, surfaces, links, room)
+        corners, touched = outline_scan(scan, surfaces, links, listed, x, y, begins, rows)
         found, spans = fill_outline(
             x, y, begins, corners, touched, cols, starts, counts, found, spans
         )
         _note_spans(touched, starts, counts, spans, runs, mask)
-        size = list_border(ends_x[s], ends_y[s], links, listed, surfaces, rows, cols, cells)
+        size = list_border(scan, links, listed, surfaces, rows, cols, cells)
         _note_border(cells, size, starts, counts, spans, mask, mark + s + 1, border)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.fill import fill_outline, find_rows
 from occmap.grid.kernels.jit import kernel
-from occmap.grid.kernels.outline import Surfaces, link_beams, list_border, outline_scan
+from occmap.grid.kernels.outline import Beams, Surfaces, link_beams, list_border, outline_scan
 from occmap.grid.kernels.project import round_to_units
 from occmap.grid.kernels.radial_polygon import (
     FAR,
@@ -75,16 +75,14 @@ def time_polygons(
     found, spans = np.empty((2, 4 * rows), np.int32), np.empty(4 * rows, np.int32)
     for s in range(scans):
         early, late = stamps[s, 0], stamps[s, 1]
-        listed = link_beams(distance[s], ends_x[s], ends_y[s], kinds[s], surfaces, links, room)
-        corners, touched = outline_scan(
-            origin[s, 0], turn[s], bearing, distance[s], ends_x[s], ends_y[s], kinds[s],
-            surfaces, links, listed, x, y, begins, rows,
-        )  # fmt: skip
+        scan = Beams(origin[s, 0], turn[s], bearing, distance[s], kinds[s], ends_x[s], ends_y[s])
+        listed = link_beams(scan, surfaces, links, room)
+        corners, touched = outline_scan(scan, surfaces, links, listed, x, y, begins, rows)
         found, spans = fill_outline(
             x, y, begins, corners, touched, cols, starts, counts, found, spans
         )
         _time_spans(touched, starts, counts, spans, early, late, times, seen)
-        size = list_border(ends_x[s], ends_y[s], links, listed, surfaces, rows, cols, cells)
+        size = list_border(scan, links, listed, surfaces, rows, cols, cells)
         for i in range(size):
             set_bit(hit, cells[i, 0], cells[i, 1])
             mark_cell(times, seen, cells[i, 0], cells[i, 1], early, late)
