@@ -22,7 +22,7 @@ from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions
 from occmap.scoring.compare import Comparison, compare
 from occmap.scoring.trials import Result
-from occmap.scoring.variants import Variant, combine
+from occmap.scoring.variants import DEFAULT_MODELS, Variant, combine
 from occmap.sensor.models import parse_model
 from occmap.sensor.returns import ReturnOptions
 from occmap.types import Update
@@ -32,8 +32,10 @@ HELP = f"""{COMMANDS["compare"]}
 
 Every fifth scan is kept from the maps. Each map is then asked what these scans will see: the share
 of beams whose first occupied cell is within two cells of the measured range, the log-likelihood of
-the range, and the cross-entropy of the cells found free and found occupied. Shares that lie within
-two standard errors count as equal; of those the default is named, or the best log-likelihood.
+the range, and the cross-entropy of the cells found free and found occupied. A share that is behind
+by two standard errors or half a percent counts as good as the best; of those the default is named,
+or the best log-likelihood. That one is named, too, where it is another: its probabilities are the
+ones to plan and localise with.
 
 \b
   occmap compare drive.mcap
@@ -59,7 +61,7 @@ variants = join(
         "model_texts",
         multiple=True,
         metavar="NAME[:KEY=NUMBER,...]",
-        show_default="each built-in one",
+        show_default=", ".join(DEFAULT_MODELS),
         help="How evidence is weighed: see `occmap models`. May repeat.",
     ),
 )
@@ -129,7 +131,7 @@ def collect_options(values: dict[str, Any]) -> BuildOptions:
 
 def format_comparison(comparison: Comparison) -> str:
     """Write the table, on what it rests, and the command line of the best."""
-    best, equals = comparison.named, comparison.equals
+    best, equals, likeliest = comparison.named, comparison.equals, comparison.likeliest
     names = ", ".join(result.variant.name for result in equals)
     held = count(comparison.held_out, "held-out scan")
     rest = f"scored by {count(best.score.beams, 'beam')} of {held}"
@@ -139,11 +141,18 @@ def format_comparison(comparison: Comparison) -> str:
             "",
             f"{rest}; {comparison.tally.scans_used:,} of {comparison.tally.scans_read:,} used",
             *(f"picture: {file}" for file in comparison.made.files),
-            *([f"not told apart, for noise: {names}"] if len(equals) > 1 else []),
+            *([f"as good: {names}"] if len(equals) > 1 else []),
             f"best: {best.variant.name}",
-            shlex.join(comparison.command),
+            shlex.join(comparison.build_command(best)),
+            *([] if likeliest is best else recommend(comparison, likeliest)),
         ]
     )
+
+
+def recommend(comparison: Comparison, likeliest: Result) -> Iterator[str]:
+    """Name what to use where a map's probabilities matter, and the command line of it."""
+    yield f"where probabilities matter: {likeliest.variant.name}"
+    yield shlex.join(comparison.build_command(likeliest))
 
 
 def format_table(results: Sequence[Result]) -> Iterator[str]:

@@ -39,24 +39,27 @@ class Comparison:
 
     @property
     def named(self) -> Result:
-        """The one to use: the best, or, of those within noise of it, the default one.
+        """The one to use: the best, or, of those as good, the default one.
 
         Where that is not among them, their log-likelihood decides, which tells more than a share.
         """
         usual = Variant(DEFAULT_UPDATE, BuildOptions().model)
-        equal = self.equals
-        default = [each for each in equal if each.variant == usual]
-        return default[0] if default else max(equal, key=lambda each: each.score.log_likelihood)
+        default = [each for each in self.equals if each.variant == usual]
+        return default[0] if default else self.likeliest
+
+    @property
+    def likeliest(self) -> Result:
+        """The one to use where probabilities matter: as good a share, the best log-likelihood."""
+        return max(self.equals, key=lambda each: each.score.log_likelihood)
 
     @property
     def equals(self) -> list[Result]:
-        """The best one, and those whose share cannot be told from its own."""
-        return [each for each in self.results if each.within_noise]
+        """The best one, and those whose share is as good."""
+        return [each for each in self.results if each.as_good]
 
-    @property
-    def command(self) -> tuple[str, ...]:
-        """The command line that builds the map of the best variant from all scans."""
-        return compose_command(self.made.logs, self.named.variant, self.options)
+    def build_command(self, result: Result) -> tuple[str, ...]:
+        """Compose the command line that builds the map of a variant from all scans."""
+        return compose_command(self.made.logs, result.variant, self.options)
 
     def to_json(self) -> dict[str, Any]:
         """The comparison as values that JSON has."""
@@ -72,7 +75,9 @@ class Comparison:
             "resolution": self.options.resolution,
             "variants": [result_to_json(result) for result in self.results],
             "best": self.named.variant.name,
-            "command": list(self.command),
+            "command": list(self.build_command(self.named)),
+            "likeliest": self.likeliest.variant.name,
+            "likeliest_command": list(self.build_command(self.likeliest)),
             "notes": self.made.notes,
             "damage": self.made.damage,
             "files": self.made.files,
@@ -197,7 +202,7 @@ def result_to_json(result: Result) -> dict[str, Any]:
         "share_error": drop_infinite(result.score.share_error),
         "behind": result.behind,
         "behind_error": drop_infinite(result.behind_error),
-        "within_noise": result.within_noise,
+        "as_good": result.as_good,
         "cross_entropy": result.score.cross_entropy,
         "columns": cols,
         "rows": rows,

@@ -20,10 +20,13 @@ if TYPE_CHECKING:
 
 EVERY = 5
 """Every so manieth scan is held out ..."""
-NOISE = 2.0
-"""Standard errors: a difference that is not larger may be chance."""
 FIRST = 2
 """... from this one on."""
+NOISE = 2.0
+"""Standard errors: a difference that is not larger may be chance."""
+SMALL = 0.005
+"""A difference of shares that is smaller is none that anybody sees in a map, certain as it may be:
+variants are asked about the same scans, which tells of a thousandth."""
 
 
 class HoldOut:
@@ -113,9 +116,9 @@ class Result:
     about the same scans"""
 
     @property
-    def within_noise(self) -> bool:
-        """Whether another draw of scans might as well have put it before the best."""
-        return self.behind <= NOISE * self.behind_error
+    def as_good(self) -> bool:
+        """Whether the lead of the best is small, or another draw of scans might as well turn it."""
+        return self.behind <= max(NOISE * self.behind_error, SMALL)
 
     def compare_with(self, best: "Result") -> "Result":
         """Measure how far the share is from the best one, scan by scan."""

@@ -5,10 +5,17 @@ from dataclasses import dataclass, fields
 from itertools import product
 
 from occmap.manifest import describe_profile
-from occmap.sensor.models import SensorModel, make_model
+from occmap.sensor.models import SensorModel, make_model, parse_model
 from occmap.types import Update
 
-DEFAULT_MODELS = ("simple", "counting", "quadratic")
+DEFAULT_MODELS = (
+    "simple",
+    "counting:strength=0.02",
+    "counting:strength=0.02,hit_weight=2",
+    "quadratic",
+)
+"""Counting with less prior than is usual: its walls stay the same, and its probabilities are right
+for cells that were seen only a few times, too."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +55,6 @@ def combine(updates: Sequence[Update], models: Sequence[SensorModel]) -> list[Va
     UsageError
         A model does not load.
     """
-    models = models or [make_model(name, {}) for name in DEFAULT_MODELS]
+    models = models or [parse_model(text) for text in DEFAULT_MODELS]
     pairs = product(updates or list(Update), models)
     return list({each.name: each for each in (Variant(*pair) for pair in pairs)}.values())
