@@ -5,14 +5,15 @@ A name means the same wherever it stands.
 
 from collections.abc import Callable
 from itertools import permutations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from occmap.comparison import Comparison
 from occmap.gates import COUNT, SHARE, Measure
-from occmap.inspection.findings import Inspection, ScanFindings
-from occmap.maps import CellClass
-from occmap.report import Report
-from occmap.scoring.compare import Comparison as Contest
+
+if TYPE_CHECKING:  # each command makes one kind of result, and need not load what makes the others
+    from occmap.comparison import Comparison
+    from occmap.inspection.findings import Inspection, ScanFindings
+    from occmap.report import Report
+    from occmap.scoring.compare import Comparison as Contest
 
 Measures = tuple[Measure[Any], ...]
 
@@ -22,18 +23,18 @@ def divide(part: float, whole: float) -> float:
     return part / whole if whole else 0.0
 
 
-def share_beams(kind: str) -> Callable[[Report], float]:
+def share_beams(kind: str) -> "Callable[[Report], float]":
     """Measure the share of beams that were read as one kind."""
     return lambda report: divide(getattr(report.beams, kind), sum(report.beams))
 
 
-def measure_area(report: Report) -> float:
+def measure_area(report: "Report") -> float:
     """Area of the cells that something observed (m2)."""
     cols, rows = report.cells
     return cols * rows * (1 - report.shares[2]) * report.resolution**2
 
 
-SAVED: tuple[Measure[Report], ...] = (
+SAVED: "tuple[Measure[Report], ...]" = (
     Measure("scans_read", COUNT, "scans in the logs", lambda report: report.scans_read),
     Measure("scans_used", COUNT, "scans in the map", lambda report: report.scans_used),
     Measure(
@@ -66,42 +67,42 @@ SAVED: tuple[Measure[Report], ...] = (
 )
 """Of what `occmap render` and `occmap merge` make."""
 
-BUILD: tuple[Measure[Report], ...] = (
+BUILD: "tuple[Measure[Report], ...]" = (
     *SAVED,
     Measure("damage", COUNT, "notes of something lost in a log", lambda report: len(report.damage)),
 )
 
 
-def list_topics(inspection: Inspection) -> list[ScanFindings]:
+def list_topics(inspection: "Inspection") -> "list[ScanFindings]":
     """All topics of scans, of all logs."""
     return [topic for log in inspection.logs for topic in log.scans]
 
 
-def sum_topics(count: Callable[[ScanFindings], int]) -> Callable[[Inspection], int]:
+def sum_topics(count: "Callable[[ScanFindings], int]") -> "Callable[[Inspection], int]":
     """Measure something that adds up over topics."""
     return lambda inspection: sum(count(topic) for topic in list_topics(inspection))
 
 
-def measure_largest(time: Callable[[ScanFindings], float]) -> Callable[[Inspection], float]:
+def measure_largest(time: "Callable[[ScanFindings], float]") -> "Callable[[Inspection], float]":
     """Measure the largest of all topics."""
     return lambda inspection: max(map(time, list_topics(inspection)), default=0.0)
 
 
-def share_ranges(inspection: Inspection) -> float:
+def share_ranges(inspection: "Inspection") -> float:
     """Of all range values, those that are a measurement."""
     topics = list_topics(inspection)
     measured = sum(topic.ranges.measured for topic in topics)
     return divide(measured, sum(topic.ranges.total for topic in topics))
 
 
-def share_lost(inspection: Inspection) -> float:
+def share_lost(inspection: "Inspection") -> float:
     """Of all scans, those that a build with the same options would drop."""
     topics = list_topics(inspection)
     scans, posed = sum(topic.scans for topic in topics), sum(each.poses.posed for each in topics)
     return divide(scans - posed, scans)
 
 
-CHECK: tuple[Measure[Inspection], ...] = (
+CHECK: "tuple[Measure[Inspection], ...]" = (
     Measure("scans_read", COUNT, "scans in the logs", sum_topics(lambda topic: topic.scans)),
     Measure("topics", COUNT, "topics with scans", lambda inspection: len(list_topics(inspection))),
     Measure("dropped_scans", SHARE, "of the scans read, those that a build drops", share_lost),
@@ -129,7 +130,7 @@ CHECK: tuple[Measure[Inspection], ...] = (
     ),
 )
 
-COMPARE: tuple[Measure[Contest], ...] = (
+COMPARE: "tuple[Measure[Contest], ...]" = (
     Measure(
         *("share", SHARE, "of the held-out beams, those that the named variant foretells"),
         lambda contest: contest.named.score.share,
@@ -161,14 +162,14 @@ COMPARE: tuple[Measure[Contest], ...] = (
 )
 
 
-def share_pair(pair: str) -> Callable[[Comparison], float]:
+def share_pair(pair: str) -> "Callable[[Comparison], float]":
     """Measure the share of known cells that changed from one class to another."""
     return lambda comparison: divide(comparison.changed[pair], comparison.known)
 
 
-PAIRS = [f"{was.name.lower()} to {now.name.lower()}" for was, now in permutations(CellClass, 2)]
+PAIRS = [f"{was} to {now}" for was, now in permutations(("neither", "free", "occupied"), 2)]
 
-DIFF: tuple[Measure[Comparison], ...] = (
+DIFF: "tuple[Measure[Comparison], ...]" = (
     Measure(
         "changed", SHARE, "of the cells known in either map", lambda comparison: comparison.share
     ),

@@ -30,6 +30,15 @@ OWNERS = {
 HEAVY = {"numpy", "numba", "llvmlite", "rosbags", "mcap", "PIL", "tqdm", "importlib.metadata"}
 
 
+BUILD_COMMAND = {
+    f"occmap.cli.{name}"
+    for name in [
+        *("build", "collect", "console", "limits", "log_options", "options", "progress"),
+        *("sections", "summary", "values"),
+    ]
+}
+
+
 def name_module(path: Path) -> str:
     parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
     return ".".join(part for part in parts if part != "__init__")
@@ -130,6 +139,17 @@ def test_only_a_build_loads_numba_and_only_a_terminal_tqdm() -> None:
     assert loaded.isdisjoint({"numba", "rosbags", "mcap", "PIL", "tqdm"})
     loaded = list_loaded("from occmap.cli import run; assert run(['models']) == 0")
     assert loaded.isdisjoint({"numba", "rosbags", "mcap", "PIL", "tqdm"})
+
+
+@pytest.mark.parametrize("update", ["beam", "polygon"])
+def test_a_build_loads_what_it_needs_and_no_more(update: str, tmp_path: Path) -> None:
+    log = PACKAGE.parent / "sample_logs" / "drive.log"
+    line = ["build", update, str(log), "-o", str(tmp_path / "m.pgm")]
+    loaded = list_loaded(f"from occmap.cli import run; assert run({line}) == 0")
+    assert loaded.isdisjoint({"rosbags", "mcap", "PIL", "tqdm", "ruamel", "jsonschema"})
+    others = {"comparison", "explanation", "inspection", "maps", "scoring", "grid.timed"}
+    assert loaded.isdisjoint({f"occmap.{name}" for name in others})
+    assert {name for name in loaded if name.startswith("occmap.cli.")} <= BUILD_COMMAND
 
 
 def test_a_csv_is_read_without_the_ros_libraries() -> None:

@@ -4,6 +4,7 @@ Importing this brings in click and nothing else, so that `occmap --help` answers
 is imported when it is run.
 """
 
+import gc
 import os
 import sys
 from collections.abc import Sequence
@@ -32,6 +33,8 @@ COMMANDS = {
 
 INTERRUPTED = 130
 """As shells have it: 128 and the number of the signal."""
+NEW_OBJECTS = 100_000
+"""So many and Python looks for garbage among them: after 700, an import would be searched often."""
 
 
 class CommandTable(click.Group):
@@ -127,9 +130,15 @@ def answer_unforeseen(error: Exception, console: Console) -> int:
 
 def main() -> None:
     """Run the command line of this process."""
+    gc.set_threshold(NEW_OBJECTS)
+    # Before NumPy is loaded, and unless the user says otherwise: starting threads for products of
+    # matrices takes longer than all the small ones that there are.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # a file name may hold what no encoding knows
             stream.reconfigure(errors="backslashreplace")
     if "_OCCMAP_COMPLETE" in os.environ:  # a shell asks for what a word may be completed to
         cli.main(prog_name="occmap")
-    sys.exit(run(sys.argv[1:]))
+    code = run(sys.argv[1:])
+    gc.freeze()  # or Python would look through all that is loaded once more before it ends
+    sys.exit(code)
