@@ -2,9 +2,10 @@
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 from occmap.readers import Note, Probe, Role, Stream
 from occmap.readers.carmen_lines import (
@@ -17,6 +18,7 @@ from occmap.readers.carmen_lines import (
     parse_front_offset,
     parse_odometry,
     parse_scan,
+    parse_scans,
 )
 from occmap.readers.no_return import RangeTally, find_limit
 from occmap.readers.text import (
@@ -31,6 +33,7 @@ from occmap.readers.text import (
 from occmap.types import Pose, PoseSample, Scan
 
 Parsed = TypeVar("Parsed")
+_KindOfLine: TypeAlias = tuple[str, Line]
 
 # fmt: off
 OTHER_WORDS = frozenset({
@@ -44,6 +47,10 @@ MAX_WORDS = 100
 """Kinds of line that are counted each by itself; garbage must not fill the memory."""
 MAX_KEPT_BYTES = 1 << 26
 """A log whose scans fit is parsed once and kept; a larger one is parsed again as a stream."""
+BLOCK_BYTES = 1 << 18
+"""Lines are read so many at a time, for scans to be parsed together."""
+LINE_BYTES = 200
+"""What a line takes beside its text."""
 FIX = "correct or delete this line"
 SCAN_BYTES = 700
 """What a scan takes beside its ranges, as measured."""
@@ -106,7 +113,7 @@ class CarmenLog:
         if not self._words["ODOM"]:
             return
         tally = LineTally()
-        for word, line in self._walk():
+        for word, line in self._walk(self.notes):
             if word == "ODOM" and (sample := self._parse(line, parse_odometry, tally)):
                 yield sample
         tally.judge(self.path, self.notes, FIX)
@@ -118,20 +125,33 @@ class CarmenLog:
                 limit = self._limits.get(scan.topic, math.inf)
                 yield scan._replace(range_max=min(scan.range_max, limit))
 
-    def _walk(self) -> Iterator[tuple[str, Line]]:
+    def _walk(self, notes: list[Note]) -> Iterator[_KindOfLine]:
         """Yield every line that is not blank with its keyword; every comment has `#`."""
-        for line in read_lines(self.path, self.notes):
+        for line in read_lines(self.path, notes):
             head = line.text.split(None, 1)
             if head:
                 yield ("#" if head[0].startswith("#") else head[0]), line
 
+    def _walk_parsed(self, tally: LineTally) -> Iterator[tuple[str, Line, Scan | None]]:
+        """Yield what `_walk` does, and the scan of a line that is one and not damaged."""
+        notes_at_end: list[Note] = []
+        for block in _cut_blocks(self._walk(notes_at_end)):
+            parsed = _parse_together(block)
+            for word, line in block:
+                scan = parsed.get(line.number)
+                if scan is not None:
+                    tally.add(line)
+                elif word in FRAMES:
+                    scan = self._parse(line, parse_scan, tally)
+                yield word, line, scan
+        for note in notes_at_end:
+            add_note(self.notes, note)
+
     def _stream_scans(self) -> Iterator[Scan]:
         judged = LineTally()  # when the log was first read
-        for word, line in self._walk():
-            if word in FRAMES:
-                scan = self._parse(line, parse_scan, judged)
-                if scan is not None and scan.ranges.size:
-                    yield scan
+        for _, _, scan in self._walk_parsed(judged):
+            if scan is not None and scan.ranges.size:
+                yield scan
 
     def _parse(self, line: Line, parse: Callable[[str], Parsed], tally: LineTally) -> Parsed | None:
         """Parse a line; one that is damaged gives None, and a note where the file ends in it."""
@@ -149,12 +169,10 @@ class CarmenLog:
     def _survey(self) -> None:
         """Read the log once: count its lines, tally its ranges, keep its scans if they are few."""
         tally = LineTally()
-        for word, line in self._walk():
-            if word in FRAMES:
-                scan = self._parse(line, parse_scan, tally)
-                if scan is not None:
-                    self._survey_scan(scan)
-            else:
+        for word, line, scan in self._walk_parsed(tally):
+            if scan is not None:
+                self._survey_scan(scan)
+            elif word not in FRAMES:
                 self._survey_other(word, line, tally)
         tally.judge(self.path, self.notes, FIX)
 
@@ -216,6 +234,30 @@ class CarmenLog:
             top = ", ".join(f"{n} {_name_word(word)}" for word, n in others.most_common(5))
             text = f"{others.total()} lines without scan or pose are passed over: {top}"
             add_note(self.notes, Note(text + (", ..." if len(others) > 5 else "")))
+
+
+def _cut_blocks(lines: Iterable[_KindOfLine]) -> Iterator[list[_KindOfLine]]:
+    """Cut lines into lists that take a bounded part of the memory each."""
+    block: list[_KindOfLine] = []
+    size = 0
+    for word, line in lines:
+        block.append((word, line))
+        size += LINE_BYTES + len(line.text)
+        if size >= BLOCK_BYTES:
+            yield block
+            block, size = [], 0
+    yield block
+
+
+def _parse_together(block: list[_KindOfLine]) -> dict[int, Scan]:
+    """Parse the scans of a block, by line; where one is damaged or differs, none of its kind."""
+    scans: dict[int, Scan] = {}
+    for kind in {word for word, _ in block}.intersection(FRAMES):
+        lines = [line for word, line in block if word == kind]
+        with suppress(ValueError):
+            parsed = parse_scans([line.text for line in lines])
+            scans.update(zip((line.number for line in lines), parsed, strict=True))
+    return scans
 
 
 def _name_word(word: str) -> str:

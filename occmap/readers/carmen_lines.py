@@ -21,6 +21,7 @@ Every `parse_` function takes a whole line and raises ValueError where it is mal
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,15 @@ IMPLIED_INCREMENTS = {beams: math.radians(1.0) for beams in (180, 181)} | {
     beams: math.radians(0.5) for beams in (360, 361)
 }
 FRONT_OFFSET = "robot_frontlaser_offset"
+NUMBER_CHARACTERS = b"+-.0123456789Ee "
+
+
+class _Words(NamedTuple):
+    word: str
+    numbers: str
+    """All between the keyword and the time"""
+    stamp_ns: int
+    record_ns: int
 
 
 class _Message(NamedTuple):
@@ -50,8 +60,20 @@ class _Message(NamedTuple):
 
 def parse_scan(text: str) -> Scan:
     """Parse a line whose keyword is one of `FRAMES`."""
-    message = _parse_message(text)
-    return _make_plain(message) if message.word in PLAIN_FRAMES else _make_configured(message)
+    return _make_scan(_parse_message(text))
+
+
+def parse_scans(texts: Sequence[str]) -> list[Scan]:
+    """Parse lines of as many numbers each together, which takes half the time.
+
+    Raises ValueError where one is malformed or unlike the others: `parse_scan` tells which.
+    """
+    lines = [_split_message(text) for text in texts]
+    table = _parse_table([line.numbers for line in lines])
+    return [
+        _make_scan(_Message(line.word, values, line.stamp_ns, line.record_ns))
+        for line, values in zip(lines, table, strict=True)
+    ]
 
 
 def parse_odometry(text: str) -> PoseSample:
@@ -84,6 +106,11 @@ def imply_increment(beams: int) -> float:
 
 
 def _parse_message(text: str) -> _Message:
+    word, numbers, stamp_ns, record_ns = _split_message(text)
+    return _Message(word, _parse_numbers(numbers), stamp_ns, record_ns)
+
+
+def _split_message(text: str) -> _Words:
     head, *tail = text.rsplit(None, 3)
     words = head.split(None, 1)
     if len(tail) < 3 or len(words) < 2:
@@ -92,11 +119,21 @@ def _parse_message(text: str) -> _Message:
     stamp_ns = parse_stamp(stamp)
     record_ns = stamp_ns if logged == stamp else parse_stamp(logged)
     # Converters write 0 where they know no second time.
-    return _Message(words[0], _parse_numbers(words[1]), stamp_ns, record_ns or stamp_ns)
+    return _Words(words[0], words[1], stamp_ns, record_ns or stamp_ns)
+
+
+def _parse_table(texts: list[str]) -> Float64:
+    """Parse rows of as many numbers each, (S, N), where all is as plain as a logger writes it.
+
+    What `np.loadtxt` and `np.fromstring` differ in takes other characters: Unicode's blanks, nan.
+    """
+    if any(text.encode().translate(None, NUMBER_CHARACTERS) for text in texts):
+        raise ValueError("there is more in it than numbers")
+    return np.loadtxt(texts, comments=None, ndmin=2)
 
 
 def _parse_numbers(text: str) -> Float64:
-    """Parse numbers with blanks between; as fast as anything in NumPy or plain Python."""
+    """Parse numbers with blanks between; of a single line, nothing is faster."""
     try:
         return np.fromstring(text, sep=" ")
     except ValueError:
@@ -131,6 +168,10 @@ def _make_pose(values: Float64) -> Pose | None:
     """Build a pose from x, y, theta; None where it is not finite, as nobody knew it."""
     x, y, theta = values.tolist()
     return Pose.planar(x, y, theta) if math.isfinite(x + y + theta) else None
+
+
+def _make_scan(message: _Message) -> Scan:
+    return _make_plain(message) if message.word in PLAIN_FRAMES else _make_configured(message)
 
 
 def _make_plain(message: _Message) -> Scan:

@@ -51,7 +51,10 @@ class RangeTally:
         ranges = np.concatenate(self._block)
         self._block.clear()
         self._block_size = 0
-        values, counts = np.unique(ranges[np.isfinite(ranges)], return_counts=True)
+        # Less than the smallest that is kept can be among the largest no more: it is not sorted.
+        floor = min(self._largest) if len(self._largest) == KEPT_VALUES else -math.inf
+        wanted = ranges[np.isfinite(ranges) & (ranges >= floor)]
+        values, counts = np.unique(wanted, return_counts=True)
         self._largest.update(
             dict(zip(values[-KEPT_VALUES:].tolist(), counts[-KEPT_VALUES:].tolist(), strict=True))
         )

@@ -12,6 +12,7 @@ import pytest
 from occmap.errors import LogError
 from occmap.readers import Log, Note, Probe, Role, Stream, carmen, probe_path
 from occmap.readers.carmen import CarmenReader
+from occmap.readers.text import Line
 from occmap.types import Pose, PoseSample
 
 REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", "../shared/logs")) / "carmen"
@@ -201,6 +202,38 @@ def test_a_large_log_is_streamed_with_the_same_result(
         np.testing.assert_array_equal(one.ranges, other.ranges)
         assert one._replace(ranges=other.ranges) == other
     assert kept.notes == streamed.notes
+
+
+def summarise(log: Log) -> list[object]:
+    """All that a reading of a log gives."""
+    scans = log.scans(["FLASER", "RAWLASER1"])
+    listed = [[scan.ranges.tolist(), *scan[:4], *scan[5:]] for scan in scans]
+    return [log.streams, listed, list(log.poses()), log.notes]
+
+
+def test_how_many_lines_are_parsed_together_makes_no_difference(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = [HEADER, OFFSET, *(flaser(stamp) for stamp in range(25)), raw(25), ODOM.format(26)]
+    lines[9] = flaser(7).replace("2.5", "2.5.5 x")
+    lines[15] = flaser(13, "1.5 nan inf 4")
+    lines[20] = flaser(18, "1.5-2.5")
+    path = tmp_path / "cut.log.gz"
+    path.write_bytes(gzip.compress("".join(lines).encode())[:-4])
+    log = CarmenReader().open(path)
+    expected = summarise(log)
+    assert [note.damage for note in log.notes].count(True) == 2
+    for size in (1, 700, 1500):
+        monkeypatch.setattr(carmen, "BLOCK_BYTES", size)
+        np.testing.assert_equal(summarise(CarmenReader().open(path)), expected)
+
+
+def test_a_block_of_lines_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(carmen, "BLOCK_BYTES", 1000)
+    lines = (("FLASER", Line(number, "x" * 300, ended=True)) for number in range(20))
+    blocks = list(carmen._cut_blocks(lines))
+    assert [line.number for block in blocks for _, line in block] == list(range(20))
+    assert [len(block) for block in blocks] == [2] * 10 + [0]
 
 
 @pytest.mark.parametrize(

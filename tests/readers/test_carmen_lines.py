@@ -4,12 +4,15 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from occmap.readers.carmen_lines import (
     imply_increment,
     parse_front_offset,
     parse_odometry,
     parse_scan,
+    parse_scans,
 )
 from occmap.types import Pose, PoseSample, Scan
 
@@ -125,6 +128,46 @@ def test_the_number_of_beams_implies_their_spacing(beams: int, degrees: float) -
 def test_malformed_lines_say_what_is_wrong(line: str, complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         parse_scan(line)
+
+
+LINES = [
+    "FLASER 2 1.5 81.91 1 -2 0.25 7 8 9 1.25 robot 1.5",
+    "FLASER 2 .5 1e39 1e-3 +2. 1E400 7 8 9 2 robot 2",
+]
+
+
+def test_lines_parsed_together_are_as_parsed_alone() -> None:
+    for scan, line in zip(parse_scans(LINES), LINES, strict=True):
+        expect_equal(scan, parse_scan(line))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        "FLASER 3 1 2 3 0 0 0 0 0 0 1 host 1",
+        "FLASER 3 1 2 0 0 0 0 0 0 1 host 1",
+        "FLASER 2 1 nan 0 0 0 0 0 0 1 host 1",
+        "FLASER 2 1-2 0 0 0 0 0 0 1 host 1",
+        "FLASER 2 1\x1c2 0 0 0 0 0 0 1 host 1",
+        "FLASER 2 1\u00a02 0 0 0 0 0 0 1 host 1",
+        "FLASER 2 1 2 0 0 0 0 0 0 now host 1",
+        "FLASER",
+    ],
+)
+def test_lines_that_differ_are_not_parsed_together(other: str) -> None:
+    with pytest.raises(ValueError, match=r"number|time|short|columns|announces"):
+        parse_scans([*LINES, other])
+
+
+@settings(max_examples=200)
+@given(st.lists(st.text("0123456789+-.eE \t\x1c\u00a0_,naif", min_size=1), min_size=1, max_size=4))
+def test_no_number_is_read_in_two_ways(words: list[str]) -> None:
+    line = f"FLASER 2 {' '.join(words)} 1 2 3 4 5 1 host 1"
+    try:
+        (together,) = parse_scans([line])
+    except ValueError:
+        return  # it is parsed alone
+    expect_equal(together, parse_scan(line))
 
 
 def test_odometry_moves_the_base_in_odom() -> None:
