@@ -46,4 +46,5 @@ $(STAMP): pyproject.toml
 	@echo "Setting up .venv (once)"
 	@$(PYTHON) -m venv .venv
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	@$(BIN)/python -m compileall -q occmap
 	@touch $(STAMP)

@@ -1,6 +1,7 @@
 """Whole processes: how long they take, and how much memory at most."""
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -11,6 +12,7 @@ from occmap.types import Update
 
 LAUNCHER = Path(__file__).with_name("launcher.py")
 OCCMAP = Path(sys.executable).with_name("occmap")
+NO_BYTE_CODE = "PYTHONDONTWRITEBYTECODE"
 
 
 class ProcessError(Exception):
@@ -34,7 +36,9 @@ def run(command: Sequence[str | Path]) -> Usage:
         It failed; with the end of what it said.
     """
     launch = [sys.executable, "-I", "-S", str(LAUNCHER), *map(str, command)]
-    done = subprocess.run(launch, capture_output=True, text=True, check=False)
+    # What is installed has its byte code: a checkout must be allowed to keep it from run to run.
+    settings = {name: os.environ[name] for name in os.environ if name != NO_BYTE_CODE}
+    done = subprocess.run(launch, capture_output=True, text=True, check=False, env=settings)
     head, _, output = done.stdout.partition("\n")
     usage: dict[str, Any] = json.loads(head) if head else {"code": done.returncode}
     if usage["code"] != 0:
