@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, NamedTuple
 from occmap.batching import Batcher, Selection
 from occmap.errors import LogError, PoseError, UsageError
 from occmap.evidence import describe_resumed, keep, render
+from occmap.evidence.manifest import describe_build, plan_manifest
+from occmap.evidence.merging import open_saved
+from occmap.evidence.persistence import check_gap, check_passes, keep_lasting, list_forgotten
 from occmap.grid.lattice import Lattice
 from occmap.grid.observation import Observation, tabulate
 from occmap.grid.stacks import add_stack
-from occmap.manifest import describe_build, plan_manifest
-from occmap.merging import open_saved
-from occmap.persistence import check_gap, check_passes, keep_lasting, list_forgotten
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.readers import Log, Role, open_log, read_poses

@@ -293,7 +293,7 @@ class Manifest:
     model: str
     """The model to render with, unless the user wants another"""
     builds: tuple[dict[str, Any], ...]
-    """What was added: inputs with sizes and hashes, options, scans; see `occmap.manifest`"""
+    """What was added: inputs and their hashes, options, scans; see `occmap.evidence.manifest`"""
     subtracted: tuple[dict[str, Any], ...] = ()
     """What was taken away that no entry of `builds` stands for"""
 

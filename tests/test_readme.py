@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 from ruamel.yaml import YAML
 
-from occmap.measures import BUILD, CHECK, COMPARE, DIFF, SAVED, Measures
+from occmap.gates.measures import BUILD, CHECK, COMPARE, DIFF, SAVED, Measures
 from occmap.pipeline import BuildOptions, build
 from occmap.readers import Probe, Role
 from tests.samples import ROOT

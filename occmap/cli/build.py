@@ -14,7 +14,7 @@ from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.summary import format_report
 from occmap.errors import LogError, UsageError
 from occmap.gates import judge
-from occmap.measures import BUILD
+from occmap.gates.measures import BUILD
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
 from occmap.report import Report
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from occmap.cli.summary import LABEL
 from occmap.explanation import BuildVisits, Explanation, describe_numbers
+from occmap.explanation.provenance import shorten
+from occmap.explanation.sightings import Numbers, Sighting, add_up
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
-from occmap.provenance import shorten
-from occmap.sightings import Numbers, Sighting, add_up
 from occmap.wording import count
 
 MOST_SCANS = 12

@@ -13,8 +13,8 @@ from occmap.cli.findings import format_inspection
 from occmap.cli.sections import SectionCommand, join
 from occmap.errors import UsageError
 from occmap.gates import judge
+from occmap.gates.measures import CHECK
 from occmap.inspection import inspect
-from occmap.measures import CHECK
 from occmap.pipeline import BuildOptions
 from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions

@@ -16,7 +16,7 @@ from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.errors import UsageError
 from occmap.gates import judge
-from occmap.measures import COMPARE
+from occmap.gates.measures import COMPARE
 from occmap.pipeline import BuildOptions
 from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions

@@ -12,11 +12,11 @@ from occmap.cli.console import Console
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.summary import LABEL
 from occmap.cli.values import parse_share, read_by
-from occmap.comparison import Comparison, compare_maps, paint
+from occmap.difference import Comparison, compare_maps, paint
+from occmap.difference.maps import load_map
 from occmap.errors import UsageError
 from occmap.gates import Limit, judge
-from occmap.maps import load_map
-from occmap.measures import DIFF
+from occmap.gates.measures import DIFF
 from occmap.wording import count
 from occmap.writers import WriteOptions
 from occmap.writers.atomic import check_target

@@ -10,7 +10,7 @@ from occmap.cli.sections import Command, option
 from occmap.cli.values import read_by
 from occmap.errors import OccmapError
 from occmap.gates import SHARE, Failed, parse_limit
-from occmap.measures import Measures
+from occmap.gates.measures import Measures
 
 LIMITS = "Limits"
 LIMIT_NOT_MET = 3

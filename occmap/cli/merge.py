@@ -10,8 +10,8 @@ from occmap.cli.console import Console
 from occmap.cli.saved import put_out, refuse_no_output
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.errors import UsageError
-from occmap.measures import SAVED
-from occmap.merging import merge, subtract
+from occmap.evidence.merging import merge, subtract
+from occmap.gates.measures import SAVED
 from occmap.writers.npz import read_evidence
 
 HELP = f"""{COMMANDS["merge"]}

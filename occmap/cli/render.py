@@ -12,7 +12,7 @@ from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.values import read_by, read_list
 from occmap.errors import UsageError
 from occmap.evidence import Box
-from occmap.measures import SAVED
+from occmap.gates.measures import SAVED
 from occmap.writers.npz import read_evidence
 
 HELP = f"""{COMMANDS["render"]}

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from occmap.gates import COUNT
-from occmap.measures import BUILD, CHECK, COMPARE, DIFF, SAVED, Measures
+from occmap.gates.measures import BUILD, CHECK, COMPARE, DIFF, SAVED, Measures
 from tests.cli.runner import occmap, read_error
 from tests.samples import write_csv
 

@@ -9,10 +9,10 @@ import pytest
 
 from occmap.batching import Selection
 from occmap.errors import LogError, PoseError
-from occmap.merging import merge
+from occmap.evidence.merging import merge
+from occmap.explanation.provenance import Use, find_uses, list_logs, list_missing
 from occmap.pipeline import BuildOptions, build
 from occmap.posing.options import PosingOptions
-from occmap.provenance import Use, find_uses, list_logs, list_missing
 from occmap.types import Evidence
 from occmap.writers.npz import read_evidence
 from tests.samples import SAMPLE_LOGS, write_csv

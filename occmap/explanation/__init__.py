@@ -9,13 +9,13 @@ import numpy as np
 
 from occmap.errors import UsageError
 from occmap.evidence import list_notes, refuse_other_profile, to_grid, weigh
+from occmap.evidence.persistence import check_passes, weigh_visits
+from occmap.explanation.history import CellHistory, Visits, look_at
+from occmap.explanation.provenance import Use, find_uses, list_logs, list_missing, shorten
+from occmap.explanation.sightings import Numbers, Sighting, add_up, find_sightings
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
-from occmap.history import CellHistory, Visits, look_at
-from occmap.persistence import check_passes, weigh_visits
 from occmap.pipeline import Progress, ignore_progress
-from occmap.provenance import Use, find_uses, list_logs, list_missing, shorten
 from occmap.sensor.models import SensorModel, describe_model, parse_model
-from occmap.sightings import Numbers, Sighting, add_up, find_sightings
 from occmap.types import Evidence, OccupancyMap, to_log_odds
 from occmap.wording import count
 from occmap.writers import WriteOptions

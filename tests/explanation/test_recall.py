@@ -11,11 +11,11 @@ import pytest
 
 from occmap.batching import Selection
 from occmap.errors import MapError
-from occmap.manifest import NO_OPTIONS, describe_build
+from occmap.evidence.manifest import NO_OPTIONS, describe_build
+from occmap.explanation.recall import recall_options
 from occmap.pipeline import BuildOptions
 from occmap.posing.options import Deskew, PosingOptions, Stamps
 from occmap.readers.options import Echo, ReaderOptions
-from occmap.recall import recall_options
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import Pose, PoseSample, Update

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from occmap.gates import COUNT, SHARE, Measure
 
 if TYPE_CHECKING:  # each command makes one kind of result, and need not load what makes the others
-    from occmap.comparison import Comparison
+    from occmap.difference import Comparison
     from occmap.inspection.findings import Inspection, ScanFindings
     from occmap.report import Report
     from occmap.scoring.compare import Comparison as Contest

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from occmap.blobs import find_largest_blob
+from occmap.difference.blobs import find_largest_blob
+from occmap.difference.maps import CellClass, ClassMap, Place
 from occmap.errors import MapError
-from occmap.maps import CellClass, ClassMap, Place
 from occmap.types import UInt8
 
 MAX_CELLS = 10**9

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from occmap.errors import UsageError
+from occmap.evidence.merging import merge
+from occmap.explanation.history import Visits, look_at
 from occmap.grid.tiles import EvidenceKind
-from occmap.history import Visits, look_at
-from occmap.merging import merge
 from occmap.pipeline import BuildOptions, build
 from occmap.sensor.models import parse_model
 from occmap.types import Evidence

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from occmap.difference.maps import CellClass, Place, load_map
 from occmap.errors import MapError, UsageError
-from occmap.maps import CellClass, Place, load_map
 from occmap.types import UInt8
 from occmap.writers import MapMode, WriteOptions, Writer
 from occmap.writers.pgm import PgmWriter

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from occmap.errors import LogError, PoseError
-from occmap.manifest import describe_files
+from occmap.evidence.manifest import describe_files
+from occmap.explanation.recall import recall_options
 from occmap.pipeline import BuildOptions
-from occmap.recall import recall_options
 from occmap.types import Evidence
 
 MOST_NAMES = 5

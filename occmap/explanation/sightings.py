@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.batching import Batcher
-from occmap.history import CellHistory
+from occmap.explanation.history import CellHistory
+from occmap.explanation.provenance import Use
 from occmap.pipeline import Progress, choose_topics, count_scans, make_poser, plan_observation
 from occmap.posing.options import Stamps
-from occmap.provenance import Use
 from occmap.readers import Log, open_log
 from occmap.sensor.returns import interpret
 from occmap.types import Int64, PosedScans

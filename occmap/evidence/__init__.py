@@ -9,11 +9,11 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from occmap.errors import MapError
+from occmap.evidence.manifest import describe_profile
+from occmap.evidence.persistence import check_passes, keep_lasting, list_forgotten
 from occmap.grid.lattice import Lattice
 from occmap.grid.stacks import add_stack, stack_tiles
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid
-from occmap.manifest import describe_profile
-from occmap.persistence import check_passes, keep_lasting, list_forgotten
 from occmap.report import Report, Resumed, list_unreached, measure_shares
 from occmap.sensor.bounds import Clamped
 from occmap.sensor.models import RadialModel, SensorModel, describe_model, parse_model

@@ -10,15 +10,15 @@ import pytest
 
 from occmap.errors import MapError
 from occmap.evidence import Box, RenderOptions, crop, publish, render_saved, weigh
-from occmap.manifest import describe_files
+from occmap.evidence.manifest import describe_files
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
 from occmap.sensor.models import SimpleModel, parse_model
 from occmap.sensor.returns import ReturnCounts
 from occmap.types import OccupancyMap, Update
 from occmap.writers.npz import read_evidence
+from tests.evidence.saving import DRIVE, choose, each_combination, save
 from tests.samples import SAMPLE_LOGS
-from tests.saving import DRIVE, choose, each_combination, save
 
 
 @each_combination

@@ -11,8 +11,9 @@ import pytest
 from occmap.batching import Selection
 from occmap.errors import MapError, UsageError
 from occmap.evidence import render_saved
+from occmap.evidence.merging import merge, subtract
 from occmap.explanation import Explanation, Question, explain
-from occmap.merging import merge, subtract
+from occmap.explanation.sightings import add_up
 from occmap.pipeline import BuildOptions, build
 from occmap.posing.options import Deskew, PosingOptions
 from occmap.sensor.models import (
@@ -22,7 +23,6 @@ from occmap.sensor.models import (
     SimpleModel,
     parse_model,
 )
-from occmap.sightings import add_up
 from occmap.types import Evidence, Update
 from occmap.writers import WriteOptions
 from occmap.writers.npz import read_evidence

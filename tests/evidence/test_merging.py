@@ -9,13 +9,12 @@ import pytest
 from occmap.batching import Selection
 from occmap.errors import MapError
 from occmap.evidence import RenderOptions, publish
+from occmap.evidence.merging import merge, subtract
 from occmap.grid.layers import unpack_cells
-from occmap.merging import merge, subtract
 from occmap.pipeline import BuildOptions, build
 from occmap.types import Int64, Times, Update
 from occmap.writers.npz import read_evidence
-from tests.samples import REAL_LOGS
-from tests.saving import (
+from tests.evidence.saving import (
     COMBINATIONS,
     DRIVE,
     MIDDLE_S,
@@ -25,6 +24,7 @@ from tests.saving import (
     save,
     write_bytes,
 )
+from tests.samples import REAL_LOGS
 
 
 def test_neither_half_is_empty() -> None:

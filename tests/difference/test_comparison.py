@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.comparison import ChangedBlob, Comparison, compare_maps, paint
+from occmap.difference import ChangedBlob, Comparison, compare_maps, paint
+from occmap.difference.maps import ClassMap, Place
 from occmap.errors import MapError
-from occmap.maps import ClassMap, Place
 
 AT_ZERO = Place(0.5, 0.0, 0.0)
 

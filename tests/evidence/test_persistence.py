@@ -12,15 +12,15 @@ import pytest
 
 from occmap.errors import MapError, UsageError
 from occmap.evidence import render_saved
+from occmap.evidence.persistence import keep_lasting, list_forgotten
 from occmap.grid.lattice import Lattice
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
-from occmap.persistence import keep_lasting, list_forgotten
 from occmap.pipeline import BuildOptions, build
 from occmap.sensor.models import parse_model
 from occmap.types import Times, Update
 from occmap.writers.npz import read_evidence
 from tests.cli.runner import occmap, read_error
-from tests.passing import LENGTH, WALLS_Y, Person, aim, write_passes
+from tests.evidence.passing import LENGTH, WALLS_Y, Person, aim, write_passes
 from tests.samples import write_csv
 
 PASSES = 3

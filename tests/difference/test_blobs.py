@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from occmap.blobs import Blob, find_largest_blob
+from occmap.difference.blobs import Blob, find_largest_blob
 from occmap.types import Bool
 
 
