@@ -149,8 +149,13 @@ def follow_the_comparison(log: str) -> None:
     program, *words = compared["command"]
     expect("it is a command line of occmap", found=program, wanted="occmap")
     made = call(*words)
-    named = f"{made['map']['update']} {made['map']['model'].partition(':')[0]}"
-    expect("it builds that variant", found=named, wanted=compared["best"])
+    best = compared["variants"][names.index(compared["best"])]
+    expect("it builds by that update", found=made["map"]["update"], wanted=best["update"])
+    name, _, chosen = best["model"].partition(":")
+    used, _, values = made["map"]["model"].partition(":")
+    expect("it builds by that model", found=used, wanted=name)
+    others = set(filter(None, chosen.split(","))) - set(values.split(","))
+    expect("... with all of its parameters", found=others, wanted=set())
 
 
 def fail_as_told(log: str) -> None:
