@@ -34,7 +34,8 @@ class Selection:
     topics
         The scan topics; empty: all.
     start_s, end_s
-        Seconds after the log's first scan.
+        Seconds after the log's first scan; the end is outside, so that a log that is cut at any
+        moment falls into parts that share no scan.
     stride
         Every so manieth scan of those in the time window.
     """
@@ -87,7 +88,7 @@ class Selector:
         if not (math.isfinite(scan.angle_min) and math.isfinite(scan.angle_increment)):
             return LeftOut.BAD_ANGLES
         seconds = (stamp_ns - self._first_ns) / 1e9
-        if not self.selection.start_s <= seconds <= self.selection.end_s:
+        if not self.selection.start_s <= seconds < self.selection.end_s:
             return LeftOut.TIME
         self._wanted += 1
         return LeftOut.STRIDE if (self._wanted - 1) % self.selection.stride else None

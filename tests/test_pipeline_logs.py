@@ -68,11 +68,20 @@ def test_mapping_a_log_twice_doubles_the_evidence(tmp_path: Path) -> None:
 def test_start_end_and_stride_choose_scans(tmp_path: Path) -> None:
     path = [(float(second), 0.05, QUARTER) for second in range(10)]
     log = write_csv(tmp_path / "log.csv", path, [0.3])
-    report = build([log], choose(Selection(start_s=2, end_s=6, stride=2))).report
+    report = build([log], choose(Selection(start_s=2, end_s=7, stride=2))).report
     # Of the seconds 2, 3, 4, 5 and 6 every second one.
     assert (report.scans_read, report.scans_used) == (10, 3)
     assert report.dropped == {"outside --start and --end": 5, "left out by --stride": 2}
     assert report.cells == (41, 4)
+
+
+@pytest.mark.parametrize("cut_s", [3, 3.5])
+def test_parts_that_meet_share_no_scan_and_lose_none(tmp_path: Path, cut_s: float) -> None:
+    path = [(float(second), 0.05, QUARTER) for second in range(10)]
+    log = write_csv(tmp_path / "log.csv", path, [0.3])
+    parts = Selection(end_s=cut_s), Selection(start_s=cut_s)
+    used = [build([log], choose(part)).report.scans_used for part in parts]
+    assert used == ([3, 7] if cut_s == 3 else [4, 6])
 
 
 def test_a_wild_pose_costs_no_memory_and_is_refused_by_its_extent(tmp_path: Path) -> None:

@@ -103,7 +103,7 @@ selection = join(
         default=-math.inf,
         help="Leave out scans before this time after the first.",
     ),
-    seconds(SCANS, "--end", "end_s", default=math.inf, help="... and after this."),
+    seconds(SCANS, "--end", "end_s", default=math.inf, help="... and from this time on."),
     option(
         SCANS, "--stride", type=int, metavar="N", default=1, help="Use every N-th of these scans."
     ),

@@ -96,7 +96,7 @@ def test_the_map_is_what_the_library_builds(tmp_path: Path) -> None:
 
 def test_the_report_is_aligned_and_says_what_was_done(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", [(float(second), 0, 0) for second in range(4)], [0.32])
-    words = ["--resolution", 0.1, "--end", 2, "-o", tmp_path / "m.pgm"]
+    words = ["--resolution", 0.1, "--end", 3, "-o", tmp_path / "m.pgm"]
     lines = occmap("build", "beam", log, *words).out.splitlines()
     assert lines[:6] == [
         "map      24 x 1 cells of 0.1 m, x 0 to 2.4 m, y 0 to 0.1 m",

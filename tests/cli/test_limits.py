@@ -13,7 +13,7 @@ from tests.cli.runner import occmap, read_error
 from tests.samples import write_csv
 
 COMMANDS: dict[str, tuple[list[str], Measures]] = {
-    "build": (["log.csv", "--end", "7", "-o", "m.png"], BUILD),
+    "build": (["log.csv", "--end", "8", "-o", "m.png"], BUILD),
     "check": (["log.csv"], CHECK),
     "compare": (["log.csv", "--model", "simple"], COMPARE),
     "render": (["log.npz", "-o", "m.png"], SAVED),
@@ -33,7 +33,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("limits")
     log = write_csv(folder / "log.csv", [(0.025, 0.025, 0.0)] * 10, [1.0, float("inf")], 0.3)
     assert occmap("build", log, "-o", folder / "log.npz").code == 0
-    assert occmap("build", log, "--end", 1, "-o", folder / "half.npz").code == 0
+    assert occmap("build", log, "--end", 2, "-o", folder / "half.npz").code == 0
     return folder
 
 
