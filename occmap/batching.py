@@ -1,7 +1,7 @@
 """From single scans to batches: the scans that are wanted, stacked by geometry."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
@@ -23,6 +23,15 @@ class LeftOut(StrEnum):
     BAD_ANGLES = "angles not finite"
     TIME = "outside --start and --end"
     STRIDE = "left out by --stride"
+
+
+NOT_ASKED_FOR = (LeftOut.TIME, LeftOut.STRIDE)
+"""The user's own choice: nothing is wrong with these scans, and none of them is lost."""
+
+
+def count_wanted(read: int, unused: Mapping[str, int]) -> int:
+    """Of the scans that were read, how many were asked for; the others are `unused`, by reason."""
+    return read - sum(unused.get(reason, 0) for reason in NOT_ASKED_FOR)
 
 
 @dataclass(frozen=True)

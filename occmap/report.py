@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from occmap.batching import count_wanted
 from occmap.errors import LogError, PoseError
 from occmap.readers import Log
 from occmap.sensor.bounds import Clamped
@@ -32,6 +33,11 @@ class Tally:
         self.beams = ReturnCounts()
         self.seconds: dict[str, float] = {}
         self._lock = Lock()
+
+    @property
+    def scans_wanted(self) -> int:
+        """Scans that the user asked for."""
+        return count_wanted(self.scans_read, self.dropped)
 
     def drop(self, reasons: dict[Any, int]) -> None:
         """Count scans that are not used, by reason."""
@@ -119,6 +125,11 @@ class Report:
     """How many builds the logs, scans and beams are of: in merged evidence more than one"""
     resumed: Resumed | None = None
     """What else is in the map: logs, scans and beams do not count it"""
+
+    @property
+    def scans_wanted(self) -> int:
+        """Scans that the user asked for."""
+        return count_wanted(self.scans_read, self.dropped)
 
     @property
     def undecided(self) -> float:

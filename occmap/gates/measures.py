@@ -12,7 +12,7 @@ from occmap.gates import COUNT, SHARE, Measure
 if TYPE_CHECKING:  # each command makes one kind of result, and need not load what makes the others
     from occmap.difference import Comparison
     from occmap.inspection.findings import Inspection, ScanFindings
-    from occmap.report import Report
+    from occmap.report import Report, Tally
     from occmap.scoring.compare import Comparison as Contest
 
 Measures = tuple[Measure[Any], ...]
@@ -21,6 +21,11 @@ Measures = tuple[Measure[Any], ...]
 def divide(part: float, whole: float) -> float:
     """A share; 0 of nothing."""
     return part / whole if whole else 0.0
+
+
+def share_dropped(scans: "Report | Tally") -> float:
+    """Measure the share of the scans asked for that are not used."""
+    return divide(scans.scans_wanted - scans.scans_used, scans.scans_wanted)
 
 
 def share_beams(kind: str) -> "Callable[[Report], float]":
@@ -38,8 +43,7 @@ SAVED: "tuple[Measure[Report], ...]" = (
     Measure("scans_read", COUNT, "scans in the logs", lambda report: report.scans_read),
     Measure("scans_used", COUNT, "scans in the map", lambda report: report.scans_used),
     Measure(
-        *("dropped_scans", SHARE, "of the scans read, those that are not used"),
-        lambda report: divide(report.scans_read - report.scans_used, report.scans_read),
+        "dropped_scans", SHARE, "of the scans asked for, those that are not used", share_dropped
     ),
     Measure("hits", SHARE, "of the beams, those that hit something", share_beams("hit")),
     Measure(
@@ -96,16 +100,16 @@ def share_ranges(inspection: "Inspection") -> float:
 
 
 def share_lost(inspection: "Inspection") -> float:
-    """Of all scans, those that a build with the same options would drop."""
+    """Of the scans asked for, those that a build with the same options would drop."""
     topics = list_topics(inspection)
-    scans, posed = sum(topic.scans for topic in topics), sum(each.poses.posed for each in topics)
-    return divide(scans - posed, scans)
+    wanted, posed = sum(topic.wanted for topic in topics), sum(each.poses.posed for each in topics)
+    return divide(wanted - posed, wanted)
 
 
 CHECK: "tuple[Measure[Inspection], ...]" = (
     Measure("scans_read", COUNT, "scans in the logs", sum_topics(lambda topic: topic.scans)),
     Measure("topics", COUNT, "topics with scans", lambda inspection: len(list_topics(inspection))),
-    Measure("dropped_scans", SHARE, "of the scans read, those that a build drops", share_lost),
+    Measure("dropped_scans", SHARE, "of the scans asked for, those that a build drops", share_lost),
     Measure("hits", SHARE, "of the ranges, those that measure something", share_ranges),
     Measure(
         *("largest_gap", "s", "longest time between two scans of a topic, in s"),
@@ -150,10 +154,8 @@ COMPARE: "tuple[Measure[Contest], ...]" = (
     Measure("scans_read", COUNT, "scans in the logs", lambda contest: contest.tally.scans_read),
     Measure("scans_used", COUNT, "scans with a pose", lambda contest: contest.tally.scans_used),
     Measure(
-        *("dropped_scans", SHARE, "of the scans read, those that are not used"),
-        lambda contest: divide(
-            contest.tally.scans_read - contest.tally.scans_used, contest.tally.scans_read
-        ),
+        *("dropped_scans", SHARE, "of the scans asked for, those that are not used"),
+        lambda contest: share_dropped(contest.tally),
     ),
     Measure(
         *("damage", COUNT, "notes of something lost in a log"),

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, is_dataclass
 from enum import Enum
 from typing import Any
 
+from occmap.batching import count_wanted
 from occmap.posing.coverage import Coverage
 from occmap.readers import Stream
 
@@ -141,6 +142,11 @@ class ScanFindings:
     times: TimeFindings
     poses: PoseFindings
     mount: MountFindings | None
+
+    @property
+    def wanted(self) -> int:
+        """Scans that the user asked for."""
+        return count_wanted(self.scans, self.left_out)
 
     @property
     def kept(self) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 
 from occmap.batching import (
     BATCH_BEAMS,
+    NOT_ASKED_FOR,
     Batcher,
     Geometry,
     LeftOut,
@@ -27,7 +28,6 @@ from occmap.posing.options import DropReason, Stamps
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Kind, Scan, ScanBatch
 
-NOT_ASKED_FOR = (LeftOut.TIME, LeftOut.STRIDE)
 MAX_SHAPES = 1000
 """Shapes that are told apart; a log whose every scan has another must not fill the memory."""
 

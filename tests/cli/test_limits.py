@@ -107,7 +107,7 @@ def measure(command: str, name: str, *more: str) -> float:
     [
         ("build", "scans_read", 10),
         ("build", "scans_used", 8),  # at 0 to 7 s
-        ("build", "dropped_scans", 0.2),
+        ("build", "dropped_scans", 0),
         ("build", "hits", 0.5),
         ("build", "no_return", 0.5),
         ("build", "cells", 21),  # one row from the sensor's cell to that of the wall
@@ -136,6 +136,19 @@ def measure(command: str, name: str, *more: str) -> float:
 )
 def test_what_is_measured(command: str, name: str, value: float) -> None:
     assert measure(command, name) == pytest.approx(value)
+
+
+@pytest.mark.parametrize("command", ["build", "check"])
+def test_dropped_are_scans_that_are_lost_and_not_those_that_nobody_asked_for(
+    command: str, folder: Path
+) -> None:
+    astray = (float("nan"), 0.0, 0.0)
+    path = [(0.025, 0.025, 0.0), astray, *[(0.025, 0.025, 0.0)] * 7, astray]
+    log = write_csv(folder / "astray.csv", path, [1.0])
+    words = [*(["-o", "m.png"] if command == "build" else []), "--end", "8", "--stride", "2"]
+    for start, share in (("0", 0), ("1", 0.25)):  # seconds 0, 2, 4, 6; then 1, 3, 5, 7
+        limit = f"dropped_scans != {share}"
+        assert occmap(command, log, *words, "--start", start, "--fail-if", limit).code == 0
 
 
 def test_files_and_result_come_before_the_limits() -> None:
