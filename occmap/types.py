@@ -311,10 +311,9 @@ class Times:
     last_ns: Int64
     """(N,) ... and of the last"""
     hit_visits: Int32
-    """(N,) runs of consecutive slices of time in which the cell was hit; 0 where the evidence has
-    no hits"""
+    """(N,) visits on which the cell was hit; 0 where the evidence has no hits"""
     seen_visits: Int32
-    """(N,) runs of consecutive slices of time in which the cell was observed at all"""
+    """(N,) visits: runs of consecutive slices of time in which the cell was observed"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

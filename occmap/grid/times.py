@@ -110,9 +110,15 @@ def unpack(words: UInt64) -> Bool:
 
 
 def count_visits(slices: dict[int, UInt64]) -> Int32:
-    """(2, BITS) how many runs of consecutive slices hit each cell, and how many saw it."""
+    """(2, BITS) visits of each cell that hit it, once or often, and visits that saw it."""
     visits = np.zeros((2, BITS), np.int32)
-    for slice_, bits in slices.items():
-        before = slices.get(slice_ - 1)
-        visits += unpack(bits if before is None else bits & ~before)
+    nothing = np.zeros(TILE, np.uint64)
+    going = was_hit = nothing  # visits that the slice before was of; those of them that hit so far
+    for slice_ in sorted(slices):
+        if slice_ - 1 not in slices:
+            going = was_hit = nothing
+        hit, seen = slices[slice_]
+        was_hit = was_hit & seen
+        visits += unpack(np.stack([hit & ~was_hit, seen & ~going]))
+        going, was_hit = seen, was_hit | hit
     return visits

@@ -143,7 +143,7 @@ def observe(cells: Sequence[tuple[int, int, int, int]]) -> tuple[TileGrid, Times
         ((9, 0, 1, 1), (0, 0)),  # without any: unknown
         ((9, 50, 2, 4), (9, 0)),  # on half of the visits: misses are forgotten
         ((9, 50, 2, 5), (9, 50)),  # on fewer: as the model says
-        ((9, 50, 3, 1), (9, 0)),  # one long visit with three hits apart
+        ((9, 50, 1, 1), (0, 50)),  # however often on one visit
         ((0, 50, 0, 7), (0, 50)),
     ],
 )

@@ -33,11 +33,18 @@ class Seen:
     seen: set[int] = field(default_factory=set)
 
     def sum_up(self) -> tuple[int, int, int, int]:
-        return min(self.stamps), max(self.stamps), count_runs(self.hit), count_runs(self.seen)
+        visits = list_runs(self.seen)
+        hit = sum(1 for visit in visits if visit & self.hit)
+        return min(self.stamps), max(self.stamps), hit, len(visits)
 
 
-def count_runs(slices: set[int]) -> int:
-    return sum(1 for each in slices if each - 1 not in slices)
+def list_runs(slices: set[int]) -> list[set[int]]:
+    runs: list[set[int]] = []
+    for slice_ in sorted(slices):
+        if slice_ - 1 not in slices:
+            runs.append(set())
+        runs[-1].add(slice_)
+    return runs
 
 
 Expected = dict[Cell, tuple[int, int, int, int]]
@@ -190,6 +197,38 @@ def test_two_visits_are_a_slice_apart(stamps: list[int], visits: int) -> None:
         (0, 1): (first, last, 0, visits),
         (0, 2): (first, last, visits, visits),
     }
+
+
+def look_both_ways(stamps: list[int], hits: list[int]) -> Rays:
+    """As `one_beam`, that at some of the times goes on through cell 2 and hits cell 4."""
+    rays = one_beam(stamps)
+    reach = np.where(np.isin(stamps, hits), 2.0, 4.0).astype(np.float32)
+    return Rays.along(
+        np.full((len(stamps), 1, 2), 0.5),
+        np.tile([1.0, 0.0], (len(stamps), 1, 1)),
+        reach[:, None],
+        rays.kind,
+        rays.stamp_ns,
+        full_circle=False,
+    )
+
+
+@pytest.mark.parametrize(
+    ("hits", "visits"),
+    [
+        ([0], 1),
+        ([0, 40], 1),  # in between the cell was seen, and it was free: the same visit
+        ([10, 20, 40], 1),
+        ([40, 100], 2),
+        ([110], 1),
+        ([], 0),
+    ],
+)
+def test_a_visit_that_hits_again_and_again_is_one(hits: list[int], visits: int) -> None:
+    what = replace(all_observations(1.0)[0], slice_ns=SLICE)
+    stamps = [0, 10, 20, 30, 40, 100, 110]
+    found, _ = time(what, [look_both_ways(stamps, hits)])
+    assert found[0, 2] == (0, 110, visits, 2)
 
 
 def test_every_stamp_that_there_can_be_is_kept() -> None:
