@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from occmap.errors import MapError, UsageError
-from occmap.evidence import MAX_CELLS, render_saved
-from occmap.sensor.models import parse_model
+from occmap.evidence import MAX_CELLS, read_model, render_saved
 from occmap.types import Bool, Int64, UInt8
 from occmap.writers import MapMode, WriteOptions
 from occmap.writers.npz import read_evidence
@@ -131,7 +130,7 @@ def load_evidence(path: Path, thresholds: WriteOptions) -> ClassMap:
         It cannot be read, or is damaged.
     """
     evidence = read_evidence(path)
-    grid = render_saved(evidence, parse_model(evidence.manifest.model), MAX_CELLS)
+    grid = render_saved(evidence, read_model(evidence), MAX_CELLS)
     classes = np.full(grid.shape, CellClass.NEITHER, np.uint8)
     classes[grid.is_free(thresholds.free_thresh)] = CellClass.FREE
     classes[grid.is_occupied(thresholds.occupied_thresh)] = CellClass.OCCUPIED

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from occmap.errors import MapError
+from occmap.errors import MapError, OccmapError
 from occmap.evidence.manifest import describe_profile
 from occmap.evidence.persistence import check_passes, keep_lasting, list_forgotten
 from occmap.grid.lattice import Lattice
@@ -122,7 +122,7 @@ def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path])
         As `render_saved`, or an output cannot be written.
     """
     check_outputs(outputs)
-    model = options.model or parse_model(evidence.manifest.model)
+    model = options.model or read_model(evidence)
     grid = render_saved(evidence, model, options.max_cells, options.min_passes)
     if options.crop:
         grid = crop(grid, options.crop)
@@ -137,6 +137,24 @@ def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path])
         *list_forgotten(evidence.times, options.min_passes),
     )
     return replace(report, notes=notes, files=tuple(files), min_passes=options.min_passes)
+
+
+def read_model(evidence: Evidence) -> SensorModel:
+    """Make the model that evidence was built with.
+
+    Raises
+    ------
+    MapError
+        It is not installed, or another version of it is.
+    """
+    try:
+        return parse_model(evidence.manifest.model)
+    except OccmapError as error:
+        raise MapError(
+            f"its model {evidence.manifest.model!r} cannot be made ({error.found})",
+            where=evidence.where,
+            fix="give another with --model, or install what has it",
+        ) from None
 
 
 def keep(grid: TileGrid, manifest: Manifest, times: tuple[Times, ...]) -> Evidence:

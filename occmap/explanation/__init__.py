@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from occmap.errors import UsageError
-from occmap.evidence import list_notes, refuse_other_profile, to_grid, weigh
+from occmap.evidence import list_notes, read_model, refuse_other_profile, to_grid, weigh
 from occmap.evidence.persistence import check_passes, weigh_visits
 from occmap.explanation.history import CellHistory, Visits, look_at
 from occmap.explanation.provenance import Use, find_uses, list_logs, list_missing, shorten
 from occmap.explanation.sightings import Numbers, Sighting, add_up, find_sightings
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.pipeline import Progress, ignore_progress
-from occmap.sensor.models import SensorModel, describe_model, parse_model
+from occmap.sensor.models import SensorModel, describe_model
 from occmap.types import Evidence, OccupancyMap, to_log_odds
 from occmap.wording import count
 from occmap.writers import WriteOptions
@@ -118,7 +118,7 @@ def explain(
         The point is in no map, the model cannot read the evidence, a log cannot be read or is none
         that the evidence was made of, or a trajectory is missing.
     """
-    model = question.model or parse_model(evidence.manifest.model)
+    model = question.model or read_model(evidence)
     refuse_other_profile(evidence, model)
     check_passes(question.min_passes, model)
     if question.poses and not question.logs:

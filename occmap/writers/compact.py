@@ -58,6 +58,8 @@ def unpack_times(arrays: Arrays) -> tuple[Times, ...]:
     LookupError, ValueError
         The arrays do not fit each other.
     """
+    if min(arrays[name].min(initial=0) for name in ("first_seen", "last_seen")) < 0:
+        raise ValueError("stamps")
     tiles, cells = (np.cumsum(sizes) for sizes in arrays["layers"].T)  # where each layer ends
     columns = (
         np.split(arrays["time_tiles"], tiles),

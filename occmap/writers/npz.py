@@ -45,6 +45,7 @@ from occmap.errors import MapError
 from occmap.types import Bool, Evidence, Manifest, UInt8
 from occmap.writers.atomic import open_atomic
 from occmap.writers.compact import TIME_ARRAYS, Arrays, narrow, pack_times, unpack_times
+from occmap.writers.soundness import find_fault
 
 FORMAT, VERSION = "occmap evidence", 2
 SIDE = 64
@@ -151,9 +152,11 @@ def load(path: Path, file: Any) -> tuple[dict[str, Any], Arrays]:
         if "manifest.npy" not in archive.namelist():
             raise MapError("an .npz, but no evidence of occmap", where=path)
         head = json.loads(read_array(archive, "manifest").tobytes())
-        if head["format"] != FORMAT or head["version"] > VERSION:
+        if head["format"] != FORMAT:
+            raise MapError(f"holds {head['format']!r}, and no evidence of occmap", where=path)
+        if head["version"] > VERSION:
             raise MapError(
-                f"{head['format']} of version {head['version']}, while this occmap reads {VERSION}",
+                f"{FORMAT} of version {head['version']}, while this occmap reads {VERSION}",
                 where=path,
                 fix="use a newer occmap",
             )
@@ -186,7 +189,7 @@ def unpack(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidence:
     Raises
     ------
     MapError
-        The checksum does not fit.
+        The checksum does not fit, or what it is of is no evidence.
     """
     if head["checksum"] != sum_up(head, arrays):
         raise MapError(
@@ -203,4 +206,8 @@ def unpack(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidence:
     manifest, times = Manifest(**{**fields, **lists}), unpack_times(arrays)
     if len(times) != len(manifest.builds):
         raise ValueError("layers")
-    return Evidence(manifest, arrays["tiles"], cells, times, str(path))
+    evidence = Evidence(manifest, arrays["tiles"], cells, times, str(path))
+    fault = find_fault(evidence)
+    if fault:
+        raise MapError(f"is not what occmap writes: {fault}", where=path, fix="build it again")
+    return evidence

@@ -15,7 +15,13 @@ from occmap.types import Bool, Evidence, Manifest, Times
 from occmap.writers.compact import TIME_ARRAYS, narrow
 from occmap.writers.npz import SIDE, NpzWriter, add_array, read_evidence
 
-MANIFEST = Manifest(0.05, "beam", "counts", "", "simple:prior=0.5", ({"inputs": []}, {}))
+BUILD = {
+    "occmap": "0.1.0",
+    "inputs": [{"name": "log.csv", "bytes": 3, "sha256": "ab"}],
+    "options": {"model": "simple", "selection": {}, "posing": {"poses": None}},
+    "scans": {"read": 2, "used": 1, "dropped": {"no beams": 1}, "beams": {"hit": 3}},
+}
+MANIFEST = Manifest(0.05, "beam", "counts", "", "simple:prior=0.5", (BUILD, BUILD))
 START_NS = 1_700_000_000_123_456_789
 
 
@@ -79,7 +85,7 @@ def test_times_of_no_build_and_of_the_whole_range_of_stamps(tmp_path: Path) -> N
     (some, _) = SMALL.times
     wide = replace(some, first_ns=np.array([limits.min, 0, 1]), last_ns=np.full(3, limits.max))
     for times in ((), (NO_TIMES,), (NO_TIMES, wide, NO_TIMES, some)):
-        manifest = replace(MANIFEST, builds=({},) * len(times))
+        manifest = replace(MANIFEST, builds=(BUILD,) * len(times))
         evidence = replace(SMALL, manifest=manifest, times=times)
         assert_equal_times(read_evidence(write(tmp_path / "m.npz", evidence)), evidence)
 
@@ -220,7 +226,7 @@ def test_what_was_altered_on_purpose_is_refused(tmp_path: Path) -> None:
             '{"format": "occmap evidence", "version": 1}',
             "occmap evidence of an older occmap, without times (version 1); build it again",
         ),
-        ('{"format": "else", "version": 1}', "else of version 1"),
+        ('{"format": "else", "version": 1}', "holds 'else', and no evidence of occmap"),
     ],
 )
 def test_other_manifests_are_refused(tmp_path: Path, manifest: str, found: str) -> None:

@@ -1,0 +1,96 @@
+"""What evidence must be beyond a checksum that fits, since others may write this format, too."""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from occmap.types import Evidence, Int64, Manifest, Times, Update
+
+COUNTS, LOG_ODDS = "counts", "log_odds"
+FARTHEST_TILE = 1 << 38
+"""Cells beyond it have no coordinates that a float could hold."""
+
+BUILD = {
+    "occmap": str,
+    "inputs": [{"name": str, "sha256": str}],
+    "options": {"selection": {}, "posing": {"poses": (str, type(None))}},
+    "scans": {"read": int, "used": int, "dropped": {str: int}, "beams": {str: int}},
+}
+"""What an entry of `Manifest.builds` holds at least: {name: ...}, {str: any number of ...}, [one or
+more of ...], and types."""
+
+
+def find_fault(evidence: Evidence) -> str | None:
+    """Say what is wrong with evidence; None where it is as occmap writes it."""
+    return next(list_faults(evidence), None)
+
+
+def list_faults(evidence: Evidence) -> Iterator[str]:
+    """List what is wrong; what comes first is what the rest relies on."""
+    manifest = evidence.manifest
+    yield from list_manifest_faults(manifest)
+    if not are_tiles(evidence.tiles):
+        yield "its tiles are not in ascending order, or too far away"
+    if not are_observations(evidence.cells, manifest.kind):
+        yield "its cells hold what no observation makes"
+    if not all(are_times(times) for times in evidence.times):
+        yield "its times do not fit each other"
+
+
+def list_manifest_faults(manifest: Manifest) -> Iterator[str]:
+    """List values that occmap does not know what to do with."""
+    size = manifest.resolution
+    if not isinstance(size, int | float) or not 0 < size < math.inf:
+        yield f"its resolution is {size!r}"
+    if manifest.kind not in (COUNTS, LOG_ODDS):
+        yield f"its kind is {manifest.kind!r}"
+    if manifest.update not in list(Update):
+        yield f"its update is {manifest.update!r}"
+    if not (isinstance(manifest.profile, str) and isinstance(manifest.model, str)):
+        yield "its model is no text"
+    if bool(manifest.profile) != (manifest.kind == LOG_ODDS):
+        yield f"its profile is {manifest.profile!r}, and its kind {manifest.kind}"
+    if not all(fits(build, BUILD) for build in (*manifest.builds, *manifest.subtracted)):
+        yield "its manifest does not say what it was made of"
+
+
+def fits(value: Any, shape: Any) -> bool:
+    """Whether a value of JSON has a shape, such as BUILD."""
+    if isinstance(shape, list):
+        return isinstance(value, list) and bool(value) and all(fits(v, shape[0]) for v in value)
+    if not isinstance(shape, dict):
+        return isinstance(value, shape)
+    if not isinstance(value, dict):
+        return False
+    if str in shape:
+        return all(fits(each, shape[str]) for each in value.values())
+    return all(name in value and fits(value[name], inner) for name, inner in shape.items())
+
+
+def are_tiles(tiles: Int64) -> bool:
+    """Whether these are rows and columns (T, 2) of tiles, each once and in order."""
+    if tiles.ndim != 2 or tiles.shape[1] != 2 or tiles.dtype.str != "<i8":
+        return False
+    if (tiles >= FARTHEST_TILE).any() or (tiles <= -FARTHEST_TILE).any():
+        return False
+    rows, cols = np.diff(tiles, axis=0).T
+    return bool(((rows > 0) | ((rows == 0) & (cols > 0))).all())
+
+
+def are_observations(cells: Int64, kind: str) -> bool:
+    """Whether scans can have made the two numbers of every cell (T, 2, 64, 64)."""
+    first, second = cells[:, 0], cells[:, 1]
+    if second.min(initial=0) < 0:
+        return False
+    if kind == COUNTS:
+        return bool(first.min(initial=0) >= 0)
+    return not first[second == 0].any()  # log-odds may be negative, but not of nothing
+
+
+def are_times(times: Times) -> bool:
+    """Whether no cell was seen for the last time before the first, or hit without being seen."""
+    ordered = bool((times.first_ns <= times.last_ns).all())
+    visits = (times.hit_visits >= 0) & (times.hit_visits <= times.seen_visits)
+    return ordered and are_tiles(times.tiles) and bool((visits & (times.seen_visits > 0)).all())
