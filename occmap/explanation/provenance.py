@@ -1,7 +1,7 @@
 """Which builds of evidence a log went into: found by its hash, not its name."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -45,8 +45,7 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Sequence[Path]) -
     given = {digest: path for path in poses for digest in hash_files(path)}
     uses: list[Use] = []
     wanted: set[str] = set()
-    for log in dict.fromkeys(logs):
-        hashes = hash_files(log)
+    for log, hashes in list_distinct(logs):
         counts = [count_uses(hashes, build) for build in evidence.manifest.builds]
         if not any(counts):
             refuse_stranger(evidence, log)
@@ -61,6 +60,22 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Sequence[Path]) -
                 uses += [Use(log, index, options)] * times
     refuse_idle([path for digest, path in given.items() if digest not in wanted])
     return uses
+
+
+def list_distinct(logs: Iterable[Path]) -> Iterator[tuple[Path, Counter[str]]]:
+    """List logs with their hashes; of copies, only the first: to a build they are one.
+
+    Raises
+    ------
+    LogError
+        A file cannot be read.
+    """
+    known: list[Counter[str]] = []
+    for log in logs:
+        hashes = hash_files(log)
+        if hashes not in known:
+            known.append(hashes)
+            yield log, hashes
 
 
 def hash_files(path: Path) -> Counter[str]:

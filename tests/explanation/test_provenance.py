@@ -69,6 +69,13 @@ def test_a_log_that_counted_twice_is_found_twice_and_given_twice_once() -> None:
     assert name_uses(find(evidence, "a.csv", "a.csv")) == [("a.csv", 0)] * 2
 
 
+def test_copies_of_a_log_are_one() -> None:
+    shutil.copy("a.csv", "copy.csv")
+    assert name_uses(find(save("a.csv"), "copy.csv", "a.csv", "./a.csv")) == [("copy.csv", 0)]
+    both = save("a.csv", "copy.csv")
+    assert name_uses(find(both, "a.csv", "copy.csv")) == [("a.csv", 0)] * 2
+
+
 def test_a_folder_is_known_by_its_files(tmp_path: Path) -> None:
     shutil.copytree(SAMPLE_LOGS / "drive_ros2", tmp_path / "drive")
     evidence = save("drive", "a.csv")
