@@ -4,13 +4,14 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from occmap.errors import MapError, OccmapError
 from occmap.evidence.manifest import describe_profile
 from occmap.evidence.persistence import check_passes, keep_lasting, list_forgotten
+from occmap.evidence.repetition import list_repeated
 from occmap.grid.lattice import Lattice
 from occmap.grid.stacks import add_stack, stack_tiles
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid
@@ -192,26 +193,9 @@ def refuse_other_profile(evidence: Evidence, model: SensorModel) -> None:
 
 def list_notes(manifest: Manifest) -> Iterator[str]:
     """Say what a reader of evidence should know of it."""
-    yield from (f"{name} is in it twice" for name in list_repeated(manifest))
+    yield from list_repeated(manifest.builds)
     if manifest.subtracted:
         yield "something else than a whole build was subtracted: times and visits are bounds"
-
-
-def list_repeated(manifest: Manifest) -> list[str]:
-    """Names of inputs that are in more than one build of evidence: their scans count twice.
-
-    Parts of one log are built apart by --start, --end, --stride or --scan-topic: with other
-    options for the scans it is no repetition.
-    """
-    seen: list[tuple[Any, Any]] = []
-    repeated = []
-    for build in manifest.builds:
-        for entry in build["inputs"]:
-            key = (entry["sha256"], build["options"]["selection"])
-            if key in seen:
-                repeated.append(str(entry["name"]))
-            seen.append(key)
-    return repeated
 
 
 def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> Report:

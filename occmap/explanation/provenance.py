@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from occmap.errors import LogError, PoseError
-from occmap.evidence.manifest import describe_files
+from occmap.evidence.manifest import Build, describe_files, find_trajectory, list_inputs
 from occmap.explanation.recall import recall_options
 from occmap.pipeline import BuildOptions
 from occmap.types import Evidence
 
 MOST_NAMES = 5
-Build = dict[str, Any]
-"""An entry of `Manifest.builds`"""
 
 
 @dataclass(frozen=True)
@@ -93,17 +91,6 @@ def count_uses(hashes: Counter[str], build: Build) -> int:
     """How many times a build read the log that has these hashes."""
     held = Counter(entry["sha256"] for entry in list_inputs(build))
     return min((held[digest] // count for digest, count in hashes.items()), default=0)
-
-
-def find_trajectory(build: Build) -> dict[str, Any] | None:
-    """Find the entry of the trajectory file: the last input, where poses are of its name."""
-    last: dict[str, Any] = build["inputs"][-1]
-    return last if last["name"] == build["options"]["posing"]["poses"] else None
-
-
-def list_inputs(build: Build) -> list[dict[str, Any]]:
-    """List the entries of a build's logs, without its trajectory."""
-    return list(build["inputs"][:-1] if find_trajectory(build) else build["inputs"])
 
 
 def list_logs(build: Build) -> list[str]:

@@ -12,14 +12,16 @@ COUNTS, LOG_ODDS = "counts", "log_odds"
 FARTHEST_TILE = 1 << 38
 """Cells beyond it have no coordinates that a float could hold."""
 
+SECONDS = (float, int, "inf", "-inf")
+SELECTION = {"start_s": SECONDS, "end_s": SECONDS, "stride": int, "topics": list}
 BUILD = {
     "occmap": str,
     "inputs": [{"name": str, "sha256": str}],
-    "options": {"selection": {}, "posing": {"poses": (str, type(None))}},
+    "options": {"selection": SELECTION, "posing": {"poses": (str, type(None))}},
     "scans": {"read": int, "used": int, "dropped": {str: int}, "beams": {str: int}},
 }
 """What an entry of `Manifest.builds` holds at least: {name: ...}, {str: any number of ...}, [one or
-more of ...], and types."""
+more of ...], (one of ...), types, and texts as they are."""
 
 
 def find_fault(evidence: Evidence) -> str | None:
@@ -60,8 +62,10 @@ def fits(value: Any, shape: Any) -> bool:
     """Whether a value of JSON has a shape, such as BUILD."""
     if isinstance(shape, list):
         return isinstance(value, list) and bool(value) and all(fits(v, shape[0]) for v in value)
+    if isinstance(shape, tuple):
+        return any(fits(value, each) for each in shape)
     if not isinstance(shape, dict):
-        return isinstance(value, shape)
+        return isinstance(value, shape) if isinstance(shape, type) else value == shape
     if not isinstance(value, dict):
         return False
     if str in shape:

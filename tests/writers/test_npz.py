@@ -15,10 +15,11 @@ from occmap.types import Bool, Evidence, Manifest, Times
 from occmap.writers.compact import TIME_ARRAYS, narrow
 from occmap.writers.npz import SIDE, NpzWriter, add_array, read_evidence
 
+SELECTION = {"topics": [], "start_s": "-inf", "end_s": 2.5, "stride": 1}
 BUILD = {
     "occmap": "0.1.0",
     "inputs": [{"name": "log.csv", "bytes": 3, "sha256": "ab"}],
-    "options": {"model": "simple", "selection": {}, "posing": {"poses": None}},
+    "options": {"model": "simple", "selection": SELECTION, "posing": {"poses": None}},
     "scans": {"read": 2, "used": 1, "dropped": {"no beams": 1}, "beams": {"hit": 3}},
 }
 MANIFEST = Manifest(0.05, "beam", "counts", "", "simple:prior=0.5", (BUILD, BUILD))

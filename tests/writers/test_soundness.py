@@ -12,7 +12,7 @@ from occmap.grid.tiles import EvidenceKind
 from occmap.types import Evidence
 from occmap.writers.npz import read_evidence
 from occmap.writers.soundness import COUNTS, LOG_ODDS, find_fault
-from tests.writers.test_npz import BUILD, MANIFEST, NO_TIMES, SMALL, write
+from tests.writers.test_npz import BUILD, MANIFEST, NO_TIMES, SELECTION, SMALL, write
 
 LAYER = SMALL.times[0]
 
@@ -57,7 +57,15 @@ def test_what_occmap_may_write_is_sound(changed: dict[str, Any]) -> None:
                 {**BUILD, "inputs": []},
                 {**BUILD, "inputs": [{"name": "log.csv"}]},
                 {**BUILD, "inputs": {"name": "log.csv", "sha256": "ab"}},
-                {**BUILD, "options": {"selection": {}, "posing": {"poses": 1}}},
+                {**BUILD, "options": {"selection": SELECTION, "posing": {"poses": 1}}},
+                {**BUILD, "options": {"selection": {}, "posing": {"poses": None}}},
+                {
+                    **BUILD,
+                    "options": {
+                        "selection": {**SELECTION, "end_s": "soon"},
+                        "posing": {"poses": None},
+                    },
+                },
                 {**BUILD, "scans": {"read": 2, "used": 1, "dropped": {"x": "y"}, "beams": {}}},
                 {**BUILD, "scans": {"read": 2, "used": 1, "dropped": [], "beams": {}}},
             )

@@ -1,0 +1,64 @@
+"""Logs that count twice: the same file by its hash, and scans that two builds share."""
+
+from typing import Any
+
+import pytest
+
+from occmap.evidence.repetition import list_repeated
+
+ALL = {"topics": [], "start_s": "-inf", "end_s": "inf", "stride": 1}
+
+
+def build_of(*names: str, poses: str | None = None, **selection: Any) -> dict[str, Any]:
+    """A build of files, each with its name for a hash, of which the last may be a trajectory."""
+    inputs = [{"name": name, "sha256": f"sha of {name}"} for name in names]
+    return {
+        "inputs": inputs,
+        "options": {"selection": ALL | selection, "posing": {"poses": poses}},
+    }
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "part"),
+    [
+        ({}, {}, ""),
+        ({"end_s": 40.0}, {"end_s": 40.0}, ""),
+        ({"stride": 2}, {"stride": 2}, ""),
+        ({}, {"end_s": 40.0}, ", in part"),
+        ({"end_s": 40.0}, {"start_s": 39.9}, ", in part"),
+        ({}, {"stride": 2}, ", in part"),
+        ({}, {"topics": ["/a"]}, ", in part"),
+        ({"topics": ["/a", "/b"]}, {"topics": ["/b"]}, ", in part"),
+    ],
+)
+def test_shared_scans_count_twice(one: dict[str, Any], other: dict[str, Any], part: str) -> None:
+    for first, second in ((one, other), (other, one)):
+        builds = [build_of("a.csv", "b.csv", **first), build_of("b.csv", "c.csv", **second)]
+        assert list(list_repeated(builds)) == [f"b.csv is in it twice{part}"]
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ({"end_s": 40.0}, {"start_s": 40.0}),  # the end is outside
+        ({"start_s": 10, "end_s": 20}, {"start_s": 30}),
+        ({"topics": ["/a"]}, {"topics": ["/b"]}),
+        ({"stride": 2}, {"stride": 2, "start_s": 0.1}),  # they may take turns
+    ],
+)
+def test_parts_that_share_no_scan_are_no_repetition(
+    one: dict[str, Any], other: dict[str, Any]
+) -> None:
+    assert list(list_repeated([build_of("a.csv", **one), build_of("a.csv", **other)])) == []
+
+
+def test_a_log_is_named_once_however_often_it_counts() -> None:
+    twice = build_of("a.csv", "a.csv")
+    assert list(list_repeated([twice])) == ["a.csv is in it twice"]
+    assert list(list_repeated([twice, twice, build_of("a.csv")])) == ["a.csv is in it twice"]
+    assert list(list_repeated([])) == []
+
+
+def test_logs_that_share_a_trajectory_are_not_the_same() -> None:
+    builds = [build_of(name, "path.txt", poses="path.txt") for name in ("a.csv", "b.csv")]
+    assert list(list_repeated(builds)) == []
