@@ -17,7 +17,8 @@ from occmap.writers.npz import read_evidence
 HELP = f"""{COMMANDS["merge"]}
 
 The sum has the same cells as one build of all the logs, whatever the order; what is subtracted
-leaves no trace. All must have one resolution, update and kind of model.
+leaves no trace. All must have one resolution, update and kind of model. Visits, which --min-passes
+counts, add up: one that goes on from one build to the next is two.
 
 \b
   occmap merge monday.npz tuesday.npz -o both.npz
