@@ -48,13 +48,15 @@ class CsvReader:
         """
         lines = [line.strip() for line in probe_lines(probe)]
         header = next((line for line in lines if line and not line.startswith("#")), None)
+        constants = (split_constant(line) for line in lines if line.startswith("#"))
+        stated = {constant[0] for constant in constants if constant}
         if header is None:
-            return any(split_constant(line) is not None for line in lines)
+            return bool(stated)
         try:
             names = set(split_names(header))
         except ValueError:
             return False
-        return bool(names & {"stamp", "r0"}) and sum(map(is_known, names)) >= 3
+        return bool(names & {"stamp", "r0"}) and sum(map(is_known, names | stated)) >= 3
 
     def open(self, path: Path) -> "CsvLog":
         """Open a log: read its header and count its rows.
