@@ -140,6 +140,7 @@ def test_every_option_that_the_readme_names_exists() -> None:
         text=True,
         check=True,
     ).stdout
-    section = README[README.index("## Options") : README.index("## From Python")]
+    section = README.partition("\n## Options\n")[2].partition("\n## ")[0]
+    assert "--resolution" in section
     for option in re.findall(r"--[a-z][a-z-]+", section):
         assert option in shown
