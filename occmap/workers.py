@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
 from typing import Generic, Self, TypeVar
 
@@ -17,28 +17,28 @@ def count_cores() -> int:
 
 
 class Workers(Generic[Item]):
-    """Calls a function for each item given, in `jobs` threads, or at once where `jobs` is 1.
+    """Calls a function for each item given, in `jobs` threads, of which the giver's own is one.
 
-    No more than two items a thread wait, so that a fast reader does not fill the memory. The first
-    error of any thread is raised where items are given.
+    The giver works on an item itself where two a thread wait already: so a fast reader does not
+    fill the memory, and no more threads want a core than `jobs`, which would drive each other's
+    windows out of its cache. The first error of any thread is raised where items are given.
     """
 
     def __init__(self, work: Callable[[Item], None], jobs: int) -> None:
         self._work = work
-        self._most_waiting = 2 * jobs
-        self._waiting: set[Future[None]] = set()
-        self._pool = ThreadPoolExecutor(jobs, "occmap") if jobs > 1 else None
+        self._most_waiting = 2 * (jobs - 1)
+        self._given: dict[Future[None], Item] = {}
+        self._pool = ThreadPoolExecutor(jobs - 1, "occmap") if jobs > 1 else None
 
     def give(self, item: Item) -> None:
         """Work on an item now or soon."""
-        if self._pool is None:
+        for future in [future for future in self._given if future.done()]:
+            del self._given[future]
+            future.result()
+        if self._pool is None or len(self._given) >= self._most_waiting:
             self._work(item)
-            return
-        self._waiting.add(self._pool.submit(self._work, item))
-        if len(self._waiting) >= self._most_waiting:
-            done, self._waiting = wait(self._waiting, return_when=FIRST_COMPLETED)
-            for future in done:
-                future.result()
+        else:
+            self._given[self._pool.submit(self._work, item)] = item
 
     def __enter__(self) -> Self:
         return self
@@ -49,10 +49,19 @@ class Workers(Generic[Item]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Wait for all work, or drop what has not begun if there was an error."""
+        """Finish all work, or drop what has not begun if there was an error."""
         if self._pool is None:
             return
-        self._pool.shutdown(cancel_futures=kind is not None)
-        if kind is None:
-            for future in self._waiting:
+        try:
+            if kind is None:
+                self._finish()
+        finally:
+            self._pool.shutdown(cancel_futures=True)
+
+    def _finish(self) -> None:
+        """Work on what no thread has begun, last things first, and wait for the others."""
+        for future, item in reversed(self._given.items()):
+            if future.cancel():
+                self._work(item)
+            else:
                 future.result()
