@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
 
 from occmap.errors import UsageError
-from occmap.types import Scan, ScanBatch
+from occmap.types import Float32, Float64, Int64, Scan, ScanBatch, ScanRun
 
 BATCH_BEAMS = 1 << 18
 """Beams that are held before they are handed on: a few megabytes, and enough work that threads
@@ -77,6 +77,30 @@ class Geometry(NamedTuple):
     time_increment: float
     posed: bool
 
+    def stack(self, stamp_ns: Int64, ranges: Float32, pose: Float64 | None) -> ScanBatch:
+        """Make a batch of stamps (S,), ranges (S, B) and, where they are known, poses (S, 7)."""
+        return ScanBatch(
+            frame=self.frame,
+            angle_min=self.angle_min,
+            angle_increment=self.angle_increment,
+            range_min=self.range_min,
+            range_max=self.range_max,
+            time_increment=self.time_increment,
+            stamp_ns=stamp_ns,
+            ranges=ranges,
+            pose=pose,
+            topic=self.topic,
+        )
+
+
+def find_flaw(scan: Scan) -> LeftOut | None:
+    """Say why nobody can use a scan; None where it can be used."""
+    if not len(scan.ranges):
+        return LeftOut.NO_BEAMS
+    if not (math.isfinite(scan.angle_min) and math.isfinite(scan.angle_increment)):
+        return LeftOut.BAD_ANGLES
+    return None
+
 
 class Selector:
     """Says of the scans of one log, one after the other, which are not used, and why."""
@@ -84,6 +108,7 @@ class Selector:
     def __init__(self, selection: Selection, *, by_record_time: bool = False) -> None:
         self.selection = selection
         self._by_record_time = by_record_time
+        self._wants_all = replace(selection, topics=()) == Selection()
         self._first_ns: int | None = None
         self._wanted = 0
 
@@ -92,15 +117,17 @@ class Selector:
         stamp_ns = self.stamp(scan)
         if self._first_ns is None:
             self._first_ns = stamp_ns
-        if not len(scan.ranges):
-            return LeftOut.NO_BEAMS
-        if not (math.isfinite(scan.angle_min) and math.isfinite(scan.angle_increment)):
-            return LeftOut.BAD_ANGLES
+        if (flaw := find_flaw(scan)) is not None:
+            return flaw
         seconds = (stamp_ns - self._first_ns) / 1e9
         if not self.selection.start_s <= seconds < self.selection.end_s:
             return LeftOut.TIME
         self._wanted += 1
         return LeftOut.STRIDE if (self._wanted - 1) % self.selection.stride else None
+
+    def takes_all(self, run: ScanRun) -> bool:
+        """Whether the user wants every scan there is, and these can be used."""
+        return self._wants_all and find_flaw(run.first) is None
 
     def stamp(self, scan: Scan) -> int:
         """The time of a scan that counts (ns)."""
@@ -113,39 +140,53 @@ class Batcher:
     def __init__(self, selection: Selection, *, by_record_time: bool = False) -> None:
         self.read = 0
         self.left_out: dict[LeftOut, int] = {}
+        self._by_record_time = by_record_time
         self._selector = Selector(selection, by_record_time=by_record_time)
 
-    def stack(self, scans: Iterable[Scan]) -> Iterator[ScanBatch]:
-        """Stack scans, holding no more than a batch at a time."""
+    def stack(self, scans: Iterable[Scan | ScanRun]) -> Iterator[ScanBatch]:
+        """Stack scans, holding no more than a batch at a time; a run is a batch as it is."""
         held: dict[Geometry, list[Scan]] = {}
         beams = 0
-        for scan in scans:
-            self.read += 1
-            reason = self._selector.find_fault(scan)
-            if reason is not None:
-                self.left_out[reason] = self.left_out.get(reason, 0) + 1
+        for some in self._choose(scans):
+            if isinstance(some, ScanRun):
+                yield from self._release(held)
+                yield self._pass_on(some)
+                held, beams = {}, 0
                 continue
-            held.setdefault(describe(scan), []).append(scan)
-            beams += len(scan.ranges)
+            held.setdefault(describe(some), []).append(some)
+            beams += len(some.ranges)
             if beams >= BATCH_BEAMS:
                 yield from self._release(held)
                 held, beams = {}, 0
         yield from self._release(held)
 
+    def _choose(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
+        """Give the scans that are wanted, and runs in which all are."""
+        for some in scans:
+            if isinstance(some, ScanRun):
+                if self._selector.takes_all(some):
+                    self.read += len(some.ranges)
+                    yield some
+                else:
+                    yield from self._choose(some.split())
+                continue
+            self.read += 1
+            reason = self._selector.find_fault(some)
+            if reason is None:
+                yield some
+            else:
+                self.left_out[reason] = self.left_out.get(reason, 0) + 1
+
+    def _pass_on(self, run: ScanRun) -> ScanBatch:
+        stamp_ns = run.record_ns if self._by_record_time else run.stamp_ns
+        return describe(run.first).stack(stamp_ns, run.ranges, None)
+
     def _release(self, held: dict[Geometry, list[Scan]]) -> Iterator[ScanBatch]:
         for geometry, scans in held.items():
-            yield ScanBatch(
-                frame=geometry.frame,
-                angle_min=geometry.angle_min,
-                angle_increment=geometry.angle_increment,
-                range_min=geometry.range_min,
-                range_max=geometry.range_max,
-                time_increment=geometry.time_increment,
-                stamp_ns=np.array([self._selector.stamp(scan) for scan in scans], np.int64),
-                ranges=np.stack([scan.ranges for scan in scans]),
-                pose=np.array([scan.pose for scan in scans]) if geometry.posed else None,
-                topic=geometry.topic,
-            )
+            stamp_ns = np.array([self._selector.stamp(scan) for scan in scans], np.int64)
+            ranges = np.stack([scan.ranges for scan in scans])
+            pose = np.array([scan.pose for scan in scans]) if geometry.posed else None
+            yield geometry.stack(stamp_ns, ranges, pose)
 
 
 def describe(scan: Scan) -> Geometry:

@@ -17,7 +17,7 @@ from occmap.grid.observation import Observation, tabulate
 from occmap.grid.stacks import add_stack
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions, Stamps
-from occmap.readers import Log, Role, open_log, read_poses
+from occmap.readers import Log, Role, open_log, read_poses, read_scans
 from occmap.readers.options import ReaderOptions
 from occmap.report import Made, Report, Tally, measure_shares, refuse_unused
 from occmap.sensor.models import RadialModel, SensorModel, SimpleModel, describe_model
@@ -158,7 +158,7 @@ def trace_log(
             observe(rays)
 
     with Workers(trace, options.jobs) as workers:
-        for batch in tally.time_each("read", batcher.stack(log.scans(topics))):
+        for batch in tally.time_each("read", batcher.stack(read_scans(log, topics))):
             # Here and not in a worker: of many short NumPy calls each would wait for its turn.
             with tally.time("pose"):
                 posed, dropped = poser.attach(batch)

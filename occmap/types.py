@@ -82,6 +82,27 @@ class Scan(NamedTuple):
     """When the recorder stored it; equal to `stamp_ns` in formats that hold one time only."""
 
 
+class ScanRun(NamedTuple):
+    """Scans of one log that follow one another and differ in stamps and ranges alone."""
+
+    first: Scan
+    """All else is as in this one."""
+    stamp_ns: Int64
+    """(S,)"""
+    record_ns: Int64
+    """(S,)"""
+    ranges: Float32
+    """(S, B) m"""
+
+    def split(self) -> list[Scan]:
+        """The single scans."""
+        times = zip(self.stamp_ns.tolist(), self.record_ns.tolist(), strict=True)
+        return [
+            self.first._replace(stamp_ns=stamp_ns, record_ns=record_ns, ranges=ranges)
+            for (stamp_ns, record_ns), ranges in zip(times, self.ranges, strict=True)
+        ]
+
+
 class PoseSample(NamedTuple):
     """Where frame `child` was in frame `parent` at one moment, from any kind of source."""
 

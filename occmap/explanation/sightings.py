@@ -11,7 +11,7 @@ from occmap.explanation.history import CellHistory
 from occmap.explanation.provenance import Use
 from occmap.pipeline import Progress, choose_topics, count_scans, make_poser, plan_observation
 from occmap.posing.options import Stamps
-from occmap.readers import Log, open_log
+from occmap.readers import Log, open_log, read_scans
 from occmap.sensor.returns import interpret
 from occmap.types import Int64, PosedScans
 
@@ -75,7 +75,7 @@ def look_through(use: Use, log: Log, history: CellHistory) -> Iterator[Look]:
     topics = choose_topics(log, options.selection.topics)
     poser = make_poser(log, topics, options.posing)
     batcher = Batcher(options.selection, by_record_time=options.posing.stamps is Stamps.RECORD)
-    for batch in batcher.stack(log.scans(topics)):
+    for batch in batcher.stack(read_scans(log, topics)):
         posed, _ = poser.attach(batch)
         if posed is None:
             yield Look([], 0, len(batch.stamp_ns))

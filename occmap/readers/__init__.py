@@ -15,7 +15,7 @@ from occmap.errors import LogError
 from occmap.plugins import list_plugins, load_plugin
 from occmap.readers.gunzip import GUNZIP_ERRORS, GunzipStream
 from occmap.readers.options import ReaderOptions
-from occmap.types import PoseBatch, PoseSample, Scan
+from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
 PROBE_BYTES = 4096
 LFS_MAGIC = b"version https://git-lfs"
@@ -82,15 +82,23 @@ class Log(Protocol):
 
 @runtime_checkable
 class StackingLog(Protocol):
-    """A log that can give poses many at a stroke, where it would take long one by one."""
+    """A log that can give poses and scans many at a stroke, where one by one would take long."""
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
         """What `poses` gives; samples of one frame in another stay in file order."""
+
+    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
+        """What `scans` gives, in the same order."""
 
 
 def read_poses(log: Log) -> Iterator[PoseSample | PoseBatch]:
     """Every pose source of a log, in the way that is quickest for it."""
     return log.stacked_poses() if isinstance(log, StackingLog) else log.poses()
+
+
+def read_scans(log: Log, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
+    """The scans of some topics of a log, in the way that is quickest for it."""
+    return log.stacked_scans(topics) if isinstance(log, StackingLog) else log.scans(topics)
 
 
 class Reader(Protocol):

@@ -26,8 +26,7 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
-STANDARD_DEFINITIONS: Mapping[str, str] = {
-    "sensor_msgs/msg/LaserScan": f"""
+_LASER_SCAN = """
 std_msgs/Header header
 float32 angle_min
 float32 angle_max
@@ -39,7 +38,9 @@ float32 range_max
 float32[] ranges
 float32[] intensities
 ================================================================================
-MSG: std_msgs/Header{_HEADER}""",
+MSG: std_msgs/Header"""
+STANDARD_DEFINITIONS: Mapping[str, str] = {
+    "sensor_msgs/msg/LaserScan": _LASER_SCAN + _HEADER,
     "tf2_msgs/msg/TFMessage": f"""
 geometry_msgs/TransformStamped[] transforms
 ================================================================================
@@ -66,19 +67,29 @@ float64 w
 MSG: std_msgs/Header{_HEADER}""",
 }
 
+ROS1_DEFINITIONS: Mapping[str, str] = {
+    "sensor_msgs/msg/LaserScan": f"""{_LASER_SCAN}
+uint32 seq
+time stamp
+string frame_id
+""",
+}
+
 _count = Struct("<I").unpack_from
 _header = Struct("<iII").unpack_from
 _geometry = Struct("<7fI").unpack_from
 _transform = Struct("<7d").unpack_from
 
 
-def is_standard(name: str, types: "Typesdict") -> bool:
+def is_standard(
+    name: str, types: "Typesdict", standard: Mapping[str, str] = STANDARD_DEFINITIONS
+) -> bool:
     """Say whether a message type and all that it is made of have the standard fields."""
-    definition = STANDARD_DEFINITIONS.get(name)
+    definition = standard.get(name)
     if definition is None:
         return False
-    standard = get_types_from_msg(definition, name)
-    return all(part in types and types[part][1] == fields for part, (_, fields) in standard.items())
+    parts = get_types_from_msg(definition, name)
+    return all(part in types and types[part][1] == fields for part, (_, fields) in parts.items())
 
 
 def read_laser_scan(data: memoryview, topic: str, record_ns: int) -> Scan:

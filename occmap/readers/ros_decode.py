@@ -1,7 +1,7 @@
 """From the bytes of a ROS message to scans and pose samples, by the log's own definitions."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from typing import Any, TypeAlias, TypeVar
 
@@ -21,12 +21,13 @@ from occmap.readers.inflate import inflate_message
 from occmap.readers.messages import POSE_TYPES, find_converter, normalise_type
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_cdr import (
+    ROS1_DEFINITIONS,
     STANDARD_DEFINITIONS,
     is_standard,
     read_laser_scan,
     read_transforms,
 )
-from occmap.readers.ros_source import Channel
+from occmap.readers.ros_source import Channel, Wire
 from occmap.types import PoseSample, Scan
 
 T = TypeVar("T")
@@ -38,6 +39,10 @@ _DEFINITION_ERRORS = (TypesysError, AssertionError, LookupError, SyntaxError, Ty
 _TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms"
 """rosbags knows all types of ROS 1 but these."""
+_DEFINITIONS: Mapping[Wire, Mapping[str, str]] = {
+    "cdr": STANDARD_DEFINITIONS,
+    "ros1": ROS1_DEFINITIONS,
+}
 _IDL_SEPARATOR = "=" * 80 + "\n"
 
 
@@ -78,6 +83,19 @@ def holds_plain_transforms(channel: Channel) -> bool:
         return is_standard(name, _load_types(channel, name).fielddefs)
     except _DEFINITION_ERRORS:
         return False
+
+
+@cache
+def holds_plain_scans(channel: Channel) -> bool:
+    """Say whether a channel's messages are scans, laid out as the standard has them."""
+    name = normalise_type(channel.type)
+    if channel.zipped or name != "sensor_msgs/msg/LaserScan" or channel.wire not in _DEFINITIONS:
+        return False
+    try:
+        types = _load_types(channel, name).fielddefs
+    except _DEFINITION_ERRORS:
+        return False
+    return is_standard(name, types, _DEFINITIONS[channel.wire])
 
 
 def _make_reader(

@@ -16,13 +16,15 @@ from occmap.readers import DEFAULT_OPTIONS, Note, Role, Stream
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_decode import (
     FromBytes,
+    holds_plain_scans,
     holds_plain_transforms,
     make_pose_reader,
     make_scan_reader,
 )
+from occmap.readers.ros_scan import RawRun
 from occmap.readers.ros_source import Channel, RawMessage, Source, add_note
 from occmap.readers.ros_tf import RawTransforms, read_alike
-from occmap.types import PoseBatch, PoseSample, Scan
+from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
 T = TypeVar("T")
 
@@ -43,6 +45,8 @@ STACK_BYTES = 1 << 19
 """Messages of one channel and length that are held, to be read at a stroke."""
 MOST_STACKS = 64
 """... for so many channels and lengths; more of them are damage."""
+SHORTEST_RUN = 64
+"""Fewer scans are worth more stacked with others of their kind than quickly read."""
 
 
 class RosLog:
@@ -92,13 +96,36 @@ class RosLog:
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """The scans of these topics, in file order."""
+        return self._read(self._make_scan_readers(topics))
+
+    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
+        """The same; those of one laser that follow one another, many messages at a stroke."""
+        readers = self._make_scan_readers(topics)
+        run: RawRun | None = None
+        for channel, record_ns, data in self._messages(readers):
+            if run is not None and not run.takes(channel, data):
+                yield from _read_run(run, readers[run.channel])
+                run = None
+            if run is None and not holds_plain_scans(channel):
+                if (scan := readers[channel].read(data, record_ns)) is not None:
+                    yield scan
+                continue
+            run = run or RawRun(channel, len(data))
+            run.add(data, record_ns)
+        if run is not None:
+            yield from _read_run(run, readers[run.channel])
+        self._note_damage(readers)
+
+    def _make_scan_readers(
+        self, topics: Collection[str]
+    ) -> Mapping[Channel, "_ChannelReader[Scan]"]:
         wanted = [
             channel
             for channel in self._source.channels
             if channel.role in {Role.SCAN, Role.CLOUD} and channel.topic in topics
         ]
         make = partial(make_scan_reader, options=self._options)
-        return self._read(self._make_readers(wanted, make))
+        return self._make_readers(wanted, make)
 
     def _make_readers(
         self, channels: Collection[Channel], make: Callable[[Channel], FromBytes[T]]
@@ -191,6 +218,19 @@ class _ChannelReader(Generic[T]):
             yield f"the definition of {kind} on {topic} is damaged; the standard one is used"
         if self._failures:
             yield f"{self._failures} of {count} messages on {topic} are damaged and not used"
+
+
+def _read_run(run: RawRun, reader: _ChannelReader[Scan]) -> Iterator[Scan | ScanRun]:
+    """Read messages at a stroke; singly where they are few, or not all alike."""
+    messages = run.split()
+    first = reader.read(*messages[0])
+    if first is not None and len(messages) >= SHORTEST_RUN:
+        with suppress(*_DECODE_ERRORS):
+            if (scans := run.read(first)) is not None:
+                yield scans
+                return
+    others = (reader.read(data, record_ns) for data, record_ns in messages[1:])
+    yield from (scan for scan in (first, *others) if scan is not None)
 
 
 def _unstack(

@@ -1,6 +1,6 @@
 """Small ROS logs in every container, and what is in them."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,6 +13,8 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from occmap.readers import Note
+from occmap.readers.ros_source import Channel, RawMessage
 from occmap.types import Float32
 
 ROS1: Typestore = get_typestore(Stores.ROS1_NOETIC)
@@ -35,6 +37,25 @@ class Written(NamedTuple):
 
 
 Write = Callable[[Path, Sequence[Written]], Path]
+
+
+class Memory:
+    """A container whose messages are given."""
+
+    path = Path("memory")
+
+    def __init__(self, messages: Iterable[tuple[Channel, int, bytes]]) -> None:
+        self.notes: list[Note] = []
+        self._messages = list(messages)
+
+    @property
+    def channels(self) -> Sequence[Channel]:
+        return list(dict.fromkeys(channel for channel, _, _ in self._messages))
+
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+        for channel, record_ns, data in self._messages:
+            if channel in wanted:
+                yield channel, record_ns, memoryview(data)
 
 
 def header(store: Typestore, stamp_ns: int, frame: str) -> Any:

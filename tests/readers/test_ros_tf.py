@@ -1,19 +1,18 @@
 """Transforms that are read at a stroke must be those that are read one by one."""
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.readers import Note, ros_log
+from occmap.readers import ros_log
 from occmap.readers.ros_log import RosLog
-from occmap.readers.ros_source import Channel, RawMessage
+from occmap.readers.ros_source import Channel
 from occmap.types import Pose, PoseBatch, PoseSample
-from tests.readers.ros import ROS2, TF, transforms
+from tests.readers.ros import ROS2, TF, Memory, transforms
 
 Edges = Sequence[tuple[str, str, float]]
 Key = tuple[str, str, str, bool]
@@ -21,25 +20,6 @@ Key = tuple[str, str, str, bool]
 NAMES = st.sampled_from(["map", "odo", "odom", "base_link", "/odom", ""])
 EDGES = st.lists(st.tuples(NAMES, NAMES, st.floats(-9, 9)), max_size=3)
 DAMAGE = st.sampled_from(["", "", "", "cut", "count", "big-endian"])
-
-
-class Memory:
-    """A container whose messages are given."""
-
-    path = Path("memory")
-
-    def __init__(self, messages: Iterable[tuple[Channel, int, bytes]]) -> None:
-        self.notes: list[Note] = []
-        self._messages = list(messages)
-
-    @property
-    def channels(self) -> Sequence[Channel]:
-        return list(dict.fromkeys(channel for channel, _, _ in self._messages))
-
-    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
-        for channel, record_ns, data in self._messages:
-            if channel in wanted:
-                yield channel, record_ns, memoryview(data)
 
 
 def write(edges: Edges, stamp_ns: int, damage: str = "") -> bytes:

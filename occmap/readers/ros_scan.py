@@ -1,0 +1,119 @@
+"""Scans of many messages at a stroke, where these are laid out alike.
+
+Of the scans of one laser only the stamps and the ranges differ, so all of them lie where those of
+the first one lie, and what is left to do for each is to compare and to copy bytes.
+"""
+
+from struct import Struct
+from typing import NamedTuple
+
+import numpy as np
+
+from occmap.readers.ros_cdr import align
+from occmap.readers.ros_source import Channel, Wire
+from occmap.types import Bool, Scan, ScanRun, UInt8
+
+MOST_BYTES = 1 << 20
+"""A run of so many bytes is long enough."""
+LITTLE_ENDIAN = b"\0\1"
+_STAMP = 4
+"""Behind four bytes: of a CDR message its encapsulation, of a ROS 1 header its sequence number."""
+_FRAME = 16
+"""Where the letters of the frame begin, behind their number."""
+_ANGLE_MAX, _SCAN_TIME, _BEAMS = 4, 16, 28
+"""Behind the first of the seven floats; nobody uses the first two."""
+_count = Struct("<I").unpack_from
+
+
+class _Layout(NamedTuple):
+    """Where the parts of a sensor_msgs/LaserScan begin."""
+
+    floats: int
+    ranges: int
+    intensities: int
+    """Their number; the values follow."""
+
+
+class RawRun:
+    """Messages of one channel and length that follow one another in a file, not yet read."""
+
+    def __init__(self, channel: Channel, length: int) -> None:
+        self.channel = channel
+        self._length = length
+        self._bytes = bytearray()
+        self._record_ns: list[int] = []
+
+    def takes(self, channel: Channel, data: memoryview) -> bool:
+        """Whether a message belongs to the run, and there is room for it."""
+        return (
+            channel is self.channel and len(data) == self._length and len(self._bytes) < MOST_BYTES
+        )
+
+    def add(self, data: memoryview, record_ns: int) -> None:
+        """Copy a message: it is valid only until the next one."""
+        self._bytes += data
+        self._record_ns.append(record_ns)
+
+    def split(self) -> list[tuple[memoryview, int]]:
+        """The messages and when they were recorded (ns)."""
+        view, length = memoryview(self._bytes), self._length
+        return [
+            (view[i * length : (i + 1) * length], record_ns)
+            for i, record_ns in enumerate(self._record_ns)
+        ]
+
+    def read(self, first: Scan) -> ScanRun | None:
+        """Read all messages, given what the first one holds; None where they are not all alike.
+
+        Raises
+        ------
+        IndexError, ValueError, struct.error, OverflowError
+            The first message, or a record time, is damaged.
+        """
+        wire = self.channel.wire
+        raw = np.frombuffer(self._bytes, np.uint8).reshape(-1, self._length)
+        if wire == "cdr" and not self._bytes.startswith(LITTLE_ENDIAN):
+            return None
+        layout = _locate(self._bytes, wire)
+        if layout.ranges + 4 * len(first.ranges) != layout.intensities:
+            return None
+        fixed = _mark_fixed(layout, wire)
+        head, count = raw[:, : layout.ranges], raw[:, layout.intensities : layout.intensities + 4]
+        if not (_is_same(head[:, fixed]) and _is_same(count)):
+            return None
+        seconds = raw[:, _STAMP : _STAMP + 4].copy().view("<i4")[:, 0]
+        nanoseconds = raw[:, _STAMP + 4 : _STAMP + 8].copy().view("<u4")[:, 0]
+        ranges = raw[:, layout.ranges : layout.intensities].copy().view("<f4")
+        return ScanRun(
+            first,
+            seconds.astype(np.int64) * 1_000_000_000 + nanoseconds,
+            np.array(self._record_ns, np.int64),
+            ranges.astype(np.float32, copy=False),
+        )
+
+
+def _locate(message: bytes | bytearray, wire: Wire) -> _Layout:
+    """Find the parts of a message."""
+    (letters,) = _count(message, _FRAME - 4)
+    floats = _FRAME + letters
+    if wire == "cdr":
+        floats = align(floats, 4)
+    ranges = floats + _BEAMS + 4
+    (beams,) = _count(message, floats + _BEAMS)
+    return _Layout(floats, ranges, ranges + 4 * beams)
+
+
+def _mark_fixed(layout: _Layout, wire: Wire) -> Bool:
+    """(L,): which bytes before the ranges must be the same in all messages."""
+    fixed = np.ones(layout.ranges, np.bool_)
+    fixed[_STAMP : _STAMP + 8] = False
+    if wire == "ros1":
+        fixed[:_STAMP] = False
+    for at in (_ANGLE_MAX, _SCAN_TIME):
+        fixed[layout.floats + at : layout.floats + at + 4] = False
+    return fixed
+
+
+def _is_same(rows: UInt8) -> bool:
+    """Whether all rows are as the first."""
+    return bool((rows == rows[0]).all())

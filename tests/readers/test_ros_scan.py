@@ -1,0 +1,133 @@
+"""Scans that are read at a stroke must be those that are read one by one."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from occmap.readers import ros_log, ros_scan
+from occmap.readers.ros_log import RosLog
+from occmap.readers.ros_source import Channel, Wire
+from occmap.types import Scan, ScanRun
+from tests.readers.ros import ROS1, ROS2, SCAN, Memory, scan
+
+WIRES: Sequence[Wire] = ("cdr", "ros1")
+# Fields behind the header; a driver that measures its own speed changes them from scan to scan.
+FIELDS = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_max")
+CHANGES = st.sampled_from(["", "", "", "", "", "", "cut", "beams", "big-endian", *FIELDS])
+RANGES = st.lists(st.floats(width=32), min_size=2, max_size=2)
+MESSAGES = st.tuples(
+    st.integers(0, 1),
+    st.sampled_from(["laser", "laser", "laser", "front", "/a"]),
+    st.integers(0, (2**31 - 1) * 10**9 + 999_999_999),
+    RANGES,
+    CHANGES,
+)
+
+
+def write(
+    wire: Wire, frame: str, stamp_ns: int, ranges: Sequence[float], change: str = ""
+) -> bytes:
+    store = ROS1 if wire == "ros1" else ROS2
+    message = scan(store, stamp_ns, frame, np.array(ranges, np.float32))
+    if change in FIELDS:
+        setattr(message, change, 0.5)
+    serialise = store.serialize_ros1 if wire == "ros1" else store.serialize_cdr
+    data = bytearray(serialise(message, SCAN))
+    if change == "cut":
+        data[-1:] = b""
+    elif change == "beams":
+        at = len(data) - 4 * 3 - 4 - 4 * len(ranges) - 4
+        data[at : at + 4] = b"\xff\xff\xff\x7f"
+    elif change == "big-endian":
+        data[1] ^= 1
+    return bytes(data)
+
+
+def make_channel(wire: Wire, topic: str = "/scan", count: int = 99) -> Channel:
+    store = ROS1 if wire == "ros1" else ROS2
+    return Channel(topic, SCAN, wire, store.generate_msgdef(SCAN)[0], "msg", count)
+
+
+def flatten(items: Iterable[Scan | ScanRun]) -> list[Scan]:
+    return [
+        scan for item in items for scan in (item.split() if isinstance(item, ScanRun) else [item])
+    ]
+
+
+def compare(scans: Iterable[Scan]) -> list[tuple[object, ...]]:
+    """Every field, in a form that can be compared where ranges are not numbers."""
+    return [tuple(f.tobytes() if isinstance(f, np.ndarray) else f for f in scan) for scan in scans]
+
+
+@pytest.mark.parametrize("wire", WIRES)
+@given(st.data())
+@settings(max_examples=150, deadline=None)
+def test_scans_of_a_run_are_those_read_one_by_one(wire: Wire, data: st.DataObject) -> None:
+    written = data.draw(st.lists(MESSAGES, max_size=12))
+    channels = [make_channel(wire, topic) for topic in ("/front", "/rear")]
+    messages = [
+        (channels[channel], 7 * i, write(wire, frame, stamp_ns, ranges, change))
+        for i, (channel, frame, stamp_ns, ranges, change) in enumerate(written)
+    ]
+    alone, stacked = RosLog(Memory(messages)), RosLog(Memory(messages))
+    topics = ["/front", "/rear"]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ros_log, "SHORTEST_RUN", 2)
+        scans = flatten(stacked.stacked_scans(topics))
+
+    assert compare(scans) == compare(alone.scans(topics))
+    assert stacked.notes == alone.notes
+
+
+@pytest.mark.parametrize("wire", WIRES)
+@pytest.mark.parametrize("changing", ["stamp", "angle_max", "scan_time"])
+def test_what_nobody_uses_may_differ_within_a_run(
+    wire: Wire, changing: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    channel = make_channel(wire)
+    changes = [changing if changing in FIELDS and i % 2 else "" for i in range(10)]
+    messages = [
+        (channel, 100 + i, write(wire, "laser", i, [i, 0.5], changes[i])) for i in range(10)
+    ]
+    monkeypatch.setattr(ros_scan, "MOST_BYTES", 4 * len(messages[0][2]))
+    monkeypatch.setattr(ros_log, "SHORTEST_RUN", 4)
+
+    items = list(RosLog(Memory(messages)).stacked_scans(["/scan"]))
+
+    runs = [item for item in items if isinstance(item, ScanRun)]
+    assert [len(run.stamp_ns) for run in runs] == [4, 4]
+    assert len(items) == 2 + 2  # two are too few for a run
+    assert runs[1].stamp_ns.tolist() == [4, 5, 6, 7]
+    assert runs[1].record_ns.tolist() == [104, 105, 106, 107]
+    assert runs[1].ranges.tolist() == [[4, 0.5], [5, 0.5], [6, 0.5], [7, 0.5]]
+
+
+@pytest.mark.parametrize("wire", WIRES)
+@pytest.mark.parametrize("change", ["angle_min", "angle_increment", "time_increment", "range_max"])
+def test_scans_of_another_geometry_are_no_run(
+    wire: Wire, change: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    channel = make_channel(wire)
+    messages = [
+        (channel, i, write(wire, "laser", i, [1, 2], change if i == 7 else "")) for i in range(9)
+    ]
+    monkeypatch.setattr(ros_log, "SHORTEST_RUN", 2)
+
+    items = list(RosLog(Memory(messages)).stacked_scans(["/scan"]))
+
+    assert [type(item) for item in items] == [Scan] * 9
+
+
+def test_messages_of_an_own_definition_are_read_by_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    definition = ROS2.generate_msgdef(SCAN)[0].replace("float32 scan_time", "float32 scan_times")
+    channel = Channel("/scan", SCAN, "cdr", definition, "msg", 9)
+    messages = [(channel, i, write("cdr", "laser", i, [1, 2])) for i in range(9)]
+    monkeypatch.setattr(ros_log, "SHORTEST_RUN", 2)
+
+    items = list(RosLog(Memory(messages)).stacked_scans(["/scan"]))
+
+    assert [type(item) for item in items] == [Scan] * 9

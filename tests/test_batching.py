@@ -1,0 +1,99 @@
+"""Scans that come in runs must end in the same batches as single ones."""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from occmap.batching import Batcher, LeftOut, Selection
+from occmap.types import Scan, ScanBatch, ScanRun
+
+SECOND = 10**9
+RUN = ScanRun(
+    Scan(0, "laser", -1.0, 0.5, np.zeros(2, np.float32), 0.1, 30.0, topic="/scan"),
+    stamp_ns=np.arange(5) * SECOND,
+    record_ns=np.arange(5) * SECOND + 7,
+    ranges=np.arange(10, dtype=np.float32).reshape(5, 2),
+)
+
+
+def list_scans(batches: Iterable[ScanBatch]) -> list[tuple[int, str, float, list[float]]]:
+    return sorted(
+        (stamp_ns, batch.frame, batch.angle_min, ranges)
+        for batch in batches
+        for stamp_ns, ranges in zip(batch.stamp_ns.tolist(), batch.ranges.tolist(), strict=True)
+    )
+
+
+def test_a_run_is_a_batch_as_it_is() -> None:
+    batcher = Batcher(Selection())
+
+    (batch,) = batcher.stack([RUN])
+
+    assert batch.stamp_ns.tolist() == [0, SECOND, 2 * SECOND, 3 * SECOND, 4 * SECOND]
+    assert batch.ranges is RUN.ranges
+    assert (batch.frame, batch.angle_min, batch.angle_increment) == ("laser", -1.0, 0.5)
+    assert (batch.range_min, batch.range_max, batch.topic) == (0.1, 30.0, "/scan")
+    assert batch.pose is None
+    assert (batcher.read, batcher.left_out) == (5, {})
+
+
+def test_a_run_is_stamped_by_record_time_where_that_counts() -> None:
+    (batch,) = Batcher(Selection(), by_record_time=True).stack([RUN])
+    assert (batch.stamp_ns - RUN.stamp_ns).tolist() == [7] * 5
+
+
+def test_batches_come_in_the_order_of_the_log() -> None:
+    singles = [scan._replace(stamp_ns=scan.stamp_ns - 9 * SECOND) for scan in RUN.split()]
+    batches = list(Batcher(Selection()).stack([*singles, RUN]))
+    assert [batch.stamp_ns[0] for batch in batches] == [-9 * SECOND, 0]
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"angle_min": math.nan}, LeftOut.BAD_ANGLES),
+        ({"angle_increment": math.inf}, LeftOut.BAD_ANGLES),
+        ({"ranges": np.zeros(0, np.float32)}, LeftOut.NO_BEAMS),
+    ],
+)
+def test_a_run_that_cannot_be_used_is_counted(change: dict[str, Any], reason: LeftOut) -> None:
+    first = RUN.first._replace(**change)
+    batcher = Batcher(Selection())
+
+    batches = list(
+        batcher.stack([RUN._replace(first=first, ranges=RUN.ranges[:, : len(first.ranges)])])
+    )
+
+    assert batches == []
+    assert (batcher.read, batcher.left_out) == (5, {reason: 5})
+
+
+@given(
+    st.lists(st.tuples(st.booleans(), st.integers(1, 6)), max_size=6),
+    st.sampled_from([-math.inf, 0.0, 2.5]),
+    st.sampled_from([math.inf, 9.0]),
+    st.integers(1, 3),
+    st.booleans(),
+)
+@settings(max_examples=200, deadline=None)
+def test_runs_are_selected_as_single_scans_are(
+    sizes: Sequence[tuple[bool, int]], start_s: float, end_s: float, stride: int, record: bool
+) -> None:
+    items: list[Scan | ScanRun] = []
+    begin = 0
+    for whole, size in sizes:
+        stamps = (begin + np.arange(size)) * SECOND
+        begin += size
+        run = ScanRun(RUN.first, stamps, stamps[::-1] + 5, np.full((size, 2), size, np.float32))
+        items += [run] if whole else run.split()
+    singles = [s for item in items for s in (item.split() if isinstance(item, ScanRun) else [item])]
+    selection = Selection((), start_s, end_s, stride)
+    some, single = (Batcher(selection, by_record_time=record) for _ in range(2))
+
+    assert list_scans(some.stack(items)) == list_scans(single.stack(singles))
+    assert (some.read, some.left_out) == (single.read, single.left_out)
