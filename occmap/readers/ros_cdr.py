@@ -6,6 +6,7 @@ the standard layout, which `is_standard` answers, and for little-endian bytes.
 """
 
 from collections.abc import Mapping
+from functools import cache
 from struct import Struct
 from typing import TYPE_CHECKING
 
@@ -26,6 +27,11 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
+_ROS1_HEADER = """
+uint32 seq
+time stamp
+string frame_id
+"""
 _LASER_SCAN = """
 std_msgs/Header header
 float32 angle_min
@@ -39,9 +45,7 @@ float32[] ranges
 float32[] intensities
 ================================================================================
 MSG: std_msgs/Header"""
-STANDARD_DEFINITIONS: Mapping[str, str] = {
-    "sensor_msgs/msg/LaserScan": _LASER_SCAN + _HEADER,
-    "tf2_msgs/msg/TFMessage": f"""
+_TRANSFORMS = """
 geometry_msgs/TransformStamped[] transforms
 ================================================================================
 MSG: geometry_msgs/TransformStamped
@@ -64,15 +68,15 @@ float64 y
 float64 z
 float64 w
 ================================================================================
-MSG: std_msgs/Header{_HEADER}""",
+MSG: std_msgs/Header"""
+STANDARD_DEFINITIONS: Mapping[str, str] = {
+    "sensor_msgs/msg/LaserScan": _LASER_SCAN + _HEADER,
+    "tf2_msgs/msg/TFMessage": _TRANSFORMS + _HEADER,
 }
-
 ROS1_DEFINITIONS: Mapping[str, str] = {
-    "sensor_msgs/msg/LaserScan": f"""{_LASER_SCAN}
-uint32 seq
-time stamp
-string frame_id
-""",
+    "sensor_msgs/msg/LaserScan": _LASER_SCAN + _ROS1_HEADER,
+    "tf2_msgs/msg/TFMessage": _TRANSFORMS + _ROS1_HEADER,
+    "tf/msg/tfMessage": _TRANSFORMS + _ROS1_HEADER,
 }
 
 _count = Struct("<I").unpack_from
@@ -85,11 +89,15 @@ def is_standard(
     name: str, types: "Typesdict", standard: Mapping[str, str] = STANDARD_DEFINITIONS
 ) -> bool:
     """Say whether a message type and all that it is made of have the standard fields."""
-    definition = standard.get(name)
-    if definition is None:
+    if name not in standard:
         return False
-    parts = get_types_from_msg(definition, name)
+    parts = _parse(standard[name], name)
     return all(part in types and types[part][1] == fields for part, (_, fields) in parts.items())
+
+
+@cache
+def _parse(definition: str, name: str) -> "Typesdict":
+    return get_types_from_msg(definition, name)
 
 
 def read_laser_scan(data: memoryview, topic: str, record_ns: int) -> Scan:

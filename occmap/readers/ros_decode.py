@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, TypeAlias, TypeVar
 
 from rosbags.typesys import (
@@ -74,28 +74,18 @@ def make_pose_reader(channel: Channel) -> FromBytes[list[PoseSample]]:
 
 
 @cache
-def holds_plain_transforms(channel: Channel) -> bool:
-    """Say whether `read_transforms` can read a channel's little-endian messages as they are."""
-    name = normalise_type(channel.type)
-    if channel.zipped or channel.wire != "cdr" or name != _TF_TYPES[0]:
+def is_laid_out_plainly(channel: Channel) -> bool:
+    """Say whether messages are of the types that a log holds most of, and laid out as is usual.
+
+    Little-endian ones can then be read many at a stroke.
+    """
+    name, known = normalise_type(channel.type), _DEFINITIONS.get(channel.wire, {})
+    if channel.zipped or name not in known:
         return False
     try:
-        return is_standard(name, _load_types(channel, name).fielddefs)
+        return is_standard(name, _load_types(channel, name).fielddefs, known)
     except _DEFINITION_ERRORS:
         return False
-
-
-@cache
-def holds_plain_scans(channel: Channel) -> bool:
-    """Say whether a channel's messages are scans, laid out as the standard has them."""
-    name = normalise_type(channel.type)
-    if channel.zipped or name != "sensor_msgs/msg/LaserScan" or channel.wire not in _DEFINITIONS:
-        return False
-    try:
-        types = _load_types(channel, name).fielddefs
-    except _DEFINITION_ERRORS:
-        return False
-    return is_standard(name, types, _DEFINITIONS[channel.wire])
 
 
 def _make_reader(
@@ -147,6 +137,7 @@ def _load_types(channel: Channel, name: str) -> Typestore:
     return store
 
 
+@lru_cache(maxsize=64)
 def _parse_definition(definition: str, name: str, syntax: str) -> Typestore:
     """Parse a definition and those appended to it."""
     if syntax == "msg":

@@ -16,8 +16,7 @@ from occmap.readers import DEFAULT_OPTIONS, Note, Role, Stream
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_decode import (
     FromBytes,
-    holds_plain_scans,
-    holds_plain_transforms,
+    is_laid_out_plainly,
     make_pose_reader,
     make_scan_reader,
 )
@@ -83,15 +82,15 @@ class RosLog:
         for channel, record_ns, data in self._messages(readers):
             key = channel, len(data)
             known = key in stacks or len(stacks) < MOST_STACKS
-            if not (known and holds_plain_transforms(channel)):
+            if not (known and is_laid_out_plainly(channel)):
                 yield from readers[channel].read(data, record_ns) or ()
                 continue
             stack = stacks.setdefault(key, [])
             stack.append((bytes(data), record_ns))
             if len(stack) * len(data) >= STACK_BYTES:
-                yield from _unstack(stacks.pop(key), channel.topic, readers[channel])
+                yield from _unstack(stacks.pop(key), channel, readers[channel])
         for (channel, _), stack in stacks.items():
-            yield from _unstack(stack, channel.topic, readers[channel])
+            yield from _unstack(stack, channel, readers[channel])
         self._note_damage(readers)
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
@@ -106,7 +105,7 @@ class RosLog:
             if run is not None and not run.takes(channel, data):
                 yield from _read_run(run, readers[run.channel])
                 run = None
-            if run is None and not holds_plain_scans(channel):
+            if run is None and not is_laid_out_plainly(channel):
                 if (scan := readers[channel].read(data, record_ns)) is not None:
                     yield scan
                 continue
@@ -176,16 +175,16 @@ class _ChannelReader(Generic[T]):
         self._decided = not channel.definition
         self._uses_standard = False
         try:
-            self._decode = make(channel)
+            self.decode = make(channel)
         except LogError:
             if self._decided or (standard := self._make_standard()) is None:
                 raise
-            self._decode, self._decided, self._uses_standard = standard, True, True
+            self.decode, self._decided, self._uses_standard = standard, True, True
 
     def read(self, data: memoryview, record_ns: int) -> T | None:
         """Read a message; None where it is damaged, which is counted."""
         try:
-            item: T | None = self._decode(data, record_ns)
+            item: T | None = self.decode(data, record_ns)
         except _DECODE_ERRORS:
             item = None if self._decided else self._read_by_standard(data, record_ns)
             self._failures += item is None
@@ -202,7 +201,7 @@ class _ChannelReader(Generic[T]):
             item = standard(data, record_ns)
         except _DECODE_ERRORS:
             return None
-        self._decode, self._decided, self._uses_standard = standard, True, True
+        self.decode, self._decided, self._uses_standard = standard, True, True
         return item
 
     def _make_standard(self) -> FromBytes[T] | None:
@@ -234,11 +233,11 @@ def _read_run(run: RawRun, reader: _ChannelReader[Scan]) -> Iterator[Scan | Scan
 
 
 def _unstack(
-    stack: list[RawTransforms], topic: str, reader: _ChannelReader[list[PoseSample]]
+    stack: list[RawTransforms], channel: Channel, reader: _ChannelReader[list[PoseSample]]
 ) -> Iterator[PoseSample | PoseBatch]:
     """Read stacked messages at a stroke; singly those that are damaged or like no other."""
     try:
-        batches, others = read_alike(stack, topic)
+        batches, others = read_alike(stack, channel.wire, reader.decode)
     except _DECODE_ERRORS:
         batches, others = [], stack
     yield from batches

@@ -9,12 +9,13 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.readers.messages import is_static_topic
-from occmap.readers.ros_cdr import align, count_at, read_transforms
-from occmap.types import Bool, Int64, PoseBatch, UInt8
+from occmap.readers.ros_cdr import align, count_at
+from occmap.readers.ros_decode import FromBytes
+from occmap.readers.ros_source import Wire
+from occmap.types import Bool, Int64, PoseBatch, PoseSample, UInt8
 
 RawTransforms: TypeAlias = tuple[bytes, int]
-"""A tf2_msgs/TFMessage in CDR, its encapsulation header included, and its record time (ns)."""
+"""A tf2_msgs/TFMessage as it is in the log, and its record time (ns)."""
 LITTLE_ENDIAN = b"\0\1"
 MOST_KINDS = 16
 """Messages of one length that name other frames are told apart, but not without end."""
@@ -23,16 +24,21 @@ MOST_KINDS = 16
 class _Fields(NamedTuple):
     """Where the numbers of one transform lie in its message."""
 
+    header: int
+    """A ROS 1 header begins with a number that counts messages, then the stamp follows."""
     stamp: int
     pose: int
-    parent: str
-    child: str
 
 
 def read_alike(
-    messages: list[RawTransforms], topic: str
+    messages: list[RawTransforms], wire: Wire, read: FromBytes[list[PoseSample]]
 ) -> tuple[list[PoseBatch], list[RawTransforms]]:
     """Read messages of one length.
+
+    Parameters
+    ----------
+    read
+        Reads a single message: it tells what is the same in those that are like it.
 
     Returns
     -------
@@ -41,7 +47,7 @@ def read_alike(
 
     Raises
     ------
-    ValueError, struct.error, OverflowError
+    ValueError, struct.error, OverflowError, or what `read` raises
         The first message of its kind, or a record time, is damaged.
     """
     length = len(messages[0][0])
@@ -53,16 +59,19 @@ def read_alike(
         if not len(left):
             break
         first = messages[left[0]][0]
-        fields = _locate(first, topic)
+        fields = _locate(first, wire)
         fixed = _mark_fixed(length, fields)
         alike = (raw[left][:, fixed] == raw[left[0], fixed]).all(axis=1)
         rows = left[alike]
-        batches += (_stack(raw[rows], record_ns[rows], each, topic) for each in fields)
+        samples = read(memoryview(first), 0)
+        batches += (
+            _stack(raw[rows], record_ns[rows], *each) for each in zip(fields, samples, strict=True)
+        )
         left = left[~alike]
     return batches, [messages[i] for i in left]
 
 
-def _locate(message: bytes, topic: str) -> list[_Fields]:
+def _locate(message: bytes, wire: Wire) -> list[_Fields]:
     """Find the numbers of a message.
 
     Raises
@@ -70,29 +79,39 @@ def _locate(message: bytes, topic: str) -> list[_Fields]:
     ValueError, struct.error
         The message is damaged, or big-endian.
     """
-    if message[:2] != LITTLE_ENDIAN:
+    if wire == "cdr" and message[:2] != LITTLE_ENDIAN:
         raise ValueError("the message is not little-endian")
-    data, at = memoryview(message), 8
+    data = memoryview(message)
+    at = 4 if wire == "cdr" else 0
+    count, at = count_at(data, at), at + 4
     fields = []
-    for sample in read_transforms(data, topic, 0):
-        stamp = align(at, 4)
-        child = align(stamp + 12 + count_at(data, stamp + 8), 4)
-        pose = align(child + 4 + count_at(data, child), 8)
-        fields.append(_Fields(stamp, pose, sample.parent, sample.child))
+    for _ in range(count):
+        header = align(at, 4) if wire == "cdr" else at
+        stamp = header if wire == "cdr" else header + 4
+        child = _pass_name(data, stamp + 8, wire)
+        end = _pass_name(data, child, wire)
+        pose = align(end, 8) if wire == "cdr" else end
+        fields.append(_Fields(header, stamp, pose))
         at = pose + 56
     return fields
+
+
+def _pass_name(data: memoryview, at: int, wire: Wire) -> int:
+    """Find where a name ends that begins, with its length, at an offset or, in CDR, behind it."""
+    start = align(at, 4) if wire == "cdr" else at
+    return start + 4 + count_at(data, start)
 
 
 def _mark_fixed(length: int, fields: list[_Fields]) -> Bool:
     """(L,): which bytes must be the same in messages that have their numbers in these places."""
     fixed = np.ones(length, np.bool_)
     for each in fields:
-        fixed[each.stamp : each.stamp + 8] = False
+        fixed[each.header : each.stamp + 8] = False
         fixed[each.pose : each.pose + 56] = False
     return fixed
 
 
-def _stack(raw: UInt8, record_ns: Int64, fields: _Fields, topic: str) -> PoseBatch:
+def _stack(raw: UInt8, record_ns: Int64, fields: _Fields, like: PoseSample) -> PoseBatch:
     """Read one transform of every message (M, L)."""
     seconds = _view(raw, fields.stamp, "<i4", 1)[:, 0].astype(np.int64)
     nanoseconds = _view(raw, fields.stamp + 4, "<u4", 1)[:, 0]
@@ -100,10 +119,10 @@ def _stack(raw: UInt8, record_ns: Int64, fields: _Fields, topic: str) -> PoseBat
         seconds * 1_000_000_000 + nanoseconds,
         record_ns,
         _view(raw, fields.pose, "<f8", 7).astype(np.float64),
-        fields.parent,
-        fields.child,
-        is_static_topic(topic),
-        topic,
+        like.parent,
+        like.child,
+        like.static,
+        like.topic,
     )
 
 

@@ -27,6 +27,7 @@ from occmap.readers.rosbag1_records import (
     Header,
     parse_connection,
     read_header,
+    split_messages,
     split_records,
 )
 
@@ -161,11 +162,9 @@ class Bag1Source:
         """Give the messages of a block."""
         view = memoryview(block)
         try:
-            for header, start, end in split_records(view):
-                if header.opcode == MESSAGE:
-                    channel = wanted.get(header.number(b"conn"))
-                    if channel is not None:
-                        yield channel, header.time_ns(), view[start:end]
+            for connection, record_ns, start, end in split_messages(view):
+                if (channel := wanted.get(connection)) is not None:
+                    yield channel, record_ns, view[start:end]
         except RECORD_ERRORS as error:
             self._note(position, f"cannot be read to its end ({error})")
 

@@ -1,5 +1,6 @@
 """The records of a ROS 1 bag, format 2.0: http://wiki.ros.org/Bags/Format/2.0."""
 
+import re
 import struct
 from collections.abc import Iterator
 from typing import BinaryIO, NamedTuple
@@ -18,6 +19,8 @@ RECORD_ERRORS = (struct.error, LookupError, ValueError)
 
 _LENGTH = struct.Struct("<I")
 _TIME = struct.Struct("<II")
+_VALUES = {b"conn": b"(?P<conn>.{4})", b"time": b"(?P<time>.{8})"}
+"""What differs between the headers of messages."""
 _MAX_HEADER = 1 << 20
 """A header is a hundred bytes; one that claims to be longer than this is no header."""
 
@@ -52,8 +55,7 @@ class Header(NamedTuple):
 
     def time_ns(self) -> int:
         """Read when a message was recorded."""
-        seconds, nanoseconds = _TIME.unpack(self.fields[b"time"])
-        return int(seconds) * 1_000_000_000 + int(nanoseconds)
+        return _read_time(self.fields[b"time"])
 
 
 def read_header(file: BinaryIO) -> Header | None:
@@ -67,22 +69,59 @@ def read_header(file: BinaryIO) -> Header | None:
         return None
 
 
-def split_records(block: Buffer) -> Iterator[tuple[Header, int, int]]:
-    """Give the header of each record and where its data starts and ends.
+def split_records(block: Buffer, at: int = 0) -> Iterator[tuple[Header, int, int]]:
+    """Give the header of each record, from an offset on, and where its data starts and ends.
 
     Raises
     ------
     struct.error, LookupError
         The block breaks off, or holds something else.
     """
-    at = 0
     while at < len(block):
         header = _parse_header(block, at)
         start = at + len(header.raw)
         at = start + header.length
-        if at > len(block):
-            raise LookupError(f"{len(block) - start} of {header.length} bytes are there")
+        _check_end(block, start, at)
         yield header, start, at
+
+
+def split_messages(block: Buffer) -> Iterator[tuple[int, int, int, int]]:
+    """Give the connection of each message, its time (ns), and where its data starts and ends.
+
+    A program writes the headers of all its messages alike, so most are read by the pattern of the
+    one before them: in a tenth of the time that it takes field by field.
+
+    Raises
+    ------
+    struct.error, LookupError
+        As `split_records`.
+    """
+    at = 0
+    pattern: re.Pattern[bytes] | None = None
+    while at < len(block):
+        match = pattern.match(block, at) if pattern else None
+        if match is None:
+            header, start, end = next(split_records(block, at))
+            if header.opcode == MESSAGE:
+                pattern = _describe_alike(header)
+                yield header.number(b"conn"), header.time_ns(), start, end
+        else:
+            connection, time, length = match["conn"], match["time"], match["length"]
+            start = match.end()
+            end = start + _LENGTH.unpack(length)[0]
+            _check_end(block, start, end)
+            yield _LENGTH.unpack(connection)[0], _read_time(time), start, end
+        at = end
+
+
+def _describe_alike(header: Header) -> re.Pattern[bytes]:
+    """Build what matches the headers that differ from one in connection, time and length alone."""
+    parts = [re.escape(header.raw[: _LENGTH.size])]
+    for name, value in header.fields.items():
+        start = name + b"="
+        parts.append(re.escape(_LENGTH.pack(len(start) + len(value)) + start))
+        parts.append(_VALUES.get(name) or re.escape(value))
+    return re.compile(b"".join(parts) + b"(?P<length>.{4})", re.DOTALL)
 
 
 def parse_connection(header: Header, data: Buffer) -> Channel:
@@ -95,6 +134,17 @@ def parse_connection(header: Header, data: Buffer) -> Channel:
         definition=fields.text(b"message_definition"),
         syntax="msg",
     )
+
+
+def _check_end(block: Buffer, start: int, end: int) -> None:
+    if end > len(block):
+        raise LookupError(f"{len(block) - start} of {end - start} bytes are there")
+
+
+def _read_time(value: bytes) -> int:
+    """Read a time in ns."""
+    seconds, nanoseconds = _TIME.unpack(value)
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
 def _parse_header(block: Buffer, at: int) -> Header:

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from occmap.readers import ros_log
 from occmap.readers.ros_log import RosLog
-from occmap.readers.ros_source import Channel
+from occmap.readers.ros_source import Channel, Wire
 from occmap.types import Pose, PoseBatch, PoseSample
-from tests.readers.ros import ROS2, TF, Memory, transforms
+from tests.readers.ros import ROS1, ROS2, TF, Memory, transforms
 
 Edges = Sequence[tuple[str, str, float]]
 Key = tuple[str, str, str, bool]
@@ -22,15 +22,24 @@ EDGES = st.lists(st.tuples(NAMES, NAMES, st.floats(-9, 9)), max_size=3)
 DAMAGE = st.sampled_from(["", "", "", "cut", "count", "big-endian"])
 
 
-def write(edges: Edges, stamp_ns: int, damage: str = "") -> bytes:
-    data = bytearray(ROS2.serialize_cdr(transforms(ROS2, stamp_ns, edges), TF))
+def write(edges: Edges, stamp_ns: int, damage: str = "", wire: Wire = "cdr") -> bytes:
+    if wire == "cdr":
+        data = bytearray(ROS2.serialize_cdr(transforms(ROS2, stamp_ns, edges), TF))
+    else:
+        data = bytearray(ROS1.serialize_ros1(transforms(ROS1, stamp_ns, edges), TF))
     if damage == "cut":
         del data[-1:]
     elif damage == "count":
-        data[4:8] = b"\xff\xff\xff\x7f"
+        at = 4 if wire == "cdr" else 0
+        data[at : at + 4] = b"\xff\xff\xff\x7f"
     elif damage == "big-endian":
-        data[1] = 0
+        data[1] ^= 1
     return bytes(data)
+
+
+def make_channel(topic: str, count: int, wire: Wire = "cdr") -> Channel:
+    definition = (ROS1 if wire == "ros1" else ROS2).generate_msgdef(TF)[0]
+    return Channel(topic, TF, wire, definition, "msg", count)
 
 
 def by_key(items: Iterable[PoseSample | PoseBatch]) -> dict[Key, list[PoseSample]]:
@@ -54,14 +63,14 @@ def split(item: PoseSample | PoseBatch) -> list[PoseSample]:
     ]
 
 
-@given(st.lists(st.tuples(EDGES, st.integers(0, 1), DAMAGE), max_size=12))
+@pytest.mark.parametrize("wire", ["cdr", "ros1"])
+@given(data=st.data())
 @settings(max_examples=150, deadline=None)
-def test_stacked_transforms_are_those_read_one_by_one(
-    written: list[tuple[Edges, int, str]],
-) -> None:
-    channels = [Channel(topic, TF, "cdr", count=9) for topic in ("/tf", "/tf_static")]
+def test_stacked_transforms_are_those_read_one_by_one(wire: Wire, data: st.DataObject) -> None:
+    written = data.draw(st.lists(st.tuples(EDGES, st.integers(0, 1), DAMAGE), max_size=12))
+    channels = [make_channel(topic, 9, wire) for topic in ("/tf", "/tf_static")]
     messages = [
-        (channels[c], 7 * i, write(edges, 10**9 * i + 5, damage))
+        (channels[c], 7 * i, write(edges, 10**9 * i + 5, damage, wire))
         for i, (edges, c, damage) in enumerate(written)
     ]
     alone, stacked = RosLog(Memory(messages)), RosLog(Memory(messages))
@@ -70,9 +79,12 @@ def test_stacked_transforms_are_those_read_one_by_one(
     assert stacked.notes == alone.notes
 
 
-def test_messages_laid_out_alike_are_read_at_a_stroke(monkeypatch: pytest.MonkeyPatch) -> None:
-    channel = Channel("/tf", TF, "cdr", count=100)
-    messages = [(channel, i, write([("odom", "base", float(i))], i)) for i in range(100)]
+@pytest.mark.parametrize("wire", ["cdr", "ros1"])
+def test_messages_laid_out_alike_are_read_at_a_stroke(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    channel = make_channel("/tf", 100, wire)
+    messages = [(channel, i, write([("odom", "base", float(i))], i, wire=wire)) for i in range(100)]
     monkeypatch.setattr(ros_log, "STACK_BYTES", 40 * len(messages[0][2]))
 
     items = list(RosLog(Memory(messages)).stacked_poses())
@@ -87,7 +99,7 @@ def test_a_log_whose_messages_all_differ_in_length_holds_only_some_of_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(ros_log, "MOST_STACKS", 5)
-    channel = Channel("/tf", TF, "cdr", count=30)
+    channel = make_channel("/tf", 30)
     messages = [
         (channel, i, write([("odom", "base", float(k)) for k in range(i)], i)) for i in range(30)
     ]

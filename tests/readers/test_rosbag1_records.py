@@ -1,0 +1,87 @@
+"""Messages whose headers are read by a pattern must be those read field by field."""
+
+import struct
+from collections.abc import Callable, Iterable, Sequence
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from occmap.readers.rosbag1_records import (
+    CONNECTION,
+    MESSAGE,
+    RECORD_ERRORS,
+    split_messages,
+    split_records,
+)
+
+Found = tuple[int, int, int, int]
+
+ORDERS = (("conn", "op", "time"), ("op", "conn", "time"), ("time", "extra", "conn", "op"))
+RECORDS = st.lists(
+    st.tuples(
+        st.sampled_from(ORDERS),
+        st.sampled_from([MESSAGE, MESSAGE, MESSAGE, CONNECTION]),
+        st.integers(0, 2**32 - 1),
+        st.tuples(st.integers(0, 2**32 - 1), st.integers(0, 999_999_999)),
+        st.binary(max_size=5),
+    ),
+    max_size=8,
+)
+
+
+def write(
+    order: Sequence[str], opcode: int, connection: int, time: tuple[int, int], data: bytes
+) -> bytes:
+    values = {
+        "op": bytes([opcode]),
+        "conn": struct.pack("<I", connection),
+        "time": struct.pack("<II", *time),
+        "extra": b"(.*=",
+    }
+    fields = b"".join(
+        struct.pack("<I", len(name) + 1 + len(values[name])) + name.encode() + b"=" + values[name]
+        for name in order
+    )
+    return struct.pack("<I", len(fields)) + fields + struct.pack("<I", len(data)) + data
+
+
+def split_slowly(block: bytes) -> Iterable[Found]:
+    for header, start, end in split_records(block):
+        if header.opcode == MESSAGE:
+            yield header.number(b"conn"), header.time_ns(), start, end
+
+
+def collect(split: Callable[[bytes], Iterable[Found]], block: bytes) -> tuple[list[Found], str]:
+    """What was found, and what was wrong with the rest."""
+    found = []
+    try:
+        for message in split(block):
+            found.append(message)  # noqa: PERF402  what comes before an error counts
+    except RECORD_ERRORS as error:
+        return found, f"{type(error).__name__}: {error}"
+    return found, ""
+
+
+@given(RECORDS, st.integers(0, 30))
+@settings(max_examples=300)
+def test_messages_are_those_read_field_by_field(
+    records: list[tuple[Sequence[str], int, int, tuple[int, int], bytes]], cut: int
+) -> None:
+    block = b"".join(write(*record) for record in records)
+    block = block[: len(block) - cut]
+    assert collect(split_messages, block) == collect(split_slowly, block)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_a_message_has_its_connection_time_and_data(order: Sequence[str]) -> None:
+    block = b"".join(write(order, MESSAGE, 7 + i, (i, 5), b"data%d" % i) for i in range(3))
+
+    found = list(split_messages(block))
+
+    assert [(connection, time) for connection, time, _, _ in found] == [
+        (7, 5),
+        (8, 1_000_000_005),
+        (9, 2_000_000_005),
+    ]
+    assert [block[start:end] for _, _, start, end in found] == [b"data0", b"data1", b"data2"]
