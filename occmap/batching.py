@@ -179,7 +179,7 @@ class Batcher:
 
     def _pass_on(self, run: ScanRun) -> ScanBatch:
         stamp_ns = run.record_ns if self._by_record_time else run.stamp_ns
-        return describe(run.first).stack(stamp_ns, run.ranges, None)
+        return describe(run.first).stack(stamp_ns, run.ranges, run.pose)
 
     def _release(self, held: dict[Geometry, list[Scan]]) -> Iterator[ScanBatch]:
         for geometry, scans in held.items():

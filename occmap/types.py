@@ -83,7 +83,7 @@ class Scan(NamedTuple):
 
 
 class ScanRun(NamedTuple):
-    """Scans of one log that follow one another and differ in stamps and ranges alone."""
+    """Scans of one log that follow one another and differ in times, ranges and poses alone."""
 
     first: Scan
     """All else is as in this one."""
@@ -93,13 +93,18 @@ class ScanRun(NamedTuple):
     """(S,)"""
     ranges: Float32
     """(S, B) m"""
+    pose: Float64 | None = None
+    """(S, 7) as the fields of `Pose`, where the log states it beside the scans."""
 
     def split(self) -> list[Scan]:
         """The single scans."""
-        times = zip(self.stamp_ns.tolist(), self.record_ns.tolist(), strict=True)
+        stamps, records = self.stamp_ns.tolist(), self.record_ns.tolist()
+        poses = [None] * len(stamps) if self.pose is None else map(Pose._make, self.pose.tolist())
         return [
-            self.first._replace(stamp_ns=stamp_ns, record_ns=record_ns, ranges=ranges)
-            for (stamp_ns, record_ns), ranges in zip(times, self.ranges, strict=True)
+            self.first._replace(stamp_ns=stamp_ns, record_ns=record_ns, ranges=ranges, pose=pose)
+            for stamp_ns, record_ns, ranges, pose in zip(
+                stamps, records, self.ranges, poses, strict=True
+            )
         ]
 
 

@@ -81,11 +81,16 @@ class Log(Protocol):
 
 
 @runtime_checkable
-class StackingLog(Protocol):
-    """A log that can give poses and scans many at a stroke, where one by one would take long."""
+class StackingPoses(Protocol):
+    """A log that can give poses many at a stroke, where it would take long one by one."""
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
         """What `poses` gives; samples of one frame in another stay in file order."""
+
+
+@runtime_checkable
+class StackingScans(Protocol):
+    """A log that can give scans many at a stroke."""
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """What `scans` gives, in the same order."""
@@ -93,12 +98,12 @@ class StackingLog(Protocol):
 
 def read_poses(log: Log) -> Iterator[PoseSample | PoseBatch]:
     """Every pose source of a log, in the way that is quickest for it."""
-    return log.stacked_poses() if isinstance(log, StackingLog) else log.poses()
+    return log.stacked_poses() if isinstance(log, StackingPoses) else log.poses()
 
 
 def read_scans(log: Log, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
     """The scans of some topics of a log, in the way that is quickest for it."""
-    return log.stacked_scans(topics) if isinstance(log, StackingLog) else log.scans(topics)
+    return log.stacked_scans(topics) if isinstance(log, StackingScans) else log.scans(topics)
 
 
 class Reader(Protocol):

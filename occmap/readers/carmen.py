@@ -4,6 +4,7 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import TypeAlias, TypeVar
 
@@ -30,10 +31,11 @@ from occmap.readers.text import (
     read_lines,
     shorten,
 )
-from occmap.types import Pose, PoseSample, Scan
+from occmap.types import Pose, PoseSample, Scan, ScanRun
 
 Parsed = TypeVar("Parsed")
 _KindOfLine: TypeAlias = tuple[str, Line]
+_SeeOther: TypeAlias = Callable[[str, Line, LineTally], None]
 
 # fmt: off
 OTHER_WORDS = frozenset({
@@ -47,7 +49,7 @@ MAX_WORDS = 100
 """Kinds of line that are counted each by itself; garbage must not fill the memory."""
 MAX_KEPT_BYTES = 1 << 26
 """A log whose scans fit is parsed once and kept; a larger one is parsed again as a stream."""
-BLOCK_BYTES = 1 << 18
+BLOCK_BYTES = 1 << 20
 """Lines are read so many at a time, for scans to be parsed together."""
 LINE_BYTES = 200
 """What a line takes beside its text."""
@@ -94,7 +96,7 @@ class CarmenLog:
         self._tallies: defaultdict[str, RangeTally] = defaultdict(RangeTally)
         self._front_offset: float | None = None
         self._size = 0
-        self._kept: list[Scan] | None = []
+        self._kept: list[Scan | ScanRun] | None = []
         self._survey()
         self._limits = {word: self._find_limit(word) for word in self._tallies}
         self._note_other_lines()
@@ -120,10 +122,18 @@ class CarmenLog:
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """The scans of these keywords; range_max is the no-return value, where one was found."""
-        for scan in self._stream_scans() if self._kept is None else self._kept:
-            if scan.topic in topics:
-                limit = self._limits.get(scan.topic, math.inf)
-                yield scan._replace(range_max=min(scan.range_max, limit))
+        for some in self.stacked_scans(topics):
+            yield from some.split() if isinstance(some, ScanRun) else (some,)
+
+    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
+        """The same; those that follow one another and are alike, many at a stroke."""
+        for some in self._stream_scans() if self._kept is None else self._kept:
+            first = some.first if isinstance(some, ScanRun) else some
+            if first.topic not in topics:
+                continue
+            limit = self._limits.get(first.topic, math.inf)
+            limited = first._replace(range_max=min(first.range_max, limit))
+            yield some._replace(first=limited) if isinstance(some, ScanRun) else limited
 
     def _walk(self, notes: list[Note]) -> Iterator[_KindOfLine]:
         """Yield every line that is not blank with its keyword; every comment has `#`."""
@@ -132,26 +142,32 @@ class CarmenLog:
             if head:
                 yield ("#" if head[0].startswith("#") else head[0]), line
 
-    def _walk_parsed(self, tally: LineTally) -> Iterator[tuple[str, Line, Scan | None]]:
-        """Yield what `_walk` does, and the scan of a line that is one and not damaged."""
+    def _walk_scans(self, tally: LineTally, see_other: _SeeOther) -> Iterator[Scan | ScanRun]:
+        """Yield the scans, passing over damaged ones; other lines are handed to `see_other`."""
         notes_at_end: list[Note] = []
         for block in _cut_blocks(self._walk(notes_at_end)):
-            parsed = _parse_together(block)
+            runs = _parse_together(block)
+            items = {
+                word: iter([run] if len(runs) == 1 else run.split())
+                for word, run in runs.items()
+                if run is not None
+            }
             for word, line in block:
-                scan = parsed.get(line.number)
-                if scan is not None:
+                if word not in FRAMES:
+                    see_other(word, line, tally)
+                elif word in items:
                     tally.add(line)
-                elif word in FRAMES:
-                    scan = self._parse(line, parse_scan, tally)
-                yield word, line, scan
+                    yield from islice(items[word], 1)
+                elif scan := self._parse(line, parse_scan, tally):
+                    yield scan
         for note in notes_at_end:
             add_note(self.notes, note)
 
-    def _stream_scans(self) -> Iterator[Scan]:
+    def _stream_scans(self) -> Iterator[Scan | ScanRun]:
         judged = LineTally()  # when the log was first read
-        for _, _, scan in self._walk_parsed(judged):
-            if scan is not None and scan.ranges.size:
-                yield scan
+        for some in self._walk_scans(judged, lambda *_: None):
+            if some.ranges.size:
+                yield some
 
     def _parse(self, line: Line, parse: Callable[[str], Parsed], tally: LineTally) -> Parsed | None:
         """Parse a line; one that is damaged gives None, and a note where the file ends in it."""
@@ -169,25 +185,23 @@ class CarmenLog:
     def _survey(self) -> None:
         """Read the log once: count its lines, tally its ranges, keep its scans if they are few."""
         tally = LineTally()
-        for word, line, scan in self._walk_parsed(tally):
-            if scan is not None:
-                self._survey_scan(scan)
-            elif word not in FRAMES:
-                self._survey_other(word, line, tally)
+        for some in self._walk_scans(tally, self._survey_other):
+            self._survey_scans(some)
         tally.judge(self.path, self.notes, FIX)
 
-    def _survey_scan(self, scan: Scan) -> None:
-        if not scan.ranges.size:
-            self._words[f"{scan.topic} without beams"] += 1
+    def _survey_scans(self, some: Scan | ScanRun) -> None:
+        first, scans = (some.first, len(some.ranges)) if isinstance(some, ScanRun) else (some, 1)
+        if not first.ranges.size:
+            self._words[f"{first.topic} without beams"] += scans
             return
-        self._words[scan.topic] += 1
-        self._tallies[scan.topic].add(scan)
-        self._size += SCAN_BYTES + scan.ranges.nbytes
+        self._words[first.topic] += scans
+        self._tallies[first.topic].add(some.ranges, first.range_max)
+        self._size += SCAN_BYTES * scans + some.ranges.nbytes
         if self._size > MAX_KEPT_BYTES:
             self._kept = None
         if self._kept is not None:
-            self._kept.append(scan)
-        self._note_angles(scan)
+            self._kept.append(some)
+        self._note_angles(first)
 
     def _survey_other(self, word: str, line: Line, tally: LineTally) -> None:
         if not line.ended and _is_cut(word, line.text):
@@ -249,15 +263,14 @@ def _cut_blocks(lines: Iterable[_KindOfLine]) -> Iterator[list[_KindOfLine]]:
     yield block
 
 
-def _parse_together(block: list[_KindOfLine]) -> dict[int, Scan]:
-    """Parse the scans of a block, by line; where one is damaged or differs, none of its kind."""
-    scans: dict[int, Scan] = {}
+def _parse_together(block: list[_KindOfLine]) -> dict[str, ScanRun | None]:
+    """Parse the scans of a block, by kind; None where one is damaged, or differs."""
+    runs: dict[str, ScanRun | None] = {}
     for kind in {word for word, _ in block}.intersection(FRAMES):
-        lines = [line for word, line in block if word == kind]
+        runs[kind] = None
         with suppress(ValueError):
-            parsed = parse_scans([line.text for line in lines])
-            scans.update(zip((line.number for line in lines), parsed, strict=True))
-    return scans
+            runs[kind] = parse_scans([line.text for word, line in block if word == kind])
+    return runs
 
 
 def _name_word(word: str) -> str:

@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.readers.text import as_float32, parse_stamp, round_limit, shorten
-from occmap.types import Float64, Pose, PoseSample, Scan
+from occmap.types import Float64, Pose, PoseSample, Scan, ScanRun
 
 FRONT, REAR = "front_laser", "rear_laser"
 PLAIN_FRAMES = {"FLASER": FRONT, "RLASER": REAR}
@@ -50,6 +50,16 @@ class _Words(NamedTuple):
     record_ns: int
 
 
+class _Layout(NamedTuple):
+    """Where the numbers of a scan line stand."""
+
+    ranges: slice
+    pose: slice | None
+    """x, y, theta of the laser; None where the line has none"""
+    fixed: list[int]
+    """The numbers that scans of one laser share"""
+
+
 class _Message(NamedTuple):
     word: str
     values: Float64
@@ -63,23 +73,35 @@ def parse_scan(text: str) -> Scan:
     return _make_scan(_parse_message(text))
 
 
-def parse_scans(texts: Sequence[str]) -> list[Scan]:
-    """Parse lines of as many numbers each together, which takes half the time.
+def parse_scans(texts: Sequence[str]) -> ScanRun:
+    """Parse lines that differ in times, ranges and poses alone, which takes half the time.
 
     Raises ValueError where one is malformed or unlike the others: `parse_scan` tells which.
     """
     lines = [_split_message(text) for text in texts]
     table = _parse_table([line.numbers for line in lines])
-    return [
-        _make_scan(_Message(line.word, values, line.stamp_ns, line.record_ns))
-        for line, values in zip(lines, table, strict=True)
-    ]
+    word, _, stamp_ns, record_ns = lines[0]
+    layout = _lay_out(word, table[0])
+    fixed = table[:, layout.fixed]
+    if any(line.word != word for line in lines) or (fixed != fixed[0]).any():
+        raise ValueError("the lines differ in more than numbers that are measured")
+    poses = [_make_pose(row) for row in table[:, layout.pose]] if layout.pose else None
+    if poses is not None and None in poses:
+        raise ValueError("a pose is not finite")
+    return ScanRun(
+        _make_scan(_Message(word, table[0], stamp_ns, record_ns)),
+        np.array([line.stamp_ns for line in lines], np.int64),
+        np.array([line.record_ns for line in lines], np.int64),
+        as_float32(table[:, layout.ranges]),
+        None if poses is None else np.array(poses, np.float64),
+    )
 
 
 def parse_odometry(text: str) -> PoseSample:
     """Parse an ODOM line."""
     message = _parse_message(text)
-    pose = _make_pose(_take_rest(message.values, 0, 6)[:3])
+    _check_rest(message.values, 0, 6)
+    pose = _make_pose(message.values[:3])
     if pose is None:
         raise ValueError("the pose is not finite")
     return PoseSample(
@@ -148,20 +170,32 @@ def _is_number(word: str) -> bool:
         return False
 
 
-def _take_list(values: Float64, at: int) -> tuple[Float64, int]:
-    """Take the list whose length stands at an index; return it and the index after it."""
+def _lay_out(word: str, values: Float64) -> _Layout:
+    """Find what a scan line holds; raises ValueError where its counts do not fit its length."""
+    if word in PLAIN_FRAMES:
+        ranges = _find_list(values, 0)
+        _check_rest(values, ranges.stop, 6)
+        return _Layout(ranges, slice(ranges.stop, ranges.stop + 3), [0])
+    ranges = _find_list(values, 7)
+    remissions = _find_list(values, ranges.stop)
+    with_pose = word in ROBOT_FRAMES
+    _check_rest(values, remissions.stop, 11 if with_pose else 0)
+    pose = slice(remissions.stop, remissions.stop + 3) if with_pose else None
+    return _Layout(ranges, pose, [1, 3, 4, 7, ranges.stop])
+
+
+def _find_list(values: Float64, at: int) -> slice:
+    """Find the list whose length stands at an index."""
     room = values.size - at - 1
     if room >= 0 and 0 <= values[at] <= room:
-        end = at + 1 + int(values[at])
-        return values[at + 1 : end], end
+        return slice(at + 1, at + 1 + int(values[at]))
     announced = f"{values[at]:g}" if room >= 0 else "no"
     raise ValueError(f"it announces {announced} values where {max(room, 0)} follow")
 
 
-def _take_rest(values: Float64, at: int, size: int) -> Float64:
+def _check_rest(values: Float64, at: int, size: int) -> None:
     if values.size - at != size:
         raise ValueError(f"{values.size - at} numbers before the time where {size} belong")
-    return values[at:]
 
 
 def _make_pose(values: Float64) -> Pose | None:
@@ -171,43 +205,25 @@ def _make_pose(values: Float64) -> Pose | None:
 
 
 def _make_scan(message: _Message) -> Scan:
-    return _make_plain(message) if message.word in PLAIN_FRAMES else _make_configured(message)
-
-
-def _make_plain(message: _Message) -> Scan:
-    ranges, end = _take_list(message.values, 0)
-    poses = _take_rest(message.values, end, 6)
+    word, values = message.word, message.values
+    layout = _lay_out(word, values)
+    ranges = as_float32(values[layout.ranges])
+    if word in PLAIN_FRAMES:
+        angle_min, increment, range_max = -math.pi / 2, imply_increment(ranges.size), math.inf
+    else:
+        _, angle_min, _, increment, maximum, *_ = values[:7].tolist()
+        if not math.isfinite(angle_min + increment):
+            raise ValueError("start_angle or resolution is not finite")
+        range_max = round_limit(maximum) if maximum > 0 else math.inf
     return Scan(
         stamp_ns=message.stamp_ns,
-        frame=FRAMES[message.word],
-        angle_min=-math.pi / 2,
-        angle_increment=imply_increment(ranges.size),
-        ranges=as_float32(ranges),
-        range_min=0.0,
-        range_max=math.inf,
-        pose=_make_pose(poses[:3]),
-        topic=message.word,
-        record_ns=message.record_ns,
-    )
-
-
-def _make_configured(message: _Message) -> Scan:
-    ranges, after_ranges = _take_list(message.values, 7)
-    _, end = _take_list(message.values, after_ranges)
-    with_pose = message.word in ROBOT_FRAMES
-    rest = _take_rest(message.values, end, 11 if with_pose else 0)
-    _, angle_min, _, increment, maximum, *_ = message.values[:7].tolist()
-    if not math.isfinite(angle_min + increment):
-        raise ValueError("start_angle or resolution is not finite")
-    return Scan(
-        stamp_ns=message.stamp_ns,
-        frame=FRAMES[message.word],
+        frame=FRAMES[word],
         angle_min=angle_min,
         angle_increment=increment,
-        ranges=as_float32(ranges),
+        ranges=ranges,
         range_min=0.0,
-        range_max=round_limit(maximum) if maximum > 0 else math.inf,
-        pose=_make_pose(rest[:3]) if with_pose else None,
-        topic=message.word,
+        range_max=range_max,
+        pose=_make_pose(values[layout.pose]) if layout.pose else None,
+        topic=word,
         record_ns=message.record_ns,
     )

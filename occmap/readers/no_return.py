@@ -6,7 +6,7 @@ from collections import Counter
 import numpy as np
 
 from occmap.readers import Note
-from occmap.types import Float32, Scan
+from occmap.types import Float32
 
 SICK_LOWEST = float(np.float32(81.83))
 SICK_HIGHEST = float(np.float32(81.91))
@@ -33,14 +33,14 @@ class RangeTally:
         self._block: list[Float32] = []
         self._block_size = 0
 
-    def add(self, scan: Scan) -> None:
-        """Count the ranges of one scan."""
-        self.total += scan.ranges.size
-        self.stated = max(self.stated, scan.range_max)
-        if scan.range_max < math.inf:
-            self.above += int(np.count_nonzero(scan.ranges > scan.range_max))
-        self._block.append(scan.ranges)
-        self._block_size += scan.ranges.size
+    def add(self, ranges: Float32, range_max: float) -> None:
+        """Count the ranges (of any shape) of scans that state one limit (m)."""
+        self.total += ranges.size
+        self.stated = max(self.stated, range_max)
+        if range_max < math.inf:
+            self.above += int(np.count_nonzero(ranges > range_max))
+        self._block.append(ranges.ravel())
+        self._block_size += ranges.size
         if self._block_size >= BLOCK_RANGES:
             self._fold()
 

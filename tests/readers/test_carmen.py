@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from occmap.errors import LogError
-from occmap.readers import Log, Note, Probe, Role, Stream, carmen, probe_path
+from occmap.readers import Log, Note, Probe, Role, StackingScans, Stream, carmen, probe_path
 from occmap.readers.carmen import CarmenReader
 from occmap.readers.text import Line
-from occmap.types import Pose, PoseSample
+from occmap.types import Pose, PoseSample, ScanRun
 
 REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", "../shared/logs")) / "carmen"
 
@@ -226,6 +226,24 @@ def test_how_many_lines_are_parsed_together_makes_no_difference(
     for size in (1, 700, 1500):
         monkeypatch.setattr(carmen, "BLOCK_BYTES", size)
         np.testing.assert_equal(summarise(CarmenReader().open(path)), expected)
+
+
+def test_scans_of_two_lasers_stay_in_file_order(tmp_path: Path) -> None:
+    lines = [flaser(stamp, word="RLASER" if stamp % 2 else "FLASER") for stamp in range(6)]
+    log = open_text(tmp_path, "".join(lines))
+    assert [scan.topic for scan in log.scans(["FLASER", "RLASER"])] == ["FLASER", "RLASER"] * 3
+    assert [stamp_ns for stamp_ns, *_ in log.scans(["FLASER", "RLASER"])] == [
+        stamp * 10**9 for stamp in range(6)
+    ]
+
+
+def test_scans_that_are_alike_come_at_a_stroke(tmp_path: Path) -> None:
+    log = open_text(tmp_path, HEADER + "".join(flaser(i) + ODOM.format(i) for i in range(6)))
+    assert isinstance(log, StackingScans)
+    (run,) = log.stacked_scans(["FLASER"])
+    assert isinstance(run, ScanRun)
+    assert run.stamp_ns.tolist() == [stamp * 10**9 for stamp in range(6)]
+    assert list(log.stacked_scans(["RLASER"])) == []
 
 
 def test_a_block_of_lines_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,7 @@
 """CARMEN lines, written by hand, against the values that they state."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -132,13 +133,39 @@ def test_malformed_lines_say_what_is_wrong(line: str, complaint: str) -> None:
 
 LINES = [
     "FLASER 2 1.5 81.91 1 -2 0.25 7 8 9 1.25 robot 1.5",
-    "FLASER 2 .5 1e39 1e-3 +2. 1E400 7 8 9 2 robot 2",
+    "FLASER 2 .5 1e39 1e-3 +2. 1E30 7 8 9 2 robot 2",
+]
+ROBOT_LINES = [
+    f"ROBOTLASER1 {CONFIG} 2 1.5 50 1 0 1 -2 0.25 4 5 6 7 8 9 10 11 1.25 robot 0",
+    f"ROBOTLASER1 1{CONFIG[1:]} 2 2.5 60 1 9 3 -4 7.25 0 0 0 0 0 0 0 0 2 robot 3",
+]
+RAW_LINES = [
+    f"RAWLASER1 {CONFIG} 3 1.5 50 2 0 1.25 robot 1.25",
+    f"RAWLASER1 {CONFIG} 3 2.5 60 2 0 2 robot 2",
 ]
 
 
-def test_lines_parsed_together_are_as_parsed_alone() -> None:
-    for scan, line in zip(parse_scans(LINES), LINES, strict=True):
+@pytest.mark.parametrize("lines", [LINES, ROBOT_LINES, RAW_LINES])
+def test_lines_parsed_together_are_as_parsed_alone(lines: Sequence[str]) -> None:
+    for scan, line in zip(parse_scans(lines).split(), lines, strict=True):
         expect_equal(scan, parse_scan(line))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        ROBOT_LINES[0].replace("0.008727", "0.01"),
+        ROBOT_LINES[0].replace("-1.570796", "-1.5"),
+        ROBOT_LINES[0].replace(" 50.0 ", " 30.0 "),
+        ROBOT_LINES[0].replace(" 2 1.5 50 1 0 ", " 1 1.5 2 1 0 "),
+        ROBOT_LINES[0].replace("ROBOTLASER1", "ROBOTLASER0"),
+        ROBOT_LINES[0].replace("-2 0.25", "-2 1e400"),
+    ],
+)
+def test_scans_of_another_laser_are_not_parsed_together(other: str) -> None:
+    assert parse_scan(other)
+    with pytest.raises(ValueError, match=r"differ|finite"):
+        parse_scans([*ROBOT_LINES, other])
 
 
 @pytest.mark.parametrize(
@@ -164,7 +191,7 @@ def test_lines_that_differ_are_not_parsed_together(other: str) -> None:
 def test_no_number_is_read_in_two_ways(words: list[str]) -> None:
     line = f"FLASER 2 {' '.join(words)} 1 2 3 4 5 1 host 1"
     try:
-        (together,) = parse_scans([line])
+        (together,) = parse_scans([line]).split()
     except ValueError:
         return  # it is parsed alone
     expect_equal(together, parse_scan(line))

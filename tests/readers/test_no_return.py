@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from occmap.readers.no_return import RangeTally, find_limit
-from occmap.types import Scan
 
 
 def tally(ranges: list[float], stated: float = math.inf, per_scan: int = 50) -> RangeTally:
     counts = RangeTally()
     for start in range(0, len(ranges), per_scan):
         block = np.array(ranges[start : start + per_scan], np.float32)
-        counts.add(Scan(0, "laser", 0.0, 0.1, block, 0.0, stated))
+        counts.add(block, stated)
     return counts
 
 
