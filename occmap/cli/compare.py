@@ -1,5 +1,6 @@
 """`occmap compare`: several updates and sensor models in one read, scored on held-out scans."""
 
+import math
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -164,5 +165,6 @@ def format_table(results: Sequence[Result]) -> Iterator[str]:
         score = result.score
         costs = f"{score.cross_entropy:7.3f} ({score.free_cost:.3f}, {score.occupied_cost:.3f})"
         spent = f"{result.seconds:5.2f} s {result.bytes / 1e6:5.1f} MB"
-        shares = f"{score.share:7.4f}  {score.share_error:6.4f}  {score.log_likelihood:7.3f}"
+        error = f"{score.share_error:.4f}" if math.isfinite(score.share_error) else "-"
+        shares = f"{score.share:7.4f}  {error:>6}  {score.log_likelihood:7.3f}"
         yield f"{result.variant.name:<{width}} {shares}  {costs:<24} {spent:>16}"

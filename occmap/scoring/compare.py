@@ -22,7 +22,11 @@ from occmap.report import Made, Tally, refuse_unused
 from occmap.scoring.trials import HoldOut, Result, Task, Trials
 from occmap.scoring.variants import Variant, shorten_model
 from occmap.types import Rays
+from occmap.wording import count
 from occmap.writers.atomic import check_target
+
+FEW_SCANS = 10
+"""Fewer draws do not tell how far the next one may lie from them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +132,9 @@ def compare(
             made.note(log, poser.notes)
     refuse_unused(logs, tally)
     refuse_unscored(made.logs, hold_out)
+    if hold_out.scans < FEW_SCANS:
+        held_out = count(hold_out.scans, "held-out scan")
+        made.notes.append(f"{held_out}: too few to tell variants apart; give a longer log")
     results = tuple(trials.score(hold_out.held))
     if picture is not None:
         from occmap.scoring.picture import write_picture  # noqa: PLC0415  late: it brings PIL

@@ -23,7 +23,10 @@ def log(tmp_path: Path) -> Path:
 
 def test_the_table_names_the_best_and_how_to_build_it(log: Path) -> None:
     result = occmap("compare", log, "--resolution", 0.1, "--model", "simple", "--model", "counting")
-    assert (result.code, result.err) == (0, "")
+    assert result.code == 0
+    assert result.err == (
+        "note: 2 held-out scans: too few to tell variants apart; give a longer log\n"
+    )
     lines = result.out.splitlines()
     assert " ".join(lines[0].split()) == (
         "variant share error log-lik entropy (free, occupied) time memory"
@@ -39,6 +42,12 @@ def test_the_table_names_the_best_and_how_to_build_it(log: Path) -> None:
     assert lines[8:10] == ["best: beam simple", build]
     likely = build.replace("simple", "counting")
     assert lines[10:] == ["where probabilities matter: beam counting", likely]
+
+
+def test_the_error_of_one_scan_is_not_known(log: Path) -> None:
+    result = occmap("compare", log, "--model", "simple", "--update", "beam", "--end", "5")
+    assert result.out.splitlines()[1].split()[:4] == ["beam", "simple", "1.0000", "-"]
+    assert "note: 1 held-out scan: too few" in result.err
 
 
 def test_the_best_command_builds(
