@@ -162,9 +162,8 @@ class Bag1Source:
         """Give the messages of a block."""
         view = memoryview(block)
         try:
-            for connection, record_ns, start, end in split_messages(view):
-                if (channel := wanted.get(connection)) is not None:
-                    yield channel, record_ns, view[start:end]
+            for connection, record_ns, start, end in split_messages(view, wanted):
+                yield wanted[connection], record_ns, view[start:end]
         except RECORD_ERRORS as error:
             self._note(position, f"cannot be read to its end ({error})")
 

@@ -18,9 +18,11 @@ from occmap.readers.rosbag1_records import (
 Found = tuple[int, int, int, int]
 
 ORDERS = (("conn", "op", "time"), ("op", "conn", "time"), ("time", "extra", "conn", "op"))
+NO_TIME = ("conn", "op")
+WANTED = range(2**31)
 RECORDS = st.lists(
     st.tuples(
-        st.sampled_from(ORDERS),
+        st.sampled_from([*ORDERS, *ORDERS, NO_TIME]),
         st.sampled_from([MESSAGE, MESSAGE, MESSAGE, CONNECTION]),
         st.integers(0, 2**32 - 1),
         st.tuples(st.integers(0, 2**32 - 1), st.integers(0, 999_999_999)),
@@ -48,7 +50,7 @@ def write(
 
 def split_slowly(block: bytes) -> Iterable[Found]:
     for header, start, end in split_records(block):
-        if header.opcode == MESSAGE:
+        if header.opcode == MESSAGE and header.number(b"conn") in WANTED:
             yield header.number(b"conn"), header.time_ns(), start, end
 
 
@@ -70,14 +72,14 @@ def test_messages_are_those_read_field_by_field(
 ) -> None:
     block = b"".join(write(*record) for record in records)
     block = block[: len(block) - cut]
-    assert collect(split_messages, block) == collect(split_slowly, block)
+    assert collect(lambda raw: split_messages(raw, WANTED), block) == collect(split_slowly, block)
 
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_a_message_has_its_connection_time_and_data(order: Sequence[str]) -> None:
     block = b"".join(write(order, MESSAGE, 7 + i, (i, 5), b"data%d" % i) for i in range(3))
 
-    found = list(split_messages(block))
+    found = list(split_messages(block, {7, 8, 9}))
 
     assert [(connection, time) for connection, time, _, _ in found] == [
         (7, 5),
@@ -85,3 +87,9 @@ def test_a_message_has_its_connection_time_and_data(order: Sequence[str]) -> Non
         (9, 2_000_000_005),
     ]
     assert [block[start:end] for _, _, start, end in found] == [b"data0", b"data1", b"data2"]
+
+
+def test_a_damaged_time_of_another_connection_is_not_looked_at() -> None:
+    other = write(NO_TIME, MESSAGE, 8, (0, 0), b"")
+    block = other + write(ORDERS[0], MESSAGE, 7, (1, 0), b"data")
+    assert [connection for connection, *_ in split_messages(block, {7})] == [7]
