@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
@@ -26,6 +26,7 @@ from occmap.readers.text import (
     Line,
     LineTally,
     add_note,
+    cut_blocks,
     note_cut_line,
     probe_lines,
     read_lines,
@@ -49,10 +50,6 @@ MAX_WORDS = 100
 """Kinds of line that are counted each by itself; garbage must not fill the memory."""
 MAX_KEPT_BYTES = 1 << 26
 """A log whose scans fit is parsed once and kept; a larger one is parsed again as a stream."""
-BLOCK_BYTES = 1 << 20
-"""Lines are read so many at a time, for scans to be parsed together."""
-LINE_BYTES = 200
-"""What a line takes beside its text."""
 FIX = "correct or delete this line"
 SCAN_BYTES = 700
 """What a scan takes beside its ranges, as measured."""
@@ -145,7 +142,7 @@ class CarmenLog:
     def _walk_scans(self, tally: LineTally, see_other: _SeeOther) -> Iterator[Scan | ScanRun]:
         """Yield the scans, passing over damaged ones; other lines are handed to `see_other`."""
         notes_at_end: list[Note] = []
-        for block in _cut_blocks(self._walk(notes_at_end)):
+        for block in cut_blocks(self._walk(notes_at_end), _get_text):
             runs = _parse_together(block)
             items = {
                 word: iter([run] if len(runs) == 1 else run.split())
@@ -250,17 +247,8 @@ class CarmenLog:
             add_note(self.notes, Note(text + (", ..." if len(others) > 5 else "")))
 
 
-def _cut_blocks(lines: Iterable[_KindOfLine]) -> Iterator[list[_KindOfLine]]:
-    """Cut lines into lists that take a bounded part of the memory each."""
-    block: list[_KindOfLine] = []
-    size = 0
-    for word, line in lines:
-        block.append((word, line))
-        size += LINE_BYTES + len(line.text)
-        if size >= BLOCK_BYTES:
-            yield block
-            block, size = [], 0
-    yield block
+def _get_text(item: _KindOfLine) -> str:
+    return item[1].text
 
 
 def _parse_together(block: list[_KindOfLine]) -> dict[str, ScanRun | None]:

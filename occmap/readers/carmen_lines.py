@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.readers.text import as_float32, parse_stamp, round_limit, shorten
+from occmap.readers.text import as_float32, parse_stamp, parse_table, round_limit, shorten
 from occmap.types import Float64, Pose, PoseSample, Scan, ScanRun
 
 FRONT, REAR = "front_laser", "rear_laser"
@@ -40,6 +40,7 @@ IMPLIED_INCREMENTS = {beams: math.radians(1.0) for beams in (180, 181)} | {
 }
 FRONT_OFFSET = "robot_frontlaser_offset"
 NUMBER_CHARACTERS = b"+-.0123456789Ee "
+"""What a logger writes; `np.loadtxt` and `np.fromstring` differ in Unicode's blanks, and nan."""
 
 
 class _Words(NamedTuple):
@@ -79,7 +80,7 @@ def parse_scans(texts: Sequence[str]) -> ScanRun:
     Raises ValueError where one is malformed or unlike the others: `parse_scan` tells which.
     """
     lines = [_split_message(text) for text in texts]
-    table = _parse_table([line.numbers for line in lines])
+    table = parse_table([line.numbers for line in lines], NUMBER_CHARACTERS)
     word, _, stamp_ns, record_ns = lines[0]
     layout = _lay_out(word, table[0])
     fixed = table[:, layout.fixed]
@@ -142,16 +143,6 @@ def _split_message(text: str) -> _Words:
     record_ns = stamp_ns if logged == stamp else parse_stamp(logged)
     # Converters write 0 where they know no second time.
     return _Words(words[0], words[1], stamp_ns, record_ns or stamp_ns)
-
-
-def _parse_table(texts: list[str]) -> Float64:
-    """Parse rows of as many numbers each, (S, N), where all is as plain as a logger writes it.
-
-    What `np.loadtxt` and `np.fromstring` differ in takes other characters: Unicode's blanks, nan.
-    """
-    if any(text.encode().translate(None, NUMBER_CHARACTERS) for text in texts):
-        raise ValueError("there is more in it than numbers")
-    return np.loadtxt(texts, comments=None, ndmin=2)
 
 
 def _parse_numbers(text: str) -> Float64:

@@ -2,7 +2,10 @@
 
 import math
 from collections.abc import Collection, Iterator, Sequence
+from operator import attrgetter
 from pathlib import Path
+
+import numpy as np
 
 from occmap.errors import LogError
 from occmap.readers import Note, Probe, Role, Stream
@@ -21,16 +24,21 @@ from occmap.readers.text import (
     LineTally,
     add_note,
     as_float32,
+    cut_blocks,
     note_cut_line,
     parse_nanoseconds,
     parse_stamp,
+    parse_table,
     probe_lines,
     read_lines,
     round_limit,
 )
-from occmap.types import Float32, Pose, PoseSample, Scan
+from occmap.types import Float32, Pose, PoseSample, Scan, ScanRun
 
 TOPIC = "scan"
+VARIABLE = frozenset(("stamp", *POSE_NAMES))
+"""What differs between the scans of one laser, beside their ranges."""
+NUMBER_CHARACTERS = b"+-.0123456789Ee, inaf"
 UNKNOWN_POSE = Pose(*[math.nan] * 7)
 """Tells a scan whose pose is not known from a log that states no poses at all."""
 
@@ -102,12 +110,18 @@ class CsvLog:
             The first row, or so many that this is no damage, has a word for a number or too few or
             many cells.
         """
+        for some in self.stacked_scans(topics):
+            yield from some.split() if isinstance(some, ScanRun) else (some,)
+
+    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
+        """The same; rows that differ in stamps, ranges and poses alone, many at a stroke."""
         if TOPIC not in topics:
             return
-        for line in self._walk_rows():
-            scan = self._parse(line)
-            if scan is not None:
-                yield scan
+        for block in cut_blocks(self._walk_rows(), attrgetter("text")):
+            try:
+                yield _parse_rows(self._layout, [line.text for line in block])
+            except ValueError:  # damage, or another geometry: row by row it is seen which
+                yield from filter(None, map(self._parse, block))
 
     def _walk(self) -> Iterator[Line]:
         """Yield every line that is not blank."""
@@ -176,6 +190,42 @@ class CsvLog:
 
 def _is_comment(line: Line) -> bool:
     return line.text.lstrip().startswith("#")
+
+
+def _parse_rows(layout: Layout, texts: list[str]) -> ScanRun:
+    """Parse rows together; raises ValueError where one is malformed or unlike the first."""
+    first = _parse_row(layout, texts[0])
+    before = layout.beams[0]
+    if layout.beams != tuple(range(before, before + len(layout.beams))):
+        raise ValueError("the beams stand apart")
+    *heads, tails = zip(*(_cut_row(text, before) for text in texts), strict=True)
+    for name, at in layout.columns.items():
+        if at >= before or (name not in VARIABLE and len(set(heads[at])) > 1):
+            raise ValueError(f"{name} is not the same in all rows, or stands behind the beams")
+    table = parse_table(list(tails), NUMBER_CHARACTERS, ",")
+    if table.shape[1] != len(layout.header) - before:
+        raise ValueError(f"{before + table.shape[1]} cells where the header has another number")
+    cells = list(map(list, zip(*heads, strict=True))) if heads else [[] for _ in texts]
+    stamp_ns = np.array([_read_stamp(layout, row) for row in cells], np.int64)
+    poses = [_read_pose(layout, row) for row in cells] if layout.has_pose else None
+    return ScanRun(
+        first,
+        stamp_ns,
+        stamp_ns,
+        as_float32(table[:, : len(layout.beams)]),
+        None if poses is None else np.array(poses, np.float64),
+    )
+
+
+def _cut_row(text: str, before: int) -> list[str]:
+    """Split off the cells before the beams; an empty beam among the rest is NaN."""
+    cells = text.split(",", before)
+    tail = cells[-1]
+    if '"' in text or len(cells) <= before:
+        raise ValueError("there are quotes in it, or too few cells")
+    if ",," in tail or tail[:1] in {",", ""} or tail[-1] == ",":
+        cells[-1] = ",".join(cell or "nan" for cell in tail.split(","))
+    return cells
 
 
 def _parse_row(layout: Layout, text: str) -> Scan:

@@ -1,10 +1,10 @@
 """What the text formats share: lines of a plain or gzip file, exact times, notes on damage."""
 
 import io
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from decimal import Decimal
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +12,9 @@ from numpy.typing import ArrayLike
 from occmap.errors import LogError
 from occmap.readers import Note, Probe
 from occmap.readers.gunzip import GUNZIP_ERRORS, MAGIC, GunzipStream
-from occmap.types import Float32
+from occmap.types import Float32, Float64
+
+Item = TypeVar("Item")
 
 MAX_LINE_BYTES = 1 << 24
 """A scan of a million beams is shorter; a longer line is no text log."""
@@ -27,6 +29,11 @@ MALFORMED_SHARE = 0.05
 """A damaged disk spoils a line here and there; a file with more malformed lines is another kind."""
 SOUND_START = 20
 """A file that begins with so many sound lines is a log, whatever follows."""
+
+BLOCK_BYTES = 1 << 20
+"""Lines are parsed so many at a time: scans together take half the time."""
+LINE_BYTES = 200
+"""What a line takes beside its text."""
 
 NO_LOG = "this is no text log; check what the file is"
 
@@ -98,6 +105,35 @@ def read_lines(path: Path, notes: list[Note]) -> Iterator[Line]:
         add_note(notes, Note(text, damage=True))
     except OSError as error:
         raise LogError(f"cannot be read ({error.strerror})", where=path) from None
+
+
+def cut_blocks(items: Iterable[Item], get_text: Callable[[Item], str]) -> Iterator[list[Item]]:
+    """Cut items that hold a line each into lists that take a bounded part of the memory."""
+    block: list[Item] = []
+    size = 0
+    for item in items:
+        block.append(item)
+        size += LINE_BYTES + len(get_text(item))
+        if size >= BLOCK_BYTES:
+            yield block
+            block, size = [], 0
+    if block:
+        yield block
+
+
+def parse_table(texts: list[str], characters: bytes, delimiter: str | None = None) -> Float64:
+    """Parse rows of as many numbers each, (S, N), where these characters are all that is in them.
+
+    A number that is written with other ones may be one for Python, and not for NumPy.
+
+    Raises
+    ------
+    ValueError
+        There is more in a row, or rows differ in length.
+    """
+    if any(text.encode().translate(None, characters) for text in texts):
+        raise ValueError("there is more in it than numbers")
+    return np.loadtxt(texts, delimiter=delimiter, comments=None, ndmin=2)
 
 
 def _open_bytes(path: Path) -> BinaryIO:

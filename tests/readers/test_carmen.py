@@ -12,7 +12,6 @@ import pytest
 from occmap.errors import LogError
 from occmap.readers import Log, Note, Probe, Role, StackingScans, Stream, carmen, probe_path
 from occmap.readers.carmen import CarmenReader
-from occmap.readers.text import Line
 from occmap.types import Pose, PoseSample, ScanRun
 
 REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", "../shared/logs")) / "carmen"
@@ -224,7 +223,7 @@ def test_how_many_lines_are_parsed_together_makes_no_difference(
     expected = summarise(log)
     assert [note.damage for note in log.notes].count(True) == 2
     for size in (1, 700, 1500):
-        monkeypatch.setattr(carmen, "BLOCK_BYTES", size)
+        monkeypatch.setattr("occmap.readers.text.BLOCK_BYTES", size)
         np.testing.assert_equal(summarise(CarmenReader().open(path)), expected)
 
 
@@ -244,14 +243,6 @@ def test_scans_that_are_alike_come_at_a_stroke(tmp_path: Path) -> None:
     assert isinstance(run, ScanRun)
     assert run.stamp_ns.tolist() == [stamp * 10**9 for stamp in range(6)]
     assert list(log.stacked_scans(["RLASER"])) == []
-
-
-def test_a_block_of_lines_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(carmen, "BLOCK_BYTES", 1000)
-    lines = (("FLASER", Line(number, "x" * 300, ended=True)) for number in range(20))
-    blocks = list(carmen._cut_blocks(lines))
-    assert [line.number for block in blocks for _, line in block] == list(range(20))
-    assert [len(block) for block in blocks] == [2] * 10 + [0]
 
 
 @pytest.mark.parametrize(

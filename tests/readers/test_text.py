@@ -7,7 +7,7 @@ import pytest
 
 from occmap.errors import LogError
 from occmap.readers import Note, text
-from occmap.readers.text import Line, parse_stamp, read_lines, shorten
+from occmap.readers.text import Line, cut_blocks, parse_stamp, read_lines, shorten
 
 
 def read(path: Path) -> tuple[list[Line], list[Note]]:
@@ -129,3 +129,9 @@ def test_what_is_no_stamp_is_a_value_error(wrong: str) -> None:
 def test_long_findings_are_shortened() -> None:
     assert shorten("x" * 1000) == repr("x" * 37 + "...")
     assert shorten("a\nb") == r"'a\nb'"
+
+
+def test_a_block_of_lines_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(text, "BLOCK_BYTES", 1000)
+    blocks = list(cut_blocks(range(5), lambda _: "x" * 300))
+    assert blocks == [[0, 1], [2, 3], [4]]
