@@ -110,18 +110,19 @@ class CsvLog:
             The first row, or so many that this is no damage, has a word for a number or too few or
             many cells.
         """
-        for some in self.stacked_scans(topics):
-            yield from some.split() if isinstance(some, ScanRun) else (some,)
+        rows = self._walk_rows() if TOPIC in topics else ()
+        yield from filter(None, map(self._parse, rows))
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The same; rows that differ in stamps, ranges and poses alone, many at a stroke."""
-        if TOPIC not in topics:
-            return
-        for block in cut_blocks(self._walk_rows(), attrgetter("text")):
+        rows = self._walk_rows() if TOPIC in topics else ()
+        for block in cut_blocks(rows, attrgetter("text")):
             try:
-                yield _parse_rows(self._layout, [line.text for line in block])
+                run = _parse_rows(self._layout, [line.text for line in block])
             except ValueError:  # damage, or another geometry: row by row it is seen which
                 yield from filter(None, map(self._parse, block))
+            else:
+                yield run
 
     def _walk(self) -> Iterator[Line]:
         """Yield every line that is not blank."""

@@ -1,6 +1,6 @@
 """Scans that are read at a stroke must be those that are read one by one."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from occmap.readers.ros_log import RosLog
 from occmap.readers.ros_source import Channel, Wire
 from occmap.types import Scan, ScanRun
 from tests.readers.ros import ROS1, ROS2, SCAN, Memory, scan
+from tests.readers.runs import flatten, list_fields
 
 WIRES: Sequence[Wire] = ("cdr", "ros1")
 # Fields behind the header; a driver that measures its own speed changes them from scan to scan.
@@ -51,17 +52,6 @@ def make_channel(wire: Wire, topic: str = "/scan", count: int = 99) -> Channel:
     return Channel(topic, SCAN, wire, store.generate_msgdef(SCAN)[0], "msg", count)
 
 
-def flatten(items: Iterable[Scan | ScanRun]) -> list[Scan]:
-    return [
-        scan for item in items for scan in (item.split() if isinstance(item, ScanRun) else [item])
-    ]
-
-
-def compare(scans: Iterable[Scan]) -> list[tuple[object, ...]]:
-    """Every field, in a form that can be compared where ranges are not numbers."""
-    return [tuple(f.tobytes() if isinstance(f, np.ndarray) else f for f in scan) for scan in scans]
-
-
 @pytest.mark.parametrize("wire", WIRES)
 @given(st.data())
 @settings(max_examples=150, deadline=None)
@@ -79,7 +69,7 @@ def test_scans_of_a_run_are_those_read_one_by_one(wire: Wire, data: st.DataObjec
         patch.setattr(ros_log, "SHORTEST_RUN", 2)
         scans = flatten(stacked.stacked_scans(topics))
 
-    assert compare(scans) == compare(alone.scans(topics))
+    assert list_fields(scans) == list_fields(alone.scans(topics))
     assert stacked.notes == alone.notes
 
 
