@@ -113,9 +113,26 @@ def test_walls_are_not_suspicious_and_markers_are() -> None:
     spread = rng.uniform(0.5, 7.5, 5000).round(2)
     values = np.concatenate([noisy, spread, np.full(300, 5.6)]).astype(np.float32)
 
-    assert find_repeated(values[:-300]) == {}
-    assert find_repeated(values) == {float(np.float32(5.6)): pytest.approx(300 / 10300, abs=1e-3)}
-    assert find_repeated(np.full(1000, 5.0, np.float32)) == {}  # drawn by hand
+    def find(ranges: Float32) -> list[float]:
+        return list(map(float, find_repeated(*np.unique(ranges, return_counts=True))))
+
+    assert find(values[:-300]) == []
+    assert find(values) == [float(np.float32(5.6))]
+    assert find(np.full(1000, 5.0, np.float32)) == []  # drawn by hand
+
+
+def test_the_share_of_a_repeated_value_is_of_all_ranges() -> None:
+    census = RangeCensus()
+    walls = np.random.default_rng(1).uniform(1, 5, BLOCK_RANGES).astype(np.float32)
+    for markers in (0.1, 0.3):
+        census.add(
+            make_batch([np.where(np.arange(BLOCK_RANGES) < markers * BLOCK_RANGES, 7, walls)])
+        )
+
+    (repeated,) = census.list_repeated()
+
+    assert repeated.value == 7
+    assert repeated.share == pytest.approx(0.2, abs=1e-4)
 
 
 def test_a_marker_below_the_limit_suggests_a_range_max(tmp_path: Path) -> None:

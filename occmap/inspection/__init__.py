@@ -25,7 +25,7 @@ from occmap.inspection.sample import measure_crossing
 from occmap.inspection.survey import Survey, TopicSurvey
 from occmap.pipeline import BuildOptions, choose_topics
 from occmap.posing.coverage import list_coverage
-from occmap.readers import Log, open_log
+from occmap.readers import Log, open_log, read_scans
 
 __all__ = ["Inspection", "inspect"]
 
@@ -80,7 +80,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
     survey = Survey(posing.poser, options.returns, options.selection, expected, extent)
     problem = ""
     try:
-        survey.read(log.scans(topics))
+        survey.read(read_scans(log, topics))
     except LogError as error:
         problem = _place(error, log.path)
     seen = [survey.topics[topic] for topic in topics if topic in survey.topics]

@@ -14,7 +14,7 @@ from occmap.posing.chain import Status
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.posing.resolve import resolve
 from occmap.posing.sources import Sources
-from occmap.readers import Log, read_poses
+from occmap.readers import Log, read_poses, read_scans
 from occmap.types import Pose
 
 WELL_POSED = 0.9
@@ -74,7 +74,7 @@ def assume_mount(
     """Read the scans as if the sensor were the body, and find the turn that suits them best."""
     expected = count_scans(log, topics)
     survey = Survey(unturned.poser, options.returns, options.selection, expected)
-    survey.read(log.scans(topics))
+    survey.read(read_scans(log, topics))
     parts = [part for topic in survey.topics.values() for part in topic.sample.parts]
     mount = guess_mount(parts, options.returns)
     posing = replace(unturned.poser.options, sensor_pose=mount or UNTURNED)

@@ -4,6 +4,7 @@ import math
 from collections import Counter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from occmap.inspection.findings import RangeFindings, Repeated, Special
 from occmap.types import Float32, ScanBatch
@@ -16,6 +17,8 @@ DOMINANCE = 10
 NEIGHBOURHOOD_M = 0.1
 """A value is suspicious if one finite range in a hundred has it, ten times as many as any other
 within this distance: walls, even seen by a robot that stands still, spread by their noise."""
+COMMON_SHARE = REPEATED_SHARE / 10
+"""What is rarer than this among the ranges sorted at once adds nothing to the share of a value."""
 MIN_VALUES = 16
 """Fewer different ranges tell nothing: a room drawn by hand may be all of 5 m."""
 MAX_REPEATED = 8
@@ -47,7 +50,9 @@ class RangeCensus:
         """The largest range_max that the scans state (m)"""
         self.smallest = math.inf
         self.largest = -math.inf
-        self._repeated: dict[float, float] = {}
+        self._repeated: set[float] = set()
+        self._common: Counter[float] = Counter()
+        self._positive = 0
         self._largest_finite = -math.inf
         self._block: list[Float32] = []
         self._block_size = 0
@@ -86,20 +91,26 @@ class RangeCensus:
             self._fold()
 
     def _fold(self) -> None:
-        """Look for repeated values among the ranges gathered, and forget these."""
+        """Look for repeated values among the ranges gathered, and forget the others."""
         if not self._block:
             return
-        for value, share in find_repeated(np.concatenate(self._block)).items():
-            self._repeated[value] = max(share, self._repeated.get(value, 0.0))
+        values, counts = np.unique(np.concatenate(self._block), return_counts=True)
+        self._repeated.update(find_repeated(values, counts).tolist())
+        common = counts >= COMMON_SHARE * self._block_size
+        self._common.update(
+            dict(zip(values[common].tolist(), counts[common].tolist(), strict=True))
+        )
+        self._positive += self._block_size
         self._block.clear()
         self._block_size = 0
 
     def list_repeated(self) -> tuple[Repeated, ...]:
         """List the suspicious values, the most frequent first."""
         self._fold()
-        ranked = sorted(self._repeated.items(), key=lambda item: (-item[1], item[0]))
+        ranked = sorted(self._repeated, key=lambda value: (-self._common[value], value))
         return tuple(
-            Repeated(value, share, value >= self.limit) for value, share in ranked[:MAX_REPEATED]
+            Repeated(value, self._common[value] / self._positive, value >= self.limit)
+            for value in ranked[:MAX_REPEATED]
         )
 
     def sum_up(self, crossed: float | None) -> RangeFindings:
@@ -154,17 +165,17 @@ def suggest_no_return(census: RangeCensus, crossed: float | None) -> str:
     return "clear" if open_space and not is_code and math.isfinite(census.limit) else "ignore"
 
 
-def find_repeated(finite: Float32) -> dict[float, float]:
-    """Find the values (N,) that repeat suspiciously often, and the share that each has."""
-    values, counts = np.unique(finite, return_counts=True)
+def find_repeated(values: Float32, counts: NDArray[np.intp]) -> Float32:
+    """Find those of some values (N,), in ascending order, that occur suspiciously often."""
+    total = counts.sum()
     if len(values) < MIN_VALUES:
-        return {}
-    frequent = np.flatnonzero(counts >= max(REPEATED_SHARE * finite.size, DOMINANCE))
+        return values[:0]
+    frequent = np.flatnonzero(counts >= max(REPEATED_SHARE * total, DOMINANCE))
     low = np.searchsorted(values, values[frequent] - np.float32(NEIGHBOURHOOD_M))
     high = np.searchsorted(values, values[frequent] + np.float32(NEIGHBOURHOOD_M), side="right")
-    found = {}
-    for at, first, end in zip(frequent, low, high, strict=True):
-        near = max(counts[first:at].max(initial=0), counts[at + 1 : end].max(initial=0))
-        if counts[at] >= DOMINANCE * near:
-            found[float(values[at])] = float(counts[at] / finite.size)
-    return found
+    alone = [
+        counts[at]
+        >= DOMINANCE * max(counts[first:at].max(initial=0), counts[at + 1 : end].max(initial=0))
+        for at, first, end in zip(frequent, low, high, strict=True)
+    ]
+    return values[frequent[np.array(alone, np.bool_)]]

@@ -5,8 +5,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from occmap.batching import (
     BATCH_BEAMS,
     NOT_ASKED_FOR,
@@ -26,7 +24,7 @@ from occmap.inspection.times import StampLog
 from occmap.posing.attach import Poser
 from occmap.posing.options import DropReason, Stamps
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.types import Kind, Scan, ScanBatch
+from occmap.types import Kind, Scan, ScanBatch, ScanRun
 
 MAX_SHAPES = 1000
 """Shapes that are told apart; a log whose every scan has another must not fill the memory."""
@@ -50,15 +48,16 @@ class TopicSurvey:
     stated: bool = True
     """Every scan so far had its pose beside it"""
 
-    def see(self, scan: Scan) -> None:
-        """Take note of a single scan."""
-        self.stamps.add(scan)
-        self.stated &= scan.pose is not None
-        geometry = describe(scan)
+    def see(self, some: Scan | ScanRun) -> None:
+        """Take note of a scan, or of those of a run."""
+        self.stamps.add(some)
+        first, scans = (some.first, len(some.ranges)) if isinstance(some, ScanRun) else (some, 1)
+        self.stated &= first.pose is not None
+        geometry = describe(first)
         self.frames.setdefault(geometry.frame)
         shape = _strip(geometry)
         if shape in self.shapes or len(self.shapes) < MAX_SHAPES:
-            self.shapes[shape] += 1
+            self.shapes[shape] += scans
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ class Survey:
         """Whether a scan was taken when it was recorded."""
         return self.poser.options.stamps is Stamps.RECORD
 
-    def read(self, scans: Iterable[Scan]) -> None:
+    def read(self, scans: Iterable[Scan | ScanRun]) -> None:
         """Read all scans, holding no more than a batch of each topic."""
         for topic, some in gather_topics(self._select(scans)):
             survey = self.topics[topic]
@@ -86,19 +85,34 @@ class Survey:
                 survey.census.add(batch)
                 self._attach(survey, batch)
 
-    def _select(self, scans: Iterable[Scan]) -> Iterator[Scan]:
+    def _select(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
         """Give the scans that a build would use; of those not asked for nothing else is told."""
         selector = Selector(self.selection, by_record_time=self.by_record_time)
-        for scan in scans:
-            survey = self.topics.get(scan.topic) or self._begin(scan.topic)
-            survey.read += 1
-            reason = selector.find_fault(scan)
-            if reason not in NOT_ASKED_FOR:
-                survey.see(scan)
-            if reason is None:
-                yield scan
+        for some in scans:
+            if not isinstance(some, ScanRun):
+                yield from self._select_one(selector, some)
+            elif selector.takes_all(some):
+                survey = self._find(some.first.topic)
+                survey.read += len(some.ranges)
+                survey.see(some)
+                yield some
             else:
-                survey.left_out[reason] += 1
+                for scan in some.split():
+                    yield from self._select_one(selector, scan)
+
+    def _select_one(self, selector: Selector, scan: Scan) -> Iterator[Scan]:
+        survey = self._find(scan.topic)
+        survey.read += 1
+        reason = selector.find_fault(scan)
+        if reason not in NOT_ASKED_FOR:
+            survey.see(scan)
+        if reason is None:
+            yield scan
+        else:
+            survey.left_out[reason] += 1
+
+    def _find(self, topic: str) -> TopicSurvey:
+        return self.topics.get(topic) or self._begin(topic)
 
     def _begin(self, topic: str) -> TopicSurvey:
         batcher = Batcher(Selection(), by_record_time=self.by_record_time)
@@ -124,18 +138,21 @@ class Survey:
         survey.sample.take(posed)
         rays, _ = interpret(posed, self.returns)
         used = rays.kind != Kind.SKIP
-        seen = np.broadcast_to(rays.origin, (*used.shape, 2))
+        one_viewpoint = rays.origin.shape[1] == 1
         self.extent.add(rays.end[used])
-        self.extent.add(seen[used])
+        self.extent.add(rays.origin[used.any(axis=1, keepdims=True) if one_viewpoint else used])
 
 
-def gather_topics(scans: Iterable[Scan]) -> Iterator[tuple[str, list[Scan]]]:
+def gather_topics(
+    scans: Iterable[Scan | ScanRun],
+) -> Iterator[tuple[str, list[Scan | ScanRun]]]:
     """Give scans by topic, as many at once as fill a batch."""
-    held: dict[str, list[Scan]] = {}
+    held: dict[str, list[Scan | ScanRun]] = {}
     beams = 0
-    for scan in scans:
-        held.setdefault(scan.topic, []).append(scan)
-        beams += max(len(scan.ranges), 1)
+    for some in scans:
+        topic = some.first.topic if isinstance(some, ScanRun) else some.topic
+        held.setdefault(topic, []).append(some)
+        beams += max(some.ranges.size, 1)
         if beams >= BATCH_BEAMS:
             yield from held.items()
             held, beams = {}, 0

@@ -5,7 +5,10 @@ from array import array
 import numpy as np
 
 from occmap.inspection.findings import TimeFindings
-from occmap.types import Float64, Int64, Scan
+from occmap.types import Float64, Int64, Scan, ScanRun
+
+LATEST = 2**62
+"""A time beyond this is damage; it is brought into 62 bits, so that differences fit an int64."""
 
 
 class StampLog:
@@ -15,10 +18,14 @@ class StampLog:
         self._header = array("q")
         self._record = array("q")
 
-    def add(self, scan: Scan) -> None:
-        """Take the times of a scan."""
-        self._header.append(_fit(scan.stamp_ns))
-        self._record.append(_fit(scan.record_ns))
+    def add(self, some: Scan | ScanRun) -> None:
+        """Take the times of a scan, or of those of a run."""
+        if isinstance(some, ScanRun):
+            self._header.frombytes(np.clip(some.stamp_ns, -LATEST, LATEST).tobytes())
+            self._record.frombytes(np.clip(some.record_ns, -LATEST, LATEST).tobytes())
+        else:
+            self._header.append(min(max(some.stamp_ns, -LATEST), LATEST))
+            self._record.append(min(max(some.record_ns, -LATEST), LATEST))
 
     @property
     def header_ns(self) -> Int64:
@@ -60,8 +67,3 @@ def _measure_drift(offset: Float64) -> float:
     """How much the median offset grew from the first tenth of the scans to the last (s)."""
     tenth = max(len(offset) // 10, 1)
     return float(np.median(offset[-tenth:]) - np.median(offset[:tenth]))
-
-
-def _fit(stamp_ns: int) -> int:
-    """A time that is damage, brought into 62 bits, so that differences fit an int64."""
-    return min(max(stamp_ns, -(2**62)), 2**62)
