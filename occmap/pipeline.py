@@ -19,7 +19,7 @@ from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.readers import Log, Role, open_log, read_poses, read_scans
 from occmap.readers.options import ReaderOptions
-from occmap.report import Made, Report, Tally, measure_shares, refuse_unused
+from occmap.report import Made, Report, Tally, list_lacking, measure_shares, refuse_unused
 from occmap.sensor.models import RadialModel, SensorModel, SimpleModel, describe_model
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Evidence, OccupancyMap, Rays, Scan, Update
@@ -127,13 +127,13 @@ def build(
     with tally.time("render"):
         lasting = keep_lasting(tiles, times, options.min_passes)
         grid = render(lasting, options.model, options.max_cells)
-    made.notes += list_forgotten(times, options.min_passes)
+    made.notes += (*list_lacking(tally), *list_forgotten(times, options.min_passes))
 
     def keep_evidence() -> Evidence:
         past = saved.manifest if saved else plan
-        this = describe_build(paths, options, tally.to_json())
-        manifest = replace(plan, builds=(*past.builds, this), subtracted=past.subtracted)
-        return keep(tiles, manifest, times)
+        builds = (*past.builds, describe_build(paths, options, tally.to_json()))
+        made.note_repeated(builds)
+        return keep(tiles, replace(plan, builds=builds, subtracted=past.subtracted), times)
 
     with tally.time("write"):
         made.files += write_outputs(outputs, Product(grid, keep_evidence), options.writing)

@@ -13,6 +13,7 @@ import numpy as np
 
 from occmap.batching import count_wanted
 from occmap.errors import LogError, PoseError
+from occmap.evidence.repetition import list_repeated
 from occmap.readers import Log
 from occmap.sensor.bounds import Clamped
 from occmap.sensor.models import SensorModel
@@ -181,6 +182,10 @@ class Made:
             if times > 1:
                 self.notes.append(f"{log}: given {times} times, and counted as often")
 
+    def note_repeated(self, builds: Sequence[Any]) -> None:
+        """Say which logs the builds of one evidence have in common; each sentence once."""
+        self.notes += (note for note in list_repeated(builds) if note not in self.notes)
+
     def note(self, log: Log, others: Iterable[str]) -> None:
         """Keep what a log has to say, and what others have to say of it."""
         self.notes += [f"{log.path}: {text}" for text in (*others, *(n.text for n in log.notes))]
@@ -206,6 +211,12 @@ def refuse_unused(logs: Sequence[Log], tally: Tally) -> None:
             fix="`occmap check` tells more about poses and times",
         )
     raise LogError("holds no laser scan that can be read", where=where)
+
+
+def list_lacking(tally: Tally) -> Iterator[str]:
+    """Say that there is nothing to see in a map."""
+    if not tally.beams.hit:
+        yield "no beam hit anything, so the map has no walls: see the ranges in `occmap check`"
 
 
 def measure_shares(grid: OccupancyMap, writing: WriteOptions) -> tuple[float, float, float]:

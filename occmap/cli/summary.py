@@ -30,7 +30,11 @@ def format_scans(report: Report) -> str:
     if report.resumed:
         past = f"{report.resumed.scans_used:,} of {report.resumed.scans_read:,}"
         return f"{used}, added to {past} in {report.resumed.file}"
-    return f"{used}, in {count(report.builds, 'build')}" if report.builds > 1 else used
+    if report.builds == 1:
+        return used
+    if report.scans_wanted < report.scans_read:  # most leave out what is in another one
+        used = f"{report.scans_used:,} of {report.scans_wanted:,} asked for used"
+    return f"{used}, in {count(report.builds, 'build')}"
 
 
 def format_update(report: Report) -> str:

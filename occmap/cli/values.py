@@ -30,6 +30,7 @@ def parse_sensor_pose(text: str) -> Pose:
         found = f"{count(len(words), 'value')} where 3 or 5 belong"
         raise UsageError(found, where=where, fix=POSE_FORM)
     x, y, yaw, roll, pitch, *_ = [*read_numbers(words, where, POSE_FORM), 0.0, 0.0]
+    refuse_degrees((yaw, roll, pitch), where)
     return Pose.from_xyzrpy((x, y, 0.0), (roll, pitch, yaw))
 
 
@@ -46,8 +47,18 @@ def parse_transform(text: str) -> PoseSample:
     if len(words) != 8 or not all(words[:2]):
         raise UsageError("not two frames and six numbers", where=where, fix=TRANSFORM_FORM)
     x, y, z, roll, pitch, yaw = read_numbers(words[2:], where, TRANSFORM_FORM)
+    refuse_degrees((roll, pitch, yaw), where)
     pose = Pose.from_xyzrpy((x, y, z), (roll, pitch, yaw))
     return PoseSample(0, words[0], words[1], pose, static=True)
+
+
+def refuse_degrees(angles: tuple[float, ...], where: str) -> None:
+    """Refuse an angle of more than a turn; raises UsageError with what it is in radians."""
+    for angle in angles:
+        if abs(angle) > math.tau:
+            found = f"an angle of {angle:g} rad is more than a turn"
+            fix = f"write radians: {angle:g} degrees are {math.radians(angle):.6g}"
+            raise UsageError(found, where=where, fix=fix)
 
 
 def parse_share(text: str) -> float:

@@ -18,6 +18,15 @@ from occmap.readers.options import ReaderOptions
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
 PROBE_BYTES = 4096
+_MAP = "a map, not a log: `occmap diff` compares maps"
+OTHER_FILES = {
+    b"PK\x03\x04": "not a log but an archive: "
+    "evidence in .npz is for `occmap render`, or for --resume",
+    b"P5": _MAP,
+    b"image:": _MAP,
+    b"\x89PNG": "a picture, not a log: `occmap diff` compares maps",
+}
+"""What a file is that begins so."""
 LFS_MAGIC = b"version https://git-lfs"
 
 
@@ -205,8 +214,9 @@ def _describe_unknown(probe: Probe) -> str:
         return "the file is empty"
     if not probe.content:
         return "a gzip file with nothing in it that can be read"
-    if probe.content.startswith(b"PK\x03\x04"):
-        return "not a log but an archive: evidence in .npz is for `occmap render`, or for --resume"
+    for start, what in OTHER_FILES.items():
+        if probe.content.startswith(start):
+            return what
     if probe.content.isascii():
         first_line = probe.content.decode("ascii").splitlines()[0][:60]
         return f"a text file of no known log format: it starts with {first_line!r}"

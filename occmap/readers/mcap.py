@@ -34,6 +34,8 @@ _MESSAGE_HEAD = Struct("<BQHIQ")
 """Opcode, length, channel, sequence number, record time; a second time follows."""
 _MESSAGE_DATA = 31
 """Where a message's own bytes start in its record."""
+_LATEST_NS = 2**63 - 1
+"""A time beyond this is damage, and is brought into 64 bits with a sign."""
 _CHANNEL_ID = Struct("<H")
 
 _PLAIN_RECORDS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
@@ -166,7 +168,7 @@ class McapSource:
                 self._note(position, f"breaks off {size - start} bytes before its end")
                 return
             if opcode == Opcode.MESSAGE and (channel := wanted.get(channel_id)) is not None:
-                yield channel, record_ns, view[start + _MESSAGE_DATA : end]
+                yield channel, min(record_ns, _LATEST_NS), view[start + _MESSAGE_DATA : end]
             start = end
 
     def _note(self, position: int, problem: str) -> None:

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Any, TypeAlias, TypeVar
 
 from rosbags.typesys import (
@@ -73,7 +73,6 @@ def make_pose_reader(channel: Channel) -> FromBytes[list[PoseSample]]:
     return _make_reader(channel, convert, read_transforms)
 
 
-@cache
 def is_laid_out_plainly(channel: Channel) -> bool:
     """Say whether messages are of the types that a log holds most of, and laid out as is usual.
 

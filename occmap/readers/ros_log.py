@@ -82,7 +82,7 @@ class RosLog:
         for channel, record_ns, data in self._messages(readers):
             key = channel, len(data)
             known = key in stacks or len(stacks) < MOST_STACKS
-            if not (known and is_laid_out_plainly(channel)):
+            if not (known and readers[channel].plain):
                 yield from readers[channel].read(data, record_ns) or ()
                 continue
             stack = stacks.setdefault(key, [])
@@ -105,7 +105,7 @@ class RosLog:
             if run is not None and not run.takes(channel, data):
                 yield from _read_run(run, readers[run.channel])
                 run = None
-            if run is None and not is_laid_out_plainly(channel):
+            if run is None and not readers[channel].plain:
                 if (scan := readers[channel].read(data, record_ns)) is not None:
                     yield scan
                 continue
@@ -170,6 +170,7 @@ class _ChannelReader(Generic[T]):
 
     def __init__(self, channel: Channel, make: Callable[[Channel], FromBytes[T]]) -> None:
         self._channel = channel
+        self.plain = is_laid_out_plainly(channel)
         self._make = make
         self._failures = 0
         self._decided = not channel.definition

@@ -118,14 +118,20 @@ def split_messages(block: Buffer, wanted: Container[int]) -> Iterator[tuple[int,
         at = end
 
 
-def _describe_alike(header: Header) -> re.Pattern[bytes]:
-    """Build what matches the headers that differ from one in connection, time and length alone."""
+def _describe_alike(header: Header) -> re.Pattern[bytes] | None:
+    """Build what matches the headers that differ from one in connection, time and length alone.
+
+    None where the header is not as recorders write it: there may be anything in it.
+    """
+    if header.fields.keys() != {b"op", *_VALUES}:
+        return None
     parts = [re.escape(header.raw[: _LENGTH.size])]
     for name, value in header.fields.items():
         start = name + b"="
         parts.append(re.escape(_LENGTH.pack(len(start) + len(value)) + start))
         parts.append(_VALUES.get(name) or re.escape(value))
-    return re.compile(b"".join(parts) + b"(?P<length>.{4})", re.DOTALL)
+    pattern = re.compile(b"".join(parts) + b"(?P<length>.{4})", re.DOTALL)
+    return pattern if pattern.fullmatch(header.raw) else None  # a field may stand in it twice
 
 
 def parse_connection(header: Header, data: Buffer) -> Channel:

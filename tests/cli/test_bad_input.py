@@ -53,6 +53,9 @@ def test_a_missing_file() -> None:
         ("blank.txt", "\n\n", "a text file of no known log format"),
         ("bytes.bin", b"\xff\xfe\x00\x01 and more", "it starts with the bytes ff fe 00 01"),
         ("cut.gz", b"\x1f\x8b\x08\x00", "a gzip file with nothing in it that can be read"),
+        ("map.pgm", "P5\n2 1\n255\nab", "a map, not a log: `occmap diff` compares maps"),
+        ("map.yaml", "image: map.pgm\n", "a map, not a log: `occmap diff` compares maps"),
+        ("map.png", b"\x89PNG\r\n", "a picture, not a log"),
         ("old.bag", "#ROSRECORD V1.2\n", "convert it with ROS 1's `rosbag fix"),
     ],
 )

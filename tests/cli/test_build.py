@@ -148,6 +148,14 @@ def test_strict_is_content_with_a_sound_log(tmp_path: Path) -> None:
     assert occmap("build", DRIVE, "-o", tmp_path / "m.pgm", "--strict").code == 0
 
 
+def test_a_map_without_walls_is_noted(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", [(0, 0, 0)], [1.0, 2.0])
+    words = ["build", log, "--max-range", "0.5", "-o", tmp_path / "map.pgm"]
+    assert "note: no beam hit anything, so the map has no walls" in occmap(*words).err
+    words[3] = "1.5"
+    assert occmap(*words).err == ""
+
+
 def test_quiet_prints_nothing(tmp_path: Path) -> None:
     assert occmap("build", write_cut(tmp_path), "-o", tmp_path / "m.pgm", "-q") == (0, "", "")
 

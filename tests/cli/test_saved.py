@@ -119,6 +119,20 @@ def test_a_log_that_counts_twice_is_noted() -> None:
     assert (result.code, result.err) == (0, "note: a.csv is in it twice\n")
 
 
+def test_a_log_that_is_resumed_by_itself_is_noted() -> None:
+    result = occmap("build", "a.csv", "--resume", "a.npz", "-o", "aa.npz")
+    assert (result.code, result.err) == (0, "note: a.csv is in it twice\n")
+    assert occmap("build", "b.csv", "--resume", "a.npz", "-o", "ab.npz").err == ""
+
+
+def test_halves_that_are_merged_are_no_loss() -> None:
+    write_csv(Path("long.csv"), [(0, 0, 0)] * 4, [1.0])
+    assert occmap("build", "long.csv", "--end", "2", "-o", "1.npz").code == 0
+    assert occmap("build", "long.csv", "--start", "2", "-o", "2.npz").code == 0
+    merged = occmap("merge", "1.npz", "2.npz", "-o", "12.npz").out.splitlines()
+    assert "scans    4 of 4 asked for used, in 2 builds" in merged
+
+
 def test_evidence_is_a_map_to_diff() -> None:
     assert occmap("build", "a.csv", "-o", "a.pgm").code == 0
     assert occmap("diff", "a.npz", "a.pgm", "--fail-above", "0").code == 0

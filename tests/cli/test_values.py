@@ -47,6 +47,17 @@ def test_a_wrong_sensor_pose_says_what_to_write(text: str, found: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("parse", "text"),
+    [(parse_sensor_pose, "0,0,180"), (parse_transform, "base,laser,0,0,0,0,180,0")],
+)
+def test_degrees_are_refused_and_turned_to_radians(
+    parse: Callable[[str], object], text: str
+) -> None:
+    with pytest.raises(UsageError, match=r"write radians: 180 degrees are 3.14159"):
+        parse(text)
+
+
+@pytest.mark.parametrize(
     ("parse", "text", "found"),
     [
         (parse_sector, "1", "--ignore-sector 1: 1 value where 2 belong; write FROM,TO in radians"),

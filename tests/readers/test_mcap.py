@@ -82,6 +82,17 @@ def test_a_cut_zstd_chunk_gives_what_can_be_decompressed(tmp_path: Path) -> None
     assert "is damaged" in cut.notes[0].text
 
 
+def test_a_record_time_beyond_64_bits_is_the_latest_there_is(tmp_path: Path) -> None:
+    log = drive(ROS2)
+    path = write_mcap(tmp_path / "drive.mcap", log, options=NONE)
+    recorded = [written.record_ns for written in log if written.topic == "/scan"]
+    path.write_bytes(path.read_bytes().replace(struct.pack("<Q", recorded[-1]), b"\xff" * 8))
+
+    found = [scan.record_ns for scan in open_log(path).scans({"/scan"})]
+
+    assert found == [*recorded[:-1], 2**63 - 1]
+
+
 def test_a_wrong_checksum_is_noted_once_and_the_messages_used(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "drive.mcap", drive(ROS2), options=NONE)
     data = bytearray(path.read_bytes())

@@ -19,10 +19,11 @@ Found = tuple[int, int, int, int]
 
 ORDERS = (("conn", "op", "time"), ("op", "conn", "time"), ("time", "extra", "conn", "op"))
 NO_TIME = ("conn", "op")
+TWICE = ("conn", "op", "time", "op")
 WANTED = range(2**31)
 RECORDS = st.lists(
     st.tuples(
-        st.sampled_from([*ORDERS, *ORDERS, NO_TIME]),
+        st.sampled_from([*ORDERS, *ORDERS, NO_TIME, TWICE]),
         st.sampled_from([MESSAGE, MESSAGE, MESSAGE, CONNECTION]),
         st.integers(0, 2**32 - 1),
         st.tuples(st.integers(0, 2**32 - 1), st.integers(0, 999_999_999)),
