@@ -74,20 +74,21 @@ class Geometry(NamedTuple):
     beams: int
     range_min: float
     range_max: float
-    time_increment: float
     posed: bool
 
-    def stack(self, stamp_ns: Int64, ranges: Float32, pose: Float64 | None) -> ScanBatch:
-        """Make a batch of stamps (S,), ranges (S, B) and, where they are known, poses (S, 7)."""
+    def stack(
+        self, stamp_ns: Int64, ranges: Float32, time_increment: Float64, pose: Float64 | None
+    ) -> ScanBatch:
+        """Make a batch of what differs between its scans."""
         return ScanBatch(
             frame=self.frame,
             angle_min=self.angle_min,
             angle_increment=self.angle_increment,
             range_min=self.range_min,
             range_max=self.range_max,
-            time_increment=self.time_increment,
             stamp_ns=stamp_ns,
             ranges=ranges,
+            time_increment=time_increment,
             pose=pose,
             topic=self.topic,
         )
@@ -179,14 +180,15 @@ class Batcher:
 
     def _pass_on(self, run: ScanRun) -> ScanBatch:
         stamp_ns = run.record_ns if self._by_record_time else run.stamp_ns
-        return describe(run.first).stack(stamp_ns, run.ranges, run.pose)
+        return describe(run.first).stack(stamp_ns, run.ranges, run.time_increment, run.pose)
 
     def _release(self, held: dict[Geometry, list[Scan]]) -> Iterator[ScanBatch]:
         for geometry, scans in held.items():
             stamp_ns = np.array([self._selector.stamp(scan) for scan in scans], np.int64)
             ranges = np.stack([scan.ranges for scan in scans])
+            time_increment = np.array([scan.time_increment for scan in scans], np.float64)
             pose = np.array([scan.pose for scan in scans]) if geometry.posed else None
-            yield geometry.stack(stamp_ns, ranges, pose)
+            yield geometry.stack(stamp_ns, ranges, time_increment, pose)
 
 
 def describe(scan: Scan) -> Geometry:
@@ -199,6 +201,5 @@ def describe(scan: Scan) -> Geometry:
         len(scan.ranges),
         scan.range_min if scan.range_min >= 0 else 0.0,
         scan.range_max if scan.range_max > 0 else math.inf,
-        scan.time_increment,
         scan.pose is not None,
     )

@@ -163,9 +163,9 @@ def trace_log(
             with tally.time("pose"):
                 posed, dropped = poser.attach(batch)
             tally.drop(dropped)
-            if posed is not None:
+            for scans in posed:
                 with tally.time("interpret"):
-                    rays, beams = interpret(posed, options.returns)
+                    rays, beams = interpret(scans, options.returns)
                 tally.use(len(rays.kind), beams)
                 workers.give(rays)
             advance(len(batch.stamp_ns))

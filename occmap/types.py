@@ -93,19 +93,23 @@ class ScanRun(NamedTuple):
     """(S,)"""
     ranges: Float32
     """(S, B) m"""
+    time_increment: Float64
+    """(S,) s between beams; a laser that measures its own speed states another for each scan."""
     pose: Float64 | None = None
     """(S, 7) as the fields of `Pose`, where the log states it beside the scans."""
 
     def split(self) -> list[Scan]:
         """The single scans."""
-        stamps, records = self.stamp_ns.tolist(), self.record_ns.tolist()
-        poses = [None] * len(stamps) if self.pose is None else map(Pose._make, self.pose.tolist())
-        return [
-            self.first._replace(stamp_ns=stamp_ns, record_ns=record_ns, ranges=ranges, pose=pose)
-            for stamp_ns, record_ns, ranges, pose in zip(
-                stamps, records, self.ranges, poses, strict=True
-            )
-        ]
+        scans = len(self.stamp_ns)
+        columns = {
+            "stamp_ns": self.stamp_ns.tolist(),
+            "record_ns": self.record_ns.tolist(),
+            "ranges": self.ranges,
+            "time_increment": self.time_increment.tolist(),
+            "pose": [None] * scans if self.pose is None else map(Pose._make, self.pose.tolist()),
+        }
+        rows = zip(*columns.values(), strict=True)
+        return [self.first._replace(**dict(zip(columns, row, strict=True))) for row in rows]
 
 
 class PoseSample(NamedTuple):
@@ -147,15 +151,26 @@ class ScanBatch:
     angle_increment: float
     range_min: float
     range_max: float
-    time_increment: float
     stamp_ns: Int64
     """(S,)"""
     ranges: Float32
     """(S, B) m"""
-    pose: Float64 | None
+    time_increment: Float64
+    """(S,) s between beams"""
+    pose: Float64 | None = None
     """(S, 7) x y z qx qy qz qw of the sensor, where the log states it beside the scans."""
     topic: str = ""
     """The stream in its log that the scans came from."""
+
+    def take(self, scans: Bool) -> Self:
+        """Some of the scans: (S,) which."""
+        return replace(
+            self,
+            stamp_ns=self.stamp_ns[scans],
+            ranges=self.ranges[scans],
+            time_increment=self.time_increment[scans],
+            pose=None if self.pose is None else self.pose[scans],
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,14 +18,20 @@ RUN = ScanRun(
     stamp_ns=np.arange(5) * SECOND,
     record_ns=np.arange(5) * SECOND + 7,
     ranges=np.arange(10, dtype=np.float32).reshape(5, 2),
+    time_increment=np.arange(5) / 1000,
 )
 
 
-def list_scans(batches: Iterable[ScanBatch]) -> list[tuple[int, str, float, list[float]]]:
+def list_scans(batches: Iterable[ScanBatch]) -> list[tuple[int, float, list[float]]]:
     return sorted(
-        (stamp_ns, batch.frame, batch.angle_min, ranges)
+        scan
         for batch in batches
-        for stamp_ns, ranges in zip(batch.stamp_ns.tolist(), batch.ranges.tolist(), strict=True)
+        for scan in zip(
+            batch.stamp_ns.tolist(),
+            batch.time_increment.tolist(),
+            batch.ranges.tolist(),
+            strict=True,
+        )
     )
 
 
@@ -36,6 +42,7 @@ def test_a_run_is_a_batch_as_it_is() -> None:
 
     assert batch.stamp_ns.tolist() == [0, SECOND, 2 * SECOND, 3 * SECOND, 4 * SECOND]
     assert batch.ranges is RUN.ranges
+    assert batch.time_increment is RUN.time_increment
     assert (batch.frame, batch.angle_min, batch.angle_increment) == ("laser", -1.0, 0.5)
     assert (batch.range_min, batch.range_max, batch.topic) == (0.1, 30.0, "/scan")
     assert batch.pose is None
@@ -45,6 +52,11 @@ def test_a_run_is_a_batch_as_it_is() -> None:
 def test_a_run_is_stamped_by_record_time_where_that_counts() -> None:
     (batch,) = Batcher(Selection(), by_record_time=True).stack([RUN])
     assert (batch.stamp_ns - RUN.stamp_ns).tolist() == [7] * 5
+
+
+def test_scans_that_differ_in_the_time_between_beams_are_stacked() -> None:
+    (batch,) = Batcher(Selection()).stack(RUN.split())
+    assert batch.time_increment.tolist() == [0, 0.001, 0.002, 0.003, 0.004]
 
 
 def test_batches_come_in_the_order_of_the_log() -> None:
@@ -89,7 +101,8 @@ def test_runs_are_selected_as_single_scans_are(
     for whole, size in sizes:
         stamps = (begin + np.arange(size)) * SECOND
         begin += size
-        run = ScanRun(RUN.first, stamps, stamps[::-1] + 5, np.full((size, 2), size, np.float32))
+        ranges = np.full((size, 2), size, np.float32)
+        run = ScanRun(RUN.first, stamps, stamps[::-1] + 5, ranges, stamps / 7)
         items += [run] if whole else run.split()
     singles = [s for item in items for s in (item.split() if isinstance(item, ScanRun) else [item])]
     selection = Selection((), start_s, end_s, stride)

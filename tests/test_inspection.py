@@ -44,7 +44,8 @@ def count_specials(found: Inspection) -> dict[str, int]:
 
 def make_batch(ranges: Iterable[Iterable[float]]) -> ScanBatch:
     values: Float32 = np.array(ranges, np.float32)
-    return ScanBatch("laser", 0, 0.1, 0.5, 8.0, 0, np.zeros(len(values), np.int64), values, None)
+    stamps, increments = np.zeros(len(values), np.int64), np.zeros(len(values))
+    return ScanBatch("laser", 0, 0.1, 0.5, 8.0, stamps, values, increments)
 
 
 def test_the_room_is_measured(tmp_path: Path) -> None:

@@ -76,13 +76,13 @@ def look_through(use: Use, log: Log, history: CellHistory) -> Iterator[Look]:
     poser = make_poser(log, topics, options.posing)
     batcher = Batcher(options.selection, by_record_time=options.posing.stamps is Stamps.RECORD)
     for batch in batcher.stack(read_scans(log, topics)):
+        found: list[Sighting] = []
         posed, _ = poser.attach(batch)
-        if posed is None:
-            yield Look([], 0, len(batch.stamp_ns))
-            continue
-        rays, _ = interpret(posed, options.returns)
-        found = list(list_sightings(use, posed, probe.look(rays), history))
-        yield Look(found, len(rays.kind), len(batch.stamp_ns))
+        for scans in posed:
+            rays, _ = interpret(scans, options.returns)
+            found += list_sightings(use, scans, probe.look(rays), history)
+        used = sum(len(scans.batch.stamp_ns) for scans in posed)
+        yield Look(found, used, len(batch.stamp_ns))
 
 
 def list_sightings(

@@ -130,17 +130,16 @@ class Survey:
         try:
             posed, dropped = self.poser.attach(batch)
         except PoseError:  # no scan so far has a way to the map
-            posed, dropped = None, {DropReason.NO_TRANSFORM: len(batch.stamp_ns)}
+            posed, dropped = [], {DropReason.NO_TRANSFORM: len(batch.stamp_ns)}
         survey.dropped.update({reason.value: count for reason, count in dropped.items()})
-        if posed is None:
-            return
-        survey.posed += len(posed.batch.stamp_ns)
-        survey.sample.take(posed)
-        rays, _ = interpret(posed, self.returns)
-        used = rays.kind != Kind.SKIP
-        one_viewpoint = rays.origin.shape[1] == 1
-        self.extent.add(rays.end[used])
-        self.extent.add(rays.origin[used.any(axis=1, keepdims=True) if one_viewpoint else used])
+        for scans in posed:
+            survey.posed += len(scans.batch.stamp_ns)
+            survey.sample.take(scans)
+            rays, _ = interpret(scans, self.returns)
+            used = rays.kind != Kind.SKIP
+            one_viewpoint = rays.origin.shape[1] == 1
+            self.extent.add(rays.end[used])
+            self.extent.add(rays.origin[used.any(axis=1, keepdims=True) if one_viewpoint else used])
 
 
 def gather_topics(

@@ -1,7 +1,8 @@
 """Attachment: scans and poses become posed scans; each scan without a pose is counted."""
 
+from collections import Counter
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
@@ -13,7 +14,17 @@ from occmap.posing.resolve import resolve
 from occmap.posing.rotations import rotate_by
 from occmap.posing.sources import Sources, gather
 from occmap.posing.tracks import MAX_STAMP_NS, Track, find_usable
-from occmap.types import Float64, Pose, PoseBatch, PosedScans, PoseSample, ScanBatch, UInt8
+from occmap.types import (
+    Bool,
+    Float64,
+    Int64,
+    Pose,
+    PoseBatch,
+    PosedScans,
+    PoseSample,
+    ScanBatch,
+    UInt8,
+)
 
 MAX_TURN_S = 60.0
 """A log that gives one scan longer states the time between its beams wrongly."""
@@ -32,8 +43,8 @@ POSES_OF_BODY = (
 UNTURNED = (0, 0, 0, 0, 0, 0, 1)
 """Stands in for a pose that is not finite."""
 
-Attached = tuple[PosedScans | None, dict[DropReason, int]]
-"""The scans that have poses (None where none has), and how many have none, by reason."""
+Attached = tuple[list[PosedScans], dict[DropReason, int]]
+"""The scans that have poses, and how many have none, by reason."""
 
 
 @dataclass(eq=False)
@@ -92,7 +103,7 @@ class Poser:
         self._note(*(str(error) for error in failures.values()))
 
     def attach(self, batch: ScanBatch) -> Attached:
-        """Give each scan the pose of its sensor, or each beam where the batch is de-skewed.
+        """Give each scan the pose of its sensor, or each beam where the scan is de-skewed.
 
         A pose that the log states beside the scan is used as it is, unless the user named a
         trajectory; where the user gave the sensor's pose, it is taken to be the body's.
@@ -110,30 +121,36 @@ class Poser:
             self.resolve([batch.frame])
         chain = self.chains[batch.frame]
         if chain is None:
-            return None, {DropReason.NO_TRANSFORM: len(batch.stamp_ns)}
+            return [], {DropReason.NO_TRANSFORM: len(batch.stamp_ns)}
         return self._look_up(batch, chain)
 
     def _look_up(self, batch: ScanBatch, chain: Chain) -> Attached:
         """Look up each scan at its stamp, or at moments between its first beam and its last."""
-        stamp_ns = np.clip(batch.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS)
-        stamp_ns = stamp_ns + round(self.options.time_offset_s * 1e9)
-        beams = batch.ranges.shape[1]
-        if not self._is_deskewed(batch, chain):
-            return _keep_posed(batch, chain.at(stamp_ns))
+        deskewed = self._find_deskewed(batch, chain)
+        if not deskewed.any():
+            return _keep_posed(batch, chain.at(self._date(batch)))
         self._note(f"de-skewed: each beam of {batch.frame!r} has a pose of its own")
-        moments = np.linspace(0, (beams - 1) * batch.time_increment, min(beams, MOMENTS))
-        found = chain.at((stamp_ns[:, None] + np.round(moments * 1e9).astype(np.int64)).ravel())
-        return _keep_deskewed(batch, found, len(moments))
+        if deskewed.all():
+            moments_ns = self._date(batch)[:, None] + _spread_moments(batch)
+            return _keep_deskewed(batch, chain.at(moments_ns.ravel()), moments_ns.shape[1])
+        return _join(*(self._look_up(batch.take(part), chain) for part in (deskewed, ~deskewed)))
 
-    def _is_deskewed(self, batch: ScanBatch, chain: Chain) -> bool:
-        """Tell whether beams get poses of their own.
+    def _date(self, batch: ScanBatch) -> Int64:
+        """Tell when the scans (S) began by the clock of the poses (ns)."""
+        stamp_ns = np.clip(batch.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS)
+        return stamp_ns + round(self.options.time_offset_s * 1e9)
+
+    def _find_deskewed(self, batch: ScanBatch, chain: Chain) -> Bool:
+        """Tell of each scan (S) whether its beams get poses of their own.
 
         AUTO asks for a believable scan time and for poses dense enough to show the motion in it.
         """
-        duration_s = abs(batch.time_increment) * (batch.ranges.shape[1] - 1)
+        duration_s = _measure_durations(batch)
         if self.options.deskew is Deskew.AUTO:
-            return 0 < duration_s <= MAX_AUTO_TURN_S and chain.is_dense(duration_s)
-        return self.options.deskew is Deskew.ON and 0 < duration_s <= MAX_TURN_S
+            dense = chain.is_dense(duration_s)
+            return dense & (duration_s > 0) & (duration_s <= MAX_AUTO_TURN_S)
+        on = self.options.deskew is Deskew.ON
+        return on & (duration_s > 0) & (duration_s <= MAX_TURN_S)
 
     def _note(self, *sentences: str) -> None:
         self.notes.extend(s for s in dict.fromkeys(sentences) if s not in self.notes)
@@ -152,13 +169,27 @@ def _read_stated(pose: Float64, mount: Pose | None) -> Found:
     return Found(position, rotation, np.where(usable, 0, Status.NOT_FINITE).astype(np.uint8))
 
 
+def _measure_durations(batch: ScanBatch) -> Float64:
+    """Measure the time (S,) from the first beam of each scan to its last (s)."""
+    durations: Float64 = np.abs(batch.time_increment) * (batch.ranges.shape[1] - 1)
+    return durations
+
+
+def _spread_moments(batch: ScanBatch) -> Int64:
+    """Spread K moments (S, K) evenly from the first beam of each scan to its last (ns)."""
+    beams = batch.ranges.shape[1]
+    moments = np.linspace(0, (beams - 1) * batch.time_increment, min(beams, MOMENTS), axis=1)
+    moments_ns: Int64 = np.round(moments * 1e9).astype(np.int64)
+    return moments_ns
+
+
 def _keep_posed(batch: ScanBatch, found: Found) -> Attached:
     """Keep the scans (S) that were found."""
-    kept, dropped = _split(batch, found.status)
-    if kept is None:
-        return None, dropped
-    posed = found.status == Status.POSED
-    return PosedScans(kept, found.position[posed], found.rotation[posed]), dropped
+    posed, dropped = _judge(found.status)
+    if not posed.any():
+        return [], dropped
+    kept = PosedScans(_take(batch, posed), found.position[posed], found.rotation[posed])
+    return [kept], dropped
 
 
 def _keep_deskewed(batch: ScanBatch, found: Found, moments: int) -> Attached:
@@ -167,15 +198,14 @@ def _keep_deskewed(batch: ScanBatch, found: Found, moments: int) -> Attached:
     Between two moments positions and matrices are interpolated linearly. At 720 degrees a second
     and ten scans a second a matrix is then off by 2e-4: 2 mm at ten metres.
     """
-    status = found.status.reshape(-1, moments).max(axis=1)
-    kept, dropped = _split(batch, status)
-    if kept is None:
-        return None, dropped
-    posed = status == Status.POSED
+    posed, dropped = _judge(found.status.reshape(-1, moments).max(axis=1))
+    if not posed.any():
+        return [], dropped
     share = _share_moments(batch.ranges.shape[1], moments)
     position = share @ found.position.reshape(-1, moments, 3)[posed]
     rotation = share @ found.rotation.reshape(-1, moments, 9)[posed]
-    return PosedScans(kept, position, rotation.reshape(*rotation.shape[:2], 3, 3)), dropped
+    rotation = rotation.reshape(*rotation.shape[:2], 3, 3)
+    return [PosedScans(_take(batch, posed), position, rotation)], dropped
 
 
 def _share_moments(beams: int, moments: int) -> Float64:
@@ -185,14 +215,16 @@ def _share_moments(beams: int, moments: int) -> Float64:
     return share
 
 
-def _split(batch: ScanBatch, status: UInt8) -> tuple[ScanBatch | None, dict[DropReason, int]]:
-    """Keep the scans that are posed; count the others by reason."""
-    posed = status == Status.POSED
+def _judge(status: UInt8) -> tuple[Bool, dict[DropReason, int]]:
+    """Tell which scans (S) are posed; count the others by reason."""
     dropped = {r: n for s, r in REASONS.items() if (n := int(np.count_nonzero(status == s)))}
-    if posed.all():
-        return (batch if len(posed) else None), dropped
-    if not posed.any():
-        return None, dropped
-    pose = None if batch.pose is None else batch.pose[posed]
-    kept = replace(batch, stamp_ns=batch.stamp_ns[posed], ranges=batch.ranges[posed], pose=pose)
-    return kept, dropped
+    return status == Status.POSED, dropped
+
+
+def _take(batch: ScanBatch, scans: Bool) -> ScanBatch:
+    """Some of the scans; their ranges are copied only where these are not all."""
+    return batch if scans.all() else batch.take(scans)
+
+
+def _join(one: Attached, other: Attached) -> Attached:
+    return [*one[0], *other[0]], dict(Counter(one[1]) + Counter(other[1]))

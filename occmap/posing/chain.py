@@ -121,9 +121,10 @@ class Chain:
         """The frames from the map to the sensor."""
         return (self.steps[0].upper, *(step.lower for step in self.steps)) if self.steps else ()
 
-    def is_dense(self, duration_s: float) -> bool:
-        """Whether the poses show how the sensor moved within `duration_s`."""
-        return 0 < self.interval_s <= max(duration_s, DENSE_S)
+    def is_dense(self, duration_s: Float64) -> Bool:
+        """Whether the poses show how the sensor moved within durations (N,)."""
+        dense: Bool = self.interval_s <= np.maximum(duration_s, DENSE_S)
+        return dense & (self.interval_s > 0)
 
     def at(self, stamp_ns: Int64) -> Found:
         """Interpolate at stamps (N,), in any order."""

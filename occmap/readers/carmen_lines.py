@@ -94,6 +94,7 @@ def parse_scans(texts: Sequence[str]) -> ScanRun:
         np.array([line.stamp_ns for line in lines], np.int64),
         np.array([line.record_ns for line in lines], np.int64),
         as_float32(table[:, layout.ranges]),
+        np.zeros(len(lines)),
         None if poses is None else np.array(poses, np.float64),
     )
 

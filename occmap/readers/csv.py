@@ -36,7 +36,7 @@ from occmap.readers.text import (
 from occmap.types import Float32, Pose, PoseSample, Scan, ScanRun
 
 TOPIC = "scan"
-VARIABLE = frozenset(("stamp", *POSE_NAMES))
+VARIABLE = frozenset(("stamp", "time_increment", *POSE_NAMES))
 """What differs between the scans of one laser, beside their ranges."""
 NUMBER_CHARACTERS = b"+-.0123456789Ee, inaf"
 UNKNOWN_POSE = Pose(*[math.nan] * 7)
@@ -199,27 +199,28 @@ def _parse_rows(layout: Layout, texts: list[str]) -> ScanRun:
     before = layout.beams[0]
     if layout.beams != tuple(range(before, before + len(layout.beams))):
         raise ValueError("the beams stand apart")
-    *heads, tails = zip(*(_cut_row(text, before) for text in texts), strict=True)
+    rows = [_cut_row(text, before) for text in texts]
     for name, at in layout.columns.items():
-        if at >= before or (name not in VARIABLE and len(set(heads[at])) > 1):
+        if at >= before or (name not in VARIABLE and len({row[at] for row in rows}) > 1):
             raise ValueError(f"{name} is not the same in all rows, or stands behind the beams")
-    table = parse_table(list(tails), NUMBER_CHARACTERS, ",")
+    table = parse_table([row[before] for row in rows], NUMBER_CHARACTERS, ",")
     if table.shape[1] != len(layout.header) - before:
         raise ValueError(f"{before + table.shape[1]} cells where the header has another number")
-    cells = list(map(list, zip(*heads, strict=True))) if heads else [[] for _ in texts]
-    stamp_ns = np.array([_read_stamp(layout, row) for row in cells], np.int64)
-    poses = [_read_pose(layout, row) for row in cells] if layout.has_pose else None
+    stamp_ns = np.array([_read_stamp(layout, row) for row in rows], np.int64)
+    increments = [_read_finite(layout, row, "time_increment") for row in rows]
+    poses = [_read_pose(layout, row) for row in rows] if layout.has_pose else None
     return ScanRun(
         first,
         stamp_ns,
         stamp_ns,
         as_float32(table[:, : len(layout.beams)]),
+        np.array(increments, np.float64),
         None if poses is None else np.array(poses, np.float64),
     )
 
 
 def _cut_row(text: str, before: int) -> list[str]:
-    """Split off the cells before the beams; an empty beam among the rest is NaN."""
+    """Split into the cells before the beams and all the rest, where an empty beam is NaN."""
     cells = text.split(",", before)
     tail = cells[-1]
     if '"' in text or len(cells) <= before:

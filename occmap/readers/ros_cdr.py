@@ -1,8 +1,8 @@
 """The two messages that a log holds most of, read from their CDR bytes without decoding the rest.
 
 Reading only what a map needs takes a fifth of the time of the general decoder, and generating that
-decoder takes as long as reading ten thousand scans. Valid only where the log's own definition has
-the standard layout, which `is_standard` answers, and for little-endian bytes.
+decoder takes as long as reading ten thousand scans. Valid only for little-endian bytes, and where
+the log's own definition has the standard layout, which `is_standard` answers for ROS 1 as well.
 """
 
 from collections.abc import Mapping

@@ -1,28 +1,26 @@
 """Scans of many messages at a stroke, where these are laid out alike.
 
-Of the scans of one laser only the stamps and the ranges differ, so all of them lie where those of
-the first one lie, and what is left to do for each is to compare and to copy bytes.
+Of the scans of one laser only times and ranges differ, so all of them lie where those of the first
+one lie, and what is left to do for each is to compare and to copy bytes.
 """
 
-from struct import Struct
 from typing import NamedTuple
 
 import numpy as np
 
-from occmap.readers.ros_cdr import align
+from occmap.readers.ros_cdr import align, count_at
+from occmap.readers.ros_columns import LITTLE_ENDIAN, read_columns, read_stamps
 from occmap.readers.ros_source import Channel, Wire
 from occmap.types import Bool, Scan, ScanRun, UInt8
 
 MOST_BYTES = 1 << 20
 """A run of so many bytes is long enough."""
-LITTLE_ENDIAN = b"\0\1"
 _STAMP = 4
 """Behind four bytes: of a CDR message its encapsulation, of a ROS 1 header its sequence number."""
 _FRAME = 16
 """Where the letters of the frame begin, behind their number."""
-_ANGLE_MAX, _SCAN_TIME, _BEAMS = 4, 16, 28
-"""Behind the first of the seven floats; nobody uses the first two."""
-_count = Struct("<I").unpack_from
+_ANGLE_MAX, _TIME_INCREMENT, _SCAN_TIME, _BEAMS = 4, 12, 16, 28
+"""Behind the first of the seven floats. Nobody uses the largest angle and the time of a scan."""
 
 
 class _Layout(NamedTuple):
@@ -74,33 +72,29 @@ class RawRun:
         raw = np.frombuffer(self._bytes, np.uint8).reshape(-1, self._length)
         if wire == "cdr" and not self._bytes.startswith(LITTLE_ENDIAN):
             return None
-        layout = _locate(self._bytes, wire)
+        layout = _locate(memoryview(self._bytes), wire)
         if layout.ranges + 4 * len(first.ranges) != layout.intensities:
             return None
         fixed = _mark_fixed(layout, wire)
         head, count = raw[:, : layout.ranges], raw[:, layout.intensities : layout.intensities + 4]
         if not (_is_same(head[:, fixed]) and _is_same(count)):
             return None
-        seconds = raw[:, _STAMP : _STAMP + 4].copy().view("<i4")[:, 0]
-        nanoseconds = raw[:, _STAMP + 4 : _STAMP + 8].copy().view("<u4")[:, 0]
-        ranges = raw[:, layout.ranges : layout.intensities].copy().view("<f4")
         return ScanRun(
             first,
-            seconds.astype(np.int64) * 1_000_000_000 + nanoseconds,
+            read_stamps(raw, _STAMP),
             np.array(self._record_ns, np.int64),
-            ranges.astype(np.float32, copy=False),
+            read_columns(raw, layout.ranges, "<f4", len(first.ranges)),
+            read_columns(raw, layout.floats + _TIME_INCREMENT, "<f4")[:, 0].astype(np.float64),
         )
 
 
-def _locate(message: bytes | bytearray, wire: Wire) -> _Layout:
+def _locate(message: memoryview, wire: Wire) -> _Layout:
     """Find the parts of a message."""
-    (letters,) = _count(message, _FRAME - 4)
-    floats = _FRAME + letters
+    floats = _FRAME + count_at(message, _FRAME - 4)
     if wire == "cdr":
         floats = align(floats, 4)
     ranges = floats + _BEAMS + 4
-    (beams,) = _count(message, floats + _BEAMS)
-    return _Layout(floats, ranges, ranges + 4 * beams)
+    return _Layout(floats, ranges, ranges + 4 * count_at(message, floats + _BEAMS))
 
 
 def _mark_fixed(layout: _Layout, wire: Wire) -> Bool:
@@ -109,7 +103,7 @@ def _mark_fixed(layout: _Layout, wire: Wire) -> Bool:
     fixed[_STAMP : _STAMP + 8] = False
     if wire == "ros1":
         fixed[:_STAMP] = False
-    for at in (_ANGLE_MAX, _SCAN_TIME):
+    for at in (_ANGLE_MAX, _TIME_INCREMENT, _SCAN_TIME):
         fixed[layout.floats + at : layout.floats + at + 4] = False
     return fixed
 

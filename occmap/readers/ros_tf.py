@@ -4,19 +4,18 @@ A log holds tens of thousands, and the frames that they name, so where each numb
 ever change.
 """
 
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from occmap.readers.ros_cdr import align, count_at
+from occmap.readers.ros_columns import LITTLE_ENDIAN, read_columns, read_stamps
 from occmap.readers.ros_decode import FromBytes
 from occmap.readers.ros_source import Wire
 from occmap.types import Bool, Int64, PoseBatch, PoseSample, UInt8
 
 RawTransforms: TypeAlias = tuple[bytes, int]
 """A tf2_msgs/TFMessage as it is in the log, and its record time (ns)."""
-LITTLE_ENDIAN = b"\0\1"
 MOST_KINDS = 16
 """Messages of one length that name other frames are told apart, but not without end."""
 
@@ -113,20 +112,12 @@ def _mark_fixed(length: int, fields: list[_Fields]) -> Bool:
 
 def _stack(raw: UInt8, record_ns: Int64, fields: _Fields, like: PoseSample) -> PoseBatch:
     """Read one transform of every message (M, L)."""
-    seconds = _view(raw, fields.stamp, "<i4", 1)[:, 0].astype(np.int64)
-    nanoseconds = _view(raw, fields.stamp + 4, "<u4", 1)[:, 0]
     return PoseBatch(
-        seconds * 1_000_000_000 + nanoseconds,
+        read_stamps(raw, fields.stamp),
         record_ns,
-        _view(raw, fields.pose, "<f8", 7).astype(np.float64),
+        read_columns(raw, fields.pose, "<f8", 7),
         like.parent,
         like.child,
         like.static,
         like.topic,
     )
-
-
-def _view(raw: UInt8, at: int, kind: str, count: int) -> NDArray[Any]:
-    """(M, count) numbers from a place in every message."""
-    size = count * np.dtype(kind).itemsize
-    return np.ascontiguousarray(raw[:, at : at + size]).view(kind)

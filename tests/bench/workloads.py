@@ -96,10 +96,9 @@ class Workload:
             angle_increment=sensor.angle_increment,
             range_min=sensor.range_min,
             range_max=sensor.range_max,
-            time_increment=0.0,
             stamp_ns=np.arange(len(poses)),
             ranges=self.ranges[scans],
-            pose=None,
+            time_increment=np.zeros(len(poses)),
         )
         position = np.column_stack([poses[:, :2], np.zeros(len(poses))])
         return PosedScans(batch, position, rotation)

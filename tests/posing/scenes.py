@@ -34,13 +34,13 @@ def batch_at(
 ) -> ScanBatch:
     stamps = np.array([round(t * SECOND) for t in seconds], np.int64)
     ranges = np.ones((len(stamps), beams), np.float32)
-    return ScanBatch(frame, 0.0, 0.1, 0.0, 10.0, time_increment, stamps, ranges, None)
+    increments = np.full(len(stamps), time_increment)
+    return ScanBatch(frame, 0.0, 0.1, 0.0, 10.0, stamps, ranges, increments)
 
 
 def positions(poser: Poser, seconds: Sequence[float], frame: str = "laser") -> Float64:
     """Where the sensor is at these moments, all of which must have a pose."""
-    posed, dropped = poser.attach(batch_at(seconds, frame))
-    assert posed is not None
+    (posed,), dropped = poser.attach(batch_at(seconds, frame))
     assert not dropped
     return posed.position
 

@@ -19,9 +19,8 @@ def test_scans_without_a_pose_are_left_out_and_counted() -> None:
     log = drive("odom", "base_link", seconds=[0, 1, 2, 6, 7])
     batch = batch_at([-1, 0.5, 3, 4, 6.5, 7.5, 8, 9])
     batch = replace(batch, ranges=np.arange(8, dtype=np.float32)[:, None])
-    posed, dropped = build(*log, MOUNT).attach(batch)
+    (posed,), dropped = build(*log, MOUNT).attach(batch)
     assert dropped == {DropReason.BEFORE: 1, DropReason.GAP: 2, DropReason.AFTER: 3}
-    assert posed is not None
     assert posed.position[:, 0].tolist() == [1, 7]
     assert posed.batch.stamp_ns.tolist() == [SECOND // 2, 13 * SECOND // 2]
     assert posed.batch.ranges[:, 0].tolist() == [1, 4]
@@ -29,39 +28,34 @@ def test_scans_without_a_pose_are_left_out_and_counted() -> None:
 
 def test_a_batch_without_any_pose_or_any_scan_gives_nothing() -> None:
     poser = build(*drive("odom", "base_link"), MOUNT)
-    assert poser.attach(batch_at([20, 30])) == (None, {DropReason.AFTER: 2})
-    assert poser.attach(batch_at([])) == (None, {})
+    assert poser.attach(batch_at([20, 30])) == ([], {DropReason.AFTER: 2})
+    assert poser.attach(batch_at([])) == ([], {})
 
 
 def test_the_gap_limit_may_be_lifted() -> None:
     poser = build(*drive("odom", "base_link", seconds=[0, 60]), MOUNT, max_pose_gap_s=None)
-    posed, dropped = poser.attach(batch_at([30]))
-    assert posed is not None
+    (posed,), dropped = poser.attach(batch_at([30]))
     assert not dropped
     assert posed.position.tolist() == [[30.5, 0, 0]]
 
 
 def test_the_time_offset_is_added_to_the_stamps_of_scans() -> None:
     poser = build(*drive("odom", "base_link"), MOUNT, time_offset_s=-100.25)
-    posed, _ = poser.attach(batch_at([104.25]))
-    assert posed is not None
+    (posed,), _ = poser.attach(batch_at([104.25]))
     assert posed.position.tolist() == [[4.5, 0, 0]]
     assert posed.batch.stamp_ns.tolist() == [104.25 * SECOND]
 
 
 def test_pose_samples_may_be_dated_by_the_recorder() -> None:
     late = [sample._replace(stamp_ns=0) for sample in drive("odom", "base_link")]
-    posed, _ = build(*late, MOUNT, stamps=Stamps.RECORD).attach(batch_at([4]))
-    assert posed is not None
+    (posed,), _ = build(*late, MOUNT, stamps=Stamps.RECORD).attach(batch_at([4]))
     assert posed.position.tolist() == [[4.5, 0, 0]]
 
 
 def test_the_order_of_the_log_changes_nothing() -> None:
     log = [*drive("odom", "base_link"), MOUNT, *drive("map", "odom")]
-    forward, _ = build(*log).attach(batch_at([3.3]))
-    backward, _ = build(*log[::-1]).attach(batch_at([3.3]))
-    assert forward is not None
-    assert backward is not None
+    (forward,), _ = build(*log).attach(batch_at([3.3]))
+    (backward,), _ = build(*log[::-1]).attach(batch_at([3.3]))
     assert forward.position.tolist() == backward.position.tolist()
 
 
@@ -70,7 +64,7 @@ def test_stamps_that_are_damage_harm_nothing(stamp_ns: int) -> None:
     poser = build(*drive("odom", "base_link"), MOUNT, time_offset_s=-1e9)
     batch = replace(batch_at([0]), stamp_ns=np.array([stamp_ns]))
     posed, dropped = poser.attach(batch)
-    assert posed is None
+    assert posed == []
     assert sum(dropped.values()) == 1
 
 
@@ -78,8 +72,8 @@ def test_a_laser_without_transform_is_refused_alone_and_counted_beside_another()
     poser = build(*drive("odom", "base_link"), MOUNT)
     with pytest.raises(PoseError, match="'bumper'"):
         poser.attach(batch_at([1], "bumper"))
-    assert poser.attach(batch_at([1]))[0] is not None
-    assert poser.attach(batch_at([1, 2], "bumper")) == (None, {DropReason.NO_TRANSFORM: 2})
+    assert len(poser.attach(batch_at([1]))[0]) == 1
+    assert poser.attach(batch_at([1, 2], "bumper")) == ([], {DropReason.NO_TRANSFORM: 2})
 
 
 # Poses that the log states beside its scans
@@ -90,8 +84,7 @@ def stated(*poses: Pose) -> ScanBatch:
 
 
 def test_a_stated_pose_is_used_as_it_is() -> None:
-    posed, dropped = build().attach(stated(turned(90, x=1, y=2), turned(0)))
-    assert posed is not None
+    (posed,), dropped = build().attach(stated(turned(90, x=1, y=2), turned(0)))
     assert not dropped
     assert posed.position.tolist() == [[1, 2, 0], [0, 0, 0]]
     np.testing.assert_allclose(yaw_of(posed.rotation), [math.pi / 2, 0])
@@ -99,17 +92,15 @@ def test_a_stated_pose_is_used_as_it_is() -> None:
 
 def test_a_stated_pose_that_is_not_finite_is_left_out() -> None:
     bad = Pose.planar(math.nan, 0, 0), Pose(0, 0, 0, 0, 0, 0, 0), turned(0, x=math.inf)
-    posed, dropped = build().attach(stated(turned(0, x=5), *bad))
+    (posed,), dropped = build().attach(stated(turned(0, x=5), *bad))
     assert dropped == {DropReason.NOT_FINITE: 3}
-    assert posed is not None
     assert posed.position.tolist() == [[5, 0, 0]]
     assert posed.batch.pose is not None
     assert len(posed.batch.pose) == 1
 
 
 def test_a_stated_pose_is_the_bodys_where_the_sensors_is_given() -> None:
-    posed, _ = build(sensor_pose=turned(90, x=2)).attach(stated(turned(90, x=1)))
-    assert posed is not None
+    (posed,), _ = build(sensor_pose=turned(90, x=2)).attach(stated(turned(90, x=1)))
     np.testing.assert_allclose(posed.position, [[1, 2, 0]], atol=1e-12)
     np.testing.assert_allclose(np.abs(yaw_of(posed.rotation)), [math.pi])
 
@@ -127,8 +118,7 @@ def test_whose_stated_poses_are_is_said_once_and_only_where_it_was_decided() -> 
 
 def test_a_chosen_trajectory_goes_before_stated_poses() -> None:
     log = drive("map", "", "/slam")
-    posed, _ = build(*log, poses="/slam").attach(stated(turned(0, x=5)))
-    assert posed is not None
+    (posed,), _ = build(*log, poses="/slam").attach(stated(turned(0, x=5)))
     assert posed.position.tolist() == [[0, 0, 0]]
 
 
@@ -155,13 +145,12 @@ def see_wall(start_s: float, beams: int, time_increment: float) -> ScanBatch:
     step = float(bearings[1] - bearings[0])
     stamps = np.array([round(start_s * SECOND)], np.int64)
     row = ranges[None].astype(np.float32)
-    return ScanBatch("laser", -0.7, step, 0.0, 50.0, time_increment, stamps, row, None)
+    return ScanBatch("laser", -0.7, step, 0.0, 50.0, stamps, row, np.array([time_increment]))
 
 
 def points(poser: Poser, batch: ScanBatch) -> Float64:
     """(B, 3) ends of the beams in the map."""
-    posed, _ = poser.attach(batch)
-    assert posed is not None
+    (posed,), _ = poser.attach(batch)
     ends: Float64
     bearings = batch.angle_min + batch.angle_increment * np.arange(batch.ranges.shape[1])
     beams = np.stack([np.cos(bearings), np.sin(bearings), np.zeros_like(bearings)], axis=-1)
@@ -184,10 +173,9 @@ def test_deskewing_straightens_a_wall_seen_in_a_fast_turn(beams: int) -> None:
 
 
 def test_deskewed_beams_have_the_shapes_of_a_pose_each() -> None:
-    posed, _ = build(*spin(), deskew=Deskew.ON).attach(
+    (posed,), _ = build(*spin(), deskew=Deskew.ON).attach(
         batch_at([0.5, 1.0], beams=100, time_increment=0.001)
     )
-    assert posed is not None
     assert posed.position.shape == (2, 100, 3)
     assert posed.rotation.shape == (2, 100, 3, 3)
     np.testing.assert_allclose(posed.position[1, :, 0], 1 + 0.001 * np.arange(100))
@@ -211,16 +199,28 @@ def test_auto_deskews_where_the_log_allows(
     rate_hz: int, time_increment: float, expected: bool
 ) -> None:
     poser = build(*spin(4, rate_hz), deskew=Deskew.AUTO)
-    posed, _ = poser.attach(batch_at([2.0], beams=100, time_increment=time_increment))
-    assert posed is not None
+    (posed,), _ = poser.attach(batch_at([2.0], beams=100, time_increment=time_increment))
     assert (posed.position.ndim == 3) is expected
     assert ("de-skewed: each beam of 'laser' has a pose of its own" in poser.notes) is expected
 
 
+@pytest.mark.parametrize("deskew", [Deskew.ON, Deskew.AUTO])
+def test_scans_of_one_batch_are_deskewed_each_by_its_own_time(deskew: Deskew) -> None:
+    poser = build(*spin(), deskew=deskew)
+    batch = batch_at([0.5, 1.0, 1.0, 1.95, 3.0], beams=101)
+    increments = np.array([0.001, math.nan, 0.002, 0.001, 0.0])
+    (turning, still), dropped = poser.attach(replace(batch, time_increment=increments))
+    assert dropped == {DropReason.AFTER: 2}
+    assert still.batch.stamp_ns.tolist() == [SECOND]
+    assert still.position.tolist() == [[1, 0, 0]]
+    np.testing.assert_allclose(turning.position[:, -1, 0], [0.6, 1.2])
+    assert turning.batch.time_increment.tolist() == [0.001, 0.002]
+
+
 def test_a_scan_that_ends_after_the_last_pose_is_left_out_when_deskewed() -> None:
     late = batch_at([0.5, 1.95], beams=101, time_increment=0.001)
-    posed, dropped = build(*spin(), deskew=Deskew.ON).attach(late)
-    assert posed is not None
+    (posed,), dropped = build(*spin(), deskew=Deskew.ON).attach(late)
+    assert posed.batch.stamp_ns.tolist() == [SECOND // 2]
     assert dropped == {DropReason.AFTER: 1}
     assert build(*spin(), deskew=Deskew.OFF).attach(late)[1] == {}
 

@@ -159,8 +159,7 @@ def test_the_interval_is_that_of_the_drive_not_of_its_correction() -> None:
     correction = edge("map", "odom", [(0, turned(0)), (4, turned(0, y=1))])
     chain = chain_of(correction, edge("odom", "base", [(t / 4, turned(0, x=t)) for t in range(17)]))
     assert chain.interval_s == 0.25
-    assert chain.is_dense(0.3)
-    assert not chain.is_dense(0.2)
+    assert chain.is_dense(np.array([0.3, 0.2])).tolist() == [True, False]
 
 
 # The reference: one stamp at a time, Python numbers, 4x4 matrices; slerp by its axis and angle.

@@ -87,6 +87,15 @@ def test_rows_of_another_geometry_are_read_one_by_one(
     assert [scan.stamp_ns for scan in scans if isinstance(scan, Scan)] == [0, 10**9, 2 * 10**9]
 
 
+def test_the_time_between_beams_may_differ(tmp_path: Path) -> None:
+    header = "stamp,time_increment,angle_min,angle_increment,r0,r1\n"
+    rows = "0,0.001,-1,0.5,2,3\n1,0,-1,0.5,2,3\n2,0.002,-1,0.5,2,3\n"
+    log = write(tmp_path, header + rows)
+    (run,) = log.stacked_scans(["scan"])
+    assert isinstance(run, ScanRun)
+    assert run.time_increment.tolist() == [0.001, 0, 0.002]
+
+
 def test_an_unused_column_may_differ(tmp_path: Path) -> None:
     rows = "".join(f"{i},1,2,0,laser,-1.5,0.25,8,{i},1,2\n" for i in range(3))
     (run,) = write(tmp_path, VARYING + rows).stacked_scans(["scan"])

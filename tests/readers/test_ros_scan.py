@@ -97,7 +97,24 @@ def test_what_nobody_uses_may_differ_within_a_run(
 
 
 @pytest.mark.parametrize("wire", WIRES)
-@pytest.mark.parametrize("change", ["angle_min", "angle_increment", "time_increment", "range_max"])
+def test_each_scan_of_a_run_has_its_own_time_between_beams(
+    wire: Wire, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    channel = make_channel(wire)
+    changes = ["", "time_increment", ""]
+    messages = [(channel, i, write(wire, "laser", i, [1, 2], changes[i])) for i in range(3)]
+    monkeypatch.setattr(ros_log, "SHORTEST_RUN", 3)
+
+    (run,) = RosLog(Memory(messages)).stacked_scans(["/scan"])
+
+    assert isinstance(run, ScanRun)
+    before, changed, after = run.time_increment.tolist()
+    assert changed == 0.5
+    assert before == after != 0.5
+
+
+@pytest.mark.parametrize("wire", WIRES)
+@pytest.mark.parametrize("change", ["angle_min", "angle_increment", "range_max"])
 def test_scans_of_another_geometry_are_no_run(
     wire: Wire, change: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -19,7 +19,8 @@ def make_batch(ranges: list[list[float]], angle_min: float = 0.0) -> ScanBatch:
     """Four beams: to the front, the left, the back and the right."""
     values = np.array(ranges, np.float32)
     stamps = np.zeros(len(values), np.int64)
-    return ScanBatch("laser", angle_min, math.pi / 2, 0.1, 8.0, 0.0, stamps, values, None)
+    increments = np.zeros(len(values))
+    return ScanBatch("laser", angle_min, math.pi / 2, 0.1, 8.0, stamps, values, increments)
 
 
 @pytest.mark.parametrize(

@@ -36,10 +36,9 @@ def make_batch(
         angle_increment=angle_increment,
         range_min=range_min,
         range_max=range_max,
-        time_increment=0.0,
         stamp_ns=np.zeros(len(ranges), np.int64),
         ranges=np.array(ranges, np.float32),
-        pose=None,
+        time_increment=np.zeros(len(ranges)),
     )
 
 
