@@ -208,7 +208,7 @@ def refuse_unused(logs: Sequence[Log], tally: Tally) -> None:
         raise PoseError(
             f"none of {tally.scans_read} scans can be used: {reasons}",
             where=where,
-            fix="`occmap check` tells more about poses and times",
+            fix="`occmap check` shows the times of scans and poses",
         )
     raise LogError("holds no laser scan that can be read", where=where)
 

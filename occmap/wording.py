@@ -1,7 +1,29 @@
-"""How numbers of things are written for people."""
+"""How numbers of things, and moments, are written for people."""
+
+from datetime import UTC, datetime
+
+DATES_S = range(631_152_000, 4_102_444_800)
+"""1990 to 2100: such stamps are dates; others count from the start of something"""
 
 
 def count(number: int, noun: str) -> str:
     """Write how many there are: 1 beam, 2,000 beams, 2 misses."""
     ending = "" if number == 1 else "es" if noun.endswith("s") else "s"
     return f"{number:,} {noun}{ending}"
+
+
+def write_time(stamp_ns: int) -> str:
+    """Write a stamp in seconds as in the log, and as a date where it is one."""
+    return f"{stamp_ns / 1e9:.3f} s{_date(stamp_ns)}"
+
+
+def write_span(start_ns: int, end_ns: int) -> str:
+    """Write two stamps in seconds as in the log, and the first as a date where it is one."""
+    return f"{start_ns / 1e9:.3f} to {end_ns / 1e9:.3f} s{_date(start_ns)}"
+
+
+def _date(stamp_ns: int) -> str:
+    if stamp_ns // 1_000_000_000 not in DATES_S:
+        return ""
+    date = datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC)
+    return f" ({date:%Y-%m-%d %H:%M:%S} UTC)"

@@ -5,6 +5,7 @@ import re
 import shlex
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ from ruamel.yaml import YAML
 
 from occmap.gates.measures import BUILD, CHECK, COMPARE, DIFF, SAVED, Measures
 from occmap.pipeline import BuildOptions, build
-from occmap.readers import Probe, Role
+from occmap.readers import Probe, Role, open_log
+from occmap.types import Pose
 from tests.samples import ROOT
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -65,6 +67,19 @@ def test_the_picture_on_top_is_what_the_first_command_makes(folder: Path) -> Non
         Image.open(path) for path in (ROOT / "sample_logs" / "map.png", folder / "map.png")
     )
     assert np.array_equal(np.asarray(shown), np.asarray(made))
+
+
+def test_the_csv_in_the_readme_is_one(tmp_path: Path) -> None:
+    (rows,) = re.findall(r"(?:^    [#\w].*\n)*^    stamp,.*\n(?:^    .*\n)+", README, re.MULTILINE)
+    path = tmp_path / "log.csv"
+    path.write_text(textwrap.dedent(rows))
+    first, second = open_log(path).scans(["scan"])
+    assert (first.stamp_ns, second.stamp_ns) == (12_000_000_000, 12_050_000_000)
+    assert first.angle_min + 4 * first.angle_increment == pytest.approx(np.pi / 2, abs=1e-3)
+    assert second.pose == Pose.planar(0.02, 0, 0.004)
+    np.testing.assert_array_equal(
+        second.ranges, np.array([1.51, np.nan, 7.88, np.inf, 1.49], np.float32)
+    )
 
 
 @pytest.mark.usefixtures("folder")

@@ -1,7 +1,6 @@
 """An explanation as text: aligned lines for people; programs read the JSON."""
 
 from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 
 from occmap.cli.summary import LABEL
@@ -9,13 +8,11 @@ from occmap.explanation import BuildVisits, Explanation, describe_numbers
 from occmap.explanation.provenance import shorten
 from occmap.explanation.sightings import Numbers, Sighting, add_up
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
-from occmap.wording import count
+from occmap.wording import count, write_time
 
 MOST_SCANS = 12
 """More are cut out of the middle of the list"""
 MOST_BUILDS = 6
-DATES_S = range(631_152_000, 4_102_444_800)
-"""1990 to 2100: such stamps are dates; others count from the start of something"""
 
 Row = tuple[str, ...]
 
@@ -69,7 +66,7 @@ def describe_visits(build: BuildVisits, kind: EvidenceKind) -> str:
     visits = count(seen_visits, "visit")
     if kind is EvidenceKind.COUNTS:
         visits = f"hit on {hit_visits:,} of {visits}"
-    span = f"from {format_time(first_ns)} to {format_time(last_ns)}"
+    span = f"from {write_time(first_ns)} to {write_time(last_ns)}"
     return f"{shorten(build.logs)}: {visits}, {span}"
 
 
@@ -149,15 +146,6 @@ def describe_scan(scan: Sighting, kind: EvidenceKind) -> Row:
     x, y = scan.sensor
     where = f"{x:.3f}, {y:.3f}", f"{scan.distance:.3f}", f"{Path(scan.log).name} {scan.topic}"
     return (f"{scan.stamp_ns / 1e9:.3f}", *split_pair(scan.numbers, kind), *where)
-
-
-def format_time(stamp_ns: int) -> str:
-    """Write a stamp in seconds as in the log, and as a date where it is one."""
-    seconds = f"{stamp_ns / 1e9:.3f} s"
-    if stamp_ns // 1_000_000_000 not in DATES_S:
-        return seconds
-    date = datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC)
-    return f"{seconds} ({date:%Y-%m-%d %H:%M:%S} UTC)"
 
 
 def align(table: Sequence[Row]) -> Iterator[str]:

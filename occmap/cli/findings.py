@@ -17,7 +17,7 @@ from occmap.inspection.findings import (
 )
 from occmap.posing.coverage import Coverage
 from occmap.readers import Role
-from occmap.wording import count
+from occmap.wording import count, write_span
 
 LABEL = 10
 """Width of the first column."""
@@ -72,7 +72,8 @@ def list_topic(topic: ScanFindings) -> Iterator[Row]:
         yield "dropped", format_counts(topic.left_out)
     yield from _label_first("shape", list(list_shapes(topic)))
     yield from list_ranges(topic.ranges)
-    yield "stamps", format_times(topic.times)
+    yield "stamps", write_span(topic.times.start_ns, topic.times.end_ns)
+    yield "", format_times(topic.times)
     yield "poses", format_poses(topic)
     if topic.mount is not None:
         yield "sensor", describe_mount(topic.mount, topic.poses)
@@ -169,6 +170,7 @@ def format_source(source: Coverage) -> str:
     step = f"{source.largest_step_m:.3g} m, {math.degrees(source.largest_step_rad):.3g} deg"
     return (
         f"{name} on {source.topic}: {count(source.samples, 'sample')}, "
+        f"{source.start_ns / 1e9:.1f} to {source.end_ns / 1e9:.1f} s, "
         f"largest gap {source.largest_gap_s:.3g} s, largest step {step}"
     )
 

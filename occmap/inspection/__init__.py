@@ -25,6 +25,7 @@ from occmap.inspection.sample import measure_crossing
 from occmap.inspection.survey import Survey, TopicSurvey
 from occmap.pipeline import BuildOptions, choose_topics
 from occmap.posing.coverage import list_coverage
+from occmap.posing.options import DropReason
 from occmap.readers import Log, open_log, read_scans
 
 __all__ = ["Inspection", "inspect"]
@@ -177,7 +178,9 @@ def _is_usable(topic: ScanFindings, options: BuildOptions) -> bool:
 def _explain(topic: ScanFindings) -> str:
     reasons = {**topic.left_out, **topic.poses.dropped}
     counts = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
-    return f"none of {topic.scans} scans can be used: {counts}"
+    apart = topic.poses.dropped.keys() & {DropReason.BEFORE.value, DropReason.AFTER.value}
+    fix = "; compare stamps and sources: --time-offset S or --stamps record" if apart else ""
+    return f"none of {topic.scans} scans can be used: {counts}{fix}"
 
 
 def _list_size_problems(grid: MapFindings | None, options: BuildOptions) -> list[str]:

@@ -105,7 +105,7 @@ class TrackBuilder:
         """Sort what was gathered; None where nothing is usable.
 
         Of several samples with one stamp the one recorded last stays, and of those recorded at
-        once the last in the log.
+        once the one that was added last.
         """
         times = np.frombuffer(self._times, np.int64).reshape(-1, 2)
         values = np.frombuffer(self._values, np.float64).reshape(-1, 7)

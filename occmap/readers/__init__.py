@@ -94,7 +94,10 @@ class StackingPoses(Protocol):
     """A log that can give poses many at a stroke, where it would take long one by one."""
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
-        """What `poses` gives; samples of one frame in another stay in file order."""
+        """What `poses` gives, in any order.
+
+        Samples of one frame in another stay in file order where their messages are of one length.
+        """
 
 
 @runtime_checkable

@@ -141,7 +141,7 @@ class CarmenLog:
 
     def _walk_scans(self, tally: LineTally, see_other: _SeeOther) -> Iterator[Scan | ScanRun]:
         """Yield the scans, passing over damaged ones; other lines are handed to `see_other`."""
-        notes_at_end: list[Note] = []
+        notes_at_end: list[Note] = []  # of a damaged file: they must follow those on its lines
         for block in cut_blocks(self._walk(notes_at_end), _get_text):
             runs = _parse_together(block)
             items = {
@@ -149,6 +149,8 @@ class CarmenLog:
                 for word, run in runs.items()
                 if run is not None
             }
+            # Line by line, so that notes and scans come in the order of the log: a run with the
+            # first line of its kind, single scans each with their own.
             for word, line in block:
                 if word not in FRAMES:
                     see_other(word, line, tally)

@@ -56,6 +56,24 @@ def test_a_problem_is_told_and_fails(tmp_path: Path, capsys: Capture) -> None:
     assert "Traceback" not in out + err
 
 
+def test_scans_and_poses_of_other_times_are_shown_beside_each_other(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    path = write_bag(tmp_path / "room.bag", Drive(), mount=[(0.0, 0.0)])
+    poses = tmp_path / "slam.tum"
+    poses.write_text("2.5 0 0 0 0 0 0 1\n4 1 0 0 0 0 0 1\n")
+
+    assert run(["check", str(path), "--poses", str(poses)]) == 1
+
+    lines = capsys.readouterr().out.splitlines()
+    assert f"  stamps  100.000 to {99 + SCANS}.000 s" in lines
+    assert any(f"{poses}: 2 samples, 2.5 to 4.0 s, largest gap" in line for line in lines)
+    assert lines[-1] == (
+        f"problem   /scan: none of {SCANS} scans can be used: {SCANS} after the last pose; "
+        "compare stamps and sources: --time-offset S or --stamps record"
+    )
+
+
 def test_usage_errors(capsys: Capture) -> None:
     assert run(["check"]) == 2
     assert run(["check", "x.bag", "--resolution", "much"]) == 2

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from occmap.cli.cells import format_time
 from tests.cli.runner import occmap, read_error
 from tests.samples import write_csv
 
@@ -144,21 +143,6 @@ def test_what_is_not_explained_is_noted() -> None:
     )
     both = occmap("explain", "ab.npz", "-1.65", "-0.55", "--log", "a.csv", "--log", "b.csv")
     assert both.err == ""
-
-
-@pytest.mark.parametrize(
-    ("stamp_ns", "text"),
-    [
-        (1_500_000_000, "1.500 s"),
-        (-1_500_000_000, "-1.500 s"),
-        (631_151_999_999_999_999, "631152000.000 s"),
-        (631_152_000_000_000_000, "631152000.000 s (1990-01-01 00:00:00 UTC)"),
-        (1_700_000_000_999_000_000, "1700000000.999 s (2023-11-14 22:13:20 UTC)"),
-        (2**63 - 1, "9223372036.855 s"),
-    ],
-)
-def test_stamps_are_dates_where_they_can_be(stamp_ns: int, text: str) -> None:
-    assert format_time(stamp_ns) == text
 
 
 @pytest.mark.parametrize(
