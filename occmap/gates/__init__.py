@@ -127,8 +127,8 @@ def find_measure(name: str, measures: Sequence[Measure[Any]], where: str) -> Mea
         return by_name[name]
     close = get_close_matches(name, by_name, n=1)
     guess = f"did you mean {close[0]!r}? " if close else ""
-    there = ", ".join(f"{measure.name} ({measure.meaning})" for measure in measures)
-    raise UsageError(f"nothing is called {name!r}", where=where, fix=f"{guess}there are {there}")
+    names = ", ".join(by_name)
+    raise UsageError(f"nothing is called {name!r}", where=where, fix=f"{guess}there are {names}")
 
 
 def parse_bound(text: str, measure: Measure[Any], where: str) -> float:
