@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from occmap.batching import Batcher, Selection
 from occmap.errors import LogError, PoseError, UsageError
-from occmap.evidence import describe_resumed, keep, render
+from occmap.evidence import keep, render
 from occmap.evidence.manifest import describe_build, plan_manifest
 from occmap.evidence.merging import open_saved
 from occmap.evidence.persistence import check_gap, check_passes, keep_lasting, list_forgotten
+from occmap.evidence.publishing import describe_resumed
 from occmap.grid.lattice import Lattice
 from occmap.grid.observation import Observation, tabulate
 from occmap.grid.stacks import add_stack

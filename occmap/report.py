@@ -119,7 +119,7 @@ class Report:
     """By stage; where threads work at the same time, their times add up"""
     files: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
-    """Those of the notes that say what is lost"""
+    """Those of the notes that tell of damage to a log"""
     min_passes: int | None = None
     """On how many visits a cell had to be hit to keep its hits; None: nobody asked"""
     builds: int = 1

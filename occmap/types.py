@@ -13,7 +13,7 @@ from enum import IntEnum, StrEnum
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Float32: TypeAlias = NDArray[np.float32]
 Float64: TypeAlias = NDArray[np.float64]
@@ -54,6 +54,10 @@ class Pose(NamedTuple):
         return cls(x, y, 0.0, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
 
 
+UNKNOWN_POSE = Pose(*[math.nan] * 7)
+"""Stands beside a scan whose pose nobody knew, in a log that states poses beside its scans."""
+
+
 class Scan(NamedTuple):
     """One turn of a laser as it was recorded: no value is interpreted yet.
 
@@ -75,7 +79,7 @@ class Scan(NamedTuple):
     time_increment: float = 0.0
     """Between beams (s)."""
     pose: Pose | None = None
-    """The sensor in the map frame, where the log states it beside the scan."""
+    """The sensor in the map frame; None: the log does not state poses beside its scans."""
     topic: str = ""
     """The stream in its log that the scan came from."""
     record_ns: int = 0
@@ -162,8 +166,8 @@ class ScanBatch:
     topic: str = ""
     """The stream in its log that the scans came from."""
 
-    def take(self, scans: Bool) -> Self:
-        """Some of the scans: (S,) which."""
+    def take(self, scans: Bool | Int64) -> Self:
+        """Some of the scans: (S,) which, or the numbers of those."""
         return replace(
             self,
             stamp_ns=self.stamp_ns[scans],
@@ -269,6 +273,12 @@ class Rays:
     def end(self) -> Float64:
         """(S, B, 2) m, where each beam ended."""
         return self.origin + self.distance[..., None] * self.direction
+
+
+def as_float32(values: ArrayLike) -> Float32:
+    """Round as ranges are; what is too large for a float32 becomes infinite, without a warning."""
+    with np.errstate(over="ignore"):
+        return np.asarray(values).astype(np.float32)
 
 
 def to_log_odds(probability: float) -> float:

@@ -14,6 +14,7 @@ import pytest
 from occmap.batching import Selection
 from occmap.inspection import Inspection, inspect
 from occmap.inspection.findings import ScanFindings
+from occmap.inspection.flags import format_range
 from occmap.inspection.ranges import BLOCK_RANGES, RangeCensus, find_repeated
 from occmap.inspection.times import StampLog
 from occmap.pipeline import BuildOptions, build
@@ -302,6 +303,28 @@ def test_options_come_back_as_flags(tmp_path: Path) -> None:
         "--resolution", "0.1", "--map-frame", "odom", "--max-pose-gap", "0.5",
         "--max-range", "6.5", "--no-return", "clear",
     )  # fmt: skip
+
+
+def test_flags_lose_no_digit_that_matters(tmp_path: Path) -> None:
+    options = BuildOptions(
+        resolution=0.0123456789,
+        max_cells=2 * 10**9,
+        posing=PosingOptions(time_offset_s=850000000.125),
+        returns=ReturnOptions(ignore_sectors=((0.123456, 1.5), (0.25, 3.14159))),
+    )
+    found = look(write_csv(tmp_path / "room.csv", Drive()), options)
+    assert found.command[3:-2] == (
+        "--resolution", "0.0123456789", "--time-offset", "850000000.125",
+        "--max-cells", "2000000000", "--ignore-sector", "0.12346,1.5",
+        "--ignore-sector", "0.25,3.14159",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("metres", [25.6, 29.999992, 30.0, 81.83, 0.06, 3.4e38])
+def test_a_range_is_written_in_few_digits_that_are_the_same_float32(metres: float) -> None:
+    text = format_range(float(np.float32(metres)))
+    assert np.float32(text) == np.float32(metres)
+    assert len(text) <= 12
 
 
 @pytest.mark.parametrize(

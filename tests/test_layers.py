@@ -152,6 +152,19 @@ def test_a_build_loads_what_it_needs_and_no_more(update: str, tmp_path: Path) ->
     assert {name for name in loaded if name.startswith("occmap.cli.")} <= BUILD_COMMAND
 
 
+def test_every_module_can_be_the_first_that_is_imported() -> None:
+    names = sorted(map(name_module, MODULES))
+    code = f"""
+import importlib, sys
+for name in {names!r}:
+    for loaded in [each for each in sys.modules if each.partition('.')[0] == 'occmap']:
+        del sys.modules[loaded]
+    if not name.endswith('__main__'):  # it runs the tool
+        importlib.import_module(name)
+"""
+    assert set(names) - list_loaded(code)
+
+
 def test_a_csv_is_read_without_the_ros_libraries() -> None:
     log = PACKAGE.parent / "sample_logs" / "drive.csv"
     loaded = list_loaded(f"import occmap; assert occmap.read_log({str(log)!r}).streams")

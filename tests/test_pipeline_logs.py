@@ -138,6 +138,15 @@ def test_a_scan_whose_pose_is_unknown_is_dropped(tmp_path: Path, unknown: int) -
     assert (report.scans_used, report.dropped) == (2, {"pose not finite": 1})
 
 
+def test_a_carmen_scan_whose_pose_nobody_knew_is_dropped_alone(tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    poses = ["1 2 0", "1 2 0.5", "nan 2 0", "1 2 1"]
+    lines = [f"FLASER 2 1.5 2 {pose} 1 2 0 {stamp} host 0" for stamp, pose in enumerate(poses)]
+    path.write_text("".join(f"{line}\n" for line in lines))
+    report = build([path], BuildOptions()).report
+    assert (report.scans_used, report.dropped) == (3, {"pose not finite": 1})
+
+
 def test_a_topic_that_is_not_there_names_those_that_are(tmp_path: Path) -> None:
     log = write_mcap(tmp_path / "log.mcap", drive(ROS2))
     with pytest.raises(LogError, match=r"no scans on the topic /front; it has scans on /scan"):

@@ -16,7 +16,7 @@ from occmap.cli.summary import (
     label_files,
 )
 from occmap.errors import UsageError
-from occmap.evidence import RenderOptions, publish
+from occmap.evidence.publishing import RenderOptions, publish
 from occmap.gates import judge
 from occmap.report import Report
 from occmap.sensor.models import SensorModel

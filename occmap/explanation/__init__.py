@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from occmap.errors import UsageError
-from occmap.evidence import list_notes, read_model, refuse_other_profile, to_grid, weigh
+from occmap.evidence import read_model, refuse_other_profile, to_grid, weigh
 from occmap.evidence.persistence import check_passes, weigh_visits
+from occmap.evidence.publishing import list_notes
 from occmap.explanation.history import CellHistory, Visits, look_at
 from occmap.explanation.provenance import Use, find_uses, list_logs, list_missing, shorten
 from occmap.explanation.sightings import Numbers, Sighting, add_up, find_sightings

@@ -73,7 +73,7 @@ SAVED: "tuple[Measure[Report], ...]" = (
 
 BUILD: "tuple[Measure[Report], ...]" = (
     *SAVED,
-    Measure("damage", COUNT, "notes of something lost in a log", lambda report: len(report.damage)),
+    Measure("damage", COUNT, "notes on damage to a log", lambda report: len(report.damage)),
 )
 
 
@@ -129,7 +129,7 @@ CHECK: "tuple[Measure[Inspection], ...]" = (
     ),
     Measure("warnings", COUNT, "warnings", lambda inspection: len(inspection.warnings)),
     Measure(
-        *("damage", COUNT, "notes of something lost in a log"),
+        *("damage", COUNT, "notes on damage to a log"),
         lambda inspection: sum(len(log.damage) for log in inspection.logs),
     ),
 )
@@ -158,7 +158,7 @@ COMPARE: "tuple[Measure[Contest], ...]" = (
         lambda contest: share_dropped(contest.tally),
     ),
     Measure(
-        *("damage", COUNT, "notes of something lost in a log"),
+        *("damage", COUNT, "notes on damage to a log"),
         lambda contest: len(contest.made.damage),
     ),
 )

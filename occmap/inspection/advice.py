@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from occmap.inspection.findings import LogFindings, ScanFindings
-from occmap.inspection.flags import list_given, list_repeatable
+from occmap.inspection.flags import format_range, list_given, list_repeatable
 from occmap.pipeline import BuildOptions
 from occmap.wording import count
 
@@ -34,7 +34,7 @@ def list_advised(logs: Sequence[LogFindings], options: BuildOptions) -> dict[str
         if not topic.poses.stated and topic.times.suggested_stamps != options.posing.stamps:
             flags["--stamps"] = topic.times.suggested_stamps
         if topic.ranges.suggested_range_max is not None and options.returns.range_max is None:
-            flags["--range-max"] = f"{topic.ranges.suggested_range_max:g}"
+            flags["--range-max"] = format_range(topic.ranges.suggested_range_max)
     advice = {special.no_return for topic in topics for special in topic.ranges.specials} - {""}
     if advice == {"clear"}:
         flags["--no-return"] = "clear"

@@ -179,7 +179,7 @@ class LogFindings:
     coverage: tuple[Coverage, ...]
     notes: tuple[str, ...]
     damage: tuple[str, ...]
-    """Those of the notes that say what is lost"""
+    """Those of the notes that tell of damage to a log"""
     problem: str
     """Why the log gives no scans for a map; "" where it does"""
 

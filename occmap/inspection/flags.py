@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from dataclasses import fields
 from typing import TypeVar
 
+import numpy as np
+
 from occmap.batching import Selection
 from occmap.pipeline import BuildOptions
 from occmap.posing.options import PosingOptions
@@ -40,11 +42,12 @@ def list_given(options: BuildOptions) -> dict[str, str]:
     """List the options that differ from their defaults and may be given once, as flags."""
     flags = {}
     if options.resolution != BuildOptions.resolution:
-        flags["--resolution"] = f"{options.resolution:g}"
+        flags["--resolution"] = f"{options.resolution:.12g}"
     flags |= _list_changed(options.reading, ReaderOptions(), READER_FLAGS)
     flags |= _list_changed(options.posing, PosingOptions(), POSING_FLAGS)
     flags |= _list_changed(options.returns, ReturnOptions(), RETURN_FLAGS)
     flags |= list_selection(options.selection)
+    flags |= list_grid(options)
     if options.posing.sensor_pose is not None:
         flags["--sensor-pose"] = format_mount(options.posing.sensor_pose)
     if options.returns.footprint is not None:
@@ -63,6 +66,17 @@ def list_selection(chosen: Selection) -> dict[str, str]:
     return {flag: f"{value:.12g}" for flag, (value, usual) in pairs.items() if value != usual}
 
 
+def list_grid(options: BuildOptions) -> dict[str, str]:
+    """List what was chosen about surfaces and the size of the map, where it differs, as flags."""
+    default = BuildOptions()
+    pairs = {
+        "--jump": (options.jump, default.jump),
+        "--border-gap": (options.border_gap, default.border_gap),
+        "--max-cells": (options.max_cells, default.max_cells),
+    }
+    return {flag: f"{value:.12g}" for flag, (value, usual) in pairs.items() if value != usual}
+
+
 def list_repeatable(options: BuildOptions) -> list[str]:
     """List the words of the options that may be given more than once."""
     words = []
@@ -73,6 +87,11 @@ def list_repeatable(options: BuildOptions) -> list[str]:
     for topic in options.selection.topics:
         words += ["--scan-topic", topic]
     return words
+
+
+def format_range(metres: float) -> str:
+    """Write a range in the fewest digits that are the same float32."""
+    return f"{float(str(np.float32(metres))):.12g}"
 
 
 def format_mount(pose: Pose) -> str:
@@ -98,7 +117,7 @@ def to_rpy(pose: Pose) -> tuple[float, float, float]:
 
 def _join(numbers: Sequence[float]) -> str:
     """Join numbers, to hundredths of a millimetre and without a negative zero."""
-    return ",".join(f"{round(number, 5) + 0.0:.7g}" for number in numbers)
+    return ",".join(f"{round(number, 5) + 0.0:.12g}" for number in numbers)
 
 
 def _list_changed(
@@ -110,5 +129,5 @@ def _list_changed(
     for name in (item.name for item in fields(given) if item.name in flags):
         value = getattr(given, name)
         if value != getattr(default, name):
-            changed[flags[name]] = f"{value:g}" if isinstance(value, float) else str(value)
+            changed[flags[name]] = f"{value:.12g}" if isinstance(value, float) else str(value)
     return changed

@@ -10,7 +10,7 @@ from occmap.inspection.findings import MountFindings
 from occmap.inspection.flags import format_mount
 from occmap.posing.rotations import rotate_by
 from occmap.sensor.returns import NoReturn, ReturnOptions, interpret
-from occmap.types import Bool, Float64, Int64, Kind, Pose, PosedScans, Rays
+from occmap.types import Bool, Float64, Int64, Kind, Pose, PosedScans, Rays, as_float32
 
 SAMPLE_SCANS = 300
 MAX_SAMPLE_BEAMS = 1 << 19
@@ -64,10 +64,7 @@ class Sample:
 
 def pick_rows(posed: PosedScans, rows: Int64) -> PosedScans:
     """Keep some scans of a batch."""
-    batch = posed.batch
-    pose = None if batch.pose is None else batch.pose[rows]
-    batch = replace(batch, stamp_ns=batch.stamp_ns[rows], ranges=batch.ranges[rows], pose=pose)
-    return PosedScans(batch, posed.position[rows], posed.rotation[rows])
+    return PosedScans(posed.batch.take(rows), posed.position[rows], posed.rotation[rows])
 
 
 def measure_crossing(parts: Sequence[PosedScans], options: ReturnOptions) -> float | None:
@@ -100,7 +97,7 @@ def measure_crossing(parts: Sequence[PosedScans], options: ReturnOptions) -> flo
 def is_lost(part: PosedScans, options: ReturnOptions) -> Bool:
     """(S, B) whether nothing came back to a beam."""
     limit = part.batch.range_max if options.range_max is None else options.range_max
-    lost: Bool = part.batch.ranges >= np.float32(limit)
+    lost: Bool = part.batch.ranges >= as_float32(limit)
     return lost
 
 

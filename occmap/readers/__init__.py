@@ -68,7 +68,7 @@ class Note:
     text: str
     """One sentence, without the path."""
     damage: bool = False
-    """True: something that the log should hold is lost; `text` says how much and where."""
+    """True: the log is not as its recorder meant it; `text` says where, and what is lost."""
 
 
 class Log(Protocol):
@@ -189,17 +189,22 @@ def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
     """
     probe = probe_path(path)
     names = [entry.name for entry in list_plugins("occmap.readers")]
+    broken = []
     for name in names:  # loaded one by one: the later ones take longest
         reader_class = load_plugin("occmap.readers", name)
-        if reader_class is not None and (reader := reader_class()).recognises(probe):
+        if reader_class is None:
+            broken.append(name)
+        elif (reader := reader_class()).recognises(probe):
             return _open(reader, path, options)
     if probe.raw.startswith(LFS_MAGIC):
         found = "a Git LFS pointer, which stands in for the file"
         raise LogError(found, where=path, fix="fetch the file: git lfs pull")
+    whole = ", ".join(name for name in names if name not in broken)
+    lacking = f" ({', '.join(broken)} cannot be loaded)" if broken else ""
     raise LogError(
         _describe_unknown(probe),
         where=path,
-        fix=f"occmap reads {', '.join(names)}: see `occmap readers`",
+        fix=f"occmap reads {whole}{lacking}: see `occmap readers`",
     )
 
 

@@ -26,8 +26,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.readers.text import as_float32, parse_stamp, parse_table, round_limit, shorten
-from occmap.types import Float64, Pose, PoseSample, Scan, ScanRun
+from occmap.readers.text import parse_stamp, parse_table, round_limit, shorten
+from occmap.types import UNKNOWN_POSE, Float64, Pose, PoseSample, Scan, ScanRun, as_float32
 
 FRONT, REAR = "front_laser", "rear_laser"
 PLAIN_FRAMES = {"FLASER": FRONT, "RLASER": REAR}
@@ -87,8 +87,6 @@ def parse_scans(texts: Sequence[str]) -> ScanRun:
     if any(line.word != word for line in lines) or (fixed != fixed[0]).any():
         raise ValueError("the lines differ in more than numbers that are measured")
     poses = [_make_pose(row) for row in table[:, layout.pose]] if layout.pose else None
-    if poses is not None and None in poses:
-        raise ValueError("a pose is not finite")
     return ScanRun(
         _make_scan(_Message(word, table[0], stamp_ns, record_ns)),
         np.array([line.stamp_ns for line in lines], np.int64),
@@ -104,7 +102,7 @@ def parse_odometry(text: str) -> PoseSample:
     message = _parse_message(text)
     _check_rest(message.values, 0, 6)
     pose = _make_pose(message.values[:3])
-    if pose is None:
+    if pose is UNKNOWN_POSE:
         raise ValueError("the pose is not finite")
     return PoseSample(
         message.stamp_ns, "odom", "base_link", pose, topic="ODOM", record_ns=message.record_ns
@@ -190,10 +188,10 @@ def _check_rest(values: Float64, at: int, size: int) -> None:
         raise ValueError(f"{values.size - at} numbers before the time where {size} belong")
 
 
-def _make_pose(values: Float64) -> Pose | None:
-    """Build a pose from x, y, theta; None where it is not finite, as nobody knew it."""
+def _make_pose(values: Float64) -> Pose:
+    """Build a pose from x, y, theta; where one is not finite, nobody knew it."""
     x, y, theta = values.tolist()
-    return Pose.planar(x, y, theta) if math.isfinite(x + y + theta) else None
+    return Pose.planar(x, y, theta) if math.isfinite(x + y + theta) else UNKNOWN_POSE
 
 
 def _make_scan(message: _Message) -> Scan:

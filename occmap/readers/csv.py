@@ -23,7 +23,6 @@ from occmap.readers.text import (
     Line,
     LineTally,
     add_note,
-    as_float32,
     cut_blocks,
     note_cut_line,
     parse_nanoseconds,
@@ -33,14 +32,12 @@ from occmap.readers.text import (
     read_lines,
     round_limit,
 )
-from occmap.types import Float32, Pose, PoseSample, Scan, ScanRun
+from occmap.types import UNKNOWN_POSE, Float32, Pose, PoseSample, Scan, ScanRun, as_float32
 
 TOPIC = "scan"
 VARIABLE = frozenset(("stamp", "time_increment", *POSE_NAMES))
 """What differs between the scans of one laser, beside their ranges."""
 NUMBER_CHARACTERS = b"+-.0123456789Ee, inaf"
-UNKNOWN_POSE = Pose(*[math.nan] * 7)
-"""Tells a scan whose pose is not known from a log that states no poses at all."""
 
 
 class CsvReader:

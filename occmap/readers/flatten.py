@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from occmap.readers.options import Echo, ReaderOptions
-from occmap.readers.text import as_float32
-from occmap.types import Float32, Float64, Scan
+from occmap.types import Float32, Float64, Scan, as_float32
 
 BEARINGS = 720
 """A cloud is flattened to half a degree: finer than most spinning lidars in the plane, and coarse

@@ -10,8 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from occmap.readers import Role
-from occmap.readers.text import as_float32
-from occmap.types import Pose, PoseSample, Scan
+from occmap.types import Pose, PoseSample, Scan, as_float32
 
 FOXGLOVE_WIRES = ("json", "protobuf")
 SCAN_SCHEMA = "foxglove.LaserScan"

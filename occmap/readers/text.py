@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from occmap.errors import LogError
 from occmap.readers import Note, Probe
 from occmap.readers.gunzip import GUNZIP_ERRORS, MAGIC, GunzipStream
-from occmap.types import Float32, Float64
+from occmap.types import Float64, as_float32
 
 Item = TypeVar("Item")
 
@@ -194,12 +193,6 @@ def parse_nanoseconds(text: str) -> int:
     if abs(nanoseconds) < 2**63:
         return nanoseconds
     raise ValueError(f"{shorten(text)} is no time in nanoseconds")
-
-
-def as_float32(values: ArrayLike) -> Float32:
-    """Round to float32; what is too large for it becomes infinite, without a warning."""
-    with np.errstate(over="ignore"):
-        return np.asarray(values).astype(np.float32)
 
 
 def round_limit(limit: float) -> float:

@@ -177,25 +177,13 @@ def compose_command(
     logs: Sequence[str], variant: Variant, options: BuildOptions
 ) -> tuple[str, ...]:
     """Compose the words of an `occmap build` that makes a variant's map."""
-    flags = {**list_given(options), **list_grid(options)}
-    words = [word for flag, value in flags.items() for word in (flag, value)]
+    words = [word for flag, value in list_given(options).items() for word in (flag, value)]
     words += list_repeatable(options)
     model = shorten_model(variant.model)
     return (
         *("occmap", "build", variant.update.value, *logs),
         *("--model", model, *words, "-o", f"{name_map(logs[0])}.pgm"),
     )
-
-
-def list_grid(options: BuildOptions) -> dict[str, str]:
-    """List what a user chose about surfaces and the size of the map other than the defaults."""
-    default = BuildOptions()
-    pairs = {
-        "--jump": (options.jump, default.jump),
-        "--border-gap": (options.border_gap, default.border_gap),
-        "--max-cells": (options.max_cells, default.max_cells),
-    }
-    return {flag: f"{value:.12g}" for flag, (value, usual) in pairs.items() if value != usual}
 
 
 def result_to_json(result: Result) -> dict[str, Any]:

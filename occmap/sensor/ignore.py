@@ -11,7 +11,7 @@ from typing import TypeAlias
 import numpy as np
 
 from occmap.errors import UsageError
-from occmap.types import Bool, Float32, Float64
+from occmap.types import Bool, Float32, Float64, as_float32
 
 Sector: TypeAlias = tuple[float, float]
 """From one bearing counter-clockwise to another (rad)."""
@@ -75,9 +75,3 @@ def cross_box(bearing: Float64, box: Box) -> tuple[Float32, Float32]:
     near = np.maximum(np.minimum(low, high).max(axis=0), 0)
     far = np.maximum(low, high).min(axis=0)
     return as_float32(near), as_float32(far)
-
-
-def as_float32(limit: Float64) -> Float32:
-    """Round as the ranges are, so that one at the edge is inside; what is too large is infinite."""
-    with np.errstate(over="ignore"):
-        return limit.astype(np.float32)

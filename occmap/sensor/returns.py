@@ -14,7 +14,17 @@ import numpy as np
 
 from occmap.errors import UsageError
 from occmap.sensor.ignore import Box, Sector, check_box, check_sector, mask_box, mask_sectors
-from occmap.types import Bool, Float32, Float64, Kind, PosedScans, Rays, ScanBatch, UInt8
+from occmap.types import (
+    Bool,
+    Float32,
+    Float64,
+    Kind,
+    PosedScans,
+    Rays,
+    ScanBatch,
+    UInt8,
+    as_float32,
+)
 
 
 class NoReturn(StrEnum):
@@ -154,7 +164,7 @@ def _find_limits(batch: ScanBatch, options: ReturnOptions) -> _Limits:
     sensor_limit = batch.range_max if options.range_max is None else options.range_max
     nearest = max(batch.range_min, options.min_range, float(np.finfo(np.float32).tiny))
     values = nearest, options.max_range, sensor_limit, min(sensor_limit, options.max_range)
-    return _Limits(*map(_to_float32, values))
+    return _Limits(*as_float32(values))
 
 
 def _classify_others(
@@ -182,11 +192,6 @@ def _find_own(batch: ScanBatch, options: ReturnOptions) -> Bool | None:
     if options.footprint is None:
         return own
     return own | mask_box(batch.ranges, tabulate_bearings(*shape), options.footprint)
-
-
-def _to_float32(limit: float) -> np.float32:
-    """Round a limit as the ranges are; one that no float32 can hold is infinite."""
-    return np.float32(limit if limit <= float(np.finfo(np.float32).max) else np.inf)
 
 
 def goes_round(batch: ScanBatch) -> bool:

@@ -2,11 +2,12 @@
 
 import json
 from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import pytest
 
-from occmap import plugins
-from tests.cli.runner import occmap
+from occmap import plugins, readers
+from tests.cli.runner import occmap, read_error
 
 
 @pytest.fixture
@@ -56,6 +57,18 @@ def test_a_broken_plugin_is_named_with_its_reason(command: str) -> None:
     listed = json.loads(occmap(command, "--json").out)
     assert listed["broken"] == [{"name": "sonar", "reason": reason}]
     assert len(listed[command]) >= 3
+
+
+def test_a_log_that_a_broken_reader_may_know_names_the_reader(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = plugins.list_plugins("occmap.readers")
+    broken = EntryPoint("sonar", "there.is.no.such:Module", "occmap.readers")
+    monkeypatch.setattr(readers, "list_plugins", lambda _group: (*known, broken))
+    (tmp_path / "x.log").write_text("hello\n")
+    error = read_error(occmap("build", tmp_path / "x.log", "-o", tmp_path / "m.pgm"), 1)
+    fix = "carmen, csv, mcap, rosbag (sonar cannot be loaded): see `occmap readers`"
+    assert error.endswith(f"it starts with 'hello'; occmap reads {fix}")
 
 
 def test_quiet_keeps_only_what_json_asks_for() -> None:

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from occmap.errors import MapError
-from occmap.evidence import Box, RenderOptions, crop, publish, render_saved, weigh
+from occmap.evidence import Box, crop, render_saved, weigh
 from occmap.evidence.manifest import describe_files
+from occmap.evidence.publishing import RenderOptions, publish
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
 from occmap.sensor.models import SimpleModel, parse_model

@@ -8,8 +8,8 @@ import pytest
 
 from occmap.batching import Selection
 from occmap.errors import MapError
-from occmap.evidence import RenderOptions, publish
 from occmap.evidence.merging import merge, subtract
+from occmap.evidence.publishing import RenderOptions, publish
 from occmap.grid.layers import unpack_cells
 from occmap.pipeline import BuildOptions, build
 from occmap.types import Int64, Times, Update

@@ -49,7 +49,7 @@ def fill_outline(
         (H,), (H,), (N,): the spans of row r are from `spans[starts[r]]` on, and are `counts[r]`
         numbers: first column, last + 1, and so on.
     found
-        (N, 2) to work with.
+        (2, N) to work with; see `_cross_rows`.
 
     Returns
     -------
@@ -77,8 +77,8 @@ def _cross_rows(
 ) -> int:
     """Write where edges cross the centre lines of rows, and how many crossings each row has.
 
-    A crossing is its row, and 2 x the first column inside, + 1 if upward. Returns how many there
-    are; if `found` cannot hold these, it must be made larger.
+    A crossing is its row in `found[0]`, and in `found[1]` 2 x the first column inside, + 1 if
+    upward. Returns how many there are; if `found` cannot hold these, it must be made larger.
     """
     rows, room = counts.size, found.shape[1]
     crossings = 0

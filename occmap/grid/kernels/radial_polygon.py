@@ -71,7 +71,7 @@ def trace_radial_polygons(
     begins = np.empty(4 * beams + 4, np.bool_)
     starts, counts = np.empty(rows, np.int32), np.empty(rows, np.int32)
     inner_starts, inner_counts = np.empty(rows, np.int32), np.empty(rows, np.int32)
-    found = np.empty((4 * rows, 2), np.int32)
+    found = np.empty((2, 4 * rows), np.int32)
     spans, inner = np.empty(4 * rows, np.int32), np.empty(4 * rows, np.int32)
     for s in range(scans):
         at_x = round_to_units(origin[s, 0, 0], units_per_metre) - corner[0]

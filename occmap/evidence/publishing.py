@@ -1,0 +1,103 @@
+"""Saved evidence made into files again, and what the report says of it."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from occmap.evidence import MAX_CELLS, Box, crop, read_model, render_saved
+from occmap.evidence.persistence import list_forgotten
+from occmap.evidence.repetition import list_repeated
+from occmap.report import Report, Resumed, list_unreached, measure_shares
+from occmap.sensor.models import SensorModel, describe_model
+from occmap.sensor.returns import ReturnCounts
+from occmap.types import Evidence, Manifest, OccupancyMap
+from occmap.writers import Product, WriteOptions, check_outputs, list_idle, write_outputs
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """What a user may choose about a map of saved evidence."""
+
+    model: SensorModel | None = None
+    """None: the one that the evidence was built with"""
+    writing: WriteOptions = field(default_factory=WriteOptions)
+    max_cells: int = MAX_CELLS
+    """A map with more cells is refused"""
+    crop: Box | None = None
+    """Only this part of the map, to whole cells; evidence is never cropped"""
+    min_passes: int | None = None
+    """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
+
+
+def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path]) -> Report:
+    """Render evidence and write it, as a map or as evidence; the report sums up its builds.
+
+    Raises
+    ------
+    OccmapError
+        As `render_saved`, or an output cannot be written.
+    """
+    check_outputs(outputs)
+    model = options.model or read_model(evidence)
+    grid = render_saved(evidence, model, options.max_cells, options.min_passes)
+    if options.crop:
+        grid = crop(grid, options.crop)
+    manifest = replace(evidence.manifest, model=describe_model(model))
+    product = Product(grid, lambda: replace(evidence, manifest=manifest))
+    files = write_outputs(outputs, product, options.writing)
+    report = summarise(manifest, grid, options.writing)
+    notes = (
+        *report.notes,
+        *list_idle(outputs, options.writing),
+        *list_unreached(model, options.writing),
+        *list_forgotten(evidence.times, options.min_passes),
+    )
+    return replace(report, notes=notes, files=tuple(files), min_passes=options.min_passes)
+
+
+def list_notes(manifest: Manifest) -> Iterator[str]:
+    """Say what a reader of evidence should know of it."""
+    yield from list_repeated(manifest.builds)
+    if manifest.subtracted:
+        yield "something else than a whole build was subtracted: times and visits are bounds"
+
+
+def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> Report:
+    """Sum up all builds of evidence, and the map that was made of it."""
+    scans = [build["scans"] for build in manifest.builds]
+    read, used = count_scans(manifest)
+    dropped: dict[str, int] = {}
+    for reason, count in (pair for each in scans for pair in each["dropped"].items()):
+        dropped[reason] = dropped.get(reason, 0) + count
+    rows, cols = grid.shape
+    return Report(
+        logs=tuple(entry["name"] for build in manifest.builds for entry in build["inputs"]),
+        scans_read=read,
+        scans_used=used,
+        builds=len(scans),
+        dropped=dropped,
+        beams=sum((read_counts(each["beams"]) for each in scans), ReturnCounts()),
+        notes=tuple(list_notes(manifest)),
+        update=manifest.update,
+        model=manifest.model,
+        resolution=manifest.resolution,
+        cells=(cols, rows),
+        extent=grid.extent,
+        shares=measure_shares(grid, writing),
+    )
+
+
+def count_scans(manifest: Manifest) -> tuple[int, int]:
+    """How many scans all builds of evidence read, and how many they used."""
+    scans = [build["scans"] for build in manifest.builds]
+    return sum(each["read"] for each in scans), sum(each["used"] for each in scans)
+
+
+def describe_resumed(evidence: Evidence) -> Resumed:
+    """Say what a build was added to."""
+    return Resumed(evidence.where, *count_scans(evidence.manifest))
+
+
+def read_counts(beams: dict[str, int]) -> ReturnCounts:
+    """What beams meant, as an older occmap may have counted it, with fewer reasons or others."""
+    return ReturnCounts(*(beams.get(name, 0) for name in ReturnCounts._fields))
