@@ -13,11 +13,8 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from occmap.errors import UsageError
+from occmap.grid.kernels.units import CELL_SHIFT, UNITS_PER_CELL
 from occmap.types import Float64, Int64
-
-SUBCELL_BITS = 8
-SUBCELLS = 1 << SUBCELL_BITS
-"""Lattice units along the side of a cell."""
 
 
 class CellBox(NamedTuple):
@@ -93,7 +90,7 @@ class Lattice:
     @property
     def units_per_metre(self) -> float:
         """Lattice units in a metre; a coordinate is multiplied by this and rounded, once."""
-        return SUBCELLS / self.resolution
+        return UNITS_PER_CELL / self.resolution
 
     def to_units(self, metres: Float64) -> Int64:
         """Round coordinates in metres, of any shape, to lattice units."""
@@ -101,7 +98,7 @@ class Lattice:
 
     def to_cell(self, x: float, y: float) -> tuple[int, int]:
         """The (row, col) of the cell that holds a point."""
-        col, row = self.to_units(np.array([x, y])) >> SUBCELL_BITS
+        col, row = self.to_units(np.array([x, y])) >> CELL_SHIFT
         return int(row), int(col)
 
     def to_metres(self, cells: int) -> float:

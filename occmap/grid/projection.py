@@ -5,11 +5,11 @@ from typing import Self
 
 import numpy as np
 
-from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.project import project_ends
-from occmap.grid.lattice import SUBCELL_BITS, CellBox
+from occmap.grid.kernels.units import CELL_SHIFT
+from occmap.grid.lattice import CellBox
 from occmap.grid.observation import Observation
-from occmap.types import Int64, Rays, Update
+from occmap.types import Int32, Int64, Rays, Update
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ def project(rays: Rays, what: Observation) -> Projected:
     """Round rays to the lattice, once."""
     depth = 0.0 if what.radial is None else what.radial.depth
     origins = what.lattice.to_units(rays.origin)
-    anchor = origins[0, 0] >> SUBCELL_BITS << SUBCELL_BITS
+    anchor = origins[0, 0] >> CELL_SHIFT << CELL_SHIFT
     origins -= anchor
     ends_x, ends_y = np.empty(rays.kind.shape, np.int32), np.empty(rays.kind.shape, np.int32)
     lowest_x, lowest_y, highest_x, highest_y = project_ends(
@@ -61,8 +61,8 @@ def project(rays: Rays, what: Observation) -> Projected:
     lowest, highest = origins.min(axis=(0, 1)).tolist(), origins.max(axis=(0, 1)).tolist()
     left, bottom = min(lowest_x, lowest[0]), min(lowest_y, lowest[1])
     right, top = max(highest_x, highest[0]), max(highest_y, highest[1])
-    left, bottom, right, top = (edge >> SUBCELL_BITS for edge in (left, bottom, right, top))
-    to_col, to_row = (int(corner) >> SUBCELL_BITS for corner in anchor)
+    left, bottom, right, top = (edge >> CELL_SHIFT for edge in (left, bottom, right, top))
+    to_col, to_row = (int(corner) >> CELL_SHIFT for corner in anchor)
     margin = 1 + _reach_beside(rays, what)
     box = CellBox(
         to_row + bottom - margin,

@@ -10,17 +10,17 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.beam import sum_beams, trace_beams
 from occmap.grid.kernels.outline import Surfaces
 from occmap.grid.kernels.polygon import MOST_SCANS, read_border, sum_runs, trace_polygons
 from occmap.grid.kernels.radial_beam import trace_radial_beams
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
-from occmap.grid.lattice import SUBCELLS, CellBox
+from occmap.grid.kernels.units import UNITS_PER_CELL
+from occmap.grid.lattice import CellBox
 from occmap.grid.observation import COUNT_BITS, Observation, RadialTables
 from occmap.grid.projection import Projected
 from occmap.grid.times import TimeGrid
-from occmap.types import Int64, Rays, Update
+from occmap.types import Int32, Int64, Rays, Update
 
 Evidence: TypeAlias = tuple[NDArray[Any], NDArray[Any]]
 
@@ -90,7 +90,7 @@ class Window(ABC):
 
 def find_corner(box: CellBox) -> Int64:
     """(2,) x and y of the lower-left corner of a box (lattice units)."""
-    return np.array([box.col * SUBCELLS, box.row * SUBCELLS], np.int64)
+    return np.array([box.col * UNITS_PER_CELL, box.row * UNITS_PER_CELL], np.int64)
 
 
 def allocate_changes(rows: int, cols: int) -> tuple[Int32, Int32]:

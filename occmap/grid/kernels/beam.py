@@ -16,9 +16,9 @@ Arrays are passed flat, row by row: slicing one inside a loop would cost more th
 
 import numpy as np
 
-from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.jit import kernel
-from occmap.types import Int64, UInt8
+from occmap.grid.kernels.units import CELL_SHIFT, HIT, SKIP
+from occmap.types import Int32, Int64, UInt8
 
 FRACTION_BITS = 36
 """Of the fixed-point number that walks along a row; the rest holds a cell's place in a window."""
@@ -58,17 +58,19 @@ def trace_beams(
     scans, beams = kinds.shape
     viewpoints = origins.shape[1]
     rows, cols = hits.shape
-    left, bottom = corner[0] >> 8, corner[1] >> 8
+    left, bottom = corner[0] >> CELL_SHIFT, corner[1] >> CELL_SHIFT
     for s in range(scans):
         for b in range(beams):
             kind = kinds[s, b]
-            if kind == 0:
+            if kind == SKIP:
                 continue
             k = b if viewpoints > 1 else 0
-            col, row = (origins[s, k, 0] >> 8) - left, (origins[s, k, 1] >> 8) - bottom
-            end_col, end_row = (ends_x[s, b] >> 8) - left, (ends_y[s, b] >> 8) - bottom
+            col = (origins[s, k, 0] >> CELL_SHIFT) - left
+            row = (origins[s, k, 1] >> CELL_SHIFT) - bottom
+            end_col = (ends_x[s, b] >> CELL_SHIFT) - left
+            end_row = (ends_y[s, b] >> CELL_SHIFT) - bottom
             if 0 <= end_row < rows and 0 <= end_col < cols:
-                if kind == 2:
+                if kind == HIT:
                     hits[np.uint64(end_row), np.uint64(end_col)] += 1
                 else:
                     end = np.uint64(end_row * (cols + 1) + end_col)

@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from occmap.grid.kernels.jit import kernel
+from occmap.grid.kernels.units import HIT, SKIP
 from occmap.types import Float32, Float64, UInt8
 
 NEAR = 2.0
@@ -62,7 +63,7 @@ def cast_beams(
             along_x = turn[s, t, 0, 0] * bearing[0, b] + turn[s, t, 0, 1] * bearing[1, b]
             along_y = turn[s, t, 1, 0] * bearing[0, b] + turn[s, t, 1, 1] * bearing[1, b]
             length = np.sqrt(along_x * along_x + along_y * along_y)
-            if kinds[s, b] == 0 or length == 0:  # nothing measured, or straight up
+            if kinds[s, b] == SKIP or length == 0:  # nothing measured, or straight up
                 continue
             found, stopped, free, cost, end = cast_beam(
                 probability,
@@ -73,7 +74,7 @@ def cast_beams(
                 along_y / length,
                 distance[s, b] * length / resolution,
             )
-            if kinds[s, b] == 2:
+            if kinds[s, b] == HIT:
                 totals[s, 0] += 1
                 totals[s, 1] += found
                 totals[s, 2] += math.log((1 - UNIFORM) * stopped + UNIFORM * UNIFORM)

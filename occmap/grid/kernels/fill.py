@@ -9,9 +9,9 @@ What rows have, crossings and then limits of spans, is kept in one short array, 
 
 import numpy as np
 
-from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.jit import kernel
-from occmap.types import Bool, Int64
+from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL
+from occmap.types import Bool, Int32, Int64
 
 
 @kernel
@@ -20,7 +20,7 @@ def find_rows(y: Int64, corners: int, rows: int) -> tuple[int, int]:
     low = high = y[0]
     for i in range(corners):
         low, high = min(low, y[i]), max(high, y[i])
-    return max(low >> 8, 0), min((high >> 8) + 1, rows)
+    return max(low >> CELL_SHIFT, 0), min((high >> CELL_SHIFT) + 1, rows)
 
 
 @kernel
@@ -85,7 +85,7 @@ def _cross_rows(
     counts[touched[0] : touched[1]] = 0
     row_after = 0
     for i in range(corners):
-        row_before, row_after = row_after, (int(y[i]) + 127) >> 8
+        row_before, row_after = row_after, (int(y[i]) + HALF_CELL - 1) >> CELL_SHIFT
         if begins[i] or row_before == row_after:
             continue
         upward = int(row_before < row_after)
@@ -96,9 +96,10 @@ def _cross_rows(
         if crossings + last - first <= room:
             rise, run = y[high] - y[low], x[high] - x[low]
             # The first column whose centre is at or right of the edge, on the row's centre line.
-            numerator = (x[low] + 128) * rise + ((first << 8) + 128 - y[low]) * run - 1
-            inverse = 1.0 / float(rise << 8)
-            slope, base = run << 8, rise << 8
+            centre = (first << CELL_SHIFT) + HALF_CELL
+            numerator = (x[low] + HALF_CELL) * rise + (centre - y[low]) * run - 1
+            inverse = 1.0 / float(rise << CELL_SHIFT)
+            slope, base = run << CELL_SHIFT, rise << CELL_SHIFT
             for k in range(last - first):
                 col = _floor_divide(numerator + k * slope, base, inverse)
                 found[1, np.uint64(crossings + k)] = 2 * col + upward

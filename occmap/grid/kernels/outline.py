@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.project import round_to_units
-from occmap.types import Bool, Float32, Float64, Int64, UInt8
+from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT, SKIP
+from occmap.types import Bool, Float32, Float64, Int32, Int64, UInt8
 
 EDGE, CELL, JOINED = 1, 2, 4
 """Of a beam: the edge from the one before may matter; so does its own cell; so do those between."""
@@ -75,7 +75,7 @@ def link_beams(beams: Beams, surfaces: Surfaces, links: UInt8, listed: Int32) ->
         before, kinds[0], np.float64(distance[last]), np.float64(distance[0]),
         ends_x[last], ends_x[0], ends_y[last], ends_y[0], jump, gap,
     )  # fmt: skip
-    links[0] |= CELL * (kinds[0] == 2)  # all beams may end in one cell
+    links[0] |= CELL * (kinds[0] == HIT)  # all beams may end in one cell
     size = 0
     for b in range(kinds.size):
         listed[np.uint64(size)] = b
@@ -98,12 +98,13 @@ def _link(
 ) -> int:
     one_surface = abs(distance - distance_before) <= jump
     solid = (kind_before != 0) & (kind != 0)
-    crosses = ((y_before + 127) >> 8) != ((y + 127) >> 8)
+    crosses = ((y_before + HALF_CELL - 1) >> CELL_SHIFT) != ((y + HALF_CELL - 1) >> CELL_SHIFT)
     edge = (solid & (crosses | (not one_surface))) | ((kind_before != 0) != (kind != 0))
-    both = (kind_before == 2) & (kind == 2)
-    across, up = abs((x >> 8) - (x_before >> 8)), abs((y >> 8) - (y_before >> 8))
+    both = (kind_before == HIT) & (kind == HIT)
+    across = abs((x >> CELL_SHIFT) - (x_before >> CELL_SHIFT))
+    up = abs((y >> CELL_SHIFT) - (y_before >> CELL_SHIFT))
     steps = max(across, up)
-    cell = (kind == 2) & (not (both & (steps == 0)))
+    cell = (kind == HIT) & (not (both & (steps == 0)))
     joined = both & one_surface & (steps > 1) & (steps <= border_gap)
     return edge * EDGE + cell * CELL + joined * JOINED
 
@@ -144,7 +145,7 @@ def outline_scan(
         elif drawn != a:
             from_x, from_y = ends_x[a] + surfaces.shift_x, ends_y[a] + surfaces.shift_y
             corners = _add_corner(x, y, begins, corners, from_x, from_y, True)
-        if kinds[b] == 0:
+        if kinds[b] == SKIP:
             corners = _add_corner(x, y, begins, corners, at_x, at_y, False)
             continue
         if begun and abs(np.float64(distance[b]) - distance[a]) > surfaces.jump:
@@ -171,8 +172,8 @@ def outline_scan(
             from_x, from_y = ends_x[last] + surfaces.shift_x, ends_y[last] + surfaces.shift_y
             corners = _add_corner(x, y, begins, corners, from_x, from_y, True)
         corners = _add_corner(x, y, begins, corners, at_x, at_y, False)
-    lowest = min(at_y, int(low) + surfaces.shift_y) >> 8
-    highest = max(at_y, int(high) + surfaces.shift_y) >> 8
+    lowest = min(at_y, int(low) + surfaces.shift_y) >> CELL_SHIFT
+    highest = max(at_y, int(high) + surfaces.shift_y) >> CELL_SHIFT
     return corners, (max(lowest, 0), min(highest + 1, rows))
 
 
@@ -200,18 +201,19 @@ def list_border(
     Returns how many.
     """
     ends_x, ends_y = beams.ends_x, beams.ends_y
-    size, to_row, to_col = 0, surfaces.shift_y >> 8, surfaces.shift_x >> 8
+    size, to_row, to_col = 0, surfaces.shift_y >> CELL_SHIFT, surfaces.shift_x >> CELL_SHIFT
     for b in range(links.size):
         k = np.uint64(size)
-        cells[k, 0], cells[k, 1] = (ends_y[b] >> 8) + to_row, (ends_x[b] >> 8) + to_col
+        cells[k, 0] = (ends_y[b] >> CELL_SHIFT) + to_row
+        cells[k, 1] = (ends_x[b] >> CELL_SHIFT) + to_col
         size += (links[b] & CELL) != 0
     for i in range(listed.size):
         b = int(listed[i])
         if not links[b] & JOINED:
             continue
         a = b - 1 if b > 0 else links.size - 1
-        col, row = ends_x[b] >> 8, ends_y[b] >> 8
-        across, up = col - (ends_x[a] >> 8), row - (ends_y[a] >> 8)
+        col, row = ends_x[b] >> CELL_SHIFT, ends_y[b] >> CELL_SHIFT
+        across, up = col - (ends_x[a] >> CELL_SHIFT), row - (ends_y[a] >> CELL_SHIFT)
         right, above = np.sign(across), np.sign(up)
         n = max(abs(across), abs(up))
         # From the end cell back along the Bresenham line, up to the neighbour's own; seen from

@@ -8,11 +8,10 @@ a span of its own scan, and that is taken off in the end.
 
 import numpy as np
 
-from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.fill import fill_outline
 from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.outline import Beams, Surfaces, link_beams, list_border, outline_scan
-from occmap.types import Bool, Float32, Float64, Int64, UInt8
+from occmap.types import Bool, Float32, Float64, Int32, Int64, UInt8
 
 BORDER_BITS = 22
 """A border cell packs, from the lowest bit: hits; how many of them lay in a span; the last scan."""

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.jit import kernel
-from occmap.types import Float32, Float64, UInt8
+from occmap.grid.kernels.units import HIT
+from occmap.types import Float32, Float64, Int32, UInt8
 
 
 @kernel
@@ -73,4 +73,4 @@ def project_ends(
 def _reach(distance: float, kind: int, depth: float, along_x: float, along_y: float) -> float:
     """How far to follow a beam: a HIT one by `depth` more on the map."""
     beyond = depth / np.sqrt(along_x * along_x + along_y * along_y)
-    return np.float64(distance) + (beyond if kind == 2 else 0.0)
+    return np.float64(distance) + (beyond if kind == HIT else 0.0)

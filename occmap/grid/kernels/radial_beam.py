@@ -6,10 +6,10 @@ range. These are noted as runs and steps, as in `beam`; only the cells beyond ar
 
 import numpy as np
 
-from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.beam import add_line
 from occmap.grid.kernels.jit import kernel
-from occmap.types import Float32, Float64, Int64, UInt8
+from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT, SKIP, UNITS_PER_CELL
+from occmap.types import Float32, Float64, Int32, Int64, UInt8
 
 FARTHEST_CENTRE = 1.25
 """Cells by which a cell's centre may be farther from the sensor than its place on the line: half a
@@ -63,7 +63,7 @@ def trace_radial_beams(
     plain = np.sqrt(constant / steps)
     for s in range(scans):
         for b in range(beams):
-            if kinds[s, b] == 0:
+            if kinds[s, b] == SKIP:
                 continue
             k, t = min(b, viewpoints - 1), min(b, turns - 1)
             along_x = turn[s, t, 0, 0] * bearing[0, b] + turn[s, t, 0, 1] * bearing[1, b]
@@ -73,10 +73,12 @@ def trace_radial_beams(
             x, y = origins[s, k, 0] - corner[0], origins[s, k, 1] - corner[1]
             end_x, end_y = ends_x[s, b] - corner[0], ends_y[s, b] - corner[1]
             # u is the line's major axis, v the other.
-            steep = abs((end_y >> 8) - (y >> 8)) > abs((end_x >> 8) - (x >> 8))
+            across = abs((end_x >> CELL_SHIFT) - (x >> CELL_SHIFT))
+            steep = abs((end_y >> CELL_SHIFT) - (y >> CELL_SHIFT)) > across
             if steep:
                 x, y, end_x, end_y = y, x, end_y, end_x
-            u, v, u_end, v_end = x >> 8, y >> 8, end_x >> 8, end_y >> 8
+            u, v = x >> CELL_SHIFT, y >> CELL_SHIFT
+            u_end, v_end = end_x >> CELL_SHIFT, end_y >> CELL_SHIFT
             width, height = (rows, cols) if steep else (cols, rows)
             u_sign, v_sign = (1 if u_end > u else -1), (1 if v_end > v else -1)
             n, m = abs(u_end - u), abs(v_end - v)
@@ -89,7 +91,7 @@ def trace_radial_beams(
             before = max(r - depth, 0.0)
             done = 0
             if inside and n > 0:
-                near = plain * before / 256 - FARTHEST_CENTRE
+                near = plain * before / UNITS_PER_CELL - FARTHEST_CENTRE
                 done = min(max(int(near * n / np.sqrt(float(n * n + m * m))), 0), n)
             if done > 0 and steep:
                 add_line(col_runs, col_steps, rows + 1, u, v, u_end, v_end, done)
@@ -102,8 +104,8 @@ def trace_radial_beams(
                 error %= 2 * n
             until = before * before
             scale = steps / max(until, 1.0)
-            is_hit = kinds[s, b] == 2
-            from_u, from_v = (u << 8) + 128 - x, (v << 8) + 128 - y
+            is_hit = kinds[s, b] == HIT
+            from_u, from_v = (u << CELL_SHIFT) + HALF_CELL - x, (v << CELL_SHIFT) + HALF_CELL - y
             for _ in range(done, n + 1):
                 if inside or (0 <= u < width and 0 <= v < height):
                     squared = float(from_u * from_u + from_v * from_v)
@@ -117,9 +119,9 @@ def trace_radial_beams(
                         if off <= depth:
                             cells[row, col] += hit[np.uint64(off / depth * steps)]
                 u += u_sign
-                from_u += u_sign << 8
+                from_u += u_sign << CELL_SHIFT
                 error += 2 * m
                 if error >= 2 * n:
                     error -= 2 * n
                     v += v_sign
-                    from_v += v_sign << 8
+                    from_v += v_sign << CELL_SHIFT

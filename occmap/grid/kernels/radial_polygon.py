@@ -6,7 +6,6 @@ are noted as spans, as in `polygon`; only the cells beyond are visited.
 
 import numpy as np
 
-from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.fill import fill_outline, find_rows
 from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.project import round_to_units
@@ -16,7 +15,8 @@ from occmap.grid.kernels.sectors import (
     find_sectors,
     outline_sectors,
 )
-from occmap.types import Bool, Float32, Float64, Int64, UInt8
+from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT
+from occmap.types import Bool, Float32, Float64, Int32, Int64, UInt8
 
 NEAR, FAR, SCALE, RANGE = range(4)
 """Columns of what `limit_ranges` writes."""
@@ -132,7 +132,7 @@ def reach_out(
     To the tangent at the outermost circle, and a little more for rounding.
     """
     for b in range(kinds.size):
-        reach = ranges[b] + (depth if kinds[b] == 2 else 0.0) + 4
+        reach = ranges[b] + (depth if kinds[b] == HIT else 0.0) + 4
         for side in range(2):
             lengths[b, side] = reach / (
                 sides[b, 2 * side] * direction[b, 0] + sides[b, 2 * side + 1] * direction[b, 1]
@@ -177,7 +177,7 @@ def limit_ranges(ranges: Float64, kinds: UInt8, depth: float, steps: int, limits
     for b in range(kinds.size):
         before = max(ranges[b] - depth, 0.0)
         limits[b, NEAR] = before * before
-        limits[b, FAR] = (ranges[b] + depth) ** 2 if kinds[b] == 2 else -1.0
+        limits[b, FAR] = (ranges[b] + depth) ** 2 if kinds[b] == HIT else -1.0
         limits[b, SCALE] = steps / max(before * before, 1.0)
         limits[b, RANGE] = ranges[b]
     limits[kinds.size] = -1.0
@@ -210,7 +210,7 @@ def _observe_spans(
     hits_from, nothing, to_steps = steps + 1, 2 * steps + 2, steps / depth
     for r in range(touched[0], touched[1]):
         row = np.uint64(r)
-        from_y = float((r << 8) + 128 - at_y)
+        from_y = float((r << CELL_SHIFT) + HALF_CELL - at_y)
         start, turned = (1.0, -1.0) if from_y >= 0 else (3.0, 1.0)
         n, inner_end = inner_starts[row], inner_starts[row] + inner_counts[row]
         for i in range(starts[row], starts[row] + counts[row], 2):
@@ -224,7 +224,7 @@ def _observe_spans(
                     runs[np.uint64(r * (cols + 1) + beyond)] -= 1
                     n += 2
                 for c in range(col, until):
-                    from_x = float((c << 8) + 128 - at_x)
+                    from_x = float((c << CELL_SHIFT) + HALF_CELL - at_x)
                     # As `bearing_of`, whose choice by the sign of y is the same for a whole row.
                     part = from_x / max(abs(from_x) + abs(from_y), 1e-300)
                     b = covering[np.uint64((start + turned * part) * (BEARINGS / 4))]

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.jit import kernel
-from occmap.types import Bool, Float64, Int64, UInt8
+from occmap.grid.kernels.units import SKIP
+from occmap.types import Bool, Float64, Int32, Int64, UInt8
 
 BEARINGS = 1 << 14
 """Steps of a full turn to which the bearing of a cell is known."""
@@ -91,7 +91,7 @@ def cover_bearings(
         first = bearing_of(sides[b, right], sides[b, right + 1])
         last = bearing_of(sides[b, 2 - right], sides[b, 3 - right])
         if not covers[b] or first == last:
-            side_by_side = side_by_side and kinds[b] == 0
+            side_by_side = side_by_side and kinds[b] == SKIP
         elif last < first:
             covering[first:] = b
             covering[:last] = b

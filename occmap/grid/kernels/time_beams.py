@@ -7,9 +7,9 @@ Which cells a slice of time hit, and which it saw, are bits: 64 columns a word.
 
 import numpy as np
 
-from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.jit import kernel
-from occmap.types import Float32, Float64, Int64, UInt8, UInt64
+from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT, SKIP
+from occmap.types import Float32, Float64, Int32, Int64, UInt8, UInt64
 
 
 @kernel
@@ -55,16 +55,18 @@ def time_beams(
     scans, beams = kinds.shape
     viewpoints = origins.shape[1]
     rows, cols = times.shape[0], times.shape[1]
-    left, bottom = corner[0] >> 8, corner[1] >> 8
+    left, bottom = corner[0] >> CELL_SHIFT, corner[1] >> CELL_SHIFT
     for s in range(scans):
         early, late = stamps[s, 0], stamps[s, 1]
         for b in range(beams):
-            if kinds[s, b] == 0:
+            if kinds[s, b] == SKIP:
                 continue
             k = b if viewpoints > 1 else 0
-            col, row = (origins[s, k, 0] >> 8) - left, (origins[s, k, 1] >> 8) - bottom
-            end_col, end_row = (ends_x[s, b] >> 8) - left, (ends_y[s, b] >> 8) - bottom
-            if kinds[s, b] == 2 and 0 <= end_row < rows and 0 <= end_col < cols:
+            col = (origins[s, k, 0] >> CELL_SHIFT) - left
+            row = (origins[s, k, 1] >> CELL_SHIFT) - bottom
+            end_col = (ends_x[s, b] >> CELL_SHIFT) - left
+            end_row = (ends_y[s, b] >> CELL_SHIFT) - bottom
+            if kinds[s, b] == HIT and 0 <= end_row < rows and 0 <= end_col < cols:
                 set_bit(hit, end_row, end_col)
             across, up = abs(end_col - col), abs(end_row - row)
             right, rise = (1 if end_col > col else -1), (1 if end_row > row else -1)
@@ -115,7 +117,7 @@ def time_radial_beams(
     for s in range(scans):
         early, late = stamps[s, 0], stamps[s, 1]
         for b in range(beams):
-            if kinds[s, b] == 0:
+            if kinds[s, b] == SKIP:
                 continue
             k, t = min(b, viewpoints - 1), min(b, turns - 1)
             along_x = turn[s, t, 0, 0] * bearing[0, b] + turn[s, t, 0, 1] * bearing[1, b]
@@ -123,10 +125,11 @@ def time_radial_beams(
             length = np.sqrt(along_x * along_x + along_y * along_y)
             r = distance[s, b] * length * units_per_metre
             before = max(r - depth, 0.0)
-            until, is_hit = before * before, kinds[s, b] == 2
+            until, is_hit = before * before, kinds[s, b] == HIT
             x, y = origins[s, k, 0] - corner[0], origins[s, k, 1] - corner[1]
-            col, row = x >> 8, y >> 8
-            end_col, end_row = (ends_x[s, b] - corner[0]) >> 8, (ends_y[s, b] - corner[1]) >> 8
+            col, row = x >> CELL_SHIFT, y >> CELL_SHIFT
+            end_col = (ends_x[s, b] - corner[0]) >> CELL_SHIFT
+            end_row = (ends_y[s, b] - corner[1]) >> CELL_SHIFT
             across, up = abs(end_col - col), abs(end_row - row)
             right, rise = (1 if end_col > col else -1), (1 if end_row > row else -1)
             steep = up > across
@@ -134,7 +137,8 @@ def time_radial_beams(
             error = n
             for _ in range(n + 1):
                 if 0 <= row < rows and 0 <= col < cols:
-                    from_x, from_y = (col << 8) + 128 - x, (row << 8) + 128 - y
+                    from_x = (col << CELL_SHIFT) + HALF_CELL - x
+                    from_y = (row << CELL_SHIFT) + HALF_CELL - y
                     squared = float(from_x * from_x + from_y * from_y)
                     if squared < until or (is_hit and abs(np.sqrt(squared) - r) <= depth):
                         mark_cell(times, seen, row, col, early, late)

@@ -5,7 +5,6 @@ What is kept of a window is as in `time_beams`.
 
 import numpy as np
 
-from occmap.grid.kernels.arrays import Int32
 from occmap.grid.kernels.fill import fill_outline, find_rows
 from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.outline import Beams, Surfaces, link_beams, list_border, outline_scan
@@ -26,7 +25,8 @@ from occmap.grid.kernels.sectors import (
     outline_sectors,
 )
 from occmap.grid.kernels.time_beams import mark_cell, set_bit
-from occmap.types import Float32, Float64, Int64, UInt8, UInt64
+from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL
+from occmap.types import Float32, Float64, Int32, Int64, UInt8, UInt64
 
 
 @kernel
@@ -188,10 +188,10 @@ def _time_sectors(
 ) -> None:
     """Note the cells of one scan's spans of which the beam that covers their bearing speaks."""
     for row in range(touched[0], touched[1]):
-        from_y = float((row << 8) + 128 - at_y)
+        from_y = float((row << CELL_SHIFT) + HALF_CELL - at_y)
         for i in range(starts[row], starts[row] + counts[row], 2):
             for col in range(spans[i], spans[i + 1]):
-                from_x = float((col << 8) + 128 - at_x)
+                from_x = float((col << CELL_SHIFT) + HALF_CELL - at_x)
                 b = covering[bearing_of(from_x, from_y)]
                 squared = from_x * from_x + from_y * from_y
                 if squared < limits[b, NEAR] or squared <= limits[b, FAR]:
