@@ -14,7 +14,7 @@ from occmap.evidence.merging import open_saved
 from occmap.evidence.persistence import check_gap, check_passes, keep_lasting, list_forgotten
 from occmap.evidence.publishing import describe_resumed
 from occmap.grid.lattice import Lattice
-from occmap.grid.observation import Observation, tabulate
+from occmap.grid.spec import GridSpec, tabulate
 from occmap.grid.stacks import add_stack
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions, Stamps
@@ -246,25 +246,25 @@ def choose_engine(options: BuildOptions, outputs: Sequence[Path]) -> "GridEngine
         return make_engine(options)
     from occmap.grid.timed import TimedEngine  # noqa: PLC0415  late: as below
 
-    return TimedEngine(plan_observation(options), max_cells=options.max_cells)
+    return TimedEngine(plan_grid(options), max_cells=options.max_cells)
 
 
 def make_engine(options: BuildOptions) -> "GridEngine":
     """Make the grid engine for an update and a model."""
     from occmap.grid.engine import GridEngine  # noqa: PLC0415  late: numba takes a third of a second
 
-    return GridEngine(plan_observation(options), max_cells=options.max_cells)
+    return GridEngine(plan_grid(options), max_cells=options.max_cells)
 
 
-def plan_observation(options: BuildOptions) -> Observation:
-    """Say what an engine is to observe, and how."""
+def plan_grid(options: BuildOptions) -> GridSpec:
+    """Say how an engine is to turn rays into evidence."""
     lattice = Lattice(options.resolution)
     model = options.model
     radial = None
     if isinstance(model, RadialModel):
         radial = tabulate(model.free, model.hit, model.depth(options.resolution))
     slice_ns = round(options.pass_gap_s * 1e9)
-    return Observation(options.update, lattice, options.jump, options.border_gap, radial, slice_ns)
+    return GridSpec(options.update, lattice, options.jump, options.border_gap, radial, slice_ns)
 
 
 def make_report(grid: OccupancyMap, options: BuildOptions, tally: Tally, made: Made) -> Report:

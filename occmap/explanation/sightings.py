@@ -9,7 +9,7 @@ import numpy as np
 from occmap.batching import Batcher
 from occmap.explanation.history import CellHistory
 from occmap.explanation.provenance import Use
-from occmap.pipeline import Progress, choose_topics, count_scans, make_poser, plan_observation
+from occmap.pipeline import Progress, choose_topics, count_scans, make_poser, plan_grid
 from occmap.posing.options import Stamps
 from occmap.readers import Log, open_log, read_scans
 from occmap.sensor.returns import interpret
@@ -71,7 +71,7 @@ def look_through(use: Use, log: Log, history: CellHistory) -> Iterator[Look]:
     from occmap.grid.probe import CellProbe  # noqa: PLC0415  late: it brings numba
 
     options = use.options
-    probe = CellProbe(plan_observation(options), history.row, history.col)
+    probe = CellProbe(plan_grid(options), history.row, history.col)
     topics = choose_topics(log, options.selection.topics)
     poser = make_poser(log, topics, options.posing)
     batcher = Batcher(options.selection, by_record_time=options.posing.stamps is Stamps.RECORD)

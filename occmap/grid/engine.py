@@ -6,8 +6,8 @@ import numpy as np
 
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox, Lattice
-from occmap.grid.observation import Observation
 from occmap.grid.projection import Projected, project
+from occmap.grid.spec import GridSpec
 from occmap.grid.tiles import EvidenceKind, TileGrid, refuse_large
 from occmap.grid.windows import Window, choose_window
 from occmap.types import Rays, Times, Update
@@ -37,12 +37,12 @@ class GridEngine:
     """
 
     def __init__(
-        self, what: Observation, window_cells: int = WINDOW_CELLS, max_cells: int = MAX_CELLS
+        self, spec: GridSpec, window_cells: int = WINDOW_CELLS, max_cells: int = MAX_CELLS
     ) -> None:
-        self.what = what
-        kind = EvidenceKind.COUNTS if what.radial is None else EvidenceKind.LOG_ODDS
-        self.grid = TileGrid(what.lattice, kind)
-        self._window_type = choose_window(what)
+        self.spec = spec
+        kind = EvidenceKind.COUNTS if spec.radial is None else EvidenceKind.LOG_ODDS
+        self.grid = TileGrid(spec.lattice, kind)
+        self._window_type = choose_window(spec)
         self._window_cells = window_cells
         self._max_cells = max_cells
         self._idle: list[Window] = []
@@ -59,25 +59,25 @@ class GridEngine:
         """
         if not rays.kind.size:
             return
-        refuse_far_sensors(rays, self.what.lattice)
-        if self.what.update is Update.POLYGON:
+        refuse_far_sensors(rays, self.spec.lattice)
+        if self.spec.update is Update.POLYGON:
             rays = join_viewpoints(rays)
-        refuse_long_beams(rays, self.what.lattice.resolution)
+        refuse_long_beams(rays, self.spec.lattice.resolution)
         most = self._window_type.most_observations
         refuse_many_beams(rays, self._window_type)
         too_much = self._window_type.count(rays) > most
-        too_wide = lie_far_apart(rays, self.what.lattice.resolution)
+        too_wide = lie_far_apart(rays, self.spec.lattice.resolution)
         if (too_much or too_wide) and len(rays.kind) > 1:
             self._add_halves(rays)
             return
-        projected = project(rays, self.what)
+        projected = project(rays, self.spec)
         if projected.box.cells <= self._window_cells:
             self._trace(projected)
         elif projected.box.cells > MOST_PARTS * self._window_cells and len(rays.kind) > 1:
             self._add_halves(rays)
         else:
             if len(rays.kind) == 1 and projected.box.cells > MARGIN * self._max_cells:
-                refuse_large(projected.box, self.what.lattice, self._max_cells)
+                refuse_large(projected.box, self.spec.lattice, self._max_cells)
             for part in split_box(projected.box, self._window_cells):
                 window = self._open(part)
                 window.observe(projected)
@@ -102,7 +102,7 @@ class GridEngine:
             self._idle.append(window)
 
     def _open(self, box: CellBox) -> Window:
-        return self._window_type(self.what, box)
+        return self._window_type(self.spec, box)
 
     def _empty(self, window: Window) -> None:
         box, first, second = window.read()

@@ -6,8 +6,8 @@ import numpy as np
 
 from occmap.grid.engine import join_viewpoints, refuse_far_sensors, refuse_long_beams
 from occmap.grid.lattice import CellBox
-from occmap.grid.observation import Observation
 from occmap.grid.projection import project
+from occmap.grid.spec import GridSpec
 from occmap.grid.windows import choose_window
 from occmap.types import Bool, Int64, Rays, Update
 
@@ -15,10 +15,10 @@ from occmap.types import Bool, Int64, Rays, Update
 class CellProbe:
     """Looks at one cell through the windows that a `GridEngine` of the same kind would use."""
 
-    def __init__(self, what: Observation, row: int, col: int) -> None:
-        self.what = what
+    def __init__(self, spec: GridSpec, row: int, col: int) -> None:
+        self.spec = spec
         self.box = CellBox(row, col, row + 1, col + 1)
-        self._window_type = choose_window(what)
+        self._window_type = choose_window(spec)
 
     def look(self, rays: Rays) -> Int64:
         """(S, 2) the two numbers that each scan adds to the cell.
@@ -31,8 +31,8 @@ class CellProbe:
         seen = np.zeros((len(rays.kind), 2), np.int64)
         if not rays.kind.size:
             return seen
-        refuse_far_sensors(rays, self.what.lattice)
-        refuse_long_beams(rays, self.what.lattice.resolution)
+        refuse_far_sensors(rays, self.spec.lattice)
+        refuse_long_beams(rays, self.spec.lattice.resolution)
         for scan in np.flatnonzero(self.find_near(rays)):
             seen[scan] = self._trace(rays.take(slice(scan, scan + 1)))
         return seen
@@ -43,7 +43,7 @@ class CellProbe:
         All that a scan touches lies in a circle about its first viewpoint: the ends of its beams,
         the lines between these, and, to a cell's diagonal, the cells that they are in.
         """
-        resolution, radial = self.what.lattice.resolution, self.what.radial
+        resolution, radial = self.spec.lattice.resolution, self.spec.radial
         start = rays.origin[:, 0]
         away = np.hypot(*(start - (np.array([self.box.col, self.box.row]) + 0.5) * resolution).T)
         spread = np.hypot(*np.moveaxis(rays.origin - start[:, None], -1, 0)).max(axis=1)
@@ -54,9 +54,9 @@ class CellProbe:
         return near
 
     def _trace(self, rays: Rays) -> tuple[int, int]:
-        if self.what.update is Update.POLYGON:
+        if self.spec.update is Update.POLYGON:
             rays = join_viewpoints(rays)
-        window = self._window_type(self.what, self.box)
-        window.observe(project(rays, self.what))
+        window = self._window_type(self.spec, self.box)
+        window.observe(project(rays, self.spec))
         _, first, second = window.read()
         return int(first.sum()), int(second.sum())

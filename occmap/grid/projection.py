@@ -8,7 +8,7 @@ import numpy as np
 from occmap.grid.kernels.project import project_ends
 from occmap.grid.kernels.units import CELL_SHIFT
 from occmap.grid.lattice import CellBox
-from occmap.grid.observation import Observation
+from occmap.grid.spec import GridSpec
 from occmap.types import Int32, Int64, Rays, Update
 
 
@@ -39,10 +39,10 @@ class Projected:
         )
 
 
-def project(rays: Rays, what: Observation) -> Projected:
+def project(rays: Rays, spec: GridSpec) -> Projected:
     """Round rays to the lattice, once."""
-    depth = 0.0 if what.radial is None else what.radial.depth
-    origins = what.lattice.to_units(rays.origin)
+    depth = 0.0 if spec.radial is None else spec.radial.depth
+    origins = spec.lattice.to_units(rays.origin)
     anchor = origins[0, 0] >> CELL_SHIFT << CELL_SHIFT
     origins -= anchor
     ends_x, ends_y = np.empty(rays.kind.shape, np.int32), np.empty(rays.kind.shape, np.int32)
@@ -53,7 +53,7 @@ def project(rays: Rays, what: Observation) -> Projected:
         rays.distance,
         rays.kind,
         depth,
-        what.lattice.units_per_metre,
+        spec.lattice.units_per_metre,
         anchor.astype(np.float64),
         ends_x,
         ends_y,
@@ -63,7 +63,7 @@ def project(rays: Rays, what: Observation) -> Projected:
     right, top = max(highest_x, highest[0]), max(highest_y, highest[1])
     left, bottom, right, top = (edge >> CELL_SHIFT for edge in (left, bottom, right, top))
     to_col, to_row = (int(corner) >> CELL_SHIFT for corner in anchor)
-    margin = 1 + _reach_beside(rays, what)
+    margin = 1 + _reach_beside(rays, spec)
     box = CellBox(
         to_row + bottom - margin,
         to_col + left - margin,
@@ -73,13 +73,13 @@ def project(rays: Rays, what: Observation) -> Projected:
     return Projected(rays, anchor, origins, ends_x, ends_y, box)
 
 
-def _reach_beside(rays: Rays, what: Observation) -> int:
+def _reach_beside(rays: Rays, spec: GridSpec) -> int:
     """How many cells beside their ends beams have a say in: half-way to their neighbours."""
-    if what.radial is None or what.update is Update.BEAM or rays.kind.shape[1] < 2:
+    if spec.radial is None or spec.update is Update.BEAM or rays.kind.shape[1] < 2:
         return 0
     # A turn makes no difference of two bearings longer, and at most doubles its larger part.
     single = rays.turn.shape[1] == 1
     directions = rays.bearing.T if single else rays.direction
     spread = float(np.abs(np.diff(directions, axis=-2)).max())
-    reach = float(rays.distance.max()) + what.radial.depth
-    return int(reach * min(2 * spread, 1.0) / what.lattice.resolution) + 2
+    reach = float(rays.distance.max()) + spec.radial.depth
+    return int(reach * min(2 * spread, 1.0) / spec.lattice.resolution) + 2

@@ -36,7 +36,7 @@ class EvidenceKind(StrEnum):
 
 
 class TileGrid:
-    """Evidence of one kind on one lattice; the only value in occmap that changes."""
+    """Evidence of one kind on one lattice; it grows while a map is built."""
 
     def __init__(self, lattice: Lattice, kind: EvidenceKind) -> None:
         self.lattice = lattice

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 
@@ -9,12 +10,12 @@ from occmap.grid.engine import MAX_CELLS, WINDOW_CELLS, GridEngine
 from occmap.grid.kernels.time_beams import time_beams, time_radial_beams
 from occmap.grid.kernels.time_polygons import time_polygons, time_radial_polygons
 from occmap.grid.lattice import CellBox
-from occmap.grid.observation import Observation
 from occmap.grid.projection import Projected
+from occmap.grid.spec import GridSpec
 from occmap.grid.tiles import TILE
-from occmap.grid.times import Passes, TimeGrid, cut_bits, encode_stamps
+from occmap.grid.times import SliceBits, TimeGrid, cut_bits, encode_stamps
 from occmap.grid.windows import (
-    Evidence,
+    CellNumbers,
     Window,
     choose_window,
     describe_surfaces,
@@ -29,20 +30,21 @@ class TimedEngine(GridEngine):
 
     def __init__(
         self,
-        what: Observation,
+        spec: GridSpec,
         window_cells: int = WINDOW_CELLS,
         max_cells: int = MAX_CELLS,
     ) -> None:
-        super().__init__(what, window_cells, max_cells)
+        super().__init__(spec, window_cells, max_cells)
         self._times = TimeGrid()
 
     def _open(self, box: CellBox) -> Window:
-        return TimedWindow(self.what, box)
+        return TimedWindow(self.spec, box)
 
     def _empty(self, window: Window) -> None:
         super()._empty(window)
+        timed = cast(TimedWindow, window)  # `_open` makes no others
         with self._lock:
-            window.fold_times(self._times)
+            self._times.add(timed.frame, timed.times, timed.slice_bits)
 
     def read_times(self) -> tuple[Times, ...]:
         """When each cell was observed of what `finish` gave."""
@@ -57,38 +59,35 @@ class TimedWindow(Window):
 
     def allocate(self, rows: int, cols: int) -> None:
         del rows, cols
-        self.counts = choose_window(self.what)(self.what, self.box)
+        self.counts = choose_window(self.spec)(self.spec, self.box)
         self.frame = align(self.box)
         shape = self.frame.rows, self.frame.cols
         self.times = np.zeros((*shape, 2), np.uint64)
         self.bits = np.zeros((2, shape[0], shape[1] // TILE), np.uint64)
-        self.passes: Passes = {}
-        self._time = choose_timer(self.what)
+        self.slice_bits: SliceBits = {}
+        self._time = choose_timer(self.spec)
 
     def has_room(self, projected: Projected) -> bool:
         return self.counts.has_room(projected)
 
     def trace(self, projected: Projected) -> None:
         self.counts.observe(projected)
-        for slice_, part in cut_by_slice(projected, self.what.slice_ns):
+        for slice_, part in cut_by_slice(projected, self.spec.slice_ns):
             self._time(self, part)
-            self._keep_pass(slice_, part.box)
+            self._keep_slice(slice_, part.box)
 
-    def _keep_pass(self, slice_: int, box: CellBox) -> None:
+    def _keep_slice(self, slice_: int, box: CellBox) -> None:
         """Take the bits of one slice of time out of the window."""
         touched = align(self.frame.clip(box))
         row, col = touched.row - self.frame.row, (touched.col - self.frame.col) // TILE
         words = self.bits[:, row : row + touched.rows, col : col + touched.cols // TILE]
         for tile, bits in cut_bits(words, touched.row // TILE, touched.col // TILE).items():
-            known = self.passes.get((tile, slice_))
-            self.passes[tile, slice_] = bits if known is None else known | bits
+            known = self.slice_bits.get((tile, slice_))
+            self.slice_bits[tile, slice_] = bits if known is None else known | bits
         words[:] = 0
 
-    def read_from(self, row: int, col: int, shape: tuple[int, int]) -> Evidence:
+    def read_from(self, row: int, col: int, shape: tuple[int, int]) -> CellNumbers:
         return self.counts.read_from(row, col, shape)
-
-    def fold_times(self, grid: TimeGrid) -> None:
-        grid.add(self.frame, self.times, self.passes)
 
     @property
     def bound(self) -> int:
@@ -132,7 +131,7 @@ def _time_beams(window: TimedWindow, projected: Projected) -> None:
 
 
 def _time_radial_beams(window: TimedWindow, projected: Projected) -> None:
-    rays, scale = projected.rays, window.what.lattice.units_per_metre
+    rays, scale = projected.rays, window.spec.lattice.units_per_metre
     time_radial_beams(
         projected.origins,
         projected.ends_x,
@@ -144,7 +143,7 @@ def _time_radial_beams(window: TimedWindow, projected: Projected) -> None:
         encode_stamps(rays.stamp_ns),
         window.frame_corner - projected.anchor,
         scale,
-        get_tables(window.what).depth * scale,
+        get_tables(window.spec).depth * scale,
         window.times,
         window.bits[1],
     )
@@ -161,15 +160,15 @@ def _time_polygons(window: TimedWindow, projected: Projected) -> None:
         projected.ends_y,
         rays.kind,
         encode_stamps(rays.stamp_ns),
-        describe_surfaces(window.what, projected, window.frame),
+        describe_surfaces(window.spec, projected, window.frame),
         window.times,
         *window.bits,
     )
 
 
 def _time_radial_polygons(window: TimedWindow, projected: Projected) -> None:
-    rays, tables = projected.rays, get_tables(window.what)
-    scale = window.what.lattice.units_per_metre
+    rays, tables = projected.rays, get_tables(window.spec)
+    scale = window.spec.lattice.units_per_metre
     time_radial_polygons(
         rays.origin,
         rays.turn,
@@ -188,8 +187,8 @@ def _time_radial_polygons(window: TimedWindow, projected: Projected) -> None:
     )
 
 
-def choose_timer(what: Observation) -> Callable[[TimedWindow, Projected], None]:
+def choose_timer(spec: GridSpec) -> Callable[[TimedWindow, Projected], None]:
     """What notes times for an update and a model."""
-    if what.radial is None:
-        return _time_beams if what.update is Update.BEAM else _time_polygons
-    return _time_radial_beams if what.update is Update.BEAM else _time_radial_polygons
+    if spec.radial is None:
+        return _time_beams if spec.update is Update.BEAM else _time_polygons
+    return _time_radial_beams if spec.update is Update.BEAM else _time_radial_polygons

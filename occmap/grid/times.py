@@ -1,8 +1,9 @@
-"""When cells were observed, beside what was: first, last, and on how many visits.
+"""When cells were observed, beside how often: first, last, and on how many visits.
 
 Time is cut into slices of one length that begin at whole multiples of it; a run of consecutive
 slices in which a cell was seen is one visit, so that two visits lie at least a slice apart. Neither
-the order of scans nor which comes first makes a difference.
+the order of scans nor which comes first makes a difference. `--pass-gap` is the length of a slice,
+and `--min-passes` counts visits.
 """
 
 from typing import TypeAlias
@@ -14,7 +15,7 @@ from occmap.grid.tiles import TILE
 from occmap.types import Bool, Int32, Int64, Times, UInt64
 
 TileKey: TypeAlias = tuple[int, int]
-Passes: TypeAlias = dict[tuple[TileKey, int], UInt64]
+SliceBits: TypeAlias = dict[tuple[TileKey, int], UInt64]
 """By tile and slice of time: (2, TILE) words of bits, which cells it hit and which it saw."""
 
 SIGN = np.uint64(1 << 63)
@@ -44,9 +45,9 @@ class TimeGrid:
 
     def __init__(self) -> None:
         self.tiles: dict[TileKey, UInt64] = {}
-        self.passes: Passes = {}
+        self.slice_bits: SliceBits = {}
 
-    def add(self, box: CellBox, times: UInt64, passes: Passes) -> None:
+    def add(self, box: CellBox, times: UInt64, slice_bits: SliceBits) -> None:
         """Add what a window holds.
 
         Parameters
@@ -55,13 +56,13 @@ class TimeGrid:
             Of whole tiles.
         times
             (H, W, 2) of the box: early and late.
-        passes
+        slice_bits
             Bits of what each slice of time hit and saw.
         """
-        for key, bits in passes.items():
-            known = self.passes.get(key)
-            self.passes[key] = bits if known is None else known | bits
-        for row, col in {tile for tile, _ in passes}:
+        for key, bits in slice_bits.items():
+            known = self.slice_bits.get(key)
+            self.slice_bits[key] = bits if known is None else known | bits
+        for row, col in {tile for tile, _ in slice_bits}:
             part = times[row * TILE - box.row :, col * TILE - box.col :][:TILE, :TILE]
             known = self.tiles.get((row, col))
             self.tiles[row, col] = part.copy() if known is None else np.maximum(known, part)
@@ -70,7 +71,7 @@ class TimeGrid:
         """Sum up when each cell was observed, and count its visits."""
         keys = sorted(self.tiles)
         slices: dict[TileKey, dict[int, UInt64]] = {key: {} for key in keys}
-        for (key, slice_), bits in self.passes.items():
+        for (key, slice_), bits in self.slice_bits.items():
             slices[key][slice_] = bits
         masks, stamps = [np.zeros((0, BITS), np.bool_)], [np.zeros((2, 0), np.uint64)]
         visits = [np.zeros((2, 0), np.int32)]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from occmap.grid.lattice import Lattice
-from occmap.grid.observation import Observation, tabulate
+from occmap.grid.spec import GridSpec, tabulate
 from occmap.grid.timed import TimedEngine
 from occmap.types import Kind, Rays, Update
 
@@ -22,7 +22,7 @@ def compile_kernels() -> None:
     tables = tabulate(lambda u: 0.4 + 0.1 * u, lambda w: 0.6 - 0.1 * w, depth=0.05)
     for update in Update:
         for radial in (None, tables):
-            engine = TimedEngine(Observation(update, Lattice(0.05), radial=radial))
+            engine = TimedEngine(GridSpec(update, Lattice(0.05), radial=radial))
             engine.add(rays)
             engine.finish()
 

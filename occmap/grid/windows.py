@@ -17,12 +17,12 @@ from occmap.grid.kernels.radial_beam import trace_radial_beams
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.kernels.units import UNITS_PER_CELL
 from occmap.grid.lattice import CellBox
-from occmap.grid.observation import COUNT_BITS, Observation, RadialTables
 from occmap.grid.projection import Projected
-from occmap.grid.times import TimeGrid
+from occmap.grid.spec import COUNT_BITS, GridSpec, RadialTables
 from occmap.types import Int32, Int64, Rays, Update
 
-Evidence: TypeAlias = tuple[NDArray[Any], NDArray[Any]]
+CellNumbers: TypeAlias = tuple[NDArray[Any], NDArray[Any]]
+"""(h, w) of each: hits and misses, or log-odds and observations"""
 
 
 class Window(ABC):
@@ -31,8 +31,8 @@ class Window(ABC):
     most_observations: int = 2**30
     """A window is emptied before a cell could be observed more often."""
 
-    def __init__(self, what: Observation, box: CellBox) -> None:
-        self.what = what
+    def __init__(self, spec: GridSpec, box: CellBox) -> None:
+        self.spec = spec
         self.box = box
         self.touched: CellBox | None = None
         self.observations = 0
@@ -66,15 +66,12 @@ class Window(ABC):
         first, second = self.read_from(row, col, (box.rows, box.cols))
         return box, first, second
 
-    def fold_times(self, grid: TimeGrid) -> None:  # noqa: B027  most windows keep no times
-        """Hand on when cells were observed: nothing, where nobody asked."""
-
     @abstractmethod
     def trace(self, projected: Projected) -> None:
         """Call the kernel."""
 
     @abstractmethod
-    def read_from(self, row: int, col: int, shape: tuple[int, int]) -> Evidence:
+    def read_from(self, row: int, col: int, shape: tuple[int, int]) -> CellNumbers:
         """(h, w) of both numbers of cells, from a row and column of the window on."""
 
     @property
@@ -118,20 +115,20 @@ class BeamWindow(Window):
             *self.col_changes,
         )
 
-    def read_from(self, row: int, col: int, shape: tuple[int, int]) -> Evidence:
+    def read_from(self, row: int, col: int, shape: tuple[int, int]) -> CellNumbers:
         misses = np.empty(shape, np.int32)
         sum_beams(*self.row_changes, *self.col_changes, self.hits.shape, (row, col), misses)
         return self.hits[row : row + shape[0], col : col + shape[1]], misses
 
 
-def describe_surfaces(what: Observation, projected: Projected, box: CellBox) -> Surfaces:
+def describe_surfaces(spec: GridSpec, projected: Projected, box: CellBox) -> Surfaces:
     """What a polygon kernel needs to know beside the rays and the arrays of a box of cells."""
     left, bottom = find_corner(box).tolist()
     shift_x, shift_y = (projected.anchor - (left, bottom)).tolist()
     return Surfaces(
-        units_per_metre=what.lattice.units_per_metre,
-        jump=what.jump,
-        border_gap=what.border_gap,
+        units_per_metre=spec.lattice.units_per_metre,
+        jump=spec.jump,
+        border_gap=spec.border_gap,
         full_circle=projected.rays.full_circle,
         left=left,
         bottom=bottom,
@@ -157,7 +154,7 @@ class PolygonWindow(Window):
 
     def trace(self, projected: Projected) -> None:
         rays = projected.rays
-        surfaces = describe_surfaces(self.what, projected, self.box)
+        surfaces = describe_surfaces(self.spec, projected, self.box)
         trace_polygons(
             rays.origin,
             rays.turn,
@@ -172,17 +169,17 @@ class PolygonWindow(Window):
             self.observations,
         )
 
-    def read_from(self, row: int, col: int, shape: tuple[int, int]) -> Evidence:
+    def read_from(self, row: int, col: int, shape: tuple[int, int]) -> CellNumbers:
         hits, misses = np.empty(shape, np.int32), np.empty(shape, np.int32)
         read_border(self.border, self.runs, (row, col), hits, misses)
         return hits, misses
 
 
-def get_tables(what: Observation) -> RadialTables:
+def get_tables(spec: GridSpec) -> RadialTables:
     """The tables of the model; a radial window has one."""
-    if what.radial is None:
+    if spec.radial is None:
         raise TypeError("a radial window needs a radial model")
-    return what.radial
+    return spec.radial
 
 
 class RadialWindow(Window):
@@ -195,13 +192,13 @@ class RadialWindow(Window):
 
     @property
     def tables(self) -> RadialTables:
-        return get_tables(self.what)
+        return get_tables(self.spec)
 
     @abstractmethod
     def sum_plain(self, row: int, col: int, plain: Int32) -> None:
         """Write how often each cell got the first entry of the free table without being visited."""
 
-    def read_from(self, row: int, col: int, shape: tuple[int, int]) -> Evidence:
+    def read_from(self, row: int, col: int, shape: tuple[int, int]) -> CellNumbers:
         plain = np.empty(shape, np.int32)
         self.sum_plain(row, col, plain)
         visited = self.cells[row : row + shape[0], col : col + shape[1]]
@@ -223,7 +220,7 @@ class RadialBeamWindow(RadialWindow):
 
     def trace(self, projected: Projected) -> None:
         rays, tables = projected.rays, self.tables
-        units_per_metre = self.what.lattice.units_per_metre
+        units_per_metre = self.spec.lattice.units_per_metre
         trace_radial_beams(
             projected.origins,
             projected.ends_x,
@@ -256,7 +253,7 @@ class RadialPolygonWindow(RadialWindow):
 
     def trace(self, projected: Projected) -> None:
         rays, tables = projected.rays, self.tables
-        units_per_metre = self.what.lattice.units_per_metre
+        units_per_metre = self.spec.lattice.units_per_metre
         trace_radial_polygons(
             rays.origin,
             rays.turn,
@@ -278,8 +275,8 @@ class RadialPolygonWindow(RadialWindow):
         sum_runs(self.runs, self.box.cols + 1, (row, col), plain)
 
 
-def choose_window(what: Observation) -> type[Window]:
+def choose_window(spec: GridSpec) -> type[Window]:
     """The kind of window that an update and a model need."""
-    if what.radial is None:
-        return BeamWindow if what.update is Update.BEAM else PolygonWindow
-    return RadialBeamWindow if what.update is Update.BEAM else RadialPolygonWindow
+    if spec.radial is None:
+        return BeamWindow if spec.update is Update.BEAM else PolygonWindow
+    return RadialBeamWindow if spec.update is Update.BEAM else RadialPolygonWindow

@@ -11,7 +11,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from occmap.grid.engine import WINDOW_CELLS, GridEngine
-from occmap.grid.observation import Observation
+from occmap.grid.spec import GridSpec
 from occmap.grid.tiles import TILE, TileGrid
 from occmap.types import Float64, Kind, Rays, UInt8
 from tests.grid.reference import Cell
@@ -33,10 +33,8 @@ class Evidence(NamedTuple):
     second: Counter[Cell]
 
 
-def observe(
-    what: Observation, batches: Iterable[Rays], window_cells: int = WINDOW_CELLS
-) -> Evidence:
-    engine = GridEngine(what, window_cells)
+def observe(spec: GridSpec, batches: Iterable[Rays], window_cells: int = WINDOW_CELLS) -> Evidence:
+    engine = GridEngine(spec, window_cells)
     for rays in batches:
         engine.add(rays)
     return read_cells(engine.finish())

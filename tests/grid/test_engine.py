@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from occmap.errors import MapError
 from occmap.grid.engine import WINDOW_CELLS, GridEngine, join_viewpoints
 from occmap.grid.lattice import Lattice
-from occmap.grid.observation import Observation, tabulate
+from occmap.grid.spec import GridSpec, tabulate
 from occmap.grid.tiles import TILE
 from occmap.sensor.models import QuadraticModel
 from occmap.types import Kind, Rays, Update
@@ -36,16 +36,16 @@ HALVES = (0.0625, 0.5)
 """Resolutions that are powers of two: whole cells are then whole numbers of metres, exactly."""
 
 
-def radial_tables(resolution: float, p_min: float = 0.2) -> Observation:
+def radial_tables(resolution: float, p_min: float = 0.2) -> GridSpec:
     model = QuadraticModel(epsilon=1.5 * resolution, p_min=p_min)
-    return Observation(
+    return GridSpec(
         Update.BEAM,
         Lattice(resolution),
         radial=tabulate(model.free, model.hit, model.depth(resolution)),
     )
 
 
-def all_observations(resolution: float) -> list[Observation]:
+def all_specs(resolution: float) -> list[GridSpec]:
     """Both updates with both sorts of evidence."""
     radial = radial_tables(resolution)
     return [
@@ -64,8 +64,8 @@ KINDS_OF_MAP = pytest.mark.parametrize(
 @given(drive=drives(), window_cells=WINDOWS)
 def test_beam_update_follows_the_rule(drive: Drive, window_cells: int) -> None:
     rays, resolution = drive
-    what = Observation(Update.BEAM, Lattice(resolution))
-    assert observe(what, [rays], window_cells) == reference.trace_beams(rays, resolution)
+    spec = GridSpec(Update.BEAM, Lattice(resolution))
+    assert observe(spec, [rays], window_cells) == reference.trace_beams(rays, resolution)
 
 
 @MANY
@@ -80,9 +80,9 @@ def test_polygon_update_follows_the_rule(
 ) -> None:
     rays, resolution = drive
     jump = jump_cells * resolution
-    what = Observation(Update.POLYGON, Lattice(resolution), jump, border_gap)
+    spec = GridSpec(Update.POLYGON, Lattice(resolution), jump, border_gap)
     expected = reference.trace_polygons(join_viewpoints(rays), resolution, jump, border_gap)
-    assert observe(what, [rays], window_cells) == expected
+    assert observe(spec, [rays], window_cells) == expected
 
 
 @pytest.mark.parametrize("update", list(Update))
@@ -92,12 +92,12 @@ def test_centres_that_lie_on_edges_and_ends_that_lie_on_borders(
     update: Update, drive: Drive
 ) -> None:
     rays, resolution = drive
-    what = Observation(update, Lattice(resolution), 2 * resolution)
+    spec = GridSpec(update, Lattice(resolution), 2 * resolution)
     if update is Update.BEAM:
         expected = reference.trace_beams(rays, resolution)
     else:
-        expected = reference.trace_polygons(rays, resolution, what.jump)
-    assert observe(what, [rays]) == expected
+        expected = reference.trace_polygons(rays, resolution, spec.jump)
+    assert observe(spec, [rays]) == expected
 
 
 @KINDS_OF_MAP
@@ -107,12 +107,12 @@ def test_batches_windows_and_order_change_nothing(
     kind_of_map: int, drive: Drive, window_cells: int
 ) -> None:
     rays, resolution = drive
-    what = all_observations(resolution)[kind_of_map]
-    whole = observe(what, [rays])
+    spec = all_specs(resolution)[kind_of_map]
+    whole = observe(spec, [rays])
     scans = range(len(rays.kind))
     for order in permutations(scans):
-        assert observe(what, [take(rays, list(order))], window_cells) == whole
-    assert observe(what, [take(rays, [s]) for s in scans], window_cells) == whole
+        assert observe(spec, [take(rays, list(order))], window_cells) == whole
+    assert observe(spec, [take(rays, [s]) for s in scans], window_cells) == whole
 
 
 @KINDS_OF_MAP
@@ -120,9 +120,9 @@ def test_batches_windows_and_order_change_nothing(
 @given(drive=drives())
 def test_merging_equals_building_together(kind_of_map: int, drive: Drive) -> None:
     rays, resolution = drive
-    what = all_observations(resolution)[kind_of_map]
-    maps = [observe(what, [take(rays, [s])]) for s in range(len(rays.kind))]
-    whole = observe(what, [rays])
+    spec = all_specs(resolution)[kind_of_map]
+    maps = [observe(spec, [take(rays, [s])]) for s in range(len(rays.kind))]
+    whole = observe(spec, [rays])
     for layer in (0, 1):
         merged: Counter[reference.Cell] = Counter()
         for one in maps:  # update() keeps negative sums, which + would drop
@@ -143,9 +143,9 @@ def test_a_shift_by_whole_cells_shifts_the_map(
     rays, resolution = drive
     # Origins on the lattice: a float has then bits enough for the sum of both.
     rays = replace(rays, origin=np.rint(rays.origin / resolution * 256) / 256 * resolution)
-    what = all_observations(resolution)[kind_of_map]
-    there = observe(what, [shift(rays, (cols * resolution, rows * resolution))])
-    for layer, moved in zip(observe(what, [rays]), there, strict=True):
+    spec = all_specs(resolution)[kind_of_map]
+    there = observe(spec, [shift(rays, (cols * resolution, rows * resolution))])
+    for layer, moved in zip(observe(spec, [rays]), there, strict=True):
         assert {(r + rows, c + cols): n for (r, c), n in layer.items()} == moved
 
 
@@ -153,9 +153,9 @@ def test_a_shift_by_whole_cells_shifts_the_map(
 @given(drive=drives())
 def test_two_updates_agree_on_where_something_was_hit(drive: Drive) -> None:
     rays, resolution = drive
-    by_beam = observe(Observation(Update.BEAM, Lattice(resolution)), [rays])
+    by_beam = observe(GridSpec(Update.BEAM, Lattice(resolution)), [rays])
     # No gap is closed, so that the border is the end cells.
-    by_polygon = observe(Observation(Update.POLYGON, Lattice(resolution), 0.0, 0), [rays])
+    by_polygon = observe(GridSpec(Update.POLYGON, Lattice(resolution), 0.0, 0), [rays])
     if rays.origin.shape[1] == 1:
         assert by_beam.first.keys() == by_polygon.first.keys()
         scans = len(rays.kind)
@@ -178,34 +178,34 @@ def one_scan(distance: list[float], kind: list[Kind], increment: float = 0.5) ->
 @KINDS_OF_MAP
 def test_skipped_beams_leave_no_trace(kind_of_map: int) -> None:
     rays = one_scan([0.0, 0.0, 0.0], [Kind.SKIP] * 3)
-    assert observe(all_observations(1.0)[kind_of_map], [rays]) == (Counter(), Counter())
+    assert observe(all_specs(1.0)[kind_of_map], [rays]) == (Counter(), Counter())
 
 
 @pytest.mark.parametrize("update", list(Update))
 @pytest.mark.parametrize("distance", [0.0, 0.3])
 def test_a_hit_in_the_sensors_own_cell_is_one_hit(update: Update, distance: float) -> None:
     rays = one_scan([distance], [Kind.HIT])
-    evidence = observe(Observation(update, Lattice(1.0)), [rays])
+    evidence = observe(GridSpec(update, Lattice(1.0)), [rays])
     assert evidence == ({(0, 0): 1}, {})
 
 
 def test_free_beam_of_no_length_is_one_miss_by_beam_and_nothing_by_polygon() -> None:
     rays = one_scan([0.0], [Kind.FREE])
-    assert observe(Observation(Update.BEAM, Lattice(1.0)), [rays]) == ({}, {(0, 0): 1})
-    assert observe(Observation(Update.POLYGON, Lattice(1.0)), [rays]) == ({}, {})
+    assert observe(GridSpec(Update.BEAM, Lattice(1.0)), [rays]) == ({}, {(0, 0): 1})
+    assert observe(GridSpec(Update.POLYGON, Lattice(1.0)), [rays]) == ({}, {})
 
 
 def test_every_beam_counts_by_beam_and_every_scan_by_polygon() -> None:
     rays = one_scan([3.0] * 3, [Kind.HIT] * 3, increment=0.01)
-    assert observe(Observation(Update.BEAM, Lattice(1.0)), [rays]) == (
+    assert observe(GridSpec(Update.BEAM, Lattice(1.0)), [rays]) == (
         {(0, 3): 3},
         {(0, 0): 3, (0, 1): 3, (0, 2): 3},
     )
-    assert observe(Observation(Update.POLYGON, Lattice(1.0)), [rays]).first == {(0, 3): 1}
+    assert observe(GridSpec(Update.POLYGON, Lattice(1.0)), [rays]).first == {(0, 3): 1}
 
 
 def make_engine(update: Update = Update.BEAM, resolution: float = 0.05) -> GridEngine:
-    return GridEngine(Observation(update, Lattice(resolution)))
+    return GridEngine(GridSpec(update, Lattice(resolution)))
 
 
 @pytest.mark.parametrize("update", list(Update))
@@ -279,9 +279,9 @@ def test_threads_give_the_same_sums(kind_of_map: int) -> None:
         )
         for _ in range(12)
     ]
-    what = all_observations(0.05)[kind_of_map]
-    expected = observe(what, batches)
-    engine = GridEngine(what, window_cells=1 << 16)
+    spec = all_specs(0.05)[kind_of_map]
+    expected = observe(spec, batches)
+    engine = GridEngine(spec, window_cells=1 << 16)
 
     def work(mine: list[Rays]) -> None:
         for rays in mine:

@@ -6,7 +6,7 @@ from textwrap import dedent
 import pytest
 
 from occmap.grid.lattice import Lattice
-from occmap.grid.observation import Observation
+from occmap.grid.spec import GridSpec
 from occmap.types import Kind, Rays, Update
 from tests.grid import reference
 from tests.grid.pictures import Wall, box, draw, look
@@ -24,16 +24,16 @@ LONG: list[Wall] = [((2.5, 2.5), (24.5, 2.5))]
 TWO_ROOMS: list[Wall] = [*box(0.5, 0.5, 12.5, 6.5), ((6.5, 0.5), (6.5, 3.5))]
 
 
-def check(batches: list[Rays], what: Observation, picture: str) -> None:
+def check(batches: list[Rays], spec: GridSpec, picture: str) -> None:
     """The engine and the slow reference both draw the picture."""
     expected = dedent(picture).strip("\n")
-    assert draw(observe(what, batches)) == expected
+    assert draw(observe(spec, batches)) == expected
     drawn = Evidence(Counter(), Counter())
     for rays in batches:
-        if what.update is Update.BEAM:
+        if spec.update is Update.BEAM:
             hits, misses = reference.trace_beams(rays, 1.0)
         else:
-            hits, misses = reference.trace_polygons(rays, 1.0, what.jump, what.border_gap)
+            hits, misses = reference.trace_polygons(rays, 1.0, spec.jump, spec.border_gap)
         drawn.first.update(hits)
         drawn.second.update(misses)
     assert draw(drawn) == expected
@@ -53,7 +53,7 @@ def test_square_room_from_its_middle(update: Update) -> None:
         #.......#
         #########
     """
-    check([rays], Observation(update, Lattice(1.0)), picture)
+    check([rays], GridSpec(update, Lattice(1.0)), picture)
 
 
 def test_nothing_behind_the_posts_of_a_door_is_called_free() -> None:
@@ -69,7 +69,7 @@ def test_nothing_behind_the_posts_of_a_door_is_called_free() -> None:
             #     #
             #
     """
-    check([rays], Observation(Update.POLYGON, Lattice(1.0)), picture)
+    check([rays], GridSpec(Update.POLYGON, Lattice(1.0)), picture)
 
 
 def test_without_steps_the_door_is_walled_up_from_post_to_far_wall() -> None:
@@ -85,7 +85,7 @@ def test_without_steps_the_door_is_walled_up_from_post_to_far_wall() -> None:
             #    ##
             #
     """
-    check([rays], Observation(Update.POLYGON, Lattice(1.0), jump=1e9), picture)
+    check([rays], GridSpec(Update.POLYGON, Lattice(1.0), jump=1e9), picture)
 
 
 def test_beams_through_a_door_graze_its_posts() -> None:
@@ -101,7 +101,7 @@ def test_beams_through_a_door_graze_its_posts() -> None:
            .#    .#
             #
     """
-    check([rays], Observation(Update.BEAM, Lattice(1.0)), picture)
+    check([rays], GridSpec(Update.BEAM, Lattice(1.0)), picture)
 
 
 def test_where_nothing_came_back_nothing_is_known() -> None:
@@ -123,7 +123,7 @@ def test_where_nothing_came_back_nothing_is_known() -> None:
               #
               #
     """
-    check([rays], Observation(Update.POLYGON, Lattice(1.0)), picture)
+    check([rays], GridSpec(Update.POLYGON, Lattice(1.0)), picture)
 
 
 def test_where_nothing_came_back_may_be_free_up_to_a_limit() -> None:
@@ -145,7 +145,7 @@ def test_where_nothing_came_back_may_be_free_up_to_a_limit() -> None:
                 #
                 #
     """
-    check([rays], Observation(Update.POLYGON, Lattice(1.0)), picture)
+    check([rays], GridSpec(Update.POLYGON, Lattice(1.0)), picture)
 
 
 def test_a_wall_at_grazing_incidence_is_closed_as_far_as_it_is_one_surface() -> None:
@@ -158,9 +158,9 @@ def test_a_wall_at_grazing_incidence_is_closed_as_far_as_it_is_one_surface() -> 
          ##################   #
         ...........
     """
-    check([rays], Observation(Update.POLYGON, Lattice(1.0)), nearly)
-    check([rays], Observation(Update.POLYGON, Lattice(1.0), jump=3.0), closed)
-    check([rays], Observation(Update.POLYGON, Lattice(1.0), jump=3.0, border_gap=0), nearly)
+    check([rays], GridSpec(Update.POLYGON, Lattice(1.0)), nearly)
+    check([rays], GridSpec(Update.POLYGON, Lattice(1.0), jump=3.0), closed)
+    check([rays], GridSpec(Update.POLYGON, Lattice(1.0), jump=3.0, border_gap=0), nearly)
 
 
 def test_by_beam_a_wall_at_grazing_incidence_is_crossed_by_the_beams_to_its_far_end() -> None:
@@ -170,7 +170,7 @@ def test_by_beam_a_wall_at_grazing_incidence_is_crossed_by_the_beams_to_its_far_
          .................
         ......
     """
-    check([rays], Observation(Update.BEAM, Lattice(1.0)), picture)
+    check([rays], GridSpec(Update.BEAM, Lattice(1.0)), picture)
 
 
 def test_two_viewpoints_add_up_to_two_rooms() -> None:
@@ -194,5 +194,5 @@ def test_two_viewpoints_add_up_to_two_rooms() -> None:
         #.....#.....#
         #############
     """
-    check([west], Observation(Update.POLYGON, Lattice(1.0)), from_west)
-    check([west, east], Observation(Update.POLYGON, Lattice(1.0)), from_both)
+    check([west], GridSpec(Update.POLYGON, Lattice(1.0)), from_west)
+    check([west, east], GridSpec(Update.POLYGON, Lattice(1.0)), from_both)

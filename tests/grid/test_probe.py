@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 
 from occmap.errors import MapError
 from occmap.grid.lattice import Lattice
-from occmap.grid.observation import Observation
 from occmap.grid.probe import CellProbe
+from occmap.grid.spec import GridSpec
 from occmap.types import Kind, Rays, Update
 from tests.grid.scans import FEW, Drive, aim, drives, observe
-from tests.grid.test_engine import KINDS_OF_MAP, all_observations
+from tests.grid.test_engine import KINDS_OF_MAP, all_specs
 
 
 @KINDS_OF_MAP
@@ -19,12 +19,12 @@ from tests.grid.test_engine import KINDS_OF_MAP, all_observations
 @given(drive=drives(), place=st.floats(0, 1))
 def test_scans_add_up_to_what_the_engine_has(drive: Drive, place: float, kind_of_map: int) -> None:
     rays, resolution = drive
-    what = all_observations(resolution)[kind_of_map]
-    whole = observe(what, [rays])
+    spec = all_specs(resolution)[kind_of_map]
+    whole = observe(spec, [rays])
     cells = sorted(whole.first.keys() | whole.second.keys()) or [(0, 0)]
     row, col = cells[round(place * (len(cells) - 1))]
     for cell in ((row, col), (row + 1, col), (row, col - 3)):
-        seen = CellProbe(what, *cell).look(rays)
+        seen = CellProbe(spec, *cell).look(rays)
         assert seen.shape == (len(rays.kind), 2)
         assert seen.sum(axis=0).tolist() == [whole.first[cell], whole.second[cell]]
 
@@ -34,12 +34,12 @@ def test_scans_add_up_to_what_the_engine_has(drive: Drive, place: float, kind_of
 @given(drive=drives(), place=st.floats(0, 1))
 def test_each_scan_adds_what_it_does_alone(drive: Drive, place: float, kind_of_map: int) -> None:
     rays, resolution = drive
-    what = all_observations(resolution)[kind_of_map]
+    spec = all_specs(resolution)[kind_of_map]
     scans = [rays.take(slice(s, s + 1)) for s in range(len(rays.kind))]
-    alone = [observe(what, [scan]) for scan in scans]
+    alone = [observe(spec, [scan]) for scan in scans]
     cells = sorted({cell for each in alone for layer in each for cell in layer}) or [(0, 0)]
     cell = cells[round(place * (len(cells) - 1))]
-    seen = CellProbe(what, *cell).look(rays)
+    seen = CellProbe(spec, *cell).look(rays)
     assert seen.tolist() == [[each.first[cell], each.second[cell]] for each in alone]
 
 
@@ -54,7 +54,7 @@ def fan(origins: list[tuple[float, float]]) -> Rays:
 
 
 def test_scans_far_from_the_cell_are_not_traced() -> None:
-    probe = CellProbe(Observation(Update.BEAM, Lattice(0.1)), 0, 9)
+    probe = CellProbe(GridSpec(Update.BEAM, Lattice(0.1)), 0, 9)
     rays = fan([(0.05, 0.05), (0.95, 0.05), (3, 0), (0, 3), (-0.05, 0.05)])
     assert probe.find_near(rays).tolist() == [True, True, False, False, True]
     # A miss on the way; both beams begin in it; too far; too far; the end.
@@ -62,11 +62,11 @@ def test_scans_far_from_the_cell_are_not_traced() -> None:
 
 
 def test_nothing_is_seen_without_scans() -> None:
-    probe = CellProbe(Observation(Update.BEAM, Lattice(0.1)), 0, 9)
+    probe = CellProbe(GridSpec(Update.BEAM, Lattice(0.1)), 0, 9)
     assert probe.look(fan([(0, 0)]).take(slice(0, 0))).shape == (0, 2)
 
 
 def test_a_sensor_too_far_away_is_refused() -> None:
-    probe = CellProbe(Observation(Update.BEAM, Lattice(0.1)), 0, 9)
+    probe = CellProbe(GridSpec(Update.BEAM, Lattice(0.1)), 0, 9)
     with pytest.raises(MapError, match="is too far away"):
         probe.look(fan([(1e16, 0)]))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from occmap.grid.engine import WINDOW_CELLS, join_viewpoints
 from occmap.grid.lattice import Lattice
-from occmap.grid.observation import TABLE_STEPS, Observation, tabulate
+from occmap.grid.spec import TABLE_STEPS, GridSpec, tabulate
 from occmap.grid.tiles import LOG_ODDS_UNIT
 from occmap.sensor.models import QuadraticModel
 from occmap.types import Kind, Rays, Update
@@ -40,10 +40,10 @@ def tolerance(model: Quadratic) -> float:
     return max(free, hit) / (2 * TABLE_STEPS) + LOG_ODDS_UNIT / 2 + 1e-9
 
 
-def make_observation(update: Update, resolution: float, model: Quadratic) -> Observation:
+def make_spec(update: Update, resolution: float, model: Quadratic) -> GridSpec:
     quadratic = QuadraticModel(epsilon=model.depth, p_min=model.p_min)
     tables = tabulate(quadratic.free, quadratic.hit, quadratic.depth(resolution))
-    return Observation(update, Lattice(resolution), radial=tables)
+    return GridSpec(update, Lattice(resolution), radial=tables)
 
 
 def check(evidence: Evidence, expected: Observed, model: Quadratic) -> None:
@@ -72,8 +72,8 @@ def test_random_scans_follow_the_rule(
     model = Quadratic(cells_deep * resolution, p_min)
     seen = join_viewpoints(rays) if update is Update.POLYGON else rays
     expected = TRACES[update](seen, resolution, model)
-    what = make_observation(update, resolution, model)
-    check(observe(what, [rays], window_cells), expected, model)
+    spec = make_spec(update, resolution, model)
+    check(observe(spec, [rays], window_cells), expected, model)
 
 
 def look_around(distance: list[float], degrees: float) -> Rays:
@@ -94,7 +94,7 @@ def test_the_cells_of_one_beam_worked_out_by_hand(update: Update) -> None:
     """Range 4, depth 1: free before 3 with p = (d / 3)^2 / 2, the hit from 3 to 5."""
     model = Quadratic(depth=1.0, p_min=0.1)
     rays = look_around([4.0], 10.0) if update is Update.BEAM else look_around([4.0] * 36, 10.0)
-    evidence = observe(make_observation(update, 1.0, model), [rays])
+    evidence = observe(make_spec(update, 1.0, model), [rays])
     ahead = [(0, col) for col in range(6)]
     assert [evidence.second[cell] for cell in ahead] == [1] * 6
     p = np.array([0.1, 0.1, 2 / 9, 0.5, 0.9, 0.5])
@@ -104,9 +104,7 @@ def test_the_cells_of_one_beam_worked_out_by_hand(update: Update) -> None:
 
 def test_near_cells_are_observed_by_every_beam_but_once_by_a_scan() -> None:
     model, rays = Quadratic(1.0, 0.1), look_around([4.0] * 36, 10.0)
-    counts = [
-        observe(make_observation(update, 1.0, model), [rays]).second[0, 0] for update in Update
-    ]
+    counts = [observe(make_spec(update, 1.0, model), [rays]).second[0, 0] for update in Update]
     assert counts == [36, 1]
 
 
@@ -116,7 +114,7 @@ def test_a_scan_of_more_than_a_turn_has_its_ranges_where_they_were_measured(beam
     model = Quadratic(0.5, 0.1)
     ahead = [math.cos(math.radians(b)) > 0 for b in range(beams)]
     rays = look_around([9.0 if far else 3.0 for far in ahead], 1.0)
-    observed = observe(make_observation(Update.POLYGON, 1.0, model), [rays]).second
+    observed = observe(make_spec(Update.POLYGON, 1.0, model), [rays]).second
     assert all(observed[0, col] == 1 for col in range(-3, 10))
     assert observed[0, -4] == observed[0, 10] == 0
 
@@ -124,7 +122,7 @@ def test_a_scan_of_more_than_a_turn_has_its_ranges_where_they_were_measured(beam
 def test_a_gap_in_the_scan_is_not_observed() -> None:
     """Three beams 140 degrees apart: each speaks for 60 degrees to each side and no more."""
     rays = look_around([6.0] * 3, 140.0)
-    observed = observe(make_observation(Update.POLYGON, 1.0, Quadratic(0.5, 0.1)), [rays]).second
+    observed = observe(make_spec(Update.POLYGON, 1.0, Quadratic(0.5, 0.1)), [rays]).second
     for bearing, count in (
         (0, 1),
         (50, 1),
@@ -142,10 +140,10 @@ def test_a_gap_in_the_scan_is_not_observed() -> None:
 def test_no_model_is_so_sure_that_its_sums_overflow() -> None:
     """logit(2^-53) is -36.7; half a million such observations of one cell add up to as many."""
     model = QuadraticModel(epsilon=1.0, p_min=1e-300)
-    what = Observation(Update.BEAM, Lattice(1.0), radial=tabulate(model.free, model.hit, 1.0))
+    spec = GridSpec(Update.BEAM, Lattice(1.0), radial=tabulate(model.free, model.hit, 1.0))
     beams = 1 << 19
     rays = look_around([30.0] * beams, 0.0)
-    evidence = observe(what, [rays])
+    evidence = observe(spec, [rays])
     assert evidence.second[0, 0] == beams
     # The sensor's own cell is looked up in the middle of the first of the table's steps.
     p = 1 / (4 * TABLE_STEPS)

@@ -11,14 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from occmap.grid.engine import WINDOW_CELLS, GridEngine
-from occmap.grid.observation import Observation
+from occmap.grid.spec import GridSpec
 from occmap.grid.tiles import TILE
 from occmap.grid.timed import TimedEngine
 from occmap.grid.times import TimeGrid, decode_stamps, encode_stamps
 from occmap.types import Kind, Rays, Times
 from tests.grid.reference import Cell
 from tests.grid.scans import FEW, Drive, aim, aligned_drives, drives, read_cells, take
-from tests.grid.test_engine import KINDS_OF_MAP, WINDOWS, all_observations
+from tests.grid.test_engine import KINDS_OF_MAP, WINDOWS, all_specs
 
 SLICE = 10
 LIMITS = np.iinfo(np.int64)
@@ -50,19 +50,19 @@ def list_runs(slices: set[int]) -> list[set[int]]:
 Expected = dict[Cell, tuple[int, int, int, int]]
 
 
-def look_scan_by_scan(what: Observation, rays: Rays) -> Expected:
+def look_scan_by_scan(spec: GridSpec, rays: Rays) -> Expected:
     """First and last stamp, visits that hit and visits that saw each observed cell."""
     cells: dict[Cell, Seen] = defaultdict(Seen)
     for s, stamp in enumerate(rays.stamp_ns.tolist()):
-        engine = GridEngine(what)
+        engine = GridEngine(spec)
         engine.add(take(rays, [s]))
         first, second = read_cells(engine.finish())
-        hit = set(first) if what.radial is None else set()
+        hit = set(first) if spec.radial is None else set()
         for cell in hit | set(second):
             cells[cell].stamps.append(stamp)
-            cells[cell].seen.add(stamp // what.slice_ns)
+            cells[cell].seen.add(stamp // spec.slice_ns)
         for cell in hit:
-            cells[cell].hit.add(stamp // what.slice_ns)
+            cells[cell].hit.add(stamp // spec.slice_ns)
     return {cell: each.sum_up() for cell, each in cells.items()}
 
 
@@ -78,13 +78,13 @@ def spread(times: Times) -> Expected:
 
 
 def time(
-    what: Observation, batches: list[Rays], window_cells: int = WINDOW_CELLS
+    spec: GridSpec, batches: list[Rays], window_cells: int = WINDOW_CELLS
 ) -> tuple[Expected, Times]:
     """What is kept, once as a table and once as it is."""
-    engine = TimedEngine(what, window_cells)
+    engine = TimedEngine(spec, window_cells)
     for rays in batches:
         engine.add(rays)
-    plain = GridEngine(what)
+    plain = GridEngine(spec)
     for rays in batches:
         plain.add(rays)
     assert read_cells(engine.finish()) == read_cells(plain.finish())
@@ -99,8 +99,8 @@ def test_times_are_those_of_the_scans_that_observed_a_cell(
     kind_of_map: int, drive: Drive, window_cells: int, slice_ns: int
 ) -> None:
     rays, resolution = drive
-    what = replace(all_observations(resolution)[kind_of_map], slice_ns=slice_ns)
-    assert time(what, [rays], window_cells)[0] == look_scan_by_scan(what, rays)
+    spec = replace(all_specs(resolution)[kind_of_map], slice_ns=slice_ns)
+    assert time(spec, [rays], window_cells)[0] == look_scan_by_scan(spec, rays)
 
 
 @KINDS_OF_MAP
@@ -110,8 +110,8 @@ def test_centres_that_lie_on_edges_have_the_times_of_their_counts(
     kind_of_map: int, drive: Drive, window_cells: int
 ) -> None:
     rays, resolution = drive
-    what = all_observations(resolution)[kind_of_map]
-    assert time(what, [rays], window_cells)[0] == look_scan_by_scan(what, rays)
+    spec = all_specs(resolution)[kind_of_map]
+    assert time(spec, [rays], window_cells)[0] == look_scan_by_scan(spec, rays)
 
 
 @KINDS_OF_MAP
@@ -121,12 +121,12 @@ def test_batches_windows_and_order_change_no_time(
     kind_of_map: int, drive: Drive, window_cells: int
 ) -> None:
     rays, resolution = drive
-    what = replace(all_observations(resolution)[kind_of_map], slice_ns=SLICE)
-    whole, times = time(what, [rays])
+    spec = replace(all_specs(resolution)[kind_of_map], slice_ns=SLICE)
+    whole, times = time(spec, [rays])
     scans = range(len(rays.kind))
     for order in permutations(scans):
-        assert time(what, [take(rays, list(order))], window_cells)[0] == whole
-    single, other = time(what, [take(rays, [s]) for s in scans], window_cells)
+        assert time(spec, [take(rays, list(order))], window_cells)[0] == whole
+    single, other = time(spec, [take(rays, [s]) for s in scans], window_cells)
     assert single == whole
     assert np.array_equal(other.tiles, times.tiles)
     assert np.array_equal(other.observed, times.observed)
@@ -147,8 +147,8 @@ def drive_about(scans: int) -> Rays:
 
 @KINDS_OF_MAP
 def test_threads_give_the_same_times(kind_of_map: int) -> None:
-    rays, what = drive_about(24), replace(all_observations(0.05)[kind_of_map], slice_ns=SLICE)
-    engine = TimedEngine(what, window_cells=1 << 16)
+    rays, spec = drive_about(24), replace(all_specs(0.05)[kind_of_map], slice_ns=SLICE)
+    engine = TimedEngine(spec, window_cells=1 << 16)
 
     def work(mine: int) -> None:
         for s in range(mine, 24, 4):
@@ -160,7 +160,7 @@ def test_threads_give_the_same_times(kind_of_map: int) -> None:
     for thread in threads:
         thread.join()
     engine.finish()
-    assert spread(engine.read_times()[0]) == look_scan_by_scan(what, rays)
+    assert spread(engine.read_times()[0]) == look_scan_by_scan(spec, rays)
 
 
 def one_beam(stamps: list[int]) -> Rays:
@@ -189,8 +189,8 @@ def one_beam(stamps: list[int]) -> Rays:
     ],
 )
 def test_two_visits_are_a_slice_apart(stamps: list[int], visits: int) -> None:
-    what = replace(all_observations(1.0)[0], slice_ns=SLICE)
-    found, _ = time(what, [one_beam(stamps)])
+    spec = replace(all_specs(1.0)[0], slice_ns=SLICE)
+    found, _ = time(spec, [one_beam(stamps)])
     first, last = min(stamps), max(stamps)
     assert found == {
         (0, 0): (first, last, 0, visits),
@@ -225,9 +225,9 @@ def look_both_ways(stamps: list[int], hits: list[int]) -> Rays:
     ],
 )
 def test_a_visit_that_hits_again_and_again_is_one(hits: list[int], visits: int) -> None:
-    what = replace(all_observations(1.0)[0], slice_ns=SLICE)
+    spec = replace(all_specs(1.0)[0], slice_ns=SLICE)
     stamps = [0, 10, 20, 30, 40, 100, 110]
-    found, _ = time(what, [look_both_ways(stamps, hits)])
+    found, _ = time(spec, [look_both_ways(stamps, hits)])
     assert found[0, 2] == (0, 110, visits, 2)
 
 
@@ -238,7 +238,7 @@ def test_every_stamp_that_there_can_be_is_kept() -> None:
     assert (np.diff(codes[:, 0].astype(object)) < 0).all()
     for back in decode_stamps(codes[:, 0], codes[:, 1]):
         assert back.tolist() == stamps.tolist()
-    found, _ = time(all_observations(1.0)[0], [one_beam([LIMITS.min, LIMITS.max])])
+    found, _ = time(all_specs(1.0)[0], [one_beam([LIMITS.min, LIMITS.max])])
     assert found[0, 2] == (LIMITS.min, LIMITS.max, 2, 2)
 
 

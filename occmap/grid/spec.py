@@ -1,4 +1,4 @@
-"""What the grid engine is asked to observe: an update, a lattice, and a model's tables."""
+"""How the grid engine is to turn rays into evidence: update, lattice, and a model's tables."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -59,8 +59,8 @@ def tabulate(free: Profile, hit: Profile, depth: float) -> RadialTables:
 
 
 @dataclass(frozen=True)
-class Observation:
-    """What a window is to observe, and how."""
+class GridSpec:
+    """How rays become evidence."""
 
     update: Update
     lattice: Lattice
