@@ -46,7 +46,7 @@ class Selection:
         Seconds after the log's first scan; the end is outside, so that a log that is cut at any
         moment falls into parts that share no scan.
     stride
-        Every so manieth scan of those in the time window.
+        Every n-th scan of those in the time window.
     """
 
     topics: tuple[str, ...] = ()

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -20,7 +21,7 @@ from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.readers import Log, Role, open_log, read_poses, read_scans
 from occmap.readers.options import ReaderOptions
-from occmap.report import Made, Report, Tally, list_lacking, measure_shares, refuse_unused
+from occmap.report import Remarks, Report, Tally, list_lacking, measure_shares, refuse_unused
 from occmap.sensor.models import RadialModel, SensorModel, SimpleModel, describe_model
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Evidence, OccupancyMap, Rays, Scan, Update
@@ -115,10 +116,10 @@ def build(
         progress(scans, total)
 
     engine = choose_engine(options, outputs)
-    made = Made([str(log.path) for log in logs], describe_resumed(saved) if saved else None)
-    made.note_request(outputs, options.writing, options.model)
+    remarks = Remarks([str(log.path) for log in logs], describe_resumed(saved) if saved else None)
+    remarks.note_request(outputs, options.writing, options.model)
     for log in logs:
-        made.note(log, trace_log(log, options, engine.add, tally, advance).notes)
+        remarks.note(log, trace_log(log, options, engine.add, tally, advance).notes)
     refuse_unused(logs, tally)
     with tally.time("fold"):
         tiles, times = engine.finish(), engine.read_times()
@@ -128,17 +129,18 @@ def build(
     with tally.time("render"):
         lasting = keep_lasting(tiles, times, options.min_passes)
         grid = render(lasting, options.model, options.max_cells)
-    made.notes += (*list_lacking(tally), *list_forgotten(times, options.min_passes))
+    remarks.notes += (*list_lacking(tally), *list_forgotten(times, options.min_passes))
 
+    @cache  # two files may want it, and it takes time to hash the logs
     def keep_evidence() -> Evidence:
         past = saved.manifest if saved else plan
         builds = (*past.builds, describe_build(paths, options, tally.to_json()))
-        made.note_repeated(builds)
+        remarks.note_repeated(builds)
         return keep(tiles, replace(plan, builds=builds, subtracted=past.subtracted), times)
 
     with tally.time("write"):
-        made.files += write_outputs(outputs, Product(grid, keep_evidence), options.writing)
-    return Build(grid, make_report(grid, options, tally, made))
+        remarks.files += write_outputs(outputs, Product(grid, keep_evidence), options.writing)
+    return Build(grid, make_report(grid, options, tally, remarks))
 
 
 def trace_log(
@@ -160,7 +162,7 @@ def trace_log(
 
     with Workers(trace, options.jobs) as workers:
         for batch in tally.time_each("read", batcher.stack(read_scans(log, topics))):
-            # Here and not in a worker: of many short NumPy calls each would wait for its turn.
+            # Here, not in a worker: each of many short NumPy calls would wait for the GIL.
             with tally.time("pose"):
                 posed, dropped = poser.attach(batch)
             tally.drop(dropped)
@@ -267,25 +269,28 @@ def plan_grid(options: BuildOptions) -> GridSpec:
     return GridSpec(options.update, lattice, options.jump, options.border_gap, radial, slice_ns)
 
 
-def make_report(grid: OccupancyMap, options: BuildOptions, tally: Tally, made: Made) -> Report:
+def make_report(
+    grid: OccupancyMap, options: BuildOptions, tally: Tally, remarks: Remarks
+) -> Report:
     """Sum up what was done."""
     rows, cols = grid.shape
     return Report(
-        logs=tuple(made.logs),
+        logs=tuple(remarks.logs),
         scans_read=tally.scans_read,
         scans_used=tally.scans_used,
         dropped=dict(tally.dropped),
         beams=tally.beams,
-        notes=tuple(made.notes),
-        damage=tuple(made.damage),
+        notes=tuple(remarks.notes),
+        damage=tuple(remarks.damage),
         update=options.update.value,
         model=describe_model(options.model),
         min_passes=options.min_passes,
         resolution=options.resolution,
-        cells=(cols, rows),
+        columns=cols,
+        rows=rows,
         extent=grid.extent,
         shares=measure_shares(grid, options.writing),
         seconds=dict(tally.seconds),
-        files=tuple(made.files),
-        resumed=made.resumed,
+        files=tuple(remarks.files),
+        resumed=remarks.resumed,
     )

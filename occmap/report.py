@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock
 from time import perf_counter
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -25,7 +25,7 @@ Item = TypeVar("Item")
 
 
 class Tally:
-    """Counts and times that grow while a map is built; any thread may add to it."""
+    """Counts and times that grow while a map is built; any thread may call `time`, one all else."""
 
     def __init__(self) -> None:
         self.scans_read = 0
@@ -42,15 +42,13 @@ class Tally:
 
     def drop(self, reasons: dict[Any, int]) -> None:
         """Count scans that are not used, by reason."""
-        with self._lock:
-            for reason, scans in reasons.items():
-                self.dropped[str(reason)] = self.dropped.get(str(reason), 0) + scans
+        for reason, scans in reasons.items():
+            self.dropped[str(reason)] = self.dropped.get(str(reason), 0) + scans
 
     def use(self, scans: int, beams: ReturnCounts) -> None:
         """Count scans that are used, and what their beams meant."""
-        with self._lock:
-            self.scans_used += scans
-            self.beams += beams
+        self.scans_used += scans
+        self.beams += beams
 
     def to_json(self) -> dict[str, Any]:
         """What became of the scans, as values that JSON has."""
@@ -95,6 +93,14 @@ class Resumed:
         return {"file": self.file, "read": self.scans_read, "used": self.scans_used}
 
 
+class Shares(NamedTuple):
+    """Of a map's cells, those that are of a class; what is left was observed and is undecided."""
+
+    occupied: float
+    free: float
+    unknown: float
+
+
 @dataclass(frozen=True)
 class Report:
     """What a build read, used, dropped and made."""
@@ -109,12 +115,11 @@ class Report:
     update: str
     model: str
     resolution: float
-    cells: tuple[int, int]
-    """Columns and rows of the map"""
+    columns: int
+    rows: int
     extent: tuple[float, float, float, float]
     """Lowest x and y, highest x and y (m)"""
-    shares: tuple[float, float, float]
-    """Of the map's cells that are occupied, free and unknown, at the writers' thresholds"""
+    shares: Shares
     seconds: dict[str, float] = field(default_factory=dict)
     """By stage; where threads work at the same time, their times add up"""
     files: tuple[str, ...] = ()
@@ -150,10 +155,10 @@ class Report:
                 "model": self.model,
                 "min_passes": self.min_passes,
                 "resolution": self.resolution,
-                "columns": self.cells[0],
-                "rows": self.cells[1],
+                "columns": self.columns,
+                "rows": self.rows,
                 "extent": list(self.extent),
-                **dict(zip(("occupied", "free", "unknown"), self.shares, strict=True)),
+                **self.shares._asdict(),
                 "undecided": self.undecided,
             },
             "notes": list(self.notes),
@@ -164,8 +169,8 @@ class Report:
 
 
 @dataclass
-class Made:
-    """What a report names; grows while a map is built."""
+class Remarks:
+    """What is said of a build beside its numbers; grows while a map is built."""
 
     logs: list[str]
     resumed: Resumed | None = None
@@ -183,8 +188,8 @@ class Made:
                 self.notes.append(f"{log}: given {times} times, and counted as often")
 
     def note_repeated(self, builds: Sequence[Any]) -> None:
-        """Say which logs the builds of one evidence have in common; each sentence once."""
-        self.notes += (note for note in list_repeated(builds) if note not in self.notes)
+        """Say which logs the builds of one evidence have in common."""
+        self.notes += list_repeated(builds)
 
     def note(self, log: Log, others: Iterable[str]) -> None:
         """Keep what a log has to say, and what others have to say of it."""
@@ -219,15 +224,14 @@ def list_lacking(tally: Tally) -> Iterator[str]:
         yield "no beam hit anything, so the map has no walls: see the ranges in `occmap check`"
 
 
-def measure_shares(grid: OccupancyMap, writing: WriteOptions) -> tuple[float, float, float]:
-    """Shares of a map's cells that are occupied, free and unknown."""
+def measure_shares(grid: OccupancyMap, writing: WriteOptions) -> Shares:
+    """Measure how much of a map is what, at the writers' thresholds."""
     masks = (
         grid.is_occupied(writing.occupied_thresh),
         grid.is_free(writing.free_thresh),
         ~grid.observed,
     )
-    occupied, free, unknown = (int(np.count_nonzero(mask)) / mask.size for mask in masks)
-    return occupied, free, unknown
+    return Shares(*(int(np.count_nonzero(mask)) / mask.size for mask in masks))
 
 
 def list_unreached(model: SensorModel, writing: WriteOptions) -> Iterator[str]:

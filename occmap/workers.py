@@ -1,4 +1,4 @@
-"""Threads that work on batches while the next one is read; kernels and NumPy release the lock."""
+"""Threads that work on batches while the next one is read; kernels and NumPy release the GIL."""
 
 import os
 from collections.abc import Callable
@@ -19,9 +19,9 @@ def count_cores() -> int:
 class Workers(Generic[Item]):
     """Calls a function for each item given, in `jobs` threads, of which the giver's own is one.
 
-    The giver works on an item itself where two a thread wait already: so a fast reader does not
-    fill the memory, and no more threads want a core than `jobs`, which would drive each other's
-    windows out of its cache. The first error of any thread is raised where items are given.
+    Where two items for each thread are waiting, the giver works on the next one itself. So a fast
+    reader does not fill the memory, and never more than `jobs` threads compete for cores and their
+    caches. The first error of any thread is raised where items are given.
     """
 
     def __init__(self, work: Callable[[Item], None], jobs: int) -> None:

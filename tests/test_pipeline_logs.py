@@ -72,7 +72,7 @@ def test_start_end_and_stride_choose_scans(tmp_path: Path) -> None:
     # Of the seconds 2, 3, 4, 5 and 6 every second one.
     assert (report.scans_read, report.scans_used) == (10, 3)
     assert report.dropped == {"outside --start and --end": 5, "left out by --stride": 2}
-    assert report.cells == (41, 4)
+    assert (report.columns, report.rows) == (41, 4)
 
 
 @pytest.mark.parametrize("cut_s", [3, 3.5])
@@ -107,7 +107,8 @@ def test_a_wild_range_is_refused_at_once(tmp_path: Path, update: Update) -> None
 
 def test_without_the_wild_scan_the_map_is_made(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", [*STILL, (1e7, 1e7, 0.0)], [0.3])
-    assert build([log], choose(Selection(end_s=0.5))).report.cells == (4, 1)
+    report = build([log], choose(Selection(end_s=0.5))).report
+    assert (report.columns, report.rows) == (4, 1)
 
 
 def test_max_cells_is_a_limit_that_may_be_met(tmp_path: Path) -> None:

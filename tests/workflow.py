@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 OCCMAP = [sys.executable, "-m", "occmap"]
-DONE, DATA_FAILED, WRONG_USAGE, LIMIT_NOT_MET = range(4)
+DONE, DATA_FAILED, WRONG_USAGE, LIMIT_BROKEN = range(4)
 MAP = ("map.pgm", "map.yaml", "map.png", "map.npz")
 
 
@@ -107,7 +107,7 @@ def hold_against_reference(log: str, seconds: float) -> None:
     expect("nothing changed between a map and itself", found=same["changed"], wanted=0)
     call("build", log, "--end", str(seconds / 4), *write_into("changed", ("map.pgm",)))
     words = ["diff", "whole/map.pgm", "changed/map.pgm", "--fail-above", "2%", "-o", "diff.png"]
-    other = call(*words, *limit("occupied_to_neither > 100%"), code=LIMIT_NOT_MET)
+    other = call(*words, *limit("occupied_to_neither > 100%"), code=LIMIT_BROKEN)
     expect(
         "a changed scene fails by its limit",
         found=[each["limit"] for each in other["failed"]],
@@ -167,7 +167,7 @@ def fail_as_told(log: str) -> None:
     expect("so is a format that cannot be written", found=wrong["where"], wanted="lost.gif")
     call("build", log, "-o", "lost.pgm", *limit("dropped > 5%"), code=WRONG_USAGE)
     expect("nothing is left of them", found=sorted(Path().rglob("*")), wanted=before)
-    failed = call("check", log, *limit("scans_read >= 1", "topics > 99"), code=LIMIT_NOT_MET)
+    failed = call("check", log, *limit("scans_read >= 1", "topics > 99"), code=LIMIT_BROKEN)
     expect(
         "a limit is told with its value",
         found=[(each["name"], each["value"] >= 1) for each in failed["failed"]],

@@ -34,7 +34,7 @@ COMMANDS = {
 INTERRUPTED = 130
 """As shells have it: 128 and the number of the signal."""
 NEW_OBJECTS = 100_000
-"""So many and Python looks for garbage among them: after 700, an import would be searched often."""
+"""Allocations between two garbage collections; at Python's 700 an import sets off many."""
 
 
 class CommandTable(click.Group):

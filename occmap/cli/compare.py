@@ -21,7 +21,7 @@ from occmap.gates.measures import COMPARE
 from occmap.pipeline import BuildOptions
 from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions
-from occmap.scoring.compare import Comparison, compare
+from occmap.scoring.compare import VariantComparison, compare
 from occmap.scoring.trials import Result
 from occmap.scoring.variants import DEFAULT_MODELS, Variant, combine
 from occmap.sensor.models import parse_model
@@ -90,7 +90,7 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     chosen, common = collect_variants(values), collect_options(values)
     with show_progress(console) as progress:
         comparison = compare(logs, chosen, common, values["picture"], progress)
-    for note in comparison.made.notes:
+    for note in comparison.remarks.notes:
         console.note(note)
     failed = judge(values["limits"], comparison)
     if values["as_json"]:
@@ -130,9 +130,9 @@ def collect_options(values: dict[str, Any]) -> BuildOptions:
     )
 
 
-def format_comparison(comparison: Comparison) -> str:
+def format_comparison(comparison: VariantComparison) -> str:
     """Write the table, on what it rests, and the command line of the best."""
-    best, equals, likeliest = comparison.named, comparison.equals, comparison.likeliest
+    best, equals, likeliest = comparison.recommended, comparison.equals, comparison.likeliest
     names = ", ".join(result.variant.name for result in equals)
     held = count(comparison.held_out, "held-out scan")
     rest = f"scored by {count(best.score.beams, 'beam')} of {held}"
@@ -141,7 +141,7 @@ def format_comparison(comparison: Comparison) -> str:
             *format_table(comparison.results),
             "",
             f"{rest}; {comparison.tally.scans_used:,} of {comparison.tally.scans_read:,} used",
-            *(f"picture: {file}" for file in comparison.made.files),
+            *(f"picture: {file}" for file in comparison.remarks.files),
             *([f"as good: {names}"] if len(equals) > 1 else []),
             f"best: {best.variant.name}",
             shlex.join(comparison.build_command(best)),
@@ -150,7 +150,7 @@ def format_comparison(comparison: Comparison) -> str:
     )
 
 
-def recommend(comparison: Comparison, likeliest: Result) -> Iterator[str]:
+def recommend(comparison: VariantComparison, likeliest: Result) -> Iterator[str]:
     """Name what to use where a map's probabilities matter, and the command line of it."""
     yield f"where probabilities matter: {likeliest.variant.name}"
     yield shlex.join(comparison.build_command(likeliest))

@@ -12,7 +12,7 @@ from occmap.cli.console import Console
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.summary import LABEL
 from occmap.cli.values import parse_share, read_by
-from occmap.difference import Comparison, compare_maps, paint
+from occmap.difference import MapDifference, compare_maps, paint
 from occmap.difference.maps import load_map
 from occmap.errors import UsageError
 from occmap.gates import Limit, judge
@@ -72,17 +72,17 @@ def command(console: Console, /, before: Path, after: Path, **values: Any) -> No
     """Compare two maps, paint the changes, and hold the limit."""
     check_picture(values["output"])
     thresholds = take(WriteOptions, values)
-    comparison = compare_maps(load_map(before, thresholds), load_map(after, thresholds))
+    difference = compare_maps(load_map(before, thresholds), load_map(after, thresholds))
     if values["output"]:
         from occmap.writers.images import write_colours  # noqa: PLC0415  late: it brings pillow
 
-        write_colours(values["output"], paint(comparison))
+        write_colours(values["output"], paint(difference))
     above = values["fail_above"]
-    failed = judge([*([above] if above else []), *values["limits"]], comparison)
+    failed = judge([*([above] if above else []), *values["limits"]], difference)
     if values["as_json"]:
-        console.put_json("diff", comparison.to_json() | limits.to_json(failed))
+        console.put_json("diff", difference.to_json() | limits.to_json(failed))
     else:
-        console.put("\n".join(format_comparison(comparison)))
+        console.put("\n".join(format_comparison(difference)))
     limits.tell(console, failed)
     limits.leave(failed)
 
@@ -102,16 +102,16 @@ def check_picture(path: Path | None) -> None:
     check_target(path)
 
 
-def format_comparison(comparison: Comparison) -> Iterator[str]:
-    """Sum up a comparison in a few lines."""
-    changed = sum(comparison.changed.values())
-    known = f"{comparison.share:.3%} of {count(comparison.known, 'known cell')}"
+def format_comparison(difference: MapDifference) -> Iterator[str]:
+    """Sum up a difference in a few lines."""
+    changed = sum(difference.changed.values())
+    known = f"{difference.share:.3%} of {count(difference.known, 'known cell')}"
     yield f"{'changed':<{LABEL}}{count(changed, 'cell')}, {known}"
-    for name, cells in comparison.changed.items():
+    for name, cells in difference.changed.items():
         if cells:
             yield f"{'':<{LABEL}}{cells:,} {name}"
-    if comparison.largest:
-        low_x, low_y, high_x, high_y = (f"{value:.6g}" for value in comparison.largest.extent)
-        blob = count(comparison.largest.cells, "connected cell")
+    if difference.largest:
+        low_x, low_y, high_x, high_y = (f"{value:.6g}" for value in difference.largest.extent)
+        blob = count(difference.largest.cells, "connected cell")
         where = f"x {low_x} to {high_x}, y {low_y} to {high_y}"
         yield f"{'largest':<{LABEL}}{blob}, {where}"

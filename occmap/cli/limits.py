@@ -13,7 +13,7 @@ from occmap.gates import SHARE, Failed, parse_limit
 from occmap.gates.measures import Measures
 
 LIMITS = "Limits"
-LIMIT_NOT_MET = 3
+LIMIT_BROKEN = 3
 
 
 def fail_if(measures: Measures) -> Callable[[Command], Command]:
@@ -40,7 +40,7 @@ def suggest_limit(measures: Measures) -> str:
 def tell(console: Console, failed: Sequence[Failed]) -> None:
     """Print a line for each limit that is not kept."""
     for each in failed:
-        console.fail(OccmapError(each.sentence), LIMIT_NOT_MET)
+        console.fail(OccmapError(each.sentence), LIMIT_BROKEN)
 
 
 def to_json(failed: Sequence[Failed]) -> dict[str, Any]:
@@ -51,4 +51,4 @@ def to_json(failed: Sequence[Failed]) -> dict[str, Any]:
 def leave(failed: Sequence[Failed]) -> None:
     """End the command where a limit is not kept; its result is printed and its files written."""
     if failed:
-        raise click.exceptions.Exit(LIMIT_NOT_MET)
+        raise click.exceptions.Exit(LIMIT_BROKEN)

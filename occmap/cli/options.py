@@ -141,7 +141,7 @@ pass_gap = seconds(
 )
 
 
-def choose_model(**default: str) -> Any:
+def model_option(**default: str) -> Any:
     """Declare the option that names a sensor model."""
     return option(
         MODEL,
@@ -163,10 +163,10 @@ model_parameters = join(
     number("--clamp-max", "... and none more probably than this."),
 )
 model = join(
-    choose_model(default=DEFAULTS.model.name, show_default=describe_model(DEFAULTS.model)),
+    model_option(default=DEFAULTS.model.name, show_default=describe_model(DEFAULTS.model)),
     model_parameters,
 )
-saved_model = join(choose_model(show_default="what it was built with"), model_parameters)
+saved_model = join(model_option(show_default="what it was built with"), model_parameters)
 
 jobs = option(
     RUN,

@@ -45,9 +45,8 @@ def format_update(report: Report) -> str:
 
 def format_size(report: Report) -> str:
     """Say how large the map is and where it lies."""
-    cols, rows = report.cells
     low_x, low_y, high_x, high_y = (f"{value:.6g}" for value in report.extent)
-    cells = f"{cols:,} x {rows:,} cells of {report.resolution:g} m"
+    cells = f"{report.columns:,} x {report.rows:,} cells of {report.resolution:g} m"
     return f"{cells}, x {low_x} to {high_x} m, y {low_y} to {high_y} m"
 
 

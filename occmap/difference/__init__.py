@@ -43,7 +43,7 @@ class ChangedBlob:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class MapDifference:
     """How one map differs from another."""
 
     before: UInt8
@@ -64,7 +64,7 @@ class Comparison:
         return sum(self.changed.values()) / self.known if self.known else 0.0
 
     def to_json(self) -> dict[str, Any]:
-        """The comparison as values that JSON has."""
+        """The difference as values that JSON has."""
         return {
             "share": self.share,
             "known": self.known,
@@ -77,7 +77,7 @@ class Comparison:
         }
 
 
-def compare_maps(before: ClassMap, after: ClassMap) -> Comparison:
+def compare_maps(before: ClassMap, after: ClassMap) -> MapDifference:
     """Compare two maps cell by cell; they may be of different size.
 
     Raises
@@ -97,7 +97,7 @@ def compare_maps(before: ClassMap, after: ClassMap) -> Comparison:
         place.x + low_col * place.resolution,
         place.y + low_row * place.resolution,
     )
-    return Comparison(
+    return MapDifference(
         before=one,
         after=other,
         place=corner,
@@ -187,9 +187,9 @@ def measure_largest(before: UInt8, after: UInt8, place: Place) -> ChangedBlob | 
     return ChangedBlob(blob.cells, (*low, *high))
 
 
-def paint(comparison: Comparison) -> UInt8:
+def paint(difference: MapDifference) -> UInt8:
     """(H, W, 3) red, green, blue, highest y on top: the map, and in colour what changed."""
     table = np.zeros((3, 3, 3), np.uint8)
     for (was, now), colour in COLOURS.items():
         table[was, now] = colour
-    return table[comparison.before, comparison.after][::-1]
+    return table[difference.before, difference.after][::-1]

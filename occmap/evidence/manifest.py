@@ -17,13 +17,13 @@ from occmap.types import Manifest, Update
 
 NO_OPTIONS = ("jobs", "resume")
 """Fields of options that change nothing about what is observed."""
-Build = dict[str, Any]
+BuildRecord = dict[str, Any]
 """An entry of `Manifest.builds`, as `describe_build` makes it"""
 OF_MAPS = ("prior", *NO_CLAMP)
 """Parameters of models that change nothing about the evidence, only what a map makes of it."""
 
 
-def describe_build(paths: Sequence[Path], options: Any, scans: dict[str, Any]) -> Build:
+def describe_build(paths: Sequence[Path], options: Any, scans: dict[str, Any]) -> BuildRecord:
     """Say what one build used, as values that JSON has.
 
     Names of files are without their folders: the hashes say which files they are, and the same
@@ -67,13 +67,13 @@ def describe_files(path: Path) -> Iterator[dict[str, Any]]:
         yield {"name": name, "bytes": size, "sha256": digest}
 
 
-def find_trajectory(build: Build) -> dict[str, Any] | None:
+def find_trajectory(build: BuildRecord) -> dict[str, Any] | None:
     """Find the entry of the trajectory file: the last input, where poses are of its name."""
     last: dict[str, Any] = build["inputs"][-1]
     return last if last["name"] == build["options"]["posing"]["poses"] else None
 
 
-def list_inputs(build: Build) -> list[dict[str, Any]]:
+def list_inputs(build: BuildRecord) -> list[dict[str, Any]]:
     """List the entries of a build's logs, without its trajectory."""
     return list(build["inputs"][:-1] if find_trajectory(build) else build["inputs"])
 

@@ -14,8 +14,8 @@ from occmap.wording import count
 
 SHORTEST_GAP_S, LONGEST_GAP_S = 1e-3, 1e9
 NEARLY_ALL = 0.9
-"""Of the cells that real logs of many visits hit, half were hit on one visit only (43 to 51%); of
-those that a robot hit which never came back, 92 to 99%."""
+"""Of the cells that were hit, half were hit on one visit only in real logs of many visits (43 to
+51%), but 92 to 99% where the robot never came back."""
 
 
 def keep_lasting(grid: TileGrid, layers: Sequence[Times], min_passes: int | None) -> TileGrid:

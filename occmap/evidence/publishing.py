@@ -81,7 +81,8 @@ def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> 
         update=manifest.update,
         model=manifest.model,
         resolution=manifest.resolution,
-        cells=(cols, rows),
+        columns=cols,
+        rows=rows,
         extent=grid.extent,
         shares=measure_shares(grid, writing),
     )

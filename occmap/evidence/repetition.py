@@ -4,10 +4,10 @@ from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import Any
 
-from occmap.evidence.manifest import Build, list_inputs
+from occmap.evidence.manifest import BuildRecord, list_inputs
 
 
-def list_repeated(builds: Sequence[Build]) -> Iterator[str]:
+def list_repeated(builds: Sequence[BuildRecord]) -> Iterator[str]:
     """Say which logs count twice; parts of one log that share no scan do not."""
     said: dict[str, None] = {}
     for build in builds:

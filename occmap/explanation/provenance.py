@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from occmap.errors import LogError, PoseError
-from occmap.evidence.manifest import Build, describe_files, find_trajectory, list_inputs
+from occmap.evidence.manifest import BuildRecord, describe_files, find_trajectory, list_inputs
 from occmap.explanation.recall import recall_options
 from occmap.pipeline import BuildOptions
 from occmap.types import Evidence
@@ -87,13 +87,13 @@ def hash_files(path: Path) -> Counter[str]:
     return Counter(str(entry["sha256"]) for entry in describe_files(path))
 
 
-def count_uses(hashes: Counter[str], build: Build) -> int:
+def count_uses(hashes: Counter[str], build: BuildRecord) -> int:
     """How many times a build read the log that has these hashes."""
     held = Counter(entry["sha256"] for entry in list_inputs(build))
     return min((held[digest] // count for digest, count in hashes.items()), default=0)
 
 
-def list_logs(build: Build) -> list[str]:
+def list_logs(build: BuildRecord) -> list[str]:
     """Name the logs of a build: the files, and the folders that were read as one log."""
     return list(dict.fromkeys(entry["name"].partition("/")[0] for entry in list_inputs(build)))
 

@@ -43,7 +43,7 @@ class Measure(Generic[Result]):
 
 @dataclass(frozen=True)
 class Limit:
-    """What must not be."""
+    """A condition on a measure under which a command fails."""
 
     measure: Measure[Any]
     sign: str
@@ -54,8 +54,8 @@ class Limit:
     option: str = "--fail-if"
     """Where the user set it"""
 
-    def is_met_by(self, value: float) -> bool:
-        """Whether a value is what must not be."""
+    def is_broken_by(self, value: float) -> bool:
+        """Whether the condition holds of a value."""
         return SIGNS[self.sign](value, self.bound)
 
     @property
@@ -68,7 +68,7 @@ class Limit:
         if isinstance(value, int):
             return f"{value}"
         for digits in (3, 6, 9):
-            if self.is_met_by(float(f"{value:.{digits}g}")) == self.is_met_by(value):
+            if self.is_broken_by(float(f"{value:.{digits}g}")) == self.is_broken_by(value):
                 return self._write(value, digits)
         return self._write(value, 17)
 
@@ -162,4 +162,4 @@ def parse_bound(text: str, measure: Measure[Any], where: str) -> float:
 def judge(limits: Iterable[Limit], result: object) -> list[Failed]:
     """Hold a result against every limit; list those that it does not keep to."""
     measured = ((limit, limit.measure.take(result)) for limit in limits)
-    return [Failed(limit, value) for limit, value in measured if limit.is_met_by(value)]
+    return [Failed(limit, value) for limit, value in measured if limit.is_broken_by(value)]

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 from occmap.gates import COUNT, SHARE, Measure
 
 if TYPE_CHECKING:  # each command makes one kind of result, and need not load what makes the others
-    from occmap.difference import Comparison
+    from occmap.difference import MapDifference
     from occmap.inspection.findings import Inspection, ScanFindings
     from occmap.report import Report, Tally
-    from occmap.scoring.compare import Comparison as Contest
+    from occmap.scoring.compare import VariantComparison
 
 Measures = tuple[Measure[Any], ...]
 
@@ -35,8 +35,7 @@ def share_beams(kind: str) -> "Callable[[Report], float]":
 
 def measure_area(report: "Report") -> float:
     """Area of the cells that something observed (m2)."""
-    cols, rows = report.cells
-    return cols * rows * (1 - report.shares[2]) * report.resolution**2
+    return report.columns * report.rows * (1 - report.shares.unknown) * report.resolution**2
 
 
 SAVED: "tuple[Measure[Report], ...]" = (
@@ -52,19 +51,25 @@ SAVED: "tuple[Measure[Report], ...]" = (
         "of the beams, those that nothing came back to",
         share_beams("no_return"),
     ),
-    Measure("occupied", SHARE, "of the map's cells", lambda report: report.shares[0]),
-    Measure("free", SHARE, "of the map's cells", lambda report: report.shares[1]),
+    Measure("occupied", SHARE, "of the map's cells", lambda report: report.shares.occupied),
+    Measure("free", SHARE, "of the map's cells", lambda report: report.shares.free),
     Measure(
-        *("unknown", SHARE, "of the map's cells, those that nothing observed"),
-        lambda report: report.shares[2],
+        "unknown",
+        SHARE,
+        "of the map's cells, those that nothing observed",
+        lambda report: report.shares.unknown,
     ),
     Measure(
-        *("undecided", SHARE, "of the map's cells, those observed, but neither occupied nor free"),
+        "undecided",
+        SHARE,
+        "of the map's cells, those observed, but neither occupied nor free",
         lambda report: report.undecided,
     ),
     Measure(
-        *("cells", COUNT, "columns times rows of the map"),
-        lambda report: report.cells[0] * report.cells[1],
+        "cells",
+        COUNT,
+        "columns times rows of the map",
+        lambda report: report.columns * report.rows,
     ),
     Measure("area", "m2", "area of the cells that are not unknown, in m2", measure_area),
     Measure("notes", COUNT, "notes on stderr", lambda report: len(report.notes)),
@@ -112,80 +117,110 @@ CHECK: "tuple[Measure[Inspection], ...]" = (
     Measure("dropped_scans", SHARE, "of the scans asked for, those that a build drops", share_lost),
     Measure("hits", SHARE, "of the ranges, those that measure something", share_ranges),
     Measure(
-        *("largest_gap", "s", "longest time between two scans of a topic, in s"),
+        "largest_gap",
+        "s",
+        "longest time between two scans of a topic, in s",
         measure_largest(lambda topic: topic.times.largest_gap_s),
     ),
     Measure(
-        *("drift", "s", "growth of the stamps against the record times, in s"),
+        "drift",
+        "s",
+        "growth of the stamps against the record times, in s",
         measure_largest(lambda topic: abs(topic.times.drift_s)),
     ),
     Measure(
-        *("jumps_back", COUNT, "stamps earlier than the one before"),
+        "jumps_back",
+        COUNT,
+        "stamps earlier than the one before",
         sum_topics(lambda topic: topic.times.jumps_back),
     ),
     Measure(
-        *("cells", COUNT, "columns times rows of the map"),
+        "cells",
+        COUNT,
+        "columns times rows of the map",
         lambda inspection: inspection.map.columns * inspection.map.rows if inspection.map else 0,
     ),
     Measure("warnings", COUNT, "warnings", lambda inspection: len(inspection.warnings)),
     Measure(
-        *("damage", COUNT, "notes on damage to a log"),
+        "damage",
+        COUNT,
+        "notes on damage to a log",
         lambda inspection: sum(len(log.damage) for log in inspection.logs),
     ),
 )
 
-COMPARE: "tuple[Measure[Contest], ...]" = (
+COMPARE: "tuple[Measure[VariantComparison], ...]" = (
     Measure(
-        *("share", SHARE, "of the held-out beams, those that the named variant foretells"),
-        lambda contest: contest.named.score.share,
+        "share",
+        SHARE,
+        "of the held-out beams, those that the recommended variant predicts",
+        lambda comparison: comparison.recommended.score.share,
     ),
     Measure(
-        *("log_likelihood", "nat", "mean of the held-out ranges under the named variant"),
-        lambda contest: contest.named.score.log_likelihood,
+        "log_likelihood",
+        "nat",
+        "mean of the held-out ranges under the recommended variant",
+        lambda comparison: comparison.recommended.score.log_likelihood,
     ),
     Measure(
-        *("cross_entropy", "nat", "mean of the cells found free and found occupied"),
-        lambda contest: contest.named.score.cross_entropy,
+        "cross_entropy",
+        "nat",
+        "mean of the cells found free and found occupied",
+        lambda comparison: comparison.recommended.score.cross_entropy,
     ),
     Measure(
-        *("seconds", "s", "processor time of the named variant, in s"),
-        lambda contest: contest.named.seconds,
-    ),
-    Measure("scans_read", COUNT, "scans in the logs", lambda contest: contest.tally.scans_read),
-    Measure("scans_used", COUNT, "scans with a pose", lambda contest: contest.tally.scans_used),
-    Measure(
-        *("dropped_scans", SHARE, "of the scans asked for, those that are not used"),
-        lambda contest: share_dropped(contest.tally),
+        "seconds",
+        "s",
+        "processor time of the recommended variant, in s",
+        lambda comparison: comparison.recommended.seconds,
     ),
     Measure(
-        *("damage", COUNT, "notes on damage to a log"),
-        lambda contest: len(contest.made.damage),
+        "scans_read", COUNT, "scans in the logs", lambda comparison: comparison.tally.scans_read
+    ),
+    Measure(
+        "scans_used", COUNT, "scans with a pose", lambda comparison: comparison.tally.scans_used
+    ),
+    Measure(
+        "dropped_scans",
+        SHARE,
+        "of the scans asked for, those that are not used",
+        lambda comparison: share_dropped(comparison.tally),
+    ),
+    Measure(
+        "damage",
+        COUNT,
+        "notes on damage to a log",
+        lambda comparison: len(comparison.remarks.damage),
     ),
 )
 
 
-def share_pair(pair: str) -> "Callable[[Comparison], float]":
+def share_pair(pair: str) -> "Callable[[MapDifference], float]":
     """Measure the share of known cells that changed from one class to another."""
-    return lambda comparison: divide(comparison.changed[pair], comparison.known)
+    return lambda difference: divide(difference.changed[pair], difference.known)
 
 
 PAIRS = [f"{was} to {now}" for was, now in permutations(("neither", "free", "occupied"), 2)]
 
-DIFF: "tuple[Measure[Comparison], ...]" = (
+DIFF: "tuple[Measure[MapDifference], ...]" = (
     Measure(
-        "changed", SHARE, "of the cells known in either map", lambda comparison: comparison.share
+        "changed", SHARE, "of the cells known in either map", lambda difference: difference.share
     ),
     *(
         Measure(pair.replace(" ", "_"), SHARE, "of the same cells", share_pair(pair))
         for pair in PAIRS
     ),
     Measure(
-        *("changed_cells", COUNT, "cells that changed"),
-        lambda comparison: sum(comparison.changed.values()),
+        "changed_cells",
+        COUNT,
+        "cells that changed",
+        lambda difference: sum(difference.changed.values()),
     ),
     Measure(
-        *("largest_blob", COUNT, "cells of the largest connected change"),
-        lambda comparison: comparison.largest.cells if comparison.largest else 0,
+        "largest_blob",
+        COUNT,
+        "cells of the largest connected change",
+        lambda difference: difference.largest.cells if difference.largest else 0,
     ),
-    Measure("known", COUNT, "cells known in either map", lambda comparison: comparison.known),
+    Measure("known", COUNT, "cells known in either map", lambda difference: difference.known),
 )

@@ -33,7 +33,8 @@ class GridEngine:
 
     Any number of threads may call `add`: each writes to a window of its own, and integers add up to
     the same sum in any order.
-    A scan that alone makes more than `max_cells` is refused when it comes, not when it was traced.
+    A single scan that alone would make a map much larger than `max_cells` is refused before it is
+    traced; the map as a whole is measured when it is rendered.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Layers of times, one for each build of evidence; no part of this needs the engine."""
+"""Layers of times, one for each build of evidence; it imports no numba."""
 
 from collections.abc import Iterable
 

@@ -1,4 +1,4 @@
-"""Tiles as one array, for files and sums; no part of this needs the engine."""
+"""Tiles as one array, for files and sums; it imports no numba."""
 
 import numpy as np
 

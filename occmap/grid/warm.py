@@ -1,4 +1,4 @@
-"""Compile every kernel now: `python -m occmap.grid.warm`, as a step of building a container."""
+"""Compile the kernels of a build now, to ship them: `python -m occmap.grid.warm` in a container."""
 
 import numpy as np
 

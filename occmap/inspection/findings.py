@@ -47,7 +47,7 @@ class Repeated:
 
     value: float
     share: float
-    """Of the finite ranges, in the part of the log where it stood out"""
+    """Of all finite ranges of the topic"""
     is_no_return: bool
     """At or beyond the limit that the scans state, so that it is read as no return"""
 

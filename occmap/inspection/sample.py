@@ -29,7 +29,7 @@ share of what any other one marks."""
 
 
 class Sample:
-    """Takes every so manieth scan of those that it is shown."""
+    """Takes every n-th scan of those that it is shown."""
 
     def __init__(self, expected: int) -> None:
         self.parts: list[PosedScans] = []

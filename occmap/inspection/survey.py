@@ -60,7 +60,7 @@ class TopicSurvey:
             self.shapes[shape] += scans
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Survey:
     """Reads the scans of a log once; extent and topics grow."""
 

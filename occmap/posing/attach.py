@@ -27,7 +27,7 @@ from occmap.types import (
 )
 
 MAX_TURN_S = 60.0
-"""A log that gives one scan longer states the time between its beams wrongly."""
+"""A scan that is said to take longer has a wrong time_increment."""
 
 MAX_AUTO_TURN_S = 1.0
 """The slowest laser that is de-skewed unasked; some drivers write milliseconds for seconds."""

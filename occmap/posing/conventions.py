@@ -8,7 +8,7 @@ from occmap.posing.frames import FrameTree, last_part
 FIXED_NAMES = ("map", "odom")
 BASE_NAMES = ("base_link", "base_footprint")
 MAX_NAMES = 12
-"""More names than this in one line are not read."""
+"""People do not read longer lists."""
 
 
 def choose_fixed(tree: FrameTree, frame: str) -> str:

@@ -83,7 +83,10 @@ def _build_tracks(
         track = builder.build()
         if builder.unusable:
             name = f"{key.parent} -> {key.child or 'a body'}"
-            notes.append(f"{builder.unusable} poses of {name} are not finite and are left out")
+            notes.append(
+                f"{builder.unusable} poses of {name} are left out: not finite, "
+                "without a rotation, or with a damaged stamp"
+            )
         if track is not None and key.parent != key.child:
             tracks.append((key, _take_last(track) if key.static else track))
     return tracks, notes

@@ -23,7 +23,7 @@ FREE_EXPANSION_BYTES = 1 << 30
 """Below this size gzip may expand as it likes: a robot that stands still repeats itself."""
 
 FREE_LINES = 1_000_000
-"""A gzip file with more lines than this has bytes enough for one each, or is a bomb of blanks."""
+"""Beyond so many, a gzip file with more lines than compressed bytes is a bomb of blank lines."""
 MALFORMED_SHARE = 0.05
 """A damaged disk spoils a line here and there; a file with more malformed lines is another kind."""
 SOUND_START = 20
@@ -32,7 +32,7 @@ SOUND_START = 20
 BLOCK_BYTES = 1 << 20
 """Lines are parsed so many at a time: scans together take half the time."""
 LINE_BYTES = 200
-"""What a line takes beside its text."""
+"""What a `Line` takes in memory beside its text."""
 
 NO_LOG = "this is no text log; check what the file is"
 

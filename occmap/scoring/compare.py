@@ -1,4 +1,4 @@
-"""Several ways to map the same logs, in one read: which of them foretells scans best."""
+"""Several ways to map the same logs, in one read: which of them predicts scans best."""
 
 import math
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from occmap.pipeline import (
     trace_log,
 )
 from occmap.readers import open_log
-from occmap.report import Made, Tally, refuse_unused
+from occmap.report import Remarks, Tally, refuse_unused
 from occmap.scoring.trials import HoldOut, Result, Task, Trials
 from occmap.scoring.variants import Variant, shorten_model
 from occmap.types import Rays
@@ -30,11 +30,11 @@ FEW_SCANS = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class VariantComparison:
     """What was compared, on what, and how it came out."""
 
     options: BuildOptions
-    made: Made
+    remarks: Remarks
     tally: Tally
     held_out: int
     """Scans that the maps were scored on and not made from"""
@@ -42,7 +42,7 @@ class Comparison:
     """The best share first"""
 
     @property
-    def named(self) -> Result:
+    def recommended(self) -> Result:
         """The one to use: the best, or, of those as good, the default one.
 
         Where that is not among them, their log-likelihood decides, which tells more than a share.
@@ -63,13 +63,13 @@ class Comparison:
 
     def build_command(self, result: Result) -> tuple[str, ...]:
         """Compose the command line that builds the map of a variant from all scans."""
-        return compose_command(self.made.logs, result.variant, self.options)
+        return compose_command(self.remarks.logs, result.variant, self.options)
 
     def to_json(self) -> dict[str, Any]:
         """The comparison as values that JSON has."""
         tally = self.tally
         return {
-            "logs": self.made.logs,
+            "logs": self.remarks.logs,
             "scans": {
                 "read": tally.scans_read,
                 "used": tally.scans_used,
@@ -78,13 +78,13 @@ class Comparison:
             },
             "resolution": self.options.resolution,
             "variants": [result_to_json(result) for result in self.results],
-            "best": self.named.variant.name,
-            "command": list(self.build_command(self.named)),
+            "best": self.recommended.variant.name,
+            "command": list(self.build_command(self.recommended)),
             "likeliest": self.likeliest.variant.name,
             "likeliest_command": list(self.build_command(self.likeliest)),
-            "notes": self.made.notes,
-            "damage": self.made.damage,
-            "files": self.made.files,
+            "notes": self.remarks.notes,
+            "damage": self.remarks.damage,
+            "files": self.remarks.files,
         }
 
 
@@ -94,7 +94,7 @@ def compare(
     options: BuildOptions,
     picture: Path | None = None,
     progress: Progress = ignore_progress,
-) -> Comparison:
+) -> VariantComparison:
     """Map logs in several ways, with every fifth scan held out, and score the maps on those.
 
     The held-out scans stay in memory: five bytes a beam.
@@ -116,7 +116,7 @@ def compare(
     tally, hold_out = Tally(), HoldOut()
     logs = [open_log(path, options.reading) for path in paths]
     total = sum(count_scans(log, options.selection.topics) for log in logs)
-    made = Made([str(log.path) for log in logs])
+    remarks = Remarks([str(log.path) for log in logs])
     trials = Trials(variants, options)
     with trials.tracing() as workers:
 
@@ -129,19 +129,19 @@ def compare(
         for log in logs:
             in_order = replace(options, jobs=1)  # which scans are held out must not be chance
             poser = trace_log(log, in_order, observe, tally, lambda scans: progress(scans, total))
-            made.note(log, poser.notes)
+            remarks.note(log, poser.notes)
     refuse_unused(logs, tally)
-    refuse_unscored(made.logs, hold_out)
+    refuse_unscored(remarks.logs, hold_out)
     if hold_out.scans < FEW_SCANS:
         held_out = count(hold_out.scans, "held-out scan")
-        made.notes.append(f"{held_out}: too few to tell variants apart; give a longer log")
+        remarks.notes.append(f"{held_out}: too few to tell variants apart; give a longer log")
     results = tuple(trials.score(hold_out.held))
     if picture is not None:
         from occmap.scoring.picture import write_picture  # noqa: PLC0415  late: it brings PIL
 
         write_picture(picture, results)
-        made.files.append(str(picture))
-    return Comparison(options, made, tally, hold_out.scans, results)
+        remarks.files.append(str(picture))
+    return VariantComparison(options, remarks, tally, hold_out.scans, results)
 
 
 def check_picture(path: Path) -> None:

@@ -14,7 +14,7 @@ LARGEST_PX, SMALLEST_PX = 1000, 360
 UNKNOWN_GREY = 205
 RED, BLUE = (214, 39, 40), (110, 160, 230)
 
-Box = tuple[slice, slice]
+CellSlices = tuple[slice, slice]
 """Rows and columns"""
 
 
@@ -29,7 +29,7 @@ class Frame:
         self._step = -(-longest // LARGEST_PX)
         self._times = -(-SMALLEST_PX // longest)
 
-    def locate(self, grid: OccupancyMap) -> Box:
+    def locate(self, grid: OccupancyMap) -> CellSlices:
         """Where a map's cells are."""
         row, col = find_corner(grid) - self._low
         return slice(row, row + grid.shape[0]), slice(col, col + grid.shape[1])

@@ -1,4 +1,4 @@
-"""How well a map foretells scans that it was not made from."""
+"""How well a map predicts scans that it was not made from."""
 
 import math
 from collections.abc import Sequence
@@ -39,8 +39,8 @@ class Trial(NamedTuple):
     """How a map fared."""
 
     score: Score
-    foretold: Float64
-    """(N, 2) of each held-out scan: its beams that measured a range, and of these those foretold"""
+    predicted: Float64
+    """(N, 2) of each held-out scan: beams that measured a range, and those of them it predicted"""
 
 
 def score_map(grid: OccupancyMap, held_out: Sequence[Rays], jobs: int) -> Trial:

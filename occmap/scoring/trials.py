@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from occmap.grid.tiles import TileGrid
 
 EVERY = 5
-"""Every so manieth scan is held out ..."""
+"""Every n-th scan is held out ..."""
 FIRST = 2
 """... from this one on."""
 NOISE = 2.0
@@ -107,8 +107,8 @@ class Result:
     """Of processor time, to trace and render"""
     bytes: int
     """Of the evidence"""
-    foretold: Float64
-    """(N, 2) of each held-out scan: its beams that measured a range, and of these those foretold"""
+    predicted: Float64
+    """(N, 2) of each held-out scan: beams that measured a range, and those of them it predicted"""
     behind: float = 0.0
     """How much lower the share is than the best one"""
     behind_error: float = 0.0
@@ -122,8 +122,8 @@ class Result:
 
     def compare_with(self, best: "Result") -> "Result":
         """Measure how far the share is from the best one, scan by scan."""
-        beams, near = best.foretold.T
-        error = estimate_error(near - self.foretold[:, 1], beams)
+        beams, near = best.predicted.T
+        error = estimate_error(near - self.predicted[:, 1], beams)
         return replace(self, behind=best.score.share - self.score.share, behind_error=error)
 
 
@@ -160,6 +160,6 @@ class Trials:
         start = thread_time()
         made = render(grid, variant.model, self._options.max_cells)
         seconds = self.evidence[variant.evidence].seconds + thread_time() - start
-        score, foretold = score_map(made, held_out, self._options.jobs)
+        score, predicted = score_map(made, held_out, self._options.jobs)
         size = sum(tile.nbytes for tile in grid.tiles.values())
-        return Result(variant, made, score, seconds, size, foretold)
+        return Result(variant, made, score, seconds, size, predicted)

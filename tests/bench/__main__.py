@@ -35,7 +35,7 @@ ROOT = Path(__file__).parents[2]
 REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", ROOT.parent / "shared" / "logs"))
 FREIBURG = REAL_LOGS / "carmen" / "freiburg-079-corrected.log.gz"
 SHARE = 20
-"""Every so manieth scan is compared cell by cell, and given to tools that are slow."""
+"""Every n-th scan is compared cell by cell, and given to tools that are slow."""
 WIDE = Sensor.spanning(1081, 270, 30.0)
 
 

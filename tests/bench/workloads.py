@@ -74,7 +74,7 @@ class Workload:
         return [START_NS + i * SCAN_INTERVAL_NS for i in range(self.scans)]
 
     def thin(self, stride: int) -> Self:
-        """Every so manieth scan."""
+        """Every n-th scan."""
         return replace(self, poses=self.poses[::stride], ranges=self.ranges[::stride])
 
     def pose_scans(self) -> Iterator[PosedScans]:

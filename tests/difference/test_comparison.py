@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.difference import ChangedBlob, Comparison, compare_maps, paint
+from occmap.difference import ChangedBlob, MapDifference, compare_maps, paint
 from occmap.difference.maps import ClassMap, Place
 from occmap.errors import MapError
 
@@ -18,44 +18,44 @@ def map_at(art: str, place: Place | None = AT_ZERO, name: str = "m.pgm") -> Clas
     return ClassMap(Path(name), np.array(rows[::-1], np.uint8), place)
 
 
-def list_changes(comparison: Comparison) -> dict[str, int]:
-    return {name: count for name, count in comparison.changed.items() if count}
+def list_changes(difference: MapDifference) -> dict[str, int]:
+    return {name: count for name, count in difference.changed.items() if count}
 
 
 def test_a_map_equals_itself() -> None:
-    comparison = compare_maps(map_at("#.? ..."), map_at("#.? ..."))
-    assert (list_changes(comparison), comparison.share, comparison.largest) == ({}, 0.0, None)
-    assert comparison.known == 5
+    difference = compare_maps(map_at("#.? ..."), map_at("#.? ..."))
+    assert (list_changes(difference), difference.share, difference.largest) == ({}, 0.0, None)
+    assert difference.known == 5
 
 
 def test_changes_are_counted_by_class() -> None:
-    comparison = compare_maps(map_at("##.?? #...?"), map_at("#.#.? ?...#"))
-    assert list_changes(comparison) == {
+    difference = compare_maps(map_at("##.?? #...?"), map_at("#.#.? ?...#"))
+    assert list_changes(difference) == {
         "occupied to free": 1,
         "free to occupied": 1,
         "neither to free": 1,
         "occupied to neither": 1,
         "neither to occupied": 1,
     }
-    assert comparison.known == 9
-    assert comparison.share == pytest.approx(5 / 9)
+    assert difference.known == 9
+    assert difference.share == pytest.approx(5 / 9)
     # The three in the upper row and the one below their end; the other touches none of them.
-    assert comparison.largest == ChangedBlob(5, (0.0, 0.0, 2.5, 1.0))
+    assert difference.largest == ChangedBlob(5, (0.0, 0.0, 2.5, 1.0))
 
 
 def test_maps_of_different_size_are_compared_where_they_lie() -> None:
     before = map_at("#. ..", Place(0.5, 0.0, 0.0))
     after = map_at(".. #.", Place(0.5, -0.5, 0.5))  # one column to the left, one row up
-    comparison = compare_maps(before, after)
-    assert comparison.before.shape == comparison.after.shape == (3, 3)
+    difference = compare_maps(before, after)
+    assert difference.before.shape == difference.after.shape == (3, 3)
     # Below lost: two; above and on the left new: three; the wall is free now.
-    assert list_changes(comparison) == {
+    assert list_changes(difference) == {
         "free to neither": 3,
         "neither to free": 2,
         "neither to occupied": 1,
         "occupied to free": 1,
     }
-    assert comparison.place == Place(0.5, -0.5, 0.0)
+    assert difference.place == Place(0.5, -0.5, 0.0)
 
 
 def test_swapping_the_maps_swaps_the_changes() -> None:

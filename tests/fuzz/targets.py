@@ -31,7 +31,7 @@ class Target:
     name: str
     reader: Callable[[], Reader]
     seeds: Callable[[Path], list[bytes]]
-    """Made in a folder that is thrown away."""
+    """Remarks in a folder that is thrown away."""
 
     def read(self, data: bytes) -> None:
         """Read all of an input; anything but an OccmapError escapes."""

@@ -9,8 +9,8 @@ import pytest
 from occmap.batching import Selection
 from occmap.errors import LogError, UsageError
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
-from occmap.report import Made, Tally
-from occmap.scoring.compare import Comparison, compare
+from occmap.report import Remarks, Tally
+from occmap.scoring.compare import VariantComparison, compare
 from occmap.scoring.score import Score, estimate_error
 from occmap.scoring.trials import HoldOut, Result
 from occmap.scoring.variants import Variant, combine, shorten_model
@@ -90,7 +90,7 @@ def test_a_model_is_written_as_it_is_read(model: SimpleModel, text: str) -> None
     assert parse_model(text) == model
 
 
-def stand_before_a_wall(folder: Path, ranges: list[float]) -> Comparison:
+def stand_before_a_wall(folder: Path, ranges: list[float]) -> VariantComparison:
     """Ten scans of the same wall, from one place; beams half a milliradian apart."""
     log = write_csv(folder / "wall.csv", [(0.025, 0.025, 0.0)] * 10, ranges, 5e-4)
     return compare([log], [Variant(Update.BEAM, SimpleModel(0.7, 0.4))], BuildOptions(jobs=1))
@@ -131,7 +131,7 @@ def test_scans_that_all_differ_in_geometry_are_held_out_one_by_one(tmp_path: Pat
 
 
 @pytest.fixture(scope="module")
-def drive() -> Comparison:
+def drive() -> VariantComparison:
     return compare([DRIVE], combine([], []), BuildOptions(jobs=2))
 
 
@@ -153,23 +153,23 @@ def test_the_error_of_a_share_is_that_of_scans(
 
 
 def make_result(
-    model: SensorModel, foretold: list[int], log_likelihood: float, beams: int = 10
+    model: SensorModel, predicted: list[int], log_likelihood: float, beams: int = 10
 ) -> Result:
     """Of scans of so many beams each."""
-    by_scan = np.array([(beams, near) for near in foretold], float)
-    share = sum(foretold) / (beams * len(foretold))
-    score = Score(beams * len(foretold), share, 0.0, log_likelihood, 0.0, 0.0)
+    by_scan = np.array([(beams, near) for near in predicted], float)
+    share = sum(predicted) / (beams * len(predicted))
+    score = Score(beams * len(predicted), share, 0.0, log_likelihood, 0.0, 0.0)
     grid = OccupancyMap(np.zeros((1, 1), np.float32), np.ones((1, 1), bool), 0.05, (0.0, 0.0))
     return Result(Variant(Update.BEAM, model), grid, score, 0.0, 0, by_scan)
 
 
-def rank(*results: Result) -> Comparison:
+def rank(*results: Result) -> VariantComparison:
     ranked = tuple(result.compare_with(results[0]) for result in results)
-    return Comparison(BuildOptions(), Made(["x"]), Tally(), 3, ranked)
+    return VariantComparison(BuildOptions(), Remarks(["x"]), Tally(), 3, ranked)
 
 
 def choose(*results: Result) -> str:
-    return rank(*results).named.variant.name
+    return rank(*results).recommended.variant.name
 
 
 def test_what_noise_may_have_put_first_does_not_displace_the_default() -> None:
@@ -203,7 +203,7 @@ def test_the_likeliest_of_those_as_good_is_named_beside_the_best() -> None:
     likely = make_result(CountingModel(), [8, 4, 8], -0.6)
     far = make_result(CountingModel(prior=0.4), [5, 2, 4], -0.5)
     comparison = rank(default, likely, far)
-    assert comparison.named.variant == default.variant
+    assert comparison.recommended.variant == default.variant
     assert comparison.likeliest.variant == likely.variant
     found = comparison.to_json()
     assert (found["best"], found["likeliest"]) == ("beam simple", "beam counting")
@@ -211,15 +211,17 @@ def test_the_likeliest_of_those_as_good_is_named_beside_the_best() -> None:
     assert "counting" in found["likeliest_command"]
 
 
-def test_a_drive_of_83_scans_does_not_tell_its_best_variants_apart(drive: Comparison) -> None:
+def test_a_drive_of_83_scans_does_not_tell_its_best_variants_apart(
+    drive: VariantComparison,
+) -> None:
     first, *others = drive.results
     assert (first.behind, first.behind_error, first.as_good) == (0, 0, True)
     assert all(0 < each.behind_error < each.score.share_error for each in others)
     names = {each.variant.name for each in drive.equals}
-    assert {drive.named.variant.name, first.variant.name} <= names
+    assert {drive.recommended.variant.name, first.variant.name} <= names
 
 
-def test_a_drive_is_foretold_well_by_every_variant(drive: Comparison) -> None:
+def test_a_drive_is_foretold_well_by_every_variant(drive: VariantComparison) -> None:
     shares = [result.score.share for result in drive.results]
     assert shares == sorted(shares, reverse=True)
     assert shares[-1] > 0.9
@@ -227,7 +229,7 @@ def test_a_drive_is_foretold_well_by_every_variant(drive: Comparison) -> None:
     assert all(result.bytes > 0 and result.seconds > 0 for result in drive.results)
 
 
-def test_threads_change_no_score(drive: Comparison) -> None:
+def test_threads_change_no_score(drive: VariantComparison) -> None:
     alone = compare([DRIVE], combine([], []), BuildOptions(jobs=1))
     for one, other in zip(alone.results, drive.results, strict=True):
         assert (one.variant, one.score) == (other.variant, other.score)
@@ -252,7 +254,7 @@ def test_the_command_repeats_what_was_chosen() -> None:
     comparison = compare([DRIVE], [Variant(Update.BEAM, CountingModel(prior=0.4))], options)
     words = "--model counting:prior=0.4 --resolution 0.1 --max-range 9 --stride 2 --jump 0.3"
     expected = f"occmap build beam {DRIVE} {words} -o drive.pgm"
-    assert comparison.build_command(comparison.named) == tuple(expected.split())
+    assert comparison.build_command(comparison.recommended) == tuple(expected.split())
 
 
 def test_too_few_scans_or_hits_are_refused(tmp_path: Path) -> None:
@@ -277,7 +279,7 @@ def test_the_default_build_foretells_real_logs_best_and_another_is_likeliest(
     name: str, share: float, log_likelihood: float
 ) -> None:
     comparison = compare([REAL_LOGS / name], combine([], []), BuildOptions())
-    best, likeliest = comparison.named, comparison.likeliest
+    best, likeliest = comparison.recommended, comparison.likeliest
     assert best.variant == Variant(DEFAULT_UPDATE, BuildOptions().model)
     assert likeliest.variant.name == "beam counting:strength=0.02,hit_weight=2"
     assert min(best.score.share, likeliest.score.share) > share

@@ -1,4 +1,4 @@
-"""Casts measured beams through a finished map, to ask how well the map foretold them.
+"""Casts measured beams through a finished map, to ask how well the map predicted them.
 
 A beam visits exactly the cells that it crosses, from the sensor's true position (Amanatides and Woo
 1987). The place of a cell on a beam is the middle of the beam's way through it.

@@ -1,4 +1,4 @@
-"""How kernels are compiled: once, kept on disk where possible, without the interpreter's lock."""
+"""How kernels are compiled: once, kept on disk where possible, and run without the GIL."""
 
 import hashlib
 import logging
