@@ -16,6 +16,10 @@ BATCH_BEAMS = 1 << 18
 seldom wait for each other's Python."""
 
 
+MOST_TURNS = 1.5
+"""Some lasers overlap a little where a turn closes; none goes round twice."""
+
+
 class LeftOut(StrEnum):
     """Why a scan is not used, before anybody asks where it was taken."""
 
@@ -136,11 +140,15 @@ class Selector:
 
 
 class Batcher:
-    """Selects and stacks the scans of one log; `left_out` counts the others by reason."""
+    """Selects and stacks the scans of one log; `left_out` counts the others by reason.
+
+    `notes` say what is odd about the scans; each sentence once.
+    """
 
     def __init__(self, selection: Selection, *, by_record_time: bool = False) -> None:
         self.read = 0
         self.left_out: dict[LeftOut, int] = {}
+        self.notes: list[str] = []
         self._by_record_time = by_record_time
         self._selector = Selector(selection, by_record_time=by_record_time)
 
@@ -151,7 +159,7 @@ class Batcher:
         for some in self._choose(scans):
             if isinstance(some, ScanRun):
                 yield from self._release(held)
-                yield self._pass_on(some)
+                yield self._look_at(self._pass_on(some))
                 held, beams = {}, 0
                 continue
             held.setdefault(describe(some), []).append(some)
@@ -188,7 +196,24 @@ class Batcher:
             ranges = np.stack([scan.ranges for scan in scans])
             time_increment = np.array([scan.time_increment for scan in scans], np.float64)
             pose = np.array([scan.pose for scan in scans]) if geometry.posed else None
-            yield geometry.stack(stamp_ns, ranges, time_increment, pose)
+            yield self._look_at(geometry.stack(stamp_ns, ranges, time_increment, pose))
+
+    def _look_at(self, batch: ScanBatch) -> ScanBatch:
+        """Note what is odd about the scans of a batch."""
+        oddity = find_oddity(batch.angle_increment, batch.ranges.shape[1])
+        if oddity and (note := f"{batch.topic}: {oddity}") not in self.notes:
+            self.notes.append(note)
+        return batch
+
+
+def find_oddity(angle_increment: float, beams: int) -> str:
+    """Say why angles are hardly what the sensor's are; "" where they may well be."""
+    turns = abs(angle_increment) * (beams - 1) / math.tau
+    if turns > MOST_TURNS:
+        return f"{beams} beams go round {turns:.3g} times: angles are radians; are these degrees?"
+    if beams > 1 and angle_increment == 0:
+        return f"{beams} beams all point the same way: angle_increment is 0"
+    return ""
 
 
 def describe(scan: Scan) -> Geometry:

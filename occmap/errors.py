@@ -1,6 +1,6 @@
 """The errors that occmap raises: each writes its own sentence and knows its exit code."""
 
-from typing import ClassVar
+from typing import ClassVar, Self
 
 
 class OccmapError(Exception):
@@ -23,6 +23,10 @@ class OccmapError(Exception):
         self.found = found
         self.where = str(where)
         self.fix = fix
+
+    def placed(self, where: object) -> Self:
+        """The same error at a place, where it names none itself."""
+        return type(self)(self.found, where=self.where or where, fix=self.fix)
 
     def __str__(self) -> str:
         sentence = f"{self.where}: {self.found}" if self.where else self.found

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from occmap.batching import Batcher, Selection
-from occmap.errors import LogError, PoseError, UsageError
+from occmap.errors import LogError, MapError, PoseError, UsageError
 from occmap.evidence import keep, render
 from occmap.evidence.manifest import describe_build, plan_manifest
 from occmap.evidence.merging import open_saved
@@ -21,7 +21,15 @@ from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.readers import Log, Role, open_log, read_poses, read_scans
 from occmap.readers.options import ReaderOptions
-from occmap.report import Remarks, Report, Tally, list_lacking, measure_shares, refuse_unused
+from occmap.report import (
+    Remarks,
+    Report,
+    Tally,
+    list_lacking,
+    measure_shares,
+    refuse_unseen,
+    refuse_unused,
+)
 from occmap.sensor.models import RadialModel, SensorModel, SimpleModel, describe_model
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Evidence, OccupancyMap, Rays, Scan, Update
@@ -111,21 +119,19 @@ def build(
     with tally.time("open"):
         logs = [open_log(path, options.reading) for path in paths]
     total = sum(count_scans(log, options.selection.topics) for log in logs)
-
-    def advance(scans: int) -> None:
-        progress(scans, total)
-
     engine = choose_engine(options, outputs)
     remarks = Remarks([str(log.path) for log in logs], describe_resumed(saved) if saved else None)
     remarks.note_request(outputs, options.writing, options.model)
     for log in logs:
-        remarks.note(log, trace_log(log, options, engine.add, tally, advance).notes)
-    refuse_unused(logs, tally)
+        notes = trace_log(log, options, engine.add, tally, lambda scans: progress(scans, total))
+        remarks.note(log, notes)
     with tally.time("fold"):
         tiles, times = engine.finish(), engine.read_times()
         if saved:
             add_stack(tiles, saved.tiles, saved.cells)
             times = saved.times + times
+    refuse_unused(logs, tally)
+    refuse_unseen(logs, tally, tiles)
     with tally.time("render"):
         lasting = keep_lasting(tiles, times, options.min_passes)
         grid = render(lasting, options.model, options.max_cells)
@@ -149,8 +155,8 @@ def trace_log(
     observe: Callable[[Rays], None],
     tally: Tally,
     advance: Callable[[int], None],
-) -> Poser:
-    """Read a log twice: the poses, which are small, then the scans as a stream."""
+) -> list[str]:
+    """Read a log twice, the poses, which are small, then the scans as a stream; return notes."""
     topics = choose_topics(log, options.selection.topics)
     with tally.time("poses"):
         poser = make_poser(log, topics, options.posing)
@@ -158,7 +164,10 @@ def trace_log(
 
     def trace(rays: Rays) -> None:
         with tally.time("trace"):
-            observe(rays)
+            try:
+                observe(rays)
+            except MapError as error:
+                raise error.placed(log.path) from None
 
     with Workers(trace, options.jobs) as workers:
         for batch in tally.time_each("read", batcher.stack(read_scans(log, topics))):
@@ -174,7 +183,7 @@ def trace_log(
             advance(len(batch.stamp_ns))
     tally.scans_read += batcher.read
     tally.drop(dict(batcher.left_out))
-    return poser
+    return poser.notes + batcher.notes
 
 
 def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
@@ -230,7 +239,7 @@ def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser
         try:
             poser.resolve({scan.frame for scan in first})
         except PoseError as error:
-            raise PoseError(error.found, where=error.where or log.path, fix=error.fix) from None
+            raise error.placed(log.path) from None
     return poser
 
 

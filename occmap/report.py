@@ -12,8 +12,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from occmap.batching import count_wanted
-from occmap.errors import LogError, PoseError
+from occmap.errors import LogError, MapError, PoseError
 from occmap.evidence.repetition import list_repeated
+from occmap.grid.tiles import TileGrid
 from occmap.readers import Log
 from occmap.sensor.bounds import Clamped
 from occmap.sensor.models import SensorModel
@@ -216,6 +217,25 @@ def refuse_unused(logs: Sequence[Log], tally: Tally) -> None:
             fix="`occmap check` shows the times of scans and poses",
         )
     raise LogError("holds no laser scan that can be read", where=where)
+
+
+def refuse_unseen(logs: Sequence[Log], tally: Tally, grid: TileGrid) -> None:
+    """Refuse to make a map in which no cell was observed.
+
+    Raises
+    ------
+    MapError
+        Saying what the beams of all scans were read as.
+    """
+    if grid.tiles:
+        return
+    counts = {name.replace("_", " "): number for name, number in tally.beams._asdict().items()}
+    beams = ", ".join(f"{number} {name}" for name, number in counts.items() if number)
+    raise MapError(
+        f"no beam of any scan observed a cell: {beams}",
+        where=", ".join(str(log.path) for log in logs),
+        fix="see the ranges in `occmap check`",
+    )
 
 
 def list_lacking(tally: Tally) -> Iterator[str]:

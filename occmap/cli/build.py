@@ -12,6 +12,7 @@ from occmap.cli.console import Console
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.summary import format_report
+from occmap.cli.values import PATH
 from occmap.errors import LogError, UsageError
 from occmap.gates import judge
 from occmap.gates.measures import BUILD
@@ -37,7 +38,7 @@ strict = option(
 resume = option(
     options.FILES,
     "--resume",
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="NPZ",
     help="Add to the evidence in this file, which -o may name again.",
 )

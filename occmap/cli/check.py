@@ -11,6 +11,7 @@ from occmap.cli.collect import take
 from occmap.cli.console import Console
 from occmap.cli.findings import format_inspection
 from occmap.cli.sections import SectionCommand, join
+from occmap.cli.values import PATH
 from occmap.errors import UsageError
 from occmap.gates import judge
 from occmap.gates.measures import CHECK
@@ -33,7 +34,7 @@ command line that it recommends. Exits with 1 where a build with the options giv
 
 
 @click.command("check", cls=SectionCommand, help=HELP, short_help=COMMANDS["check"])
-@click.argument("logs", nargs=-1, type=click.Path(path_type=Path), metavar="LOG...")
+@click.argument("logs", nargs=-1, type=PATH, metavar="LOG...")
 @join(options.resolution, options.max_cells, log_options.ranges)
 @join(log_options.selection, log_options.posing)
 @join(limits.fail_if(CHECK), options.as_json, options.verbosity)

@@ -15,6 +15,7 @@ from occmap.cli.collect import take
 from occmap.cli.console import Console
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join, option
+from occmap.cli.values import PATH
 from occmap.errors import UsageError
 from occmap.gates import judge
 from occmap.gates.measures import COMPARE
@@ -71,14 +72,14 @@ picture = option(
     "-o",
     "--output",
     "picture",
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="FILE.png",
     help="Write a picture of all maps, and of where they disagree.",
 )
 
 
 @click.command("compare", cls=SectionCommand, help=HELP, short_help=COMMANDS["compare"])
-@click.argument("logs", nargs=-1, type=click.Path(path_type=Path), metavar="LOG...")
+@click.argument("logs", nargs=-1, type=PATH, metavar="LOG...")
 @join(variants, picture, options.lattice, log_options.ranges)
 @join(log_options.selection, log_options.posing)
 @join(limits.fail_if(COMPARE), options.jobs, options.as_json, options.verbosity)

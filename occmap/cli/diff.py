@@ -11,7 +11,7 @@ from occmap.cli.collect import take
 from occmap.cli.console import Console
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.summary import LABEL
-from occmap.cli.values import parse_share, read_by
+from occmap.cli.values import PATH, parse_share, read_by
 from occmap.difference import MapDifference, compare_maps, paint
 from occmap.difference.maps import load_map
 from occmap.errors import UsageError
@@ -49,7 +49,7 @@ picture = option(
     options.FILES,
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=PATH,
     metavar="PNG",
     help="Write a picture of the changes here.",
 )
@@ -63,8 +63,8 @@ fail_above = option(
 
 
 @click.command("diff", cls=SectionCommand, help=HELP, short_help=COMMANDS["diff"])
-@click.argument("before", type=click.Path(path_type=Path), metavar="A")
-@click.argument("after", type=click.Path(path_type=Path), metavar="B")
+@click.argument("before", type=PATH, metavar="A")
+@click.argument("after", type=PATH, metavar="B")
 @join(picture, options.thresholds, fail_above, limits.fail_if(DIFF))
 @join(options.as_json, options.verbosity)
 @click.pass_obj

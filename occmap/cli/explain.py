@@ -13,6 +13,7 @@ from occmap.cli.console import Console
 from occmap.cli.progress import show_progress
 from occmap.cli.saved import choose_model
 from occmap.cli.sections import SectionCommand, join, option
+from occmap.cli.values import PATH
 from occmap.explanation import Question, explain
 from occmap.types import Evidence
 from occmap.writers import WriteOptions
@@ -45,7 +46,7 @@ logs = option(
     options.SCANS,
     "--log",
     "logs",
-    type=click.Path(path_type=Path),
+    type=PATH,
     multiple=True,
     metavar="LOG",
     help="List the scans of this log that observed the cell. May repeat.",
@@ -53,7 +54,7 @@ logs = option(
 poses = option(
     options.POSES,
     "--poses",
-    type=click.Path(path_type=Path),
+    type=PATH,
     multiple=True,
     metavar="FILE",
     help="The trajectory that the log was built with. May repeat.",
@@ -61,7 +62,7 @@ poses = option(
 
 
 @click.command("explain", cls=PointCommand, help=HELP, short_help=COMMANDS["explain"])
-@click.argument("path", type=click.Path(path_type=Path), metavar="NPZ")
+@click.argument("path", type=PATH, metavar="NPZ")
 @click.argument("x", type=float)
 @click.argument("y", type=float)
 @join(logs, poses, options.min_passes, options.saved_model, options.thresholds)

@@ -9,6 +9,7 @@ from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console
 from occmap.cli.saved import put_out, refuse_no_output
 from occmap.cli.sections import SectionCommand, join, option
+from occmap.cli.values import PATH
 from occmap.errors import UsageError
 from occmap.evidence.merging import merge, subtract
 from occmap.gates.measures import SAVED
@@ -28,7 +29,7 @@ counts, add up: one that goes on from one build to the next is two.
 subtracted = option(
     options.FILES,
     "--subtract",
-    type=click.Path(path_type=Path),
+    type=PATH,
     multiple=True,
     metavar="NPZ",
     help="Take the evidence in this file away. May repeat.",
@@ -36,7 +37,7 @@ subtracted = option(
 
 
 @click.command("merge", cls=SectionCommand, help=HELP, short_help=COMMANDS["merge"])
-@click.argument("paths", nargs=-1, type=click.Path(path_type=Path), metavar="NPZ...")
+@click.argument("paths", nargs=-1, type=PATH, metavar="NPZ...")
 @join(options.writing, subtracted, options.min_passes, options.max_cells)
 @join(limits.fail_if(SAVED), options.as_json, options.verbosity)
 @click.pass_obj

@@ -3,7 +3,6 @@
 Each is named like the field that it sets; defaults come from the classes that hold the fields.
 """
 
-from pathlib import Path
 from typing import Any
 
 import click
@@ -11,6 +10,7 @@ import click
 from occmap.cli.console import Verbosity
 from occmap.cli.sections import join, option
 from occmap.cli.values import (
+    PATH,
     one_of,
     set_verbosity,
 )
@@ -46,7 +46,7 @@ output = option(
     "-o",
     "--output",
     "outputs",
-    type=click.Path(path_type=Path),
+    type=PATH,
     multiple=True,
     metavar="FILE",
     help="Write the map here; the suffix picks the format: .pgm, .png, or .npz for what can be "

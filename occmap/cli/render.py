@@ -9,7 +9,7 @@ from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console
 from occmap.cli.saved import put_out, refuse_no_output
 from occmap.cli.sections import SectionCommand, join, option
-from occmap.cli.values import read_by, read_list
+from occmap.cli.values import PATH, read_by, read_list
 from occmap.errors import UsageError
 from occmap.evidence import Box
 from occmap.gates.measures import SAVED
@@ -54,7 +54,7 @@ part = option(
 
 
 @click.command("render", cls=SectionCommand, help=HELP, short_help=COMMANDS["render"])
-@click.argument("path", type=click.Path(path_type=Path), metavar="NPZ")
+@click.argument("path", type=PATH, metavar="NPZ")
 @join(options.writing, part, options.min_passes, options.max_cells, options.saved_model)
 @join(limits.fail_if(SAVED), options.as_json, options.verbosity)
 @click.pass_obj

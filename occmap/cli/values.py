@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from enum import StrEnum
+from pathlib import Path
 from typing import Any
 
 import click
@@ -12,6 +13,8 @@ from occmap.errors import UsageError
 from occmap.types import Pose, PoseSample
 from occmap.wording import count
 
+PATH = click.Path(path_type=Path, readable=False)
+"""Where click would look whether it can be read, occmap's own error says more."""
 POSE_FORM = "write x,y,yaw or x,y,yaw,roll,pitch in metres and radians, such as 0.1,0,3.14159"
 TRANSFORM_FORM = "write parent,child,x,y,z,roll,pitch,yaw in metres and radians"
 
@@ -78,9 +81,11 @@ def parse_share(text: str) -> float:
 
 
 def parse_sector(text: str) -> tuple[float, float]:
-    """Read two bearings; raises UsageError where there are not two numbers."""
+    """Read two bearings; raises UsageError where there are not two numbers, or they are degrees."""
     form = "write FROM,TO in radians, counter-clockwise, such as 2.5,-2.5"
-    start, end = read_list(text, 2, f"--ignore-sector {text}", form)
+    where = f"--ignore-sector {text}"
+    start, end = read_list(text, 2, where, form)
+    refuse_degrees((start, end), where)
     return start, end
 
 

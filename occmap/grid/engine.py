@@ -33,8 +33,8 @@ class GridEngine:
 
     Any number of threads may call `add`: each writes to a window of its own, and integers add up to
     the same sum in any order.
-    A single scan that alone would make a map much larger than `max_cells` is refused before it is
-    traced; the map as a whole is measured when it is rendered.
+    A map of more than `max_cells` is refused as soon as what was observed shows it, and a single
+    scan that would make one much larger before it is traced.
     """
 
     def __init__(
@@ -109,6 +109,7 @@ class GridEngine:
         box, first, second = window.read()
         with self._lock:
             self.grid.add(box, first, second, window.bound)
+            self.grid.refuse_outgrown(self._max_cells)
 
     def finish(self) -> TileGrid:
         """Empty all windows and give the evidence; more may be added later."""

@@ -43,6 +43,7 @@ class TileGrid:
         self.kind = kind
         self.tiles: dict[tuple[int, int], Tile] = {}
         self._bounds: dict[tuple[int, int], int] = {}
+        self._reach: CellBox | None = None
 
     def add(self, box: CellBox, first: Int64, second: Int64, bound: int) -> None:
         """Add what was observed in a box of cells.
@@ -87,9 +88,27 @@ class TileGrid:
         dtype = np.dtype(np.int32 if total <= INT32_LIMIT else np.int64)
         if tile is None:
             tile = self.tiles[key] = np.zeros((2, TILE, TILE), dtype)
+            place = CellBox(*key, key[0] + 1, key[1] + 1)
+            self._reach = place if self._reach is None else self._reach.join(place)
         elif tile.dtype != dtype:
             tile = self.tiles[key] = tile.astype(dtype)
         return tile
+
+    def refuse_outgrown(self, max_cells: int) -> None:
+        """Refuse what is too large a map already, before more is added to it.
+
+        Raises
+        ------
+        MapError
+            The smallest map that all tiles can be a part of is too large.
+        """
+        if self._reach is None:
+            return
+        # Of the outermost tiles the innermost cells may be all that is observed.
+        row, col = ((edge + 1) * TILE - 1 for edge in self._reach[:2])
+        row_end, col_end = ((edge - 1) * TILE + 1 for edge in self._reach[2:])
+        box = CellBox(row, col, max(row_end, row + 1), max(col_end, col + 1))
+        refuse_large(box, self.lattice, max_cells)
 
     def observed(self, tile: Tile) -> Bool:
         """(TILE, TILE): which cells of a tile anything was observed in."""

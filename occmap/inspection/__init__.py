@@ -48,14 +48,15 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
     grid = extent.sum_up(options.resolution)
     problems = [log.problem for log in logs if log.problem]
     too_large = _list_size_problems(grid, options)
-    problems += _list_pose_problems(logs) or too_large
+    unseen = _list_unseen(logs, grid)
+    problems += _list_pose_problems(logs) or too_large or unseen
     usable = any(_is_usable(topic, options) for log in logs for topic in log.scans)
     return Inspection(
         logs=tuple(logs),
         map=grid,
         problems=tuple(problems),
         warnings=tuple(text for log in logs for text in list_warnings(log)),
-        command=compose_command(logs, options) if usable and not too_large else (),
+        command=compose_command(logs, options) if usable and not (too_large or unseen) else (),
     )
 
 
@@ -117,7 +118,7 @@ def _list_notes(log: Log) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 def _place(error: OccmapError, path: Path) -> str:
     """Write an error's sentence with its place, which is the log where the error names none."""
-    return str(OccmapError(error.found, where=error.where or path, fix=error.fix))
+    return str(error.placed(path))
 
 
 def _sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) -> ScanFindings:
@@ -164,9 +165,9 @@ def _list_pose_problems(logs: Sequence[LogFindings]) -> list[str]:
         unfaulted = any(not topic.poses.problem for topic in log.scans)
         if faults and not unfaulted:
             found += [f"{log.path}: {fault}" for fault in faults]
-    topics = [topic for log in logs for topic in log.scans]
-    if topics and not found and not any(topic.poses.posed for topic in topics):
-        found += [f"{topic.topic}: {_explain(topic)}" for topic in topics]
+    topics = [(log, topic) for log in logs for topic in log.scans]
+    if topics and not found and not any(topic.poses.posed for _, topic in topics):
+        found += [f"{topic.topic}: {_explain(log, topic)}" for log, topic in topics]
     return found
 
 
@@ -175,12 +176,29 @@ def _is_usable(topic: ScanFindings, options: BuildOptions) -> bool:
     return topic.poses.posed > 0 or topic.times.suggested_stamps != options.posing.stamps
 
 
-def _explain(topic: ScanFindings) -> str:
+def _explain(log: LogFindings, topic: ScanFindings) -> str:
     reasons = {**topic.left_out, **topic.poses.dropped}
     counts = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
-    apart = topic.poses.dropped.keys() & {DropReason.BEFORE.value, DropReason.AFTER.value}
-    fix = "; compare stamps and sources: --time-offset S or --stamps record" if apart else ""
-    return f"none of {topic.scans} scans can be used: {counts}{fix}"
+    return f"none of {topic.scans} scans can be used: {counts}{_bridge_clocks(log, topic)}"
+
+
+def _bridge_clocks(log: LogFindings, topic: ScanFindings) -> str:
+    """Say what brings scans and poses together that were made at different times."""
+    if not topic.poses.dropped.keys() & {DropReason.BEFORE.value, DropReason.AFTER.value}:
+        return ""
+    times = topic.times
+    for source in log.coverage:
+        if source.moves and (source.end_ns < times.start_ns or times.end_ns < source.start_ns):
+            offset_s = (source.start_ns - times.start_ns) / 1e9
+            return f"; --time-offset {offset_s:.12g} would put the first scan at the first pose"
+    return "; compare stamps and sources: --time-offset S or --stamps record"
+
+
+def _list_unseen(logs: Sequence[LogFindings], grid: MapFindings | None) -> list[str]:
+    """Say of logs whose scans have poses that nothing is to be seen in them."""
+    if grid is not None or not any(topic.poses.posed for log in logs for topic in log.scans):
+        return []
+    return ["no beam of any scan observes a cell: see the ranges"]
 
 
 def _list_size_problems(grid: MapFindings | None, options: BuildOptions) -> list[str]:

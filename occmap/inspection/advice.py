@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from occmap.batching import find_oddity
 from occmap.inspection.findings import LogFindings, ScanFindings
 from occmap.inspection.flags import format_range, list_given, list_repeatable
 from occmap.pipeline import BuildOptions
@@ -54,7 +55,13 @@ def list_warnings(log: LogFindings) -> list[str]:
 
 
 def _warn_topic(topic: ScanFindings) -> list[str]:
-    return [*_warn_mount(topic), *_warn_poses(topic), *_warn_times(topic), *_warn_ranges(topic)]
+    warn = _warn_shapes, _warn_mount, _warn_poses, _warn_times, _warn_ranges
+    return [text for each in warn for text in each(topic)]
+
+
+def _warn_shapes(topic: ScanFindings) -> list[str]:
+    oddities = (find_oddity(shape.angle_increment, shape.beams) for shape in topic.shapes)
+    return [oddity for oddity in dict.fromkeys(oddities) if oddity]
 
 
 def _warn_mount(topic: ScanFindings) -> list[str]:
@@ -71,7 +78,8 @@ def _warn_mount(topic: ScanFindings) -> list[str]:
 
 def _warn_poses(topic: ScanFindings) -> list[str]:
     lost = topic.poses.dropped
-    if topic.poses.posed and sum(lost.values()) > SHARE_OF_NOTE * topic.kept:
+    some = topic.poses.posed or topic.poses.problem  # none at all is a problem of the log
+    if some and sum(lost.values()) > SHARE_OF_NOTE * topic.kept:
         reasons = ", ".join(f"{scans} {reason}" for reason, scans in lost.items())
         return [f"scans without a pose: {reasons}"]
     return []

@@ -40,6 +40,8 @@ POSES_OF_BODY = (
     "leave that out if they are the laser's own"
 )
 
+NO_FRAMES = "--map-frame and --base-frame do nothing: the poses stand beside the scans"
+
 UNTURNED = (0, 0, 0, 0, 0, 0, 1)
 """Stands in for a pose that is not finite."""
 
@@ -88,8 +90,19 @@ class Poser:
         PoseError
             No frame, of these and earlier ones, has a chain.
         """
+        new = sorted(set(frames) - self.chains.keys())
+        failures = self._resolve(new)
+        if failures and self.fixed is None:
+            raise next(iter(failures.values()))
+        # Once more, as what mends one laser among others is not what mends a single one.
+        failures = self._resolve(failures)
+        self.chains.update(dict.fromkeys(failures))
+        self._note(*(str(error) for error in failures.values()))
+
+    def _resolve(self, frames: Iterable[str]) -> dict[str, PoseError]:
+        """Find the chains to frames, one after the other; say why there is none."""
         failures: dict[str, PoseError] = {}
-        for frame in sorted(set(frames) - self.chains.keys()):
+        for frame in frames:
             try:
                 way = resolve(self.sources, self.options, frame, self.fixed)
             except PoseError as error:
@@ -97,10 +110,9 @@ class Poser:
             else:
                 self.fixed, self.chains[frame] = way.fixed, way.chain
                 self._note(*way.notes)
-        if failures and self.fixed is None:
-            raise next(iter(failures.values()))
-        self.chains.update(dict.fromkeys(failures))
-        self._note(*(str(error) for error in failures.values()))
+                if not way.chain.interval_s and any(e.track.moves for e in self.sources.tree.edges):
+                    self._note(f"{frame!r} never moves in {way.fixed!r}, though other frames do")
+        return failures
 
     def attach(self, batch: ScanBatch) -> Attached:
         """Give each scan the pose of its sensor, or each beam where the scan is de-skewed.
@@ -116,6 +128,8 @@ class Poser:
         if batch.pose is not None and self.sources.trajectory is None:
             if self.options.sensor_pose is not None:
                 self._note(POSES_OF_BODY)
+            if self.options.map_frame or self.options.base_frame:
+                self._note(NO_FRAMES)
             return _keep_posed(batch, _read_stated(batch.pose, self.options.sensor_pose))
         if batch.frame not in self.chains:
             self.resolve([batch.frame])
@@ -127,6 +141,10 @@ class Poser:
     def _look_up(self, batch: ScanBatch, chain: Chain) -> Attached:
         """Look up each scan at its stamp, or at moments between its first beam and its last."""
         deskewed = self._find_deskewed(batch, chain)
+        if self.options.deskew is Deskew.ON and not deskewed.all():
+            self._note(
+                f"scans of {batch.frame!r} state no believable time between beams: not de-skewed"
+            )
         if not deskewed.any():
             return _keep_posed(batch, chain.at(self._date(batch)))
         self._note(f"de-skewed: each beam of {batch.frame!r} has a pose of its own")

@@ -6,8 +6,8 @@ from enum import StrEnum
 from occmap.errors import UsageError
 from occmap.types import Pose, PoseSample
 
-MAX_OFFSET_S = 1e9
-"""Thirty years: no clock is further off, and nanoseconds still fit an int64."""
+MAX_OFFSET_S = 4e9
+"""From clocks that begin at 0 to any date, and the sum of two still fits an int64 of ns."""
 
 MAX_MOUNT_M = 1e6
 """Nothing on a robot is further away; a bound refuses nan and inf, too."""

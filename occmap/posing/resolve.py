@@ -52,7 +52,7 @@ def resolve(
     PoseError
         There is no way; says what is missing, and which option mends it.
     """
-    search = _Search(sources.tree, sources, options, frame.strip("/"))
+    search = _Search(sources.tree, sources, options, frame.strip("/"), alone=fixed is None)
     if sources.trajectory is not None:
         name, steps = search.follow(sources.trajectory)
     else:
@@ -77,6 +77,8 @@ class _Search:
     sources: Sources
     options: PosingOptions
     frame: str
+    alone: bool
+    """No other laser has been found a way to."""
     notes: list[str] = field(default_factory=list)
 
     def climb(self, fixed: str | None) -> Way:
@@ -177,9 +179,13 @@ class _Search:
         bases = list_bases(self.tree, self.frame)
         base = f" on {bases[0]}" if len(bases) == 1 else ""
         flag = "" if len(bases) == 1 else " --base-frame FRAME"
+        fix = f"give its mount{base}: --sensor-pose x,y,yaw{flag}"
+        if not self.alone:  # a sensor pose would be that of every laser
+            body = bases[0] if len(bases) == 1 else "BASE"
+            fix = f"give its mount: --static-tf {body},{self.frame},X,Y,Z,ROLL,PITCH,YAW"
         raise PoseError(
             f"no transform to the laser's frame {self.frame!r} (known: {self._list_known()})",
-            fix=f"give its mount{base}: --sensor-pose x,y,yaw{flag}",
+            fix=fix,
         )
 
     def _fail_without_motion(self, root: str) -> NoReturn:

@@ -93,6 +93,9 @@ def parse_stamp_ns(text: str) -> int:
 def _read_lines(path: Path) -> Iterator[_Line]:
     """Read the lines that are neither empty nor comments."""
     try:
+        with path.open("rb") as file:
+            if b"\0" in file.read(MAX_LINE):
+                raise LogError("no text, so no trajectory", where=path, fix=SHAPES)
         with path.open(encoding="utf-8-sig", errors="replace") as file:
             for number, text in enumerate(iter(partial(file.readline, MAX_LINE), ""), start=1):
                 line = _Line(path, number, text.strip())

@@ -131,7 +131,8 @@ class McapSource:
                 break
             position = file.seek(end)
         lost = self._size - position
-        add_note(self.notes, f"the file breaks off at byte {position}, {lost} bytes before its end")
+        rest = f"{lost} bytes before its end" if lost else "where more belongs"
+        add_note(self.notes, f"the file breaks off at byte {position}, {rest}")
 
     def _may_hold(self, position: int, wanted: Mapping[int, Channel]) -> bool:
         """Say whether a chunk can hold messages of these channels, as the index has it."""

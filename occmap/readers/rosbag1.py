@@ -82,7 +82,7 @@ class Bag1Source:
         if _is_whole(bag, len(connections), chunks):
             return _with_counts(connections, counts)
         if not self.notes:
-            add_note(self.notes, "the bag was not closed: it has no index; all of it is read")
+            add_note(self.notes, "the bag was not closed, and has no index: all of it is read")
         return {}
 
     def _refuse_encrypted(self, bag: Header) -> None:

@@ -128,8 +128,8 @@ def compare(
 
         for log in logs:
             in_order = replace(options, jobs=1)  # which scans are held out must not be chance
-            poser = trace_log(log, in_order, observe, tally, lambda scans: progress(scans, total))
-            remarks.note(log, poser.notes)
+            notes = trace_log(log, in_order, observe, tally, lambda scans: progress(scans, total))
+            remarks.note(log, notes)
     refuse_unused(logs, tally)
     refuse_unscored(remarks.logs, hold_out)
     if hold_out.scans < FEW_SCANS:

@@ -42,6 +42,27 @@ def check_probabilities(model: Any) -> None:
             )
 
 
+def check_prior(prior: float, free: tuple[str, float], occupied: tuple[str, float]) -> None:
+    """Refuse a prior beyond what evidence says: seeing a cell free would make it occupied.
+
+    Parameters
+    ----------
+    free, occupied
+        The names of what says that a cell is so, and its probability of being occupied.
+
+    Raises
+    ------
+    UsageError
+        The prior does not lie between the two.
+    """
+    if not free[1] <= prior <= occupied[1]:
+        raise UsageError(
+            f"prior {prior} does not lie between {free[0]} {free[1]:g} and "
+            f"{occupied[0]} {occupied[1]:g}: evidence would turn round",
+            fix="a miss must lower a cell and a hit raise it: give a prior between the two",
+        )
+
+
 def check_clamp(model: Clamped) -> None:
     """Refuse bounds that leave a cell nothing to be.
 

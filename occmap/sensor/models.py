@@ -14,7 +14,13 @@ import numpy as np
 
 from occmap.errors import UsageError
 from occmap.plugins import list_plugins, load_plugin, suggest
-from occmap.sensor.bounds import NO_CLAMP, check_clamp, check_probabilities, check_weight
+from occmap.sensor.bounds import (
+    NO_CLAMP,
+    check_clamp,
+    check_prior,
+    check_probabilities,
+    check_weight,
+)
 from occmap.types import Float64, Int64, to_log_odds
 
 
@@ -83,6 +89,7 @@ class SimpleModel:
                 f"p_miss {self.p_miss} is not below p_hit {self.p_hit}",
                 fix="a hit must speak more for occupied than a miss: try --p-hit 0.7 --p-miss 0.4",
             )
+        check_prior(self.prior, ("p_miss", self.p_miss), ("p_hit", self.p_hit))
 
     def log_odds(self, hits: Int64, misses: Int64) -> Float64:
         """l0 + hits (logit(p_hit) - l0) + misses (logit(p_miss) - l0)."""
@@ -148,6 +155,7 @@ class QuadraticModel:
             raise UsageError(f"epsilon {self.epsilon} m is not possible", fix="try --epsilon 0.05")
         if self.p_min >= 0.5:
             raise UsageError(f"p_min {self.p_min} leaves no evidence", fix="try --p-min 0.4")
+        check_prior(self.prior, ("p_min", self.p_min), ("1 - p_min", 1 - self.p_min))
 
     def depth(self, resolution: float) -> float:
         """Epsilon, or half a cell."""

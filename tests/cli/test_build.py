@@ -61,7 +61,10 @@ def test_the_first_word_may_be_the_update(update: Update) -> None:
         ("--p-hit 0.9 --p-miss 0.2", {"model": SimpleModel(0.9, 0.2)}),
         ("--model simple:p_hit=0.8,prior=0.4 --p-hit 0.9", {"model": SimpleModel(0.9, prior=0.4)}),
         # Neither would do with the other's default.
-        ("--model simple:p_miss=0.75 --p-hit 0.9", {"model": SimpleModel(0.9, 0.75)}),
+        (
+            "--model simple:p_miss=0.75,prior=0.8 --p-hit 0.9",
+            {"model": SimpleModel(0.9, 0.75, 0.8)},
+        ),
         (
             "--map-frame m --base-frame b --poses /pose --max-pose-gap 1 --time-offset -0.5",
             {"posing": PosingOptions("m", "b", None, "/pose", 1.0, -0.5)},
@@ -149,11 +152,32 @@ def test_strict_is_content_with_a_sound_log(tmp_path: Path) -> None:
 
 
 def test_a_map_without_walls_is_noted(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "log.csv", [(0, 0, 0)], [1.0, 2.0])
+    log = write_csv(tmp_path / "log.csv", [(0, 0, 0)], [1.0, 2.0], 0.5)
     words = ["build", log, "--max-range", "0.5", "-o", tmp_path / "map.pgm"]
     assert "note: no beam hit anything, so the map has no walls" in occmap(*words).err
     words[3] = "1.5"
     assert occmap(*words).err == ""
+
+
+@pytest.mark.parametrize(
+    ("step", "beams", "note"),
+    [
+        (1.0, 271, "271 beams go round 43 times: angles are radians; are these degrees?"),
+        (-0.5, 20, "20 beams go round 1.51 times: angles are radians; are these degrees?"),
+        (0.0, 3, "3 beams all point the same way: angle_increment is 0"),
+        (0.0, 1, ""),
+        (0.1, 90, ""),
+    ],
+)
+def test_odd_angles_are_noted_by_build_and_check(
+    tmp_path: Path, step: float, beams: int, note: str
+) -> None:
+    log = write_csv(tmp_path / "log.csv", [(0, 0, 0)] * 3, [1.0] * beams, step)
+    told = f"note: {log}: scan: {note}\n" if note else ""
+    assert occmap("build", log, "-o", tmp_path / "map.pgm").err == told
+    lines = occmap("check", log).out.splitlines()
+    assert (f"warning   {log}: scan: {note}" in lines) == bool(note)
+    assert any("degrees?" in line or "same way" in line for line in lines) == bool(note)
 
 
 def test_quiet_prints_nothing(tmp_path: Path) -> None:

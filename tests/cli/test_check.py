@@ -10,6 +10,7 @@ from occmap.cli import run
 from occmap.cli.values import parse_sensor_pose, parse_transform
 from occmap.inspection.flags import format_mount, format_static
 from tests.inspection_logs import SCANS, Drive, write_bag, write_csv
+from tests.readers.ros import RANGES, ROS2, Written, drive, scan, write_mcap
 from tests.samples import write_csv as write_planar
 
 Capture = pytest.CaptureFixture[str]
@@ -70,7 +71,36 @@ def test_scans_and_poses_of_other_times_are_shown_beside_each_other(
     assert any(f"{poses}: 2 samples, 2.5 to 4.0 s, largest gap" in line for line in lines)
     assert lines[-1] == (
         f"problem   /scan: none of {SCANS} scans can be used: {SCANS} after the last pose; "
-        "compare stamps and sources: --time-offset S or --stamps record"
+        "--time-offset -97.5 would put the first scan at the first pose"
+    )
+
+
+def test_a_laser_without_a_mount_beside_another_is_a_warning(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    log = drive(ROS2)
+    for stamp_ns in range(10**9, 7 * 10**9, 10**9):
+        log.append(Written("/bumper", stamp_ns, scan(ROS2, stamp_ns, "bumper", RANGES)))
+    path = tmp_path / "two.mcap"
+    write_mcap(path, log)
+
+    assert run(["check", str(path), "--fail-if", "warnings > 0"]) == 3
+
+    lines = capsys.readouterr().out.splitlines()
+    (warning,) = (line for line in lines if line.startswith("warning"))
+    assert "/bumper: scans without a pose: " in warning
+    assert "no transform to the scan's frame" in warning
+
+
+def test_no_beam_that_sees_anything_is_a_problem(tmp_path: Path, capsys: Capture) -> None:
+    path = write_planar(tmp_path / "log.csv", [(0, 0, 0)] * 2, [-1.0, math.nan], 0.5)
+    assert run(["check", str(path)]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == "problem   no beam of any scan observes a cell: see the ranges"
+    assert run(["build", str(path), "-o", str(tmp_path / "m.pgm")]) == 1
+    assert capsys.readouterr().err == (
+        f"error: {path}: no beam of any scan observed a cell: 2 too close, 2 nan; see the ranges "
+        "in `occmap check`\n"
     )
 
 

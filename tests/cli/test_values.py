@@ -48,7 +48,11 @@ def test_a_wrong_sensor_pose_says_what_to_write(text: str, found: str) -> None:
 
 @pytest.mark.parametrize(
     ("parse", "text"),
-    [(parse_sensor_pose, "0,0,180"), (parse_transform, "base,laser,0,0,0,0,180,0")],
+    [
+        (parse_sensor_pose, "0,0,180"),
+        (parse_transform, "base,laser,0,0,0,0,180,0"),
+        (parse_sector, "-1,180"),
+    ],
 )
 def test_degrees_are_refused_and_turned_to_radians(
     parse: Callable[[str], object], text: str

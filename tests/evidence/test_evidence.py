@@ -41,7 +41,7 @@ def test_a_rendered_map_is_the_one_that_was_built(
     [
         ("simple", "counting"),
         ("counting", "simple:p_hit=0.9,p_miss=0.3,prior=0.4"),
-        ("quadratic", "quadratic:prior=0.3"),
+        ("quadratic", "quadratic:prior=0.45"),
     ],
 )
 def test_another_model_renders_what_a_build_with_it_would(

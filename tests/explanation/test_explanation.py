@@ -70,7 +70,7 @@ def test_scans_of_the_drive_add_up(tmp_path: Path, update: Update, model: str) -
 
 def test_a_cell_is_judged_as_the_map_is(tmp_path: Path) -> None:
     evidence = save(tmp_path, DRIVE, BuildOptions())
-    models: list[SensorModel] = [SimpleModel(0.9, 0.45, 0.3), CountingModel(0.4)]
+    models: list[SensorModel] = [SimpleModel(0.9, 0.25, 0.3), CountingModel(0.4)]
     for model, min_passes in product(models, (None, 2)):
         grid = render_saved(evidence, model, 10**9, min_passes)
         rng = np.random.default_rng(2)

@@ -221,7 +221,7 @@ def test_a_wild_pose_costs_only_the_tiles_that_it_touches(update: Update) -> Non
         np.repeat(near.stamp_ns, 3),
         near.full_circle,
     )
-    engine = make_engine(update)
+    engine = GridEngine(GridSpec(update, Lattice(0.05)), max_cells=10**18)
     engine.add(rays)
     tiles = engine.finish().tiles
     side = 3.0 / 0.05 / TILE

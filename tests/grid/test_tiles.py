@@ -130,6 +130,26 @@ def test_a_map_as_large_as_allowed_is_made_and_a_larger_one_refused() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("cells", "most"),
+    [
+        ([(5, 7)], 1),
+        ([(63, 63), (64, 64)], 4),  # neighbours, in tiles of a corner each
+        ([(0, 0), (127, 191)], 2 * 66),  # as good as (63, 63) and (64, 128), for all tiles tell
+        ([(-1, -130), (64, 300)], 66 * 386),  # from (-1, -129) to (64, 256)
+    ],
+)
+def test_what_is_surely_too_large_is_refused_while_it_grows(
+    cells: list[tuple[int, int]], most: int
+) -> None:
+    grid = make_grid()
+    for row, col in cells:
+        add_cell(grid, row, col, 1, 0)
+    grid.refuse_outgrown(most)
+    with pytest.raises(MapError, match="more than --max-cells"):
+        grid.refuse_outgrown(most - 1)
+
+
 def test_a_map_with_a_wild_pose_is_refused_before_it_takes_memory() -> None:
     grid = make_grid(resolution=0.05)
     add_cell(grid, 0, 0, 1, 0)

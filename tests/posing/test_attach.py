@@ -105,6 +105,15 @@ def test_a_stated_pose_is_the_bodys_where_the_sensors_is_given() -> None:
     np.testing.assert_allclose(np.abs(yaw_of(posed.rotation)), [math.pi])
 
 
+@pytest.mark.parametrize("options", [{"map_frame": "m"}, {"base_frame": "b"}])
+def test_frames_mean_nothing_to_stated_poses(options: dict[str, str]) -> None:
+    poser = build(**options)
+    poser.attach(stated(turned(0)))
+    assert poser.notes == [
+        "--map-frame and --base-frame do nothing: the poses stand beside the scans"
+    ]
+
+
 def test_whose_stated_poses_are_is_said_once_and_only_where_it_was_decided() -> None:
     mounted, plain = build(sensor_pose=turned(90, x=2)), build()
     for poser in (mounted, mounted, plain):
@@ -202,6 +211,33 @@ def test_auto_deskews_where_the_log_allows(
     (posed,), _ = poser.attach(batch_at([2.0], beams=100, time_increment=time_increment))
     assert (posed.position.ndim == 3) is expected
     assert ("de-skewed: each beam of 'laser' has a pose of its own" in poser.notes) is expected
+
+
+def test_where_nothing_can_be_deskewed_it_is_said() -> None:
+    asked, unasked = build(*spin(), deskew=Deskew.ON), build(*spin(), deskew=Deskew.AUTO)
+    for poser in (asked, unasked):
+        poser.attach(batch_at([0.5], beams=10))
+    assert asked.notes == ["scans of 'laser' state no believable time between beams: not de-skewed"]
+    assert unasked.notes == []
+
+
+def test_a_map_frame_that_the_laser_never_leaves_is_noted() -> None:
+    log = [*drive("odom", "base_link"), MOUNT]
+    carried, fixed = build(*log, map_frame="base_link"), build(*log)
+    for poser in (carried, fixed):
+        poser.resolve(["laser"])
+    assert carried.notes == ["'laser' never moves in 'base_link', though other frames do"]
+    assert fixed.notes == []
+
+
+def test_the_mount_of_one_laser_of_two_is_given_by_a_transform() -> None:
+    poser = build(*drive("odom", "base_link"), MOUNT)
+    poser.resolve(["bumper", "laser"])  # in any order
+    (note,) = poser.notes
+    assert "no transform to the laser's frame 'bumper'" in note
+    assert note.endswith("--static-tf base_link,bumper,X,Y,Z,ROLL,PITCH,YAW")
+    with pytest.raises(PoseError, match="--sensor-pose x,y,yaw"):
+        build(*drive("odom", "base_link"), MOUNT).resolve(["bumper"])
 
 
 @pytest.mark.parametrize("deskew", [Deskew.ON, Deskew.AUTO])

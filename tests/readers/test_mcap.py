@@ -63,7 +63,7 @@ def test_a_file_without_footer_says_so(tmp_path: Path) -> None:
 
     assert count_scans(log) == 6
     assert log.notes == [
-        Note(f"the file breaks off at byte {position + length}, 0 bytes before its end", True)
+        Note(f"the file breaks off at byte {position + length}, where more belongs", True)
     ]
 
 

@@ -40,7 +40,7 @@ def test_simple_counts_from_the_prior() -> None:
 
 
 def test_one_observation_says_what_it_says_whatever_the_prior() -> None:
-    for prior in (0.2, 0.5, 0.7):
+    for prior in (0.3, 0.5, 0.7):
         model = SimpleModel(p_hit=0.9, p_miss=0.3, prior=prior)
         assert model.log_odds(counts(1), counts(0))[0] == pytest.approx(LN9)
         assert model.log_odds(counts(0), counts(1))[0] == pytest.approx(math.log(3 / 7))
@@ -134,6 +134,9 @@ def test_parameters_are_read_from_text() -> None:
         ("simple:p_miss=0", ["p_miss 0.0"]),
         ("simple:p_hit=nan", ["p_hit nan"]),
         ("simple:p_hit=inf", ["p_hit inf"]),
+        ("simple:prior=0.39", ["prior 0.39 does not lie between p_miss 0.4 and p_hit 0.7"]),
+        ("simple:prior=0.71", ["prior 0.71 does not lie between p_miss 0.4 and p_hit 0.7"]),
+        ("quadratic:prior=0.3", ["prior 0.3 does not lie between p_min 0.4 and 1 - p_min 0.6"]),
         ("simple:prior=-0.5", ["prior -0.5"]),
         ("simple:p_hit=0.4,p_miss=0.4", ["p_miss 0.4 is not below p_hit 0.4"]),
         ("counting:prior=1", ["prior 1.0"]),
