@@ -4,11 +4,12 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from occmap.errors import UsageError
+from occmap.posing.options import Stamps
 from occmap.types import Float32, Float64, Int64, Scan, ScanBatch, ScanRun
 
 BATCH_BEAMS = 1 << 18
@@ -80,6 +81,20 @@ class Geometry(NamedTuple):
     range_max: float
     posed: bool
 
+    @classmethod
+    def of(cls, scan: Scan) -> Self:
+        """Take it from a scan; limits that no range can have, or nan, become 0 and inf."""
+        return cls(
+            scan.topic,
+            scan.frame,
+            scan.angle_min,
+            scan.angle_increment,
+            len(scan.ranges),
+            scan.range_min if scan.range_min >= 0 else 0.0,
+            scan.range_max if scan.range_max > 0 else math.inf,
+            scan.pose is not None,
+        )
+
     def stack(
         self, stamp_ns: Int64, ranges: Float32, time_increment: Float64, pose: Float64 | None
     ) -> ScanBatch:
@@ -110,15 +125,24 @@ def find_flaw(scan: Scan) -> LeftOut | None:
 class Selector:
     """Says of the scans of one log, one after the other, which are not used, and why."""
 
-    def __init__(self, selection: Selection, *, by_record_time: bool = False) -> None:
+    def __init__(self, selection: Selection, stamps: Stamps) -> None:
         self.selection = selection
-        self._by_record_time = by_record_time
+        self._stamps = stamps
         self._wants_all = replace(selection, topics=()) == Selection()
         self._first_ns: int | None = None
         self._wanted = 0
 
-    def find_fault(self, scan: Scan) -> LeftOut | None:
-        """Say why the next scan is not used; None where it is."""
+    def judge(
+        self, scans: Iterable[Scan | ScanRun]
+    ) -> Iterator[tuple[Scan | ScanRun, LeftOut | None]]:
+        """Give each scan with why it is not used, None where it is; a run whole where all is."""
+        for some in scans:
+            if isinstance(some, Scan) or self._takes_all(some):
+                yield some, self._judge_next(some.first)
+            else:
+                yield from ((scan, self._judge_next(scan)) for scan in some.split())
+
+    def _judge_next(self, scan: Scan) -> LeftOut | None:
         stamp_ns = self.stamp(scan)
         if self._first_ns is None:
             self._first_ns = stamp_ns
@@ -130,13 +154,13 @@ class Selector:
         self._wanted += 1
         return LeftOut.STRIDE if (self._wanted - 1) % self.selection.stride else None
 
-    def takes_all(self, run: ScanRun) -> bool:
+    def _takes_all(self, run: ScanRun) -> bool:
         """Whether the user wants every scan there is, and these can be used."""
         return self._wants_all and find_flaw(run.first) is None
 
     def stamp(self, scan: Scan) -> int:
         """The time of a scan that counts (ns)."""
-        return scan.record_ns if self._by_record_time else scan.stamp_ns
+        return scan.record_ns if self._stamps is Stamps.RECORD else scan.stamp_ns
 
 
 class Batcher:
@@ -145,12 +169,12 @@ class Batcher:
     `notes` say what is odd about the scans; each sentence once.
     """
 
-    def __init__(self, selection: Selection, *, by_record_time: bool = False) -> None:
+    def __init__(self, selection: Selection, stamps: Stamps = Stamps.HEADER) -> None:
         self.read = 0
         self.left_out: dict[LeftOut, int] = {}
         self.notes: list[str] = []
-        self._by_record_time = by_record_time
-        self._selector = Selector(selection, by_record_time=by_record_time)
+        self._stamps = stamps
+        self._selector = Selector(selection, stamps)
 
     def stack(self, scans: Iterable[Scan | ScanRun]) -> Iterator[ScanBatch]:
         """Stack scans, holding no more than a batch at a time; a run is a batch as it is."""
@@ -162,7 +186,7 @@ class Batcher:
                 yield self._look_at(self._pass_on(some))
                 held, beams = {}, 0
                 continue
-            held.setdefault(describe(some), []).append(some)
+            held.setdefault(Geometry.of(some), []).append(some)
             beams += len(some.ranges)
             if beams >= BATCH_BEAMS:
                 yield from self._release(held)
@@ -171,24 +195,16 @@ class Batcher:
 
     def _choose(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
         """Give the scans that are wanted, and runs in which all are."""
-        for some in scans:
-            if isinstance(some, ScanRun):
-                if self._selector.takes_all(some):
-                    self.read += len(some.ranges)
-                    yield some
-                else:
-                    yield from self._choose(some.split())
-                continue
-            self.read += 1
-            reason = self._selector.find_fault(some)
+        for some, reason in self._selector.judge(scans):
+            self.read += some.scans
             if reason is None:
                 yield some
             else:
                 self.left_out[reason] = self.left_out.get(reason, 0) + 1
 
     def _pass_on(self, run: ScanRun) -> ScanBatch:
-        stamp_ns = run.record_ns if self._by_record_time else run.stamp_ns
-        return describe(run.first).stack(stamp_ns, run.ranges, run.time_increment, run.pose)
+        stamp_ns = run.record_ns if self._stamps is Stamps.RECORD else run.stamp_ns
+        return Geometry.of(run.first).stack(stamp_ns, run.ranges, run.time_increment, run.pose)
 
     def _release(self, held: dict[Geometry, list[Scan]]) -> Iterator[ScanBatch]:
         for geometry, scans in held.items():
@@ -214,17 +230,3 @@ def find_oddity(angle_increment: float, beams: int) -> str:
     if beams > 1 and angle_increment == 0:
         return f"{beams} beams all point the same way: angle_increment is 0"
     return ""
-
-
-def describe(scan: Scan) -> Geometry:
-    """What a scan must share with others to be stacked; limits that mean none are made so."""
-    return Geometry(
-        scan.topic,
-        scan.frame,
-        scan.angle_min,
-        scan.angle_increment,
-        len(scan.ranges),
-        scan.range_min if scan.range_min >= 0 else 0.0,
-        scan.range_max if scan.range_max > 0 else math.inf,
-        scan.pose is not None,
-    )

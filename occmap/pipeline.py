@@ -18,7 +18,7 @@ from occmap.grid.lattice import Lattice
 from occmap.grid.spec import GridSpec, tabulate
 from occmap.grid.stacks import add_stack
 from occmap.posing.attach import Poser
-from occmap.posing.options import PosingOptions, Stamps
+from occmap.posing.options import PosingOptions
 from occmap.readers import Log, Role, open_log, read_poses, read_scans
 from occmap.readers.options import ReaderOptions
 from occmap.report import (
@@ -160,7 +160,7 @@ def trace_log(
     topics = choose_topics(log, options.selection.topics)
     with tally.time("poses"):
         poser = make_poser(log, topics, options.posing)
-    batcher = Batcher(options.selection, by_record_time=options.posing.stamps is Stamps.RECORD)
+    batcher = Batcher(options.selection, options.posing.stamps)
 
     def trace(rays: Rays) -> None:
         with tally.time("trace"):

@@ -85,6 +85,16 @@ class Scan(NamedTuple):
     record_ns: int = 0
     """When the recorder stored it; equal to `stamp_ns` in formats that hold one time only."""
 
+    @property
+    def first(self) -> "Scan":
+        """Itself, as of a run the first scan."""
+        return self
+
+    @property
+    def scans(self) -> int:
+        """How many there are: one."""
+        return 1
+
 
 class ScanRun(NamedTuple):
     """Scans of one log that follow one another and differ in times, ranges and poses alone."""
@@ -102,15 +112,20 @@ class ScanRun(NamedTuple):
     pose: Float64 | None = None
     """(S, 7) as the fields of `Pose`, where the log states it beside the scans."""
 
+    @property
+    def scans(self) -> int:
+        """How many there are."""
+        return len(self.stamp_ns)
+
     def split(self) -> list[Scan]:
         """The single scans."""
-        scans = len(self.stamp_ns)
+        poses = [None] * self.scans if self.pose is None else map(Pose._make, self.pose.tolist())
         columns = {
             "stamp_ns": self.stamp_ns.tolist(),
             "record_ns": self.record_ns.tolist(),
             "ranges": self.ranges,
             "time_increment": self.time_increment.tolist(),
-            "pose": [None] * scans if self.pose is None else map(Pose._make, self.pose.tolist()),
+            "pose": poses,
         }
         rows = zip(*columns.values(), strict=True)
         return [self.first._replace(**dict(zip(columns, row, strict=True))) for row in rows]

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.batching import Batcher, LeftOut, Selection
+from occmap.posing.options import Stamps
 from occmap.types import Scan, ScanBatch, ScanRun
 
 SECOND = 10**9
@@ -50,7 +51,7 @@ def test_a_run_is_a_batch_as_it_is() -> None:
 
 
 def test_a_run_is_stamped_by_record_time_where_that_counts() -> None:
-    (batch,) = Batcher(Selection(), by_record_time=True).stack([RUN])
+    (batch,) = Batcher(Selection(), Stamps.RECORD).stack([RUN])
     assert (batch.stamp_ns - RUN.stamp_ns).tolist() == [7] * 5
 
 
@@ -106,7 +107,8 @@ def test_runs_are_selected_as_single_scans_are(
         items += [run] if whole else run.split()
     singles = [s for item in items for s in (item.split() if isinstance(item, ScanRun) else [item])]
     selection = Selection((), start_s, end_s, stride)
-    some, single = (Batcher(selection, by_record_time=record) for _ in range(2))
+    clock = Stamps.RECORD if record else Stamps.HEADER
+    some, single = (Batcher(selection, clock) for _ in range(2))
 
     assert list_scans(some.stack(items)) == list_scans(single.stack(singles))
     assert (some.read, some.left_out) == (single.read, single.left_out)

@@ -10,7 +10,6 @@ from occmap.batching import Batcher
 from occmap.explanation.history import CellHistory
 from occmap.explanation.provenance import Use
 from occmap.pipeline import Progress, choose_topics, count_scans, make_poser, plan_grid
-from occmap.posing.options import Stamps
 from occmap.readers import Log, open_log, read_scans
 from occmap.sensor.returns import interpret
 from occmap.types import Int64, PosedScans
@@ -74,7 +73,7 @@ def look_through(use: Use, log: Log, history: CellHistory) -> Iterator[Look]:
     probe = CellProbe(plan_grid(options), history.row, history.col)
     topics = choose_topics(log, options.selection.topics)
     poser = make_poser(log, topics, options.posing)
-    batcher = Batcher(options.selection, by_record_time=options.posing.stamps is Stamps.RECORD)
+    batcher = Batcher(options.selection, options.posing.stamps)
     for batch in batcher.stack(read_scans(log, topics)):
         found: list[Sighting] = []
         posed, _ = poser.attach(batch)

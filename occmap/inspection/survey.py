@@ -13,7 +13,6 @@ from occmap.batching import (
     LeftOut,
     Selection,
     Selector,
-    describe,
 )
 from occmap.errors import PoseError
 from occmap.inspection.extent import Extent
@@ -22,7 +21,7 @@ from occmap.inspection.ranges import RangeCensus
 from occmap.inspection.sample import Sample
 from occmap.inspection.times import StampLog
 from occmap.posing.attach import Poser
-from occmap.posing.options import DropReason, Stamps
+from occmap.posing.options import DropReason
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Kind, Scan, ScanBatch, ScanRun
 
@@ -51,13 +50,12 @@ class TopicSurvey:
     def see(self, some: Scan | ScanRun) -> None:
         """Take note of a scan, or of those of a run."""
         self.stamps.add(some)
-        first, scans = (some.first, len(some.ranges)) if isinstance(some, ScanRun) else (some, 1)
-        self.stated &= first.pose is not None
-        geometry = describe(first)
+        self.stated &= some.first.pose is not None
+        geometry = Geometry.of(some.first)
         self.frames.setdefault(geometry.frame)
         shape = _strip(geometry)
         if shape in self.shapes or len(self.shapes) < MAX_SHAPES:
-            self.shapes[shape] += scans
+            self.shapes[shape] += some.scans
 
 
 @dataclass(eq=False)
@@ -72,11 +70,6 @@ class Survey:
     extent: Extent = field(default_factory=Extent)
     topics: dict[str, TopicSurvey] = field(default_factory=dict)
 
-    @property
-    def by_record_time(self) -> bool:
-        """Whether a scan was taken when it was recorded."""
-        return self.poser.options.stamps is Stamps.RECORD
-
     def read(self, scans: Iterable[Scan | ScanRun]) -> None:
         """Read all scans, holding no more than a batch of each topic."""
         for topic, some in gather_topics(self._select(scans)):
@@ -87,35 +80,22 @@ class Survey:
 
     def _select(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
         """Give the scans that a build would use; of those not asked for nothing else is told."""
-        selector = Selector(self.selection, by_record_time=self.by_record_time)
-        for some in scans:
-            if not isinstance(some, ScanRun):
-                yield from self._select_one(selector, some)
-            elif selector.takes_all(some):
-                survey = self._find(some.first.topic)
-                survey.read += len(some.ranges)
+        selector = Selector(self.selection, self.poser.options.stamps)
+        for some, reason in selector.judge(scans):
+            survey = self._find(some.first.topic)
+            survey.read += some.scans
+            if reason not in NOT_ASKED_FOR:
                 survey.see(some)
+            if reason is None:
                 yield some
             else:
-                for scan in some.split():
-                    yield from self._select_one(selector, scan)
-
-    def _select_one(self, selector: Selector, scan: Scan) -> Iterator[Scan]:
-        survey = self._find(scan.topic)
-        survey.read += 1
-        reason = selector.find_fault(scan)
-        if reason not in NOT_ASKED_FOR:
-            survey.see(scan)
-        if reason is None:
-            yield scan
-        else:
-            survey.left_out[reason] += 1
+                survey.left_out[reason] += 1
 
     def _find(self, topic: str) -> TopicSurvey:
         return self.topics.get(topic) or self._begin(topic)
 
     def _begin(self, topic: str) -> TopicSurvey:
-        batcher = Batcher(Selection(), by_record_time=self.by_record_time)
+        batcher = Batcher(Selection(), self.poser.options.stamps)
         self.topics[topic] = TopicSurvey(topic, Sample(self._expect()), batcher)
         return self.topics[topic]
 
@@ -149,8 +129,7 @@ def gather_topics(
     held: dict[str, list[Scan | ScanRun]] = {}
     beams = 0
     for some in scans:
-        topic = some.first.topic if isinstance(some, ScanRun) else some.topic
-        held.setdefault(topic, []).append(some)
+        held.setdefault(some.first.topic, []).append(some)
         beams += max(some.ranges.size, 1)
         if beams >= BATCH_BEAMS:
             yield from held.items()

@@ -125,7 +125,7 @@ class CarmenLog:
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The same; those that follow one another and are alike, many at a stroke."""
         for some in self._stream_scans() if self._kept is None else self._kept:
-            first = some.first if isinstance(some, ScanRun) else some
+            first = some.first
             if first.topic not in topics:
                 continue
             limit = self._limits.get(first.topic, math.inf)
@@ -189,7 +189,7 @@ class CarmenLog:
         tally.judge(self.path, self.notes, FIX)
 
     def _survey_scans(self, some: Scan | ScanRun) -> None:
-        first, scans = (some.first, len(some.ranges)) if isinstance(some, ScanRun) else (some, 1)
+        first, scans = some.first, some.scans
         if not first.ranges.size:
             self._words[f"{first.topic} without beams"] += scans
             return
