@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from occmap.batching import Batcher, Selection
 from occmap.errors import LogError, MapError, PoseError, UsageError
-from occmap.evidence import keep, render
+from occmap.evidence import render, to_evidence
 from occmap.evidence.manifest import describe_build, plan_manifest
 from occmap.evidence.merging import open_saved
 from occmap.evidence.persistence import check_gap, check_passes, keep_lasting, list_forgotten
@@ -142,7 +142,7 @@ def build(
         past = saved.manifest if saved else plan
         builds = (*past.builds, describe_build(paths, options, tally.to_json()))
         remarks.note_repeated(builds)
-        return keep(tiles, replace(plan, builds=builds, subtracted=past.subtracted), times)
+        return to_evidence(tiles, replace(plan, builds=builds, subtracted=past.subtracted), times)
 
     with tally.time("write"):
         remarks.files += write_outputs(outputs, Product(grid, keep_evidence), options.writing)
@@ -220,7 +220,11 @@ def count_scans(log: Log, wanted: Sequence[str]) -> int:
     LogError
         As `choose_topics`.
     """
-    topics = choose_topics(log, wanted)
+    return count_messages(log, choose_topics(log, wanted))
+
+
+def count_messages(log: Log, topics: Sequence[str]) -> int:
+    """Count the messages of some topics, as the reader has it."""
     return sum(stream.count for stream in log.streams if stream.topic in topics)
 
 

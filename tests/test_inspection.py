@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from occmap.batching import Selection
+from occmap.command import format_range
 from occmap.inspection import Inspection, inspect
 from occmap.inspection.findings import ScanFindings
-from occmap.inspection.flags import format_range
 from occmap.inspection.ranges import BLOCK_RANGES, RangeCensus, find_repeated
 from occmap.inspection.times import StampLog
 from occmap.pipeline import BuildOptions, build
@@ -254,7 +254,7 @@ def test_stamps_that_jump_back_and_drift() -> None:
         scan = Scan(header * 10**9, "", 0, 0.1, np.ones(1, np.float32), 0, 1)
         stamps.add(scan._replace(record_ns=index * 10**9))
 
-    found = stamps.sum_up()
+    found = stamps.sum_up(Stamps.HEADER)
 
     assert (found.jumps_back, found.largest_jump_back_s, found.duplicates) == (1, 1.0, 0)
     assert found.drift_s == -2.0

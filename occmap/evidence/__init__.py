@@ -111,7 +111,7 @@ def read_model(evidence: Evidence) -> SensorModel:
         ) from None
 
 
-def keep(grid: TileGrid, manifest: Manifest, times: tuple[Times, ...]) -> Evidence:
+def to_evidence(grid: TileGrid, manifest: Manifest, times: tuple[Times, ...]) -> Evidence:
     """Make evidence of a grid, and of when each build observed its cells."""
     return Evidence(manifest, *stack_tiles(grid), times)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from occmap.errors import MapError
-from occmap.evidence import keep, to_grid
+from occmap.evidence import to_evidence, to_grid
 from occmap.grid.layers import restrict
 from occmap.grid.stacks import add_stack, drop_empty, stack_tiles
 from occmap.grid.tiles import EvidenceKind, TileGrid
@@ -48,7 +48,7 @@ def merge(evidences: Sequence[Evidence]) -> Evidence:
         builds += other.manifest.builds
         subtracted += other.manifest.subtracted
     manifest = replace(first.manifest, builds=builds, subtracted=subtracted)
-    return keep(grid, manifest, times)
+    return to_evidence(grid, manifest, times)
 
 
 def subtract(evidence: Evidence, other: Evidence) -> Evidence:
@@ -76,7 +76,7 @@ def subtract(evidence: Evidence, other: Evidence) -> Evidence:
         else:
             unknown.append(build)
     manifest = replace(evidence.manifest, builds=tuple(builds), subtracted=tuple(unknown))
-    return keep(grid, manifest, tuple(restrict(layer, grid) for layer in times))
+    return to_evidence(grid, manifest, tuple(restrict(layer, grid) for layer in times))
 
 
 def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None:

@@ -65,7 +65,7 @@ def list_notes(manifest: Manifest) -> Iterator[str]:
 def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> Report:
     """Sum up all builds of evidence, and the map that was made of it."""
     scans = [build["scans"] for build in manifest.builds]
-    read, used = count_scans(manifest)
+    read, used = sum_scans(manifest)
     dropped: dict[str, int] = {}
     for reason, count in (pair for each in scans for pair in each["dropped"].items()):
         dropped[reason] = dropped.get(reason, 0) + count
@@ -88,7 +88,7 @@ def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> 
     )
 
 
-def count_scans(manifest: Manifest) -> tuple[int, int]:
+def sum_scans(manifest: Manifest) -> tuple[int, int]:
     """How many scans all builds of evidence read, and how many they used."""
     scans = [build["scans"] for build in manifest.builds]
     return sum(each["read"] for each in scans), sum(each["used"] for each in scans)
@@ -96,7 +96,7 @@ def count_scans(manifest: Manifest) -> tuple[int, int]:
 
 def describe_resumed(evidence: Evidence) -> Resumed:
     """Say what a build was added to."""
-    return Resumed(evidence.where, *count_scans(evidence.manifest))
+    return Resumed(evidence.where, *sum_scans(evidence.manifest))
 
 
 def read_counts(beams: dict[str, int]) -> ReturnCounts:

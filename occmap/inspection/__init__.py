@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from occmap.command import format_mount
 from occmap.errors import LogError, OccmapError
 from occmap.inspection.advice import compose_command, list_warnings
 from occmap.inspection.extent import Extent
@@ -19,11 +20,10 @@ from occmap.inspection.findings import (
     PoseFindings,
     ScanFindings,
 )
-from occmap.inspection.flags import format_mount
-from occmap.inspection.poses import Posing, count_scans, prepare, suggest_stamps
+from occmap.inspection.poses import Posing, prepare, suggest_stamps
 from occmap.inspection.sample import measure_crossing
 from occmap.inspection.survey import Survey, TopicSurvey
-from occmap.pipeline import BuildOptions, choose_topics
+from occmap.pipeline import BuildOptions, choose_topics, count_messages
 from occmap.posing.coverage import list_coverage
 from occmap.posing.options import DropReason
 from occmap.readers import Log, open_log, read_scans
@@ -78,7 +78,7 @@ def inspect_path(path: Path, options: BuildOptions, extent: Extent) -> LogFindin
 def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent) -> LogFindings:
     """Read the scans of an opened log once, and sum up."""
     topics = choose_topics(log, options.selection.topics)
-    expected = count_scans(log, topics)
+    expected = count_messages(log, topics)
     survey = Survey(posing.poser, options.returns, options.selection, expected, extent)
     problem = ""
     try:
@@ -124,8 +124,6 @@ def _place(error: OccmapError, path: Path) -> str:
 def _sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) -> ScanFindings:
     ranked = topic.shapes.most_common()
     crossed = measure_crossing(topic.sample.parts, options.returns)
-    times = topic.stamps.sum_up()
-    stamps = suggest_stamps(log, posing, topic)
     return ScanFindings(
         topic=topic.topic,
         type=next(stream.type for stream in log.streams if stream.topic == topic.topic),
@@ -135,7 +133,7 @@ def _sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions)
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
         ranges=topic.census.sum_up(crossed),
-        times=replace(times, suggested_stamps=stamps),
+        times=topic.stamps.sum_up(suggest_stamps(log, posing, topic)),
         poses=_sum_up_poses(topic, posing),
         mount=topic.sample.describe_mount(options.returns),
     )

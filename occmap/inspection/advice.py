@@ -2,11 +2,10 @@
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 from occmap.batching import find_oddity
+from occmap.command import compose_build, format_range
 from occmap.inspection.findings import LogFindings, ScanFindings
-from occmap.inspection.flags import format_range, list_given, list_repeatable
 from occmap.pipeline import BuildOptions
 from occmap.wording import count
 
@@ -19,10 +18,7 @@ DRIFT_S = 0.1
 def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple[str, ...]:
     """Compose the command line for logs that can be mapped: the options given, then the advice."""
     paths = [log.path for log in logs if not log.problem]
-    flags = {**list_given(options), **list_advised(logs, options)}
-    words = [word for flag, value in flags.items() for word in (flag, value)]
-    words += list_repeatable(options)
-    return ("occmap", "build", *paths, *words, "-o", f"{name_map(paths[0])}.pgm")
+    return compose_build(paths, options, list_advised(logs, options))
 
 
 def list_advised(logs: Sequence[LogFindings], options: BuildOptions) -> dict[str, str]:
@@ -40,12 +36,6 @@ def list_advised(logs: Sequence[LogFindings], options: BuildOptions) -> dict[str
     if advice == {"clear"}:
         flags["--no-return"] = "clear"
     return flags
-
-
-def name_map(path: str) -> str:
-    """Name a map after its log: the base name without what it is packed and written in."""
-    name = Path(path).resolve().name.removesuffix(".gz")
-    return Path(name).stem or "map"
 
 
 def list_warnings(log: LogFindings) -> list[str]:

@@ -7,6 +7,7 @@ from typing import Any
 
 from occmap.batching import count_wanted
 from occmap.posing.coverage import Coverage
+from occmap.posing.options import Stamps
 from occmap.readers import Stream
 
 
@@ -90,8 +91,8 @@ class TimeFindings:
     """Scans with the stamp of the scan before"""
     all_equal: bool
     all_zero: bool
-    suggested_stamps: str
-    """"header" or "record": what to give as --stamps"""
+    suggested_stamps: Stamps
+    """What to give as --stamps"""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 from occmap.errors import PoseError
 from occmap.inspection.sample import UNTURNED, guess_mount
 from occmap.inspection.survey import Survey, TopicSurvey
-from occmap.pipeline import BuildOptions, take_one
+from occmap.pipeline import BuildOptions, count_messages, take_one
 from occmap.posing.attach import Poser
 from occmap.posing.chain import Status
 from occmap.posing.options import PosingOptions, Stamps
@@ -72,7 +72,7 @@ def assume_mount(
     log: Log, topics: Sequence[str], options: BuildOptions, unturned: Posing
 ) -> Posing:
     """Read the scans as if the sensor were the body, and find the turn that suits them best."""
-    expected = count_scans(log, topics)
+    expected = count_messages(log, topics)
     survey = Survey(unturned.poser, options.returns, options.selection, expected)
     survey.read(read_scans(log, topics))
     parts = [part for topic in survey.topics.values() for part in topic.sample.parts]
@@ -82,25 +82,20 @@ def assume_mount(
     return Posing(poser, unturned.faults, posing.sensor_pose, is_guess=mount is None)
 
 
-def count_scans(log: Log, topics: Sequence[str]) -> int:
-    """Count the scans of some topics, as the reader has it."""
-    return sum(stream.count for stream in log.streams if stream.topic in topics)
-
-
-def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> str:
+def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> Stamps:
     """Say which of the two times of messages gives more scans a pose."""
     chosen = posing.poser.options.stamps
     scans = topic.left_out.total() + topic.posed + topic.dropped.total()
     if topic.stated or not posing.poser.chains or topic.posed >= WELL_POSED * scans:
-        return chosen.value
+        return chosen
     other = Stamps.HEADER if chosen is Stamps.RECORD else Stamps.RECORD
     poser = Poser.build(read_poses(log), replace(posing.poser.options, stamps=other))
     try:
         poser.resolve(topic.frames)
     except PoseError:
-        return chosen.value
+        return chosen
     stamp_ns = topic.stamps.record_ns if other is Stamps.RECORD else topic.stamps.header_ns
     stamp_ns = stamp_ns + round(poser.options.time_offset_s * 1e9)
     chain = poser.chains[next(iter(topic.frames))]
     found = 0 if chain is None else np.count_nonzero(chain.at(stamp_ns).status == Status.POSED)
-    return other.value if found > topic.posed / WELL_POSED else chosen.value
+    return other if found > topic.posed / WELL_POSED else chosen

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from occmap.command import format_mount
 from occmap.inspection.findings import MountFindings
-from occmap.inspection.flags import format_mount
 from occmap.posing.rotations import rotate_by
 from occmap.sensor.returns import NoReturn, ReturnOptions, interpret
 from occmap.types import Bool, Float64, Int64, Kind, Pose, PosedScans, Rays, as_float32

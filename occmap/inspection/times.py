@@ -5,6 +5,7 @@ from array import array
 import numpy as np
 
 from occmap.inspection.findings import TimeFindings
+from occmap.posing.options import Stamps
 from occmap.types import Float64, Int64, Scan, ScanRun
 
 LATEST = 2**62
@@ -37,7 +38,7 @@ class StampLog:
         """(N,) when the recorder stored it."""
         return np.array(self._record, np.int64)
 
-    def sum_up(self) -> TimeFindings:
+    def sum_up(self, suggested_stamps: Stamps) -> TimeFindings:
         """Sum up the times of at least one scan."""
         header, record = self.header_ns, self.record_ns
         steps = np.diff(header) / 1e9
@@ -45,7 +46,6 @@ class StampLog:
         all_equal = len(header) > 1 and bool((header == header[0]).all())
         all_zero = bool((header == 0).all())
         duration_s = float(header.max() - header.min()) / 1e9
-        usable = record.min() != record.max()
         return TimeFindings(
             start_ns=int(header.min()),
             end_ns=int(header.max()),
@@ -59,7 +59,7 @@ class StampLog:
             duplicates=int(np.count_nonzero(steps == 0)),
             all_equal=all_equal,
             all_zero=all_zero,
-            suggested_stamps="record" if (all_equal or all_zero) and usable else "header",
+            suggested_stamps=suggested_stamps,
         )
 
 

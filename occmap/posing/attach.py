@@ -146,14 +146,14 @@ class Poser:
                 f"scans of {batch.frame!r} state no believable time between beams: not de-skewed"
             )
         if not deskewed.any():
-            return _keep_posed(batch, chain.at(self._date(batch)))
+            return _keep_posed(batch, chain.at(self._to_pose_clock(batch)))
         self._note(f"de-skewed: each beam of {batch.frame!r} has a pose of its own")
         if deskewed.all():
-            moments_ns = self._date(batch)[:, None] + _spread_moments(batch)
+            moments_ns = self._to_pose_clock(batch)[:, None] + _spread_moments(batch)
             return _keep_deskewed(batch, chain.at(moments_ns.ravel()), moments_ns.shape[1])
         return _join(*(self._look_up(batch.take(part), chain) for part in (deskewed, ~deskewed)))
 
-    def _date(self, batch: ScanBatch) -> Int64:
+    def _to_pose_clock(self, batch: ScanBatch) -> Int64:
         """Tell when the scans (S) began by the clock of the poses (ns)."""
         stamp_ns = np.clip(batch.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS)
         return stamp_ns + round(self.options.time_offset_s * 1e9)

@@ -25,7 +25,7 @@ def make_foxglove_reader(
     LogError
         The messages are protobuf and cannot be decoded here.
     """
-    decode = decode_json if channel.wire == "json" else make_protobuf_decoder(channel)
+    decode = decode_json if channel.encoding == "json" else make_protobuf_decoder(channel)
     return lambda data, record_ns: convert(decode(data), channel.topic, record_ns)
 
 

@@ -14,7 +14,7 @@ from mcap.records import Channel as McapChannel
 from mcap.records import ChunkIndex, Footer, Schema, Statistics
 
 from occmap.readers.inflate import Buffer
-from occmap.readers.ros_source import Channel, Syntax, Wire
+from occmap.readers.ros_source import Channel, Encoding, Syntax
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
@@ -23,7 +23,7 @@ RECORD = struct.Struct("<BQ")
 # What the mcap library raises on records that are not well formed.
 RECORD_ERRORS = (McapError, struct.error, ArithmeticError, LookupError, MemoryError, ValueError)
 
-_WIRES: Mapping[str, Wire] = {
+_ENCODINGS: Mapping[str, Encoding] = {
     "cdr": "cdr",
     "ros1": "ros1",
     "json": "json",
@@ -86,7 +86,7 @@ class ChannelTable:
         return Channel(
             topic=channel.topic,
             type=schema.name,
-            wire=_WIRES.get(channel.message_encoding, ""),
+            encoding=_ENCODINGS.get(channel.message_encoding, ""),
             definition=schema.data.decode(errors="replace") if syntax else "",
             syntax=syntax,
             count=count,

@@ -27,7 +27,7 @@ from occmap.readers.ros_cdr import (
     read_laser_scan,
     read_transforms,
 )
-from occmap.readers.ros_source import Channel, Wire
+from occmap.readers.ros_source import Channel, Encoding
 from occmap.types import PoseSample, Scan
 
 T = TypeVar("T")
@@ -39,7 +39,7 @@ _DEFINITION_ERRORS = (TypesysError, AssertionError, LookupError, SyntaxError, Ty
 _TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms"
 """rosbags knows all types of ROS 1 but these."""
-_DEFINITIONS: Mapping[Wire, Mapping[str, str]] = {
+_DEFINITIONS: Mapping[Encoding, Mapping[str, str]] = {
     "cdr": STANDARD_DEFINITIONS,
     "ros1": ROS1_DEFINITIONS,
 }
@@ -54,7 +54,7 @@ def make_scan_reader(channel: Channel, options: ReaderOptions) -> FromBytes[Scan
     LogError
         The channel's message definition cannot be understood.
     """
-    if channel.wire in FOXGLOVE_WIRES:
+    if channel.encoding in FOXGLOVE_WIRES:
         return make_foxglove_reader(channel, SCAN_SCHEMAS[channel.type])
     return _make_reader(channel, find_converter(channel.type, options), read_laser_scan)
 
@@ -67,7 +67,7 @@ def make_pose_reader(channel: Channel) -> FromBytes[list[PoseSample]]:
     LogError
         The channel's message definition cannot be understood.
     """
-    if channel.wire in FOXGLOVE_WIRES:
+    if channel.encoding in FOXGLOVE_WIRES:
         return make_foxglove_reader(channel, POSE_SCHEMAS[channel.type])
     convert = POSE_TYPES[normalise_type(channel.type)]
     return _make_reader(channel, convert, read_transforms)
@@ -78,8 +78,8 @@ def is_laid_out_plainly(channel: Channel) -> bool:
 
     Little-endian ones can then be read many at a stroke.
     """
-    name, known = normalise_type(channel.type), _DEFINITIONS.get(channel.wire, {})
-    if channel.zipped or name not in known:
+    name, known = normalise_type(channel.type), _DEFINITIONS.get(channel.encoding, {})
+    if channel.compressed or name not in known:
         return False
     try:
         return is_standard(name, _load_types(channel, name).fielddefs, known)
@@ -96,7 +96,7 @@ def _make_reader(
     name, topic = normalise_type(channel.type), channel.topic
     try:
         store = _load_types(channel, name)
-        short = channel.wire == "cdr" and is_standard(name, store.fielddefs)
+        short = channel.encoding == "cdr" and is_standard(name, store.fielddefs)
         if not short:
             store.get_msgdef(name)
     except _DEFINITION_ERRORS as error:
@@ -104,7 +104,7 @@ def _make_reader(
             f"the definition of {channel.type} cannot be understood ({type(error).__name__})",
             where=topic,
         ) from error
-    decode = store.deserialize_ros1 if channel.wire == "ros1" else store.deserialize_cdr
+    decode = store.deserialize_ros1 if channel.encoding == "ros1" else store.deserialize_cdr
 
     def read_any(data: memoryview, record_ns: int) -> T:
         return convert(decode(data, name), topic, record_ns)
@@ -115,10 +115,10 @@ def _make_reader(
         return read_any(data, record_ns)
 
     read = read_short if short else read_any
-    return _unzip_first(read) if channel.zipped else read
+    return _decompress_first(read) if channel.compressed else read
 
 
-def _unzip_first(read: FromBytes[T]) -> FromBytes[T]:
+def _decompress_first(read: FromBytes[T]) -> FromBytes[T]:
     """Decompress each message before it is read."""
     return lambda data, record_ns: read(inflate_message(data), record_ns)
 
@@ -127,9 +127,9 @@ def _load_types(channel: Channel, name: str) -> Typestore:
     """Load the log's own definition of a message type, or the standard one where it has none."""
     if channel.definition:
         return _parse_definition(channel.definition, name, channel.syntax)
-    if channel.wire == "cdr" and name in STANDARD_DEFINITIONS:
+    if channel.encoding == "cdr" and name in STANDARD_DEFINITIONS:
         return _parse_definition(STANDARD_DEFINITIONS[name], name, "msg")
-    if channel.wire == "cdr":
+    if channel.encoding == "cdr":
         return get_typestore(Stores.ROS2_HUMBLE)
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register(get_types_from_msg(_TF_DEFINITION, name) if name in _TF_TYPES else {})

@@ -238,7 +238,7 @@ def _unstack(
 ) -> Iterator[PoseSample | PoseBatch]:
     """Read stacked messages at a stroke; singly those that are damaged or like no other."""
     try:
-        batches, others = read_alike(stack, channel.wire, reader.decode)
+        batches, others = read_alike(stack, channel.encoding, reader.decode)
     except _DECODE_ERRORS:
         batches, others = [], stack
     yield from batches

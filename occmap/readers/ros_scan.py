@@ -10,7 +10,7 @@ import numpy as np
 
 from occmap.readers.ros_cdr import align, count_at
 from occmap.readers.ros_columns import LITTLE_ENDIAN, read_columns, read_stamps
-from occmap.readers.ros_source import Channel, Wire
+from occmap.readers.ros_source import Channel, Encoding
 from occmap.types import Bool, Scan, ScanRun, UInt8
 
 MOST_BYTES = 1 << 20
@@ -68,14 +68,14 @@ class RawRun:
         IndexError, ValueError, struct.error, OverflowError
             The first message, or a record time, is damaged.
         """
-        wire = self.channel.wire
+        encoding = self.channel.encoding
         raw = np.frombuffer(self._bytes, np.uint8).reshape(-1, self._length)
-        if wire == "cdr" and not self._bytes.startswith(LITTLE_ENDIAN):
+        if encoding == "cdr" and not self._bytes.startswith(LITTLE_ENDIAN):
             return None
-        layout = _locate(memoryview(self._bytes), wire)
+        layout = _locate(memoryview(self._bytes), encoding)
         if layout.ranges + 4 * len(first.ranges) != layout.intensities:
             return None
-        fixed = _mark_fixed(layout, wire)
+        fixed = _mark_fixed(layout, encoding)
         head, count = raw[:, : layout.ranges], raw[:, layout.intensities : layout.intensities + 4]
         if not (_is_same(head[:, fixed]) and _is_same(count)):
             return None
@@ -88,20 +88,20 @@ class RawRun:
         )
 
 
-def _locate(message: memoryview, wire: Wire) -> _Layout:
+def _locate(message: memoryview, encoding: Encoding) -> _Layout:
     """Find the parts of a message."""
     floats = _FRAME + count_at(message, _FRAME - 4)
-    if wire == "cdr":
+    if encoding == "cdr":
         floats = align(floats, 4)
     ranges = floats + _BEAMS + 4
     return _Layout(floats, ranges, ranges + 4 * count_at(message, floats + _BEAMS))
 
 
-def _mark_fixed(layout: _Layout, wire: Wire) -> Bool:
+def _mark_fixed(layout: _Layout, encoding: Encoding) -> Bool:
     """(L,): which bytes before the ranges must be the same in all messages."""
     fixed = np.ones(layout.ranges, np.bool_)
     fixed[_STAMP : _STAMP + 8] = False
-    if wire == "ros1":
+    if encoding == "ros1":
         fixed[:_STAMP] = False
     for at in (_ANGLE_MAX, _TIME_INCREMENT, _SCAN_TIME):
         fixed[layout.floats + at : layout.floats + at + 4] = False

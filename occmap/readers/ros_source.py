@@ -9,7 +9,7 @@ from occmap.readers import Note, Role
 from occmap.readers.foxglove import find_foxglove_role, states_origins
 from occmap.readers.messages import find_role
 
-Wire: TypeAlias = Literal["cdr", "ros1", "json", "protobuf", ""]
+Encoding: TypeAlias = Literal["cdr", "ros1", "json", "protobuf", ""]
 """How messages are written as bytes; "" for what occmap does not read."""
 Syntax: TypeAlias = Literal["msg", "idl", ""]
 """The language of a message definition; "" for none."""
@@ -22,23 +22,23 @@ class Channel:
     topic: str
     type: str
     """As recorded, in ROS 1 or ROS 2 form."""
-    wire: Wire
+    encoding: Encoding
     definition: str = ""
     """The text of the message type and those it is made of, where the log holds it."""
     syntax: Syntax = ""
     count: int = 0
     """Messages in the log."""
-    zipped: bool = False
+    compressed: bool = False
     """Each message is compressed with zstd on its own."""
     descriptors: bytes = b""
-    """The protobuf FileDescriptorSet of the type, where `wire` is "protobuf"."""
+    """The protobuf FileDescriptorSet of the type, where `encoding` is "protobuf"."""
 
     @property
     def role(self) -> Role:
         """What the messages can be used for."""
-        if self.wire in {"cdr", "ros1"}:
+        if self.encoding in {"cdr", "ros1"}:
             return find_role(self.type)
-        return find_foxglove_role(self.type) if self.wire else Role.OTHER
+        return find_foxglove_role(self.type) if self.encoding else Role.OTHER
 
     @property
     def has_poses(self) -> bool:

@@ -14,12 +14,12 @@ from urllib.parse import quote
 
 from occmap.errors import LogError
 from occmap.readers import Note
-from occmap.readers.ros_source import Channel, RawMessage, Syntax, Wire, add_note
+from occmap.readers.ros_source import Channel, Encoding, RawMessage, Syntax, add_note
 
 MAGIC = b"SQLite format 3\x00"
 
 _SYNTAXES: Mapping[str, Syntax] = {"ros2msg": "msg", "ros2idl": "idl"}
-_WIRES: Mapping[str, Wire] = {"cdr": "cdr"}
+_ENCODINGS: Mapping[str, Encoding] = {"cdr": "cdr"}
 
 
 class SqliteSource:
@@ -117,9 +117,9 @@ def _read_topics(database: sqlite3.Connection) -> dict[int, Channel]:
     definitions = _read_definitions(database)
     rows = database.execute("SELECT id, name, type, serialization_format FROM topics")
     topics = {}
-    for key, name, kind, wire in rows:
+    for key, name, kind, encoding in rows:
         text, syntax = definitions.get(kind, ("", ""))
-        topics[key] = Channel(str(name), str(kind), _WIRES.get(wire, ""), text, syntax)
+        topics[key] = Channel(str(name), str(kind), _ENCODINGS.get(encoding, ""), text, syntax)
     return topics
 
 

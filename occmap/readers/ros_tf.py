@@ -11,7 +11,7 @@ import numpy as np
 from occmap.readers.ros_cdr import align, count_at
 from occmap.readers.ros_columns import LITTLE_ENDIAN, read_columns, read_stamps
 from occmap.readers.ros_decode import FromBytes
-from occmap.readers.ros_source import Wire
+from occmap.readers.ros_source import Encoding
 from occmap.types import Bool, Int64, PoseBatch, PoseSample, UInt8
 
 RawTransforms: TypeAlias = tuple[bytes, int]
@@ -30,7 +30,7 @@ class _Fields(NamedTuple):
 
 
 def read_alike(
-    messages: list[RawTransforms], wire: Wire, read: FromBytes[list[PoseSample]]
+    messages: list[RawTransforms], encoding: Encoding, read: FromBytes[list[PoseSample]]
 ) -> tuple[list[PoseBatch], list[RawTransforms]]:
     """Read messages of one length.
 
@@ -58,7 +58,7 @@ def read_alike(
         if not len(left):
             break
         first = messages[left[0]][0]
-        fields = _locate(first, wire)
+        fields = _locate(first, encoding)
         fixed = _mark_fixed(length, fields)
         alike = (raw[left][:, fixed] == raw[left[0], fixed]).all(axis=1)
         rows = left[alike]
@@ -70,7 +70,7 @@ def read_alike(
     return batches, [messages[i] for i in left]
 
 
-def _locate(message: bytes, wire: Wire) -> list[_Fields]:
+def _locate(message: bytes, encoding: Encoding) -> list[_Fields]:
     """Find the numbers of a message.
 
     Raises
@@ -78,26 +78,26 @@ def _locate(message: bytes, wire: Wire) -> list[_Fields]:
     ValueError, struct.error
         The message is damaged, or big-endian.
     """
-    if wire == "cdr" and message[:2] != LITTLE_ENDIAN:
+    if encoding == "cdr" and message[:2] != LITTLE_ENDIAN:
         raise ValueError("the message is not little-endian")
     data = memoryview(message)
-    at = 4 if wire == "cdr" else 0
+    at = 4 if encoding == "cdr" else 0
     count, at = count_at(data, at), at + 4
     fields = []
     for _ in range(count):
-        header = align(at, 4) if wire == "cdr" else at
-        stamp = header if wire == "cdr" else header + 4
-        child = _pass_name(data, stamp + 8, wire)
-        end = _pass_name(data, child, wire)
-        pose = align(end, 8) if wire == "cdr" else end
+        header = align(at, 4) if encoding == "cdr" else at
+        stamp = header if encoding == "cdr" else header + 4
+        child = _pass_name(data, stamp + 8, encoding)
+        end = _pass_name(data, child, encoding)
+        pose = align(end, 8) if encoding == "cdr" else end
         fields.append(_Fields(header, stamp, pose))
         at = pose + 56
     return fields
 
 
-def _pass_name(data: memoryview, at: int, wire: Wire) -> int:
+def _pass_name(data: memoryview, at: int, encoding: Encoding) -> int:
     """Find where a name ends that begins, with its length, at an offset or, in CDR, behind it."""
-    start = align(at, 4) if wire == "cdr" else at
+    start = align(at, 4) if encoding == "cdr" else at
     return start + 4 + count_at(data, start)
 
 

@@ -103,9 +103,7 @@ def split_messages(block: Buffer, wanted: Container[int]) -> Iterator[tuple[int,
         if match is None:
             header, start, end = next(split_records(block, at))
             if header.opcode == MESSAGE:
-                pattern = (
-                    _describe_alike(header) if header.fields.keys() >= _VALUES.keys() else None
-                )
+                pattern = _describe_alike(header)
                 if (connection := header.number(b"conn")) in wanted:
                     yield connection, header.time_ns(), start, end
         else:
@@ -140,7 +138,7 @@ def parse_connection(header: Header, data: Buffer) -> Channel:
     return Channel(
         topic=header.text(b"topic"),
         type=fields.text(b"type"),
-        wire="ros1",
+        encoding="ros1",
         definition=fields.text(b"message_definition"),
         syntax="msg",
     )

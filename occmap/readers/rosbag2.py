@@ -153,9 +153,9 @@ def _read_start(file: Path) -> bytes:
         return opened.read(16)
 
 
-def _list_channels(part: Source, zipped: bool) -> dict[Channel, Channel]:
+def _list_channels(part: Source, compressed: bool) -> dict[Channel, Channel]:
     """Map the channels of a storage file to those of the folder."""
-    return {item: replace(item, zipped=zipped) for item in part.channels}
+    return {item: replace(item, compressed=compressed) for item in part.channels}
 
 
 def _read_metadata(path: Path) -> _Metadata:

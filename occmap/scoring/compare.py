@@ -6,9 +6,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from occmap.command import compose_build
 from occmap.errors import LogError, UsageError
-from occmap.inspection.advice import name_map
-from occmap.inspection.flags import list_given, list_repeatable
 from occmap.pipeline import (
     DEFAULT_UPDATE,
     BuildOptions,
@@ -63,7 +62,9 @@ class VariantComparison:
 
     def build_command(self, result: Result) -> tuple[str, ...]:
         """Compose the command line that builds the map of a variant from all scans."""
-        return compose_command(self.remarks.logs, result.variant, self.options)
+        variant = result.variant
+        flags = {"--model": shorten_model(variant.model)}
+        return compose_build(self.remarks.logs, self.options, flags, variant.update.value)
 
     def to_json(self) -> dict[str, Any]:
         """The comparison as values that JSON has."""
@@ -171,19 +172,6 @@ def refuse_unscored(logs: Sequence[str], hold_out: HoldOut) -> None:
             where=", ".join(logs),
             fix="give more scans: every fifth is held out",
         )
-
-
-def compose_command(
-    logs: Sequence[str], variant: Variant, options: BuildOptions
-) -> tuple[str, ...]:
-    """Compose the words of an `occmap build` that makes a variant's map."""
-    words = [word for flag, value in list_given(options).items() for word in (flag, value)]
-    words += list_repeatable(options)
-    model = shorten_model(variant.model)
-    return (
-        *("occmap", "build", variant.update.value, *logs),
-        *("--model", model, *words, "-o", f"{name_map(logs[0])}.pgm"),
-    )
 
 
 def result_to_json(result: Result) -> dict[str, Any]:

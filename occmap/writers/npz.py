@@ -78,7 +78,7 @@ class NpzWriter:
         """
         arrays = pack(evidence)
         head = {"format": FORMAT, "version": VERSION, **asdict(evidence.manifest)}
-        head["checksum"] = sum_up(head, arrays)
+        head["checksum"] = compute_checksum(head, arrays)
         text = json.dumps(head, sort_keys=True, indent=1, allow_nan=False)
         arrays = {"manifest": np.frombuffer(text.encode(), np.uint8), **arrays}
         with open_atomic(path) as file, zipfile.ZipFile(file, "w") as archive:
@@ -107,7 +107,7 @@ def pack(evidence: Evidence) -> Arrays:
     }
 
 
-def sum_up(head: dict[str, Any], arrays: Arrays) -> str:
+def compute_checksum(head: dict[str, Any], arrays: Arrays) -> str:
     """SHA-256 over all that the file says, but the checksum itself."""
     said = {name: value for name, value in head.items() if name != "checksum"}
     digest = hashlib.sha256(json.dumps(said, sort_keys=True).encode())
@@ -191,7 +191,7 @@ def unpack(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidence:
     MapError
         The checksum does not fit, or what it is of is no evidence.
     """
-    if head["checksum"] != sum_up(head, arrays):
+    if head["checksum"] != compute_checksum(head, arrays):
         raise MapError(
             "the checksum does not fit: the file was altered", where=path, fix="build it again"
         )

@@ -8,7 +8,7 @@ import pytest
 
 from occmap.cli import run
 from occmap.cli.values import parse_sensor_pose, parse_transform
-from occmap.inspection.flags import format_mount, format_static
+from occmap.command import format_mount, format_static
 from tests.inspection_logs import SCANS, Drive, write_bag, write_csv
 from tests.readers.ros import RANGES, ROS2, Written, drive, scan, write_mcap
 from tests.samples import write_csv as write_planar

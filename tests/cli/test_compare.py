@@ -37,7 +37,7 @@ def test_the_table_names_the_best_and_how_to_build_it(log: Path) -> None:
     shares = [float(line.split()[2]) for line in lines[1:5]]
     assert shares == sorted(shares, reverse=True)
     assert lines[5:7] == ["", "scored by 4 beams of 2 held-out scans; 10 of 10 used"]
-    build = f"occmap build beam '{log}' --model simple --resolution 0.1 -o 'my room.pgm'"
+    build = f"occmap build beam '{log}' --resolution 0.1 --model simple -o 'my room.pgm'"
     assert lines[7] == f"as good: {', '.join(names)}"  # two scans tell little
     assert lines[8:10] == ["best: beam simple", build]
     likely = build.replace("simple", "counting")

@@ -84,18 +84,20 @@ def _write(
     path: Path,
     log: Sequence[Message],
     encode: Callable[[str, dict[str, Any]], bytes],
-    wire: str,
+    encoding: str,
 ) -> Path:
-    schema_data = b"{}" if wire == "json" else b"".join([make_descriptors().SerializeToString()])
+    schema_data = (
+        b"{}" if encoding == "json" else b"".join([make_descriptors().SerializeToString()])
+    )
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
         channels: dict[str, int] = {}
         for topic, schema, record_ns, fields in log:
             if topic not in channels:
-                kind = "jsonschema" if wire == "json" else "protobuf"
+                kind = "jsonschema" if encoding == "json" else "protobuf"
                 schema_id = writer.register_schema(schema, kind, schema_data)
-                channels[topic] = writer.register_channel(topic, wire, schema_id)
+                channels[topic] = writer.register_channel(topic, encoding, schema_id)
             writer.add_message(channels[topic], record_ns, encode(schema, fields), record_ns)
         writer.finish()  # type: ignore[no-untyped-call]  # the library's gap
     return path

@@ -135,12 +135,12 @@ def write_bag1(path: Path, log: Sequence[Written], compression: str = "none") ->
 
 class Bag2(NamedTuple):
     storage: StoragePlugin
-    zipped: CompressionMode = CompressionMode.NONE
+    compressed: CompressionMode = CompressionMode.NONE
 
     def write(self, path: Path, log: Sequence[Written]) -> Path:
         writer = Writer2(path, version=9, storage_plugin=self.storage)
-        if self.zipped is not CompressionMode.NONE:
-            writer.set_compression(self.zipped, CompressionFormat.ZSTD)
+        if self.compressed is not CompressionMode.NONE:
+            writer.set_compression(self.compressed, CompressionFormat.ZSTD)
         with writer:
             connections: dict[str, Any] = {}
             for topic, record_ns, message in log:

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from occmap.readers import ros_log, ros_scan
 from occmap.readers.ros_log import RosLog
-from occmap.readers.ros_source import Channel, Wire
+from occmap.readers.ros_source import Channel, Encoding
 from occmap.types import Scan, ScanRun
 from tests.readers.ros import ROS1, ROS2, SCAN, Memory, scan
 from tests.readers.runs import flatten, list_fields
 
-WIRES: Sequence[Wire] = ("cdr", "ros1")
+ENCODINGS: Sequence[Encoding] = ("cdr", "ros1")
 # Fields behind the header; a driver that measures its own speed changes them from scan to scan.
 FIELDS = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_max")
 CHANGES = st.sampled_from(["", "", "", "", "", "", "cut", "beams", "big-endian", *FIELDS])
@@ -29,13 +29,13 @@ MESSAGES = st.tuples(
 
 
 def write(
-    wire: Wire, frame: str, stamp_ns: int, ranges: Sequence[float], change: str = ""
+    encoding: Encoding, frame: str, stamp_ns: int, ranges: Sequence[float], change: str = ""
 ) -> bytes:
-    store = ROS1 if wire == "ros1" else ROS2
+    store = ROS1 if encoding == "ros1" else ROS2
     message = scan(store, stamp_ns, frame, np.array(ranges, np.float32))
     if change in FIELDS:
         setattr(message, change, 0.5)
-    serialise = store.serialize_ros1 if wire == "ros1" else store.serialize_cdr
+    serialise = store.serialize_ros1 if encoding == "ros1" else store.serialize_cdr
     data = bytearray(serialise(message, SCAN))
     if change == "cut":
         data[-1:] = b""
@@ -47,19 +47,19 @@ def write(
     return bytes(data)
 
 
-def make_channel(wire: Wire, topic: str = "/scan", count: int = 99) -> Channel:
-    store = ROS1 if wire == "ros1" else ROS2
-    return Channel(topic, SCAN, wire, store.generate_msgdef(SCAN)[0], "msg", count)
+def make_channel(encoding: Encoding, topic: str = "/scan", count: int = 99) -> Channel:
+    store = ROS1 if encoding == "ros1" else ROS2
+    return Channel(topic, SCAN, encoding, store.generate_msgdef(SCAN)[0], "msg", count)
 
 
-@pytest.mark.parametrize("wire", WIRES)
+@pytest.mark.parametrize("encoding", ENCODINGS)
 @given(st.data())
 @settings(max_examples=150, deadline=None)
-def test_scans_of_a_run_are_those_read_one_by_one(wire: Wire, data: st.DataObject) -> None:
+def test_scans_of_a_run_are_those_read_one_by_one(encoding: Encoding, data: st.DataObject) -> None:
     written = data.draw(st.lists(MESSAGES, max_size=12))
-    channels = [make_channel(wire, topic) for topic in ("/front", "/rear")]
+    channels = [make_channel(encoding, topic) for topic in ("/front", "/rear")]
     messages = [
-        (channels[channel], 7 * i, write(wire, frame, stamp_ns, ranges, change))
+        (channels[channel], 7 * i, write(encoding, frame, stamp_ns, ranges, change))
         for i, (channel, frame, stamp_ns, ranges, change) in enumerate(written)
     ]
     alone, stacked = RosLog(Memory(messages)), RosLog(Memory(messages))
@@ -73,15 +73,15 @@ def test_scans_of_a_run_are_those_read_one_by_one(wire: Wire, data: st.DataObjec
     assert stacked.notes == alone.notes
 
 
-@pytest.mark.parametrize("wire", WIRES)
+@pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("changing", ["stamp", "angle_max", "scan_time"])
 def test_what_nobody_uses_may_differ_within_a_run(
-    wire: Wire, changing: str, monkeypatch: pytest.MonkeyPatch
+    encoding: Encoding, changing: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    channel = make_channel(wire)
+    channel = make_channel(encoding)
     changes = [changing if changing in FIELDS and i % 2 else "" for i in range(10)]
     messages = [
-        (channel, 100 + i, write(wire, "laser", i, [i, 0.5], changes[i])) for i in range(10)
+        (channel, 100 + i, write(encoding, "laser", i, [i, 0.5], changes[i])) for i in range(10)
     ]
     monkeypatch.setattr(ros_scan, "MOST_BYTES", 4 * len(messages[0][2]))
     monkeypatch.setattr(ros_log, "SHORTEST_RUN", 4)
@@ -96,13 +96,13 @@ def test_what_nobody_uses_may_differ_within_a_run(
     assert runs[1].ranges.tolist() == [[4, 0.5], [5, 0.5], [6, 0.5], [7, 0.5]]
 
 
-@pytest.mark.parametrize("wire", WIRES)
+@pytest.mark.parametrize("encoding", ENCODINGS)
 def test_each_scan_of_a_run_has_its_own_time_between_beams(
-    wire: Wire, monkeypatch: pytest.MonkeyPatch
+    encoding: Encoding, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    channel = make_channel(wire)
+    channel = make_channel(encoding)
     changes = ["", "time_increment", ""]
-    messages = [(channel, i, write(wire, "laser", i, [1, 2], changes[i])) for i in range(3)]
+    messages = [(channel, i, write(encoding, "laser", i, [1, 2], changes[i])) for i in range(3)]
     monkeypatch.setattr(ros_log, "SHORTEST_RUN", 3)
 
     (run,) = RosLog(Memory(messages)).stacked_scans(["/scan"])
@@ -113,14 +113,15 @@ def test_each_scan_of_a_run_has_its_own_time_between_beams(
     assert before == after != 0.5
 
 
-@pytest.mark.parametrize("wire", WIRES)
+@pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("change", ["angle_min", "angle_increment", "range_max"])
 def test_scans_of_another_geometry_are_no_run(
-    wire: Wire, change: str, monkeypatch: pytest.MonkeyPatch
+    encoding: Encoding, change: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    channel = make_channel(wire)
+    channel = make_channel(encoding)
     messages = [
-        (channel, i, write(wire, "laser", i, [1, 2], change if i == 7 else "")) for i in range(9)
+        (channel, i, write(encoding, "laser", i, [1, 2], change if i == 7 else ""))
+        for i in range(9)
     ]
     monkeypatch.setattr(ros_log, "SHORTEST_RUN", 2)
 

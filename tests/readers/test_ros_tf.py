@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from occmap.readers import ros_log
 from occmap.readers.ros_log import RosLog
-from occmap.readers.ros_source import Channel, Wire
+from occmap.readers.ros_source import Channel, Encoding
 from occmap.types import Pose, PoseBatch, PoseSample
 from tests.readers.ros import ROS1, ROS2, TF, Memory, transforms
 
@@ -22,24 +22,24 @@ EDGES = st.lists(st.tuples(NAMES, NAMES, st.floats(-9, 9)), max_size=3)
 DAMAGE = st.sampled_from(["", "", "", "cut", "count", "big-endian"])
 
 
-def write(edges: Edges, stamp_ns: int, damage: str = "", wire: Wire = "cdr") -> bytes:
-    if wire == "cdr":
+def write(edges: Edges, stamp_ns: int, damage: str = "", encoding: Encoding = "cdr") -> bytes:
+    if encoding == "cdr":
         data = bytearray(ROS2.serialize_cdr(transforms(ROS2, stamp_ns, edges), TF))
     else:
         data = bytearray(ROS1.serialize_ros1(transforms(ROS1, stamp_ns, edges), TF))
     if damage == "cut":
         del data[-1:]
     elif damage == "count":
-        at = 4 if wire == "cdr" else 0
+        at = 4 if encoding == "cdr" else 0
         data[at : at + 4] = b"\xff\xff\xff\x7f"
     elif damage == "big-endian":
         data[1] ^= 1
     return bytes(data)
 
 
-def make_channel(topic: str, count: int, wire: Wire = "cdr") -> Channel:
-    definition = (ROS1 if wire == "ros1" else ROS2).generate_msgdef(TF)[0]
-    return Channel(topic, TF, wire, definition, "msg", count)
+def make_channel(topic: str, count: int, encoding: Encoding = "cdr") -> Channel:
+    definition = (ROS1 if encoding == "ros1" else ROS2).generate_msgdef(TF)[0]
+    return Channel(topic, TF, encoding, definition, "msg", count)
 
 
 def by_key(items: Iterable[PoseSample | PoseBatch]) -> dict[Key, list[PoseSample]]:
@@ -63,14 +63,16 @@ def split(item: PoseSample | PoseBatch) -> list[PoseSample]:
     ]
 
 
-@pytest.mark.parametrize("wire", ["cdr", "ros1"])
+@pytest.mark.parametrize("encoding", ["cdr", "ros1"])
 @given(data=st.data())
 @settings(max_examples=150, deadline=None)
-def test_stacked_transforms_are_those_read_one_by_one(wire: Wire, data: st.DataObject) -> None:
+def test_stacked_transforms_are_those_read_one_by_one(
+    encoding: Encoding, data: st.DataObject
+) -> None:
     written = data.draw(st.lists(st.tuples(EDGES, st.integers(0, 1), DAMAGE), max_size=12))
-    channels = [make_channel(topic, 9, wire) for topic in ("/tf", "/tf_static")]
+    channels = [make_channel(topic, 9, encoding) for topic in ("/tf", "/tf_static")]
     messages = [
-        (channels[c], 7 * i, write(edges, 10**9 * i + 5, damage, wire))
+        (channels[c], 7 * i, write(edges, 10**9 * i + 5, damage, encoding))
         for i, (edges, c, damage) in enumerate(written)
     ]
     alone, stacked = RosLog(Memory(messages)), RosLog(Memory(messages))
@@ -79,12 +81,14 @@ def test_stacked_transforms_are_those_read_one_by_one(wire: Wire, data: st.DataO
     assert stacked.notes == alone.notes
 
 
-@pytest.mark.parametrize("wire", ["cdr", "ros1"])
+@pytest.mark.parametrize("encoding", ["cdr", "ros1"])
 def test_messages_laid_out_alike_are_read_at_a_stroke(
-    wire: Wire, monkeypatch: pytest.MonkeyPatch
+    encoding: Encoding, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    channel = make_channel("/tf", 100, wire)
-    messages = [(channel, i, write([("odom", "base", float(i))], i, wire=wire)) for i in range(100)]
+    channel = make_channel("/tf", 100, encoding)
+    messages = [
+        (channel, i, write([("odom", "base", float(i))], i, encoding=encoding)) for i in range(100)
+    ]
     monkeypatch.setattr(ros_log, "STACK_BYTES", 40 * len(messages[0][2]))
 
     items = list(RosLog(Memory(messages)).stacked_poses())

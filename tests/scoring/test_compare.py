@@ -252,7 +252,7 @@ def test_the_command_repeats_what_was_chosen() -> None:
         resolution=0.1, jump=0.3, selection=Selection(stride=2), returns=ReturnOptions(max_range=9)
     )
     comparison = compare([DRIVE], [Variant(Update.BEAM, CountingModel(prior=0.4))], options)
-    words = "--model counting:prior=0.4 --resolution 0.1 --max-range 9 --stride 2 --jump 0.3"
+    words = "--resolution 0.1 --max-range 9 --stride 2 --jump 0.3 --model counting:prior=0.4"
     expected = f"occmap build beam {DRIVE} {words} -o drive.pgm"
     assert comparison.build_command(comparison.recommended) == tuple(expected.split())
 

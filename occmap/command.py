@@ -1,8 +1,9 @@
-"""Options as the flags that a command line has them in."""
+"""The `occmap build` line that makes a map: options as the flags that a user would type."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -36,6 +37,30 @@ RETURN_FLAGS = {
     "range_max": "--range-max",
     "no_return": "--no-return",
 }
+
+
+def compose_build(
+    logs: Sequence[str], options: BuildOptions, flags: Mapping[str, str], update: str = ""
+) -> tuple[str, ...]:
+    """Compose the words of an `occmap build`.
+
+    Parameters
+    ----------
+    options
+        Those that differ from their defaults are written; not so update, model and outputs.
+    flags
+        More, which override those of the options.
+    """
+    words = [word for pair in {**list_given(options), **flags}.items() for word in pair]
+    words += list_repeatable(options)
+    start = ("occmap", "build", update) if update else ("occmap", "build")
+    return (*start, *logs, *words, "-o", f"{name_map(logs[0])}.pgm")
+
+
+def name_map(path: str) -> str:
+    """Name a map after its log: the base name without what it is packed and written in."""
+    name = Path(path).resolve().name.removesuffix(".gz")
+    return Path(name).stem or "map"
 
 
 def list_given(options: BuildOptions) -> dict[str, str]:
