@@ -252,12 +252,14 @@ def test_stamps_that_jump_back_and_drift() -> None:
     stamps = StampLog()
     for index, header in enumerate([0, 1, 2, 1, 2, 3, 4, 5, 6, 7]):
         scan = Scan(header * 10**9, "", 0, 0.1, np.ones(1, np.float32), 0, 1)
-        stamps.add(scan._replace(record_ns=index * 10**9))
+        increment = [math.nan, math.inf, 1e-4, 3e-4][min(index, 3)]
+        stamps.add(scan._replace(record_ns=index * 10**9, time_increment=increment))
 
     found = stamps.sum_up(Stamps.HEADER)
 
     assert (found.jumps_back, found.largest_jump_back_s, found.duplicates) == (1, 1.0, 0)
     assert found.drift_s == -2.0
+    assert found.time_increment_s == 3e-4  # the median of those that are finite
     assert (found.duration_s, found.largest_gap_s) == (7.0, 1.0)
 
 

@@ -89,6 +89,8 @@ class TimeFindings:
     largest_jump_back_s: float
     duplicates: int
     """Scans with the stamp of the scan before"""
+    time_increment_s: float
+    """Median time from one beam to the next; 0 where the log states none"""
     all_equal: bool
     all_zero: bool
     suggested_stamps: Stamps

@@ -13,20 +13,23 @@ LATEST = 2**62
 
 
 class StampLog:
-    """Both times of every scan of a topic, 16 bytes each."""
+    """The times of every scan of a topic, 24 bytes each."""
 
     def __init__(self) -> None:
         self._header = array("q")
         self._record = array("q")
+        self._increment = array("d")
 
     def add(self, some: Scan | ScanRun) -> None:
         """Take the times of a scan, or of those of a run."""
         if isinstance(some, ScanRun):
             self._header.frombytes(np.clip(some.stamp_ns, -LATEST, LATEST).tobytes())
             self._record.frombytes(np.clip(some.record_ns, -LATEST, LATEST).tobytes())
+            self._increment.frombytes(some.time_increment.tobytes())
         else:
             self._header.append(min(max(some.stamp_ns, -LATEST), LATEST))
             self._record.append(min(max(some.record_ns, -LATEST), LATEST))
+            self._increment.append(some.time_increment)
 
     @property
     def header_ns(self) -> Int64:
@@ -57,10 +60,17 @@ class StampLog:
             jumps_back=int(np.count_nonzero(steps < 0)),
             largest_jump_back_s=float((-steps).max(initial=0)),
             duplicates=int(np.count_nonzero(steps == 0)),
+            time_increment_s=_take_median(np.array(self._increment)),
             all_equal=all_equal,
             all_zero=all_zero,
             suggested_stamps=suggested_stamps,
         )
+
+
+def _take_median(values: Float64) -> float:
+    """Take the median of what is finite; 0 where nothing is."""
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else 0.0
 
 
 def _measure_drift(offset: Float64) -> float:

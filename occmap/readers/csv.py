@@ -13,6 +13,7 @@ from occmap.readers.csv_layout import (
     POSE_NAMES,
     Layout,
     is_known,
+    name_unused,
     read_layout,
     read_number,
     split_cells,
@@ -37,6 +38,8 @@ from occmap.types import UNKNOWN_POSE, Float32, Pose, PoseSample, Scan, ScanRun,
 TOPIC = "scan"
 VARIABLE = frozenset(("stamp", "time_increment", *POSE_NAMES))
 """What differs between the scans of one laser, beside their ranges."""
+MAX_NAMES = 5
+"""Names in one note."""
 NUMBER_CHARACTERS = b"+-.0123456789Ee, inaf"
 
 
@@ -86,7 +89,7 @@ class CsvLog:
         self._layout = self._survey()
         self._check_last()
         if self._layout.unused:
-            text = f"columns that are not used: {', '.join(self._layout.unused[:5])}"
+            text = f"columns that are not used: {', '.join(self._layout.unused[:MAX_NAMES])}"
             add_note(self.notes, Note(text))
 
     @property
@@ -135,11 +138,14 @@ class CsvLog:
         """Find the header, and the constants wherever they stand, and count the rows."""
         header: Line | None = None
         comments: dict[str, Line] = {}
+        unused: dict[str, None] = {}
         for line in self._walk():
             if _is_comment(line):
                 constant = split_constant(line.text)
                 if constant is not None:
                     comments.setdefault(constant[0], line)
+                elif (name := name_unused(line.text)) and len(unused) < MAX_NAMES:
+                    unused[name] = None
             elif header is None:
                 header = line
             else:
@@ -148,6 +154,8 @@ class CsvLog:
         if header is None:
             found = "; ".join(["no header row", *(note.text for note in self.notes)])
             raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
+        if unused:
+            add_note(self.notes, Note(f"comments that are not used: {', '.join(unused)}"))
         return read_layout(self.path, header, comments)
 
     def _check_last(self) -> None:

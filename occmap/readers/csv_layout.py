@@ -8,6 +8,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +20,8 @@ REQUIRED = ("stamp", "angle_min", "angle_increment")
 DEFAULTS = {"range_min": "0", "range_max": "inf", "time_increment": "0", "frame": "laser"}
 NAMES = frozenset((*REQUIRED, *DEFAULTS, *POSE_NAMES))
 """What may stand as a column or in a comment; beams are columns only."""
+ALIASES = {"stamp": ("time", "timestamp", "t"), "yaw": ("theta", "heading")}
+"""What other programs call a column; none is read as it, for its unit may be another."""
 BEAM = re.compile(r"r\d+")
 ROSTOPIC = "%time"
 """How the header of `rostopic echo -p` starts."""
@@ -124,6 +127,16 @@ def split_constant(text: str) -> tuple[str, str] | None:
     return (name, value.strip()) if colon and name in NAMES else None
 
 
+def name_unused(text: str) -> str | None:
+    """Name what a comment `# name: number` states that means nothing here; None of any other."""
+    name, colon, value = text.lstrip("# \t").partition(":")
+    name = name.strip()
+    with suppress(ValueError):
+        float(value)
+        return name if colon and name.isidentifier() and name not in NAMES else None
+    return None
+
+
 def is_known(name: str) -> bool:
     """Whether a column of this name means something to occmap."""
     return name in NAMES or BEAM.fullmatch(name) is not None
@@ -145,7 +158,9 @@ def _find_fault(names: list[str], given: set[str]) -> tuple[str, str] | None:
     posed = POSE_NAMES if given.intersection(POSE_NAMES) else ()
     for name in (*REQUIRED, *posed):
         if name not in given:
-            return f"no column {name}", f"add it, or a comment `# {name}: VALUE` for all rows"
+            other = next((other for other in ALIASES.get(name, ()) if other in names), None)
+            add = f"add it, or a comment `# {name}: VALUE` for all rows"
+            return f"no column {name}", f"rename the column {other} to it" if other else add
     beams = sum(1 for name in names if BEAM.fullmatch(name))
     for name in (f"r{beam}" for beam in range(max(beams, 1))):
         if name not in given:

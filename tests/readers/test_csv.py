@@ -132,6 +132,18 @@ def test_unused_columns_are_noted(tmp_path: Path) -> None:
     assert len(list(log.scans(["scan"]))) == 1
 
 
+def test_comments_with_numbers_that_mean_nothing_are_noted(tmp_path: Path) -> None:
+    comments = "# max_range: 30\n# by hand: 3\n# frame: laser\n# at: noon\n# zero: 0\n"
+    log = open_text(tmp_path, comments + f"{HEADER}\n{ROW}\n")
+    assert log.notes == [Note("comments that are not used: max_range, zero")]
+
+
+@pytest.mark.parametrize(("name", "other"), [("stamp", "time"), ("yaw", "theta")])
+def test_a_column_under_another_name_is_told(tmp_path: Path, name: str, other: str) -> None:
+    with pytest.raises(LogError, match=f"no column {name}; rename the column {other} to it"):
+        open_text(tmp_path, f"{HEADER.replace(name, other)}\n{ROW}\n")
+
+
 def test_another_topic_has_no_scans(tmp_path: Path) -> None:
     assert list(open_text(tmp_path, f"{HEADER}\n{ROW}\n").scans(["/scan"])) == []
 
