@@ -20,6 +20,7 @@ from occmap.sensor.bounds import Clamped
 from occmap.sensor.models import SensorModel
 from occmap.sensor.returns import ReturnCounts
 from occmap.types import OccupancyMap
+from occmap.wording import write_counts
 from occmap.writers import WriteOptions, list_idle
 
 Item = TypeVar("Item")
@@ -230,9 +231,8 @@ def refuse_unseen(logs: Sequence[Log], tally: Tally, grid: TileGrid) -> None:
     if grid.tiles:
         return
     counts = {name.replace("_", " "): number for name, number in tally.beams._asdict().items()}
-    beams = ", ".join(f"{number} {name}" for name, number in counts.items() if number)
     raise MapError(
-        f"no beam of any scan observed a cell: {beams}",
+        f"no beam of any scan observed a cell: {write_counts(counts)}",
         where=", ".join(str(log.path) for log in logs),
         fix="see the ranges in `occmap check`",
     )

@@ -1,5 +1,6 @@
 """How numbers of things, and moments, are written for people."""
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
 
 DATES_S = range(631_152_000, 4_102_444_800)
@@ -10,6 +11,11 @@ def count(number: int, noun: str) -> str:
     """Write how many there are: 1 beam, 2,000 beams, 2 misses."""
     ending = "" if number == 1 else "es" if noun.endswith("s") else "s"
     return f"{number:,} {noun}{ending}"
+
+
+def write_counts(counts: Mapping[str, int]) -> str:
+    """List how many there are of each; nothing is said of what there is none of."""
+    return ", ".join(f"{number:,} {name}" for name, number in counts.items() if number)
 
 
 def write_time(stamp_ns: int) -> str:

@@ -14,12 +14,10 @@ from occmap.cli.summary import LABEL
 from occmap.cli.values import PATH, parse_share, read_by
 from occmap.difference import MapDifference, compare_maps, paint
 from occmap.difference.maps import load_map
-from occmap.errors import UsageError
 from occmap.gates import Limit, judge
 from occmap.gates.measures import DIFF
 from occmap.wording import count
-from occmap.writers import WriteOptions
-from occmap.writers.atomic import check_target
+from occmap.writers import WriteOptions, check_picture
 
 HELP = f"""{COMMANDS["diff"]}
 
@@ -70,7 +68,8 @@ fail_above = option(
 @click.pass_obj
 def command(console: Console, /, before: Path, after: Path, **values: Any) -> None:
     """Compare two maps, paint the changes, and hold the limit."""
-    check_picture(values["output"])
+    if values["output"] is not None:
+        check_picture(values["output"])
     thresholds = take(WriteOptions, values)
     difference = compare_maps(load_map(before, thresholds), load_map(after, thresholds))
     if values["output"]:
@@ -85,21 +84,6 @@ def command(console: Console, /, before: Path, after: Path, **values: Any) -> No
         console.put("\n".join(format_comparison(difference)))
     limits.tell(console, failed)
     limits.leave(failed)
-
-
-def check_picture(path: Path | None) -> None:
-    """Find out before the work what could not be written after it.
-
-    Raises
-    ------
-    UsageError, OutputError
-        The picture would be no PNG, or cannot be written.
-    """
-    if path is None:
-        return
-    if path.suffix.lower() != ".png":
-        raise UsageError("a picture of changes is a PNG", where=path, fix="try -o diff.png")
-    check_target(path)
 
 
 def format_comparison(difference: MapDifference) -> Iterator[str]:

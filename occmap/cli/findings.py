@@ -2,7 +2,7 @@
 
 import math
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 from occmap.inspection.findings import (
     Inspection,
@@ -17,7 +17,7 @@ from occmap.inspection.findings import (
 )
 from occmap.posing.coverage import Coverage
 from occmap.readers import Role
-from occmap.wording import count, write_span
+from occmap.wording import count, write_counts, write_span
 
 LABEL = 10
 """Width of the first column."""
@@ -69,7 +69,7 @@ def list_topic(topic: ScanFindings) -> Iterator[Row]:
     left = f"{topic.kept:,} of " if topic.left_out else ""
     yield "scans", f"{topic.topic}: {left}{topic.scans:,} in {duration}, frame {frames}"
     if topic.left_out:
-        yield "dropped", format_counts(topic.left_out)
+        yield "dropped", write_counts(topic.left_out)
     yield from _label_first("shape", list(list_shapes(topic)))
     yield from list_ranges(topic.ranges)
     yield "stamps", write_span(topic.times.start_ns, topic.times.end_ns)
@@ -135,7 +135,7 @@ def format_poses(topic: ScanFindings) -> str:
     """Say how many scans have a pose, and where it comes from."""
     poses = topic.poses
     way = "stated beside the scans" if poses.stated else " > ".join(poses.chain)
-    lost = format_counts(poses.dropped)
+    lost = write_counts(poses.dropped)
     share = f"{poses.posed:,} of {count(topic.kept, 'scan')}"
     given = f" with --sensor-pose {poses.assumed}" if poses.assumed else ""
     return f"{share}{given}" + (f", {way}" if way else "") + (f"; {lost}" if lost else "")
@@ -194,11 +194,6 @@ def format_bytes(size: float) -> str:
             return f"{size:.3g} {unit}"
         size /= 1000
     return f"{size:,.3g} GB"
-
-
-def format_counts(counts: Mapping[str, int]) -> str:
-    """List what there is of each."""
-    return ", ".join(f"{number:,} {name}" for name, number in counts.items())
 
 
 def _label_first(name: str, texts: list[str]) -> list[Row]:

@@ -8,7 +8,6 @@ from occmap.cli.collect import SHORTHANDS, collect_model, take
 from occmap.cli.console import Console
 from occmap.cli.summary import (
     LABEL,
-    format_counts,
     format_scans,
     format_shares,
     format_size,
@@ -21,6 +20,7 @@ from occmap.gates import judge
 from occmap.report import Report
 from occmap.sensor.models import SensorModel
 from occmap.types import Evidence
+from occmap.wording import write_counts
 from occmap.writers import WriteOptions, check_outputs
 
 
@@ -79,7 +79,7 @@ def format_saved(report: Report) -> str:
         ("cells", format_shares(report)),
         ("update", format_update(report)),
         ("scans", format_scans(report)),
-        ("dropped", format_counts(report.dropped)),
+        ("dropped", write_counts(report.dropped)),
         *label_files(report),
     ]
     return "\n".join(f"{label:<{LABEL}}{text}" for label, text in lines if text)

@@ -1,9 +1,9 @@
 """A report as text: aligned lines for people; programs read the JSON."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 from occmap.report import Report
-from occmap.wording import count
+from occmap.wording import count, write_counts
 
 LABEL = 9
 """Width of the first column."""
@@ -16,7 +16,7 @@ def format_report(report: Report, seconds: float) -> str:
         ("cells", format_shares(report)),
         ("update", format_update(report)),
         ("scans", format_scans(report)),
-        ("dropped", format_counts(report.dropped)),
+        ("dropped", write_counts(report.dropped)),
         ("beams", format_beams(report)),
         ("time", format_time(report, seconds)),
         *label_files(report),
@@ -61,12 +61,7 @@ def format_shares(report: Report) -> str:
 def format_beams(report: Report) -> str:
     """Say what the beams of the used scans meant."""
     counts = {name.replace("_", " "): count for name, count in report.beams._asdict().items()}
-    return f"{sum(counts.values()):,}: {format_counts(counts)}"
-
-
-def format_counts(counts: Mapping[str, int]) -> str:
-    """List what there is of each; nothing is said of what there is none of."""
-    return ", ".join(f"{count:,} {name}" for name, count in counts.items() if count)
+    return f"{sum(counts.values()):,}: {write_counts(counts)}"
 
 
 def format_time(report: Report, seconds: float) -> str:

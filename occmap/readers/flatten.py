@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from occmap.readers.header import read_frame, read_stamp
 from occmap.readers.options import Echo, ReaderOptions
 from occmap.types import Float32, Float64, Scan, as_float32
 
@@ -94,14 +95,3 @@ def find_nearest(points: Float64) -> Float32:
     nearest = np.full(BEARINGS, np.inf, np.float32)
     np.minimum.at(nearest, sector[distance > 0], distance[distance > 0])
     return nearest
-
-
-def read_stamp(header: Any) -> int:
-    """Read a header's stamp, in ns."""
-    stamp_ns: int = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
-    return stamp_ns
-
-
-def read_frame(name: str) -> str:
-    """Read a frame's name; old logs write `/laser` in one place and `laser` in another."""
-    return name.lstrip("/")

@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from occmap.readers import Role
+from occmap.readers.header import read_frame
 from occmap.types import Pose, PoseSample, Scan, as_float32
 
 FOXGLOVE_WIRES = ("json", "protobuf")
@@ -40,7 +41,7 @@ def convert_scan(message: Any, topic: str, record_ns: int) -> Scan:
     `convert_origin` gives.
     """
     beams = len(message.ranges)
-    frame = _read_frame(message.frame_id)
+    frame = read_frame(message.frame_id)
     return Scan(
         stamp_ns=_read_time(message.timestamp),
         frame=frame if _read_origin(message) == IDENTITY else name_origin(frame, topic),
@@ -56,7 +57,7 @@ def convert_scan(message: Any, topic: str, record_ns: int) -> Scan:
 
 def convert_origin(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
     """Give the pose of a foxglove.LaserScan in its frame; none where it is the frame's own."""
-    origin, frame = _read_origin(message), _read_frame(message.frame_id)
+    origin, frame = _read_origin(message), read_frame(message.frame_id)
     if origin == IDENTITY:
         return []
     child, stamp_ns = name_origin(frame, topic), _read_time(message.timestamp)
@@ -73,8 +74,8 @@ def convert_transform(message: Any, topic: str, record_ns: int) -> list[PoseSamp
     return [
         PoseSample(
             stamp_ns=_read_time(message.timestamp),
-            parent=_read_frame(message.parent_frame_id),
-            child=_read_frame(message.child_frame_id),
+            parent=read_frame(message.parent_frame_id),
+            child=read_frame(message.child_frame_id),
             pose=_read_pose(message.translation, message.rotation),
             topic=topic,
             record_ns=record_ns,
@@ -104,7 +105,7 @@ def convert_poses(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
 def _make_sample(message: Any, pose: Any, topic: str, record_ns: int) -> PoseSample:
     return PoseSample(
         stamp_ns=_read_time(message.timestamp),
-        parent=_read_frame(message.frame_id),
+        parent=read_frame(message.frame_id),
         child="",
         pose=_read_pose(pose.position, pose.orientation),
         topic=topic,
@@ -120,10 +121,6 @@ def _read_time(time: Any) -> int:
     """Read a time in ns; decoding has brought both encodings to these names."""
     stamp_ns: int = time.sec * 1_000_000_000 + time.nsec
     return stamp_ns
-
-
-def _read_frame(name: str) -> str:
-    return name.lstrip("/")
 
 
 def _read_pose(position: Any, rotation: Any) -> Pose:

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from occmap.readers import Role
-from occmap.readers.flatten import convert_cloud, convert_multi_echo, read_frame, read_stamp
+from occmap.readers.flatten import convert_cloud, convert_multi_echo
+from occmap.readers.header import read_frame, read_stamp
 from occmap.readers.options import ReaderOptions
 from occmap.types import Pose, PoseSample, Scan
 

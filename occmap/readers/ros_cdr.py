@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rosbags.typesys import get_types_from_msg
 
+from occmap.readers.header import read_frame
 from occmap.readers.messages import is_static_topic
 from occmap.types import Pose, PoseSample, Scan
 
@@ -168,7 +169,7 @@ def align(at: int, size: int) -> int:
 
 def _read_frame(data: memoryview, at: int, length: int) -> str:
     """Read a frame's name; its length counts a closing zero byte."""
-    return str(data[at : at + length - 1], "utf-8").lstrip("/")
+    return read_frame(str(data[at : at + length - 1], "utf-8"))
 
 
 def _check_end(data: memoryview, end: int) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from occmap.command import compose_build
-from occmap.errors import LogError, UsageError
+from occmap.errors import LogError
 from occmap.pipeline import (
     DEFAULT_UPDATE,
     BuildOptions,
@@ -22,7 +22,7 @@ from occmap.scoring.trials import HoldOut, Result, Task, Trials
 from occmap.scoring.variants import Variant, shorten_model
 from occmap.types import Rays
 from occmap.wording import count
-from occmap.writers.atomic import check_target
+from occmap.writers import check_picture
 
 FEW_SCANS = 10
 """Fewer draws do not tell how far the next one may lie from them."""
@@ -143,19 +143,6 @@ def compare(
         write_picture(picture, results)
         remarks.files.append(str(picture))
     return VariantComparison(options, remarks, tally, hold_out.scans, results)
-
-
-def check_picture(path: Path) -> None:
-    """Find out before the work starts what could not be drawn after it.
-
-    Raises
-    ------
-    UsageError, OutputError
-        It is to be no PNG, or cannot be made.
-    """
-    if path.suffix.lower() != ".png":
-        raise UsageError("the picture is a PNG", where=path, fix="give it a name that ends in .png")
-    check_target(path)
 
 
 def refuse_unscored(logs: Sequence[str], hold_out: HoldOut) -> None:

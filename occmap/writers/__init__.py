@@ -141,6 +141,19 @@ def check_outputs(outputs: Sequence[Path]) -> None:
             )
 
 
+def check_picture(path: Path) -> None:
+    """Find out before the work starts whether a picture of it could not be written.
+
+    Raises
+    ------
+    UsageError, OutputError
+        It is to be no PNG, or cannot be made.
+    """
+    if path.suffix.lower() != ".png":
+        raise UsageError("the picture is a PNG", where=path, fix="give it a name that ends in .png")
+    check_target(path)
+
+
 def want_evidence(outputs: Sequence[Path]) -> bool:
     """Whether any output is of what was observed, not of a map."""
     return any(isinstance(find_writer(path), EvidenceWriter) for path in outputs)
