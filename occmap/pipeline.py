@@ -3,7 +3,7 @@
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from itertools import islice
+from itertools import compress, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -86,6 +86,13 @@ class BuildOptions:
                 f"a border gap of {self.border_gap} cells is not possible", fix="give 0 to 1000"
             )
 
+    def list_idle(self) -> Iterator[str]:
+        """Say which options do nothing under the update."""
+        changed = self.jump != BuildOptions.jump, self.border_gap != BuildOptions.border_gap
+        if self.update is Update.BEAM:
+            for flag in compress(("--jump", "--border-gap"), changed):
+                yield f"{flag} does nothing: it is for `occmap build polygon`"
+
 
 class Build(NamedTuple):
     """A map and how it came about."""
@@ -135,7 +142,11 @@ def build(
     with tally.time("render"):
         lasting = keep_lasting(tiles, times, options.min_passes)
         grid = render(lasting, options.model, options.max_cells)
-    remarks.notes += (*list_lacking(tally), *list_forgotten(times, options.min_passes))
+    remarks.notes += (
+        *options.list_idle(),
+        *list_lacking(tally),
+        *list_forgotten(times, options.min_passes),
+    )
 
     @cache  # two files may want it, and it takes time to hash the logs
     def keep_evidence() -> Evidence:

@@ -180,6 +180,16 @@ def test_odd_angles_are_noted_by_build_and_check(
     assert any("degrees?" in line or "same way" in line for line in lines) == bool(note)
 
 
+def test_options_of_the_other_update_are_noted(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", [(0, 0, 0)], [1.0])
+    words = [log, "--jump", "0.3", "--border-gap", "4", "-o", tmp_path / "map.pgm"]
+    assert occmap("build", *words).err == (
+        "note: --jump does nothing: it is for `occmap build polygon`\n"
+        "note: --border-gap does nothing: it is for `occmap build polygon`\n"
+    )
+    assert occmap("build", "polygon", *words).err == ""
+
+
 def test_quiet_prints_nothing(tmp_path: Path) -> None:
     assert occmap("build", write_cut(tmp_path), "-o", tmp_path / "m.pgm", "-q") == (0, "", "")
 
