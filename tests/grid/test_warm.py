@@ -1,5 +1,6 @@
 """Kernels are compiled once, for all logs; where they cannot be kept, once a process."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -88,3 +89,37 @@ def test_kernels_that_cannot_be_kept_work_and_say_so_once() -> None:
     assert done.stdout == "compiled\n"
     assert done.stderr.count("\n") == 1
     assert "NUMBA_CACHE_DIR" in done.stderr
+
+
+LOADED = """
+import sys
+from occmap.cli import run
+assert run(["build", "polygon", *sys.argv[1:], "-q"]) == 0
+print("numba.np.linalg" in sys.modules)
+"""
+
+
+def test_kept_machine_code_is_loaded_without_preparing_to_compile(tmp_path: Path) -> None:
+    maps = [tmp_path / "compiled.pgm", tmp_path / "kept.pgm"]
+    prepared = [
+        subprocess.run(
+            [sys.executable, "-c", LOADED, SAMPLE, "-o", path],
+            capture_output=True,
+            text=True,
+            check=True,
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+        ).stdout
+        for path in maps
+    ]
+    assert prepared == ["True\n", "False\n"]
+    assert maps[0].read_bytes() == maps[1].read_bytes()
+
+
+def test_a_numba_of_another_make_is_left_as_it_is() -> None:
+    class Other:
+        _cache = None
+
+    other = Other()
+    jit.load_kept_alone(other)
+    assert other._cache is None
+    jit.load_kept_alone(object())

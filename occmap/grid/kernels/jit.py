@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from numba.core.runtime.nrt import rtsys
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -29,7 +30,29 @@ def kernel(function: F) -> F:
         compiled = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
     finally:
         config.CACHE_DIR = before
+    load_kept_alone(compiled)
     return compiled  # type: ignore[return-value]  # it is called like the function it was made of
+
+
+def load_kept_alone(compiled: Any) -> None:
+    """Load kept machine code without preparing to compile: a tenth of a second less at a start.
+
+    Before it looks for kept code, numba imports and registers all that a function might call while
+    it is compiled. Of that, kept code needs the runtime that allocates arrays; and where there is
+    none to load, numba prepares once more before it compiles. A numba that is made otherwise is
+    left as it is.
+    """
+    kept: Any = getattr(compiled, "_cache", None)
+    inner = "load_overload", "_load_overload", "_guard_against_spurious_io_errors"
+    if not all(hasattr(kept, name) for name in inner):
+        return
+
+    def load_overload(signature: Any, context: Any) -> Any:
+        rtsys.initialize(context)
+        with kept._guard_against_spurious_io_errors():
+            return kept._load_overload(signature, context)
+
+    kept.load_overload = load_overload
 
 
 @cache
