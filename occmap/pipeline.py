@@ -17,6 +17,7 @@ from occmap.evidence.publishing import describe_resumed
 from occmap.grid.lattice import Lattice
 from occmap.grid.spec import GridSpec, tabulate
 from occmap.grid.stacks import add_stack
+from occmap.grid.tiles import MAX_CELLS
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
 from occmap.readers import Log, Role, open_log, read_poses, read_scans
@@ -40,7 +41,6 @@ if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than al
     from occmap.grid.engine import GridEngine
 
 DEFAULT_UPDATE = Update.BEAM
-MAX_CELLS = 10**9
 
 Progress = Callable[[int, int], None]
 """Told, now and then, how many scans were read since the last call and how many there are."""

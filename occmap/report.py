@@ -19,7 +19,7 @@ from occmap.readers import Log
 from occmap.sensor.bounds import Clamped
 from occmap.sensor.models import SensorModel
 from occmap.sensor.returns import ReturnCounts
-from occmap.types import OccupancyMap
+from occmap.types import Box, OccupancyMap
 from occmap.wording import write_counts
 from occmap.writers import WriteOptions, list_idle
 
@@ -119,7 +119,7 @@ class Report:
     resolution: float
     columns: int
     rows: int
-    extent: tuple[float, float, float, float]
+    extent: Box
     """Lowest x and y, highest x and y (m)"""
     shares: Shares
     seconds: dict[str, float] = field(default_factory=dict)

@@ -24,6 +24,10 @@ UInt64: TypeAlias = NDArray[np.uint64]
 Bool: TypeAlias = NDArray[np.bool_]
 
 
+Box: TypeAlias = tuple[float, float, float, float]
+"""Lowest x and y, highest x and y (m)"""
+
+
 class Pose(NamedTuple):
     """A rigid transform: position in metres, rotation as a unit quaternion."""
 
@@ -333,7 +337,7 @@ class OccupancyMap:
         return free
 
     @property
-    def extent(self) -> tuple[float, float, float, float]:
+    def extent(self) -> Box:
         """Lowest x and y, highest x and y (m)."""
         (rows, cols), (x, y) = self.shape, self.origin
         return x, y, x + cols * self.resolution, y + rows * self.resolution

@@ -1,6 +1,6 @@
 """How numbers of things, and moments, are written for people."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 
 DATES_S = range(631_152_000, 4_102_444_800)
@@ -16,6 +16,12 @@ def count(number: int, noun: str) -> str:
 def write_counts(counts: Mapping[str, int]) -> str:
     """List how many there are of each; nothing is said of what there is none of."""
     return ", ".join(f"{number:,} {name}" for name, number in counts.items() if number)
+
+
+def write_box(box: Sequence[float]) -> str:
+    """Write from where to where a box reaches: its lowest x and y, its highest x and y (m)."""
+    low_x, low_y, high_x, high_y = (f"{edge:.6g}" for edge in box)
+    return f"x {low_x} to {high_x} m, y {low_y} to {high_y} m"
 
 
 def write_time(stamp_ns: int) -> str:

@@ -8,7 +8,7 @@ from occmap.explanation import BuildVisits, Explanation, describe_numbers
 from occmap.explanation.provenance import shorten
 from occmap.explanation.sightings import Numbers, Sighting, add_up
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
-from occmap.wording import count, write_time
+from occmap.wording import count, write_box, write_time
 
 MOST_SCANS = 12
 """More are cut out of the middle of the list"""
@@ -29,7 +29,7 @@ def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
     """Say where the cell is, what it is, and what is beside it."""
     history, observed = explanation.history, explanation.cell.observed.all()
     place = f"row {history.row}, column {history.col}"
-    yield "cell", f"{place}: {format_extent(history.extent)}"
+    yield "cell", f"{place}: {write_box(history.extent)}"
     if observed:
         by = f"probability {explanation.probability:.3f} by {explanation.model}"
         yield "class", f"{explanation.verdict}: {by}"
@@ -44,7 +44,7 @@ def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
         low_x, low_y, high_x, high_y = explanation.extent
         x, y = explanation.question.x, explanation.question.y
         if not (low_x <= x < high_x and low_y <= y < high_y):
-            yield "", f"it lies outside of the map: {format_extent(explanation.extent)}"
+            yield "", f"it lies outside of the map: {write_box(explanation.extent)}"
     else:
         yield "", "nor any other: the evidence is empty"
     if history.around.any():
@@ -68,12 +68,6 @@ def describe_visits(build: BuildVisits, kind: EvidenceKind) -> str:
         visits = f"hit on {hit_visits:,} of {visits}"
     span = f"from {write_time(first_ns)} to {write_time(last_ns)}"
     return f"{shorten(build.logs)}: {visits}, {span}"
-
-
-def format_extent(extent: tuple[float, float, float, float]) -> str:
-    """Say from where to where a box reaches."""
-    low_x, low_y, high_x, high_y = (f"{value:.6g}" for value in extent)
-    return f"x {low_x} to {high_x} m, y {low_y} to {high_y} m"
 
 
 def list_around(explanation: Explanation) -> Iterator[tuple[str, str]]:

@@ -5,9 +5,8 @@ from typing import Any
 
 import click
 
-from occmap.batching import Selection
 from occmap.cli import COMMANDS, limits, log_options, options
-from occmap.cli.collect import take
+from occmap.cli.collect import collect_reading
 from occmap.cli.console import Console
 from occmap.cli.findings import format_inspection
 from occmap.cli.sections import SectionCommand, join
@@ -16,10 +15,6 @@ from occmap.errors import UsageError
 from occmap.gates import judge
 from occmap.gates.measures import CHECK
 from occmap.inspection import inspect
-from occmap.pipeline import BuildOptions
-from occmap.posing.options import PosingOptions
-from occmap.readers.options import ReaderOptions
-from occmap.sensor.returns import ReturnOptions
 
 HELP = f"""{COMMANDS["check"]}
 
@@ -43,7 +38,7 @@ def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> Non
     """Look into logs, and print what was found."""
     if not logs:
         raise UsageError("no log is given", fix="type: occmap check LOG")
-    inspection = inspect(logs, collect_options(values))
+    inspection = inspect(logs, collect_reading(values))
     console = ctx.ensure_object(Console)
     failed = judge(values["limits"], inspection)
     if values["as_json"]:
@@ -54,21 +49,3 @@ def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> Non
     if not inspection.buildable:
         ctx.exit(1)
     limits.leave(failed)
-
-
-def collect_options(values: dict[str, Any]) -> BuildOptions:
-    """Gather what a user chose that matters before a map is made.
-
-    Raises
-    ------
-    UsageError
-        A value is out of its range.
-    """
-    return BuildOptions(
-        resolution=values["resolution"],
-        max_cells=values["max_cells"],
-        reading=take(ReaderOptions, values),
-        returns=take(ReturnOptions, values),
-        posing=take(PosingOptions, values),
-        selection=take(Selection, values),
-    )

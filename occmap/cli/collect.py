@@ -33,14 +33,27 @@ def collect_options(update: Update, values: Values) -> BuildOptions:
         A value is out of its range, or does not fit another.
     """
     return replace(
-        take(BuildOptions, values),
+        collect_reading(values),
         update=update,
         model=collect_model(values),
+        writing=take(WriteOptions, values),
+    )
+
+
+def collect_reading(values: Values) -> BuildOptions:
+    """Gather what matters before a map is made: scans, poses and ranges, and the size of the map.
+
+    Raises
+    ------
+    UsageError
+        A value is out of its range.
+    """
+    return replace(
+        take(BuildOptions, values),
         reading=take(ReaderOptions, values),
         returns=take(ReturnOptions, values),
         posing=take(PosingOptions, values),
         selection=take(Selection, values),
-        writing=take(WriteOptions, values),
     )
 
 

@@ -3,15 +3,13 @@
 import math
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from occmap.batching import Selection
 from occmap.cli import COMMANDS, limits, log_options, options
-from occmap.cli.collect import take
+from occmap.cli.collect import collect_reading
 from occmap.cli.console import Console
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join, option
@@ -19,14 +17,10 @@ from occmap.cli.values import PATH
 from occmap.errors import UsageError
 from occmap.gates import judge
 from occmap.gates.measures import COMPARE
-from occmap.pipeline import BuildOptions
-from occmap.posing.options import PosingOptions
-from occmap.readers.options import ReaderOptions
 from occmap.scoring.compare import VariantComparison, compare
 from occmap.scoring.trials import Result
 from occmap.scoring.variants import DEFAULT_MODELS, Variant, combine
 from occmap.sensor.models import parse_model
-from occmap.sensor.returns import ReturnOptions
 from occmap.types import Update
 from occmap.wording import count
 
@@ -88,7 +82,7 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     """Compare variants, and print the table."""
     if not logs:
         raise UsageError("no log is given", fix="type: occmap compare LOG")
-    chosen, common = collect_variants(values), collect_options(values)
+    chosen, common = collect_variants(values), collect_reading(values)
     with show_progress(console) as progress:
         comparison = compare(logs, chosen, common, values["picture"], progress)
     for note in comparison.remarks.notes:
@@ -112,23 +106,6 @@ def collect_variants(values: dict[str, Any]) -> list[Variant]:
     """
     models = [parse_model(text) for text in values["model_texts"]]
     return combine([Update(text) for text in values["updates"]], models)
-
-
-def collect_options(values: dict[str, Any]) -> BuildOptions:
-    """Gather what all variants share.
-
-    Raises
-    ------
-    UsageError
-        A value is out of its range.
-    """
-    return replace(
-        take(BuildOptions, values),
-        returns=take(ReturnOptions, values),
-        posing=take(PosingOptions, values),
-        selection=take(Selection, values),
-        reading=take(ReaderOptions, values),
-    )
 
 
 def format_comparison(comparison: VariantComparison) -> str:

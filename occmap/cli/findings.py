@@ -17,7 +17,7 @@ from occmap.inspection.findings import (
 )
 from occmap.posing.coverage import Coverage
 from occmap.readers import Role
-from occmap.wording import count, write_counts, write_span
+from occmap.wording import count, write_box, write_counts, write_span
 
 LABEL = 10
 """Width of the first column."""
@@ -179,10 +179,9 @@ def format_source(source: Coverage) -> str:
 
 def format_map(grid: MapFindings) -> str:
     """Say how large the map would be."""
-    x, y, x_end, y_end = (f"{value:.6g}" for value in grid.extent)
     return (
-        f"{grid.columns:,} x {grid.rows:,} cells of {grid.resolution:g} m, x {x} to {x_end} m, "
-        f"y {y} to {y_end} m; {format_bytes(grid.file_bytes)} as PGM, "
+        f"{grid.columns:,} x {grid.rows:,} cells of {grid.resolution:g} m, "
+        f"{write_box(grid.extent)}; {format_bytes(grid.file_bytes)} as PGM, "
         f"{format_bytes(grid.memory_bytes)} of memory at most"
     )
 

@@ -11,8 +11,8 @@ from occmap.cli.saved import put_out, refuse_no_output
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.values import PATH, read_by, read_list
 from occmap.errors import UsageError
-from occmap.evidence import Box
 from occmap.gates.measures import SAVED
+from occmap.types import Box
 from occmap.writers.npz import read_evidence
 
 HELP = f"""{COMMANDS["render"]}

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from occmap.report import Report
-from occmap.wording import count, write_counts
+from occmap.wording import count, write_box, write_counts
 
 LABEL = 9
 """Width of the first column."""
@@ -45,9 +45,8 @@ def format_update(report: Report) -> str:
 
 def format_size(report: Report) -> str:
     """Say how large the map is and where it lies."""
-    low_x, low_y, high_x, high_y = (f"{value:.6g}" for value in report.extent)
     cells = f"{report.columns:,} x {report.rows:,} cells of {report.resolution:g} m"
-    return f"{cells}, x {low_x} to {high_x} m, y {low_y} to {high_y} m"
+    return f"{cells}, {write_box(report.extent)}"
 
 
 def format_shares(report: Report) -> str:

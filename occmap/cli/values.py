@@ -10,7 +10,7 @@ import click
 
 from occmap.cli.console import Console, Verbosity
 from occmap.errors import UsageError
-from occmap.types import Pose, PoseSample
+from occmap.types import Box, Pose, PoseSample
 from occmap.wording import count
 
 PATH = click.Path(path_type=Path, readable=False)
@@ -89,7 +89,7 @@ def parse_sector(text: str) -> tuple[float, float]:
     return start, end
 
 
-def parse_box(text: str) -> tuple[float, float, float, float]:
+def parse_box(text: str) -> Box:
     """Read the lowest and the highest x and y; raises UsageError where that is no box."""
     form = "write x_min,y_min,x_max,y_max in metres, such as -0.4,-0.3,0.2,0.3"
     x_min, y_min, x_max, y_max = read_list(text, 4, f"--footprint {text}", form)

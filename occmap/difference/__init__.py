@@ -9,9 +9,9 @@ import numpy as np
 from occmap.difference.blobs import find_largest_blob
 from occmap.difference.maps import CellClass, ClassMap, Place
 from occmap.errors import MapError
-from occmap.types import UInt8
+from occmap.grid.tiles import MAX_CELLS
+from occmap.types import Box, UInt8
 
-MAX_CELLS = 10**9
 LATTICE_TOLERANCE = 0.05
 """In cells: other tools round the origin to millimetres."""
 SAME_RESOLUTION = 1e-6
@@ -38,7 +38,7 @@ class ChangedBlob:
     """Connected cells that changed."""
 
     cells: int
-    extent: tuple[float, float, float, float]
+    extent: Box
     """Lowest x and y, highest x and y (m; cells where the maps are bare images)"""
 
 

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from occmap.errors import MapError, UsageError
-from occmap.evidence import MAX_CELLS, read_model, render_saved
+from occmap.evidence import read_model, render_saved
+from occmap.grid.tiles import MAX_CELLS
 from occmap.types import Bool, Int64, UInt8
 from occmap.writers import MapMode, WriteOptions
 from occmap.writers.npz import read_evidence

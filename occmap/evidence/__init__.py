@@ -14,14 +14,10 @@ from occmap.grid.stacks import add_stack, stack_tiles
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid
 from occmap.sensor.bounds import Clamped
 from occmap.sensor.models import RadialModel, SensorModel, parse_model
-from occmap.types import Evidence, Float64, Int64, Manifest, OccupancyMap, Times, to_log_odds
-
-MAX_CELLS = 10**9
+from occmap.types import Box, Evidence, Float64, Int64, Manifest, OccupancyMap, Times, to_log_odds
 
 Weigh: TypeAlias = Callable[[Int64, Int64], Float64]
 """Takes hits and misses, or log-odds and observations"""
-Box: TypeAlias = tuple[float, float, float, float]
-"""Lowest x and y, highest x and y (m)"""
 CELL_SLACK = 1e-6
 """In cells: 0.15 m is three cells of 0.05 m, whatever floats say."""
 

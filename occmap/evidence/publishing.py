@@ -4,13 +4,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from occmap.evidence import MAX_CELLS, Box, crop, read_model, render_saved
+from occmap.evidence import crop, read_model, render_saved
 from occmap.evidence.persistence import list_forgotten
 from occmap.evidence.repetition import list_repeated
+from occmap.grid.tiles import MAX_CELLS
 from occmap.report import Report, Resumed, list_unreached, measure_shares
 from occmap.sensor.models import SensorModel, describe_model
 from occmap.sensor.returns import ReturnCounts
-from occmap.types import Evidence, Manifest, OccupancyMap
+from occmap.types import Box, Evidence, Manifest, OccupancyMap
 from occmap.writers import Product, WriteOptions, check_outputs, list_idle, write_outputs
 
 

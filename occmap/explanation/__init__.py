@@ -17,7 +17,7 @@ from occmap.explanation.sightings import Numbers, Sighting, add_up, find_sightin
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.pipeline import Progress, ignore_progress
 from occmap.sensor.models import SensorModel, describe_model
-from occmap.types import Evidence, OccupancyMap, to_log_odds
+from occmap.types import Box, Evidence, OccupancyMap, to_log_odds
 from occmap.wording import count
 from occmap.writers import WriteOptions
 
@@ -63,7 +63,7 @@ class Explanation:
     """Of this one cell: nothing is observed where --min-passes leaves nothing"""
     builds: tuple[BuildVisits, ...]
     """Those that observed the cell"""
-    extent: tuple[float, float, float, float] | None
+    extent: Box | None
     """Of all observed cells: lowest x and y, highest x and y (m); None: there are none"""
     scans_used: int = 0
     """Scans of the logs that were looked through: those that their builds used"""
@@ -163,7 +163,7 @@ def list_visits(evidence: Evidence, history: CellHistory) -> Iterator[BuildVisit
             yield BuildVisits(index, tuple(logs), visits)
 
 
-def measure_extent(evidence: Evidence) -> tuple[float, float, float, float] | None:
+def measure_extent(evidence: Evidence) -> Box | None:
     """Lowest x and y, highest x and y of the observed cells (m); None where there are none."""
     grid = to_grid(evidence)
     if not grid.tiles:

@@ -10,7 +10,7 @@ from occmap.errors import UsageError
 from occmap.grid.lattice import Lattice
 from occmap.grid.layers import find_cell
 from occmap.grid.tiles import TILE, EvidenceKind
-from occmap.types import Evidence, Int64, Times
+from occmap.types import Box, Evidence, Int64, Times
 
 FARTHEST_CELL = 1 << 44
 """Beyond this a float cannot tell the parts of a cell apart."""
@@ -33,7 +33,7 @@ class CellHistory:
 
     row: int
     col: int
-    extent: tuple[float, float, float, float]
+    extent: Box
     """Lowest x and y, highest x and y (m)"""
     kind: EvidenceKind
     """What the two numbers are"""

@@ -8,7 +8,7 @@ from occmap.errors import MapError
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.projection import Projected, project
 from occmap.grid.spec import GridSpec
-from occmap.grid.tiles import EvidenceKind, TileGrid, refuse_large
+from occmap.grid.tiles import MAX_CELLS, EvidenceKind, TileGrid, refuse_large
 from occmap.grid.windows import Window, choose_window
 from occmap.types import Rays, Times, Update
 
@@ -18,7 +18,6 @@ ROOMY_CELLS = 1 << 22
 """A window is not made larger than this only for scans that may come."""
 MOST_PARTS = 64
 """Scans that would need more windows than this lie far apart: they are traced one by one."""
-MAX_CELLS = 10**9
 MARGIN = 4
 """A box around rays has room beside them: only one this many times too large is refused at once,
 and a smaller one when it is known what was observed."""

@@ -17,6 +17,8 @@ from occmap.types import Bool, Float64, Int64, OccupancyMap
 
 TILE = 64
 """Cells along the side of a tile."""
+MAX_CELLS = 10**9
+"""A larger map is refused, unless the user allows it."""
 INT32_LIMIT = 2**31 - 1
 LOG_ODDS_UNIT = 1 / 65536
 """What 1 means in a tile of log-odds."""

@@ -6,13 +6,13 @@ from typing import cast
 
 import numpy as np
 
-from occmap.grid.engine import MAX_CELLS, WINDOW_CELLS, GridEngine
+from occmap.grid.engine import WINDOW_CELLS, GridEngine
 from occmap.grid.kernels.time_beams import time_beams, time_radial_beams
 from occmap.grid.kernels.time_polygons import time_polygons, time_radial_polygons
 from occmap.grid.lattice import CellBox
 from occmap.grid.projection import Projected
 from occmap.grid.spec import GridSpec
-from occmap.grid.tiles import TILE
+from occmap.grid.tiles import MAX_CELLS, TILE
 from occmap.grid.times import SliceBits, TimeGrid, cut_bits, encode_stamps
 from occmap.grid.windows import (
     CellNumbers,

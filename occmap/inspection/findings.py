@@ -9,6 +9,7 @@ from occmap.batching import count_wanted
 from occmap.posing.coverage import Coverage
 from occmap.posing.options import Stamps
 from occmap.readers import Stream
+from occmap.types import Box
 
 
 @dataclass(frozen=True)
@@ -162,7 +163,7 @@ class MapFindings:
     """The map that the logs would make."""
 
     resolution: float
-    extent: tuple[float, float, float, float]
+    extent: Box
     """Lowest x and y, highest x and y (m)"""
     columns: int
     rows: int

@@ -11,12 +11,10 @@ from typing import TypeAlias
 import numpy as np
 
 from occmap.errors import UsageError
-from occmap.types import Bool, Float32, Float64, as_float32
+from occmap.types import Bool, Box, Float32, Float64, as_float32
 
 Sector: TypeAlias = tuple[float, float]
 """From one bearing counter-clockwise to another (rad)."""
-Box: TypeAlias = tuple[float, float, float, float]
-"""Lowest x and y, highest x and y (m)."""
 
 FULL_TURN = 2 * math.pi
 EDGE_RAD = 1e-6

@@ -13,9 +13,10 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from occmap.errors import UsageError
-from occmap.sensor.ignore import Box, Sector, check_box, check_sector, mask_box, mask_sectors
+from occmap.sensor.ignore import Sector, check_box, check_sector, mask_box, mask_sectors
 from occmap.types import (
     Bool,
+    Box,
     Float32,
     Float64,
     Kind,

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from occmap.errors import MapError
-from occmap.evidence import Box, crop, render_saved, weigh
+from occmap.evidence import crop, render_saved, weigh
 from occmap.evidence.manifest import describe_files
 from occmap.evidence.publishing import RenderOptions, publish
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
 from occmap.sensor.models import SimpleModel, parse_model
 from occmap.sensor.returns import ReturnCounts
-from occmap.types import OccupancyMap, Update
+from occmap.types import Box, OccupancyMap, Update
 from occmap.writers.npz import read_evidence
 from tests.evidence.saving import DRIVE, choose, each_combination, save
 from tests.samples import SAMPLE_LOGS

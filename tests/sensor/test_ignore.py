@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from occmap.errors import UsageError
-from occmap.sensor.ignore import Box, Sector, mask_sectors
+from occmap.sensor.ignore import Sector, mask_sectors
 from occmap.sensor.returns import NoReturn, ReturnCounts, ReturnOptions, classify
-from occmap.types import Kind, ScanBatch
+from occmap.types import Box, Kind, ScanBatch
 
 FRONT, LEFT, BACK, RIGHT = range(4)
 ALL = {FRONT, LEFT, BACK, RIGHT}
