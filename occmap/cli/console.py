@@ -65,7 +65,7 @@ class Console:
     def fail_unexpectedly(self, error: Exception) -> int:
         """Print a fault of occmap itself: one line, and the traceback where it is wanted."""
         if self.verbosity is Verbosity.VERBOSE:
-            import traceback  # noqa: PLC0415
+            import traceback  # noqa: PLC0415  late: rarely wanted
 
             tell("".join(traceback.format_exception(error)).rstrip())
         found = f"{type(error).__name__}: {error} (at {find_place(error)})"

@@ -168,7 +168,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         It is none.
     """
     from ruamel.yaml import YAML  # noqa: PLC0415  late: it takes long to load
-    from ruamel.yaml.error import YAMLError  # noqa: PLC0415
+    from ruamel.yaml.error import YAMLError  # noqa: PLC0415  late: rarely wanted
 
     try:
         with path.open("rb") as file:

@@ -48,7 +48,7 @@ def make_group(group: type[Value], plain: dict[str, Any], **others: Any) -> Valu
         A name or a value is not one of its.
     """
     kinds = get_type_hints(group)
-    unknown = sorted(plain.keys() - {field.name for field in fields(group)})  # type: ignore[arg-type]
+    unknown = sorted(plain.keys() - {field.name for field in fields(group)})  # type: ignore[arg-type]  # dataclass
     if unknown:
         raise ValueError(f"no option is called {unknown[0]!r}")
     made = {name: make_value(kinds[name], value) for name, value in plain.items()}

@@ -7,7 +7,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
-import lz4.frame  # type: ignore[import-untyped]
+import lz4.frame  # type: ignore[import-untyped]  # it ships no types
 import zstandard
 
 Buffer: TypeAlias = bytes | memoryview

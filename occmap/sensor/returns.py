@@ -99,7 +99,7 @@ class ReturnCounts(NamedTuple):
     own_robot: int = 0
     """In an --ignore-sector, or a hit in the --footprint."""
 
-    def __add__(self, other: tuple[int, ...]) -> Self:  # type: ignore[override]
+    def __add__(self, other: tuple[int, ...]) -> Self:  # type: ignore[override]  # a sum
         return type(self)(*(mine + its for mine, its in zip(self, other, strict=True)))
 
 

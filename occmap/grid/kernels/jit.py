@@ -23,7 +23,7 @@ def kernel(function: F) -> F:
     """
     folder = find_cache_folder()
     if folder is None:
-        return numba.njit(nogil=True, error_model="numpy")(function)  # type: ignore[return-value]
+        return numba.njit(nogil=True, error_model="numpy")(function)  # type: ignore[return-value]  # as below
     config: Any = numba.config
     before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
     try:
