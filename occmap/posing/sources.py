@@ -64,7 +64,8 @@ def gather(samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) ->
     tree = FrameTree([*given, *(edge for edge in edges if edge.child)])
     poses = tuple(sorted((edge for edge in edges if edge.source is Source.ODOMETRY), key=_rank))
     trajectory = _find_trajectory(options, poses, notes) if options.poses else None
-    return Sources(tree, poses, trajectory, (*_list_overruled(given, edges), *notes))
+    told = *_list_overruled(given, edges), *_list_loops(given, tree)
+    return Sources(tree, poses, trajectory, (*told, *notes))
 
 
 def _build_tracks(
@@ -125,6 +126,16 @@ def _list_overruled(given: Sequence[Edge], edges: Sequence[Edge]) -> list[str]:
         f"the given transform {edge.parent} -> {edge.child} goes before the log's"
         for edge in given
         if edge.child in known
+    ]
+
+
+def _list_loops(given: Sequence[Edge], tree: FrameTree) -> list[str]:
+    """Say where a transform that the user gave leads back to a frame above it."""
+    return [
+        f"the given transform {edge.parent} -> {edge.child} closes a loop: {edge.child} is above "
+        f"{edge.parent} already"
+        for edge in given
+        if edge.child in tree.list_ancestors(edge.parent)
     ]
 
 

@@ -129,6 +129,15 @@ def test_a_given_static_transform_fills_the_tree_or_goes_before_it() -> None:
     assert "the given transform base_link -> laser goes before the log's" in poser.notes
 
 
+def test_a_given_transform_that_closes_a_loop_is_told() -> None:
+    loop = bolted("laser", "odom", turned(0))
+    looped = build(*drive("odom", "base_link"), MOUNT, static_transforms=(loop,))
+    told = "the given transform laser -> odom closes a loop: odom is above laser already"
+    assert told in looped.notes
+    above = bolted("map", "odom", turned(0))
+    assert build(*drive("odom", "base_link"), MOUNT, static_transforms=(above,)).notes == []
+
+
 def test_of_a_static_transform_that_is_sent_again_the_last_holds() -> None:
     again = MOUNT._replace(stamp_ns=1, pose=turned(0, y=2))
     assert place(build(*drive("odom", "base_link"), again, MOUNT)) == [4, 2, 0]
