@@ -225,7 +225,7 @@ class Batcher:
 def find_oddity(angle_increment: float, beams: int) -> str:
     """Say why angles are hardly what the sensor's are; "" where they may well be."""
     turns = abs(angle_increment) * (beams - 1) / math.tau
-    if turns > MOST_TURNS:
+    if MOST_TURNS < turns < math.inf:
         return f"{beams} beams go round {turns:.3g} times: angles are radians; are these degrees?"
     if beams > 1 and angle_increment == 0:
         return f"{beams} beams all point the same way: angle_increment is 0"

@@ -144,7 +144,7 @@ def build(
         grid = render(lasting, options.model, options.max_cells)
     remarks.notes += (
         *options.list_idle(),
-        *list_lacking(tally),
+        *list_lacking(tally, remarks.resumed),
         *list_forgotten(times, options.min_passes),
     )
 

@@ -234,14 +234,17 @@ def refuse_unseen(logs: Sequence[Log], tally: Tally, grid: TileGrid) -> None:
     raise MapError(
         f"no beam of any scan observed a cell: {write_counts(counts)}",
         where=", ".join(str(log.path) for log in logs),
-        fix="see the ranges in `occmap check`",
+        fix="see the ranges in `occmap check`, or try --no-return clear"
+        if tally.beams.no_return
+        else "see the ranges in `occmap check`",
     )
 
 
-def list_lacking(tally: Tally) -> Iterator[str]:
-    """Say that there is nothing to see in a map."""
+def list_lacking(tally: Tally, resumed: Resumed | None) -> Iterator[str]:
+    """Say that the logs show no walls."""
     if not tally.beams.hit:
-        yield "no beam hit anything, so the map has no walls: see the ranges in `occmap check`"
+        lack = "of the logs hit anything" if resumed else "hit anything, so the map has no walls"
+        yield f"no beam {lack}: see the ranges in `occmap check`"
 
 
 def measure_shares(grid: OccupancyMap, writing: WriteOptions) -> Shares:

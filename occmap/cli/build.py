@@ -93,12 +93,12 @@ def collect_request(words: tuple[str, ...], values: dict[str, Any]) -> Request:
 
 
 def refuse_damage(report: Report) -> None:
-    """Fail where something that a log should hold is lost.
+    """Fail where a log is damaged.
 
     Raises
     ------
     LogError
-        Naming the first loss.
+        Naming the first note of it.
     """
     if report.damage:
         raise LogError(

@@ -120,7 +120,7 @@ def format_times(times: TimeFindings) -> str:
     parts = [f"{times.offset_s:.3g} s from the record times, drift {times.drift_s:.2g} s"]
     parts += [f"largest gap {times.largest_gap_s:.3g} s"]
     if times.time_increment_s:
-        parts.append(f"{1e3 * times.time_increment_s:.3g} ms between beams (for --deskew on)")
+        parts.append(f"{1e3 * times.time_increment_s:.3g} ms between beams")
     if times.jumps_back:
         jumps = count(times.jumps_back, "jump")
         parts.append(f"{jumps} back, up to {times.largest_jump_back_s:.3g} s")

@@ -18,7 +18,8 @@ from occmap.writers.npz import read_evidence
 HELP = f"""{COMMANDS["render"]}
 
 The evidence is what `occmap build -o map.npz` wrote. Hits and misses can be weighed by any model
-that counts; the evidence of a radial model, such as quadratic, only by that one, with any --prior.
+that counts; the evidence of a radial model, such as quadratic, only by that one, but for
+its --prior and bounds.
 
 \b
   occmap render map.npz -o map.pgm --p-hit 0.8

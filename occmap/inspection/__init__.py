@@ -25,7 +25,7 @@ from occmap.inspection.sample import measure_crossing
 from occmap.inspection.survey import Survey, TopicSurvey
 from occmap.pipeline import BuildOptions, choose_topics, count_messages
 from occmap.posing.coverage import list_coverage
-from occmap.posing.options import DropReason
+from occmap.posing.options import DropReason, Stamps
 from occmap.readers import Log, open_log, read_scans
 
 __all__ = ["Inspection", "inspect"]
@@ -49,14 +49,17 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
     problems = [log.problem for log in logs if log.problem]
     too_large = _list_size_problems(grid, options)
     unseen = _list_unseen(logs, grid)
-    problems += _list_pose_problems(logs) or too_large or unseen
+    problems += _list_pose_problems(logs, options.posing.stamps) or too_large or unseen
     usable = any(_is_usable(topic, options) for log in logs for topic in log.scans)
+    command = compose_command(logs, options) if usable and not too_large else ()
+    if unseen and "--no-return" not in command:  # nothing that is known makes anything of it
+        command = ()
     return Inspection(
         logs=tuple(logs),
         map=grid,
         problems=tuple(problems),
         warnings=tuple(text for log in logs for text in list_warnings(log)),
-        command=compose_command(logs, options) if usable and not (too_large or unseen) else (),
+        command=command,
     )
 
 
@@ -155,7 +158,7 @@ def _sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
     )
 
 
-def _list_pose_problems(logs: Sequence[LogFindings]) -> list[str]:
+def _list_pose_problems(logs: Sequence[LogFindings], stamps: Stamps) -> list[str]:
     """Say why no scan of a log has a pose; a build wants at least one scan of all logs together."""
     found = []
     for log in logs:
@@ -165,7 +168,7 @@ def _list_pose_problems(logs: Sequence[LogFindings]) -> list[str]:
             found += [f"{log.path}: {fault}" for fault in faults]
     topics = [(log, topic) for log in logs for topic in log.scans]
     if topics and not found and not any(topic.poses.posed for _, topic in topics):
-        found += [f"{topic.topic}: {_explain(log, topic)}" for log, topic in topics]
+        found += [f"{topic.topic}: {_explain(log, topic, stamps)}" for log, topic in topics]
     return found
 
 
@@ -174,21 +177,25 @@ def _is_usable(topic: ScanFindings, options: BuildOptions) -> bool:
     return topic.poses.posed > 0 or topic.times.suggested_stamps != options.posing.stamps
 
 
-def _explain(log: LogFindings, topic: ScanFindings) -> str:
+def _explain(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
     reasons = {**topic.left_out, **topic.poses.dropped}
     counts = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
-    return f"none of {topic.scans} scans can be used: {counts}{_bridge_clocks(log, topic)}"
+    return f"none of {topic.scans} scans can be used: {counts}{_bridge_clocks(log, topic, stamps)}"
 
 
-def _bridge_clocks(log: LogFindings, topic: ScanFindings) -> str:
+def _bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
     """Say what brings scans and poses together that were made at different times."""
     if not topic.poses.dropped.keys() & {DropReason.BEFORE.value, DropReason.AFTER.value}:
         return ""
     times = topic.times
+    if times.suggested_stamps is not stamps:
+        return f"; try --stamps {times.suggested_stamps.value}"
     for source in log.coverage:
-        if source.moves and (source.end_ns < times.start_ns or times.end_ns < source.start_ns):
-            offset_s = (source.start_ns - times.start_ns) / 1e9
-            return f"; --time-offset {offset_s:.12g} would put the first scan at the first pose"
+        apart = source.end_ns < times.start_ns or times.end_ns < source.start_ns
+        if source.moves and apart and stamps is Stamps.HEADER:
+            offset_ms = -((times.start_ns - source.start_ns) // 10**6)  # up: not before the pose
+            flag = f"--time-offset {offset_ms / 1e3:.12g}"
+            return f"; {flag} would put the first scan at the first pose"
     return "; compare stamps and sources: --time-offset S or --stamps record"
 
 

@@ -40,13 +40,13 @@ def list_advised(logs: Sequence[LogFindings], options: BuildOptions) -> dict[str
 
 def list_warnings(log: LogFindings) -> list[str]:
     """List what will spoil a map, or surprise its maker."""
-    found = [f"{topic.topic}: {text}" for topic in log.scans for text in _warn_topic(topic)]
+    warn = [_warn_shapes, _warn_mount, _warn_times, _warn_ranges]
+    if any(topic.poses.posed for topic in log.scans):  # else it is a problem
+        warn.insert(2, _warn_poses)
+    found = [
+        f"{topic.topic}: {text}" for topic in log.scans for each in warn for text in each(topic)
+    ]
     return [f"{log.path}: {text}" for text in found]
-
-
-def _warn_topic(topic: ScanFindings) -> list[str]:
-    warn = _warn_shapes, _warn_mount, _warn_poses, _warn_times, _warn_ranges
-    return [text for each in warn for text in each(topic)]
 
 
 def _warn_shapes(topic: ScanFindings) -> list[str]:
@@ -68,8 +68,7 @@ def _warn_mount(topic: ScanFindings) -> list[str]:
 
 def _warn_poses(topic: ScanFindings) -> list[str]:
     lost = topic.poses.dropped
-    some = topic.poses.posed or topic.poses.problem  # none at all is a problem of the log
-    if some and sum(lost.values()) > SHARE_OF_NOTE * topic.kept:
+    if sum(lost.values()) > SHARE_OF_NOTE * topic.kept:
         reasons = ", ".join(f"{scans} {reason}" for reason, scans in lost.items())
         return [f"scans without a pose: {reasons}"]
     return []

@@ -1,7 +1,7 @@
 """Attachment: scans and poses become posed scans; each scan without a pose is counted."""
 
 from collections import Counter
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Self
 
@@ -39,8 +39,6 @@ POSES_OF_BODY = (
     "the poses beside the scans are taken as the robot's, with the laser at --sensor-pose on it; "
     "leave that out if they are the laser's own"
 )
-
-NO_FRAMES = "--map-frame and --base-frame do nothing: the poses stand beside the scans"
 
 UNTURNED = (0, 0, 0, 0, 0, 0, 1)
 """Stands in for a pose that is not finite."""
@@ -128,8 +126,7 @@ class Poser:
         if batch.pose is not None and self.sources.trajectory is None:
             if self.options.sensor_pose is not None:
                 self._note(POSES_OF_BODY)
-            if self.options.map_frame or self.options.base_frame:
-                self._note(NO_FRAMES)
+            self._note(*_list_idle(self.options))
             return _keep_posed(batch, _read_stated(batch.pose, self.options.sensor_pose))
         if batch.frame not in self.chains:
             self.resolve([batch.frame])
@@ -142,9 +139,9 @@ class Poser:
         """Look up each scan at its stamp, or at moments between its first beam and its last."""
         deskewed = self._find_deskewed(batch, chain)
         if self.options.deskew is Deskew.ON and not deskewed.all():
-            self._note(
-                f"scans of {batch.frame!r} state no believable time between beams: not de-skewed"
-            )
+            some = "some " if deskewed.any() else ""
+            found = "state no believable time between beams: not de-skewed"
+            self._note(f"{some}scans of {batch.frame!r} {found}")
         if not deskewed.any():
             return _keep_posed(batch, chain.at(self._to_pose_clock(batch)))
         self._note(f"de-skewed: each beam of {batch.frame!r} has a pose of its own")
@@ -174,6 +171,18 @@ class Poser:
         self.notes.extend(s for s in dict.fromkeys(sentences) if s not in self.notes)
 
 
+def _list_idle(options: PosingOptions) -> Iterator[str]:
+    """Say which options do nothing where the poses stand beside the scans."""
+    given = {
+        "--map-frame": options.map_frame is not None,
+        "--base-frame": options.base_frame is not None,
+        "--time-offset": options.time_offset_s != 0,
+        "--deskew on": options.deskew is Deskew.ON,
+    }
+    for flag in (flag for flag, is_given in given.items() if is_given):
+        yield f"{flag} does nothing: the poses stand beside the scans"
+
+
 def _read_stated(pose: Float64, mount: Pose | None) -> Found:
     """Read the poses (S, 7) that a log states beside its scans, of the sensor or of its body."""
     usable, norm = find_usable(pose)
@@ -189,7 +198,8 @@ def _read_stated(pose: Float64, mount: Pose | None) -> Found:
 
 def _measure_durations(batch: ScanBatch) -> Float64:
     """Measure the time (S,) from the first beam of each scan to its last (s)."""
-    durations: Float64 = np.abs(batch.time_increment) * (batch.ranges.shape[1] - 1)
+    with np.errstate(invalid="ignore", over="ignore"):  # a log may state any number
+        durations: Float64 = np.abs(batch.time_increment) * (batch.ranges.shape[1] - 1)
     return durations
 
 

@@ -19,6 +19,9 @@ SHAPES = "expected lines `stamp x y z qx qy qz qw`, or the header stamp,x,y,yaw 
 MAX_STAMP_S = 4 * 10**9
 """The year 2096. Nanoseconds that are mistaken for seconds lie far beyond it."""
 
+BINARY_WITHIN = 64
+"""A log or a picture has a zero byte so early; a text may have some where a crash cut it."""
+
 MAX_LINE = 4096
 """Longer lines are no poses, and a file without line ends must not fill the memory."""
 
@@ -94,7 +97,7 @@ def _read_lines(path: Path) -> Iterator[_Line]:
     """Read the lines that are neither empty nor comments."""
     try:
         with path.open("rb") as file:
-            if b"\0" in file.read(MAX_LINE):
+            if b"\0" in file.read(BINARY_WITHIN):
                 raise LogError("no text, so no trajectory", where=path, fix=SHAPES)
         with path.open(encoding="utf-8-sig", errors="replace") as file:
             for number, text in enumerate(iter(partial(file.readline, MAX_LINE), ""), start=1):

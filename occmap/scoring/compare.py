@@ -20,7 +20,7 @@ from occmap.readers import open_log
 from occmap.report import Remarks, Tally, refuse_unused
 from occmap.scoring.trials import HoldOut, Result, Task, Trials
 from occmap.scoring.variants import Variant, shorten_model
-from occmap.types import Rays
+from occmap.types import Rays, Update
 from occmap.wording import count
 from occmap.writers import check_picture
 
@@ -62,9 +62,12 @@ class VariantComparison:
 
     def build_command(self, result: Result) -> tuple[str, ...]:
         """Compose the command line that builds the map of a variant from all scans."""
-        variant = result.variant
+        variant, options = result.variant, self.options
+        if variant.update is Update.BEAM:  # which knows no surfaces
+            usual = BuildOptions()
+            options = replace(options, jump=usual.jump, border_gap=usual.border_gap)
         flags = {"--model": shorten_model(variant.model)}
-        return compose_build(self.remarks.logs, self.options, flags, variant.update.value)
+        return compose_build(self.remarks.logs, options, flags, variant.update.value)
 
     def to_json(self) -> dict[str, Any]:
         """The comparison as values that JSON has."""

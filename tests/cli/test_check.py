@@ -104,6 +104,17 @@ def test_no_beam_that_sees_anything_is_a_problem(tmp_path: Path, capsys: Capture
     )
 
 
+def test_what_no_return_may_tell_is_recommended(tmp_path: Path, capsys: Capture) -> None:
+    path = write_planar(tmp_path / "log.csv", [(0, 0, 0)] * 2, [math.inf] * 60, 0.1)
+    path.write_text("# range_max: 3\n" + path.read_text())
+    assert run(["check", str(path), "--json"]) == 1
+    command = json.loads(capsys.readouterr().out)["command"]
+    assert command[3:5] == ["--no-return", "clear"]
+    assert run(["build", str(path), "-o", str(tmp_path / "m.pgm")]) == 1
+    assert capsys.readouterr().err.endswith("or try --no-return clear\n")
+    assert run([*command[1:-1], str(tmp_path / "m.pgm")]) == 0
+
+
 def test_usage_errors(capsys: Capture) -> None:
     assert run(["check"]) == 2
     assert run(["check", "x.bag", "--resolution", "much"]) == 2

@@ -105,12 +105,12 @@ def test_a_stated_pose_is_the_bodys_where_the_sensors_is_given() -> None:
     np.testing.assert_allclose(np.abs(yaw_of(posed.rotation)), [math.pi])
 
 
-@pytest.mark.parametrize("options", [{"map_frame": "m"}, {"base_frame": "b"}])
-def test_frames_mean_nothing_to_stated_poses(options: dict[str, str]) -> None:
-    poser = build(**options)
+def test_what_means_nothing_to_stated_poses_is_told() -> None:
+    poser = build(map_frame="m", deskew=Deskew.ON)
     poser.attach(stated(turned(0)))
     assert poser.notes == [
-        "--map-frame and --base-frame do nothing: the poses stand beside the scans"
+        "--map-frame does nothing: the poses stand beside the scans",
+        "--deskew on does nothing: the poses stand beside the scans",
     ]
 
 
@@ -251,6 +251,16 @@ def test_scans_of_one_batch_are_deskewed_each_by_its_own_time(deskew: Deskew) ->
     assert still.position.tolist() == [[1, 0, 0]]
     np.testing.assert_allclose(turning.position[:, -1, 0], [0.6, 1.2])
     assert turning.batch.time_increment.tolist() == [0.001, 0.002]
+    if deskew is Deskew.ON:
+        assert poser.notes[0].startswith("some scans of 'laser' state no believable time")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("time_increment", [math.inf, -math.inf, math.nan, 1e308])
+def test_a_single_beam_takes_no_time_whatever_is_stated(time_increment: float) -> None:
+    batch = batch_at([0.5], beams=1, time_increment=time_increment)
+    (posed,), _ = build(*spin(), deskew=Deskew.ON).attach(batch)
+    assert posed.position.shape == (1, 3)
 
 
 def test_a_scan_that_ends_after_the_last_pose_is_left_out_when_deskewed() -> None:

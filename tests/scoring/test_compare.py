@@ -251,10 +251,15 @@ def test_the_command_repeats_what_was_chosen() -> None:
     options = BuildOptions(
         resolution=0.1, jump=0.3, selection=Selection(stride=2), returns=ReturnOptions(max_range=9)
     )
-    comparison = compare([DRIVE], [Variant(Update.BEAM, CountingModel(prior=0.4))], options)
-    words = "--resolution 0.1 --max-range 9 --stride 2 --jump 0.3 --model counting:prior=0.4"
-    expected = f"occmap build beam {DRIVE} {words} -o drive.pgm"
-    assert comparison.build_command(comparison.recommended) == tuple(expected.split())
+    model = CountingModel(prior=0.4)
+    variants = [Variant(update, model) for update in (Update.BEAM, Update.POLYGON)]
+    comparison = compare([DRIVE], variants, options)
+    for result in comparison.results:
+        update = result.variant.update
+        jump = " --jump 0.3" if update is Update.POLYGON else ""  # beams know no surfaces
+        words = f"--resolution 0.1 --max-range 9 --stride 2{jump} --model counting:prior=0.4"
+        expected = f"occmap build {update.value} {DRIVE} {words} -o drive.pgm"
+        assert comparison.build_command(result) == tuple(expected.split())
 
 
 def test_too_few_scans_or_hits_are_refused(tmp_path: Path) -> None:
