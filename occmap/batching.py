@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, overload
 
 import numpy as np
 
@@ -158,9 +158,13 @@ class Selector:
         """Whether the user wants every scan there is, and these can be used."""
         return self._wants_all and find_flaw(run.first) is None
 
-    def stamp(self, scan: Scan) -> int:
-        """The time of a scan that counts (ns)."""
-        return scan.record_ns if self._stamps is Stamps.RECORD else scan.stamp_ns
+    @overload
+    def stamp(self, some: Scan) -> int: ...
+    @overload
+    def stamp(self, some: ScanRun) -> Int64: ...
+    def stamp(self, some: Scan | ScanRun) -> int | Int64:
+        """The time that counts (ns): of a scan, or (S,) of those of a run."""
+        return some.record_ns if self._stamps is Stamps.RECORD else some.stamp_ns
 
 
 class Batcher:
@@ -173,7 +177,6 @@ class Batcher:
         self.read = 0
         self.left_out: dict[LeftOut, int] = {}
         self.notes: list[str] = []
-        self._stamps = stamps
         self._selector = Selector(selection, stamps)
 
     def stack(self, scans: Iterable[Scan | ScanRun]) -> Iterator[ScanBatch]:
@@ -203,7 +206,7 @@ class Batcher:
                 self.left_out[reason] = self.left_out.get(reason, 0) + 1
 
     def _pass_on(self, run: ScanRun) -> ScanBatch:
-        stamp_ns = run.record_ns if self._stamps is Stamps.RECORD else run.stamp_ns
+        stamp_ns = self._selector.stamp(run)
         return Geometry.of(run.first).stack(stamp_ns, run.ranges, run.time_increment, run.pose)
 
     def _release(self, held: dict[Geometry, list[Scan]]) -> Iterator[ScanBatch]:

@@ -15,8 +15,11 @@ from occmap.readers.options import ReaderOptions
 from occmap.sensor.returns import ReturnOptions
 from occmap.types import Pose
 
-Group = TypeVar("Group", PosingOptions, ReaderOptions, ReturnOptions)
+Group = TypeVar("Group", BuildOptions, PosingOptions, ReaderOptions, ReturnOptions, Selection)
 
+LATTICE_FLAGS = {"resolution": "--resolution"}
+GRID_FLAGS = {"jump": "--jump", "border_gap": "--border-gap", "max_cells": "--max-cells"}
+SELECTION_FLAGS = {"start_s": "--start", "end_s": "--end", "stride": "--stride"}
 POSING_FLAGS = {
     "map_frame": "--map-frame",
     "base_frame": "--base-frame",
@@ -65,41 +68,17 @@ def name_map(path: str) -> str:
 
 def list_given(options: BuildOptions) -> dict[str, str]:
     """List the options that differ from their defaults and may be given once, as flags."""
-    flags = {}
-    if options.resolution != BuildOptions.resolution:
-        flags["--resolution"] = f"{options.resolution:.12g}"
+    flags = _list_changed(options, BuildOptions(), LATTICE_FLAGS)
     flags |= _list_changed(options.reading, ReaderOptions(), READER_FLAGS)
     flags |= _list_changed(options.posing, PosingOptions(), POSING_FLAGS)
     flags |= _list_changed(options.returns, ReturnOptions(), RETURN_FLAGS)
-    flags |= list_selection(options.selection)
-    flags |= list_grid(options)
+    flags |= _list_changed(options.selection, Selection(), SELECTION_FLAGS)
+    flags |= _list_changed(options, BuildOptions(), GRID_FLAGS)
     if options.posing.sensor_pose is not None:
         flags["--sensor-pose"] = format_mount(options.posing.sensor_pose)
     if options.returns.footprint is not None:
         flags["--footprint"] = _join(options.returns.footprint)
     return flags
-
-
-def list_selection(chosen: Selection) -> dict[str, str]:
-    """List which scans of a log are asked for, where not all are, as flags."""
-    default = Selection()
-    pairs = {
-        "--start": (chosen.start_s, default.start_s),
-        "--end": (chosen.end_s, default.end_s),
-        "--stride": (chosen.stride, default.stride),
-    }
-    return {flag: f"{value:.12g}" for flag, (value, usual) in pairs.items() if value != usual}
-
-
-def list_grid(options: BuildOptions) -> dict[str, str]:
-    """List what was chosen about surfaces and the size of the map, where it differs, as flags."""
-    default = BuildOptions()
-    pairs = {
-        "--jump": (options.jump, default.jump),
-        "--border-gap": (options.border_gap, default.border_gap),
-        "--max-cells": (options.max_cells, default.max_cells),
-    }
-    return {flag: f"{value:.12g}" for flag, (value, usual) in pairs.items() if value != usual}
 
 
 def list_repeatable(options: BuildOptions) -> list[str]:

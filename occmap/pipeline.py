@@ -14,6 +14,7 @@ from occmap.evidence.manifest import describe_build, plan_manifest
 from occmap.evidence.merging import open_saved
 from occmap.evidence.persistence import check_gap, check_passes, keep_lasting, list_forgotten
 from occmap.evidence.publishing import describe_resumed
+from occmap.evidence.repetition import list_repeated
 from occmap.grid.lattice import Lattice
 from occmap.grid.spec import GridSpec, tabulate
 from occmap.grid.stacks import add_stack
@@ -152,7 +153,7 @@ def build(
     def keep_evidence() -> Evidence:
         past = saved.manifest if saved else plan
         builds = (*past.builds, describe_build(paths, options, tally.to_json()))
-        remarks.note_repeated(builds)
+        remarks.notes += list_repeated(builds)
         return to_evidence(tiles, replace(plan, builds=builds, subtracted=past.subtracted), times)
 
     with tally.time("write"):

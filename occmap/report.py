@@ -13,7 +13,6 @@ import numpy as np
 
 from occmap.batching import count_wanted
 from occmap.errors import LogError, MapError, PoseError
-from occmap.evidence.repetition import list_repeated
 from occmap.grid.tiles import TileGrid
 from occmap.readers import Log
 from occmap.sensor.bounds import Clamped
@@ -189,10 +188,6 @@ class Remarks:
             if times > 1:
                 self.notes.append(f"{log}: given {times} times, and counted as often")
 
-    def note_repeated(self, builds: Sequence[Any]) -> None:
-        """Say which logs the builds of one evidence have in common."""
-        self.notes += list_repeated(builds)
-
     def note(self, log: Log, others: Iterable[str]) -> None:
         """Keep what a log has to say, and what others have to say of it."""
         self.notes += [f"{log.path}: {text}" for text in (*others, *(n.text for n in log.notes))]
@@ -209,7 +204,7 @@ def refuse_unused(logs: Sequence[Log], tally: Tally) -> None:
     """
     if tally.scans_used:
         return
-    where = ", ".join(str(log.path) for log in logs)
+    where = name_logs(logs)
     reasons = ", ".join(f"{count} {reason}" for reason, count in tally.dropped.items())
     if tally.scans_read:
         raise PoseError(
@@ -230,14 +225,17 @@ def refuse_unseen(logs: Sequence[Log], tally: Tally, grid: TileGrid) -> None:
     """
     if grid.tiles:
         return
-    counts = {name.replace("_", " "): number for name, number in tally.beams._asdict().items()}
+    clear = ", or try --no-return clear" if tally.beams.no_return else ""
     raise MapError(
-        f"no beam of any scan observed a cell: {write_counts(counts)}",
-        where=", ".join(str(log.path) for log in logs),
-        fix="see the ranges in `occmap check`, or try --no-return clear"
-        if tally.beams.no_return
-        else "see the ranges in `occmap check`",
+        f"no beam of any scan observed a cell: {write_counts(tally.beams.by_name)}",
+        where=name_logs(logs),
+        fix=f"see the ranges in `occmap check`{clear}",
     )
+
+
+def name_logs(logs: Sequence[Log]) -> str:
+    """Name the logs that an error is about."""
+    return ", ".join(str(log.path) for log in logs)
 
 
 def list_lacking(tally: Tally, resumed: Resumed | None) -> Iterator[str]:

@@ -59,8 +59,7 @@ def format_shares(report: Report) -> str:
 
 def format_beams(report: Report) -> str:
     """Say what the beams of the used scans meant."""
-    counts = {name.replace("_", " "): count for name, count in report.beams._asdict().items()}
-    return f"{sum(counts.values()):,}: {write_counts(counts)}"
+    return f"{sum(report.beams):,}: {write_counts(report.beams.by_name)}"
 
 
 def format_time(report: Report, seconds: float) -> str:

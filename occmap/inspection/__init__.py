@@ -190,9 +190,9 @@ def _bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str
     times = topic.times
     if times.suggested_stamps is not stamps:
         return f"; try --stamps {times.suggested_stamps.value}"
-    for source in log.coverage:
+    for source in log.coverage if stamps is Stamps.HEADER else ():
         apart = source.end_ns < times.start_ns or times.end_ns < source.start_ns
-        if source.moves and apart and stamps is Stamps.HEADER:
+        if source.moves and apart:
             offset_ms = -((times.start_ns - source.start_ns) // 10**6)  # up: not before the pose
             flag = f"--time-offset {offset_ms / 1e3:.12g}"
             return f"; {flag} would put the first scan at the first pose"

@@ -40,13 +40,15 @@ def list_advised(logs: Sequence[LogFindings], options: BuildOptions) -> dict[str
 
 def list_warnings(log: LogFindings) -> list[str]:
     """List what will spoil a map, or surprise its maker."""
-    warn = [_warn_shapes, _warn_mount, _warn_times, _warn_ranges]
-    if any(topic.poses.posed for topic in log.scans):  # else it is a problem
-        warn.insert(2, _warn_poses)
-    found = [
-        f"{topic.topic}: {text}" for topic in log.scans for each in warn for text in each(topic)
+    posed = any(topic.poses.posed for topic in log.scans)  # that none is, is a problem
+    lacking = [_warn_poses] if posed else []
+    warn = [_warn_shapes, _warn_mount, *lacking, _warn_times, _warn_ranges]
+    return [
+        f"{log.path}: {topic.topic}: {text}"
+        for topic in log.scans
+        for each in warn
+        for text in each(topic)
     ]
-    return [f"{log.path}: {text}" for text in found]
 
 
 def _warn_shapes(topic: ScanFindings) -> list[str]:

@@ -6,10 +6,8 @@ import numpy as np
 
 from occmap.inspection.findings import TimeFindings
 from occmap.posing.options import Stamps
+from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.types import Float64, Int64, Scan, ScanRun
-
-LATEST = 2**62
-"""A time beyond this is damage; it is brought into 62 bits, so that differences fit an int64."""
 
 
 class StampLog:
@@ -23,12 +21,12 @@ class StampLog:
     def add(self, some: Scan | ScanRun) -> None:
         """Take the times of a scan, or of those of a run."""
         if isinstance(some, ScanRun):
-            self._header.frombytes(np.clip(some.stamp_ns, -LATEST, LATEST).tobytes())
-            self._record.frombytes(np.clip(some.record_ns, -LATEST, LATEST).tobytes())
+            self._header.frombytes(np.clip(some.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS).tobytes())
+            self._record.frombytes(np.clip(some.record_ns, -MAX_STAMP_NS, MAX_STAMP_NS).tobytes())
             self._increment.frombytes(some.time_increment.tobytes())
         else:
-            self._header.append(min(max(some.stamp_ns, -LATEST), LATEST))
-            self._record.append(min(max(some.record_ns, -LATEST), LATEST))
+            self._header.append(min(max(some.stamp_ns, -MAX_STAMP_NS), MAX_STAMP_NS))
+            self._record.append(min(max(some.record_ns, -MAX_STAMP_NS), MAX_STAMP_NS))
             self._increment.append(some.time_increment)
 
     @property

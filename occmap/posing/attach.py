@@ -160,12 +160,13 @@ class Poser:
 
         AUTO asks for a believable scan time and for poses dense enough to show the motion in it.
         """
+        if self.options.deskew is Deskew.OFF:
+            return np.zeros(len(batch.stamp_ns), np.bool_)
         duration_s = _measure_durations(batch)
-        if self.options.deskew is Deskew.AUTO:
-            dense = chain.is_dense(duration_s)
-            return dense & (duration_s > 0) & (duration_s <= MAX_AUTO_TURN_S)
-        on = self.options.deskew is Deskew.ON
-        return on & (duration_s > 0) & (duration_s <= MAX_TURN_S)
+        if self.options.deskew is Deskew.ON:
+            return (duration_s > 0) & (duration_s <= MAX_TURN_S)
+        dense = chain.is_dense(duration_s)
+        return dense & (duration_s > 0) & (duration_s <= MAX_AUTO_TURN_S)
 
     def _note(self, *sentences: str) -> None:
         self.notes.extend(s for s in dict.fromkeys(sentences) if s not in self.notes)
@@ -179,8 +180,9 @@ def _list_idle(options: PosingOptions) -> Iterator[str]:
         "--time-offset": options.time_offset_s != 0,
         "--deskew on": options.deskew is Deskew.ON,
     }
-    for flag in (flag for flag, is_given in given.items() if is_given):
-        yield f"{flag} does nothing: the poses stand beside the scans"
+    for flag, is_given in given.items():
+        if is_given:
+            yield f"{flag} does nothing: the poses stand beside the scans"
 
 
 def _read_stated(pose: Float64, mount: Pose | None) -> Found:

@@ -177,12 +177,13 @@ class _Search:
 
     def _fail_without_mount(self) -> NoReturn:
         bases = list_bases(self.tree, self.frame)
-        base = f" on {bases[0]}" if len(bases) == 1 else ""
-        flag = "" if len(bases) == 1 else " --base-frame FRAME"
-        fix = f"give its mount{base}: --sensor-pose x,y,yaw{flag}"
+        base = bases[0] if len(bases) == 1 else ""
         if not self.alone:  # a sensor pose would be that of every laser
-            body = bases[0] if len(bases) == 1 else "BASE"
-            fix = f"give its mount: --static-tf {body},{self.frame},X,Y,Z,ROLL,PITCH,YAW"
+            fix = f"give its mount: --static-tf {base or 'BASE'},{self.frame},X,Y,Z,ROLL,PITCH,YAW"
+        elif base:
+            fix = f"give its mount on {base}: --sensor-pose x,y,yaw"
+        else:
+            fix = "give its mount: --sensor-pose x,y,yaw --base-frame FRAME"
         raise PoseError(
             f"no transform to the laser's frame {self.frame!r} (known: {self._list_known()})",
             fix=fix,

@@ -152,7 +152,7 @@ def _find_trajectory(options: PosingOptions, poses: Sequence[Edge], notes: list[
     for edge in poses:
         if edge.topic.strip("/") == name.strip("/"):
             return edge
-    if name.strip("/") in {"tf", "tf_static"}:
+    if name.strip("/") in TF_TOPICS - {""}:
         raise PoseError("the log's transforms are no topic of poses", where=name, fix=USE_TF)
     topics = ", ".join(sorted({edge.topic for edge in poses}))
     raise PoseError(

@@ -122,19 +122,23 @@ def _translate(name: str) -> str:
 
 def split_constant(text: str) -> tuple[str, str] | None:
     """Split a comment `# name: value`; None where it is any other comment."""
-    name, colon, value = text.lstrip("# \t").partition(":")
-    name = name.strip()
-    return (name, value.strip()) if colon and name in NAMES else None
+    name, value = _split_comment(text)
+    return (name, value) if name in NAMES else None
 
 
 def name_unused(text: str) -> str | None:
     """Name what a comment `# name: number` states that means nothing here; None of any other."""
-    name, colon, value = text.lstrip("# \t").partition(":")
-    name = name.strip()
+    name, value = _split_comment(text)
     with suppress(ValueError):
         float(value)
-        return name if colon and name.isidentifier() and name not in NAMES else None
+        return name if name.isidentifier() and name not in NAMES else None
     return None
+
+
+def _split_comment(text: str) -> tuple[str, str]:
+    """Split a comment into what stands before its colon and behind it; "" where it has none."""
+    name, colon, value = text.lstrip("# \t").partition(":")
+    return (name.strip(), value.strip()) if colon else ("", "")
 
 
 def is_known(name: str) -> bool:

@@ -13,7 +13,7 @@ from occmap.readers import Role
 from occmap.readers.header import read_frame
 from occmap.types import Pose, PoseSample, Scan, as_float32
 
-FOXGLOVE_WIRES = ("json", "protobuf")
+FOXGLOVE_ENCODINGS = ("json", "protobuf")
 SCAN_SCHEMA = "foxglove.LaserScan"
 IDENTITY = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 

@@ -15,7 +15,7 @@ from rosbags.typesys import (
 from rosbags.typesys.store import Typestore
 
 from occmap.errors import LogError
-from occmap.readers.foxglove import FOXGLOVE_WIRES, POSE_SCHEMAS, SCAN_SCHEMAS
+from occmap.readers.foxglove import FOXGLOVE_ENCODINGS, POSE_SCHEMAS, SCAN_SCHEMAS
 from occmap.readers.foxglove_decode import make_foxglove_reader
 from occmap.readers.inflate import inflate_message
 from occmap.readers.messages import POSE_TYPES, find_converter, normalise_type
@@ -54,7 +54,7 @@ def make_scan_reader(channel: Channel, options: ReaderOptions) -> FromBytes[Scan
     LogError
         The channel's message definition cannot be understood.
     """
-    if channel.encoding in FOXGLOVE_WIRES:
+    if channel.encoding in FOXGLOVE_ENCODINGS:
         return make_foxglove_reader(channel, SCAN_SCHEMAS[channel.type])
     return _make_reader(channel, find_converter(channel.type, options), read_laser_scan)
 
@@ -67,7 +67,7 @@ def make_pose_reader(channel: Channel) -> FromBytes[list[PoseSample]]:
     LogError
         The channel's message definition cannot be understood.
     """
-    if channel.encoding in FOXGLOVE_WIRES:
+    if channel.encoding in FOXGLOVE_ENCODINGS:
         return make_foxglove_reader(channel, POSE_SCHEMAS[channel.type])
     convert = POSE_TYPES[normalise_type(channel.type)]
     return _make_reader(channel, convert, read_transforms)

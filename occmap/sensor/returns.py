@@ -99,6 +99,11 @@ class ReturnCounts(NamedTuple):
     own_robot: int = 0
     """In an --ignore-sector, or a hit in the --footprint."""
 
+    @property
+    def by_name(self) -> dict[str, int]:
+        """The counts by what people call them."""
+        return {name.replace("_", " "): number for name, number in self._asdict().items()}
+
     def __add__(self, other: tuple[int, ...]) -> Self:  # type: ignore[override]  # a sum
         return type(self)(*(mine + its for mine, its in zip(self, other, strict=True)))
 
