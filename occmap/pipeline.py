@@ -64,6 +64,8 @@ class BuildOptions:
     """Neighbouring beams see one surface where ranges differ by at most this (m; polygon)"""
     border_gap: int = 8
     """... and its border is closed between end cells at most this far apart (cells; polygon)"""
+    hit_offset: float = 0.5
+    """A hit lies so far behind the measured point, which is on a surface (cells)"""
     max_cells: int = MAX_CELLS
     """A map with more cells is refused"""
     min_passes: int | None = None
@@ -291,7 +293,15 @@ def plan_grid(options: BuildOptions) -> GridSpec:
     if isinstance(model, RadialModel):
         radial = tabulate(model.free, model.hit, model.depth(options.resolution))
     slice_ns = round(options.pass_gap_s * 1e9)
-    return GridSpec(options.update, lattice, options.jump, options.border_gap, radial, slice_ns)
+    return GridSpec(
+        options.update,
+        lattice,
+        options.jump,
+        options.border_gap,
+        options.hit_offset,
+        radial,
+        slice_ns,
+    )
 
 
 def make_report(

@@ -225,6 +225,8 @@ class Update(StrEnum):
     """Each beam by itself, along a Bresenham line."""
     POLYGON = "polygon"
     """A whole scan at once: measured cells are the border, the interior is filled."""
+    SURFACE = "surface"
+    """Each beam, and between neighbours on one surface the beams that a denser laser had sent."""
 
 
 @dataclass(frozen=True, slots=True)

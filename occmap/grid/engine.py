@@ -6,11 +6,11 @@ import numpy as np
 
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox, Lattice
-from occmap.grid.projection import Projected, project
+from occmap.grid.projection import Projected, prepare, project
 from occmap.grid.spec import GridSpec
 from occmap.grid.tiles import MAX_CELLS, EvidenceKind, TileGrid, refuse_large
 from occmap.grid.windows import Window, choose_window
-from occmap.types import Rays, Times, Update
+from occmap.types import Rays, Times
 
 WINDOW_CELLS = 1 << 24
 """The largest window; scans that need more are traced part by part."""
@@ -41,7 +41,7 @@ class GridEngine:
     ) -> None:
         self.spec = spec
         kind = EvidenceKind.COUNTS if spec.radial is None else EvidenceKind.LOG_ODDS
-        self.grid = TileGrid(spec.lattice, kind)
+        self.grid = TileGrid(spec.lattice, kind, spec.unit)
         self._window_type = choose_window(spec)
         self._window_cells = window_cells
         self._max_cells = max_cells
@@ -60,12 +60,12 @@ class GridEngine:
         if not rays.kind.size:
             return
         refuse_far_sensors(rays, self.spec.lattice)
-        if self.spec.update is Update.POLYGON:
-            rays = join_viewpoints(rays)
+        self._add_prepared(prepare(rays, self.spec))
+
+    def _add_prepared(self, rays: Rays) -> None:
         refuse_long_beams(rays, self.spec.lattice.resolution)
-        most = self._window_type.most_observations
-        refuse_many_beams(rays, self._window_type)
-        too_much = self._window_type.count(rays) > most
+        refuse_many_beams(rays, self._window_type, self.spec)
+        too_much = self._window_type.count(rays, self.spec) > self._window_type.most_observations
         too_wide = lie_far_apart(rays, self.spec.lattice.resolution)
         if (too_much or too_wide) and len(rays.kind) > 1:
             self._add_halves(rays)
@@ -85,8 +85,8 @@ class GridEngine:
 
     def _add_halves(self, rays: Rays) -> None:
         middle = len(rays.kind) // 2
-        self.add(rays.take(slice(None, middle)))
-        self.add(rays.take(slice(middle, None)))
+        self._add_prepared(rays.take(slice(None, middle)))
+        self._add_prepared(rays.take(slice(middle, None)))
 
     def _trace(self, projected: Projected) -> None:
         """Trace in a window that nobody else is writing to, with room for the scans to come."""
@@ -121,7 +121,7 @@ class GridEngine:
         return ()
 
 
-def refuse_many_beams(rays: Rays, window_type: type[Window]) -> None:
+def refuse_many_beams(rays: Rays, window_type: type[Window], spec: GridSpec) -> None:
     """Refuse scans that could each make the numbers of a cell overflow.
 
     Raises
@@ -129,7 +129,7 @@ def refuse_many_beams(rays: Rays, window_type: type[Window]) -> None:
     MapError
         Saying how many beams a scan has.
     """
-    if window_type.count(rays.take(slice(1))) > window_type.most_observations:
+    if window_type.count(rays.take(slice(1)), spec) > window_type.most_observations:
         raise MapError(
             f"a scan of {rays.kind.shape[1]} beams is more than this model can count",
             fix="no laser has so many: see what is in the log with `occmap check`",
@@ -193,20 +193,3 @@ def refuse_long_beams(rays: Rays, resolution: float) -> None:
             f"a beam of {longest:.6g} m is too long for cells of {resolution} m",
             fix="limit ranges with --max-range, or use a coarser --resolution",
         )
-
-
-def join_viewpoints(rays: Rays) -> Rays:
-    """See each scan from one point, where its beams have a viewpoint each.
-
-    A scan's region needs one sensor to be closed through; the middle beam's is taken. The ends of
-    the beams stay where they are, to the rounding of a float32.
-    """
-    if rays.origin.shape[1] == 1:
-        return rays
-    middle = rays.origin[:, rays.origin.shape[1] // 2, None]
-    offset = rays.end - middle
-    distance = np.hypot(offset[..., 0], offset[..., 1]) * (rays.kind > 0)
-    seen = (distance > 0)[..., None]
-    direction = np.where(seen, offset / np.maximum(distance, 1e-300)[..., None], rays.direction)
-    circle = rays.full_circle
-    return Rays.along(middle, direction, distance, rays.kind, rays.stamp_ns, full_circle=circle)

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 
-from occmap.grid.engine import join_viewpoints, refuse_far_sensors, refuse_long_beams
+from occmap.grid.engine import refuse_far_sensors, refuse_long_beams
 from occmap.grid.lattice import CellBox
-from occmap.grid.projection import project
+from occmap.grid.projection import prepare, project
 from occmap.grid.spec import GridSpec
 from occmap.grid.windows import choose_window
-from occmap.types import Bool, Int64, Rays, Update
+from occmap.types import Bool, Int64, Rays
 
 
 class CellProbe:
@@ -50,13 +50,12 @@ class CellProbe:
         # A polygon's viewpoint lies up to `spread` from the first, and its beams are that much
         # longer; a beam's other viewpoints are nearer.
         reach = rays.distance.max(axis=1) + 3 * spread + (0.0 if radial is None else radial.depth)
+        reach += self.spec.hit_offset * resolution
         near: Bool = away <= reach + 2 * math.sqrt(2) * resolution
         return near
 
     def _trace(self, rays: Rays) -> tuple[int, int]:
-        if self.spec.update is Update.POLYGON:
-            rays = join_viewpoints(rays)
         window = self._window_type(self.spec, self.box)
-        window.observe(project(rays, self.spec))
+        window.observe(project(prepare(rays, self.spec), self.spec))
         _, first, second = window.read()
         return int(first.sum()), int(second.sum())

@@ -5,11 +5,12 @@ from typing import Self
 
 import numpy as np
 
+from occmap.grid.kernels.neighbours import link_neighbours
 from occmap.grid.kernels.project import project_ends
 from occmap.grid.kernels.units import CELL_SHIFT
 from occmap.grid.lattice import CellBox
 from occmap.grid.spec import GridSpec
-from occmap.types import Int32, Int64, Rays, Update
+from occmap.types import Int32, Int64, Kind, Rays, UInt8, Update
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,10 @@ class Projected:
     """(S, B) (lattice units from the anchor)"""
     ends_y: Int32
     """(S, B) (lattice units from the anchor)"""
+    weights: UInt8
+    """(S, B) what each beam counts"""
+    between: UInt8
+    """(S, B) how many beams are drawn between each and the next"""
     box: CellBox
     """Around all cells that these rays may touch"""
 
@@ -36,11 +41,38 @@ class Projected:
             origins=self.origins[scans],
             ends_x=self.ends_x[scans],
             ends_y=self.ends_y[scans],
+            weights=self.weights[scans],
+            between=self.between[scans],
         )
 
 
+def prepare(rays: Rays, spec: GridSpec) -> Rays:
+    """Move hits behind the surfaces that were measured, and see a whole scan from one point."""
+    if spec.hit_offset:
+        offset = np.float32(spec.hit_offset * spec.lattice.resolution)
+        rays = replace(rays, distance=rays.distance + (rays.kind == Kind.HIT) * offset)
+    return join_viewpoints(rays) if spec.update is Update.POLYGON else rays
+
+
+def join_viewpoints(rays: Rays) -> Rays:
+    """See each scan from one point, where its beams have a viewpoint each.
+
+    A scan's region needs one sensor to be closed through; the middle beam's is taken. The ends of
+    the beams stay where they are, to the rounding of a float32.
+    """
+    if rays.origin.shape[1] == 1:
+        return rays
+    middle = rays.origin[:, rays.origin.shape[1] // 2, None]
+    offset = rays.end - middle
+    distance = np.hypot(offset[..., 0], offset[..., 1]) * (rays.kind > 0)
+    seen = (distance > 0)[..., None]
+    direction = np.where(seen, offset / np.maximum(distance, 1e-300)[..., None], rays.direction)
+    circle = rays.full_circle
+    return Rays.along(middle, direction, distance, rays.kind, rays.stamp_ns, full_circle=circle)
+
+
 def project(rays: Rays, spec: GridSpec) -> Projected:
-    """Round rays to the lattice, once."""
+    """Round rays, as `prepare` gives them, to the lattice, once."""
     depth = 0.0 if spec.radial is None else spec.radial.depth
     origins = spec.lattice.to_units(rays.origin)
     anchor = origins[0, 0] >> CELL_SHIFT << CELL_SHIFT
@@ -70,12 +102,18 @@ def project(rays: Rays, spec: GridSpec) -> Projected:
         to_row + top + 1 + margin,
         to_col + right + 1 + margin,
     )
-    return Projected(rays, anchor, origins, ends_x, ends_y, box)
+    weights, between = np.ones_like(rays.kind), np.zeros_like(rays.kind)
+    if spec.update is Update.SURFACE:
+        link_neighbours(
+            *(rays.distance, rays.kind, ends_x, ends_y, rays.full_circle, spec.jump),
+            *(weights, between),
+        )
+    return Projected(rays, anchor, origins, ends_x, ends_y, weights, between, box)
 
 
 def _reach_beside(rays: Rays, spec: GridSpec) -> int:
     """How many cells beside their ends beams have a say in: half-way to their neighbours."""
-    if spec.radial is None or spec.update is Update.BEAM or rays.kind.shape[1] < 2:
+    if spec.radial is None or spec.update is not Update.POLYGON or rays.kind.shape[1] < 2:
         return 0
     # A turn makes no difference of two bearings longer, and at most doubles its larger part.
     single = rays.turn.shape[1] == 1

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from occmap.grid.kernels.units import BEAM_WEIGHT
 from occmap.grid.lattice import Lattice
 from occmap.grid.tiles import LOG_ODDS_UNIT
 from occmap.types import Float64, Int64, Update
@@ -58,6 +59,11 @@ def tabulate(free: Profile, hit: Profile, depth: float) -> RadialTables:
     return RadialTables(depth, free_entries, hit_entries, constant, largest)
 
 
+def find_unit(update: Update) -> int:
+    """What one beam, or one scan, weighs in the numbers of a cell."""
+    return BEAM_WEIGHT if update is Update.SURFACE else 1
+
+
 @dataclass(frozen=True)
 class GridSpec:
     """How rays become evidence."""
@@ -65,10 +71,17 @@ class GridSpec:
     update: Update
     lattice: Lattice
     jump: float = 0.2
-    """Neighbours whose ranges differ by at most this (m) see the same surface (polygon update)"""
+    """Neighbours whose ranges differ by at most this (m) see the same surface (not for beam)"""
     border_gap: int = 8
-    """... and the border is closed over at most so many cells"""
+    """... and the border is closed over at most so many cells (polygon)"""
+    hit_offset: float = 0.0
+    """Cells by which a hit lies behind the measured point: that is on a surface, not in it"""
     radial: RadialTables | None = None
     """None: hits and misses are counted"""
     slice_ns: int = 10 * 10**9
     """Visits are told apart by slices of time so long, where times are kept"""
+
+    @property
+    def unit(self) -> int:
+        """What one beam, or one scan, weighs in the numbers of a cell."""
+        return find_unit(self.update)

@@ -40,9 +40,11 @@ class EvidenceKind(StrEnum):
 class TileGrid:
     """Evidence of one kind on one lattice; it grows while a map is built."""
 
-    def __init__(self, lattice: Lattice, kind: EvidenceKind) -> None:
+    def __init__(self, lattice: Lattice, kind: EvidenceKind, unit: int = 1) -> None:
         self.lattice = lattice
         self.kind = kind
+        self.unit = unit
+        """What one observation weighs in the numbers of a cell"""
         self.tiles: dict[tuple[int, int], Tile] = {}
         self._bounds: dict[tuple[int, int], int] = {}
         self._reach: CellBox | None = None

@@ -10,10 +10,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.grid.kernels.beam import sum_beams, trace_beams
+from occmap.grid.kernels.beam import Changes, sum_beams, trace_beams
 from occmap.grid.kernels.outline import Surfaces
 from occmap.grid.kernels.polygon import MOST_SCANS, read_border, sum_runs, trace_polygons
-from occmap.grid.kernels.radial_beam import trace_radial_beams
+from occmap.grid.kernels.radial_beam import Profile, trace_radial_beams
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.kernels.units import UNITS_PER_CELL
 from occmap.grid.lattice import CellBox
@@ -43,19 +43,19 @@ class Window(ABC):
         """Make empty arrays."""
 
     @staticmethod
-    def count(rays: Rays) -> int:
-        """How often rays may observe one cell."""
-        return rays.kind.size
+    def count(rays: Rays, spec: GridSpec) -> int:
+        """How much rays may add to the observations of one cell."""
+        return rays.kind.size * spec.unit
 
     def has_room(self, projected: Projected) -> bool:
         """Whether rays lie wholly in the box and cannot make a number overflow."""
-        observations = self.observations + self.count(projected.rays)
+        observations = self.observations + self.count(projected.rays, self.spec)
         return self.box.contains(projected.box) and observations <= self.most_observations
 
     def observe(self, projected: Projected) -> None:
         """Observe what lies in the box."""
         self.trace(projected)
-        self.observations += self.count(projected.rays)
+        self.observations += self.count(projected.rays, self.spec)
         touched = self.box.clip(projected.box)
         self.touched = touched if self.touched is None else self.touched.join(touched)
 
@@ -90,18 +90,22 @@ def find_corner(box: CellBox) -> Int64:
     return np.array([box.col * UNITS_PER_CELL, box.row * UNITS_PER_CELL], np.int64)
 
 
-def allocate_changes(rows: int, cols: int) -> tuple[Int32, Int32]:
-    """Make what `trace_beams` notes along rows: where runs start and end, and steps between."""
-    return np.zeros(rows * (cols + 1), np.int32), np.zeros((rows + 1) * (cols + 1), np.int32)
+def allocate_changes(rows: int, cols: int) -> Changes:
+    """Make what `trace_beams` notes: where runs start and end, and steps between."""
+    return Changes(
+        row_runs=np.zeros(rows * (cols + 1), np.int32),
+        row_steps=np.zeros((rows + 1) * (cols + 1), np.int32),
+        col_runs=np.zeros(cols * (rows + 1), np.int32),
+        col_steps=np.zeros((cols + 1) * (rows + 1), np.int32),
+    )
 
 
 class BeamWindow(Window):
-    """Hits and misses, beam by beam."""
+    """Hits and misses, beam by beam, with those drawn between where the update asks for them."""
 
     def allocate(self, rows: int, cols: int) -> None:
         self.hits = np.zeros((rows, cols), np.int32)
-        self.row_changes = allocate_changes(rows, cols)
-        self.col_changes = allocate_changes(cols, rows)
+        self.changes = allocate_changes(rows, cols)
 
     def trace(self, projected: Projected) -> None:
         trace_beams(
@@ -109,15 +113,16 @@ class BeamWindow(Window):
             projected.ends_x,
             projected.ends_y,
             projected.rays.kind,
+            projected.weights,
+            projected.between,
             self.corner - projected.anchor,
             self.hits,
-            *self.row_changes,
-            *self.col_changes,
+            self.changes,
         )
 
     def read_from(self, row: int, col: int, shape: tuple[int, int]) -> CellNumbers:
         misses = np.empty(shape, np.int32)
-        sum_beams(*self.row_changes, *self.col_changes, self.hits.shape, (row, col), misses)
+        sum_beams(self.changes, self.hits.shape, (row, col), misses)
         return self.hits[row : row + shape[0], col : col + shape[1]], misses
 
 
@@ -144,7 +149,7 @@ class PolygonWindow(Window):
     most_observations = MOST_SCANS
 
     @staticmethod
-    def count(rays: Rays) -> int:
+    def count(rays: Rays, _spec: GridSpec) -> int:
         """A scan observes a cell once."""
         return len(rays.kind)
 
@@ -215,8 +220,7 @@ class RadialBeamWindow(RadialWindow):
 
     def allocate(self, rows: int, cols: int) -> None:
         super().allocate(rows, cols)
-        self.row_changes = allocate_changes(rows, cols)
-        self.col_changes = allocate_changes(cols, rows)
+        self.changes = allocate_changes(rows, cols)
 
     def trace(self, projected: Projected) -> None:
         rays, tables = projected.rays, self.tables
@@ -229,19 +233,17 @@ class RadialBeamWindow(RadialWindow):
             rays.bearing,
             rays.distance,
             rays.kind,
+            projected.weights,
+            projected.between,
             self.corner - projected.anchor,
             units_per_metre,
-            tables.depth * units_per_metre,
-            tables.free,
-            tables.hit,
-            tables.constant,
+            Profile(tables.depth * units_per_metre, tables.free, tables.hit, tables.constant),
             self.cells,
-            *self.row_changes,
-            *self.col_changes,
+            self.changes,
         )
 
     def sum_plain(self, row: int, col: int, plain: Int32) -> None:
-        sum_beams(*self.row_changes, *self.col_changes, self.cells.shape, (row, col), plain)
+        sum_beams(self.changes, self.cells.shape, (row, col), plain)
 
 
 class RadialPolygonWindow(RadialWindow):
@@ -278,5 +280,5 @@ class RadialPolygonWindow(RadialWindow):
 def choose_window(spec: GridSpec) -> type[Window]:
     """The kind of window that an update and a model need."""
     if spec.radial is None:
-        return BeamWindow if spec.update is Update.BEAM else PolygonWindow
-    return RadialBeamWindow if spec.update is Update.BEAM else RadialPolygonWindow
+        return PolygonWindow if spec.update is Update.POLYGON else BeamWindow
+    return RadialPolygonWindow if spec.update is Update.POLYGON else RadialBeamWindow

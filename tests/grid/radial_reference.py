@@ -11,7 +11,7 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 
 from occmap.types import Kind, Rays
-from tests.grid.reference import Cell, Point, all_beams, bresenham, cell_of, point
+from tests.grid.reference import Cell, Point, all_beams, bresenham, cell_of, list_beams, point
 
 MILLIONTH = 1e-6
 """A distance this near to a limit, as a share of it, may fall on either side."""
@@ -82,6 +82,20 @@ def trace_radial_beams(rays: Rays, resolution: float, model: Quadratic) -> Obser
             observed.note(cell, model.observe(d, r, kind))
             if model.is_on_limit(d, r):
                 observed.doubtful.add(cell)
+    return observed
+
+
+def trace_radial_surfaces(rays: Rays, resolution: float, model: Quadratic) -> Observed:
+    """As along each beam, for those drawn between neighbours, too; each as often as it weighs."""
+    observed = Observed()
+    for s in range(rays.kind.shape[0]):
+        for beam in list_beams(rays, s, resolution, 0.2, model.depth):
+            for cell in bresenham(cell_of(beam.start), cell_of(beam.end)):
+                d = math.hypot(*centre_from(beam.sensor, cell, resolution))
+                for _ in range(beam.weight):
+                    observed.note(cell, model.observe(d, beam.range, beam.kind))
+                if model.is_on_limit(d, beam.range):
+                    observed.doubtful.add(cell)
     return observed
 
 

@@ -7,6 +7,7 @@ rounding of a coordinate to 1/256 of a cell, which is part of the rule.
 import math
 from collections import Counter
 from collections.abc import Iterator
+from typing import NamedTuple
 
 from occmap.types import Kind, Rays
 
@@ -58,6 +59,70 @@ def trace_beams(rays: Rays, resolution: float) -> tuple[Counter[Cell], Counter[C
         misses.update(bresenham(start, end)[:-1])
         (hits if rays.kind[s, b] == Kind.HIT else misses)[end] += 1
     return hits, misses
+
+
+class Beam(NamedTuple):
+    """A beam as the surface update draws it."""
+
+    sensor: Point
+    start: Point
+    """Half-way to its end, where it lies between two measured beams"""
+    end: Point
+    range: float
+    """m"""
+    kind: Kind
+    weight: int
+
+
+def trace_surfaces(
+    rays: Rays, resolution: float, jump: float = 0.2
+) -> tuple[Counter[Cell], Counter[Cell]]:
+    """Hits and misses of the surface update."""
+    hits: Counter[Cell] = Counter()
+    misses: Counter[Cell] = Counter()
+    for s in range(rays.kind.shape[0]):
+        for beam in list_beams(rays, s, resolution, jump):
+            for cell in bresenham(cell_of(beam.start), cell_of(beam.end))[:-1]:
+                misses[cell] += beam.weight
+            (hits if beam.kind == Kind.HIT else misses)[cell_of(beam.end)] += beam.weight
+    return hits, misses
+
+
+def list_beams(
+    rays: Rays, s: int, resolution: float, jump: float, depth: float = 0.0
+) -> Iterator[Beam]:
+    """A scan's beams, and those that a denser laser would have sent between neighbours.
+
+    A hit is followed to `depth` (m) behind its range.
+    """
+    beams = rays.kind.shape[1]
+    kinds = [Kind(kind) for kind in rays.kind[s].tolist()]
+    distance = [float(each) for each in rays.distance[s]]
+    sensors = [point(rays, s, b, 0.0, resolution) for b in range(beams)]
+    reach = [r + depth if kind == Kind.HIT else r for r, kind in zip(distance, kinds, strict=True)]
+    ends = [point(rays, s, b, reach[b], resolution) for b in range(beams)]
+    weights = [2] * beams
+    for a in range(beams if rays.full_circle and beams > 1 else beams - 1):
+        b = (a + 1) % beams
+        (x, y), (to_x, to_y) = ends[a], ends[b]
+        apart = max(abs(to_x - x), abs(to_y - y)) // 256
+        near = min(distance[a], distance[b])
+        one_surface = abs(distance[a] - distance[b]) <= max(jump, near * 0.1) and apart <= 12
+        drawn = 0
+        if kinds[a] == kinds[b] == Kind.HIT and one_surface:
+            drawn = min(apart, 3)
+            for i in range(1, drawn + 1):
+                end = x + i * ((to_x - x) // (drawn + 1)), y + i * ((to_y - y) // (drawn + 1))
+                start = (sensors[a][0] + end[0]) // 2, (sensors[a][1] + end[1]) // 2
+                r = max(math.dist(sensors[a], end) * resolution / 256 - depth, 0.0)
+                yield Beam(sensors[a], start, end, r, Kind.HIT, 2)
+        elif not kinds[a] == kinds[b] == Kind.FREE:
+            continue
+        weights[a] += 3 - drawn
+        weights[b] += 3 - drawn
+    for b, kind in enumerate(kinds):
+        if kind != Kind.SKIP:
+            yield Beam(sensors[b], sensors[b], ends[b], distance[b], kind, weights[b])
 
 
 def trace_polygons(

@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from occmap.errors import MapError
-from occmap.grid.engine import WINDOW_CELLS, GridEngine, join_viewpoints
+from occmap.grid.engine import WINDOW_CELLS, GridEngine
 from occmap.grid.lattice import Lattice
+from occmap.grid.projection import join_viewpoints
 from occmap.grid.spec import GridSpec, tabulate
 from occmap.grid.tiles import TILE
 from occmap.sensor.models import QuadraticModel
@@ -46,7 +47,7 @@ def radial_tables(resolution: float, p_min: float = 0.2) -> GridSpec:
 
 
 def all_specs(resolution: float) -> list[GridSpec]:
-    """Both updates with both sorts of evidence."""
+    """Every update with both sorts of evidence."""
     radial = radial_tables(resolution)
     return [
         replace(radial, update=update, radial=tables)
@@ -56,7 +57,9 @@ def all_specs(resolution: float) -> list[GridSpec]:
 
 
 KINDS_OF_MAP = pytest.mark.parametrize(
-    "kind_of_map", range(4), ids=["beam", "beam-radial", "polygon", "polygon-radial"]
+    "kind_of_map",
+    range(6),
+    ids=["beam", "beam-radial", "polygon", "polygon-radial", "surface", "surface-radial"],
 )
 
 
@@ -66,6 +69,33 @@ def test_beam_update_follows_the_rule(drive: Drive, window_cells: int) -> None:
     rays, resolution = drive
     spec = GridSpec(Update.BEAM, Lattice(resolution))
     assert observe(spec, [rays], window_cells) == reference.trace_beams(rays, resolution)
+
+
+@MANY
+@given(drive=drives(), jump_cells=st.sampled_from([0.0, 0.5, 4.0, 1e9]), window_cells=WINDOWS)
+def test_surface_update_follows_the_rule(
+    drive: Drive, jump_cells: float, window_cells: int
+) -> None:
+    rays, resolution = drive
+    jump = jump_cells * resolution
+    spec = GridSpec(Update.SURFACE, Lattice(resolution), jump)
+    expected = reference.trace_surfaces(rays, resolution, jump)
+    assert observe(spec, [rays], window_cells) == expected
+
+
+@pytest.mark.parametrize("update", list(Update))
+@FEW
+@given(drive=drives(), cells=st.sampled_from([0.25, 0.5, 2.0]))
+def test_a_hit_is_moved_outward_before_anything_is_rounded(
+    update: Update, drive: Drive, cells: float
+) -> None:
+    rays, resolution = drive
+    offset = np.float32(cells * resolution)
+    moved = replace(
+        rays, distance=np.where(rays.kind == Kind.HIT, rays.distance + offset, rays.distance)
+    )
+    spec = GridSpec(update, Lattice(resolution))
+    assert observe(replace(spec, hit_offset=cells), [rays]) == observe(spec, [moved])
 
 
 @MANY
@@ -93,10 +123,11 @@ def test_centres_that_lie_on_edges_and_ends_that_lie_on_borders(
 ) -> None:
     rays, resolution = drive
     spec = GridSpec(update, Lattice(resolution), 2 * resolution)
-    if update is Update.BEAM:
-        expected = reference.trace_beams(rays, resolution)
-    else:
-        expected = reference.trace_polygons(rays, resolution, spec.jump)
+    expected = {
+        Update.BEAM: lambda: reference.trace_beams(rays, resolution),
+        Update.POLYGON: lambda: reference.trace_polygons(rays, resolution, spec.jump),
+        Update.SURFACE: lambda: reference.trace_surfaces(rays, resolution, spec.jump),
+    }[update]()
     assert observe(spec, [rays]) == expected
 
 

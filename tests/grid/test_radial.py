@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from occmap.grid.engine import WINDOW_CELLS, join_viewpoints
+from occmap.grid.engine import WINDOW_CELLS
 from occmap.grid.lattice import Lattice
+from occmap.grid.projection import join_viewpoints
 from occmap.grid.spec import TABLE_STEPS, GridSpec, tabulate
 from occmap.grid.tiles import LOG_ODDS_UNIT
 from occmap.sensor.models import QuadraticModel
@@ -23,6 +24,7 @@ Trace = Callable[[Rays, float, Quadratic], Observed]
 TRACES: dict[Update, Trace] = {
     Update.BEAM: radial_reference.trace_radial_beams,
     Update.POLYGON: radial_reference.trace_radial_polygons,
+    Update.SURFACE: radial_reference.trace_radial_surfaces,
 }
 
 
@@ -93,18 +95,20 @@ def look_around(distance: list[float], degrees: float) -> Rays:
 def test_the_cells_of_one_beam_worked_out_by_hand(update: Update) -> None:
     """Range 4, depth 1: free before 3 with p = (d / 3)^2 / 2, the hit from 3 to 5."""
     model = Quadratic(depth=1.0, p_min=0.1)
-    rays = look_around([4.0], 10.0) if update is Update.BEAM else look_around([4.0] * 36, 10.0)
+    rays = look_around([4.0] * 36, 10.0) if update is Update.POLYGON else look_around([4.0], 10.0)
     evidence = observe(make_spec(update, 1.0, model), [rays])
     ahead = [(0, col) for col in range(6)]
-    assert [evidence.second[cell] for cell in ahead] == [1] * 6
+    weight = 2 if update is Update.SURFACE else 1
+    assert [evidence.second[cell] for cell in ahead] == [weight] * 6
     p = np.array([0.1, 0.1, 2 / 9, 0.5, 0.9, 0.5])
-    log_odds = np.array([evidence.first[cell] for cell in ahead]) * LOG_ODDS_UNIT
+    log_odds = np.array([evidence.first[cell] for cell in ahead]) * LOG_ODDS_UNIT / weight
     np.testing.assert_allclose(log_odds, np.log(p / (1 - p)), atol=tolerance(model))
 
 
 def test_near_cells_are_observed_by_every_beam_but_once_by_a_scan() -> None:
     model, rays = Quadratic(1.0, 0.1), look_around([4.0] * 36, 10.0)
-    counts = [observe(make_spec(update, 1.0, model), [rays]).second[0, 0] for update in Update]
+    plain = (Update.BEAM, Update.POLYGON)
+    counts = [observe(make_spec(update, 1.0, model), [rays]).second[0, 0] for update in plain]
     assert counts == [36, 1]
 
 

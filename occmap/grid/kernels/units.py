@@ -4,10 +4,17 @@ They stand beside the loops, and not with the types, as machine code is kept und
 folder: numba builds their values in.
 """
 
-SKIP, HIT = 0, 2
+SKIP, FREE, HIT = 0, 1, 2
 """`occmap.types.Kind` as plain integers."""
 
 CELL_SHIFT = 8
 """`units >> CELL_SHIFT` is the row or column that a coordinate lies in."""
 UNITS_PER_CELL = 1 << CELL_SHIFT
 HALF_CELL = UNITS_PER_CELL // 2
+
+MOST_BETWEEN = 3
+"""The surface update draws at most so many beams between two neighbours: more change no map."""
+ALONE = BETWEEN = 2
+"""What it lets a beam weigh without its neighbours, and one that is drawn between two."""
+BEAM_WEIGHT = ALONE + 2 * MOST_BETWEEN
+"""What it lets a beam weigh whose neighbours meet the same surface, with its share of those drawn."""
