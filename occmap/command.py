@@ -18,7 +18,12 @@ from occmap.types import Pose
 Group = TypeVar("Group", BuildOptions, PosingOptions, ReaderOptions, ReturnOptions, Selection)
 
 LATTICE_FLAGS = {"resolution": "--resolution"}
-GRID_FLAGS = {"jump": "--jump", "border_gap": "--border-gap", "max_cells": "--max-cells"}
+GRID_FLAGS = {
+    "jump": "--jump",
+    "hit_offset": "--hit-offset",
+    "border_gap": "--border-gap",
+    "max_cells": "--max-cells",
+}
 SELECTION_FLAGS = {"start_s": "--start", "end_s": "--end", "stride": "--stride"}
 POSING_FLAGS = {
     "map_frame": "--map-frame",

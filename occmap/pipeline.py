@@ -3,7 +3,7 @@
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from itertools import compress, islice
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -32,7 +32,7 @@ from occmap.report import (
     refuse_unseen,
     refuse_unused,
 )
-from occmap.sensor.models import RadialModel, SensorModel, SimpleModel, describe_model
+from occmap.sensor.models import CountingModel, RadialModel, SensorModel, describe_model
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Evidence, OccupancyMap, Rays, Scan, Update
 from occmap.workers import Workers, count_cores
@@ -41,7 +41,9 @@ from occmap.writers import Product, WriteOptions, check_outputs, want_evidence, 
 if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
     from occmap.grid.engine import GridEngine
 
-DEFAULT_UPDATE = Update.BEAM
+MOST_OFFSET = 10
+"""Cells; a hit that lies deeper in a wall is none."""
+DEFAULT_UPDATE = Update.SURFACE
 
 Progress = Callable[[int, int], None]
 """Told, now and then, how many scans were read since the last call and how many there are."""
@@ -54,14 +56,14 @@ class BuildOptions:
     resolution: float = 0.05
     """Side of a cell (m)"""
     update: Update = DEFAULT_UPDATE
-    model: SensorModel = field(default_factory=SimpleModel)
+    model: SensorModel = field(default_factory=CountingModel)
     reading: ReaderOptions = field(default_factory=ReaderOptions)
     returns: ReturnOptions = field(default_factory=ReturnOptions)
     posing: PosingOptions = field(default_factory=PosingOptions)
     selection: Selection = field(default_factory=Selection)
     writing: WriteOptions = field(default_factory=WriteOptions)
     jump: float = 0.2
-    """Neighbouring beams see one surface where ranges differ by at most this (m; polygon)"""
+    """Neighbouring beams see one surface where ranges differ by at most this (m; not beam)"""
     border_gap: int = 8
     """... and its border is closed between end cells at most this far apart (cells; polygon)"""
     hit_offset: float = 0.5
@@ -84,6 +86,11 @@ class BuildOptions:
             raise UsageError(f"{self.jobs} jobs are not possible", fix="give --jobs 1 or more")
         if not self.jump >= 0:
             raise UsageError(f"a jump of {self.jump} m is not possible", fix="try --jump 0.2")
+        if not 0 <= self.hit_offset <= MOST_OFFSET:
+            raise UsageError(
+                f"a hit offset of {self.hit_offset} cells is not possible",
+                fix=f"give 0 to {MOST_OFFSET}",
+            )
         if not 0 <= self.border_gap <= 1000:
             raise UsageError(
                 f"a border gap of {self.border_gap} cells is not possible", fix="give 0 to 1000"
@@ -91,10 +98,10 @@ class BuildOptions:
 
     def list_idle(self) -> Iterator[str]:
         """Say which options do nothing under the update."""
-        changed = self.jump != BuildOptions.jump, self.border_gap != BuildOptions.border_gap
-        if self.update is Update.BEAM:
-            for flag in compress(("--jump", "--border-gap"), changed):
-                yield f"{flag} does nothing: it is for `occmap build polygon`"
+        if self.update is Update.BEAM and self.jump != BuildOptions.jump:
+            yield "--jump does nothing under `occmap build beam`"
+        if self.update is not Update.POLYGON and self.border_gap != BuildOptions.border_gap:
+            yield "--border-gap does nothing: it is for `occmap build polygon`"
 
 
 class Build(NamedTuple):
@@ -325,6 +332,7 @@ def make_report(
         rows=rows,
         extent=grid.extent,
         shares=measure_shares(grid, options.writing),
+        agreement=grid.agreement,
         seconds=dict(tally.seconds),
         files=tuple(remarks.files),
         resumed=remarks.resumed,

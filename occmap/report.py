@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Lock
 from time import perf_counter
@@ -16,7 +16,7 @@ from occmap.errors import LogError, MapError, PoseError
 from occmap.grid.tiles import TileGrid
 from occmap.readers import Log
 from occmap.sensor.bounds import Clamped
-from occmap.sensor.models import SensorModel
+from occmap.sensor.models import SensorModel, find_decision
 from occmap.sensor.returns import ReturnCounts
 from occmap.types import Box, OccupancyMap
 from occmap.wording import write_counts
@@ -121,6 +121,8 @@ class Report:
     extent: Box
     """Lowest x and y, highest x and y (m)"""
     shares: Shares
+    agreement: float | None = None
+    """Share of hits that lie in cells called occupied; None where hits are not kept"""
     seconds: dict[str, float] = field(default_factory=dict)
     """By stage; where threads work at the same time, their times add up"""
     files: tuple[str, ...] = ()
@@ -161,6 +163,7 @@ class Report:
                 "extent": list(self.extent),
                 **self.shares._asdict(),
                 "undecided": self.undecided,
+                "agreement": self.agreement,
             },
             "notes": list(self.notes),
             "damage": list(self.damage),
@@ -246,12 +249,9 @@ def list_lacking(tally: Tally, resumed: Resumed | None) -> Iterator[str]:
 
 
 def measure_shares(grid: OccupancyMap, writing: WriteOptions) -> Shares:
-    """Measure how much of a map is what, at the writers' thresholds."""
-    masks = (
-        grid.is_occupied(writing.occupied_thresh),
-        grid.is_free(writing.free_thresh),
-        ~grid.observed,
-    )
+    """Measure how much of a map is what, as it is written."""
+    written = replace(grid, decision=writing.decide(grid.decision))
+    masks = written.occupied, written.free, ~written.observed
     return Shares(*(int(np.count_nonzero(mask)) / mask.size for mask in masks))
 
 
@@ -259,9 +259,8 @@ def list_unreached(model: SensorModel, writing: WriteOptions) -> Iterator[str]:
     """Say which class no cell can be of, for the bounds of the model."""
     if not isinstance(model, Clamped):
         return
-    occupied, free = writing.occupied_thresh, writing.free_thresh
-    if model.clamp_max < occupied:
-        bound = f"clamp_max {model.clamp_max:g} is below --occupied-thresh {occupied:g}"
-        yield f"no cell can be occupied: {bound}"
-    if model.clamp_min > free:
-        yield f"no cell can be free: clamp_min {model.clamp_min:g} is above --free-thresh {free:g}"
+    free, occupied = writing.decide(find_decision(model))
+    if model.clamp_max <= occupied:
+        yield f"no cell can be occupied: clamp_max {model.clamp_max:g} is not above {occupied:g}"
+    if model.clamp_min >= free:
+        yield f"no cell can be free: clamp_min {model.clamp_min:g} is not below {free:g}"

@@ -307,6 +307,19 @@ def to_log_odds(probability: float) -> float:
     return math.log(probability / (1 - probability))
 
 
+class Decision(NamedTuple):
+    """From what probability on a cell is called occupied, and below which free.
+
+    What lies between, both limits included, is undecided.
+    """
+
+    free_below: float
+    occupied_above: float
+
+
+EVEN_ODDS = Decision(0.5, 0.5)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class OccupancyMap:
     """An occupancy grid. Row 0 is the lowest y and column 0 the lowest x; only writers flip."""
@@ -319,6 +332,11 @@ class OccupancyMap:
     """Side of a cell (m)"""
     origin: tuple[float, float]
     """x, y of the lower-left corner of cell (0, 0) (m)"""
+    decision: Decision = EVEN_ODDS
+    """What makes a cell occupied or free"""
+    agreement: float | None = None
+    """Share of all hits that lie in cells called occupied: low where poses are wrong. None where
+    the evidence keeps no hits"""
 
     @property
     def probability(self) -> Float32:
@@ -328,15 +346,24 @@ class OccupancyMap:
         probability: Float32 = numerator / (1 + odds)
         return probability
 
-    def is_occupied(self, threshold: float) -> Bool:
-        """(H, W): observed, and at least as probably occupied as the threshold."""
-        occupied: Bool = self.observed & (self.log_odds >= np.float32(to_log_odds(threshold)))
-        return occupied
+    @property
+    def occupied(self) -> Bool:
+        """(H, W): observed, and surer than the decision asks for."""
+        above: Bool = self.log_odds > np.float32(to_log_odds(self.decision.occupied_above))
+        return self.observed & above
 
-    def is_free(self, threshold: float) -> Bool:
-        """(H, W): observed, and at most as probably occupied as the threshold."""
-        free: Bool = self.observed & (self.log_odds <= np.float32(to_log_odds(threshold)))
-        return free
+    @property
+    def free(self) -> Bool:
+        """(H, W): observed, and less probably occupied than the decision asks for."""
+        below: Bool = self.log_odds < np.float32(to_log_odds(self.decision.free_below))
+        return self.observed & below
+
+    def take(self, rows: slice, cols: slice) -> Self:
+        """A part of the map; its arrays are views."""
+        x, y = self.origin
+        start = x + (cols.start or 0) * self.resolution, y + (rows.start or 0) * self.resolution
+        log_odds, observed = self.log_odds[rows, cols], self.observed[rows, cols]
+        return replace(self, log_odds=log_odds, observed=observed, origin=start)
 
     @property
     def extent(self) -> Box:

@@ -21,9 +21,10 @@ from occmap.report import Report
 
 HELP = f"""{COMMANDS["build"]}
 
-The first word may say how a scan becomes observations of cells: each beam by itself (beam), or a
-whole scan as one region (polygon). Without it: {DEFAULT_UPDATE}. A log that is called `beam` is
-written ./beam.
+The first word may say how a scan becomes observations of cells: each beam by itself (beam); a
+whole scan as one region (polygon); or each beam and, between neighbours that meet one surface, what
+lies between them (surface). Without it: {DEFAULT_UPDATE}. A log that is called `beam` is written
+./beam.
 
 \b
   occmap build drive.mcap -o map.pgm
@@ -53,7 +54,7 @@ class Request(NamedTuple):
 
 
 @click.command("build", cls=SectionCommand, help=HELP, short_help=COMMANDS["build"])
-@click.argument("words", nargs=-1, metavar="[beam|polygon] LOG...")
+@click.argument("words", nargs=-1, metavar="[beam|polygon|surface] LOG...")
 @join(options.writing, resume, options.lattice, options.min_passes, options.pass_gap)
 @join(log_options.ranges, options.model)
 @join(log_options.selection, log_options.posing)

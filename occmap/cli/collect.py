@@ -20,7 +20,10 @@ Values = Mapping[str, Any]
 """What click read, by the names of the options."""
 Group = TypeVar("Group")
 
-SHORTHANDS = ("p_hit", "p_miss", "epsilon", "p_min", "prior", "clamp_min", "clamp_max")
+SHORTHANDS = (
+    *("p_hit", "p_miss", "epsilon", "p_min"),
+    *("prior", "cut", "spread", "clamp_min", "clamp_max"),
+)
 """Parameters of sensor models that are flags, too."""
 
 

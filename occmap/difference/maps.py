@@ -6,7 +6,7 @@ one that stayed undecided, so both are called neither here.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -118,7 +118,8 @@ def load_png(path: Path, thresholds: WriteOptions) -> ClassMap:
     MapError
         It cannot be read.
     """
-    meta = Meta(path.name, MapMode.TRINARY, thresholds.occupied_thresh, thresholds.free_thresh)
+    free, occupied = thresholds.thresholds
+    meta = Meta(path.name, MapMode.TRINARY, occupied, free)
     return ClassMap(path, classify(path, meta), None)
 
 
@@ -132,9 +133,10 @@ def load_evidence(path: Path, thresholds: WriteOptions) -> ClassMap:
     """
     evidence = read_evidence(path)
     grid = render_saved(evidence, read_model(evidence), MAX_CELLS)
+    grid = replace(grid, decision=thresholds.decide(grid.decision))
     classes = np.full(grid.shape, CellClass.NEITHER, np.uint8)
-    classes[grid.is_free(thresholds.free_thresh)] = CellClass.FREE
-    classes[grid.is_occupied(thresholds.occupied_thresh)] = CellClass.OCCUPIED
+    classes[grid.free] = CellClass.FREE
+    classes[grid.occupied] = CellClass.OCCUPIED
     return ClassMap(path, classes, Place(grid.resolution, *grid.origin))
 
 

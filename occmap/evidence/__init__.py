@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -10,13 +11,24 @@ from occmap.errors import MapError, OccmapError
 from occmap.evidence.manifest import describe_profile
 from occmap.evidence.persistence import check_passes, keep_lasting
 from occmap.grid.lattice import Lattice
+from occmap.grid.rendering import SpreadHits, TileSource, find_bounds, measure_agreement, paint
+from occmap.grid.spec import find_unit
 from occmap.grid.stacks import add_stack, stack_tiles
-from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid
-from occmap.sensor.bounds import Clamped
-from occmap.sensor.models import RadialModel, SensorModel, parse_model
-from occmap.types import Box, Evidence, Float64, Int64, Manifest, OccupancyMap, Times, to_log_odds
+from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid, refuse_large
+from occmap.sensor.bounds import Clamped, Spreading
+from occmap.sensor.models import RadialModel, SensorModel, find_decision, parse_model
+from occmap.types import (
+    Box,
+    Evidence,
+    Float64,
+    Manifest,
+    OccupancyMap,
+    Times,
+    Update,
+    to_log_odds,
+)
 
-Weigh: TypeAlias = Callable[[Int64, Int64], Float64]
+Weigh: TypeAlias = Callable[[Float64, Float64], Float64]
 """Takes hits and misses, or log-odds and observations"""
 CELL_SLACK = 1e-6
 """In cells: 0.15 m is three cells of 0.05 m, whatever floats say."""
@@ -30,7 +42,21 @@ def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
     MapError
         Nothing was observed, or the map would be too large.
     """
-    return grid.render(weigh(model), to_log_odds(model.prior), max_cells)
+    tiles = choose_tiles(grid, model)
+    box = find_bounds(tiles)
+    refuse_large(box, grid.lattice, max_cells)
+    log_odds, observed = paint(tiles, weigh(model), to_log_odds(model.prior), box)
+    origin = (grid.lattice.to_metres(box.col), grid.lattice.to_metres(box.row))
+    decision = find_decision(model)
+    made = OccupancyMap(log_odds, observed, grid.lattice.resolution, origin, decision)
+    return replace(made, agreement=measure_agreement(grid, made.occupied, box))
+
+
+def choose_tiles(grid: TileGrid, model: SensorModel) -> TileSource:
+    """The numbers that a model is asked about: those of the grid, or with hits spread."""
+    if isinstance(model, Spreading) and model.spread > 0:
+        return SpreadHits(grid, model.spread)
+    return grid
 
 
 def weigh(model: SensorModel) -> Weigh:
@@ -84,9 +110,8 @@ def crop(grid: OccupancyMap, box: Box) -> OccupancyMap:
     if row >= row_end or col >= col_end:
         reach = ", ".join(f"{edge:.6g}" for edge in grid.extent)
         raise MapError("no cell of the map lies in --crop", fix=f"the map's own box is {reach}")
-    part = slice(row, row_end), slice(col, col_end)
     origin = (left + col) * size, (low + row) * size
-    return OccupancyMap(grid.log_odds[part], grid.observed[part], size, origin)
+    return replace(grid.take(slice(row, row_end), slice(col, col_end)), origin=origin)
 
 
 def read_model(evidence: Evidence) -> SensorModel:
@@ -115,7 +140,8 @@ def to_evidence(grid: TileGrid, manifest: Manifest, times: tuple[Times, ...]) ->
 def to_grid(evidence: Evidence) -> TileGrid:
     """Make a grid of evidence."""
     manifest = evidence.manifest
-    grid = TileGrid(Lattice(manifest.resolution), EvidenceKind(manifest.kind))
+    unit = find_unit(Update(manifest.update))
+    grid = TileGrid(Lattice(manifest.resolution), EvidenceKind(manifest.kind), unit)
     add_stack(grid, evidence.tiles, evidence.cells)
     return grid
 

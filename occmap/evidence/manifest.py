@@ -19,7 +19,7 @@ NO_OPTIONS = ("jobs", "resume")
 """Fields of options that change nothing about what is observed."""
 BuildRecord = dict[str, Any]
 """An entry of `Manifest.builds`, as `describe_build` makes it"""
-OF_MAPS = ("prior", *NO_CLAMP)
+OF_MAPS = ("prior", "cut", *NO_CLAMP)
 """Parameters of models that change nothing about the evidence, only what a map makes of it."""
 
 

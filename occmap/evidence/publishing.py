@@ -86,6 +86,7 @@ def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> 
         rows=rows,
         extent=grid.extent,
         shares=measure_shares(grid, writing),
+        agreement=grid.agreement,
     )
 
 

@@ -1,22 +1,23 @@
 """Why a cell is what it is: what evidence holds of it, and which scans made it so."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from occmap.errors import UsageError
-from occmap.evidence import read_model, refuse_other_profile, to_grid, weigh
-from occmap.evidence.persistence import check_passes, weigh_visits
+from occmap.evidence import choose_tiles, read_model, refuse_other_profile, to_grid, weigh
+from occmap.evidence.persistence import check_passes, keep_lasting
 from occmap.evidence.publishing import list_notes
 from occmap.explanation.history import CellHistory, Visits, look_at
 from occmap.explanation.provenance import Use, find_uses, list_logs, list_missing, shorten
 from occmap.explanation.sightings import Numbers, Sighting, add_up, find_sightings
-from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
+from occmap.grid.rendering import find_bounds
+from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
 from occmap.pipeline import Progress, ignore_progress
-from occmap.sensor.models import SensorModel, describe_model
+from occmap.sensor.models import SensorModel, describe_model, find_decision
 from occmap.types import Box, Evidence, OccupancyMap, to_log_odds
 from occmap.wording import count
 from occmap.writers import WriteOptions
@@ -81,10 +82,11 @@ class Explanation:
         """Occupied, free, undecided, or unknown."""
         if not self.cell.observed.all():
             return "unknown"
-        if self.cell.is_occupied(self.question.writing.occupied_thresh).all():
+        written = self.question.writing.decide(self.cell.decision)
+        decided = replace(self.cell, decision=written)
+        if decided.occupied.all():
             return "occupied"
-        is_free = self.cell.is_free(self.question.writing.free_thresh).all()
-        return "free" if is_free else "undecided"
+        return "free" if decided.free.all() else "undecided"
 
     def to_json(self) -> dict[str, Any]:
         """The explanation as values that JSON has."""
@@ -131,7 +133,7 @@ def explain(
         question,
         history,
         describe_model(model),
-        judge_cell(history, model, question.min_passes),
+        judge_cell(evidence, history, model, question.min_passes),
         tuple(list_visits(evidence, history)),
         measure_extent(evidence),
         scans_used,
@@ -143,16 +145,24 @@ def explain(
     )
 
 
-def judge_cell(history: CellHistory, model: SensorModel, min_passes: int | None) -> OccupancyMap:
+def judge_cell(
+    evidence: Evidence, history: CellHistory, model: SensorModel, min_passes: int | None
+) -> OccupancyMap:
     """Make a map of the one cell."""
-    numbers = history.around[1, 1].reshape(2, 1, 1)
-    if min_passes is not None:
-        numbers = weigh_visits(numbers, history.visits.reshape(2, 1, 1), min_passes)
-    observed = numbers.any(axis=0)
-    log_odds = np.where(observed, weigh(model)(*numbers), to_log_odds(model.prior))
+    lasting = keep_lasting(to_grid(evidence), evidence.times, min_passes)
+    tiles = choose_tiles(lasting, model)
+    key = history.row // TILE, history.col // TILE
+    row, col = history.row % TILE, history.col % TILE
+    first, second = (
+        numbers[row : row + 1, col : col + 1] if key in tiles.keys else np.zeros((1, 1))
+        for numbers in tiles.read(key)
+    )
+    observed = tiles.observed(first, second)
+    log_odds = np.full((1, 1), to_log_odds(model.prior))
+    log_odds[observed] = weigh(model)(first[observed], second[observed])
     low_x, low_y, high_x, _ = history.extent
     place = high_x - low_x, (low_x, low_y)
-    return OccupancyMap(log_odds.astype(np.float32), observed, *place)
+    return OccupancyMap(log_odds.astype(np.float32), observed, *place, find_decision(model))
 
 
 def list_visits(evidence: Evidence, history: CellHistory) -> Iterator[BuildVisits]:
@@ -168,7 +178,7 @@ def measure_extent(evidence: Evidence) -> Box | None:
     grid = to_grid(evidence)
     if not grid.tiles:
         return None
-    box = grid.find_bounds()
+    box = find_bounds(grid)
     low_x, low_y, high_x, high_y = map(
         grid.lattice.to_metres, (box.col, box.row, box.col_end, box.row_end)
     )

@@ -22,7 +22,7 @@ def restrict(times: Times, grid: TileGrid) -> Times:
     for index, (row, col) in enumerate(times.tiles.tolist()):
         tile = grid.tiles.get((row, col))
         if tile is not None:
-            still[index] = cells[index] & grid.observed(tile)
+            still[index] = cells[index] & grid.observed(*tile)
     there, kept = still.any(axis=(1, 2)), still[cells]
     return Times(
         times.tiles[there],

@@ -4,7 +4,7 @@ Only tiles that something was observed in exist, so a pose far away costs a tile
 between. Two numbers are kept for a cell; sums of integers do not depend on their order.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Collection
 from enum import StrEnum
 from typing import Any, TypeAlias
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox, Lattice
-from occmap.types import Bool, Float64, Int64, OccupancyMap
+from occmap.types import Bool, Float64, Int64
 
 TILE = 64
 """Cells along the side of a tile."""
@@ -24,6 +24,10 @@ LOG_ODDS_UNIT = 1 / 65536
 """What 1 means in a tile of log-odds."""
 
 
+Key: TypeAlias = tuple[int, int]
+"""Row and column of a tile in the lattice of tiles."""
+CellNumbers: TypeAlias = tuple[Float64, Float64]
+"""(TILE, TILE) of each, in observations: hits and misses, or log-odds and observations."""
 Tile: TypeAlias = NDArray[np.signedinteger[Any]]
 """(2, TILE, TILE) of int32, or int64 where sums may need it."""
 
@@ -114,78 +118,21 @@ class TileGrid:
         box = CellBox(row, col, max(row_end, row + 1), max(col_end, col + 1))
         refuse_large(box, self.lattice, max_cells)
 
-    def observed(self, tile: Tile) -> Bool:
-        """(TILE, TILE): which cells of a tile anything was observed in."""
+    def observed(self, first: NDArray[Any], second: NDArray[Any]) -> Bool:
+        """Which cells with these numbers, of any shape, anything was observed in."""
         if self.kind is EvidenceKind.COUNTS:
-            return np.asarray((tile[0] != 0) | (tile[1] != 0))
-        return np.asarray(tile[1] != 0)
+            return np.asarray((first != 0) | (second != 0))
+        return np.asarray(second != 0)
 
-    def find_bounds(self) -> CellBox:
-        """The smallest box around all observed cells.
+    @property
+    def keys(self) -> Collection[Key]:
+        """Row and column of each tile in the lattice of tiles."""
+        return self.tiles.keys()
 
-        Raises
-        ------
-        MapError
-            Nothing was observed.
-        """
-        if not self.tiles:
-            raise MapError("no beam of any scan observed a cell, so there is no map")
-        edge = self._edge_boxes()
-        box = next(edge)
-        for other in edge:
-            box = box.join(other)
-        return box
-
-    def _edge_boxes(self) -> Iterator[CellBox]:
-        """Boxes of observed cells in the tiles that can lie on the edge of the map."""
-        rows, cols = zip(*self.tiles, strict=True)
-        low, high = (min(rows), min(cols)), (max(rows), max(cols))
-        for key, tile in self.tiles.items():
-            if any(key[axis] in (low[axis], high[axis]) for axis in (0, 1)):
-                seen = self.observed(tile)
-                row = np.flatnonzero(seen.any(axis=1)) + key[0] * TILE
-                col = np.flatnonzero(seen.any(axis=0)) + key[1] * TILE
-                yield CellBox(int(row[0]), int(col[0]), int(row[-1]) + 1, int(col[-1]) + 1)
-
-    def render(
-        self, log_odds: Callable[[Int64, Int64], Float64], prior: float, max_cells: int
-    ) -> OccupancyMap:
-        """Turn evidence into an occupancy map of the box around all observed cells.
-
-        Parameters
-        ----------
-        log_odds
-            Of (N,) first and second numbers of cells.
-        prior
-            Log-odds of a cell that nothing observed.
-        max_cells
-            A larger map is refused.
-
-        Raises
-        ------
-        MapError
-            Nothing was observed, or the map would be too large.
-        """
-        box = self.find_bounds()
-        refuse_large(box, self.lattice, max_cells)
-        grid = np.full((box.rows, box.cols), prior, np.float32)
-        observed = np.zeros((box.rows, box.cols), np.bool_)
-        for (row, col), tile in self.tiles.items():
-            at_row, at_col = row * TILE - box.row, col * TILE - box.col
-            inner = (
-                slice(max(-at_row, 0), box.rows - at_row),
-                slice(max(-at_col, 0), box.cols - at_col),
-            )
-            seen = self.observed(tile)[inner]
-            outer = (
-                slice(max(at_row, 0), max(at_row, 0) + seen.shape[0]),
-                slice(max(at_col, 0), max(at_col, 0) + seen.shape[1]),
-            )
-            first, second = (layer[inner][seen].astype(np.int64) for layer in tile)
-            observed[outer] = seen
-            grid[outer][seen] = log_odds(first, second)
-        origin = (self.lattice.to_metres(box.col), self.lattice.to_metres(box.row))
-        return OccupancyMap(grid, observed, self.lattice.resolution, origin)
+    def read(self, key: Key) -> CellNumbers:
+        """The numbers of a tile's cells."""
+        first, second = self.tiles[key] / self.unit
+        return first, second
 
 
 def refuse_large(box: CellBox, lattice: Lattice, max_cells: int) -> None:

@@ -90,12 +90,9 @@ def paint_disagreement(maps: Sequence[OccupancyMap], frame: Frame) -> Panel:
     decided = np.zeros(frame.shape, np.int64)
     for grid in maps:
         box = frame.locate(grid)
-        is_free, is_occupied = (
-            grid.observed & side for side in (grid.log_odds < 0, grid.log_odds > 0)
-        )
-        free[box] |= is_free
-        occupied[box] |= is_occupied
-        decided[box] += is_free | is_occupied
+        free[box] |= grid.free
+        occupied[box] |= grid.occupied
+        decided[box] += grid.free | grid.occupied
     contradicted = free & occupied
     partly = (decided > 0) & (decided < len(maps)) & ~contradicted
     agreed = np.where(decided > 0, np.where(occupied, 0, 255), UNKNOWN_GREY).astype(np.uint8)

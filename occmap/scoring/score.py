@@ -18,7 +18,7 @@ class Score:
     beams: int
     """That measured a range; the first two figures are of these"""
     share: float
-    """Whose first occupied cell (probability above 0.5) is within two cells of the range"""
+    """Whose first cell that the map calls occupied is within two cells of the range"""
     share_error: float
     """Standard error of the share (`estimate_error`); inf where that is not known"""
     log_likelihood: float
@@ -48,6 +48,7 @@ def score_map(grid: OccupancyMap, held_out: Sequence[Rays], jobs: int) -> Trial:
     from occmap.grid.kernels.cast import CERTAIN, cast_beams  # noqa: PLC0415  late: loads numba
 
     probability = np.where(grid.observed, grid.probability, np.float32(0.5))
+    occupied = grid.occupied
     free_cost = -np.log(np.maximum(1 - probability, np.float32(CERTAIN)))
     totals = [np.zeros((len(rays.kind), 6)) for rays in held_out]
 
@@ -55,7 +56,8 @@ def score_map(grid: OccupancyMap, held_out: Sequence[Rays], jobs: int) -> Trial:
         rays = held_out[index]
         cast_beams(
             *(rays.origin, rays.turn, rays.bearing, rays.distance, rays.kind),
-            *(probability, free_cost, grid.origin, grid.resolution, totals[index]),
+            *(occupied, probability, free_cost),
+            *(grid.origin, grid.resolution, totals[index]),
         )
 
     with Workers(cast, jobs) as workers:

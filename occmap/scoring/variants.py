@@ -8,14 +8,7 @@ from occmap.evidence.manifest import describe_profile
 from occmap.sensor.models import SensorModel, make_model, parse_model
 from occmap.types import Update
 
-DEFAULT_MODELS = (
-    "simple",
-    "counting:strength=0.02",
-    "counting:strength=0.02,hit_weight=2",
-    "quadratic",
-)
-"""Counting with less prior than is usual: its walls stay the same, and its probabilities are right
-for cells that were seen only a few times, too."""
+DEFAULT_MODELS = ("counting", "simple", "quadratic")
 
 
 @dataclass(frozen=True)

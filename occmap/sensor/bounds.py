@@ -1,4 +1,4 @@
-"""Which parameters a sensor model can have, and the bounds that it may set to what a map says."""
+"""Which parameters a sensor model can have, and what a model may say about the finished map."""
 
 from dataclasses import fields
 from typing import Any, Protocol, runtime_checkable
@@ -24,6 +24,36 @@ class Clamped(Protocol):
         """No cell is more probably occupied than this; 1: no bound."""
 
 
+@runtime_checkable
+class Deciding(Protocol):
+    """A model that says from what probability on a cell is called occupied, and below it free."""
+
+    @property
+    def cut(self) -> float:
+        """Strictly between 0 and 1; models without one decide at even odds."""
+
+
+@runtime_checkable
+class Spreading(Protocol):
+    """A model of counts that lets a hit speak for the cells around it as well."""
+
+    @property
+    def spread(self) -> float:
+        """The share of a hit that counts for each of the cells beside it; its square at corners."""
+
+
+def check_spread(spread: float) -> None:
+    """Refuse a share by which a hit would say more of its neighbours than of its own cell.
+
+    Raises
+    ------
+    UsageError
+        It does not lie between 0 and 1.
+    """
+    if not 0 <= spread <= 1:
+        raise UsageError(f"spread {spread} is not a share of a hit", fix="give 0 to 1, such as 0.1")
+
+
 def check_probabilities(model: Any) -> None:
     """Refuse a model whose probabilities are not strictly between 0 and 1.
 
@@ -34,7 +64,8 @@ def check_probabilities(model: Any) -> None:
     """
     for field in fields(model):
         value = getattr(model, field.name)
-        if (field.name == "prior" or field.name.startswith("p_")) and not 0 < value < 1:
+        is_probability = field.name in ("prior", "cut") or field.name.startswith("p_")
+        if is_probability and not 0 < value < 1:
             flag = "--" + field.name.replace("_", "-")
             raise UsageError(
                 f"{field.name} {value} is not a probability between 0 and 1",

@@ -16,12 +16,14 @@ from occmap.errors import UsageError
 from occmap.plugins import list_plugins, load_plugin, suggest
 from occmap.sensor.bounds import (
     NO_CLAMP,
+    Deciding,
     check_clamp,
     check_prior,
     check_probabilities,
+    check_spread,
     check_weight,
 )
-from occmap.types import Float64, Int64, to_log_odds
+from occmap.types import EVEN_ODDS, Decision, Float64, to_log_odds
 
 
 @runtime_checkable
@@ -35,7 +37,7 @@ class CountModel(Protocol):
     def prior(self) -> float:
         """Probability of a cell that nothing observed."""
 
-    def log_odds(self, hits: Int64, misses: Int64) -> Float64:
+    def log_odds(self, hits: Float64, misses: Float64) -> Float64:
         """Log-odds of being occupied, in the shape of the counts."""
 
 
@@ -78,11 +80,16 @@ class SimpleModel:
     p_miss: float = 0.4
     """... given one miss"""
     prior: float = 0.5
+    cut: float = 0.5
+    """A cell is called occupied where its probability is above this, free where it is below"""
+    spread: float = 0.1
+    """The share of a hit that counts for each of the four cells beside it; its square at corners"""
     clamp_min: float = NO_CLAMP["clamp_min"]
     clamp_max: float = NO_CLAMP["clamp_max"]
 
     def __post_init__(self) -> None:
         check_probabilities(self)
+        check_spread(self.spread)
         check_clamp(self)
         if not self.p_miss < self.p_hit:
             raise UsageError(
@@ -91,7 +98,7 @@ class SimpleModel:
             )
         check_prior(self.prior, ("p_miss", self.p_miss), ("p_hit", self.p_hit))
 
-    def log_odds(self, hits: Int64, misses: Int64) -> Float64:
+    def log_odds(self, hits: Float64, misses: Float64) -> Float64:
         """l0 + hits (logit(p_hit) - l0) + misses (logit(p_miss) - l0)."""
         prior = to_log_odds(self.prior)
         return (
@@ -109,10 +116,15 @@ class CountingModel:
     description: ClassVar[str] = "share of hits among all observations (Beta posterior mean)"
 
     prior: float = 0.5
-    strength: float = 2.0
+    strength: float = 0.02
     """How many observations the prior weighs; less takes the first ones more at their word"""
     hit_weight: float = 1.0
     """How many misses a hit weighs: above 1 keeps walls that beams graze"""
+    cut: float = 0.32
+    """A cell is called occupied where its probability is above this: a wall that is missed costs
+    more than one that is not there, so one hit outweighs two misses"""
+    spread: float = 0.1
+    """The share of a hit that counts for each of the four cells beside it; its square at corners"""
     clamp_min: float = NO_CLAMP["clamp_min"]
     clamp_max: float = NO_CLAMP["clamp_max"]
 
@@ -120,9 +132,10 @@ class CountingModel:
         check_probabilities(self)
         check_weight("strength", self.strength)
         check_weight("hit_weight", self.hit_weight)
+        check_spread(self.spread)
         check_clamp(self)
 
-    def log_odds(self, hits: Int64, misses: Int64) -> Float64:
+    def log_odds(self, hits: Float64, misses: Float64) -> Float64:
         """Posterior mean (k hits + n p0) / (k hits + misses + n), as log-odds.
 
         k is the weight of a hit, n the strength of the prior.
@@ -145,6 +158,8 @@ class QuadraticModel:
     p_min: float = 0.4
     """No single observation is surer than this"""
     prior: float = 0.5
+    cut: float = 0.5
+    """A cell is called occupied where its probability is above this, free where it is below"""
     clamp_min: float = NO_CLAMP["clamp_min"]
     clamp_max: float = NO_CLAMP["clamp_max"]
 
@@ -168,6 +183,11 @@ class QuadraticModel:
     def hit(self, w: Float64) -> Float64:
         """O = 1 - w^2, so p = 1 - w^2 / 2, within [p_min, 1 - p_min]."""
         return np.clip(1 - w**2 / 2, self.p_min, 1 - self.p_min)
+
+
+def find_decision(model: SensorModel) -> Decision:
+    """From what probability on a model calls a cell occupied, and below which free."""
+    return Decision(model.cut, model.cut) if isinstance(model, Deciding) else EVEN_ODDS
 
 
 def make_model(name: str, parameters: dict[str, float]) -> SensorModel:

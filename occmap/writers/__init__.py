@@ -14,7 +14,7 @@ from typing import Protocol, cast, runtime_checkable
 
 from occmap.errors import UsageError
 from occmap.plugins import list_plugins, load_plugin
-from occmap.types import Evidence, OccupancyMap
+from occmap.types import Decision, Evidence, OccupancyMap
 from occmap.writers.atomic import check_target
 
 BAND_CELLS = 1 << 22
@@ -44,8 +44,9 @@ class Shade(StrEnum):
 class WriteOptions:
     """What a user may choose about the files of a map.
 
-    A cell is occupied from `occupied_thresh` up and free from `free_thresh` down, both inclusive,
-    as nav2's map_saver has it.
+    In trinary mode each cell is written as what the map decides it is, unless thresholds are given;
+    the YAML's thresholds only let loaders tell the three greys apart. In scale and raw mode loaders
+    decide, by the thresholds: 0.65 and 0.196 where none are given, as nav2's map_saver has them.
 
     Raises
     ------
@@ -54,17 +55,38 @@ class WriteOptions:
     """
 
     mode: MapMode = MapMode.TRINARY
-    occupied_thresh: float = 0.65
-    free_thresh: float = 0.196
+    occupied_thresh: float | None = None
+    """Occupied above this probability"""
+    free_thresh: float | None = None
+    """Free below this one"""
     shade: Shade = Shade.DARK_OCCUPIED
 
     def __post_init__(self) -> None:
-        found = f"--occupied-thresh is {self.occupied_thresh}, --free-thresh is {self.free_thresh}"
-        if not 0 < self.free_thresh < self.occupied_thresh < 1:
+        free, occupied = self.thresholds
+        found = f"--occupied-thresh is {occupied}, --free-thresh is {free}"
+        if not 0 < free < occupied < 1:
             raise UsageError(found, fix="they must satisfy 0 < free < occupied < 1")
         # Two grey levels: else no grey may be left for a cell that is neither free nor occupied.
-        if self.mode is MapMode.SCALE and self.occupied_thresh - self.free_thresh < 0.008:
+        if self.mode is MapMode.SCALE and occupied - free < 0.008:
             raise UsageError(found, fix="with --mode scale they must be at least 0.008 apart")
+
+    @property
+    def thresholds(self) -> Decision:
+        """Those of the YAML."""
+        free = DEFAULT_THRESHOLDS.free_below if self.free_thresh is None else self.free_thresh
+        occupied = self.occupied_thresh
+        return Decision(free, DEFAULT_THRESHOLDS.occupied_above if occupied is None else occupied)
+
+    def decide(self, decision: Decision) -> Decision:
+        """How the cells of a written map are decided, where the map itself has a decision."""
+        if self.mode is not MapMode.TRINARY:
+            return self.thresholds
+        occupied, free = self.occupied_thresh, self.free_thresh
+        above = decision.occupied_above if occupied is None else occupied
+        return Decision(min(decision.free_below if free is None else free, above), above)
+
+
+DEFAULT_THRESHOLDS = Decision(free_below=0.196, occupied_above=0.65)
 
 
 class Writer(Protocol):
@@ -200,8 +222,4 @@ def bands_from_top(grid: OccupancyMap) -> Iterator[OccupancyMap]:
     rows, cols = grid.shape
     height = max(1, BAND_CELLS // max(1, cols))
     for stop in range(rows, 0, -height):
-        start = max(0, stop - height)
-        origin = (grid.origin[0], grid.origin[1] + start * grid.resolution)
-        yield OccupancyMap(
-            grid.log_odds[start:stop], grid.observed[start:stop], grid.resolution, origin
-        )
+        yield grid.take(slice(max(0, stop - height), stop), slice(None))

@@ -7,12 +7,13 @@ free win. So no pixel written here lies on a threshold, and every class survives
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
-from occmap.types import OccupancyMap, UInt8
+from occmap.types import Decision, OccupancyMap, UInt8
 from occmap.writers import MapMode, WriteOptions, bands_from_top
 from occmap.writers.atomic import open_atomic
 
@@ -72,46 +73,44 @@ def written_thresholds(options: WriteOptions) -> tuple[float, float]:
     apart: occupied is 1.0, unknown 0.196078 and free 0.003922 to a loader. A user's threshold that
     would mix them up (free 0.25 makes every unknown cell free) is brought back between them.
     """
+    free, occupied = options.thresholds
     if options.mode is not MapMode.TRINARY:
-        return float(options.occupied_thresh), float(options.free_thresh)
-    return min(max(options.occupied_thresh, 0.2), 0.99), min(max(options.free_thresh, 0.01), 0.196)
+        return occupied, free
+    return min(max(occupied, 0.2), 0.99), min(max(free, 0.01), 0.196)
 
 
 def _write_image(file: BinaryIO, grid: OccupancyMap, options: WriteOptions) -> None:
     rows, cols = grid.shape
     file.write(f"P5\n{cols} {rows}\n255\n".encode("ascii"))
     to_pixels = {MapMode.TRINARY: _trinary, MapMode.SCALE: _scale, MapMode.RAW: _raw}[options.mode]
-    for band in bands_from_top(grid):
-        file.write(to_pixels(band, options)[::-1].tobytes())
+    decided = replace(grid, decision=options.decide(grid.decision))
+    for band in bands_from_top(decided):
+        file.write(to_pixels(band)[::-1].tobytes())
 
 
-def _trinary(grid: OccupancyMap, options: WriteOptions) -> UInt8:
-    occupied = grid.is_occupied(options.occupied_thresh)
-    free = grid.is_free(options.free_thresh)
+def _trinary(grid: OccupancyMap) -> UInt8:
     pixels = np.full(grid.shape, UNKNOWN, np.uint8)
-    pixels[free] = FREE
-    pixels[occupied] = OCCUPIED
+    pixels[grid.free] = FREE
+    pixels[grid.occupied] = OCCUPIED
     return pixels
 
 
-def _scale(grid: OccupancyMap, options: WriteOptions) -> UInt8:
+def _scale(grid: OccupancyMap) -> UInt8:
     """Shade as nav2 does, by whole per cents, but never across a threshold by rounding."""
-    occupied = grid.is_occupied(options.occupied_thresh)
-    free = grid.is_free(options.free_thresh)
     # (100 - per cent) / 100 of 255 with halves rounded down, as GraphicsMagick does for nav2.
     grey = (51 * (100 - _percent(grid).astype(np.int16)) + 9) // 20
     shade = np.where(grid.observed, grey, SCALE_UNKNOWN)
-    darkest_free, lightest_occupied, between = _grey_limits(options)
-    lowest = np.select([free, occupied], [darkest_free, 0], between[0])
-    highest = np.select([free, occupied], [255, lightest_occupied], between[1])
+    darkest_free, lightest_occupied, between = _grey_limits(grid.decision)
+    lowest = np.select([grid.free, grid.occupied], [darkest_free, 0], between[0])
+    highest = np.select([grid.free, grid.occupied], [255, lightest_occupied], between[1])
     pixels: UInt8 = np.clip(shade, lowest, highest).astype(np.uint8)
     return pixels
 
 
-def _grey_limits(options: WriteOptions) -> tuple[int, int, tuple[int, int]]:
+def _grey_limits(thresholds: Decision) -> tuple[int, int, tuple[int, int]]:
     """Return the darkest grey that is free, the lightest that is occupied, and those between."""
-    at_free = 255 * (1 - options.free_thresh)
-    at_occupied = 255 * (1 - options.occupied_thresh)
+    at_free = 255 * (1 - thresholds.free_below)
+    at_occupied = 255 * (1 - thresholds.occupied_above)
     # nav2 spreads these over 0 to 100 and rounds: the outer half per cent would become a class.
     inset = (at_free - at_occupied) / 200 + THRESHOLD_MARGIN
     between = math.floor(at_occupied + inset) + 1, math.ceil(at_free - inset) - 1
@@ -120,7 +119,7 @@ def _grey_limits(options: WriteOptions) -> tuple[int, int, tuple[int, int]]:
     return min(darkest_free, 255), max(lightest_occupied, 0), between
 
 
-def _raw(grid: OccupancyMap, _options: WriteOptions) -> UInt8:
+def _raw(grid: OccupancyMap) -> UInt8:
     pixels: UInt8 = np.where(grid.observed, _percent(grid), RAW_UNKNOWN).astype(np.uint8)
     return pixels
 

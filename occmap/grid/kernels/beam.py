@@ -80,7 +80,7 @@ def trace_beams(
             k = b if viewpoints > 1 else 0
             col = (origins[s, k, 0] >> CELL_SHIFT) - left
             row = (origins[s, k, 1] >> CELL_SHIFT) - bottom
-            x, y, weight = ends_x[s, b], ends_y[s, b], np.int32(weights[s, b])
+            x, y, weight = ends_x[s, b], ends_y[s, b], int(weights[s, b])
             parts, step_x, step_y = np.int32(between[s, b]) + 1, 0, 0
             for part in range(1, parts + 1):  # the beam itself, then those between it and the next
                 end_col, end_row = (x >> CELL_SHIFT) - left, (y >> CELL_SHIFT) - bottom
@@ -131,7 +131,7 @@ def trace_beams(
                     x, y = x + step_x, y + step_y
                     col = ((origins[s, k, 0] + x) >> (CELL_SHIFT + 1)) - left
                     row = ((origins[s, k, 1] + y) >> (CELL_SHIFT + 1)) - bottom
-                    weight = np.int32(BETWEEN)
+                    weight = BETWEEN
 
 
 @kernel

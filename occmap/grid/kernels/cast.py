@@ -10,7 +10,7 @@ import numpy as np
 
 from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.units import HIT, SKIP
-from occmap.types import Float32, Float64, UInt8
+from occmap.types import Bool, Float32, Float64, UInt8
 
 NEAR = 2.0
 """Cells: what lies so near to the measured range is what the beam met."""
@@ -32,6 +32,7 @@ def cast_beams(
     bearing: Float64,
     distance: Float32,
     kinds: UInt8,
+    occupied: Bool,
     probability: Float32,
     free_cost: Float32,
     corner: tuple[float, float],
@@ -44,6 +45,8 @@ def cast_beams(
     ----------
     origin, turn, bearing, distance, kinds
         (S, K, 2), (S, K, 2, 2), (2, B), (S, B), (S, B) as in `Rays`.
+    occupied
+        (H, W) what the map calls so.
     probability
         (H, W) of being occupied, 0.5 where unknown.
     free_cost
@@ -66,6 +69,7 @@ def cast_beams(
             if kinds[s, b] == SKIP or length == 0:  # nothing measured, or straight up
                 continue
             found, stopped, free, cost, end = cast_beam(
+                occupied,
                 probability,
                 free_cost,
                 (origin[s, k, 0] - corner[0]) / resolution,
@@ -88,6 +92,7 @@ def cast_beams(
 
 @kernel
 def cast_beam(
+    occupied: Bool,
     probability: Float32,
     free_cost: Float32,
     x: float,
@@ -115,11 +120,12 @@ def cast_beam(
         leave_y = (row + up - y) / along_y if along_y != 0 else np.inf
         leave = min(leave_x, leave_y)
         if leave > entry:  # not only a corner of the cell
-            p, price = UNKNOWN, math.log(2.0)
+            p, price, is_occupied = UNKNOWN, math.log(2.0), False
             if 0 <= col < cols and 0 <= row < rows:
                 p, price = float(probability[row, col]), float(free_cost[row, col])
+                is_occupied = occupied[row, col]
             middle = (entry + leave) / 2
-            if p > 0.5 and first < 0:
+            if is_occupied and first < 0:
                 first = middle
             if abs(middle - reach) <= NEAR:
                 stopped += survived * p

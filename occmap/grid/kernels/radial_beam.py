@@ -112,13 +112,9 @@ def trace_radial_beams(
                     near = plain * before / UNITS_PER_CELL - FARTHEST_CENTRE
                     done = min(max(int(near * n / np.sqrt(float(n * n + m * m))), 0), n)
                 if done > 0 and steep:
-                    add_line(
-                        col_runs, col_steps, rows + 1, u, v, u_end, v_end, done, np.int32(weight)
-                    )
+                    add_line(col_runs, col_steps, rows + 1, u, v, u_end, v_end, done, int(weight))
                 elif done > 0:
-                    add_line(
-                        row_runs, row_steps, cols + 1, u, v, u_end, v_end, done, np.int32(weight)
-                    )
+                    add_line(row_runs, row_steps, cols + 1, u, v, u_end, v_end, done, int(weight))
                 error = n + 2 * done * m
                 if done > 0:
                     u += u_sign * done

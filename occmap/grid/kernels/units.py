@@ -17,4 +17,4 @@ MOST_BETWEEN = 3
 ALONE = BETWEEN = 2
 """What it lets a beam weigh without its neighbours, and one that is drawn between two."""
 BEAM_WEIGHT = ALONE + 2 * MOST_BETWEEN
-"""What it lets a beam weigh whose neighbours meet the same surface, with its share of those drawn."""
+"""... and with them, where they meet the same surface: its share of those drawn is in it."""

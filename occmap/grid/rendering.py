@@ -1,0 +1,185 @@
+"""One dense grid from sparse tiles, and what a hit says of the cells around it."""
+
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+import numpy as np
+
+from occmap.errors import MapError
+from occmap.grid.lattice import CellBox
+from occmap.grid.tiles import TILE, CellNumbers, EvidenceKind, Key, TileGrid
+from occmap.types import Bool, Float32, Float64
+
+Part: TypeAlias = tuple[slice, slice]
+"""Rows and columns."""
+RIM = TILE + 2
+"""Cells along the side of a tile with those around it."""
+
+
+class TileSource(Protocol):
+    """Tiles of numbers: a grid's own, or what is made of them."""
+
+    @property
+    def keys(self) -> Collection[Key]:
+        """Row and column of each tile."""
+
+    def read(self, key: Key) -> CellNumbers:
+        """The numbers of a tile's cells."""
+
+    def observed(self, first: Float64, second: Float64) -> Bool:
+        """Which cells with these numbers anything was observed in."""
+
+
+@dataclass(frozen=True)
+class SpreadHits:
+    """A grid of hits and misses in which a hit speaks for the cells around it as well.
+
+    Poses and ranges are a cell off at times; so a hit counts a `share` of itself for each of the
+    four cells beside it, and the square of that for each of the four at its corners.
+    """
+
+    grid: TileGrid
+    share: float
+
+    @property
+    def keys(self) -> Collection[Key]:
+        """Row and column of each tile that has observations, or lies beside a hit."""
+        reached = set(self.grid.keys)
+        for (row, col), (hits, _) in self.grid.tiles.items():
+            beside = {
+                (-1, 0): hits[0],
+                (1, 0): hits[-1],
+                (0, -1): hits[:, 0],
+                (0, 1): hits[:, -1],
+                (-1, -1): hits[0, 0],
+                (-1, 1): hits[0, -1],
+                (1, -1): hits[-1, 0],
+                (1, 1): hits[-1, -1],
+            }
+            reached |= {(row + up, col + right) for (up, right), at in beside.items() if at.any()}
+        return reached
+
+    def read(self, key: Key) -> CellNumbers:
+        """The numbers of a tile's cells; the misses are the grid's own."""
+        hits = self._gather(key) / self.grid.unit
+        beside = hits[1:-1] + self.share * (hits[:-2] + hits[2:])
+        spread = beside[:, 1:-1] + self.share * (beside[:, :-2] + beside[:, 2:])
+        tile = self.grid.tiles.get(key)
+        misses = np.zeros((TILE, TILE)) if tile is None else tile[1] / self.grid.unit
+        return spread, misses
+
+    def observed(self, first: Float64, second: Float64) -> Bool:
+        """Which cells with these numbers anything was observed in."""
+        return self.grid.observed(first, second)
+
+    def _gather(self, key: Key) -> Float64:
+        """(RIM, RIM) hits of a tile and of the cells around it."""
+        hits = np.zeros((RIM, RIM))
+        here, before, after = slice(1, -1), slice(0, 1), slice(RIM - 1, RIM)
+        whole, last, first = slice(None), slice(-1, None), slice(0, 1)
+        places = ((-1, before, last), (0, here, whole), (1, after, first))
+        for up, to_row, from_row in places:
+            for right, to_col, from_col in places:
+                tile = self.grid.tiles.get((key[0] + up, key[1] + right))
+                if tile is not None:
+                    hits[to_row, to_col] = tile[0, from_row, from_col]
+        return hits
+
+
+def find_bounds(tiles: TileSource) -> CellBox:
+    """The smallest box around all observed cells.
+
+    Raises
+    ------
+    MapError
+        Nothing was observed.
+    """
+    edges = list(_list_edges(tiles))
+    if not edges:
+        raise MapError("no beam of any scan observed a cell, so there is no map")
+    box = edges[0]
+    for other in edges[1:]:
+        box = box.join(other)
+    return box
+
+
+def _list_edges(tiles: TileSource) -> Iterator[CellBox]:
+    """Boxes of observed cells in the tiles that can lie on the edge of the map."""
+    keys = tiles.keys
+    rows, cols = zip(*keys, strict=True) if keys else ((0,), (0,))
+    low, high = (min(rows), min(cols)), (max(rows), max(cols))
+    for key in keys:
+        if any(key[axis] in (low[axis], high[axis]) for axis in (0, 1)):
+            seen = tiles.observed(*tiles.read(key))
+            row = np.flatnonzero(seen.any(axis=1)) + key[0] * TILE
+            col = np.flatnonzero(seen.any(axis=0)) + key[1] * TILE
+            if row.size:
+                yield CellBox(int(row[0]), int(col[0]), int(row[-1]) + 1, int(col[-1]) + 1)
+
+
+def paint(
+    tiles: TileSource,
+    log_odds: Callable[[Float64, Float64], Float64],
+    prior: float,
+    box: CellBox,
+) -> tuple[Float32, Bool]:
+    """Let a model say what the numbers mean, cell by cell.
+
+    Parameters
+    ----------
+    log_odds
+        Of (N,) first and second numbers of observed cells.
+    prior
+        Log-odds of a cell that nothing observed.
+    box
+        Around all observed cells.
+
+    Returns
+    -------
+    log_odds, observed
+        (H, W) each, of the cells of the box.
+    """
+    grid = np.full((box.rows, box.cols), prior, np.float32)
+    observed = np.zeros((box.rows, box.cols), np.bool_)
+    for key in tiles.keys:
+        inner, outer = _overlap(key, box)
+        first, second = (numbers[inner] for numbers in tiles.read(key))
+        seen = tiles.observed(first, second)
+        observed[outer] = seen
+        grid[outer][seen] = log_odds(first[seen], second[seen])
+    return grid, observed
+
+
+def _overlap(key: Key, box: CellBox) -> tuple[Part, Part]:
+    """What a tile shares with a box: as rows and columns of the tile, and of the box."""
+    row, col = key[0] * TILE - box.row, key[1] * TILE - box.col
+    in_tile = (
+        slice(max(-row, 0), max(box.rows - row, 0)),
+        slice(max(-col, 0), max(box.cols - col, 0)),
+    )
+    in_box = slice(max(row, 0), max(row + TILE, 0)), slice(max(col, 0), max(col + TILE, 0))
+    return in_tile, in_box
+
+
+def measure_agreement(grid: TileGrid, occupied: Bool, box: CellBox) -> float | None:
+    """The share of hits that lie in cells called occupied: what a map says of its own poses.
+
+    Parameters
+    ----------
+    occupied
+        (H, W) of the cells of the box.
+
+    Returns
+    -------
+    float or None
+        None where the evidence keeps no hits, or has none.
+    """
+    if grid.kind is not EvidenceKind.COUNTS:
+        return None
+    total = agreed = 0
+    for key, (hits, _) in grid.tiles.items():
+        inner, outer = _overlap(key, box)
+        total += int(hits.sum())
+        agreed += int(hits[inner][occupied[outer]].sum())
+    return agreed / total if total else None
