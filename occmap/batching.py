@@ -10,6 +10,7 @@ import numpy as np
 
 from occmap.errors import UsageError
 from occmap.posing.options import Stamps
+from occmap.sensor.no_return import RangeLimits
 from occmap.types import Float32, Float64, Int64, Scan, ScanBatch, ScanRun
 
 BATCH_BEAMS = 1 << 18
@@ -173,11 +174,17 @@ class Batcher:
     `notes` say what is odd about the scans; each sentence once.
     """
 
-    def __init__(self, selection: Selection, stamps: Stamps = Stamps.HEADER) -> None:
+    def __init__(
+        self,
+        selection: Selection,
+        stamps: Stamps = Stamps.HEADER,
+        limits: RangeLimits | None = None,
+    ) -> None:
         self.read = 0
         self.left_out: dict[LeftOut, int] = {}
         self.notes: list[str] = []
         self._selector = Selector(selection, stamps)
+        self._limits = limits
 
     def stack(self, scans: Iterable[Scan | ScanRun]) -> Iterator[ScanBatch]:
         """Stack scans, holding no more than a batch at a time; a run is a batch as it is."""
@@ -200,6 +207,8 @@ class Batcher:
         """Give the scans that are wanted, and runs in which all are."""
         for some, reason in self._selector.judge(scans):
             self.read += some.scans
+            if self._limits is not None:
+                self._limits.see(some)
             if reason is None:
                 yield some
             else:
@@ -222,7 +231,7 @@ class Batcher:
         oddity = find_oddity(batch.angle_increment, batch.ranges.shape[1])
         if oddity and (note := f"{batch.topic}: {oddity}") not in self.notes:
             self.notes.append(note)
-        return batch
+        return batch if self._limits is None else self._limits.apply(batch)
 
 
 def find_oddity(angle_increment: float, beams: int) -> str:

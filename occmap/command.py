@@ -6,8 +6,6 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-
 from occmap.batching import Selection
 from occmap.pipeline import BuildOptions
 from occmap.posing.options import PosingOptions
@@ -96,11 +94,6 @@ def list_repeatable(options: BuildOptions) -> list[str]:
     for topic in options.selection.topics:
         words += ["--scan-topic", topic]
     return words
-
-
-def format_range(metres: float) -> str:
-    """Write a range in the fewest digits that are the same float32."""
-    return f"{float(str(np.float32(metres))):.12g}"
 
 
 def format_mount(pose: Pose) -> str:

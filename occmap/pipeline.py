@@ -33,6 +33,7 @@ from occmap.report import (
     refuse_unused,
 )
 from occmap.sensor.models import CountingModel, RadialModel, SensorModel, describe_model
+from occmap.sensor.no_return import RangeLimits, settle
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Evidence, OccupancyMap, Rays, Scan, Update
 from occmap.workers import Workers, count_cores
@@ -136,11 +137,18 @@ def build(
     with tally.time("open"):
         logs = [open_log(path, options.reading) for path in paths]
     total = sum(count_scans(log, options.selection.topics) for log in logs)
-    engine = choose_engine(options, outputs)
     remarks = Remarks([str(log.path) for log in logs], describe_resumed(saved) if saved else None)
     remarks.note_request(outputs, options.writing, options.model)
-    for log in logs:
-        notes = trace_log(log, options, engine.add, tally, lambda scans: progress(scans, total))
+    tally.advance = lambda scans: progress(scans, total)
+
+    def begin() -> Callable[[Rays], None]:
+        nonlocal engine
+        engine = choose_engine(options, outputs)
+        return engine.add
+
+    engine = choose_engine(options, outputs)
+
+    for log, notes in trace_logs(logs, options, begin, tally):
         remarks.note(log, notes)
     with tally.time("fold"):
         tiles, times = engine.finish(), engine.read_times()
@@ -170,18 +178,48 @@ def build(
     return Build(grid, make_report(grid, options, tally, remarks))
 
 
+def trace_logs(
+    logs: Sequence[Log],
+    options: BuildOptions,
+    begin: Callable[[], Callable[[Rays], None]],
+    tally: Tally,
+) -> Iterator[tuple[Log, list[str]]]:
+    """Read logs and trace their scans; give each log with what there is to say of it.
+
+    What stands for "no return" is known for sure only when a log was read to its end. Where its
+    first scans did not show that, all logs are read once more.
+
+    Parameters
+    ----------
+    begin
+        Called before the logs are read; gives what is to observe the rays.
+    """
+    limits = [RangeLimits(options.returns) for _ in logs]
+    for _ in range(2):
+        tally.start_over()
+        observe = begin()
+        notes = [
+            trace_log(log, options, observe, tally, limit)
+            for log, limit in zip(logs, limits, strict=True)
+        ]
+        if settle(limits):
+            break
+    for log, texts, limit in zip(logs, notes, limits, strict=True):
+        yield log, [*texts, *limit.list_notes()]
+
+
 def trace_log(
     log: Log,
     options: BuildOptions,
     observe: Callable[[Rays], None],
     tally: Tally,
-    advance: Callable[[int], None],
+    limits: RangeLimits,
 ) -> list[str]:
     """Read a log twice, the poses, which are small, then the scans as a stream; return notes."""
     topics = choose_topics(log, options.selection.topics)
     with tally.time("poses"):
         poser = make_poser(log, topics, options.posing)
-    batcher = Batcher(options.selection, options.posing.stamps)
+    batcher = Batcher(options.selection, options.posing.stamps, limits)
 
     def trace(rays: Rays) -> None:
         with tally.time("trace"):
@@ -201,7 +239,7 @@ def trace_log(
                     rays, beams = interpret(scans, options.returns)
                 tally.use(len(rays.kind), beams)
                 workers.give(rays)
-            advance(len(batch.stamp_ns))
+            tally.advance(len(batch.stamp_ns))
     tally.scans_read += batcher.read
     tally.drop(dict(batcher.left_out))
     return poser.notes + batcher.notes

@@ -1,7 +1,7 @@
 """What a build did: numbers for people and for programs."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,17 +29,22 @@ class Tally:
     """Counts and times that grow while a map is built; any thread may call `time`, one all else."""
 
     def __init__(self) -> None:
-        self.scans_read = 0
-        self.scans_used = 0
-        self.dropped: dict[str, int] = {}
-        self.beams = ReturnCounts()
         self.seconds: dict[str, float] = {}
+        self.advance: Callable[[int], None] = lambda _scans: None
+        """Told, now and then, how many scans were read since the last call"""
         self._lock = Lock()
+        self.start_over()
 
     @property
     def scans_wanted(self) -> int:
         """Scans that the user asked for."""
         return count_wanted(self.scans_read, self.dropped)
+
+    def start_over(self) -> None:
+        """Count from zero, as the logs are about to be read; times go on."""
+        self.scans_read = self.scans_used = 0
+        self.dropped: dict[str, int] = {}
+        self.beams = ReturnCounts()
 
     def drop(self, reasons: dict[Any, int]) -> None:
         """Count scans that are not used, by reason."""

@@ -11,6 +11,7 @@ from occmap.explanation.history import CellHistory
 from occmap.explanation.provenance import Use
 from occmap.pipeline import Progress, choose_topics, count_scans, make_poser, plan_grid
 from occmap.readers import Log, open_log, read_scans
+from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret
 from occmap.types import Int64, PosedScans
 
@@ -73,7 +74,11 @@ def look_through(use: Use, log: Log, history: CellHistory) -> Iterator[Look]:
     probe = CellProbe(plan_grid(options), history.row, history.col)
     topics = choose_topics(log, options.selection.topics)
     poser = make_poser(log, topics, options.posing)
-    batcher = Batcher(options.selection, options.posing.stamps)
+    limits = RangeLimits(options.returns)
+    for some in read_scans(log, topics):
+        limits.see(some)
+    limits.settle()
+    batcher = Batcher(options.selection, options.posing.stamps, limits)
     for batch in batcher.stack(read_scans(log, topics)):
         found: list[Sighting] = []
         posed, _ = poser.attach(batch)

@@ -27,6 +27,7 @@ from occmap.pipeline import BuildOptions, choose_topics, count_messages
 from occmap.posing.coverage import list_coverage
 from occmap.posing.options import DropReason, Stamps
 from occmap.readers import Log, open_log, read_scans
+from occmap.sensor.no_return import RangeLimits
 
 __all__ = ["Inspection", "inspect"]
 
@@ -82,12 +83,18 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
     """Read the scans of an opened log once, and sum up."""
     topics = choose_topics(log, options.selection.topics)
     expected = count_messages(log, topics)
-    survey = Survey(posing.poser, options.returns, options.selection, expected, extent)
+    limits = RangeLimits(options.returns)
     problem = ""
-    try:
-        survey.read(read_scans(log, topics))
-    except LogError as error:
-        problem = _place(error, log.path)
+    for _ in range(2):  # again where the first scans did not show what stands for "no return"
+        reach = Extent()
+        survey = Survey(posing.poser, options.returns, options.selection, expected, limits, reach)
+        try:
+            survey.read(read_scans(log, topics))
+        except LogError as error:
+            problem = _place(error, log.path)
+        if limits.settle():
+            break
+    extent.join(reach)
     seen = [survey.topics[topic] for topic in topics if topic in survey.topics]
     scans = tuple(_sum_up(log, topic, posing, options) for topic in seen if topic.shapes)
     notes, damage = _list_notes(log)
@@ -96,7 +103,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
         streams=tuple(log.streams),
         scans=scans,
         coverage=tuple(list_coverage(posing.poser.sources)),
-        notes=(*notes, *posing.poser.notes),
+        notes=(*notes, *posing.poser.notes, *limits.list_notes()),
         damage=damage,
         problem=problem or ("" if scans else f"{log.path}: {_explain_nothing(seen)}"),
     )

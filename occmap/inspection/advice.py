@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from occmap.batching import find_oddity
-from occmap.command import compose_build, format_range
+from occmap.command import compose_build
 from occmap.inspection.findings import LogFindings, ScanFindings
 from occmap.pipeline import BuildOptions
 from occmap.wording import count
@@ -30,8 +30,6 @@ def list_advised(logs: Sequence[LogFindings], options: BuildOptions) -> dict[str
             flags["--sensor-pose"] = topic.poses.assumed
         if not topic.poses.stated and topic.times.suggested_stamps != options.posing.stamps:
             flags["--stamps"] = topic.times.suggested_stamps
-        if topic.ranges.suggested_range_max is not None and options.returns.range_max is None:
-            flags["--range-max"] = format_range(topic.ranges.suggested_range_max)
     advice = {special.no_return for topic in topics for special in topic.ranges.specials} - {""}
     if advice == {"clear"}:
         flags["--no-return"] = "clear"

@@ -1,5 +1,7 @@
 """The extent that a map would have, and what that costs."""
 
+from typing import Self
+
 import numpy as np
 
 from occmap.grid.lattice import CellBox, Lattice
@@ -23,6 +25,10 @@ class Extent:
             columns = points.T  # NumPy takes five times as long for both at once
             self.low = np.minimum(self.low, [column.min() for column in columns])
             self.high = np.maximum(self.high, [column.max() for column in columns])
+
+    def join(self, other: Self) -> None:
+        """Take in what another extent covers."""
+        self.low, self.high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
 
     def sum_up(self, resolution: float) -> MapFindings | None:
         """Sum up at a resolution (m); None where nothing was seen."""

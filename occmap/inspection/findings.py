@@ -65,8 +65,6 @@ class RangeFindings:
     largest: float
     specials: tuple[Special, ...]
     repeated: tuple[Repeated, ...]
-    suggested_range_max: float | None
-    """The --range-max that makes a repeated value mean no return"""
     crossed: float | None
     """Share of the beams without return whose way, were it called free, leads through what
     others hit; None where too few are known"""

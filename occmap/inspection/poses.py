@@ -15,6 +15,7 @@ from occmap.posing.options import PosingOptions, Stamps
 from occmap.posing.resolve import resolve
 from occmap.posing.sources import Sources
 from occmap.readers import Log, read_poses, read_scans
+from occmap.sensor.no_return import RangeLimits
 from occmap.types import Pose
 
 WELL_POSED = 0.9
@@ -73,7 +74,8 @@ def assume_mount(
 ) -> Posing:
     """Read the scans as if the sensor were the body, and find the turn that suits them best."""
     expected = count_messages(log, topics)
-    survey = Survey(unturned.poser, options.returns, options.selection, expected)
+    limits = RangeLimits(options.returns)
+    survey = Survey(unturned.poser, options.returns, options.selection, expected, limits)
     survey.read(read_scans(log, topics))
     parts = [part for topic in survey.topics.values() for part in topic.sample.parts]
     mount = guess_mount(parts, options.returns)

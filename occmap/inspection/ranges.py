@@ -53,7 +53,6 @@ class RangeCensus:
         self._repeated: set[float] = set()
         self._common: Counter[float] = Counter()
         self._positive = 0
-        self._largest_finite = -math.inf
         self._block: list[Float32] = []
         self._block_size = 0
 
@@ -84,7 +83,6 @@ class RangeCensus:
         self.largest = max(self.largest, float(measured.max(initial=-np.inf)))
 
     def _add_finite(self, finite: Float32) -> None:
-        self._largest_finite = max(self._largest_finite, float(finite.max(initial=-np.inf)))
         self._block.append(finite)
         self._block_size += finite.size
         if self._block_size >= BLOCK_RANGES:
@@ -124,7 +122,6 @@ class RangeCensus:
             largest=self.largest if measured else math.nan,
             specials=self._list_specials(suggest_no_return(self, crossed)),
             repeated=repeated,
-            suggested_range_max=self._suggest_limit(repeated),
             crossed=crossed,
         )
 
@@ -140,13 +137,6 @@ class RangeCensus:
             for name, meaning in MEANINGS.items()
             if self.counts[name]
         )
-
-    def _suggest_limit(self, repeated: tuple[Repeated, ...]) -> float | None:
-        """Suggest a --range-max where the largest range of all repeats below the stated limit."""
-        markers = [item.value for item in repeated if not item.is_no_return]
-        if self._largest_finite in markers:
-            return float(np.format_float_positional(np.float32(self._largest_finite)))
-        return None
 
 
 MOSTLY_OPEN = 0.05

@@ -22,6 +22,7 @@ from occmap.inspection.sample import Sample
 from occmap.inspection.times import StampLog
 from occmap.posing.attach import Poser
 from occmap.posing.options import DropReason
+from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Kind, Scan, ScanBatch, ScanRun
 
@@ -67,6 +68,7 @@ class Survey:
     selection: Selection
     expected: int
     """Scans in the log, as its reader counts them"""
+    limits: RangeLimits
     extent: Extent = field(default_factory=Extent)
     topics: dict[str, TopicSurvey] = field(default_factory=dict)
 
@@ -74,7 +76,8 @@ class Survey:
         """Read all scans, holding no more than a batch of each topic."""
         for topic, some in gather_topics(self._select(scans)):
             survey = self.topics[topic]
-            for batch in survey.batcher.stack(some):
+            for stacked in survey.batcher.stack(some):
+                batch = self.limits.apply(stacked)
                 survey.census.add(batch)
                 self._attach(survey, batch)
 
@@ -84,6 +87,7 @@ class Survey:
         for some, reason in selector.judge(scans):
             survey = self._find(some.first.topic)
             survey.read += some.scans
+            self.limits.see(some)
             if reason not in NOT_ASKED_FOR:
                 survey.see(some)
             if reason is None:

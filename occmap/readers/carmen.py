@@ -1,7 +1,7 @@
 """Reads logs of the CARMEN toolkit: text, one message a line; `carmen_lines` has the formats."""
 
 import math
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from itertools import islice
@@ -21,7 +21,6 @@ from occmap.readers.carmen_lines import (
     parse_scan,
     parse_scans,
 )
-from occmap.readers.no_return import RangeTally, find_limit
 from occmap.readers.text import (
     Line,
     LineTally,
@@ -90,12 +89,10 @@ class CarmenLog:
         self.path = path
         self.notes: list[Note] = []
         self._words: Counter[str] = Counter()
-        self._tallies: defaultdict[str, RangeTally] = defaultdict(RangeTally)
         self._front_offset: float | None = None
         self._size = 0
         self._kept: list[Scan | ScanRun] | None = []
         self._survey()
-        self._limits = {word: self._find_limit(word) for word in self._tallies}
         self._note_other_lines()
 
     @property
@@ -118,19 +115,15 @@ class CarmenLog:
         tally.judge(self.path, self.notes, FIX)
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
-        """The scans of these keywords; range_max is the no-return value, where one was found."""
+        """The scans of these keywords."""
         for some in self.stacked_scans(topics):
             yield from some.split() if isinstance(some, ScanRun) else (some,)
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The same; those that follow one another and are alike, many at a stroke."""
         for some in self._stream_scans() if self._kept is None else self._kept:
-            first = some.first
-            if first.topic not in topics:
-                continue
-            limit = self._limits.get(first.topic, math.inf)
-            limited = first._replace(range_max=min(first.range_max, limit))
-            yield some._replace(first=limited) if isinstance(some, ScanRun) else limited
+            if some.first.topic in topics:
+                yield some
 
     def _walk(self, notes: list[Note]) -> Iterator[_KindOfLine]:
         """Yield every line that is not blank with its keyword; every comment has `#`."""
@@ -194,7 +187,6 @@ class CarmenLog:
             self._words[f"{first.topic} without beams"] += scans
             return
         self._words[first.topic] += scans
-        self._tallies[first.topic].add(some.ranges, first.range_max)
         self._size += SCAN_BYTES * scans + some.ranges.nbytes
         if self._size > MAX_KEPT_BYTES:
             self._kept = None
@@ -217,12 +209,6 @@ class CarmenLog:
             spacing = math.degrees(imply_increment(beams))
             text = f"{scan.topic} states no angles: {beams} beams are read as {spacing:g} deg apart"
             add_note(self.notes, Note(f"{text}, from -90 deg"))
-
-    def _find_limit(self, word: str) -> float:
-        limit, note = find_limit(word, self._tallies[word])
-        if note is not None:
-            add_note(self.notes, note)
-        return limit
 
     def _find_role(self, word: str) -> Role:
         if word == "ODOM":

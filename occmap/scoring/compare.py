@@ -1,7 +1,7 @@
 """Several ways to map the same logs, in one read: which of them predicts scans best."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from occmap.pipeline import (
     Progress,
     count_scans,
     ignore_progress,
-    trace_log,
+    trace_logs,
 )
 from occmap.readers import open_log
 from occmap.report import Remarks, Tally, refuse_unused
@@ -117,12 +117,18 @@ def compare(
     """
     if picture is not None:
         check_picture(picture)
-    tally, hold_out = Tally(), HoldOut()
+    tally = Tally()
     logs = [open_log(path, options.reading) for path in paths]
     total = sum(count_scans(log, options.selection.topics) for log in logs)
     remarks = Remarks([str(log.path) for log in logs])
-    trials = Trials(variants, options)
+    tally.advance = lambda scans: progress(scans, total)
+    trials, hold_out = Trials(variants, options), HoldOut()
     with trials.tracing() as workers:
+
+        def begin() -> Callable[[Rays], None]:
+            trials.start_over()
+            hold_out.start_over()
+            return observe
 
         def observe(rays: Rays) -> None:
             seen = hold_out.split(rays)
@@ -130,9 +136,8 @@ def compare(
                 for evidence in trials.evidence.values():
                     workers.give(Task(evidence, seen))
 
-        for log in logs:
-            in_order = replace(options, jobs=1)  # which scans are held out must not be chance
-            notes = trace_log(log, in_order, observe, tally, lambda scans: progress(scans, total))
+        in_order = replace(options, jobs=1)  # which scans are held out must not be chance
+        for log, notes in trace_logs(logs, in_order, begin, tally):
             remarks.note(log, notes)
     refuse_unused(logs, tally)
     refuse_unscored(remarks.logs, hold_out)

@@ -33,6 +33,10 @@ class HoldOut:
     """Keeps every fifth scan from the maps; the scans must come in one order, so in one thread."""
 
     def __init__(self) -> None:
+        self.start_over()
+
+    def start_over(self) -> None:
+        """Forget all scans, as they are about to come."""
         self.held: list[Rays] = []
         self.scans = 0
         self._seen = 0
@@ -133,10 +137,14 @@ class Trials:
     def __init__(self, variants: Sequence[Variant], options: BuildOptions) -> None:
         self._options = options
         self.variants = variants
+        self.start_over()
+
+    def start_over(self) -> None:
+        """Forget what was traced, as the scans are about to come."""
         self.evidence: dict[str, SharedEvidence] = {}
-        for variant in variants:
+        for variant in self.variants:
             if variant.evidence not in self.evidence:
-                choice = replace(options, update=variant.update, model=variant.model)
+                choice = replace(self._options, update=variant.update, model=variant.model)
                 self.evidence[variant.evidence] = SharedEvidence(choice)
 
     def tracing(self) -> Workers[Task]:

@@ -82,7 +82,7 @@ class SimpleModel:
     prior: float = 0.5
     cut: float = 0.5
     """A cell is called occupied where its probability is above this, free where it is below"""
-    spread: float = 0.1
+    spread: float = 0.08
     """The share of a hit that counts for each of the four cells beside it; its square at corners"""
     clamp_min: float = NO_CLAMP["clamp_min"]
     clamp_max: float = NO_CLAMP["clamp_max"]
@@ -123,7 +123,7 @@ class CountingModel:
     cut: float = 0.32
     """A cell is called occupied where its probability is above this: a wall that is missed costs
     more than one that is not there, so one hit outweighs two misses"""
-    spread: float = 0.1
+    spread: float = 0.08
     """The share of a hit that counts for each of the four cells beside it; its square at corners"""
     clamp_min: float = NO_CLAMP["clamp_min"]
     clamp_max: float = NO_CLAMP["clamp_max"]

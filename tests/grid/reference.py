@@ -105,7 +105,7 @@ def list_beams(
     for a in range(beams if rays.full_circle and beams > 1 else beams - 1):
         b = (a + 1) % beams
         (x, y), (to_x, to_y) = ends[a], ends[b]
-        apart = max(abs(to_x - x), abs(to_y - y)) // 256
+        apart = (max(abs(to_x - x), abs(to_y - y)) + 128) // 256
         near = min(distance[a], distance[b])
         one_surface = abs(distance[a] - distance[b]) <= max(jump, near * 0.1) and apart <= 12
         drawn = 0

@@ -1,0 +1,187 @@
+"""Finds the values that stand for "nothing came back" among the ranges of a log.
+
+Drivers that have no infinity write numbers beyond what they can measure: one value, or several
+close together, with a stray one above them at times. Such numbers lie in a band at the top of all
+ranges, far more of them than of the ranges just below.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from occmap.sensor.returns import ReturnOptions
+from occmap.types import Float32, Scan, ScanBatch, ScanRun, as_float32
+
+BAND = 0.025
+"""The part of the largest range that a band takes up, and the part below it that is nearly empty"""
+MIN_READINGS = 10
+"""Fewer readings are no band; so many may lie astray above one"""
+DOMINANCE = 10
+"""How many times more readings a band holds than the part below it"""
+SICK_CODES = (81.82, 81.92)
+"""Between these the SICK LMS writes its error codes, in cm from 8183 to 8191; however few"""
+KEY_SHIFT = 8
+"""Bits of a float32 that are left out where ranges are counted: the rest tells millimetres apart"""
+
+
+@dataclass(frozen=True)
+class Band:
+    """Ranges that stand for "no return"."""
+
+    limit: float
+    """From this range on (m)"""
+    low: float
+    """The smallest of them and the largest, to a millimetre (m)"""
+    high: float
+    count: int
+
+
+class RangeTally:
+    """Counts the largest ranges of a stream of scans, in bounded memory and in any order."""
+
+    def __init__(self) -> None:
+        self.total = 0
+        """Ranges seen"""
+        self.stated = 0.0
+        """The largest range_max that the scans state (m)"""
+        self.above = 0
+        """Finite ranges above the limit that their own scan states ..."""
+        self.largest = 0.0
+        """... and the largest of those (m)"""
+        self._counts: Counter[int] = Counter()
+        self._floor = float(np.finfo(np.float32).tiny)
+
+    def add(self, ranges: Float32, range_max: float) -> None:
+        """Count the ranges (of any shape) of scans that state one limit (m)."""
+        self.total += ranges.size
+        self.stated = max(self.stated, range_max)
+        limit = as_float32(range_max)
+        above = ranges[(ranges > limit) & (ranges < np.inf)]
+        self.above += above.size
+        self.largest = max(self.largest, float(above.max(initial=0)))
+        far = ranges[(ranges >= np.float32(self._floor)) & (ranges < limit)]
+        if far.size:
+            keys, counts = np.unique(far.view(np.uint32) >> KEY_SHIFT, return_counts=True)
+            self._counts.update(dict(zip(keys.tolist(), counts.tolist(), strict=True)))
+            self._forget_small()
+
+    def _forget_small(self) -> None:
+        """Forget ranges that no band can reach down to: any has so many at or above its top."""
+        readings = 0
+        for key in sorted(self._counts, reverse=True):
+            readings += self._counts[key]
+            if readings >= MIN_READINGS:
+                self._floor = (1 - 2 * BAND) * to_range(key)
+                break
+        for key in [key for key in self._counts if to_range(key + 1) <= self._floor]:
+            del self._counts[key]
+
+    def find_band(self) -> Band | None:
+        """Find the ranges that stand for "no return" below what the scans state as their limit."""
+        astray = 0
+        for key in sorted(self._counts, reverse=True):
+            if astray >= MIN_READINGS:
+                return None
+            top = to_range(key)
+            limit, empty = (1 - BAND) * top, (1 - 2 * BAND) * top
+            inside = {k: n for k, n in self._counts.items() if limit <= to_range(k) <= top}
+            below = sum(n for k, n in self._counts.items() if empty <= to_range(k) < limit)
+            readings = sum(inside.values())
+            is_code = SICK_CODES[0] <= top <= SICK_CODES[1]
+            if is_code or readings >= max(MIN_READINGS, DOMINANCE * below):
+                low = min(k for k in inside if not is_code or to_range(k) >= SICK_CODES[0])
+                return Band(
+                    SICK_CODES[0] if is_code else limit,
+                    to_range(low),
+                    to_range(max(self._counts)),
+                    sum(n for k, n in self._counts.items() if k >= low),
+                )
+            astray += self._counts[key]
+        return None
+
+
+def to_range(key: int) -> float:
+    """The smallest range (m) that is counted under a key."""
+    return float(np.uint32(key << KEY_SHIFT).view(np.float32))
+
+
+class RangeLimits:
+    """From what range on each scan topic of one log means "no return".
+
+    A log shows that only when all of it was read. So the scans that come first say what is applied
+    to the rest, and `settle` tells in the end whether that was right: it nearly always is, and if
+    not, the log is read once more. Where the user gives a limit, nothing is looked for.
+    """
+
+    def __init__(self, options: ReturnOptions) -> None:
+        self._asked = options.range_max is None
+        self._tallies: dict[str, RangeTally] = {}
+        self._applied: dict[str, float] = {}
+        self._settled = False
+
+    def see(self, some: Scan | ScanRun) -> None:
+        """Count the ranges of a scan, or of those of a run."""
+        if self._asked and not self._settled and some.ranges.size:
+            first = some.first
+            tally = self._tallies.setdefault(first.topic, RangeTally())
+            range_max = first.range_max if first.range_max > 0 else math.inf
+            tally.add(some.ranges, range_max)
+
+    def apply(self, batch: ScanBatch) -> ScanBatch:
+        """State the limit in a batch of scans."""
+        if not self._asked:
+            return batch
+        if batch.topic not in self._applied:
+            self._applied[batch.topic] = self._find(batch.topic)
+        return replace(batch, range_max=min(batch.range_max, self._applied[batch.topic]))
+
+    def settle(self) -> bool:
+        """Whether what was applied is what the whole log shows; from now on the latter is."""
+        right = all(limit == self._find(topic) for topic, limit in self._applied.items())
+        self._settled = True
+        self._applied.clear()
+        return right
+
+    def _find(self, topic: str) -> float:
+        band = self.bands.get(topic)
+        return math.inf if band is None else band.limit
+
+    @property
+    def bands(self) -> dict[str, Band]:
+        """What was found so far, by topic."""
+        found = {topic: tally.find_band() for topic, tally in self._tallies.items()}
+        return {topic: band for topic, band in found.items() if band is not None}
+
+    def list_notes(self) -> Iterator[str]:
+        """Say what the user should know of each topic, and how to change it."""
+        for topic, tally in self._tallies.items():
+            unstated = math.isinf(tally.stated)
+            limit = "no range limit" if unstated else f"{tally.stated:g} m as its range limit"
+            start = f"{topic} states {limit}"
+            band = tally.find_band()
+            if band is not None:
+                values = f"{band.low:.4g} m" + (
+                    f" to {band.high:.4g} m" if f"{band.low:.4g}" != f"{band.high:.4g}" else ""
+                )
+                share = f"{band.count:,} of {tally.total:,} ranges ({band.count / tally.total:.1%})"
+                yield f"{start}; {share} read {values}, taken as no return: --range-max overrides"
+            elif tally.above:
+                share = (
+                    f"{tally.above:,} of {tally.total:,} ranges ({tally.above / tally.total:.1%})"
+                )
+                upto = f"up to {tally.largest:.4g} m"
+                yield f"{start}; {share} are above it, {upto}, taken as no return: --range-max overrides"
+            elif unstated:
+                yield (
+                    f'{start}; no value stands for "no return", so every range is used as '
+                    "measured: --range-max sets a limit"
+                )
+
+
+def settle(limits: Iterable[RangeLimits]) -> bool:
+    """Settle the limits of several logs; whether all of them had been applied right."""
+    right = [each.settle() for each in limits]
+    return all(right)
