@@ -12,7 +12,7 @@ from occmap.errors import LogError, MapError, PoseError, UsageError
 from occmap.evidence import render, to_evidence
 from occmap.evidence.manifest import describe_build, plan_manifest
 from occmap.evidence.merging import open_saved
-from occmap.evidence.persistence import check_gap, check_passes, keep_lasting, list_forgotten
+from occmap.evidence.persistence import check_gap, check_passes, keep_lasting, list_lost
 from occmap.evidence.publishing import describe_resumed
 from occmap.evidence.repetition import list_repeated
 from occmap.grid.lattice import Lattice
@@ -40,6 +40,7 @@ from occmap.writers import Product, WriteOptions, check_outputs, want_evidence, 
 
 if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
     from occmap.grid.engine import GridEngine
+    from occmap.grid.sliced import SlicedEngine
 
 DEFAULT_UPDATE = Update.BEAM
 
@@ -122,7 +123,7 @@ def build(
     """
     tally = Tally()
     check_outputs(outputs)
-    plan = plan_manifest(options.resolution, options.update, options.model)
+    plan = plan_manifest(options)
     saved = open_saved(options.resume, plan) if options.resume else None
     with tally.time("open"):
         logs = [open_log(path, options.reading) for path in paths]
@@ -134,19 +135,19 @@ def build(
         notes = trace_log(log, options, engine.add, tally, lambda scans: progress(scans, total))
         remarks.note(log, notes)
     with tally.time("fold"):
-        tiles, times = engine.finish(), engine.read_times()
+        tiles, slices = engine.finish(), engine.read_slices()
         if saved:
             add_stack(tiles, saved.tiles, saved.cells)
-            times = saved.times + times
+            slices = saved.slices + slices
     refuse_unused(logs, tally)
     refuse_unseen(logs, tally, tiles)
     with tally.time("render"):
-        lasting = keep_lasting(tiles, times, options.min_passes)
+        lasting = keep_lasting(tiles, slices, options.min_passes)
         grid = render(lasting, options.model, options.max_cells)
     remarks.notes += (
         *options.list_idle(),
         *list_lacking(tally, remarks.resumed),
-        *list_forgotten(times, options.min_passes),
+        *list_lost(tiles, lasting, options.model, options.writing.occupied_thresh),
     )
 
     @cache  # two files may want it, and it takes time to hash the logs
@@ -154,7 +155,7 @@ def build(
         past = saved.manifest if saved else plan
         builds = (*past.builds, describe_build(paths, options, tally.to_json()))
         remarks.notes += list_repeated(builds)
-        return to_evidence(tiles, replace(plan, builds=builds, subtracted=past.subtracted), times)
+        return to_evidence(tiles, replace(plan, builds=builds, subtracted=past.subtracted), slices)
 
     with tally.time("write"):
         remarks.files += write_outputs(outputs, Product(grid, keep_evidence), options.writing)
@@ -267,13 +268,14 @@ def take_one(scans: Iterator[Scan]) -> list[Scan]:
     return first
 
 
-def choose_engine(options: BuildOptions, outputs: Sequence[Path]) -> "GridEngine":
-    """Make an engine, one that keeps times only where they are asked for: it takes longer."""
+def choose_engine(options: BuildOptions, outputs: Sequence[Path]) -> "GridEngine | SlicedEngine":
+    """Make an engine, one that keeps slices of time only where they are asked for."""
     if options.min_passes is None and not want_evidence(outputs):
         return make_engine(options)
-    from occmap.grid.timed import TimedEngine  # noqa: PLC0415  late: as below
+    from occmap.grid.sliced import SlicedEngine  # noqa: PLC0415  late: as below
 
-    return TimedEngine(plan_grid(options), max_cells=options.max_cells)
+    slice_ns = round(options.pass_gap_s * 1e9)
+    return SlicedEngine(plan_grid(options), slice_ns, max_cells=options.max_cells)
 
 
 def make_engine(options: BuildOptions) -> "GridEngine":
@@ -290,8 +292,7 @@ def plan_grid(options: BuildOptions) -> GridSpec:
     radial = None
     if isinstance(model, RadialModel):
         radial = tabulate(model.free, model.hit, model.depth(options.resolution))
-    slice_ns = round(options.pass_gap_s * 1e9)
-    return GridSpec(options.update, lattice, options.jump, options.border_gap, radial, slice_ns)
+    return GridSpec(options.update, lattice, options.jump, options.border_gap, radial)
 
 
 def make_report(

@@ -101,7 +101,11 @@ class Explanation:
             "seen": numbers_to_json((history.first, history.second), kind),
             "around": around[::-1],
             "min_passes": self.question.min_passes,
-            "builds": [visits_to_json(each, kind) for each in self.builds],
+            "visits": history.visits and visits_to_json(history.visits, kind),
+            "builds": [
+                {"build": b.build, "logs": list(b.logs), **visits_to_json(b.visits, kind)}
+                for b in self.builds
+            ],
             "scans_used": self.scans_used,
             "scans": [sighting_to_json(each, kind) for each in self.sightings],
             "notes": list(self.notes),
@@ -147,7 +151,8 @@ def judge_cell(history: CellHistory, model: SensorModel, min_passes: int | None)
     """Make a map of the one cell."""
     numbers = history.around[1, 1].reshape(2, 1, 1)
     if min_passes is not None:
-        numbers = weigh_visits(numbers, history.visits.reshape(2, 1, 1), min_passes)
+        visits = history.visits[2:] if history.visits else (0, 0)
+        numbers = weigh_visits(numbers, np.array(visits).reshape(2, 1, 1), min_passes)
     observed = numbers.any(axis=0)
     log_odds = np.where(observed, weigh(model)(*numbers), to_log_odds(model.prior))
     low_x, low_y, high_x, _ = history.extent
@@ -225,14 +230,7 @@ def sighting_to_json(sighting: Sighting, kind: EvidenceKind) -> dict[str, Any]:
     }
 
 
-def visits_to_json(build: BuildVisits, kind: EvidenceKind) -> dict[str, Any]:
-    """When one build observed the cell, as values that JSON has."""
-    first_ns, last_ns, hit_visits, seen_visits = build.visits
-    return {
-        "build": build.build,
-        "logs": list(build.logs),
-        "first_ns": first_ns,
-        "last_ns": last_ns,
-        "hit_visits": None if kind is EvidenceKind.LOG_ODDS else hit_visits,
-        "seen_visits": seen_visits,
-    }
+def visits_to_json(visits: Visits, kind: EvidenceKind) -> dict[str, int | None]:
+    """When a cell was observed, as values that JSON has."""
+    known = visits._asdict()
+    return {**known, "hit_visits": None} if kind is EvidenceKind.LOG_ODDS else known

@@ -70,5 +70,3 @@ class GridSpec:
     """... and the border is closed over at most so many cells"""
     radial: RadialTables | None = None
     """None: hits and misses are counted"""
-    slice_ns: int = 10 * 10**9
-    """Visits are told apart by slices of time so long, where times are kept"""
