@@ -43,7 +43,7 @@ def pack_slices(layers: Sequence[Slices]) -> Arrays:
     )
     layout = np.array(sizes, "<i8").reshape(-1, 3)
     return dict(
-        zip(SLICE_ARRAYS, (layout, tiles.astype("<i8"), narrow(numbers), *bits), strict=True)
+        zip(SLICE_ARRAYS, (layout, narrow(tiles), narrow(numbers), *bits), strict=True)
     )
 
 
@@ -57,7 +57,7 @@ def unpack_slices(arrays: Arrays) -> tuple[Slices, ...]:
     """
     tiles, parts, changes = np.cumsum(arrays["layers"], axis=0).T  # where each layer ends
     columns = (
-        np.split(arrays["slice_tiles"], tiles),
+        np.split(arrays["slice_tiles"].astype(np.int64), tiles),
         np.split(arrays["slices"].astype(np.int64), tiles),
         np.split(arrays["slice_rows"], tiles),
         np.split(arrays["slice_parts"], parts),

@@ -8,8 +8,8 @@
 | `first` | (N,) smallest signed type that fits | hits, or sums of log-odds in units of 1/65536 |
 | `second` | (N,) likewise | misses, or observations |
 | `layers` | (L, 3) int64 | how much of K, R and C belongs to each of the manifest's builds |
-| `slice_tiles` | (K, 2) int64 | a tile that a slice of time observed, as in `tiles` ... |
-| `slices` | (K,) smallest signed type that fits | ... and the slice, by tile and then by time |
+| `slice_tiles` | (K, 2) likewise | a tile that a slice of time observed, as in `tiles` ... |
+| `slices` | (K,) likewise | ... and the slice; by tile, then by time |
 | `slice_rows` | (K, 16) uint8 | a bit for each row of hit, then of seen cells: is any byte kept? |
 | `slice_parts` | (R,) uint8 | for each row that says so, a bit for each of its 8 bytes |
 | `slice_changes` | (C,) uint8 | for each byte that is kept, that byte |
