@@ -12,7 +12,7 @@ def stack_tiles(grid: TileGrid) -> tuple[Int64, Int64]:
     These are 64 bits wide only where a number needs it.
     """
     keys = sorted(grid.tiles)
-    fits = all(-INT32_LIMIT <= t.min() and t.max() <= INT32_LIMIT for t in grid.tiles.values())
+    fits = all(t.min() >= -INT32_LIMIT and t.max() <= INT32_LIMIT for t in grid.tiles.values())
     cells = np.empty((len(keys), 2, TILE, TILE), np.int32 if fits else np.int64)
     for place, key in enumerate(keys):
         cells[place] = grid.tiles[key]

@@ -42,9 +42,7 @@ def pack_slices(layers: Sequence[Slices]) -> Arrays:
         for name, shape, kind in EMPTY
     )
     layout = np.array(sizes, "<i8").reshape(-1, 3)
-    return dict(
-        zip(SLICE_ARRAYS, (layout, narrow(tiles), narrow(numbers), *bits), strict=True)
-    )
+    return dict(zip(SLICE_ARRAYS, (layout, narrow(tiles), narrow(numbers), *bits), strict=True))
 
 
 def unpack_slices(arrays: Arrays) -> tuple[Slices, ...]:

@@ -92,8 +92,9 @@ def test_a_quarter_of_the_occupied_cells_is_not_lost_without_a_word(
     grid, slices = observe(cells + others)
     model, lasting = parse_model("simple"), keep_lasting(grid, [slices], 2)
     found = [
-        f"--min-passes takes away {share}% of the occupied cells ({lost} of 20), since they were hit "
-        "on fewer visits; walls may be among them: leave it out, or build with a smaller --pass-gap"
+        f"--min-passes takes away {share}% of the occupied cells ({lost} of 20), since they were "
+        "hit on fewer visits; walls may be among them: leave it out, or build with a smaller "
+        "--pass-gap"
     ]
     assert list(list_lost(grid, lasting, model, 0.65)) == (found if share else [])
     assert list(list_lost(grid, grid, model, 0.65)) == []
@@ -120,8 +121,8 @@ def test_build_and_render_agree_and_evidence_stays(log: Path, tmp_path: Path) ->
     assert other.manifest.builds[0]["options"]["min_passes"] == 2
     model = parse_model("simple")
     expected = build([log], BuildOptions(min_passes=2)).map
-    lasting = render(keep_lasting(to_grid(one), one.slices, 2), model, 10**9)
-    assert np.array_equal(lasting.log_odds, expected.log_odds)
+    rendered = render(keep_lasting(to_grid(one), one.slices, 2), model, 10**9)
+    assert np.array_equal(rendered.log_odds, expected.log_odds)
 
 
 @pytest.mark.parametrize(("start", "visits"), [(0, 1), (20, 2)])
