@@ -8,6 +8,7 @@ otherwise. Frames follow REP 103 and REP 105: x forward, y left, z up, yaw count
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from typing import Any, NamedTuple, Self, TypeAlias
@@ -389,6 +390,20 @@ class Slices:
     """(R,) a bit for each of the 8 bytes of those R rows: whether it differs"""
     changes: UInt8
     """(C,) those C bytes, exclusive or the ones of the row before; in the order of `np.packbits`"""
+
+    @classmethod
+    def join(cls, parts: Iterable[Self]) -> Self:
+        """Lay slices, if any, end to end."""
+        empty = cls(
+            np.zeros((0, 2), np.int64),
+            np.zeros(0, np.int64),
+            np.zeros((0, 16), np.uint8),
+            np.zeros(0, np.uint8),
+            np.zeros(0, np.uint8),
+        )
+        all_of_them = (empty, *parts)
+        names = cls.__dataclass_fields__
+        return cls(*(np.concatenate([getattr(s, name) for s in all_of_them]) for name in names))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

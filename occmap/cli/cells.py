@@ -65,13 +65,12 @@ def list_builds(explanation: Explanation) -> Iterator[tuple[str, str]]:
         yield "", f"together: {together}"
 
 
-def describe_visits(times: Visits, kind: EvidenceKind) -> str:
+def describe_visits(visits: Visits, kind: EvidenceKind) -> str:
     """Write on how many visits a cell was observed, and between which ends of slices."""
-    since_ns, until_ns, hit_visits, seen_visits = times
-    visits = count(seen_visits, "visit")
+    found = count(visits.seen_visits, "visit")
     if kind is EvidenceKind.COUNTS:
-        visits = f"hit on {hit_visits:,} of {visits}"
-    return f"{visits}, between {write_time(since_ns)} and {write_time(until_ns)}"
+        found = f"hit on {visits.hit_visits:,} of {found}"
+    return f"{found}, between {write_time(visits.since_ns)} and {write_time(visits.until_ns)}"
 
 
 def list_around(explanation: Explanation) -> Iterator[tuple[str, str]]:

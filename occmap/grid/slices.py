@@ -79,18 +79,9 @@ def spread(sizes: Int64, which: Int64) -> Int64:
     return places
 
 
-def join(parts: Iterable[Slices]) -> Slices:
-    """Lay slices end to end."""
-    columns = zip(*((s.tiles, s.numbers, s.rows, s.parts, s.changes) for s in parts), strict=True)
-    return Slices(*(np.concatenate(column) for column in columns))
-
-
-EMPTY = pack(np.zeros((0, 2), np.int64), np.zeros(0, np.int64), np.zeros((0, *BITS), np.uint8))
-
-
 def unite(parts: Iterable[Slices]) -> Slices:
     """Put slices in order; a cell was hit or seen in a slice where any of the parts says so."""
-    whole = join([EMPTY, *parts])
+    whole = Slices.join(parts)
     whole = take(whole, np.lexsort((whole.numbers, *whole.tiles.T[::-1])))
     keys = np.column_stack([whole.tiles, whole.numbers])
     is_new = np.append(True, (np.diff(keys, axis=0) != 0).any(axis=1))[: len(keys)]
@@ -104,7 +95,7 @@ def unite(parts: Iterable[Slices]) -> Slices:
         bits = unpack(take(whole, np.arange(block[0], end)))
         bits = np.bitwise_or.reduceat(bits, block - block[0], axis=0)
         united.append(pack(whole.tiles[block], whole.numbers[block], bits))
-    return join(united)
+    return Slices.join(united)
 
 
 def split_tiles(slices: Slices) -> Iterator[tuple[tuple[int, int], Slices]]:
@@ -147,7 +138,7 @@ def count_visits(slices: Slices) -> Int64:
 
 def restrict(slices: Slices, grid: TileGrid) -> Slices:
     """Forget cells that a grid has no observation of."""
-    kept = [EMPTY]
+    kept = []
     nothing = np.zeros((TILE, TILE), np.bool_)
     for key, of_tile in split_tiles(slices):
         tile = grid.tiles.get(key)
@@ -155,4 +146,4 @@ def restrict(slices: Slices, grid: TileGrid) -> Slices:
         bits = unpack(of_tile) & still
         some = bits.any(axis=(1, 2, 3))
         kept.append(pack(of_tile.tiles[some], of_tile.numbers[some], bits[some]))
-    return join(kept)
+    return Slices.join(kept)

@@ -12,14 +12,6 @@ SLICE_ARRAYS = (
     *("layers", "slice_tiles", "slices"),
     *("slice_rows", "slice_parts", "slice_changes"),
 )
-EMPTY: tuple[tuple[str, tuple[int, ...], type], ...] = (
-    ("tiles", (0, 2), np.int64),
-    ("numbers", (0,), np.int64),
-    ("rows", (0, 16), np.uint8),
-    ("parts", (0,), np.uint8),
-    ("changes", (0,), np.uint8),
-)
-"""Fields of slices, without any"""
 
 Arrays = dict[str, Any]
 
@@ -37,12 +29,11 @@ def narrow(values: Int64) -> Any:
 def pack_slices(layers: Sequence[Slices]) -> Arrays:
     """Lay the arrays of each build end to end."""
     sizes = [(len(each.numbers), len(each.parts), len(each.changes)) for each in layers]
-    tiles, numbers, *bits = (
-        np.concatenate([np.zeros(shape, kind), *(getattr(each, name) for each in layers)])
-        for name, shape, kind in EMPTY
-    )
     layout = np.array(sizes, "<i8").reshape(-1, 3)
-    return dict(zip(SLICE_ARRAYS, (layout, narrow(tiles), narrow(numbers), *bits), strict=True))
+    whole = Slices.join(layers)
+    columns = (layout, narrow(whole.tiles), narrow(whole.numbers))
+    bits = (whole.rows, whole.parts, whole.changes)
+    return dict(zip(SLICE_ARRAYS, (*columns, *bits), strict=True))
 
 
 def unpack_slices(arrays: Arrays) -> tuple[Slices, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from occmap.errors import MapError
-from occmap.grid.slices import EMPTY, pack
+from occmap.grid.slices import pack
 from occmap.grid.tiles import TILE
 from occmap.types import Evidence, Int64, Manifest, Slices
 from occmap.writers.compact import SLICE_ARRAYS, narrow
@@ -43,7 +43,7 @@ def mark(values: Int64) -> Slices:
     return pack(tiles, np.array([-7, 300, 5]), np.stack([bits[0], bits[0] | 255, bits[1]]))
 
 
-NO_SLICES = EMPTY
+NO_SLICES = Slices.join([])
 
 
 SMALL = evidence_of({(0, 0): (3, 5), (0, 1): (0, 200), (7, 9): (1, 0)})
