@@ -68,13 +68,12 @@ def list_lost(
     """Say where `lasting` lacks much of what is occupied by `grid`, of which it was made."""
     if lasting is grid:
         return
-    least = np.float32(to_log_odds(occupied_thresh))
+    log_odds, least = weigh(model), np.float32(to_log_odds(occupied_thresh))
     nothing = np.zeros((2, TILE, TILE), np.int64)
     were = lost = 0
     for key, tile in grid.tiles.items():
         before, after = (
-            find_occupied(each, weigh(model), least)
-            for each in (tile, lasting.tiles.get(key, nothing))
+            find_occupied(each, log_odds, least) for each in (tile, lasting.tiles.get(key, nothing))
         )
         were += int(np.count_nonzero(before))
         lost += int(np.count_nonzero(before & ~after))
