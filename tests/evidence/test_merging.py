@@ -47,6 +47,8 @@ def test_two_halves_make_the_whole(tmp_path: Path, update: Update, model: str) -
     assert rest.manifest == first.manifest
     assert merge([first, second]).slices == first.slices + second.slices
     assert write_bytes(tmp_path, rest) == write_bytes(tmp_path, first)
+    rest = subtract(merge([first, second]), first)
+    assert write_bytes(tmp_path, rest) == write_bytes(tmp_path, second)
 
 
 def assert_equal(one: Slices, other: Slices) -> None:

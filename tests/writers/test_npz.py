@@ -13,7 +13,7 @@ from occmap.errors import MapError
 from occmap.grid.slices import pack
 from occmap.grid.tiles import TILE
 from occmap.types import Evidence, Int64, Manifest, Slices
-from occmap.writers.compact import SLICE_ARRAYS, narrow
+from occmap.writers.compact import SLICE_ARRAYS, narrow, pack_slices, unpack_slices
 from occmap.writers.npz import SIDE, NpzWriter, add_array, read_evidence
 
 SELECTION = {"topics": [], "start_s": "-inf", "end_s": 2.5, "stride": 1}
@@ -107,6 +107,12 @@ def test_slices_of_any_number_of_builds(tmp_path: Path) -> None:
 def test_slices_that_do_not_fit_are_refused(tmp_path: Path, change: dict[str, Any]) -> None:
     path = write(tmp_path / "m.npz", replace(SMALL, **change))
     assert "it is cut or altered; build it again" in damage(path, path.read_bytes())
+
+
+def test_slices_behind_those_of_all_builds_are_refused() -> None:
+    arrays = pack_slices(SMALL.slices[:1])
+    with pytest.raises(ValueError, match="layers"):
+        unpack_slices({**arrays, "layers": np.zeros((1, 3), np.int64)})
 
 
 def test_numpy_alone_reads_it(tmp_path: Path) -> None:
