@@ -12,13 +12,13 @@ from occmap.errors import LogError, MapError, PoseError, UsageError
 from occmap.evidence import render, to_evidence
 from occmap.evidence.manifest import describe_build, plan_manifest
 from occmap.evidence.merging import open_saved
-from occmap.evidence.persistence import check_gap, check_passes, keep_lasting, list_forgotten
+from occmap.evidence.persistence import check_gap, check_passes, keep_lasting, list_lost
 from occmap.evidence.publishing import describe_resumed
 from occmap.evidence.repetition import list_repeated
 from occmap.grid.lattice import Lattice
 from occmap.grid.spec import GridSpec, tabulate
 from occmap.grid.stacks import add_stack
-from occmap.grid.tiles import MAX_CELLS
+from occmap.grid.tiles import MAX_CELLS, TileGrid
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
 from occmap.readers import Log, Role, open_log, read_poses, read_scans
@@ -35,12 +35,13 @@ from occmap.report import (
 from occmap.sensor.models import CountingModel, RadialModel, SensorModel, describe_model
 from occmap.sensor.no_return import RangeLimits, settle
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.types import Evidence, OccupancyMap, Rays, Scan, Update
+from occmap.types import Evidence, OccupancyMap, Rays, Scan, Slices, Update
 from occmap.workers import Workers, count_cores
 from occmap.writers import Product, WriteOptions, check_outputs, want_evidence, write_outputs
 
 if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
     from occmap.grid.engine import GridEngine
+    from occmap.grid.sliced import SlicedEngine
 
 MOST_OFFSET = 10
 """Cells; a hit that lies deeper in a wall is none."""
@@ -132,7 +133,7 @@ def build(
     """
     tally = Tally()
     check_outputs(outputs)
-    plan = plan_manifest(options.resolution, options.update, options.model)
+    plan = plan_manifest(options)
     saved = open_saved(options.resume, plan) if options.resume else None
     with tally.time("open"):
         logs = [open_log(path, options.reading) for path in paths]
@@ -140,30 +141,21 @@ def build(
     remarks = Remarks([str(log.path) for log in logs], describe_resumed(saved) if saved else None)
     remarks.note_request(outputs, options.writing, options.model)
     tally.advance = lambda scans: progress(scans, total)
-
-    def begin() -> Callable[[Rays], None]:
-        nonlocal engine
-        engine = choose_engine(options, outputs)
-        return engine.add
-
-    engine = choose_engine(options, outputs)
-
-    for log, notes in trace_logs(logs, options, begin, tally):
-        remarks.note(log, notes)
-    with tally.time("fold"):
-        tiles, times = engine.finish(), engine.read_times()
-        if saved:
-            add_stack(tiles, saved.tiles, saved.cells)
-            times = saved.times + times
+    tiles, slices = observe_logs(logs, options, outputs, tally, remarks)
+    if saved:
+        add_stack(tiles, saved.tiles, saved.cells)
+        slices = saved.slices + slices
     refuse_unused(logs, tally)
     refuse_unseen(logs, tally, tiles)
     with tally.time("render"):
-        lasting = keep_lasting(tiles, times, options.min_passes)
-        grid = render(lasting, options.model, options.max_cells)
+        lasting = keep_lasting(tiles, slices, options.min_passes)
+        grid = whole = render(lasting, options.model, options.max_cells)
+        if lasting is not tiles:
+            whole = render(tiles, options.model, options.max_cells)
     remarks.notes += (
         *options.list_idle(),
         *list_lacking(tally, remarks.resumed),
-        *list_forgotten(times, options.min_passes),
+        *list_lost(whole, grid),
     )
 
     @cache  # two files may want it, and it takes time to hash the logs
@@ -171,11 +163,31 @@ def build(
         past = saved.manifest if saved else plan
         builds = (*past.builds, describe_build(paths, options, tally.to_json()))
         remarks.notes += list_repeated(builds)
-        return to_evidence(tiles, replace(plan, builds=builds, subtracted=past.subtracted), times)
+        return to_evidence(tiles, replace(plan, builds=builds, subtracted=past.subtracted), slices)
 
     with tally.time("write"):
         remarks.files += write_outputs(outputs, Product(grid, keep_evidence), options.writing)
     return Build(grid, make_report(grid, options, tally, remarks))
+
+
+def observe_logs(
+    logs: Sequence[Log],
+    options: BuildOptions,
+    outputs: Sequence[Path],
+    tally: Tally,
+    remarks: Remarks,
+) -> tuple[TileGrid, tuple[Slices, ...]]:
+    """Trace all scans; give what was observed and, where it is kept, in which slices of time."""
+
+    def begin() -> Callable[[Rays], None]:
+        engines.append(choose_engine(options, outputs))
+        return engines[-1].add
+
+    engines: list[GridEngine | SlicedEngine] = []
+    for log, notes in trace_logs(logs, options, begin, tally):
+        remarks.note(log, notes)
+    with tally.time("fold"):
+        return engines[-1].finish(), engines[-1].read_slices()
 
 
 def trace_logs(
@@ -314,13 +326,14 @@ def take_one(scans: Iterator[Scan]) -> list[Scan]:
     return first
 
 
-def choose_engine(options: BuildOptions, outputs: Sequence[Path]) -> "GridEngine":
-    """Make an engine, one that keeps times only where they are asked for: it takes longer."""
+def choose_engine(options: BuildOptions, outputs: Sequence[Path]) -> "GridEngine | SlicedEngine":
+    """Make an engine, one that keeps slices of time only where they are asked for."""
     if options.min_passes is None and not want_evidence(outputs):
         return make_engine(options)
-    from occmap.grid.timed import TimedEngine  # noqa: PLC0415  late: as below
+    from occmap.grid.sliced import SlicedEngine  # noqa: PLC0415  late: as below
 
-    return TimedEngine(plan_grid(options), max_cells=options.max_cells)
+    slice_ns = round(options.pass_gap_s * 1e9)
+    return SlicedEngine(plan_grid(options), slice_ns, max_cells=options.max_cells)
 
 
 def make_engine(options: BuildOptions) -> "GridEngine":
@@ -337,7 +350,6 @@ def plan_grid(options: BuildOptions) -> GridSpec:
     radial = None
     if isinstance(model, RadialModel):
         radial = tabulate(model.free, model.hit, model.depth(options.resolution))
-    slice_ns = round(options.pass_gap_s * 1e9)
     return GridSpec(
         options.update,
         lattice,
@@ -345,7 +357,6 @@ def plan_grid(options: BuildOptions) -> GridSpec:
         options.border_gap,
         options.hit_offset,
         radial,
-        slice_ns,
     )
 
 

@@ -8,6 +8,7 @@ otherwise. Frames follow REP 103 and REP 105: x forward, y left, z up, yaw count
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from typing import Any, NamedTuple, Self, TypeAlias
@@ -20,7 +21,6 @@ Float64: TypeAlias = NDArray[np.float64]
 Int32: TypeAlias = NDArray[np.int32]
 Int64: TypeAlias = NDArray[np.int64]
 UInt8: TypeAlias = NDArray[np.uint8]
-UInt64: TypeAlias = NDArray[np.uint64]
 Bool: TypeAlias = NDArray[np.bool_]
 
 
@@ -366,6 +366,12 @@ class OccupancyMap:
         return replace(self, log_odds=log_odds, observed=observed, origin=start)
 
     @property
+    def place(self) -> Int64:
+        """(2,) row and column of the first cell on the lattice of its resolution."""
+        x, y = self.origin
+        return np.rint(np.array([y, x]) / self.resolution).astype(np.int64)
+
+    @property
     def extent(self) -> Box:
         """Lowest x and y, highest x and y (m)."""
         (rows, cols), (x, y) = self.shape, self.origin
@@ -389,6 +395,8 @@ class Manifest:
     """What the two numbers of a cell are: "counts" or "log_odds"."""
     profile: str
     """The radial model that log-odds were summed by, without prior and bounds; "" for counts"""
+    pass_gap_s: float
+    """How long a slice of time is, by which visits are told apart (s)"""
     model: str
     """The model to render with, unless the user wants another"""
     builds: tuple[dict[str, Any], ...]
@@ -398,21 +406,39 @@ class Manifest:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Times:
-    """When the cells of one build were observed, tile by tile, row by row; N cells in all."""
+class Slices:
+    """Which cells were hit and seen in which slices of time, a tile at a time.
+
+    Slice n lasts from n to n + 1 times `Manifest.pass_gap_s`, counted from stamp 0, so that logs
+    and builds share their slices. A tile in a slice has a bit for each cell that was hit and for
+    each that was seen, (2, 64, 64). Of these only the bytes are kept that differ from those of the
+    row before, about 50 of 1024; `occmap.grid.slices` packs and unpacks them.
+    """
 
     tiles: Int64
-    """(T, 2) row and column of each tile, in ascending order"""
-    observed: UInt8
-    """(T, 512) a bit for each of the 64 x 64 cells, in the order of `np.packbits`"""
-    first_ns: Int64
-    """(N,) stamp of the first scan that observed the cell ..."""
-    last_ns: Int64
-    """(N,) ... and of the last"""
-    hit_visits: Int32
-    """(N,) visits on which the cell was hit; 0 where the evidence has no hits"""
-    seen_visits: Int32
-    """(N,) visits: runs of consecutive slices of time in which the cell was observed"""
+    """(K, 2) row and column of each tile, in ascending order ..."""
+    numbers: Int64
+    """(K,) ... and, of one tile, of the slices in which it was seen"""
+    rows: UInt8
+    """(K, 16) a bit for each of the 2 x 64 rows: whether it differs from the row before"""
+    parts: UInt8
+    """(R,) a bit for each of the 8 bytes of those R rows: whether it differs"""
+    changes: UInt8
+    """(C,) those C bytes, exclusive or the ones of the row before; in the order of `np.packbits`"""
+
+    @classmethod
+    def join(cls, parts: Iterable[Self]) -> Self:
+        """Lay slices, if any, end to end."""
+        empty = cls(
+            np.zeros((0, 2), np.int64),
+            np.zeros(0, np.int64),
+            np.zeros((0, 16), np.uint8),
+            np.zeros(0, np.uint8),
+            np.zeros(0, np.uint8),
+        )
+        all_of_them = (empty, *parts)
+        names = cls.__dataclass_fields__
+        return cls(*(np.concatenate([getattr(s, name) for s in all_of_them]) for name in names))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -424,7 +450,7 @@ class Evidence:
     """(T, 2) row and column of each tile in the lattice of tiles, in ascending order"""
     cells: Int64
     """(T, 2, 64, 64) the two numbers of every cell; row 0 is the lowest y"""
-    times: tuple[Times, ...] = ()
+    slices: tuple[Slices, ...] = ()
     """When cells were observed, for each of the manifest's builds"""
     where: str = ""
     """The file that it was read from"""

@@ -4,7 +4,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from occmap.cli.summary import LABEL
-from occmap.explanation import BuildVisits, Explanation, describe_numbers
+from occmap.explanation import Explanation, describe_numbers
+from occmap.explanation.history import Visits
 from occmap.explanation.provenance import shorten
 from occmap.explanation.sightings import Numbers, Sighting, add_up
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
@@ -52,22 +53,24 @@ def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
 
 
 def list_builds(explanation: Explanation) -> Iterator[tuple[str, str]]:
-    """Say on how many visits each build observed the cell, and when."""
+    """Say on how many visits each build observed the cell, and when; and then all together."""
     shown = explanation.builds[:MOST_BUILDS]
     for index, build in enumerate(shown):
-        yield "" if index else "visits", describe_visits(build, explanation.history.kind)
+        visits = describe_visits(build.visits, explanation.history.kind)
+        yield "" if index else "visits", f"{shorten(build.logs)}: {visits}"
     if len(shown) < len(explanation.builds):
         yield "", f"and {len(explanation.builds) - len(shown):,} more builds: --json lists all"
+    if len(shown) > 1 and explanation.history.visits:
+        together = describe_visits(explanation.history.visits, explanation.history.kind)
+        yield "", f"together: {together}"
 
 
-def describe_visits(build: BuildVisits, kind: EvidenceKind) -> str:
-    """Write when one build observed the cell."""
-    first_ns, last_ns, hit_visits, seen_visits = build.visits
-    visits = count(seen_visits, "visit")
+def describe_visits(visits: Visits, kind: EvidenceKind) -> str:
+    """Write on how many visits a cell was observed, and between which ends of slices."""
+    found = count(visits.seen_visits, "visit")
     if kind is EvidenceKind.COUNTS:
-        visits = f"hit on {hit_visits:,} of {visits}"
-    span = f"from {write_time(first_ns)} to {write_time(last_ns)}"
-    return f"{shorten(build.logs)}: {visits}, {span}"
+        found = f"hit on {visits.hit_visits:,} of {found}"
+    return f"{found}, between {write_time(visits.since_ns)} and {write_time(visits.until_ns)}"
 
 
 def list_around(explanation: Explanation) -> Iterator[tuple[str, str]]:

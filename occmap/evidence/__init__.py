@@ -9,7 +9,6 @@ import numpy as np
 
 from occmap.errors import MapError, OccmapError
 from occmap.evidence.manifest import describe_profile
-from occmap.evidence.persistence import check_passes, keep_lasting
 from occmap.grid.lattice import Lattice
 from occmap.grid.rendering import SpreadHits, TileSource, find_bounds, measure_agreement, paint
 from occmap.grid.spec import find_unit
@@ -23,7 +22,7 @@ from occmap.types import (
     Float64,
     Manifest,
     OccupancyMap,
-    Times,
+    Slices,
     Update,
     to_log_odds,
 )
@@ -75,22 +74,16 @@ def add_radial(prior: float) -> Weigh:
     return lambda log_odds, observations: start + log_odds * LOG_ODDS_UNIT - observations * start
 
 
-def render_saved(
-    evidence: Evidence, model: SensorModel, max_cells: int, min_passes: int | None = None
-) -> OccupancyMap:
+def render_saved(evidence: Evidence, model: SensorModel, max_cells: int) -> OccupancyMap:
     """Make a map of evidence, without the log.
 
     Raises
     ------
-    UsageError
-        The model knows no visits that hit.
     MapError
         As `render`, or the evidence was not made for this model.
     """
     refuse_other_profile(evidence, model)
-    check_passes(min_passes, model)
-    lasting = keep_lasting(to_grid(evidence), evidence.times, min_passes)
-    return render(lasting, model, max_cells)
+    return render(to_grid(evidence), model, max_cells)
 
 
 def crop(grid: OccupancyMap, box: Box) -> OccupancyMap:
@@ -132,9 +125,9 @@ def read_model(evidence: Evidence) -> SensorModel:
         ) from None
 
 
-def to_evidence(grid: TileGrid, manifest: Manifest, times: tuple[Times, ...]) -> Evidence:
-    """Make evidence of a grid, and of when each build observed its cells."""
-    return Evidence(manifest, *stack_tiles(grid), times)
+def to_evidence(grid: TileGrid, manifest: Manifest, slices: tuple[Slices, ...]) -> Evidence:
+    """Make evidence of a grid, and of the slices of time in which each build observed its cells."""
+    return Evidence(manifest, *stack_tiles(grid), slices)
 
 
 def to_grid(evidence: Evidence) -> TileGrid:

@@ -13,7 +13,7 @@ from occmap.errors import LogError
 from occmap.grid.tiles import EvidenceKind
 from occmap.sensor.bounds import NO_CLAMP
 from occmap.sensor.models import RadialModel, SensorModel, describe_model
-from occmap.types import Manifest, Update
+from occmap.types import Manifest
 
 NO_OPTIONS = ("jobs", "resume")
 """Fields of options that change nothing about what is observed."""
@@ -91,11 +91,19 @@ def to_plain(value: Any) -> Any:
     return value if isinstance(value, int | float | str | None) else str(value)
 
 
-def plan_manifest(resolution: float, update: Update, model: SensorModel) -> Manifest:
+def plan_manifest(options: Any) -> Manifest:
     """Say what evidence a build will make, before any log is read."""
-    profile = describe_profile(model)
+    profile = describe_profile(options.model)
     kind = EvidenceKind.LOG_ODDS if profile else EvidenceKind.COUNTS
-    return Manifest(resolution, update.value, kind.value, profile, describe_model(model), ())
+    return Manifest(
+        options.resolution,
+        options.update.value,
+        kind.value,
+        profile,
+        options.pass_gap_s,
+        describe_model(options.model),
+        builds=(),
+    )
 
 
 def describe_profile(model: SensorModel) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from occmap.errors import MapError
 from occmap.evidence import to_evidence, to_grid
-from occmap.grid.layers import restrict
+from occmap.grid.slices import restrict
 from occmap.grid.stacks import add_stack, drop_empty, stack_tiles
 from occmap.grid.tiles import EvidenceKind, TileGrid
 from occmap.types import Evidence, Manifest
@@ -39,23 +39,23 @@ def merge(evidences: Sequence[Evidence]) -> Evidence:
     first, *others = evidences
     if not others:
         return first
-    grid, times = to_grid(first), first.times
+    grid, slices = to_grid(first), first.slices
     builds, subtracted = first.manifest.builds, first.manifest.subtracted
     for other in others:
         refuse_different(first.manifest, other)
         add_stack(grid, other.tiles, other.cells)
-        times += other.times
+        slices += other.slices
         builds += other.manifest.builds
         subtracted += other.manifest.subtracted
     manifest = replace(first.manifest, builds=builds, subtracted=subtracted)
-    return to_evidence(grid, manifest, times)
+    return to_evidence(grid, manifest, slices)
 
 
 def subtract(evidence: Evidence, other: Evidence) -> Evidence:
     """Take evidence away: what is left is as if `other` had never been added.
 
-    The times of its builds go with it. Where it is none of the builds that were added, or only a
-    part of one, no scan is known to be the first or last any more: times then are bounds.
+    The slices of its builds go with it. Where it is none of the builds that were added, or only a
+    part of one, nobody knows which slices it alone observed: visits then are bounds.
 
     Raises
     ------
@@ -67,16 +67,16 @@ def subtract(evidence: Evidence, other: Evidence) -> Evidence:
     add_stack(grid, other.tiles, -other.cells.astype(np.int64))
     refuse_negative(grid, evidence, other)
     drop_empty(grid)
-    builds, times = list(evidence.manifest.builds), list(evidence.times)
+    builds, slices = list(evidence.manifest.builds), list(evidence.slices)
     unknown = list(evidence.manifest.subtracted)
     for build in other.manifest.builds:
         if build in builds and not other.manifest.subtracted:
             place = builds.index(build)
-            del builds[place], times[place]
+            del builds[place], slices[place]
         else:
             unknown.append(build)
     manifest = replace(evidence.manifest, builds=tuple(builds), subtracted=tuple(unknown))
-    return to_evidence(grid, manifest, tuple(restrict(layer, grid) for layer in times))
+    return to_evidence(grid, manifest, tuple(restrict(each, grid) for each in slices))
 
 
 def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None:
@@ -109,7 +109,7 @@ def refuse_different(manifest: Manifest, other: Evidence) -> None:
     MapError
         Naming what differs.
     """
-    for name in ("resolution", "update", "kind", "profile"):
+    for name in ("resolution", "update", "kind", "profile", "pass_gap_s"):
         mine, its = getattr(manifest, name), getattr(other.manifest, name)
         if mine != its:
             raise MapError(

@@ -5,20 +5,18 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from occmap.errors import MapError, UsageError
-from occmap.grid.layers import sum_visits
+from occmap.grid.slices import count_visits, split_tiles, unite
 from occmap.grid.stacks import drop_empty
-from occmap.grid.tiles import TILE, Tile, TileGrid
+from occmap.grid.tiles import Tile, TileGrid
 from occmap.sensor.models import RadialModel, SensorModel
-from occmap.types import Int64, Times
-from occmap.wording import count
+from occmap.types import Int64, OccupancyMap, Slices
 
 SHORTEST_GAP_S, LONGEST_GAP_S = 1e-3, 1e9
-NEARLY_ALL = 0.9
-"""Of the cells that were hit, half were hit on one visit only in real logs of many visits (43 to
-51%), but 92 to 99% where the robot never came back."""
+MUCH = 0.25
+"""Of the occupied cells: people are seldom so many."""
 
 
-def keep_lasting(grid: TileGrid, layers: Sequence[Times], min_passes: int | None) -> TileGrid:
+def keep_lasting(grid: TileGrid, layers: Sequence[Slices], min_passes: int | None) -> TileGrid:
     """Weigh hits by the visits that they came on; `grid` stays as it is.
 
     A cell that was hit on fewer than `min_passes` visits loses its hits. Of one that was hit on so
@@ -30,7 +28,7 @@ def keep_lasting(grid: TileGrid, layers: Sequence[Times], min_passes: int | None
     grid
         Of hits and misses.
     layers
-        When the cells were observed, build by build.
+        When the cells were observed, build by build; a slice that several builds share is one.
     min_passes
         None: all stays as it is.
 
@@ -41,11 +39,11 @@ def keep_lasting(grid: TileGrid, layers: Sequence[Times], min_passes: int | None
     """
     if min_passes is None:
         return grid
-    visits = sum_visits(layers)
-    nothing = np.zeros((2, TILE, TILE), np.int64)
-    lasting = TileGrid(grid.lattice, grid.kind)
-    for key, tile in grid.tiles.items():
-        lasting.tiles[key] = weigh_visits(tile, visits.get(key, nothing), min_passes)
+    lasting = TileGrid(grid.lattice, grid.kind, grid.unit)
+    for key, slices in split_tiles(unite(layers)):
+        if key in grid.tiles:
+            visits = count_visits(slices)
+            lasting.tiles[key] = weigh_visits(grid.tiles[key], visits, min_passes)
     drop_empty(lasting)
     if grid.tiles and not lasting.tiles:
         raise MapError(
@@ -63,18 +61,21 @@ def weigh_visits(numbers: Tile, visits: Int64, min_passes: int) -> Int64:
     return np.stack([np.where(often, hits, 0), np.where(mostly, 0, misses)])
 
 
-def list_forgotten(layers: Sequence[Times], min_passes: int | None) -> Iterator[str]:
-    """Say where nearly all cells lose their hits: then there was hardly more than one visit."""
-    if min_passes is None:
+def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:
+    """Say where much of what was occupied before is not so after hits and misses were forgotten."""
+    if after is before:
         return
-    visits = [hit for hit, _ in sum_visits(layers).values()]
-    were_hit = sum(int(np.count_nonzero(hit)) for hit in visits)
-    lost = sum(int(np.count_nonzero((hit > 0) & (hit < min_passes))) for hit in visits)
-    if lost > NEARLY_ALL * were_hit:
+    rows, cols = (
+        slice(place, place + size)
+        for place, size in zip(after.place - before.place, after.shape, strict=True)
+    )
+    were = np.count_nonzero(before.occupied)
+    lost = were - np.count_nonzero(before.occupied[rows, cols] & after.occupied)
+    if lost and lost >= MUCH * were:
         yield (
-            f"--min-passes {min_passes} forgets the hits of {lost:,} of {count(were_hit, 'cell')}, "
-            "walls among them: they were hit on fewer visits; leave it out, or build with a "
-            "smaller --pass-gap"
+            f"--min-passes takes away {100 * lost / were:.0f}% of the occupied cells ({lost:,} of "
+            f"{were:,}), since they were hit on fewer visits; walls may be among them: leave it "
+            "out, or build with a smaller --pass-gap"
         )
 
 

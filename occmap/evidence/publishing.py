@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from occmap.evidence import crop, read_model, render_saved
-from occmap.evidence.persistence import list_forgotten
+from occmap.evidence import crop, read_model, refuse_other_profile, render, to_grid
+from occmap.evidence.persistence import check_passes, keep_lasting, list_lost
 from occmap.evidence.repetition import list_repeated
 from occmap.grid.tiles import MAX_CELLS
 from occmap.report import Report, Resumed, list_unreached, measure_shares
@@ -36,11 +36,19 @@ def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path])
     Raises
     ------
     OccmapError
-        As `render_saved`, or an output cannot be written.
+        The model cannot read the evidence or knows no visits, nothing is left of the map or it
+        would be too large, or an output cannot be written.
     """
     check_outputs(outputs)
     model = options.model or read_model(evidence)
-    grid = render_saved(evidence, model, options.max_cells, options.min_passes)
+    refuse_other_profile(evidence, model)
+    check_passes(options.min_passes, model)
+    observed = to_grid(evidence)
+    lasting = keep_lasting(observed, evidence.slices, options.min_passes)
+    grid = whole = render(lasting, model, options.max_cells)
+    if lasting is not observed:
+        whole = render(observed, model, options.max_cells)
+    lost = tuple(list_lost(whole, grid))
     if options.crop:
         grid = crop(grid, options.crop)
     manifest = replace(evidence.manifest, model=describe_model(model))
@@ -51,7 +59,7 @@ def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path])
         *report.notes,
         *list_idle(outputs, options.writing),
         *list_unreached(model, options.writing),
-        *list_forgotten(evidence.times, options.min_passes),
+        *lost,
     )
     return replace(report, notes=notes, files=tuple(files), min_passes=options.min_passes)
 
@@ -60,7 +68,7 @@ def list_notes(manifest: Manifest) -> Iterator[str]:
     """Say what a reader of evidence should know of it."""
     yield from list_repeated(manifest.builds)
     if manifest.subtracted:
-        yield "something else than a whole build was subtracted: times and visits are bounds"
+        yield "something else than a whole build was subtracted: visits are bounds"
 
 
 def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> Report:

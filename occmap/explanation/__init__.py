@@ -103,7 +103,11 @@ class Explanation:
             "seen": numbers_to_json((history.first, history.second), kind),
             "around": around[::-1],
             "min_passes": self.question.min_passes,
-            "builds": [visits_to_json(each, kind) for each in self.builds],
+            "visits": history.visits and visits_to_json(history.visits, kind),
+            "builds": [
+                {"build": b.build, "logs": list(b.logs), **visits_to_json(b.visits, kind)}
+                for b in self.builds
+            ],
             "scans_used": self.scans_used,
             "scans": [sighting_to_json(each, kind) for each in self.sightings],
             "notes": list(self.notes),
@@ -149,7 +153,7 @@ def judge_cell(
     evidence: Evidence, history: CellHistory, model: SensorModel, min_passes: int | None
 ) -> OccupancyMap:
     """Make a map of the one cell."""
-    lasting = keep_lasting(to_grid(evidence), evidence.times, min_passes)
+    lasting = keep_lasting(to_grid(evidence), evidence.slices, min_passes)
     tiles = choose_tiles(lasting, model)
     key = history.row // TILE, history.col // TILE
     row, col = history.row % TILE, history.col % TILE
@@ -235,14 +239,7 @@ def sighting_to_json(sighting: Sighting, kind: EvidenceKind) -> dict[str, Any]:
     }
 
 
-def visits_to_json(build: BuildVisits, kind: EvidenceKind) -> dict[str, Any]:
-    """When one build observed the cell, as values that JSON has."""
-    first_ns, last_ns, hit_visits, seen_visits = build.visits
-    return {
-        "build": build.build,
-        "logs": list(build.logs),
-        "first_ns": first_ns,
-        "last_ns": last_ns,
-        "hit_visits": None if kind is EvidenceKind.LOG_ODDS else hit_visits,
-        "seen_visits": seen_visits,
-    }
+def visits_to_json(visits: Visits, kind: EvidenceKind) -> dict[str, int | None]:
+    """When a cell was observed, as values that JSON has."""
+    known = visits._asdict()
+    return {**known, "hit_visits": None} if kind is EvidenceKind.LOG_ODDS else known

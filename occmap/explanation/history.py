@@ -8,19 +8,21 @@ import numpy as np
 
 from occmap.errors import UsageError
 from occmap.grid.lattice import Lattice
-from occmap.grid.layers import find_cell
+from occmap.grid.slices import count_visits, take, unite, unpack
 from occmap.grid.tiles import TILE, EvidenceKind
-from occmap.types import Box, Evidence, Int64, Times
+from occmap.types import Box, Evidence, Int64, Slices
 
 FARTHEST_CELL = 1 << 44
 """Beyond this a float cannot tell the parts of a cell apart."""
 
 
 class Visits(NamedTuple):
-    """When one build observed a cell."""
+    """When a cell was observed, to slices of time."""
 
-    first_ns: int
-    last_ns: int
+    since_ns: int
+    """When the first slice begins that observed the cell"""
+    until_ns: int
+    """When the last one ends"""
     hit_visits: int
     """On how many visits the cell was hit; 0 where the evidence is log-odds"""
     seen_visits: int
@@ -40,7 +42,9 @@ class CellHistory:
     around: Int64
     """(3, 3, 2) the two numbers of the cell, in the middle, and its neighbours; row 0 is the lowest
     y"""
-    builds: tuple[Visits | None, ...] = ()
+    visits: Visits | None
+    """Of all builds together; None where nothing observed the cell"""
+    builds: tuple[Visits | None, ...]
     """For each of the manifest's builds; None where it did not observe the cell"""
 
     @property
@@ -52,13 +56,6 @@ class CellHistory:
     def second(self) -> int:
         """Misses, or observations."""
         return int(self.around[1, 1, 1])
-
-    @property
-    def visits(self) -> Int64:
-        """(2,) on how many visits the cell was hit, and observed at all; builds add up."""
-        each = [(visits.hit_visits, visits.seen_visits) for visits in self.builds if visits]
-        total: Int64 = np.array(each, np.int64).reshape(-1, 2).sum(axis=0)
-        return total
 
     @property
     def observed(self) -> bool:
@@ -78,7 +75,11 @@ def look_at(evidence: Evidence, x: float, y: float) -> CellHistory:
     refuse_far_point(lattice, x, y)
     row, col = lattice.to_cell(x, y)
     low_x, low_y, high_x, high_y = (lattice.to_metres(at) for at in (col, row, col + 1, row + 1))
-    steps = (-1, 0, 1)
+    steps, slice_ns = (-1, 0, 1), round(evidence.manifest.pass_gap_s * 1e9)
+    tile = row // TILE, col // TILE
+    layers = [
+        take(layer, np.flatnonzero((layer.tiles == tile).all(axis=1))) for layer in evidence.slices
+    ]
     around = [[read_cell(evidence, row + up, col + right) for right in steps] for up in steps]
     return CellHistory(
         row,
@@ -86,7 +87,8 @@ def look_at(evidence: Evidence, x: float, y: float) -> CellHistory:
         extent=(low_x, low_y, high_x, high_y),
         kind=EvidenceKind(evidence.manifest.kind),
         around=np.array(around),
-        builds=tuple(read_visits(times, row, col) for times in evidence.times),
+        visits=read_visits(unite(layers), row, col, slice_ns),
+        builds=tuple(read_visits(layer, row, col, slice_ns) for layer in layers),
     )
 
 
@@ -105,13 +107,15 @@ def refuse_far_point(lattice: Lattice, x: float, y: float) -> None:
         )
 
 
-def read_visits(times: Times, row: int, col: int) -> Visits | None:
-    """When a build observed a cell; None where it did not."""
-    at = find_cell(times, row, col)
-    if at is None:
+def read_visits(slices: Slices, row: int, col: int, slice_ns: int) -> Visits | None:
+    """When slices of its tile observed a cell; None where none of them did."""
+    row, col = row % TILE, col % TILE
+    seen = np.unpackbits(unpack(slices)[:, 1, row], axis=1)[:, col].astype(np.bool_)
+    if not seen.any():
         return None
-    columns = (times.first_ns, times.last_ns, times.hit_visits, times.seen_visits)
-    return Visits(*(int(column[at]) for column in columns))
+    numbers = slices.numbers[seen].tolist()
+    hit_visits, seen_visits = count_visits(slices)[:, row, col].tolist()
+    return Visits(numbers[0] * slice_ns, (numbers[-1] + 1) * slice_ns, hit_visits, seen_visits)
 
 
 def read_cell(evidence: Evidence, row: int, col: int) -> Int64:

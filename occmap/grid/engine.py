@@ -10,7 +10,7 @@ from occmap.grid.projection import Projected, prepare, project
 from occmap.grid.spec import GridSpec
 from occmap.grid.tiles import MAX_CELLS, EvidenceKind, TileGrid, refuse_large
 from occmap.grid.windows import Window, choose_window
-from occmap.types import Rays, Times
+from occmap.types import Rays, Slices
 
 WINDOW_CELLS = 1 << 24
 """The largest window; scans that need more are traced part by part."""
@@ -37,7 +37,11 @@ class GridEngine:
     """
 
     def __init__(
-        self, spec: GridSpec, window_cells: int = WINDOW_CELLS, max_cells: int = MAX_CELLS
+        self,
+        spec: GridSpec,
+        window_cells: int = WINDOW_CELLS,
+        max_cells: int = MAX_CELLS,
+        roomy_cells: int = ROOMY_CELLS,
     ) -> None:
         self.spec = spec
         kind = EvidenceKind.COUNTS if spec.radial is None else EvidenceKind.LOG_ODDS
@@ -45,6 +49,7 @@ class GridEngine:
         self._window_type = choose_window(spec)
         self._window_cells = window_cells
         self._max_cells = max_cells
+        self._roomy_cells = min(roomy_cells, window_cells)
         self._idle: list[Window] = []
         self._lock = Lock()
 
@@ -96,7 +101,7 @@ class GridEngine:
             self._empty(window)
             window = None
         if window is None:
-            window = self._open(add_room(projected.box, self._window_cells))
+            window = self._open(add_room(projected.box, self._roomy_cells))
         window.observe(projected)
         with self._lock:
             self._idle.append(window)
@@ -116,8 +121,8 @@ class GridEngine:
             self._empty(self._idle.pop())
         return self.grid
 
-    def read_times(self) -> tuple[Times, ...]:
-        """When each cell was observed of what `finish` gave: nothing, as nobody asked."""
+    def read_slices(self) -> tuple[Slices, ...]:
+        """Which slices of time observed what `finish` gave: none is kept, as nobody asked."""
         return ()
 
 
@@ -144,7 +149,7 @@ def lie_far_apart(rays: Rays, resolution: float) -> bool:
 
 def add_room(box: CellBox, most_cells: int) -> CellBox:
     """Grow a box by half its size on each side, as far as the number of cells allows."""
-    limit = max(min(ROOMY_CELLS, most_cells), box.cells)
+    limit = max(most_cells, box.cells)
     room = max(box.rows // 2, box.cols // 2, 128)
     while room > 0 and (box.rows + 2 * room) * (box.cols + 2 * room) > limit:
         room //= 2

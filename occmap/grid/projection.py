@@ -1,7 +1,6 @@
 """Rays on the lattice: where they begin and end, and the box of cells that they may touch."""
 
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 
@@ -32,18 +31,6 @@ class Projected:
     """(S, B) how many beams are drawn between each and the next"""
     box: CellBox
     """Around all cells that these rays may touch"""
-
-    def take(self, scans: slice) -> Self:
-        """Some of the scans, in the box of all."""
-        return replace(
-            self,
-            rays=self.rays.take(scans),
-            origins=self.origins[scans],
-            ends_x=self.ends_x[scans],
-            ends_y=self.ends_y[scans],
-            weights=self.weights[scans],
-            between=self.between[scans],
-        )
 
 
 def prepare(rays: Rays, spec: GridSpec) -> Rays:

@@ -78,8 +78,6 @@ class GridSpec:
     """Cells by which a hit lies behind the measured point: that is on a surface, not in it"""
     radial: RadialTables | None = None
     """None: hits and misses are counted"""
-    slice_ns: int = 10 * 10**9
-    """Visits are told apart by slices of time so long, where times are kept"""
 
     @property
     def unit(self) -> int:

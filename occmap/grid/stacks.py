@@ -2,16 +2,21 @@
 
 import numpy as np
 
-from occmap.grid.tiles import TILE, TileGrid
+from occmap.grid.tiles import INT32_LIMIT, TILE, TileGrid
 from occmap.types import Int64
 
 
 def stack_tiles(grid: TileGrid) -> tuple[Int64, Int64]:
-    """Row and column of each tile (T, 2), in ascending order, and their cells (T, 2, 64, 64)."""
+    """Row and column of each tile (T, 2), in ascending order, and their cells (T, 2, 64, 64).
+
+    These are 64 bits wide only where a number needs it.
+    """
     keys = sorted(grid.tiles)
-    tiles = np.array(keys, np.int64).reshape(-1, 2)
-    cells = np.stack([grid.tiles[key] for key in keys]) if keys else np.zeros((0, 2, TILE, TILE))
-    return tiles, np.asarray(cells, np.result_type(cells, np.int32) if keys else np.int64)
+    fits = all(t.min() >= -INT32_LIMIT and t.max() <= INT32_LIMIT for t in grid.tiles.values())
+    cells = np.empty((len(keys), 2, TILE, TILE), np.int32 if fits else np.int64)
+    for place, key in enumerate(keys):
+        cells[place] = grid.tiles[key]
+    return np.array(keys, np.int64).reshape(-1, 2), cells
 
 
 def add_stack(grid: TileGrid, tiles: Int64, cells: Int64) -> None:

@@ -6,7 +6,7 @@ between. Two numbers are kept for a cell; sums of integers do not depend on thei
 
 from collections.abc import Collection
 from enum import StrEnum
-from typing import Any, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,6 +101,12 @@ class TileGrid:
         elif tile.dtype != dtype:
             tile = self.tiles[key] = tile.astype(dtype)
         return tile
+
+    def merge(self, other: Self) -> None:
+        """Add the evidence of another grid of the same lattice and kind."""
+        for key, tile in other.tiles.items():
+            mine = self._widen(key, other._bounds[key])
+            mine += tile
 
     def refuse_outgrown(self, max_cells: int) -> None:
         """Refuse what is too large a map already, before more is added to it.

@@ -2,14 +2,14 @@
 
 import numpy as np
 
+from occmap.grid.engine import GridEngine
 from occmap.grid.lattice import Lattice
 from occmap.grid.spec import GridSpec, tabulate
-from occmap.grid.timed import TimedEngine
 from occmap.types import Kind, Rays, Update
 
 
 def compile_kernels() -> None:
-    """Trace one scan by every update, for counts and for a radial model, with times."""
+    """Trace one scan by every update, for counts and for a radial model."""
     rays = Rays(
         origin=np.zeros((1, 1, 2)),
         turn=np.eye(2)[None, None],
@@ -22,7 +22,7 @@ def compile_kernels() -> None:
     tables = tabulate(lambda u: 0.4 + 0.1 * u, lambda w: 0.6 - 0.1 * w, depth=0.05)
     for update in Update:
         for radial in (None, tables):
-            engine = TimedEngine(GridSpec(update, Lattice(0.05), radial=radial))
+            engine = GridEngine(GridSpec(update, Lattice(0.05), radial=radial))
             engine.add(rays)
             engine.finish()
 

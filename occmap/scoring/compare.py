@@ -1,8 +1,9 @@
 """Several ways to map the same logs, in one read: which of them predicts scans best."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,9 @@ from occmap.pipeline import (
 )
 from occmap.readers import open_log
 from occmap.report import Remarks, Tally, refuse_unused
-from occmap.scoring.trials import HoldOut, Result, Task, Trials
+from occmap.scoring.trials import HoldOut, Result, Trials
 from occmap.scoring.variants import Variant, shorten_model
-from occmap.types import Rays, Update
+from occmap.types import Update
 from occmap.wording import count
 from occmap.writers import check_picture
 
@@ -122,29 +123,18 @@ def compare(
     total = sum(count_scans(log, options.selection.topics) for log in logs)
     remarks = Remarks([str(log.path) for log in logs])
     tally.advance = lambda scans: progress(scans, total)
-    trials, hold_out = Trials(variants, options), HoldOut()
+    trials = Trials(variants, options)
+    in_order = replace(options, jobs=1)  # which scans are held out must not be chance
     with trials.tracing() as workers:
-
-        def begin() -> Callable[[Rays], None]:
-            trials.start_over()
-            hold_out.start_over()
-            return observe
-
-        def observe(rays: Rays) -> None:
-            seen = hold_out.split(rays)
-            if len(seen.kind):
-                for evidence in trials.evidence.values():
-                    workers.give(Task(evidence, seen))
-
-        in_order = replace(options, jobs=1)  # which scans are held out must not be chance
-        for log, notes in trace_logs(logs, in_order, begin, tally):
+        for log, notes in trace_logs(logs, in_order, partial(trials.begin, workers), tally):
             remarks.note(log, notes)
+    hold_out = trials.hold_out
     refuse_unused(logs, tally)
     refuse_unscored(remarks.logs, hold_out)
     if hold_out.scans < FEW_SCANS:
         held_out = count(hold_out.scans, "held-out scan")
         remarks.notes.append(f"{held_out}: too few to tell variants apart; give a longer log")
-    results = tuple(trials.score(hold_out.held))
+    results = tuple(trials.score())
     if picture is not None:
         from occmap.scoring.picture import write_picture  # noqa: PLC0415  late: it brings PIL
 

@@ -22,7 +22,7 @@ class Frame:
     """The cells that any of several maps covers, and how large they are drawn."""
 
     def __init__(self, maps: Sequence[OccupancyMap]) -> None:
-        corners = np.array([find_corner(each) for each in maps])
+        corners = np.array([each.place for each in maps])
         self._low = corners.min(axis=0)
         self.shape = tuple((corners + [each.shape for each in maps]).max(axis=0) - self._low)
         longest = max(self.shape)
@@ -31,7 +31,7 @@ class Frame:
 
     def locate(self, grid: OccupancyMap) -> CellSlices:
         """Where a map's cells are."""
-        row, col = find_corner(grid) - self._low
+        row, col = grid.place - self._low
         return slice(row, row + grid.shape[0]), slice(col, col + grid.shape[1])
 
     def shrink(self, cells: UInt8) -> UInt8:
@@ -46,12 +46,6 @@ class Frame:
     def shrink_mask(self, cells: Bool) -> Bool:
         """Draw (H, W) cells: true where any of those that share a pixel is."""
         return np.asarray(self.shrink(np.where(cells, 0, 255).astype(np.uint8)) == 0)
-
-
-def find_corner(grid: OccupancyMap) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Row and column of a map's first cell on the lattice of its resolution."""
-    x, y = grid.origin
-    return np.rint(np.array([y, x]) / grid.resolution).astype(np.int64)
 
 
 def write_picture(path: Path, results: Sequence[Result]) -> None:

@@ -1,6 +1,6 @@
 """Variants of a map that grow from the same scans, and the scans that are kept from them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import thread_time
 from typing import TYPE_CHECKING, NamedTuple
@@ -33,10 +33,6 @@ class HoldOut:
     """Keeps every fifth scan from the maps; the scans must come in one order, so in one thread."""
 
     def __init__(self) -> None:
-        self.start_over()
-
-    def start_over(self) -> None:
-        """Forget all scans, as they are about to come."""
         self.held: list[Rays] = []
         self.scans = 0
         self._seen = 0
@@ -137,22 +133,30 @@ class Trials:
     def __init__(self, variants: Sequence[Variant], options: BuildOptions) -> None:
         self._options = options
         self.variants = variants
-        self.start_over()
-
-    def start_over(self) -> None:
-        """Forget what was traced, as the scans are about to come."""
+        self.hold_out = HoldOut()
         self.evidence: dict[str, SharedEvidence] = {}
-        for variant in self.variants:
-            if variant.evidence not in self.evidence:
-                choice = replace(self._options, update=variant.update, model=variant.model)
-                self.evidence[variant.evidence] = SharedEvidence(choice)
 
     def tracing(self) -> Workers[Task]:
         """Make threads that trace."""
         return Workers(lambda task: task.evidence.add(task.rays), self._options.jobs)
 
-    def score(self, held_out: Sequence[Rays]) -> list[Result]:
-        """Render every variant and score it, the best share first.
+    def begin(self, workers: Workers[Task]) -> Callable[[Rays], None]:
+        """Forget what was traced; give what keeps some scans and traces the others."""
+        self.hold_out, self.evidence = HoldOut(), {}
+        for variant in self.variants:
+            if variant.evidence not in self.evidence:
+                choice = replace(self._options, update=variant.update, model=variant.model)
+                self.evidence[variant.evidence] = SharedEvidence(choice)
+
+        def observe(rays: Rays) -> None:
+            seen = self.hold_out.split(rays)
+            for evidence in self.evidence.values() if len(seen.kind) else ():
+                workers.give(Task(evidence, seen))
+
+        return observe
+
+    def score(self) -> list[Result]:
+        """Render every variant and score it on the scans held out, the best share first.
 
         Raises
         ------
@@ -160,7 +164,8 @@ class Trials:
             Nothing was observed, or a map would be too large.
         """
         grids = {key: evidence.finish() for key, evidence in self.evidence.items()}
-        results = [self._score(v, grids[v.evidence], held_out) for v in self.variants]
+        held = self.hold_out.held
+        results = [self._score(v, grids[v.evidence], held) for v in self.variants]
         results.sort(key=lambda each: (-each.score.share, -each.score.log_likelihood))
         return [each.compare_with(results[0]) for each in results]
 

@@ -38,6 +38,12 @@ class Band:
     high: float
     count: int
 
+    @property
+    def values(self) -> str:
+        """From the smallest to the largest, or the one that there is."""
+        low, high = f"{self.low:.4g} m", f"{self.high:.4g} m"
+        return low if low == high else f"{low} to {high}"
+
 
 class RangeTally:
     """Counts the largest ranges of a stream of scans, in bounded memory and in any order."""
@@ -160,25 +166,25 @@ class RangeLimits:
         for topic, tally in self._tallies.items():
             unstated = math.isinf(tally.stated)
             limit = "no range limit" if unstated else f"{tally.stated:g} m as its range limit"
-            start = f"{topic} states {limit}"
             band = tally.find_band()
             if band is not None:
-                values = f"{band.low:.4g} m" + (
-                    f" to {band.high:.4g} m" if f"{band.low:.4g}" != f"{band.high:.4g}" else ""
-                )
-                share = f"{band.count:,} of {tally.total:,} ranges ({band.count / tally.total:.1%})"
-                yield f"{start}; {share} read {values}, taken as no return: --range-max overrides"
+                found = f"{tell_share(band.count, tally.total)} read {band.values}"
             elif tally.above:
-                share = (
-                    f"{tally.above:,} of {tally.total:,} ranges ({tally.above / tally.total:.1%})"
-                )
-                upto = f"up to {tally.largest:.4g} m"
-                yield f"{start}; {share} are above it, {upto}, taken as no return: --range-max overrides"
+                share = tell_share(tally.above, tally.total)
+                found = f"{share} are above it, up to {tally.largest:.4g} m"
+            if band is not None or tally.above:
+                advice = "taken as no return: --range-max overrides"
+                yield f"{topic} states {limit}; {found}, {advice}"
             elif unstated:
                 yield (
-                    f'{start}; no value stands for "no return", so every range is used as '
-                    "measured: --range-max sets a limit"
+                    f'{topic} states {limit}; no value stands for "no return", so every range is '
+                    "used as measured: --range-max sets a limit"
                 )
+
+
+def tell_share(part: int, total: int) -> str:
+    """Write how many of all ranges some are."""
+    return f"{part:,} of {total:,} ranges ({part / total:.1%})"
 
 
 def settle(limits: Iterable[RangeLimits]) -> bool:

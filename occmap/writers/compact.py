@@ -1,16 +1,16 @@
-"""How evidence files keep numbers: as narrow as they can be; stamps as places in a table."""
+"""How evidence files keep numbers: as narrow as they can be; slices of all builds end to end."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from occmap.types import Int64, Times
+from occmap.types import Int64, Slices
 
 WIDTHS = ("<i1", "<i2", "<i4", "<i8")
-TIME_ARRAYS = (
-    *("layers", "time_tiles", "time_observed", "stamps"),
-    *("first_seen", "last_seen", "hit_visits", "seen_visits"),
+SLICE_ARRAYS = (
+    *("layers", "slice_tiles", "slices"),
+    *("slice_rows", "slice_parts", "slice_changes"),
 )
 
 Arrays = dict[str, Any]
@@ -26,60 +26,45 @@ def narrow(values: Int64) -> Any:
     return values.astype(width)
 
 
-def pack_times(layers: Sequence[Times]) -> Arrays:
-    """Lay the layers' arrays end to end; a few thousand stamps serve a million cells."""
-    first, last = join([each.first_ns for each in layers]), join([each.last_ns for each in layers])
-    stamps = np.unique(np.concatenate([first, last]))
-    sizes = [(len(each.tiles), len(each.first_ns)) for each in layers]
-    tiles = [np.zeros((0, 2), np.int64), *(each.tiles for each in layers)]
-    observed = [np.zeros((0, 512), np.uint8), *(each.observed for each in layers)]
-    return {
-        "layers": np.array(sizes, "<i8").reshape(-1, 2),
-        "time_tiles": np.concatenate(tiles).astype("<i8"),
-        "time_observed": np.concatenate(observed),
-        "stamps": stamps.astype("<i8"),
-        "first_seen": narrow(np.searchsorted(stamps, first)),
-        "last_seen": narrow(np.searchsorted(stamps, last)),
-        "hit_visits": narrow(join([each.hit_visits for each in layers])),
-        "seen_visits": narrow(join([each.seen_visits for each in layers])),
-    }
+def pack_slices(layers: Sequence[Slices]) -> Arrays:
+    """Lay the arrays of each build end to end."""
+    sizes = [(len(each.numbers), len(each.parts), len(each.changes)) for each in layers]
+    layout = np.array(sizes, "<i8").reshape(-1, 3)
+    whole = Slices.join(layers)
+    columns = (layout, narrow(whole.tiles), narrow(whole.numbers))
+    bits = (whole.rows, whole.parts, whole.changes)
+    return dict(zip(SLICE_ARRAYS, (*columns, *bits), strict=True))
 
 
-def join(parts: Sequence[Any]) -> Int64:
-    """Lay arrays of integers, if any, end to end."""
-    return np.concatenate([np.zeros(0, np.int64), *parts])
-
-
-def unpack_times(arrays: Arrays) -> tuple[Times, ...]:
-    """Cut the layers out again.
+def unpack_slices(arrays: Arrays) -> tuple[Slices, ...]:
+    """Cut the slices of each build out again.
 
     Raises
     ------
     LookupError, ValueError
         The arrays do not fit each other.
     """
-    if min(arrays[name].min(initial=0) for name in ("first_seen", "last_seen")) < 0:
-        raise ValueError("stamps")
-    tiles, cells = (np.cumsum(sizes) for sizes in arrays["layers"].T)  # where each layer ends
+    tiles, parts, changes = np.cumsum(arrays["layers"], axis=0).T  # where each layer ends
     columns = (
-        np.split(arrays["time_tiles"], tiles),
-        np.split(arrays["time_observed"], tiles),
-        np.split(arrays["stamps"][arrays["first_seen"]], cells),
-        np.split(arrays["stamps"][arrays["last_seen"]], cells),
-        np.split(arrays["hit_visits"].astype(np.int32), cells),
-        np.split(arrays["seen_visits"].astype(np.int32), cells),
+        np.split(arrays["slice_tiles"].astype(np.int64), tiles),
+        np.split(arrays["slices"].astype(np.int64), tiles),
+        np.split(arrays["slice_rows"], tiles),
+        np.split(arrays["slice_parts"], parts),
+        np.split(arrays["slice_changes"], changes),
     )
-    layers = tuple(Times(*layer) for layer in zip(*columns, strict=True))
-    for each in layers:
-        if not len(each.tiles) == len(each.observed) or not is_whole(each):
-            raise ValueError("layers")
-    return layers[:-1]  # nothing lies behind the last
+    *layers, rest = (Slices(*layer) for layer in zip(*columns, strict=True))
+    if not all(map(is_whole, (*layers, rest))) or len(rest.tiles):
+        raise ValueError("layers")
+    return tuple(layers)
 
 
-def is_whole(times: Times) -> bool:
-    """Whether every cell that was observed has its four numbers."""
-    cells = int(np.bitwise_count(times.observed).sum(dtype=np.int64))
-    return {cells} == {
-        *(len(times.first_ns), len(times.last_ns)),
-        *(len(times.hit_visits), len(times.seen_visits)),
-    }
+def is_whole(slices: Slices) -> bool:
+    """Whether there are as many numbers, parts and changes as tiles, rows and parts ask for."""
+    size, bits = len(slices.tiles), (slices.rows, slices.parts, slices.changes)
+    return (
+        {each.dtype for each in bits} == {np.dtype(np.uint8)}
+        and slices.numbers.shape == (size,)
+        and slices.rows.shape == (size, 16)
+        and slices.parts.shape == (np.bitwise_count(slices.rows).sum(dtype=np.int64),)
+        and slices.changes.shape == (np.bitwise_count(slices.parts).sum(dtype=np.int64),)
+    )

@@ -7,24 +7,30 @@
 | `observed` | (T, 512) uint8 | a bit for each of the 64 x 64 cells, `np.packbits` order |
 | `first` | (N,) smallest signed type that fits | hits, or sums of log-odds in units of 1/65536 |
 | `second` | (N,) likewise | misses, or observations |
-| `layers` | (L, 2) int64 | tiles and cells that each of the manifest's builds observed |
-| `time_tiles` | (U, 2) int64 | as `tiles`: those of the first build, then those of the next |
-| `time_observed` | (U, 512) uint8 | as `observed`, for them |
-| `stamps` | (K,) int64 | times of scans in ns, ascending |
-| `first_seen` | (M,) likewise | the first scan that observed the cell: its place in `stamps` |
-| `last_seen` | (M,) likewise | the last one |
-| `hit_visits` | (M,) likewise | on how many visits the cell was hit; 0 for log-odds |
-| `seen_visits` | (M,) likewise | on how many it was observed at all |
+| `layers` | (L, 3) int64 | how much of K, R and C belongs to each of the manifest's builds |
+| `slice_tiles` | (K, 2) likewise | a tile that a slice of time observed, as in `tiles` ... |
+| `slices` | (K,) likewise | ... and the slice; by tile, then by time |
+| `slice_rows` | (K, 16) uint8 | a bit for each row of hit, then of seen cells: is any byte kept? |
+| `slice_parts` | (R,) uint8 | for each row that says so, a bit for each of its 8 bytes |
+| `slice_changes` | (C,) uint8 | for each byte that is kept, that byte |
 
-N counts the observed cells, tile by tile, row by row; M those of all builds, one after the other.
+N counts the observed cells, tile by tile, row by row.
 Cell (row, col) reaches from (col, row) * resolution to (col + 1, row + 1) * resolution in metres.
-A visit is a run of slices of time in which a cell was observed, without a slice between; slices are
-`pass_gap_s` long (in the build's options) and begin at whole multiples of it. Without occmap:
+Slice n lasts from n to n + 1 times `pass_gap_s` (in the manifest). In a slice each tile has a bit
+for each of 64 x 64 cells that was hit, none for log-odds, and then for each that was seen. Of the 8
+bytes of a row (`np.packbits` order), exclusive or those of the row before, the ones that are not 0
+are kept. A visit is a run of slices in which a cell was seen, without a slice between. Without
+occmap:
 
     file = np.load("map.npz")
     seen = np.unpackbits(file["observed"], axis=1).reshape(-1, 64, 64).astype(bool)
     hits = np.zeros(seen.shape, int); hits[seen] = file["first"]
-    since = file["stamps"][file["first_seen"]]  # of one build: as `file["first"]`
+    parts = np.zeros(file["slice_rows"].size * 8, np.uint8)
+    parts[np.unpackbits(file["slice_rows"]).astype(bool)] = file["slice_parts"]
+    bits = np.zeros(parts.size * 8, np.uint8)
+    bits[np.unpackbits(parts).astype(bool)] = file["slice_changes"]
+    bits = np.bitwise_xor.accumulate(bits.reshape(-1, 2, 64, 8), axis=2)
+    hit, seen_then = np.unpackbits(bits, axis=3).swapaxes(0, 1)  # (K, 64, 64) of each
 
 Equal evidence makes equal bytes on every machine: no time stamps, no compression library.
 """
@@ -44,14 +50,14 @@ import numpy as np
 from occmap.errors import MapError
 from occmap.types import Bool, Evidence, Manifest, UInt8
 from occmap.writers.atomic import open_atomic
-from occmap.writers.compact import TIME_ARRAYS, Arrays, narrow, pack_times, unpack_times
+from occmap.writers.compact import SLICE_ARRAYS, Arrays, narrow, pack_slices, unpack_slices
 from occmap.writers.soundness import find_fault
 
-FORMAT, VERSION = "occmap evidence", 2
+FORMAT, VERSION = "occmap evidence", 3
 SIDE = 64
 """Cells along the side of a tile."""
 MAGIC = b"PK\x03\x04"
-ARRAYS = ("tiles", "observed", "first", "second", *TIME_ARRAYS)
+ARRAYS = ("tiles", "observed", "first", "second", *SLICE_ARRAYS)
 DAMAGE = (
     *(zipfile.BadZipFile, struct.error, tokenize.TokenError, EOFError, NotImplementedError),
     *(LookupError, ValueError, TypeError, OverflowError, RuntimeError, MemoryError, OSError),
@@ -103,7 +109,7 @@ def pack(evidence: Evidence) -> Arrays:
         "observed": np.packbits(seen.reshape(len(seen), SIDE * SIDE), axis=1),
         "first": narrow(evidence.cells[:, 0][seen]),
         "second": narrow(evidence.cells[:, 1][seen]),
-        **pack_times(evidence.times),
+        **pack_slices(evidence.slices),
     }
 
 
@@ -162,9 +168,9 @@ def load(path: Path, file: Any) -> tuple[dict[str, Any], Arrays]:
             )
         if head["version"] < VERSION:
             raise MapError(
-                f"{FORMAT} of an older occmap, without times (version {head['version']})",
+                f"{FORMAT} of an older occmap (version {head['version']}, now {VERSION})",
                 where=path,
-                fix="build it again",
+                fix=f"build it again from its logs: occmap build LOG... -o {path.name}",
             )
         return head, {name: read_array(archive, name) for name in ARRAYS}
 
@@ -203,10 +209,10 @@ def unpack(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidence:
     cells = np.zeros((len(arrays["tiles"]), 2, SIDE, SIDE), f"<i{width}")
     cells[:, 0][seen] = arrays["first"]
     cells[:, 1][seen] = arrays["second"]
-    manifest, times = Manifest(**{**fields, **lists}), unpack_times(arrays)
-    if len(times) != len(manifest.builds):
+    manifest, slices = Manifest(**{**fields, **lists}), unpack_slices(arrays)
+    if len(slices) != len(manifest.builds):
         raise ValueError("layers")
-    evidence = Evidence(manifest, arrays["tiles"], cells, times, str(path))
+    evidence = Evidence(manifest, arrays["tiles"], cells, slices, str(path))
     fault = find_fault(evidence)
     if fault:
         raise MapError(f"is not what occmap writes: {fault}", where=path, fix="build it again")

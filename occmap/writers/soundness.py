@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from occmap.types import Evidence, Int64, Manifest, Times, Update
+from occmap.types import Evidence, Int64, Manifest, Slices, Update
 
 COUNTS, LOG_ODDS = "counts", "log_odds"
 FARTHEST_TILE = 1 << 38
@@ -37,8 +37,10 @@ def list_faults(evidence: Evidence) -> Iterator[str]:
         yield "its tiles are not in ascending order, or too far away"
     if not are_observations(evidence.cells, manifest.kind):
         yield "its cells hold what no observation makes"
-    if not all(are_times(times) for times in evidence.times):
-        yield "its times do not fit each other"
+    if not all(are_slices(slices) for slices in evidence.slices):
+        yield "its slices of time are not in order"
+    if not to_set(evidence.tiles) <= set().union(*(to_set(s.tiles) for s in evidence.slices)):
+        yield "it lacks slices of time of some tiles"
 
 
 def list_manifest_faults(manifest: Manifest) -> Iterator[str]:
@@ -46,6 +48,8 @@ def list_manifest_faults(manifest: Manifest) -> Iterator[str]:
     size = manifest.resolution
     if not isinstance(size, int | float) or not 0 < size < math.inf:
         yield f"its resolution is {size!r}"
+    if not isinstance(manifest.pass_gap_s, int | float) or not 0 < manifest.pass_gap_s < math.inf:
+        yield f"its pass_gap_s is {manifest.pass_gap_s!r}"
     if manifest.kind not in (COUNTS, LOG_ODDS):
         yield f"its kind is {manifest.kind!r}"
     if manifest.update not in list(Update):
@@ -75,12 +79,25 @@ def fits(value: Any, shape: Any) -> bool:
 
 def are_tiles(tiles: Int64) -> bool:
     """Whether these are rows and columns (T, 2) of tiles, each once and in order."""
+    return are_near(tiles) and are_ascending(tiles)
+
+
+def are_near(tiles: Int64) -> bool:
+    """Whether these are rows and columns (T, 2) of tiles that a map can hold."""
     if tiles.ndim != 2 or tiles.shape[1] != 2 or tiles.dtype.str != "<i8":
         return False
-    if (tiles >= FARTHEST_TILE).any() or (tiles <= -FARTHEST_TILE).any():
-        return False
-    rows, cols = np.diff(tiles, axis=0).T
-    return bool(((rows > 0) | ((rows == 0) & (cols > 0))).all())
+    return bool((tiles < FARTHEST_TILE).all() and (tiles > -FARTHEST_TILE).all())
+
+
+def are_ascending(keys: Int64) -> bool:
+    """Whether every row (N, M) is above the one before: the first number that differs decides."""
+    steps = np.sign(np.diff(keys, axis=0))
+    return bool((steps @ (1 << np.arange(keys.shape[1])[::-1]) > 0).all())
+
+
+def to_set(tiles: Int64) -> set[tuple[int, int]]:
+    """Rows and columns (T, 2) as tuples."""
+    return {(row, col) for row, col in tiles.tolist()}
 
 
 def are_observations(cells: Int64, kind: str) -> bool:
@@ -93,8 +110,6 @@ def are_observations(cells: Int64, kind: str) -> bool:
     return not first[second == 0].any()  # log-odds may be negative, but not of nothing
 
 
-def are_times(times: Times) -> bool:
-    """Whether no cell was seen for the last time before the first, or hit without being seen."""
-    ordered = bool((times.first_ns <= times.last_ns).all())
-    visits = (times.hit_visits >= 0) & (times.hit_visits <= times.seen_visits)
-    return ordered and are_tiles(times.tiles) and bool((visits & (times.seen_visits > 0)).all())
+def are_slices(slices: Slices) -> bool:
+    """Whether every tile of a slice comes once, and in order."""
+    return are_near(slices.tiles) and are_ascending(np.column_stack([slices.tiles, slices.numbers]))

@@ -126,11 +126,13 @@ class Bench:
         self.results.rows += limits.compare_rosbags(logs[many.scans], rounds)
         self.results.rows += limits.compare_tenfold_time(logs, rounds)
         self.results.rows += process_limits.compare_tenfold_memory(logs, rounds)
+        self.results.rows += process_limits.compare_slices(logs[many.scans], rounds)
 
     def _measure_processes(self) -> None:
         rounds, folder = self._settings.rounds, self._folder
         self.results.rows += process_limits.compare_mrpt(FREIBURG, folder, 2 * rounds)
         self.results.rows += process_limits.measure_corridor(self._settings.corridor, folder)
+        self.results.rows += process_limits.measure_field(folder)
         self.results.rows += process_limits.compare_help(2 * rounds)
         self.results.rows += process_limits.measure_smallest(folder, rounds)
 

@@ -1,4 +1,4 @@
-"""Runs a command and reports its time and peak memory; a script of its own so as to stay small.
+"""Runs a command and reports its times and peak memory; a script of its own so as to stay small.
 
 A process begins with the peak memory of the one that it was forked from, so a benchmark that holds
 large arrays must not start what it measures itself.
@@ -19,9 +19,13 @@ def main() -> None:
         sys.argv[1:], check=False, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL
     )
     seconds = perf_counter() - start
-    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-    peak_bytes = peak if sys.platform == "darwin" else peak * 1024
-    usage = {"code": done.returncode, "seconds": seconds, "peak_bytes": peak_bytes}
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    usage = {
+        "code": done.returncode,
+        "seconds": seconds,
+        "processor_seconds": used.ru_utime + used.ru_stime,
+        "peak_bytes": used.ru_maxrss * (1 if sys.platform == "darwin" else 1024),
+    }
     os.write(1, json.dumps(usage).encode() + b"\n" + done.stdout)
 
 

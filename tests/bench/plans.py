@@ -60,6 +60,7 @@ YARD_WAY = np.array(
 )
 
 
-def corridor(length: float) -> list[Box]:
-    """Two walls 3 m apart along the x axis, open at both ends."""
-    return [(-50, -1.6, length + 50, -1.5), (-50, 1.5, length + 50, 1.6)]
+def corridor(length: float, width: float) -> list[Box]:
+    """Two walls along the x axis, open at both ends."""
+    inner, outer = width / 2, width / 2 + 0.1
+    return [(-50, -outer, length + 50, -inner), (-50, inner, length + 50, outer)]

@@ -13,12 +13,14 @@ from tests.bench.foreign import Mrpt
 from tests.bench.limits import Row, compare
 from tests.bench.logs import write_mcap
 from tests.bench.measuring import take_in_turn
-from tests.bench.processes import OCCMAP, Usage, build_command, run, time_process
+from tests.bench.processes import OCCMAP, Usage, build_command, run, time_process, time_processor
 from tests.bench.workloads import Sensor, make_corridor
 
 SAMPLE_LOGS = Path(__file__).parents[2] / "sample_logs"
 MRPT_LIMITS = {Update.BEAM: 1.0, Update.POLYGON: 0.9}
 BYTES_A_CELL = 16
+FIELD = {"length": 1000.0, "spacing": 0.25, "width": 50.0}
+"""Metres; at 40 scans a second that is 10 m/s, so 1 s there is what 10 s are at 1 m/s."""
 MIB = 2**20
 
 
@@ -80,6 +82,35 @@ def count_observed(grid: Mapping[str, Any]) -> int:
     """How many cells of a reported map are not unknown."""
     columns, rows, unknown = (float(grid[name]) for name in ("columns", "rows", "unknown"))
     return round(columns * rows * (1 - unknown))
+
+
+def compare_slices(log: Path, rounds: int) -> list[Row]:
+    """Processor time of evidence, which keeps slices of time, against that of a picture."""
+    rows = []
+    for update in Update:
+        timers = {
+            suffix: partial(
+                time_processor, *build_command(update, log, log.with_suffix(f".{suffix}"))
+            )
+            for suffix in ("npz", "pgm")
+        }
+        times = take_in_turn(timers, rounds)
+        what = f"build {update.value} -o map.npz / -o map.pgm, processor time"
+        rows.append(compare(times, ("npz", "pgm"), what, 1.5))
+    return rows
+
+
+def measure_field(folder: Path) -> list[Row]:
+    """Peak memory of a build that keeps slices of time, on a field that is seen once."""
+    log = write_mcap(make_corridor(Sensor.spanning(541, 270, 30.0), **FIELD), folder)
+    rows = []
+    for update in Update:
+        usage = run(build_command(update, log, folder / "field.npz", "--pass-gap", "1"))
+        cells = count_observed(json.loads(usage.output)["map"])
+        what = f"build {update.value} -o map.npz: bytes of peak memory for a cell of a field"
+        detail = f"{usage.peak_bytes / MIB:.0f} MiB for {cells / 1e6:.1f} M cells"
+        rows.append(Row(what, 48.0, usage.peak_bytes / cells, detail))
+    return rows
 
 
 def compare_help(rounds: int) -> list[Row]:

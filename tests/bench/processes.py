@@ -23,6 +23,8 @@ class Usage(NamedTuple):
     """What a process needed."""
 
     seconds: float
+    processor_seconds: float
+    """Of all its threads"""
     peak_bytes: int
     output: str
 
@@ -43,12 +45,17 @@ def run(command: Sequence[str | Path]) -> Usage:
     usage: dict[str, Any] = json.loads(head) if head else {"code": done.returncode}
     if usage["code"] != 0:
         raise ProcessError(f"{' '.join(map(str, command))}: {(done.stderr or output)[-500:]}")
-    return Usage(usage["seconds"], usage["peak_bytes"], output)
+    return Usage(usage["seconds"], usage["processor_seconds"], usage["peak_bytes"], output)
 
 
 def time_process(*command: str | Path) -> float:
     """Run a command and return its seconds, start-up and all."""
     return run(command).seconds
+
+
+def time_processor(*command: str | Path) -> float:
+    """Run a command and return the seconds that its threads worked."""
+    return run(command).processor_seconds
 
 
 def build_command(update: Update, log: Path, output: Path, *options: str) -> list[str | Path]:

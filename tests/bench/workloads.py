@@ -116,11 +116,11 @@ def make_yard(name: str, sensor: Sensor, scans: int) -> Workload:
     return Workload(name, 0.1, sensor, poses, measure(poses, sensor, YARD))
 
 
-def make_corridor(sensor: Sensor, length: float, spacing: float) -> Workload:
-    """Drive along one straight corridor, 3 m wide, at 5 cm; a scan every `spacing` metres."""
+def make_corridor(sensor: Sensor, length: float, spacing: float, width: float = 3.0) -> Workload:
+    """Drive straight on between two walls, at 5 cm; a scan every `spacing` metres."""
     x = np.arange(0, length, spacing)
     poses = np.stack([x, np.full_like(x, 0.01), np.zeros_like(x)], axis=1)
-    ranges = measure(poses, sensor, corridor(length))
+    ranges = measure(poses, sensor, corridor(length, width))
     return Workload(f"corridor of {length / 1000:g} km", 0.05, sensor, poses, ranges)
 
 

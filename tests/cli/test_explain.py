@@ -32,7 +32,7 @@ def test_a_cell_in_lines() -> None:
         "cell     row 0, column 3: x 0.3 to 0.4 m, y 0 to 0.1 m",
         "class    occupied: probability 0.784 by simple:p_hit=0.7,p_miss=0.4,prior=0.5",
         "seen     2 hits and 1 miss",
-        "visits   a.csv: hit on 1 of 1 visit, from 0.000 s to 2.000 s",
+        "visits   a.csv: hit on 1 of 1 visit, between 0.000 s and 10.000 s",
         "around   hits/misses of the cells beside it, y upwards",
         "           -    -    -",
         "         0/2  2/1  0/2",
@@ -70,16 +70,19 @@ def test_visits_come_by_build() -> None:
     words = ["--resume", "a.npz", "-o", "al.npz", "--resolution", "0.1"]
     assert occmap("build", "late.csv", *words).code == 0
     words = ["explain", "al.npz", "0.37", "0.05"]
-    assert occmap(*words).out.splitlines()[3:5] == [
-        "visits   a.csv: hit on 1 of 1 visit, from 0.000 s to 2.000 s",
-        "         late.csv: hit on 1 of 2 visits, from 0.000 s to 30.000 s",
+    assert occmap(*words).out.splitlines()[3:6] == [
+        "visits   a.csv: hit on 1 of 1 visit, between 0.000 s and 10.000 s",
+        "         late.csv: hit on 1 of 2 visits, between 0.000 s and 40.000 s",
+        "         together: hit on 1 of 2 visits, between 0.000 s and 40.000 s",
     ]
     assert occmap(*words[:2], "5.05", "5.05").out.splitlines()[3] == (
-        "visits   late.csv: hit on 0 of 1 visit, from 1.000 s to 29.000 s"
+        "visits   late.csv: hit on 0 of 1 visit, between 0.000 s and 30.000 s"
     )
-    found = json.loads(occmap(*words, "--json", "--min-passes", "3").out)
-    assert [build["last_ns"] for build in found["builds"]] == [2 * 10**9, 30 * 10**9]
-    assert (found["class"], found["min_passes"]) == ("undecided", 3)  # two misses are left: 0.31
+    found = json.loads(occmap(*words, "--json", "--min-passes", "2").out)
+    assert [build["until_ns"] for build in found["builds"]] == [10 * 10**9, 40 * 10**9]
+    known = {"since_ns": 0, "until_ns": 40 * 10**9, "hit_visits": 1, "seen_visits": 2}
+    assert found["visits"] == known
+    assert (found["class"], found["min_passes"]) == ("undecided", 2)  # two misses are left: 0.31
 
 
 def test_hits_on_too_few_visits_are_forgotten() -> None:

@@ -10,9 +10,10 @@ from occmap.batching import Selection
 from occmap.errors import MapError
 from occmap.evidence.merging import merge, subtract
 from occmap.evidence.publishing import RenderOptions, publish
-from occmap.grid.layers import unpack_cells
+from occmap.explanation.history import look_at
+from occmap.grid.slices import count_visits, split_tiles, unite
 from occmap.pipeline import BuildOptions, build
-from occmap.types import Int64, Times, Update
+from occmap.types import Slices, Update
 from occmap.writers.npz import read_evidence
 from tests.evidence.saving import (
     COMBINATIONS,
@@ -24,7 +25,7 @@ from tests.evidence.saving import (
     save,
     write_bytes,
 )
-from tests.samples import REAL_LOGS
+from tests.samples import REAL_LOGS, write_csv
 
 
 def test_neither_half_is_empty() -> None:
@@ -44,66 +45,72 @@ def test_two_halves_make_the_whole(tmp_path: Path, update: Update, model: str) -
     assert np.array_equal(rest.tiles, first.tiles)
     assert np.array_equal(rest.cells, first.cells)
     assert rest.manifest == first.manifest
-    assert merge([first, second]).times == first.times + second.times
+    assert merge([first, second]).slices == first.slices + second.slices
     assert write_bytes(tmp_path, rest) == write_bytes(tmp_path, first)
+    rest = subtract(merge([first, second]), first)
+    assert write_bytes(tmp_path, rest) == write_bytes(tmp_path, second)
 
 
-def spread(times: Times) -> dict[str, Int64]:
-    """(T, 64, 64) of each of a layer's four numbers, 0 where it has none."""
-    cells = unpack_cells(times)
-    tables = {}
-    for name in ("first_ns", "last_ns", "hit_visits", "seen_visits"):
-        tables[name] = np.zeros(cells.shape, np.int64)
-        tables[name][cells] = getattr(times, name)
-    return tables
+def assert_equal(one: Slices, other: Slices) -> None:
+    for name in Slices.__dataclass_fields__:
+        assert np.array_equal(getattr(one, name), getattr(other, name)), name
 
 
 @each_combination
-def test_the_layers_of_two_halves_bound_the_times_of_the_whole(
+def test_two_halves_make_the_visits_of_the_whole(
     tmp_path: Path, update: Update, model: str
 ) -> None:
+    """A slice of time goes on over the middle, 20 s after the start."""
     options = choose(update, model)
-    halves = [save(tmp_path / "half.npz", each) for each in halve(options)]
-    (whole,) = save(tmp_path / "whole.npz", options).times
-    first, second = (fit_tiles(half.times[0], whole) for half in halves)
-    cells, before, after = (unpack_cells(each) for each in (whole, first, second))
-    assert np.array_equal(before | after, cells)
-    early, late, all_of_it = spread(first), spread(second), spread(whole)
-    since = np.where(before, early["first_ns"], late["first_ns"])
-    until = np.where(after, late["last_ns"], early["last_ns"])
-    assert np.array_equal(all_of_it["first_ns"], since)
-    assert np.array_equal(all_of_it["last_ns"], until)
-    for name in ("hit_visits", "seen_visits"):  # a visit may go on over the middle
-        apart = early[name] + late[name] - all_of_it[name]
-        assert set(np.unique(apart)) <= {0, 1}
-    assert all_of_it["hit_visits"].any() == (model != "quadratic")
+    first, second = (save(tmp_path / "half.npz", each).slices[0] for each in halve(options))
+    (whole,) = save(tmp_path / "whole.npz", options).slices
+    assert set(first.numbers) & set(second.numbers)
+    assert_equal(unite([first, second]), whole)
+    assert_equal(unite([second, first]), whole)
+    hits = [count_visits(tile)[0].any() for _, tile in split_tiles(whole)]
+    assert any(hits) == (model != "quadratic")
 
 
-def fit_tiles(times: Times, whole: Times) -> Times:
-    """The same layer with a row of cells for each tile of another."""
-    mine = map(tuple, times.tiles.tolist())
-    known = dict(zip(mine, times.observed, strict=True))
-    empty = np.zeros(512, np.uint8)
-    observed = np.array([known.get(tuple(tile), empty) for tile in whole.tiles.tolist()])
-    assert known.keys() <= set(map(tuple, whole.tiles.tolist()))
-    return replace(times, tiles=whole.tiles, observed=observed)
+def test_a_seam_between_halves_is_no_visit_more(tmp_path: Path) -> None:
+    whole, *halves = (save(tmp_path / "m.npz", each) for each in (choose(), *halve(choose())))
+    options = RenderOptions(min_passes=2)
+    for evidence, name in ((whole, "whole.pgm"), (merge(halves), "both.pgm")):
+        publish(evidence, options, [tmp_path / name])
+    assert (tmp_path / "both.pgm").read_bytes() == (tmp_path / "whole.pgm").read_bytes()
 
 
-def test_what_was_no_build_leaves_layers_that_are_bounds(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("other_start", "visits"), [(0, 1), (8, 1), (11, 1), (30, 2)])
+def test_logs_of_the_same_hours_are_one_visit_however_they_are_built(
+    tmp_path: Path, other_start: int, visits: int
+) -> None:
+    """Two logs of 9 s each, of one corner, that overlap, follow one another or lie apart."""
+    logs = [tmp_path / "a.csv", tmp_path / "b.csv"]
+    for log, start in zip(logs, (0, other_start), strict=True):
+        write_csv(log, [(0.05, 0.05, 0.0)] * 9, [0.32], start=start)
+    build(logs, BuildOptions(), [tmp_path / "both.npz"])
+    apart = merge([save(tmp_path / "m.npz", BuildOptions(), log) for log in logs])
+    for evidence in (read_evidence(tmp_path / "both.npz"), apart):
+        found = look_at(evidence, 0.35, 0.05).visits
+        assert found == (0, (other_start + 8) // 10 * 10**10 + 10**10, visits, visits)
+
+
+def test_what_was_no_build_leaves_visits_that_are_bounds(tmp_path: Path) -> None:
     whole, part = (save(tmp_path / "m.npz", each) for each in (choose(), halve(choose())[0]))
     rest = subtract(whole, part)
-    (layer,), (before,) = rest.times, whole.times
-    seen = (rest.cells != 0).any(axis=1)
-    assert np.array_equal(layer.tiles, rest.tiles)
-    assert np.array_equal(unpack_cells(layer), seen)
-    assert 0 < len(layer.first_ns) < len(before.first_ns)
+    (before,), (after,) = whole.slices, rest.slices
+    left = {key for key, _ in split_tiles(after)}
+    assert left == set(map(tuple, rest.tiles.tolist()))
+    for key, of_tile in split_tiles(after):
+        seen = (rest.cells[(rest.tiles == key).all(axis=1)][0] != 0).any(axis=0)
+        assert np.array_equal(count_visits(of_tile)[1] > 0, seen)
+    assert 0 < len(after.numbers) <= len(before.numbers)
     assert rest.manifest.builds == whole.manifest.builds
-    note = "something else than a whole build was subtracted: times and visits are bounds"
+    note = "something else than a whole build was subtracted: visits are bounds"
     assert note in publish(rest, RenderOptions(), [tmp_path / "m.pgm"]).notes
     assert publish(whole, RenderOptions(), [tmp_path / "m.pgm"]).notes == ()
 
 
-def test_a_build_that_is_there_only_in_part_takes_no_layer_away(tmp_path: Path) -> None:
+def test_a_build_that_is_there_only_in_part_takes_no_slices_away(tmp_path: Path) -> None:
     options = choose()
     whole = save(tmp_path / "whole.npz", options)
     half, quarter = (
@@ -114,9 +121,8 @@ def test_a_build_that_is_there_only_in_part_takes_no_layer_away(tmp_path: Path) 
     rest = subtract(merge([whole, half]), part_of_half)
     assert rest.manifest.builds == whole.manifest.builds + half.manifest.builds
     assert rest.manifest.subtracted == half.manifest.builds
-    assert [len(each.first_ns) for each in rest.times] == [
-        len(each.times[0].first_ns) for each in (whole, half)
-    ]
+    for found, each in zip(rest.slices, (whole, half), strict=True):
+        assert_equal(found, each.slices[0])
 
 
 @pytest.mark.parametrize("model", ["simple", "quadratic"])
@@ -147,6 +153,7 @@ def test_resuming_with_other_options_is_refused_before_the_log_is_read(tmp_path:
         (replace(choose(), resolution=0.1), "its resolution is 0.1, .* is 0.05"),
         (choose(Update.POLYGON), "its update is polygon, .* is beam"),
         (choose(model="quadratic"), "its kind is log_odds, .* is counts"),
+        (replace(choose(), pass_gap_s=5.0), "its pass_gap_s is 5.0, .* is 10.0"),
     ],
 )
 def test_evidence_that_does_not_add_up_is_refused(

@@ -10,8 +10,9 @@ import pytest
 
 from occmap.batching import Selection
 from occmap.errors import MapError, UsageError
-from occmap.evidence import render_saved
+from occmap.evidence import render, render_saved, to_grid
 from occmap.evidence.merging import merge, subtract
+from occmap.evidence.persistence import keep_lasting
 from occmap.explanation import Explanation, Question, explain
 from occmap.explanation.sightings import add_up
 from occmap.pipeline import BuildOptions, build
@@ -72,7 +73,8 @@ def test_a_cell_is_judged_as_the_map_is(tmp_path: Path) -> None:
     evidence = save(tmp_path, DRIVE, BuildOptions())
     models: list[SensorModel] = [SimpleModel(0.9, 0.25, 0.3), CountingModel(0.4)]
     for model, min_passes in product(models, (None, 2)):
-        grid = render_saved(evidence, model, 10**9, min_passes)
+        lasting = keep_lasting(to_grid(evidence), evidence.slices, min_passes)
+        grid = render(lasting, model, 10**9)
         rng = np.random.default_rng(2)
         for row, col in rng.integers(0, grid.shape, (20, 2)):
             x, y = (
@@ -184,7 +186,7 @@ def test_what_was_subtracted_is_said(tmp_path: Path) -> None:
     rest = subtract(save(tmp_path, log), part)
     found = explain(rest, Question(0.35, 0.05, (log,)))
     bounds, note = found.notes
-    assert bounds.endswith("times and visits are bounds")
+    assert bounds.endswith("subtracted: visits are bounds")
     explained = "the scans explain 4 hits and 0 misses of 3 hits and 0 misses"
     assert note == f"{explained}; other evidence was subtracted"
 

@@ -34,18 +34,23 @@ def test_one_beam_clears_three_cells_and_hits_the_fourth(tmp_path: Path) -> None
     assert hit.extent == pytest.approx((0.3, 0.0, 0.4, 0.1))
 
 
-def test_times_are_told_build_by_build(tmp_path: Path) -> None:
+def test_slices_are_told_build_by_build_and_together(tmp_path: Path) -> None:
     """A scan a second; slices of ten seconds are of 10 scans each, and 30 s lie between visits."""
     step, cell = [(0.05, 0.05, 0.0)], (0.35, 0.05)
     once = observe(tmp_path, step)
     long = observe(tmp_path, [*step * 12, *[(0.05, 9.05, 0.0)] * 30, *step])
     both = merge([once, long])
     second = 10**9
-    assert look_at(once, *cell).builds == (Visits(0, 0, 1, 1),)
-    assert look_at(both, *cell).builds == (Visits(0, 0, 1, 1), Visits(0, 42 * second, 2, 2))
-    assert look_at(both, 0.05, 0.05).builds[1] == Visits(0, 42 * second, 0, 2)
-    assert look_at(both, 0.35, 9.05).builds == (None, Visits(12 * second, 41 * second, 1, 1))
-    assert look_at(both, 50.0, 9.05).builds == (None, None)
+    assert look_at(once, *cell).builds == (Visits(0, 10 * second, 1, 1),)
+    assert look_at(both, *cell).builds == (
+        Visits(0, 10 * second, 1, 1),
+        Visits(0, 50 * second, 2, 2),
+    )
+    assert look_at(both, *cell).visits == Visits(0, 50 * second, 2, 2)
+    assert look_at(both, 0.05, 0.05).builds[1] == Visits(0, 50 * second, 0, 2)
+    assert look_at(both, 0.35, 9.05).builds == (None, Visits(10 * second, 50 * second, 1, 1))
+    nowhere = look_at(both, 50.0, 9.05)
+    assert (nowhere.visits, nowhere.builds) == (None, (None, None))
 
 
 def test_neighbours_lie_around_the_cell(tmp_path: Path) -> None:

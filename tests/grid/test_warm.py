@@ -14,8 +14,6 @@ from occmap.grid.kernels.polygon import sum_runs, trace_polygons
 from occmap.grid.kernels.project import project_ends
 from occmap.grid.kernels.radial_beam import trace_radial_beams
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
-from occmap.grid.kernels.time_beams import time_beams, time_radial_beams
-from occmap.grid.kernels.time_polygons import time_polygons, time_radial_polygons
 from occmap.grid.warm import compile_kernels
 from occmap.pipeline import BuildOptions, build
 from occmap.sensor.models import parse_model
@@ -29,10 +27,6 @@ KERNELS: list[Any] = [
     trace_radial_polygons,
     sum_beams,
     sum_runs,
-    time_beams,
-    time_polygons,
-    time_radial_beams,
-    time_radial_polygons,
 ]
 SAMPLE = Path(__file__).parents[2] / "sample_logs" / "drive.mcap"
 NOWHERE_TO_KEEP = """

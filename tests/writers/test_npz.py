@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from occmap.errors import MapError
+from occmap.grid.slices import pack
 from occmap.grid.tiles import TILE
-from occmap.types import Bool, Evidence, Manifest, Times
-from occmap.writers.compact import TIME_ARRAYS, narrow
+from occmap.types import Evidence, Int64, Manifest, Slices
+from occmap.writers.compact import SLICE_ARRAYS, narrow, pack_slices, unpack_slices
 from occmap.writers.npz import SIDE, NpzWriter, add_array, read_evidence
 
 SELECTION = {"topics": [], "start_s": "-inf", "end_s": 2.5, "stride": 1}
@@ -22,8 +23,7 @@ BUILD = {
     "options": {"model": "simple", "selection": SELECTION, "posing": {"poses": None}},
     "scans": {"read": 2, "used": 1, "dropped": {"no beams": 1}, "beams": {"hit": 3}},
 }
-MANIFEST = Manifest(0.05, "beam", "counts", "", "simple:prior=0.5", (BUILD, BUILD))
-START_NS = 1_700_000_000_123_456_789
+MANIFEST = Manifest(0.05, "beam", "counts", "", 10.0, "simple:prior=0.5", (BUILD, BUILD))
 
 
 def evidence_of(cells: dict[tuple[int, int], tuple[int, int]]) -> Evidence:
@@ -32,24 +32,18 @@ def evidence_of(cells: dict[tuple[int, int], tuple[int, int]]) -> Evidence:
     values[1, :, 63, 63] = 1, 0
     for (row, col), pair in cells.items():
         values[0, :, row, col] = pair
-    tiles = np.array([[-1, 0], [2, 3]])
-    return Evidence(MANIFEST, tiles, values, (time_cells(values[:, 0] > 0), NO_TIMES))
+    return Evidence(MANIFEST, np.array([[-1, 0], [2, 3]]), values, (mark(values), NO_SLICES))
 
 
-def time_cells(seen: Bool) -> Times:
-    """First stamps that rise from cell to cell, last ones a nanosecond later, and visits."""
-    bits = np.packbits(seen.reshape(len(seen), -1), axis=1)
-    first = START_NS + np.arange(np.count_nonzero(seen))
-    visits = np.arange(len(first), dtype=np.int32)
-    return Times(np.array([[-1, 0], [2, 3]]), bits, first, first + 1, visits, 200 + visits)
+def mark(values: Int64) -> Slices:
+    """The first tile was observed in slice -7, and all of it again in 300; the second in 5."""
+    bits = np.packbits(values != 0, axis=-1)
+    bits[:, 1] |= bits[:, 0]
+    tiles = np.array([[-1, 0], [-1, 0], [2, 3]])
+    return pack(tiles, np.array([-7, 300, 5]), np.stack([bits[0], bits[0] | 255, bits[1]]))
 
 
-NO_TIMES = Times(
-    np.zeros((0, 2), np.int64),
-    np.zeros((0, 512), np.uint8),
-    *np.zeros((2, 0), np.int64),
-    *np.zeros((2, 0), np.int32),
-)
+NO_SLICES = Slices.join([])
 
 
 SMALL = evidence_of({(0, 0): (3, 5), (0, 1): (0, 200), (7, 9): (1, 0)})
@@ -70,41 +64,55 @@ def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
     assert back.manifest == MANIFEST
     assert np.array_equal(back.tiles, SMALL.tiles)
     assert np.array_equal(back.cells, SMALL.cells)
-    assert_equal_times(back, SMALL)
+    assert_equal_slices(back, SMALL)
     assert back.where == str(path)
 
 
-def assert_equal_times(one: Evidence, other: Evidence) -> None:
-    assert len(one.times) == len(other.times)
-    for mine, its in zip(one.times, other.times, strict=True):
-        for name in Times.__dataclass_fields__:
+def assert_equal_slices(one: Evidence, other: Evidence) -> None:
+    assert len(one.slices) == len(other.slices)
+    for mine, its in zip(one.slices, other.slices, strict=True):
+        for name in Slices.__dataclass_fields__:
             assert np.array_equal(getattr(mine, name), getattr(its, name)), name
 
 
-def test_times_of_no_build_and_of_the_whole_range_of_stamps(tmp_path: Path) -> None:
-    limits = np.iinfo(np.int64)
-    (some, _) = SMALL.times
-    wide = replace(some, first_ns=np.array([limits.min, 0, 1]), last_ns=np.full(3, limits.max))
-    for times in ((), (NO_TIMES,), (NO_TIMES, wide, NO_TIMES, some)):
-        manifest = replace(MANIFEST, builds=(BUILD,) * len(times))
-        evidence = replace(SMALL, manifest=manifest, times=times)
-        assert_equal_times(read_evidence(write(tmp_path / "m.npz", evidence)), evidence)
+def test_slices_of_any_number_of_builds(tmp_path: Path) -> None:
+    (some, _) = SMALL.slices
+    for slices in ((some,), (NO_SLICES, some), (NO_SLICES, some, NO_SLICES, some)):
+        manifest = replace(MANIFEST, builds=(BUILD,) * len(slices))
+        evidence = replace(SMALL, manifest=manifest, slices=slices)
+        assert_equal_slices(read_evidence(write(tmp_path / "m.npz", evidence)), evidence)
+    nothing = replace(SMALL, manifest=replace(MANIFEST, builds=()), slices=())
+    nothing = replace(nothing, tiles=nothing.tiles[:0], cells=nothing.cells[:0])
+    assert read_evidence(write(tmp_path / "m.npz", nothing)).slices == ()
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        {"times": ()},
-        {"times": (NO_TIMES,) * 3},
-        {"times": (replace(SMALL.times[0], tiles=np.zeros((1, 2), np.int64)), NO_TIMES)},
-        {"times": (replace(SMALL.times[0], last_ns=np.zeros(4, np.int64)), NO_TIMES)},
-        {"times": (replace(SMALL.times[0], hit_visits=np.zeros(2, np.int32)), NO_TIMES)},
-        {"times": (replace(NO_TIMES, first_ns=np.zeros(1, np.int64)), SMALL.times[0])},
+        {"slices": ()},
+        {"slices": (NO_SLICES,) * 3},
+        *(
+            {
+                "slices": (
+                    replace(SMALL.slices[0], **{name: getattr(SMALL.slices[0], name)[cut]}),
+                    NO_SLICES,
+                )
+            }
+            for name in Slices.__dataclass_fields__
+            for cut in (slice(1, None), [0, *range(len(getattr(SMALL.slices[0], name)))])
+        ),
+        {"slices": (replace(NO_SLICES, parts=np.zeros(1, np.uint8)), SMALL.slices[0])},
     ],
 )
-def test_layers_that_do_not_fit_are_refused(tmp_path: Path, change: dict[str, Any]) -> None:
+def test_slices_that_do_not_fit_are_refused(tmp_path: Path, change: dict[str, Any]) -> None:
     path = write(tmp_path / "m.npz", replace(SMALL, **change))
     assert "it is cut or altered; build it again" in damage(path, path.read_bytes())
+
+
+def test_slices_behind_those_of_all_builds_are_refused() -> None:
+    arrays = pack_slices(SMALL.slices[:1])
+    with pytest.raises(ValueError, match="layers"):
+        unpack_slices({**arrays, "layers": np.zeros((1, 3), np.int64)})
 
 
 def test_numpy_alone_reads_it(tmp_path: Path) -> None:
@@ -113,12 +121,23 @@ def test_numpy_alone_reads_it(tmp_path: Path) -> None:
         seen = np.unpackbits(file["observed"], axis=1).reshape(-1, 64, 64).astype(bool)
         assert file["first"].tolist() == [3, 0, 1, 1]
         assert (file["first"].dtype, file["second"].dtype) == (np.int8, np.int16)
-        assert file["layers"].tolist() == [[2, 3], [0, 0]]
-        since = file["stamps"][file["first_seen"]] - START_NS
-        until = file["stamps"][file["last_seen"]] - START_NS
-        assert (since.tolist(), until.tolist()) == ([0, 1, 2], [1, 2, 3])
-        assert (file["first_seen"].dtype, file["seen_visits"].dtype) == (np.int8, np.int16)
+        assert file["slices"].tolist() == [-7, 300, 5]
+        assert (file["slices"].dtype, file["slice_tiles"].dtype) == (np.int16, np.int8)
+        parts = np.zeros(file["slice_rows"].size * 8, np.uint8)
+        parts[np.unpackbits(file["slice_rows"]).astype(bool)] = file["slice_parts"]
+        bits = np.zeros(parts.size * 8, np.uint8)
+        bits[np.unpackbits(parts).astype(bool)] = file["slice_changes"]
+        bits = np.bitwise_xor.accumulate(bits.reshape(-1, 2, 64, 8), axis=2)
+        hit, seen_then = np.unpackbits(bits, axis=3).swapaxes(0, 1)
+        assert file["layers"].tolist() == [
+            [3, *map(len, (SMALL.slices[0].parts, SMALL.slices[0].changes))],
+            [0, 0, 0],
+        ]
     assert np.argwhere(seen).tolist() == [[0, 0, 0], [0, 0, 1], [0, 7, 9], [1, 63, 63]]
+    assert np.argwhere(seen_then[[0, 2]]).tolist() == np.argwhere(seen).tolist()
+    assert np.argwhere(hit[[0, 2]]).tolist() == [[0, 0, 0], [0, 7, 9], [1, 63, 63]]
+    assert hit[1].all()
+    assert seen_then[1].all()
 
 
 def test_writing_twice_gives_the_same_bytes(tmp_path: Path) -> None:
@@ -179,7 +198,7 @@ def test_an_altered_file_is_refused_or_says_the_same(tmp_path: Path) -> None:
         else:  # a date in the zip's directory, say
             assert np.array_equal(back.cells, SMALL.cells)
             assert back.manifest == MANIFEST
-            assert_equal_times(back, SMALL)
+            assert_equal_slices(back, SMALL)
     assert refused > 0.8 * len(whole) / 3
 
 
@@ -202,7 +221,7 @@ def test_what_was_altered_on_purpose_is_refused(tmp_path: Path) -> None:
     content = rewrite(path, first=np.array([4, 0, 1, 1], np.int8))
     altered = "the checksum does not fit: the file was altered; build it again"
     assert altered in damage(path, content)
-    for name in TIME_ARRAYS:
+    for name in SLICE_ARRAYS:
         write(path)
         with np.load(path) as file:
             array = file[name]
@@ -221,11 +240,12 @@ def test_what_was_altered_on_purpose_is_refused(tmp_path: Path) -> None:
         ("", "it is cut or altered"),
         ("[]", "it is cut or altered"),
         ("{}", "it is cut or altered"),
-        ('{"format": "occmap evidence", "version": 2}', "it is cut or altered"),
-        ('{"format": "occmap evidence", "version": 3}', "version 3, while this occmap reads 2"),
+        ('{"format": "occmap evidence", "version": 3}', "it is cut or altered"),
+        ('{"format": "occmap evidence", "version": 4}', "version 4, while this occmap reads 3"),
         (
-            '{"format": "occmap evidence", "version": 1}',
-            "occmap evidence of an older occmap, without times (version 1); build it again",
+            '{"format": "occmap evidence", "version": 2}',
+            "occmap evidence of an older occmap (version 2, now 3); build it again from its logs: "
+            "occmap build LOG... -o m.npz",
         ),
         ('{"format": "else", "version": 1}', "holds 'else', and no evidence of occmap"),
     ],

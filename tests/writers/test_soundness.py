@@ -12,9 +12,9 @@ from occmap.grid.tiles import EvidenceKind
 from occmap.types import Evidence
 from occmap.writers.npz import read_evidence
 from occmap.writers.soundness import COUNTS, LOG_ODDS, find_fault
-from tests.writers.test_npz import BUILD, MANIFEST, NO_TIMES, SELECTION, SMALL, write
+from tests.writers.test_npz import BUILD, MANIFEST, NO_SLICES, SELECTION, SMALL, write
 
-LAYER = SMALL.times[0]
+LAYER = SMALL.slices[0]
 
 
 def test_the_kinds_are_those_of_the_grid() -> None:
@@ -45,6 +45,8 @@ def test_what_occmap_may_write_is_sound(changed: dict[str, Any]) -> None:
         ({"resolution": -0.05}, "its resolution is -0.05"),
         ({"resolution": "0.05"}, "its resolution is '0.05'"),
         ({"kind": None}, "its kind is None"),
+        ({"pass_gap_s": 0}, "its pass_gap_s is 0"),
+        ({"pass_gap_s": "10"}, "its pass_gap_s is '10'"),
         ({"update": "ray"}, "its update is 'ray'"),
         ({"model": 3}, "its model is no text"),
         ({"profile": "quadratic"}, "its profile is 'quadratic', and its kind counts"),
@@ -121,15 +123,17 @@ def test_numbers_that_no_observation_makes_are_refused(
 @pytest.mark.parametrize(
     "changed",
     [
-        {"last_ns": LAYER.first_ns - 1},
-        {"hit_visits": LAYER.seen_visits + 1},
-        {"hit_visits": LAYER.hit_visits - 1},
-        {"hit_visits": LAYER.hit_visits * 0, "seen_visits": LAYER.seen_visits * 0},
+        {"numbers": np.array([300, -7, 5])},
+        {"numbers": np.array([300, 300, 5])},
         {"tiles": LAYER.tiles[::-1]},
+        {"tiles": LAYER.tiles + np.array([0, 2**38])},
     ],
 )
-def test_times_that_do_not_fit_each_other_are_refused(
-    tmp_path: Path, changed: dict[str, Any]
-) -> None:
-    times = (NO_TIMES, replace(LAYER, **changed))
-    refuse(tmp_path, replace(SMALL, times=times), "its times do not fit each other")
+def test_slices_that_are_not_in_order_are_refused(tmp_path: Path, changed: dict[str, Any]) -> None:
+    slices = (NO_SLICES, replace(LAYER, **changed))
+    refuse(tmp_path, replace(SMALL, slices=slices), "its slices of time are not in order")
+
+
+def test_a_tile_that_no_slice_observed_is_refused(tmp_path: Path) -> None:
+    slices = (NO_SLICES, replace(LAYER, tiles=LAYER.tiles + np.array([0, 1])))
+    refuse(tmp_path, replace(SMALL, slices=slices), "it lacks slices of time of some tiles")

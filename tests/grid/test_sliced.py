@@ -1,4 +1,4 @@
-"""When cells were observed: the engine against one fresh engine for every scan."""
+"""Slices of time and visits: the engine of slices against one fresh engine for every scan."""
 
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
@@ -10,12 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from occmap.errors import MapError
 from occmap.grid.engine import WINDOW_CELLS, GridEngine
+from occmap.grid.sliced import SlicedEngine
+from occmap.grid.slices import count_visits, split_tiles, unpack
 from occmap.grid.spec import GridSpec
 from occmap.grid.tiles import TILE
-from occmap.grid.timed import TimedEngine
-from occmap.grid.times import TimeGrid, decode_stamps, encode_stamps
-from occmap.types import Kind, Rays, Times
+from occmap.types import Kind, Rays, Slices
 from tests.grid.reference import Cell
 from tests.grid.scans import FEW, Drive, aim, aligned_drives, drives, read_cells, take
 from tests.grid.test_engine import KINDS_OF_MAP, WINDOWS, all_specs
@@ -26,16 +27,16 @@ LIMITS = np.iinfo(np.int64)
 
 @dataclass
 class Seen:
-    """When one cell was observed: the stamps, and the slices that hit it and saw it."""
+    """The slices of time that hit one cell, and those that saw it."""
 
-    stamps: list[int] = field(default_factory=list)
     hit: set[int] = field(default_factory=set)
     seen: set[int] = field(default_factory=set)
 
-    def sum_up(self) -> tuple[int, int, int, int]:
+    @property
+    def visits(self) -> tuple[int, int]:
+        """How many hit the cell, and how many saw it."""
         visits = list_runs(self.seen)
-        hit = sum(1 for visit in visits if visit & self.hit)
-        return min(self.stamps), max(self.stamps), hit, len(visits)
+        return sum(1 for visit in visits if visit & self.hit), len(visits)
 
 
 def list_runs(slices: set[int]) -> list[set[int]]:
@@ -47,89 +48,98 @@ def list_runs(slices: set[int]) -> list[set[int]]:
     return runs
 
 
-Expected = dict[Cell, tuple[int, int, int, int]]
+Expected = dict[Cell, Seen]
 
 
-def look_scan_by_scan(spec: GridSpec, rays: Rays) -> Expected:
-    """First and last stamp, visits that hit and visits that saw each observed cell."""
-    cells: dict[Cell, Seen] = defaultdict(Seen)
+def look_scan_by_scan(spec: GridSpec, rays: Rays, slice_ns: int = SLICE) -> Expected:
+    cells: Expected = defaultdict(Seen)
     for s, stamp in enumerate(rays.stamp_ns.tolist()):
         engine = GridEngine(spec)
         engine.add(take(rays, [s]))
         first, second = read_cells(engine.finish())
         hit = set(first) if spec.radial is None else set()
         for cell in hit | set(second):
-            cells[cell].stamps.append(stamp)
-            cells[cell].seen.add(stamp // spec.slice_ns)
+            cells[cell].seen.add(stamp // slice_ns)
         for cell in hit:
-            cells[cell].hit.add(stamp // spec.slice_ns)
-    return {cell: each.sum_up() for cell, each in cells.items()}
+            cells[cell].hit.add(stamp // slice_ns)
+    return dict(cells)
 
 
-def spread(times: Times) -> Expected:
-    seen = np.unpackbits(times.observed, axis=1).reshape(-1, TILE, TILE)
-    at = [
-        (int(times.tiles[t, 0]) * TILE + row, int(times.tiles[t, 1]) * TILE + col)
-        for t, row, col in np.argwhere(seen).tolist()
-    ]
-    columns = (times.first_ns, times.last_ns, times.hit_visits, times.seen_visits)
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    return dict(zip(at, rows, strict=True))
+def spread(slices: Slices) -> Expected:
+    cells: Expected = defaultdict(Seen)
+    tiles, numbers = (slices.tiles * TILE).tolist(), slices.numbers.tolist()
+    for k, layer, row, col in np.argwhere(np.unpackbits(unpack(slices), axis=-1)).tolist():
+        seen = cells[tiles[k][0] + row, tiles[k][1] + col]
+        (seen.seen if layer else seen.hit).add(numbers[k])
+    return dict(cells)
 
 
-def time(
-    spec: GridSpec, batches: list[Rays], window_cells: int = WINDOW_CELLS
-) -> tuple[Expected, Times]:
-    """What is kept, once as a table and once as it is."""
-    engine = TimedEngine(spec, window_cells)
+def spread_visits(slices: Slices) -> dict[Cell, tuple[int, int]]:
+    found = {}
+    for (tile_row, tile_col), of_tile in split_tiles(slices):
+        hit, seen = count_visits(of_tile)
+        for row, col in np.argwhere(hit + seen).tolist():
+            cell = tile_row * TILE + row, tile_col * TILE + col
+            found[cell] = int(hit[row, col]), int(seen[row, col])
+    return found
+
+
+def keep(
+    spec: GridSpec, batches: list[Rays], window_cells: int = WINDOW_CELLS, slice_ns: int = SLICE
+) -> Slices:
+    """Which slices are kept; the evidence is that of an engine without any."""
+    engine, plain = SlicedEngine(spec, slice_ns, window_cells), GridEngine(spec, window_cells)
     for rays in batches:
         engine.add(rays)
-    plain = GridEngine(spec)
-    for rays in batches:
         plain.add(rays)
     assert read_cells(engine.finish()) == read_cells(plain.finish())
-    (times,) = engine.read_times()
-    return spread(times), times
+    (slices,) = engine.read_slices()
+    return slices
 
 
 @KINDS_OF_MAP
 @FEW
 @given(drive=drives(), window_cells=WINDOWS, slice_ns=st.sampled_from([1, 7, SLICE, 1000]))
-def test_times_are_those_of_the_scans_that_observed_a_cell(
+def test_slices_are_those_of_the_scans_that_observed_a_cell(
     kind_of_map: int, drive: Drive, window_cells: int, slice_ns: int
 ) -> None:
     rays, resolution = drive
-    spec = replace(all_specs(resolution)[kind_of_map], slice_ns=slice_ns)
-    assert time(spec, [rays], window_cells)[0] == look_scan_by_scan(spec, rays)
+    spec = all_specs(resolution)[kind_of_map]
+    slices = keep(spec, [rays], window_cells, slice_ns)
+    expected = look_scan_by_scan(spec, rays, slice_ns)
+    assert spread(slices) == expected
+    assert spread_visits(slices) == {cell: seen.visits for cell, seen in expected.items()}
 
 
 @KINDS_OF_MAP
 @FEW
 @given(drive=aligned_drives(), window_cells=WINDOWS)
-def test_centres_that_lie_on_edges_have_the_times_of_their_counts(
+def test_centres_that_lie_on_edges_are_in_the_slices_of_their_counts(
     kind_of_map: int, drive: Drive, window_cells: int
 ) -> None:
     rays, resolution = drive
     spec = all_specs(resolution)[kind_of_map]
-    assert time(spec, [rays], window_cells)[0] == look_scan_by_scan(spec, rays)
+    assert spread(keep(spec, [rays], window_cells)) == look_scan_by_scan(spec, rays)
+
+
+def assert_equal(one: Slices, other: Slices) -> None:
+    for name in Slices.__dataclass_fields__:
+        assert np.array_equal(getattr(one, name), getattr(other, name)), name
 
 
 @KINDS_OF_MAP
 @FEW
 @given(drive=drives(), window_cells=WINDOWS)
-def test_batches_windows_and_order_change_no_time(
+def test_batches_windows_and_order_change_no_byte(
     kind_of_map: int, drive: Drive, window_cells: int
 ) -> None:
     rays, resolution = drive
-    spec = replace(all_specs(resolution)[kind_of_map], slice_ns=SLICE)
-    whole, times = time(spec, [rays])
+    spec = all_specs(resolution)[kind_of_map]
+    whole = keep(spec, [rays])
     scans = range(len(rays.kind))
     for order in permutations(scans):
-        assert time(spec, [take(rays, list(order))], window_cells)[0] == whole
-    single, other = time(spec, [take(rays, [s]) for s in scans], window_cells)
-    assert single == whole
-    assert np.array_equal(other.tiles, times.tiles)
-    assert np.array_equal(other.observed, times.observed)
+        assert_equal(keep(spec, [take(rays, list(order))], window_cells), whole)
+        assert_equal(keep(spec, [take(rays, [s]) for s in order], window_cells), whole)
 
 
 def drive_about(scans: int) -> Rays:
@@ -146,9 +156,9 @@ def drive_about(scans: int) -> Rays:
 
 
 @KINDS_OF_MAP
-def test_threads_give_the_same_times(kind_of_map: int) -> None:
-    rays, spec = drive_about(24), replace(all_specs(0.05)[kind_of_map], slice_ns=SLICE)
-    engine = TimedEngine(spec, window_cells=1 << 16)
+def test_threads_give_the_same_slices(kind_of_map: int) -> None:
+    rays, spec = drive_about(24), all_specs(0.05)[kind_of_map]
+    engine = SlicedEngine(spec, SLICE, window_cells=1 << 16)
 
     def work(mine: int) -> None:
         for s in range(mine, 24, 4):
@@ -160,7 +170,18 @@ def test_threads_give_the_same_times(kind_of_map: int) -> None:
     for thread in threads:
         thread.join()
     engine.finish()
-    assert spread(engine.read_times()[0]) == look_scan_by_scan(spec, rays)
+    (slices,) = engine.read_slices()
+    assert spread(slices) == look_scan_by_scan(spec, rays)
+
+
+def test_a_map_that_slices_make_too_large_is_refused() -> None:
+    """No slice by itself does: each is of one tile, and they lie ten tiles apart."""
+    engine = SlicedEngine(all_specs(1.0)[0], SLICE, max_cells=1000)
+    far = one_beam([0, 1000, 2000])
+    for s in range(3):
+        engine.add(replace(take(far, [s]), origin=np.full((1, 1, 2), 640.5 * s)))
+    with pytest.raises(MapError, match="more than --max-cells 1000"):
+        engine.finish()
 
 
 def one_beam(stamps: list[int]) -> Rays:
@@ -189,14 +210,8 @@ def one_beam(stamps: list[int]) -> Rays:
     ],
 )
 def test_two_visits_are_a_slice_apart(stamps: list[int], visits: int) -> None:
-    spec = replace(all_specs(1.0)[0], slice_ns=SLICE)
-    found, _ = time(spec, [one_beam(stamps)])
-    first, last = min(stamps), max(stamps)
-    assert found == {
-        (0, 0): (first, last, 0, visits),
-        (0, 1): (first, last, 0, visits),
-        (0, 2): (first, last, visits, visits),
-    }
+    found = spread_visits(keep(all_specs(1.0)[0], [one_beam(stamps)]))
+    assert found == {(0, 0): (0, visits), (0, 1): (0, visits), (0, 2): (visits, visits)}
 
 
 def look_both_ways(stamps: list[int], hits: list[int]) -> Rays:
@@ -225,23 +240,21 @@ def look_both_ways(stamps: list[int], hits: list[int]) -> Rays:
     ],
 )
 def test_a_visit_that_hits_again_and_again_is_one(hits: list[int], visits: int) -> None:
-    spec = replace(all_specs(1.0)[0], slice_ns=SLICE)
     stamps = [0, 10, 20, 30, 40, 100, 110]
-    found, _ = time(spec, [look_both_ways(stamps, hits)])
-    assert found[0, 2] == (0, 110, visits, 2)
+    slices = keep(all_specs(1.0)[0], [look_both_ways(stamps, hits)])
+    assert spread_visits(slices)[0, 2] == (visits, 2)
 
 
-def test_every_stamp_that_there_can_be_is_kept() -> None:
-    stamps = np.array([LIMITS.min, -1, 0, 1, 1_700_000_000_123_456_789, LIMITS.max])
-    codes = encode_stamps(stamps)
-    assert (np.diff(codes[:, 1].astype(object)) > 0).all()
-    assert (np.diff(codes[:, 0].astype(object)) < 0).all()
-    for back in decode_stamps(codes[:, 0], codes[:, 1]):
-        assert back.tolist() == stamps.tolist()
-    found, _ = time(all_specs(1.0)[0], [one_beam([LIMITS.min, LIMITS.max])])
-    assert found[0, 2] == (LIMITS.min, LIMITS.max, 2, 2)
+def test_every_stamp_that_there_can_be_has_a_slice() -> None:
+    slices = keep(all_specs(1.0)[0], [one_beam([LIMITS.min, -1, 0, LIMITS.max])])
+    first, last = LIMITS.min // SLICE, LIMITS.max // SLICE
+    assert spread(slices)[0, 2].hit == {int(first), -1, 0, int(last)}
+    assert spread_visits(slices)[0, 2] == (3, 3)
 
 
-def test_nothing_observed_has_no_times() -> None:
-    times = TimeGrid().read()
-    assert [len(part) for part in (times.tiles, times.observed, times.first_ns)] == [0, 0, 0]
+def test_nothing_observed_has_no_slices() -> None:
+    engine = SlicedEngine(all_specs(1.0)[0], SLICE)
+    assert not engine.finish().tiles
+    (slices,) = engine.read_slices()
+    assert spread(slices) == {}
+    assert list(split_tiles(slices)) == []
