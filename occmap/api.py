@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from occmap.errors import UsageError
-from occmap.pipeline import BuildOptions, build
+from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build, choose_model
 from occmap.plugins import suggest
 from occmap.readers import Log, open_log
 from occmap.sensor.models import parse_model
@@ -34,6 +34,8 @@ def build_map(*logs: str | Path, **options: Any) -> OccupancyMap:
         options["update"] = parse_update(options["update"])
     if isinstance(options.get("model"), str):
         options["model"] = parse_model(options["model"])
+    elif "model" not in options:
+        options["model"] = choose_model(options.get("update", DEFAULT_UPDATE))
     return build([Path(log) for log in logs], BuildOptions(**options)).map
 
 

@@ -47,6 +47,15 @@ MOST_OFFSET = 10
 """Cells; a hit that lies deeper in a wall is none."""
 DEFAULT_UPDATE = Update.SURFACE
 
+
+def choose_model(update: Update) -> SensorModel:
+    """The model that an update is used with where nobody names one, by evidence.
+
+    A scan counts once in the polygon update, and its joined borders thicken walls by themselves.
+    """
+    return CountingModel(cut=0.4, spread=0.0) if update is Update.POLYGON else CountingModel()
+
+
 Progress = Callable[[int, int], None]
 """Told, now and then, how many scans were read since the last call and how many there are."""
 
@@ -64,7 +73,7 @@ class BuildOptions:
     posing: PosingOptions = field(default_factory=PosingOptions)
     selection: Selection = field(default_factory=Selection)
     writing: WriteOptions = field(default_factory=WriteOptions)
-    jump: float = 0.2
+    jump: float = 0.1
     """Neighbouring beams see one surface where ranges differ by at most this (m; not beam)"""
     border_gap: int = 8
     """... and its border is closed between end cells at most this far apart (cells; polygon)"""
@@ -87,7 +96,7 @@ class BuildOptions:
         if self.jobs < 1:
             raise UsageError(f"{self.jobs} jobs are not possible", fix="give --jobs 1 or more")
         if not self.jump >= 0:
-            raise UsageError(f"a jump of {self.jump} m is not possible", fix="try --jump 0.2")
+            raise UsageError(f"a jump of {self.jump} m is not possible", fix="try --jump 0.1")
         if not 0 <= self.hit_offset <= MOST_OFFSET:
             raise UsageError(
                 f"a hit offset of {self.hit_offset} cells is not possible",

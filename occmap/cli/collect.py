@@ -8,10 +8,10 @@ from typing import Any, TypeVar
 
 from occmap.batching import Selection
 from occmap.errors import UsageError
-from occmap.pipeline import DEFAULT_UPDATE, BuildOptions
+from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions
-from occmap.sensor.models import SensorModel, parse_model
+from occmap.sensor.models import SensorModel, describe_model, parse_model
 from occmap.sensor.returns import ReturnOptions
 from occmap.types import Update
 from occmap.writers import WriteOptions
@@ -38,7 +38,7 @@ def collect_options(update: Update, values: Values) -> BuildOptions:
     return replace(
         collect_reading(values),
         update=update,
-        model=collect_model(values),
+        model=collect_model(values, choose_model(update)),
         writing=take(WriteOptions, values),
     )
 
@@ -66,15 +66,17 @@ def take(group: type[Group], values: Values) -> Group:
     return group(**{name: values[name] for name in names if name in values})
 
 
-def collect_model(values: Values) -> SensorModel:
+def collect_model(values: Values, usual: SensorModel) -> SensorModel:
     """Make the sensor model; a shorthand such as --p-hit goes before what --model says.
+
+    `usual` is the one to take where --model says nothing.
 
     Raises
     ------
     UsageError
         No such model, or a parameter that it does not have or allow.
     """
-    text: str = values["model_text"]
+    text = values["model_text"] or describe_model(usual)
     name = text.partition(":")[0]
     given = {key: values[key] for key in SHORTHANDS if values[key] is not None}
     known = [field.name for field in fields(parse_model(name))]  # type: ignore[arg-type]  # as above
@@ -82,7 +84,8 @@ def collect_model(values: Values) -> SensorModel:
         if key not in known:
             raise UsageError(
                 f"{list_flags([key])} does not go with the model {name}",
-                fix=f"it has {list_flags([key for key in SHORTHANDS if key in known])}",
+                fix=f"it has {list_flags([key for key in SHORTHANDS if key in known])}; see "
+                "`occmap models` for --model",
             )
     pairs = [text.partition(":")[2], *(f"{key}={value!r}" for key, value in given.items())]
     return parse_model(f"{name}:{','.join(filter(None, pairs))}")

@@ -178,7 +178,7 @@ model_parameters = join(
     number("--clamp-max", "... and none more probably than this."),
 )
 model = join(
-    model_option(default=DEFAULTS.model.name, show_default=describe_model(DEFAULTS.model)),
+    model_option(show_default=describe_model(DEFAULTS.model)),
     model_parameters,
 )
 saved_model = join(model_option(show_default="what it was built with"), model_parameters)

@@ -15,6 +15,7 @@ from occmap.cli.summary import (
     label_files,
 )
 from occmap.errors import UsageError
+from occmap.evidence import read_model
 from occmap.evidence.publishing import RenderOptions, publish
 from occmap.gates import judge
 from occmap.report import Report
@@ -66,10 +67,9 @@ def choose_model(evidence: Evidence, values: dict[str, Any]) -> SensorModel | No
     UsageError
         No such model, or a parameter that it does not have or allow.
     """
-    text = values.get("model_text")
-    if text is None and all(values.get(name) is None for name in SHORTHANDS):
+    if all(values.get(name) is None for name in ("model_text", *SHORTHANDS)):
         return None
-    return collect_model({**values, "model_text": text or evidence.manifest.model})
+    return collect_model(values, read_model(evidence))
 
 
 def format_saved(report: Report) -> str:

@@ -70,7 +70,7 @@ class GridSpec:
 
     update: Update
     lattice: Lattice
-    jump: float = 0.2
+    jump: float = 0.1
     """Neighbours whose ranges differ by at most this (m) see the same surface (not for beam)"""
     border_gap: int = 8
     """... and the border is closed over at most so many cells (polygon)"""

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from itertools import product
 
 from occmap.evidence.manifest import describe_profile
+from occmap.pipeline import choose_model
 from occmap.sensor.models import SensorModel, make_model, parse_model
 from occmap.types import Update
 
-DEFAULT_MODELS = ("counting", "simple", "quadratic")
+DEFAULT_MODELS = ("simple", "quadratic")
+"""Beside the one that an update is used with"""
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,10 @@ def combine(updates: Sequence[Update], models: Sequence[SensorModel]) -> list[Va
     UsageError
         A model does not load.
     """
-    models = models or [parse_model(text) for text in DEFAULT_MODELS]
-    pairs = product(updates or list(Update), models)
-    return list({each.name: each for each in (Variant(*pair) for pair in pairs)}.values())
+    others = models or [parse_model(text) for text in DEFAULT_MODELS]
+    variants = [
+        Variant(update, model)
+        for update in updates or list(Update)
+        for model in ([] if models else [choose_model(update)]) + list(others)
+    ]
+    return list({each.name: each for each in variants}.values())

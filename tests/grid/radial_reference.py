@@ -89,7 +89,7 @@ def trace_radial_surfaces(rays: Rays, resolution: float, model: Quadratic) -> Ob
     """As along each beam, for those drawn between neighbours, too; each as often as it weighs."""
     observed = Observed()
     for s in range(rays.kind.shape[0]):
-        for beam in list_beams(rays, s, resolution, 0.2, model.depth):
+        for beam in list_beams(rays, s, resolution, 0.1, model.depth):
             for cell in bresenham(cell_of(beam.start), cell_of(beam.end)):
                 d = math.hypot(*centre_from(beam.sensor, cell, resolution))
                 for _ in range(beam.weight):

@@ -75,7 +75,7 @@ class Beam(NamedTuple):
 
 
 def trace_surfaces(
-    rays: Rays, resolution: float, jump: float = 0.2
+    rays: Rays, resolution: float, jump: float = 0.1
 ) -> tuple[Counter[Cell], Counter[Cell]]:
     """Hits and misses of the surface update."""
     hits: Counter[Cell] = Counter()
@@ -126,7 +126,7 @@ def list_beams(
 
 
 def trace_polygons(
-    rays: Rays, resolution: float, jump: float = 0.2, border_gap: int = 8
+    rays: Rays, resolution: float, jump: float = 0.1, border_gap: int = 8
 ) -> tuple[Counter[Cell], Counter[Cell]]:
     """Hits and misses of the polygon update."""
     hits: Counter[Cell] = Counter()

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-
 from occmap.readers.no_return import RangeTally, find_limit
 
 
