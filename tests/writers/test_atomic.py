@@ -8,7 +8,7 @@ from occmap.writers.atomic import check_target, open_atomic
 
 
 def test_writes_the_file_and_nothing_else(tmp_path: Path) -> None:
-    with open_atomic(tmp_path / "map.pgm") as file:
+    with open_atomic(tmp_path / "map.pgm") as (file,):
         file.write(b"new")
         assert not (tmp_path / "map.pgm").exists()
     assert [entry.name for entry in tmp_path.iterdir()] == ["map.pgm"]
@@ -16,7 +16,7 @@ def test_writes_the_file_and_nothing_else(tmp_path: Path) -> None:
 
 
 def test_file_has_the_permissions_of_any_new_file(tmp_path: Path) -> None:
-    with open_atomic(tmp_path / "a") as file:
+    with open_atomic(tmp_path / "a") as (file,):
         file.write(b"")
     (tmp_path / "b").write_bytes(b"")
     assert (tmp_path / "a").stat().st_mode == (tmp_path / "b").stat().st_mode
@@ -30,7 +30,7 @@ def test_an_interrupted_write_keeps_the_old_file(
     target.write_bytes(b"old")
 
     def interrupt_halfway() -> None:
-        with open_atomic(target) as file:
+        with open_atomic(target) as (file,):
             file.write(b"half")
             raise failure
 
