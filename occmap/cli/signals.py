@@ -1,5 +1,6 @@
 """The signals that end a command, each as Ctrl-C does and with an exit code of its own."""
 
+import os
 import signal
 import sys
 from threading import Timer
@@ -52,4 +53,12 @@ class Signals:
             sys.__unraisablehook__(dropped)
         elif issubclass(dropped.exc_type, KeyboardInterrupt):
             self._raised_at = 0.0
-            Timer(0.01, signal.raise_signal, [self.number]).start()
+            Timer(0.01, send_to_itself, [self.number]).start()
+
+
+def send_to_itself(number: int) -> None:
+    """Send this process a signal, such that its main thread wakes up if it waits."""
+    if sys.platform == "win32":  # there, os.kill ends a process at once
+        signal.raise_signal(number)
+    else:
+        os.kill(os.getpid(), number)

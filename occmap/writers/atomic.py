@@ -87,8 +87,8 @@ def open_atomic(*paths: Path) -> Iterator[Sequence[BinaryIO]]:
             for file in files:
                 file.flush()
                 os.fsync(file.fileno())
-        # One call into C, so that no signal is answered between two renames.
-        list(map(os.replace, map(str, temporaries), map(str, targets)))
+        names = [str(each) for each in temporaries], [str(each) for each in targets]
+        list(map(os.replace, *names))  # all of it in C: no signal is answered between two renames
         for folder in {target.parent for target in targets}:
             sync_folder(folder)
     except OSError as error:
