@@ -117,7 +117,10 @@ def sync_folder(folder: Path) -> None:
     """Make what was renamed in a folder last through a power cut, where the system can do so."""
     if sys.platform == "win32":
         return
-    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+    except PermissionError:  # it may be written, but not read
+        return
     try:
         os.fsync(descriptor)
     except OSError as error:

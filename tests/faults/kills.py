@@ -50,7 +50,7 @@ def kill_once(scene: Scene, kind: signal.Signals, dice: random.Random) -> str:
         time.sleep(dice.uniform(0.03, 1.0))
     else:
         while process.poll() is None and not any(scene.folder.glob(f"{TEMPORARY}*")):
-            pass
+            time.sleep(0.0002)
         time.sleep(dice.uniform(0, 0.005))
     process.send_signal(kind)
     out, err = process.communicate(timeout=60)
