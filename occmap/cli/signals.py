@@ -13,6 +13,14 @@ GRACE_S = 1.0
 """A terminal that closes may send two signals; the second must not break off the clearing up."""
 
 
+class Interrupted(KeyboardInterrupt):
+    """A signal came.
+
+    Not KeyboardInterrupt itself: once that has passed through exec(), Python ends the process by
+    SIGINT, whatever its exit code was to be.
+    """
+
+
 class Signals:
     """What came of the signals, for one process."""
 
@@ -27,7 +35,7 @@ class Signals:
         return 128 + (self.number or signal.SIGINT)
 
     def listen(self) -> None:
-        """Raise KeyboardInterrupt at each signal, unless the parent has it ignored (nohup)."""
+        """Raise Interrupted at each signal, unless the parent has it ignored (nohup)."""
         for name in NAMES:
             number = getattr(signal, name, None)  # Windows has no SIGHUP
             if number and signal.getsignal(number) in {signal.SIG_DFL, signal.default_int_handler}:
@@ -45,7 +53,7 @@ class Signals:
         if self.number is None or monotonic() > self._raised_at + GRACE_S:
             self.number = self.number or number
             self._raised_at = monotonic()
-            raise KeyboardInterrupt
+            raise Interrupted
 
     def raise_later(self, dropped: Any) -> None:
         """Send a signal again that came in a destructor, where Python drops every exception."""

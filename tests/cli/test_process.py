@@ -76,6 +76,26 @@ cli.main()
 """
 
 
+SIGNAL_IN_EXEC = """
+import signal, sys
+from occmap import cli
+
+def interrupt(*_, **__):
+    exec("signal.raise_signal(signal.SIGTERM)")
+
+cli.cli.make_context = interrupt
+cli.main()
+"""
+
+
+def test_the_exit_code_is_that_of_the_signal_also_inside_exec() -> None:
+    """Where dataclasses are made, for one: Python would end the process by SIGINT."""
+    done = subprocess.run(
+        [sys.executable, "-c", SIGNAL_IN_EXEC], capture_output=True, check=False, text=True
+    )
+    assert (done.returncode, done.stderr.count("\n")) == (143, 1)
+
+
 @pytest.mark.parametrize(
     ("name", "jobs", "code"),
     [("SIGINT", "1", 130), ("SIGINT", "2", 130), ("SIGTERM", "2", 143), ("SIGHUP", "2", 129)],

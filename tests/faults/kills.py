@@ -19,6 +19,7 @@ TEMPORARY = ".occmap-"
 
 def kill_at_random(folder: Path, runs: int, seed: int) -> Counter[str]:
     """Kill each command with each signal in turn; count what came of it, faults by name."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
     dice = random.Random(seed)
     outcomes: Counter[str] = Counter()
     home = Path.cwd()
