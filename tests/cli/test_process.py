@@ -88,11 +88,11 @@ cli.main()
 """
 
 
-def test_the_exit_code_is_that_of_the_signal_also_inside_exec() -> None:
-    """Where dataclasses are made, for one: Python would end the process by SIGINT."""
-    done = subprocess.run(
-        [sys.executable, "-c", SIGNAL_IN_EXEC], capture_output=True, check=False, text=True
-    )
+def test_the_exit_code_is_that_of_the_signal_also_inside_exec(tmp_path: Path) -> None:
+    """Where dataclasses are made, for one: under -m Python would end the process by SIGINT."""
+    (tmp_path / "interrupted.py").write_text(SIGNAL_IN_EXEC)
+    command = [sys.executable, "-m", "interrupted"]
+    done = subprocess.run(command, capture_output=True, check=False, text=True, cwd=tmp_path)
     assert (done.returncode, done.stderr.count("\n")) == (143, 1)
 
 
