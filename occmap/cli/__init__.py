@@ -14,7 +14,7 @@ from io import TextIOWrapper
 import click
 
 from occmap.cli.console import Console, discard_stdout
-from occmap.cli.signals import Signals
+from occmap.cli.signals import Interrupted, Signals
 from occmap.errors import OccmapError, UsageError
 
 COMMANDS = {
@@ -148,7 +148,11 @@ def main() -> None:
         cli.main(prog_name="occmap")
     signals = Signals()
     signals.listen()
-    code = run(sys.argv[1:], signals)
-    signals.ignore()
+    code = None
+    try:
+        code = run(sys.argv[1:], signals)
+        signals.ignore()
+    except Interrupted:  # just when run had answered
+        code = signals.exit_code if code is None else code
     gc.freeze()  # or Python would look through all that is loaded once more before it ends
     sys.exit(code)
