@@ -60,8 +60,8 @@ class Signals:
         if self.number is None:
             sys.__unraisablehook__(dropped)
         elif issubclass(dropped.exc_type, KeyboardInterrupt):
-            self._raised_at = 0.0
-            Timer(0.01, send_to_itself, [self.number]).start()
+            self._raised_at = 0.0  # the timer below must not run out before this has returned
+            Timer(0.2, send_to_itself, [self.number]).start()
 
 
 def send_to_itself(number: int) -> None:
