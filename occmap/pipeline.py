@@ -38,6 +38,7 @@ from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Evidence, OccupancyMap, Rays, Scan, Slices, Update
 from occmap.workers import Workers, count_cores
 from occmap.writers import Product, WriteOptions, check_outputs, want_evidence, write_outputs
+from occmap.writers.atomic import hold_alone
 
 if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
     from occmap.grid.engine import GridEngine
@@ -140,8 +141,17 @@ def build(
         A log cannot be read, has no scans or no poses, the map would be too large, or an output
         cannot be written.
     """
+    inputs = [*paths, *(path / "metadata.yaml" for path in paths)]  # of a folder that is a bag
+    check_outputs(outputs, [*inputs, Path(options.posing.poses or "")])
+    with hold_alone(options.resume, outputs):
+        return build_alone(paths, options, outputs, progress)
+
+
+def build_alone(
+    paths: Sequence[Path], options: BuildOptions, outputs: Sequence[Path], progress: Progress
+) -> Build:
+    """Build and write a map, while nobody else adds to the same evidence."""
     tally = Tally()
-    check_outputs(outputs)
     plan = plan_manifest(options)
     saved = open_saved(options.resume, plan) if options.resume else None
     with tally.time("open"):

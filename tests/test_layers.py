@@ -34,7 +34,7 @@ BUILD_COMMAND = {
     f"occmap.cli.{name}"
     for name in [
         *("build", "collect", "console", "limits", "log_options", "options", "progress"),
-        *("sections", "summary", "values"),
+        *("sections", "signals", "summary", "values"),
     ]
 }
 

@@ -14,6 +14,7 @@ from io import TextIOWrapper
 import click
 
 from occmap.cli.console import Console, discard_stdout
+from occmap.cli.signals import Interrupted, Signals
 from occmap.errors import OccmapError, UsageError
 
 COMMANDS = {
@@ -31,8 +32,6 @@ COMMANDS = {
 }
 """Each is `command` in the module of its name here; the texts are what --help says of it."""
 
-INTERRUPTED = 130
-"""As shells have it: 128 and the number of the signal."""
 NEW_OBJECTS = 100_000
 """Allocations between two garbage collections; at Python's 700 an import sets off many."""
 
@@ -88,23 +87,31 @@ def cli() -> None:
     """
 
 
-def run(args: Sequence[str]) -> int:
+def run(args: Sequence[str], signals: Signals | None = None) -> int:
     """Run a command line and return its exit code; no error leaves this function."""
+    signals = signals or Signals()
     console = Console(as_json="--json" in args)  # so that errors in the other words are JSON, too
     try:
         with cli.make_context("occmap", list(args) or ["--help"], obj=console) as context:
             cli.invoke(context)
     except click.exceptions.Exit as done:
         return done.exit_code
-    except OccmapError as error:
-        return console.fail(error, error.exit_code)
-    except click.ClickException as error:
-        return console.fail(describe_misuse(error), error.exit_code)
-    except (KeyboardInterrupt, click.Abort):
-        return console.fail(OccmapError("interrupted: nothing more is written"), INTERRUPTED)
-    except Exception as error:  # noqa: BLE001  whatever it is, the user gets one line
-        return answer_unforeseen(error, console)
+    except BaseException as error:  # noqa: BLE001  whatever it is, the user gets one line
+        # A library that a signal comes upon may raise an error of its own.
+        if signals.number or isinstance(error, KeyboardInterrupt | click.Abort):
+            interrupted = OccmapError("interrupted: nothing more is written")
+            return console.fail(interrupted, signals.exit_code)
+        return answer(error, console)
     return 0
+
+
+def answer(error: BaseException, console: Console) -> int:
+    """Say in one line what went wrong; return the exit code."""
+    if isinstance(error, OccmapError):
+        return console.fail(error, error.exit_code)
+    if isinstance(error, click.ClickException):
+        return console.fail(describe_misuse(error), error.exit_code)
+    return answer_unforeseen(error, console)
 
 
 def describe_misuse(error: click.ClickException) -> OccmapError:
@@ -114,7 +121,7 @@ def describe_misuse(error: click.ClickException) -> OccmapError:
     return UsageError(found, fix=f"see `{context.command_path} --help`" if context else "")
 
 
-def answer_unforeseen(error: Exception, console: Console) -> int:
+def answer_unforeseen(error: BaseException, console: Console) -> int:
     """Answer what no layer foresaw: the system refused something, or occmap has a fault."""
     if isinstance(error, BrokenPipeError):  # who reads the output has seen enough
         discard_stdout()
@@ -139,6 +146,13 @@ def main() -> None:
             stream.reconfigure(errors="backslashreplace")
     if "_OCCMAP_COMPLETE" in os.environ:  # a shell asks for what a word may be completed to
         cli.main(prog_name="occmap")
-    code = run(sys.argv[1:])
+    signals = Signals()
+    signals.listen()
+    code = None
+    try:
+        code = run(sys.argv[1:], signals)
+        signals.ignore()
+    except Interrupted:  # just when run had answered
+        code = signals.exit_code if code is None else code
     gc.freeze()  # or Python would look through all that is loaded once more before it ends
     sys.exit(code)

@@ -62,7 +62,7 @@ class Console:
                 self.put_json("error", {"error": {"exit_code": code, **parts}})
         return code
 
-    def fail_unexpectedly(self, error: Exception) -> int:
+    def fail_unexpectedly(self, error: BaseException) -> int:
         """Print a fault of occmap itself: one line, and the traceback where it is wanted."""
         if self.verbosity is Verbosity.VERBOSE:
             import traceback  # noqa: PLC0415  late: rarely wanted

@@ -69,7 +69,7 @@ fail_above = option(
 def command(console: Console, /, before: Path, after: Path, **values: Any) -> None:
     """Compare two maps, paint the changes, and hold the limit."""
     if values["output"] is not None:
-        check_picture(values["output"])
+        check_picture(values["output"], [before, after])
     thresholds = take(WriteOptions, values)
     difference = compare_maps(load_map(before, thresholds), load_map(after, thresholds))
     if values["output"]:

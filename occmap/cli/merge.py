@@ -45,7 +45,7 @@ def command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> None
     """Add and subtract evidence, and write what comes out."""
     if not paths:
         raise UsageError("no evidence is given", fix="type: occmap merge A.npz B.npz -o AB.npz")
-    refuse_no_output(values["outputs"], "merged.npz")
+    refuse_no_output(values["outputs"], "merged.npz", [*paths, *values["subtract"]])
     evidence = merge([read_evidence(path) for path in paths])
     for path in values["subtract"]:
         evidence = subtract(evidence, read_evidence(path))

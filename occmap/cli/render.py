@@ -61,5 +61,5 @@ part = option(
 @click.pass_obj
 def command(console: Console, /, path: Path, **values: Any) -> None:
     """Read evidence, and write a map of it."""
-    refuse_no_output(values["outputs"], "map.pgm")
+    refuse_no_output(values["outputs"], "map.pgm", [path])
     put_out(console, "render", read_evidence(path), values)

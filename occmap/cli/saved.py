@@ -1,5 +1,6 @@
 """What the commands on saved evidence share: writing what it makes, and saying so."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -46,17 +47,17 @@ def put_out(console: Console, command: str, evidence: Evidence, values: dict[str
     limits.leave(failed)
 
 
-def refuse_no_output(outputs: tuple[Path, ...], example: str) -> None:
+def refuse_no_output(outputs: tuple[Path, ...], example: str, inputs: Sequence[Path]) -> None:
     """Refuse, before anything is read, work that nobody would see or that cannot be written.
 
     Raises
     ------
     UsageError, OutputError
-        No output is given, or one that cannot be made.
+        No output is given, or one that cannot be made or is an input.
     """
     if not outputs:
         raise UsageError("where to write is not given", fix=f"add -o {example}")
-    check_outputs(outputs)
+    check_outputs(outputs, inputs)
 
 
 def choose_model(evidence: Evidence, values: dict[str, Any]) -> SensorModel | None:

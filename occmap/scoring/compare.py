@@ -117,7 +117,7 @@ def compare(
         As `build`, or no held-out beam measured a range.
     """
     if picture is not None:
-        check_picture(picture)
+        check_picture(picture, paths)
     tally = Tally()
     logs = [open_log(path, options.reading) for path in paths]
     total = sum(count_scans(log, options.selection.topics) for log in logs)

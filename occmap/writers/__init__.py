@@ -15,7 +15,7 @@ from typing import Protocol, cast, runtime_checkable
 from occmap.errors import UsageError
 from occmap.plugins import list_plugins, load_plugin
 from occmap.types import Decision, Evidence, OccupancyMap
-from occmap.writers.atomic import check_target
+from occmap.writers.atomic import check_target, follow_links
 
 BAND_CELLS = 1 << 22
 """Cells that are turned into pixels at once, so that a large map needs no second copy in floats."""
@@ -146,34 +146,53 @@ def find_writer(path: Path) -> Writer | EvidenceWriter:
     return cast(Writer | EvidenceWriter, writer_class())
 
 
-def check_outputs(outputs: Sequence[Path]) -> None:
+def check_outputs(outputs: Sequence[Path], inputs: Sequence[Path] = ()) -> None:
     """Find out before the work starts what could not be written after it.
 
     Raises
     ------
     UsageError, OutputError
-        A suffix that no writer has, two outputs that are one file, or a file that cannot be made.
+        A suffix that no writer has, two outputs that are one file, a file that cannot be made, or
+        one that is an input.
     """
     targets = [target for path in outputs for target in find_writer(path).targets(path)]
-    for target in targets:
+    files = [follow_links(target) for target in targets]
+    for target, file in zip(targets, files, strict=True):
         check_target(target)
-        if targets.count(target) > 1:
+        refuse_input(target, inputs)
+        if files.count(file) > 1:
             raise UsageError(
                 "would be written twice", where=target, fix="give each -o its own name"
             )
 
 
-def check_picture(path: Path) -> None:
+def check_picture(path: Path, inputs: Sequence[Path] = ()) -> None:
     """Find out before the work starts whether a picture of it could not be written.
 
     Raises
     ------
     UsageError, OutputError
-        It is to be no PNG, or cannot be made.
+        It is to be no PNG, cannot be made, or is an input.
     """
     if path.suffix.lower() != ".png":
         raise UsageError("the picture is a PNG", where=path, fix="give it a name that ends in .png")
     check_target(path)
+    refuse_input(path, inputs)
+
+
+def refuse_input(target: Path, inputs: Sequence[Path]) -> None:
+    """Refuse to write over what the same command reads.
+
+    Raises
+    ------
+    UsageError
+        The target is an input, under whatever name.
+    """
+    for path in inputs:
+        if path.exists() and target.exists() and target.samefile(path):
+            raise UsageError(
+                "is an input: it would be overwritten", where=target, fix="give -o another name"
+            )
 
 
 def want_evidence(outputs: Sequence[Path]) -> bool:

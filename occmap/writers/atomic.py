@@ -1,13 +1,29 @@
-"""Files that appear whole or not at all: a temporary name beside the target, then a rename."""
+"""Files that appear whole or not at all, also through a power cut.
 
+A file is written under a temporary name beside its target, synced, and renamed. Files that belong
+together are renamed one after the other when all are complete: if the machine stops between two
+renames, each is whole, but the first may be new and the next still the old one.
+"""
+
+import errno
+import logging
 import os
 import secrets
-from collections.abc import Iterator
-from contextlib import contextmanager
+import stat
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
 from occmap.errors import OutputError
+
+log = logging.getLogger(__name__)
+
+
+def follow_links(path: Path) -> Path:
+    """Find the file that writing to a path means: that at the end of its symbolic links."""
+    return Path(os.path.realpath(path))
 
 
 def check_target(path: Path) -> None:
@@ -16,11 +32,20 @@ def check_target(path: Path) -> None:
     Raises
     ------
     OutputError
-        The folder is missing or cannot be written, or the path is a folder itself.
+        The folder is missing or cannot be written, or the path cannot be that of a file.
     """
-    folder = path.parent
-    if path.is_dir():
+    target = follow_links(path)
+    try:
+        folder = (target if path.is_symlink() else path).parent
+        mode = target.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        mode = stat.S_IFREG
+    except OSError as error:  # the name is too long, or its links lead in a circle
+        raise OutputError(f"cannot be written ({error.strerror})", where=path) from None
+    if stat.S_ISDIR(mode):
         raise OutputError("is a folder, not a file", where=path, fix="give a file name")
+    if not stat.S_ISREG(mode):
+        raise OutputError("is a device or a pipe, not a file", where=path, fix="give a file name")
     if not folder.exists():
         raise OutputError(
             f"the folder {folder} does not exist", where=path, fix=f"create it: mkdir -p {folder}"
@@ -36,25 +61,99 @@ def check_target(path: Path) -> None:
 
 
 @contextmanager
-def open_atomic(path: Path) -> Iterator[BinaryIO]:
-    """Open a file for writing that replaces `path` only when the block ends without an error.
+def open_atomic(*paths: Path) -> Iterator[Sequence[BinaryIO]]:
+    """Open files for writing that replace those at `paths` only when the block ends well.
 
-    Whatever interrupts the block, Ctrl-C too, leaves no new file and an old one as it was.
+    Whatever interrupts the block, Ctrl-C too, leaves no new file and the old ones as they were.
+    A file that is replaced keeps its owner and mode; a symbolic link goes on pointing at it.
 
     Raises
     ------
     OutputError
-        The file cannot be written.
+        A file cannot be written.
     """
-    check_target(path)
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    for path in paths:
+        check_target(path)
+    targets = [follow_links(path) for path in paths]
+    # The name says nothing of the target's: that may be as long as a name can be.
+    temporaries = [each.with_name(f".occmap-{secrets.token_hex(8)}.tmp") for each in targets]
     try:
-        # Not tempfile: its files are readable by their owner only, whatever the umask says.
-        with temporary.open("xb") as file:
-            yield file
-        temporary.replace(path)
+        with ExitStack() as stack:
+            # Not tempfile: its files are readable by their owner only, whatever the umask says.
+            files = [stack.enter_context(each.open("xb")) for each in temporaries]
+            for temporary, target in zip(temporaries, targets, strict=True):
+                keep_access(temporary, target)
+            yield files
+            for file in files:
+                file.flush()
+                os.fsync(file.fileno())
+        names = [str(each) for each in temporaries], [str(each) for each in targets]
+        list(map(os.replace, *names))  # all of it in C: no signal is answered between two renames
+        for folder in {target.parent for target in targets}:
+            sync_folder(folder)
     except OSError as error:
         reason = error.strerror or type(error).__name__
-        raise OutputError(f"cannot be written ({reason})", where=path) from None
+        raise OutputError(f"cannot be written ({reason})", where=paths[0]) from None
     finally:
-        temporary.unlink(missing_ok=True)
+        for temporary in temporaries:
+            temporary.unlink(missing_ok=True)
+
+
+def keep_access(new: Path, old: Path) -> None:
+    """Give a new file the owner and the mode of the one that it is to replace, if there is one."""
+    try:
+        kept = old.stat()
+    except FileNotFoundError:
+        return
+    now = new.stat()
+    if (now.st_uid, now.st_gid) != (kept.st_uid, kept.st_gid):
+        with suppress(PermissionError):  # only root may give files away
+            os.chown(new, kept.st_uid, kept.st_gid)
+    if now.st_mode != kept.st_mode:
+        new.chmod(stat.S_IMODE(kept.st_mode))
+
+
+def sync_folder(folder: Path) -> None:
+    """Make what was renamed in a folder last through a power cut, where the system can do so."""
+    if sys.platform == "win32":
+        return
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+    except PermissionError:  # it may be written, but not read
+        return
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # some file systems do not sync folders
+            raise
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def hold_alone(path: Path | None, outputs: Sequence[Path]) -> Iterator[None]:
+    """Hold a file that is added to and replaced, if it is an output; another occmap waits for it.
+
+    The lock ends with the process. Where the system or the file system has no such locks, or the
+    file cannot be opened, it is not held.
+    """
+    if path is None or follow_links(path) not in map(follow_links, outputs):
+        yield
+        return
+    with ExitStack() as stack:
+        while sys.platform != "win32":
+            import fcntl  # noqa: PLC0415  Windows has none
+
+            try:
+                file = stack.enter_context(path.open("rb"))
+                try:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    log.warning("%s: waiting for another occmap that adds to it", path)
+                    fcntl.flock(file, fcntl.LOCK_EX)
+                if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                    break
+            except OSError:
+                break
+            stack.close()  # the other one has put a new file in its place
+        yield

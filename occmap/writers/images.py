@@ -63,5 +63,5 @@ def write_colours(path: Path, pixels: UInt8) -> None:
     OutputError
         It cannot be written; then nothing is left behind.
     """
-    with open_atomic(path) as file:
+    with open_atomic(path) as (file,):
         Image.fromarray(pixels).save(file, format="PNG")

@@ -87,7 +87,7 @@ class NpzWriter:
         head["checksum"] = compute_checksum(head, arrays)
         text = json.dumps(head, sort_keys=True, indent=1, allow_nan=False)
         arrays = {"manifest": np.frombuffer(text.encode(), np.uint8), **arrays}
-        with open_atomic(path) as file, zipfile.ZipFile(file, "w") as archive:
+        with open_atomic(path) as (file,), zipfile.ZipFile(file, "w") as archive:
             for name, array in arrays.items():
                 add_array(archive, name, array)
         return (path,)

@@ -68,7 +68,7 @@ def write_panels(path: Path, panels: Sequence[Panel]) -> None:
         for number, line in enumerate(panel.title):
             draw.text((left, top + number * LINE_PX), line, INK, font)
         picture.paste(Image.fromarray(panel.pixels), (left, top + layout.head))
-    with open_atomic(path) as file:
+    with open_atomic(path) as (file,):
         picture.save(file, format="PNG")
 
 

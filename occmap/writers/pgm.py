@@ -46,7 +46,7 @@ class PgmWriter:
         """
         image_path, yaml_path = self.targets(path)
         # The image is renamed first: a YAML never names an image that is not there.
-        with open_atomic(yaml_path) as yaml, open_atomic(image_path) as image:
+        with open_atomic(image_path, yaml_path) as (image, yaml):
             _write_image(image, grid, options)
             _write_yaml(yaml, describe_map(image_path.name, grid, options))
         return image_path, yaml_path

@@ -30,7 +30,7 @@ class PngWriter:
         OutputError
             It cannot be written; then nothing is left behind.
         """
-        with open_atomic(path) as file:
+        with open_atomic(path) as (file,):
             Image.fromarray(_paint(grid, options.shade)).save(file, format="PNG")
         return (path,)
 

@@ -71,12 +71,38 @@ def announce(*args):
     return build_map(*args)
 
 build.build = announce
-sys.exit(cli.run(["build", *sys.argv[1:]]))
+sys.argv.insert(1, "build")
+cli.main()
 """
 
 
-@pytest.mark.parametrize("jobs", ["1", "2"])
-def test_ctrl_c_leaves_one_line_and_no_file(tmp_path: Path, jobs: str) -> None:
+SIGNAL_IN_EXEC = """
+import signal, sys
+from occmap import cli
+
+def interrupt(*_, **__):
+    exec("signal.raise_signal(signal.SIGTERM)")
+
+cli.cli.make_context = interrupt
+cli.main()
+"""
+
+
+def test_the_exit_code_is_that_of_the_signal_also_inside_exec(tmp_path: Path) -> None:
+    """Where dataclasses are made, for one: under -m Python would end the process by SIGINT."""
+    (tmp_path / "interrupted.py").write_text(SIGNAL_IN_EXEC)
+    command = [sys.executable, "-m", "interrupted"]
+    done = subprocess.run(command, capture_output=True, check=False, text=True, cwd=tmp_path)
+    assert (done.returncode, done.stderr.count("\n")) == (143, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "jobs", "code"),
+    [("SIGINT", "1", 130), ("SIGINT", "2", 130), ("SIGTERM", "2", 143), ("SIGHUP", "2", 129)],
+)
+def test_a_signal_leaves_one_line_and_no_file(
+    tmp_path: Path, name: str, jobs: str, code: int
+) -> None:
     words = [*[DRIVE] * 500, "-o", str(tmp_path / "m.pgm"), "--jobs", jobs]
     process = subprocess.Popen(
         [sys.executable, "-c", ANNOUNCED_BUILD, *words],
@@ -87,8 +113,8 @@ def test_ctrl_c_leaves_one_line_and_no_file(tmp_path: Path, jobs: str) -> None:
     assert process.stdout is not None
     assert process.stdout.readline() == "begins\n"
     time.sleep(0.5)  # so many logs take far longer
-    process.send_signal(signal.SIGINT)
+    process.send_signal(signal.Signals[name])
     out, err = process.communicate(timeout=30)
-    assert (process.returncode, out) == (130, "")
+    assert (process.returncode, out) == (code, "")
     assert err == "error: interrupted: nothing more is written\n"
     assert list(tmp_path.iterdir()) == []

@@ -52,7 +52,7 @@ def test_a_build_needs_no_kernel_that_was_not_compiled_before(
     assert [len(kernel.signatures) for kernel in KERNELS] == compiled
 
 
-def test_machine_code_is_kept_for_just_these_sources(
+def test_machine_code_is_kept_for_just_these_sources_and_settings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
@@ -60,20 +60,13 @@ def test_machine_code_is_kept_for_just_these_sources(
     kernels.mkdir()
     monkeypatch.setattr(jit, "__file__", str(kernels / "jit.py"))
     folders = []
-    for text in ("one", "one", "another"):
+    for text, checks in (("one", "0"), ("one", "0"), ("another", "0"), ("another", "1")):
         (kernels / "called_by_others.py").write_text(text)
-        folders.append(jit.find_cache_folder.__wrapped__())
-    assert folders[0] == folders[1] != folders[2]
-    assert all(folder is not None and folder.parent == tmp_path for folder in folders)
-
-
-def test_a_folder_that_cannot_be_written_is_passed_over(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(jit, "list_bases", lambda: iter([Path("/dev/null/x"), tmp_path]))
-    folder = jit.find_cache_folder.__wrapped__()
-    assert folder is not None
-    assert folder.parent == tmp_path
+        monkeypatch.setenv("NUMBA_BOUNDSCHECK", checks)
+        folders.append(jit.list_folders.__wrapped__()[0])
+    assert folders[0] == folders[1]
+    assert len({*folders}) == 3
+    assert all(folder.parent == tmp_path for folder in folders)
 
 
 def test_kernels_that_cannot_be_kept_work_and_say_so_once() -> None:
@@ -107,13 +100,3 @@ def test_kept_machine_code_is_loaded_without_preparing_to_compile(tmp_path: Path
     ]
     assert prepared == ["True\n", "False\n"]
     assert maps[0].read_bytes() == maps[1].read_bytes()
-
-
-def test_a_numba_of_another_make_is_left_as_it_is() -> None:
-    class Other:
-        _cache = None
-
-    other = Other()
-    jit.load_kept_alone(other)
-    assert other._cache is None
-    jit.load_kept_alone(object())

@@ -1,5 +1,8 @@
+import errno
 import os
+import stat
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -8,7 +11,7 @@ from occmap.writers.atomic import check_target, open_atomic
 
 
 def test_writes_the_file_and_nothing_else(tmp_path: Path) -> None:
-    with open_atomic(tmp_path / "map.pgm") as file:
+    with open_atomic(tmp_path / "map.pgm") as (file,):
         file.write(b"new")
         assert not (tmp_path / "map.pgm").exists()
     assert [entry.name for entry in tmp_path.iterdir()] == ["map.pgm"]
@@ -16,7 +19,7 @@ def test_writes_the_file_and_nothing_else(tmp_path: Path) -> None:
 
 
 def test_file_has_the_permissions_of_any_new_file(tmp_path: Path) -> None:
-    with open_atomic(tmp_path / "a") as file:
+    with open_atomic(tmp_path / "a") as (file,):
         file.write(b"")
     (tmp_path / "b").write_bytes(b"")
     assert (tmp_path / "a").stat().st_mode == (tmp_path / "b").stat().st_mode
@@ -30,7 +33,7 @@ def test_an_interrupted_write_keeps_the_old_file(
     target.write_bytes(b"old")
 
     def interrupt_halfway() -> None:
-        with open_atomic(target) as file:
+        with open_atomic(target) as (file,):
             file.write(b"half")
             raise failure
 
@@ -86,3 +89,32 @@ def test_folder_without_permission(tmp_path: Path) -> None:
 def test_folder_that_refuses_new_files() -> None:
     with pytest.raises(OutputError), open_atomic(Path("/proc/map.pgm")):
         pytest.fail("the block must not run")
+
+
+@pytest.mark.parametrize("code", [errno.EINVAL, errno.EACCES, errno.EIO])
+def test_a_folder_that_cannot_be_synced_is_an_error_only_where_the_disk_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int
+) -> None:
+    """Some file systems sync no folders, and who may write into one may be barred from reading."""
+    plain_open, plain_fsync = os.open, os.fsync
+
+    def open_descriptor(path: Any, flags: int, *mode: int) -> int:
+        if Path(path) == tmp_path and code == errno.EACCES:
+            raise OSError(code, "refused")
+        return plain_open(path, flags, *mode)
+
+    def fsync(descriptor: int) -> None:
+        if stat.S_ISDIR(os.fstat(descriptor).st_mode):
+            raise OSError(code, "refused")
+        plain_fsync(descriptor)
+
+    monkeypatch.setattr(os, "open", open_descriptor)
+    monkeypatch.setattr(os, "fsync", fsync)
+    said = ""
+    try:
+        with open_atomic(tmp_path / "map.pgm") as (file,):
+            file.write(b"new")
+    except OutputError as error:
+        said = str(error)
+    assert ("refused" in said) == (code == errno.EIO)
+    assert (tmp_path / "map.pgm").read_bytes() == b"new"

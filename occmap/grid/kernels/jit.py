@@ -3,15 +3,22 @@
 import hashlib
 import logging
 import os
+import pickle
+import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
 from numba.core.runtime.nrt import rtsys
+from numba.core.serialize import dumps
 
 F = TypeVar("F", bound=Callable[..., Any])
+DIGEST_BYTES = hashlib.sha256().digest_size
 
 log = logging.getLogger(__name__)
 
@@ -21,68 +28,86 @@ def kernel(function: F) -> F:
 
     Where no folder can be written it still works, and compiles anew in every process.
     """
-    folder = find_cache_folder()
-    if folder is None:
-        return numba.njit(nogil=True, error_model="numpy")(function)  # type: ignore[return-value]  # as below
-    config: Any = numba.config
-    before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
-    try:
-        compiled = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
-    finally:
-        config.CACHE_DIR = before
-    load_kept_alone(compiled)
-    return compiled  # type: ignore[return-value]  # it is called like the function it was made of
+    compiled: Any = numba.njit(nogil=True, error_model="numpy")(function)
+    compiled._cache = KeptCode(f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}")
+    return compiled  # type: ignore[no-any-return]  # called like the function it was made of
 
 
-def load_kept_alone(compiled: Any) -> None:
-    """Load kept machine code without preparing to compile: a tenth of a second less at a start.
+class KeptCode(NullCache):
+    """The machine code of one kernel on disk, in numba's own interface of a cache.
 
-    Before it looks for kept code, numba imports and registers all that a function might call while
-    it is compiled. Of that, kept code needs the runtime that allocates arrays; and where there is
-    none to load, numba prepares once more before it compiles. A numba that is made otherwise is
-    left as it is.
+    A file is a SHA-256 and the bytes that it is of, since damaged machine code kills the process.
+    Whatever goes wrong while code is loaded is a miss: numba compiles, and the file is replaced.
     """
-    kept: Any = getattr(compiled, "_cache", None)
-    inner = "load_overload", "_load_overload", "_guard_against_spurious_io_errors"
-    if not all(hasattr(kept, name) for name in inner):
-        return
 
-    def load_overload(signature: Any, context: Any) -> Any:
-        rtsys.initialize(context)
-        with kept._guard_against_spurious_io_errors():
-            return kept._load_overload(signature, context)
+    def __init__(self, name: str) -> None:
+        self._name = name
 
-    kept.load_overload = load_overload
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load the code for these types, or None.
+
+        numba's own cache first imports and registers all that a function might call while it is
+        compiled, which takes a tenth of a second. Kept code needs only the runtime that allocates
+        arrays, and numba prepares once more where it has to compile.
+        """
+        for path in self._list_files(sig, target_context.codegen()):
+            with suppress(Exception):
+                content = path.read_bytes()
+                digest, code = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
+                if hashlib.sha256(code).digest() == digest:
+                    rtsys.initialize(target_context)
+                    rebuild: Callable[..., Any] = CompileResult._rebuild
+                    return rebuild(target_context, *pickle.loads(code))
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the code for these types in the first folder that takes it."""
+        if data.library.has_dynamic_globals:  # addresses that mean nothing to another process
+            return
+        for path in self._list_files(sig, data.codegen):
+            with suppress(Exception):
+                code: bytes = dumps(data._reduce())  # type: ignore[no-untyped-call]
+                path.parent.mkdir(parents=True, exist_ok=True)
+                # Not by way of a temporary file: whoever reads half of this one compiles.
+                path.write_bytes(hashlib.sha256(code).digest() + code)
+                return
+        warn_not_kept()
+
+    def _list_files(self, sig: Any, codegen: Any) -> Iterator[Path]:
+        """Where the code for these types and this processor may be."""
+        kind = hashlib.sha256(repr((sig, codegen.magic_tuple())).encode()).hexdigest()
+        return (folder / f"{self._name}-{kind[:16]}.code" for folder in list_folders())
 
 
 @cache
-def find_cache_folder() -> Path | None:
-    """Find a folder for the machine code of just these sources; None, and a warning, if none is.
-
-    numba compares only the file that a kernel stands in, not those of the kernels that it calls:
-    after an upgrade it would go on with the old ones. So the folder's name says what it is for.
-    """
-    sources = sorted(Path(__file__).parent.glob("*.py"))
-    digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
-    for base in list_bases():
-        folder = base / f"occmap-{digest[:16]}"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            continue
-        if os.access(folder, os.W_OK | os.X_OK):
-            return folder
+def warn_not_kept() -> None:
+    """Say once that no folder takes machine code."""
     log.warning(
         "compiled kernels cannot be kept: each run compiles anew, which takes some seconds; "
         "set NUMBA_CACHE_DIR to a folder that can be written"
     )
-    return None
+
+
+@cache
+def list_folders() -> tuple[Path, ...]:
+    """Name the folders for the machine code of just these sources, the preferred one first.
+
+    A kernel's code holds that of the kernels which it calls, so the folder's name stands for all
+    of them, and for what turned them into code.
+    """
+    sources = sorted(Path(__file__).parent.glob("*.py"))
+    digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources))
+    settings = sorted(item for item in os.environ.items() if item[0].startswith("NUMBA_"))
+    settings = [item for item in settings if item[0] != "NUMBA_CACHE_DIR"]  # says where, not what
+    digest.update(repr((sys.version, numba.__version__, settings)).encode())
+    return tuple(base / f"occmap-{digest.hexdigest()[:16]}" for base in list_bases())
 
 
 def list_bases() -> Iterator[Path]:
-    """Where machine code may be kept: where the user says, beside the source, or at home."""
+    """Where machine code may be kept: where the user says, or else beside the source or at home."""
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
         yield Path(chosen)
+        return
     yield Path(__file__).parent / "__pycache__"
     if home := os.environ.get("XDG_CACHE_HOME"):
         yield Path(home) / "occmap"

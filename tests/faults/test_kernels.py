@@ -1,0 +1,157 @@
+"""Kept machine code that is damaged, or cannot be kept: kernels work, and mend what is there."""
+
+import hashlib
+import io
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numba import float64
+
+from occmap.grid.kernels import jit
+from occmap.grid.kernels.jit import kernel
+from tests.samples import SAMPLE_LOGS
+
+
+def double(values: Any) -> Any:
+    return 2 * values
+
+
+def cut_to_nothing(file: Path) -> None:
+    file.write_bytes(b"")
+
+
+def cut_in_half(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+
+def flip_a_bit(file: Path) -> None:
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    file.write_bytes(content)
+
+
+def put_zeros(file: Path) -> None:
+    file.write_bytes(bytes(file.stat().st_size))
+
+
+def put_what_is_no_code(file: Path) -> None:
+    content = pickle.dumps(("of", "another", "make"))
+    file.write_bytes(hashlib.sha256(content).digest() + content)
+
+
+DAMAGE = [cut_to_nothing, cut_in_half, flip_a_bit, put_zeros, put_what_is_no_code]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(jit, "list_folders", lambda: (tmp_path / "kept",))
+    return tmp_path / "kept"
+
+
+def run_anew() -> tuple[float, int]:
+    """Call a kernel as a new process would; return its result and how often it was loaded."""
+    compiled: Any = kernel(double)
+    return compiled(21.0), sum(compiled.stats.cache_hits.values())
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damaged_code_is_compiled_anew_and_replaced(
+    folder: Path, damage: Callable[[Path], None]
+) -> None:
+    assert run_anew() == (42.0, 0)
+    assert run_anew() == (42.0, 1)
+    (file,) = folder.iterdir()
+    damage(file)
+    assert run_anew() == (42.0, 0)
+    assert run_anew() == (42.0, 1)
+
+
+def test_no_flipped_bit_is_ever_run(folder: Path) -> None:
+    run_anew()
+    (file,) = folder.iterdir()
+    whole = file.read_bytes()
+    compiled: Any = kernel(double)
+    loaded = []
+    for place in np.linspace(0, 8 * len(whole) - 1, 300).astype(int):
+        content = bytearray(whole)
+        content[place // 8] ^= 1 << place % 8
+        file.write_bytes(content)
+        numba_asks = compiled._cache.load_overload
+        loaded.append(numba_asks((float64,), compiled.targetctx))
+    assert loaded == [None] * 300
+    file.write_bytes(whole)
+    assert compiled._cache.load_overload((float64,), compiled.targetctx) is not None
+
+
+def test_code_that_cannot_be_read_or_written_is_done_without(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    run_anew()
+    (file,) = folder.iterdir()
+    file.unlink()
+    file.mkdir()  # neither a file to read nor a place to write one
+    jit.warn_not_kept.cache_clear()
+    assert run_anew() == (42.0, 0)
+    assert run_anew() == (42.0, 0)
+    (record,) = caplog.records
+    assert "cannot be kept" in record.message
+
+
+@pytest.mark.parametrize("fault", [OSError(28, "No space left on device"), MemoryError()])
+def test_a_full_disk_leaves_no_code_that_the_next_process_trusts(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, fault: Exception
+) -> None:
+    class FullDisk(io.FileIO):
+        def write(self, data: Any) -> int:
+            super().write(data[: len(data) // 2])
+            raise fault
+
+    with monkeypatch.context() as patch:
+        patch.setattr(io, "open", lambda path, mode, *_: FullDisk(path, mode))
+        jit.warn_not_kept()  # said already: this test is not about it
+        assert run_anew() == (42.0, 0)
+    (file,) = folder.iterdir()
+    assert file.stat().st_size > 100
+    assert run_anew() == (42.0, 0)
+    assert run_anew() == (42.0, 1)
+
+
+def test_code_is_loaded_from_a_folder_that_cannot_be_written(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_anew()
+    nowhere = Path("/dev/null/below a file")
+    monkeypatch.setattr(jit, "list_folders", lambda: (nowhere, folder))
+    assert run_anew() == (42.0, 1)
+    monkeypatch.setattr(jit, "list_folders", lambda: (nowhere, folder.with_name("another")))
+    assert run_anew() == (42.0, 0)
+    assert run_anew() == (42.0, 1)
+
+
+def test_a_build_mends_its_kernels(tmp_path: Path) -> None:
+    """Cut files, as a full disk leaves them, and every later build works."""
+    results = []
+    for number in range(2):
+        target = tmp_path / f"{number}.pgm"
+        words = ["build", str(SAMPLE_LOGS / "drive.mcap"), "-o", str(target), "-q", "--jobs", "1"]
+        done = subprocess.run(
+            [sys.executable, "-m", "occmap", *words],
+            capture_output=True,
+            check=False,
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+        )
+        files = sorted(path for path in (tmp_path / "cache").rglob("*") if path.is_file())
+        results.append((done.returncode, done.stderr, len(files), target.read_bytes()))
+        for file in files:
+            if file.name.startswith("project."):
+                cut_in_half(file)
+    assert results[0][:2] == (0, b"")
+    assert results[0][2] > 3
+    assert results == [results[0]] * 2

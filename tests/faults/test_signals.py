@@ -1,0 +1,151 @@
+"""A signal at any line of the writing: one line, the exit code of the signal, and no leftovers.
+
+With OCCMAP_FAULTS set, at every line; without, at every tenth or so.
+"""
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import pytest
+
+from occmap.cli import run
+from occmap.cli.signals import Signals
+from tests.faults.scene import Scene, set_up
+
+# A file that was being opened is left to its destructor.
+pytestmark = pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
+LINE = "error: interrupted: nothing more is written\n"
+
+
+class Bomb:
+    """Sends a signal to this process when it first comes to the n-th line of the writing."""
+
+    def __init__(self, signals: Signals, number: int) -> None:
+        self.lines: set[tuple[str, int]] = set()
+        self._signals = signals
+        self._number = number
+
+    def trace_calls(self, frame: FrameType, _event: str, _value: Any) -> Any:
+        if self.lines or frame.f_code.co_name == "write_outputs":
+            return self.trace_lines
+        return None
+
+    def trace_lines(self, frame: FrameType, event: str, _value: Any) -> Any:
+        place = frame.f_code.co_filename, frame.f_lineno
+        if event == "line" and place not in self.lines and not place[0].endswith("signals.py"):
+            self.lines.add(place)
+            if len(self.lines) == self._number:
+                sys.settrace(None)
+                self._signals.receive(signal.SIGTERM, frame)
+        return self.trace_lines
+
+
+@pytest.fixture
+def signals() -> Iterator[Signals]:
+    """Signals that listen, for the one that is sent again."""
+    names = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before, hook = [signal.getsignal(each) for each in names], sys.unraisablehook
+    yield Signals()
+    for each, handler in zip(names, before, strict=True):
+        signal.signal(each, handler)
+    sys.unraisablehook = hook
+
+
+def run_with_bomb(scene: Scene, number: int) -> tuple[int, int]:
+    """Run a command; return its exit code, and how many lines the writing has come to."""
+    scene.reset()
+    for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(each, signal.SIG_DFL)
+    signals = Signals()
+    signals.listen()
+    bomb = Bomb(signals, number)
+    sys.settrace(bomb.trace_calls)
+    try:
+        code = run(scene.words, signals)
+    except KeyboardInterrupt:  # run had returned
+        code = signals.exit_code
+    finally:
+        sys.settrace(None)
+        signals.ignore()
+    for thread in threading.enumerate():
+        if isinstance(thread, threading.Timer):  # about to send the signal again
+            thread.join()
+    return code, len(bomb.lines)
+
+
+@pytest.mark.usefixtures("signals")
+@pytest.mark.parametrize("command", ["build npz", "build pgm", "build png"])
+def test_a_signal_anywhere_while_files_are_written(
+    command: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    scene = set_up(tmp_path, command)
+    code, lines = run_with_bomb(scene, 0)
+    assert code == 0
+    step = 1 if "OCCMAP_FAULTS" in os.environ else max(1, lines // 60)
+    codes = []
+    capsys.readouterr()
+    for number in range(1, lines, step):
+        code, _ = run_with_bomb(scene, number)
+        said = capsys.readouterr().err
+        about = f"at line {number}: {code} {said}"
+        assert (code, said) in [(143, LINE), (0, "")], about
+        assert list(scene.list_wrong()) == [], about
+        if code == 0:
+            assert scene.is_done(), about
+        codes.append(code)
+    assert codes.count(143) > 0.9 * len(codes)
+
+
+@pytest.mark.usefixtures("signals")
+def test_a_signal_in_a_destructor_is_not_lost() -> None:
+    """Python drops what a destructor raises: the signal is sent again."""
+    signals = Signals()
+    signals.listen()
+
+    class Interrupted:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGHUP)
+
+    def work() -> None:
+        Interrupted()
+        time.sleep(10)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert signals.exit_code == 129
+
+
+@pytest.mark.usefixtures("signals")
+def test_of_two_signals_at_once_the_second_does_not_break_off_the_clearing_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    signals = Signals()
+    signals.listen()
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGTERM)
+    signal.raise_signal(signal.SIGHUP)
+    assert signals.exit_code == 143
+    signals.receive(signal.SIGINT, None)
+    monkeypatch.setattr("occmap.cli.signals.monotonic", lambda: time.monotonic() + 2)
+    with pytest.raises(KeyboardInterrupt):  # whoever waits for longer is heard again
+        signals.receive(signal.SIGINT, None)
+
+
+@pytest.mark.usefixtures("signals")
+def test_what_a_parent_has_ignored_stays_so() -> None:
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signals = Signals()
+    signals.listen()
+    signal.raise_signal(signal.SIGHUP)
+    assert signals.number is None
