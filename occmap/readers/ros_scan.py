@@ -1,15 +1,14 @@
-"""Scans of many messages at a stroke, where these are laid out alike.
+"""Scans of many messages at once, where these are laid out alike.
 
-Of the scans of one laser only times and ranges differ, so all of them lie where those of the first
-one lie, and what is left to do for each is to compare and to copy bytes.
+Of the scans of one laser only times and ranges differ, so these lie in the same place in each
+message, and what is left to do is to compare and to copy bytes.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from occmap.readers.ros_cdr import align, count_at
-from occmap.readers.ros_columns import LITTLE_ENDIAN, read_columns, read_stamps
+from occmap.readers.ros_columns import LITTLE_ENDIAN, align, count_at, read_columns, read_stamps
 from occmap.readers.ros_source import Channel, Encoding
 from occmap.types import Bool, Scan, ScanRun, UInt8
 
@@ -61,20 +60,15 @@ class RawRun:
         ]
 
     def read(self, first: Scan) -> ScanRun | None:
-        """Read all messages, given what the first one holds; None where they are not all alike.
+        """Read all messages, given the scan of the first; None where they are not all alike.
 
-        Raises
-        ------
-        IndexError, ValueError, struct.error, OverflowError
-            The first message, or a record time, is damaged.
+        That the first could be decoded says that its parts lie within the message.
         """
         encoding = self.channel.encoding
         raw = np.frombuffer(self._bytes, np.uint8).reshape(-1, self._length)
         if encoding == "cdr" and not self._bytes.startswith(LITTLE_ENDIAN):
             return None
         layout = _locate(memoryview(self._bytes), encoding)
-        if layout.ranges + 4 * len(first.ranges) != layout.intensities:
-            return None
         fixed = _mark_fixed(layout, encoding)
         head, count = raw[:, : layout.ranges], raw[:, layout.intensities : layout.intensities + 4]
         if not (_is_same(head[:, fixed]) and _is_same(count)):

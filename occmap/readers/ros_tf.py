@@ -1,4 +1,4 @@
-"""Transforms of many messages at a stroke, where these are laid out alike.
+"""Transforms of many messages at once, where these are laid out alike.
 
 A log holds tens of thousands, and the frames that they name, so where each number lies, hardly
 ever change.
@@ -8,8 +8,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from occmap.readers.ros_cdr import align, count_at
-from occmap.readers.ros_columns import LITTLE_ENDIAN, read_columns, read_stamps
+from occmap.readers.ros_columns import LITTLE_ENDIAN, align, count_at, read_columns, read_stamps
 from occmap.readers.ros_decode import FromBytes
 from occmap.readers.ros_source import Encoding
 from occmap.types import Bool, Int64, PoseBatch, PoseSample, UInt8
@@ -42,12 +41,13 @@ def read_alike(
     Returns
     -------
     batches, others
-        The samples of each transform, and the messages of kinds beyond `MOST_KINDS`.
+        The samples of each transform, and the messages of kinds beyond `MOST_KINDS`, or all where
+        the first is not little-endian.
 
     Raises
     ------
-    ValueError, struct.error, OverflowError, or what `read` raises
-        The first message of its kind, or a record time, is damaged.
+    DamageError
+        The first message of its kind is damaged.
     """
     length = len(messages[0][0])
     raw = np.frombuffer(b"".join(data for data, _ in messages), np.uint8).reshape(-1, length)
@@ -58,11 +58,14 @@ def read_alike(
         if not len(left):
             break
         first = messages[left[0]][0]
+        if encoding == "cdr" and not first.startswith(LITTLE_ENDIAN):
+            break
+        # Decoded first: that it could be says that all its parts lie within the message.
+        samples = read(memoryview(first), 0)
         fields = _locate(first, encoding)
         fixed = _mark_fixed(length, fields)
         alike = (raw[left][:, fixed] == raw[left[0], fixed]).all(axis=1)
         rows = left[alike]
-        samples = read(memoryview(first), 0)
         batches += (
             _stack(raw[rows], record_ns[rows], *each) for each in zip(fields, samples, strict=True)
         )
@@ -71,15 +74,7 @@ def read_alike(
 
 
 def _locate(message: bytes, encoding: Encoding) -> list[_Fields]:
-    """Find the numbers of a message.
-
-    Raises
-    ------
-    ValueError, struct.error
-        The message is damaged, or big-endian.
-    """
-    if encoding == "cdr" and message[:2] != LITTLE_ENDIAN:
-        raise ValueError("the message is not little-endian")
+    """Find the numbers of a message."""
     data = memoryview(message)
     at = 4 if encoding == "cdr" else 0
     count, at = count_at(data, at), at + 4
