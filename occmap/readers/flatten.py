@@ -8,7 +8,7 @@ import numpy as np
 from occmap.errors import DamageError
 from occmap.readers.header import read_frame, read_stamp
 from occmap.readers.options import ReaderOptions
-from occmap.readers.shapes import HEADER, Shape, as_bytes
+from occmap.readers.shapes import HEADER, Shape, as_bytes, as_flag
 from occmap.types import Float32, Float64, Scan, as_float32, as_stamp, as_text
 
 BEARINGS = 720
@@ -23,7 +23,7 @@ CLOUD: Shape = {
     "height": as_stamp,
     "width": as_stamp,
     "fields": [{"name": as_text, "offset": as_stamp, "datatype": as_stamp}],
-    "is_bigendian": bool,
+    "is_bigendian": as_flag,
     "point_step": as_stamp,
     "row_step": as_stamp,
     "data": as_bytes,

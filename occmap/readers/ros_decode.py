@@ -41,7 +41,7 @@ _DECODE_ERRORS = (
 
 MAX_DEFINITION = 1 << 15
 """Characters of a message definition; with all its comments none takes a fifth of that."""
-MAX_VALUES = 10_000
+MAX_VALUES = 1000
 """That a message holds before any list in it; an odometry's covariances are 72 of them."""
 
 _STORES = {"cdr": Stores.ROS2_HUMBLE, "ros1": Stores.ROS1_NOETIC}
@@ -178,7 +178,7 @@ def _parse_definition(channel: Channel) -> Typesdict:
     types = {**get_typestore(Stores.EMPTY).fielddefs, **types}  # ROS 1 has a time of its own
     counts: dict[str, int] = {}
     if flaw := _find_flaw(types, name, counts):
-        raise _refuse(channel, flaw)
+        raise _refuse(channel, flaw if len(flaw) <= 99 else f"{flaw[:96]}...")
     return {part: ([], types[part][1]) for part in counts}
 
 

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from occmap.errors import DamageError
-from occmap.types import Float64, UInt8, as_number, as_stamp, as_text
+from occmap.types import Float64, UInt8, as_number, as_stamp, as_text, shorten
 
 Shape: TypeAlias = "Mapping[str, Shape] | list[Shape] | Callable[[Any], Any]"
 """The fields of a message, a list of messages, or what brings a value to its type."""
@@ -57,9 +57,19 @@ def as_row(values: Any) -> Float64:
     JSON has no infinity: writers leave a null or a name, which NumPy reads as nan or infinity.
     """
     try:
-        return np.array(values, np.float64)
+        row = np.array(values, np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise DamageError("holds ranges that are not numbers in one row") from None
+        row = np.empty(())
+    if row.ndim != 1:
+        raise DamageError("holds something else where a row of numbers belongs")
+    return row
+
+
+def as_flag(value: Any) -> bool:
+    """Take a yes or no."""
+    if not isinstance(value, int):
+        raise DamageError(f"holds {shorten(value)} where a yes or no belongs")
+    return bool(value)
 
 
 def as_bytes(values: Any) -> UInt8:
