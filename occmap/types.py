@@ -10,7 +10,7 @@ otherwise. Frames follow REP 103 and REP 105: x forward, y left, z up, yaw count
 import math
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
-from numbers import Integral, Real
+from numbers import Real
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
@@ -386,7 +386,7 @@ def as_number(value: Any) -> float:
 
 def as_stamp(value: Any) -> int:
     """Bring a time in whole nanoseconds to an int that fits 64 bits; raises DamageError."""
-    if not isinstance(value, Integral) or not -(2**63) <= int(value) < 2**63:
+    if not isinstance(value, (int, np.integer)) or not -(2**63) <= value < 2**63:
         raise DamageError(f"holds {shorten(value)} where a time of 64 bits belongs")
     return int(value)
 
@@ -396,7 +396,8 @@ def as_text(value: Any) -> str:
     if not isinstance(value, str):
         raise DamageError(f"holds {shorten(value)} where text belongs")
     try:
-        value.encode()
+        if not value.isascii():
+            value.encode()
     except UnicodeEncodeError:
         raise DamageError("holds text that is no Unicode") from None
     return value
@@ -410,7 +411,7 @@ def as_ranges(values: ArrayLike) -> Float32:
         raise DamageError("holds ranges that are not numbers in one row") from None
     if array.ndim != 1 or array.dtype.kind not in "fiu":
         raise DamageError(f"holds {array.ndim}-dimensional ranges of {array.dtype}")
-    return as_float32(array)
+    return array.copy() if array.dtype == np.float32 else as_float32(array)
 
 
 def as_pose(pose: Pose) -> Pose:
