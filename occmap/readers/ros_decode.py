@@ -4,9 +4,9 @@ Only what goes wrong while bytes are decoded, or a value that `Scan` or `PoseSam
 damage of the log. Any other error is a fault of occmap's, and is not caught.
 """
 
+import struct
 from collections.abc import Callable
 from functools import cache, lru_cache
-from struct import error as StructError  # noqa: N812  a class, whatever its name
 from typing import Any, TypeAlias, TypeVar
 
 from rosbags.interfaces import Nodetype
@@ -35,7 +35,7 @@ _DEFINITION_ERRORS = (
     TypeError, ValueError,
 )  # fmt: skip
 _DECODE_ERRORS = (
-    SerdeError, StructError, ArithmeticError, AssertionError, LookupError, MemoryError,
+    SerdeError, struct.error, ArithmeticError, AssertionError, LookupError, MemoryError,
     RecursionError, TypeError, ValueError,
 )  # fmt: skip
 

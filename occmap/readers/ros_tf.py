@@ -8,10 +8,17 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from occmap.readers.ros_columns import LITTLE_ENDIAN, align, count_at, read_columns, read_stamps
+from occmap.readers.ros_columns import (
+    LITTLE_ENDIAN,
+    align,
+    count_at,
+    find_alike,
+    read_columns,
+    read_stamps,
+)
 from occmap.readers.ros_decode import FromBytes
 from occmap.readers.ros_source import Encoding
-from occmap.types import Bool, Int64, PoseBatch, PoseSample, UInt8
+from occmap.types import Int64, PoseBatch, PoseSample, UInt8
 
 RawTransforms: TypeAlias = tuple[bytes, int]
 """A tf2_msgs/TFMessage as it is in the log, and its record time (ns)."""
@@ -63,8 +70,9 @@ def read_alike(
         # Decoded first: that it could be says that all its parts lie within the message.
         samples = read(memoryview(first), 0)
         fields = _locate(first, encoding)
-        fixed = _mark_fixed(length, fields)
-        alike = (raw[left][:, fixed] == raw[left[0], fixed]).all(axis=1)
+        stamps = [(each.header, each.stamp + 8) for each in fields]
+        poses = [(each.pose, each.pose + 56) for each in fields]
+        alike = find_alike(raw[left], stamps + poses)
         rows = left[alike]
         batches += (
             _stack(raw[rows], record_ns[rows], *each) for each in zip(fields, samples, strict=True)
@@ -94,15 +102,6 @@ def _pass_name(data: memoryview, at: int, encoding: Encoding) -> int:
     """Find where a name ends that begins, with its length, at an offset or, in CDR, behind it."""
     start = align(at, 4) if encoding == "cdr" else at
     return start + 4 + count_at(data, start)
-
-
-def _mark_fixed(length: int, fields: list[_Fields]) -> Bool:
-    """(L,): which bytes must be the same in messages that have their numbers in these places."""
-    fixed = np.ones(length, np.bool_)
-    for each in fields:
-        fixed[each.header : each.stamp + 8] = False
-        fixed[each.pose : each.pose + 56] = False
-    return fixed
 
 
 def _stack(raw: UInt8, record_ns: Int64, fields: _Fields, like: PoseSample) -> PoseBatch:
