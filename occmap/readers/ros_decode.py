@@ -107,7 +107,7 @@ def _make_ros_decoder(channel: Channel) -> Callable[[memoryview], Any]:
     try:
         store.get_msgdef(name)
     except _DEFINITION_ERRORS as error:
-        raise _refuse(channel, type(error).__name__) from error
+        raise _refuse(channel.type, type(error).__name__).placed(channel.topic) from error
     deserialise = store.deserialize_ros1 if channel.encoding == "ros1" else store.deserialize_cdr
 
     def decode(data: memoryview) -> Any:
@@ -119,9 +119,8 @@ def _make_ros_decoder(channel: Channel) -> Callable[[memoryview], Any]:
     return decode
 
 
-def _refuse(channel: Channel, why: str) -> LogError:
-    found = f"the definition of {channel.type} cannot be understood ({why})"
-    return LogError(found, where=channel.topic)
+def _refuse(kind: str, why: str) -> LogError:
+    return LogError(f"the definition of {kind} cannot be understood ({why})")
 
 
 def _is_standard(channel: Channel) -> bool:
@@ -138,7 +137,6 @@ def _load_standard(encoding: str) -> Typestore:
     return store
 
 
-@lru_cache(maxsize=64)
 def _load_types(channel: Channel) -> Typestore:
     """Load the log's own definition of a message type, or ROS's where it has none or the same.
 
@@ -149,36 +147,45 @@ def _load_types(channel: Channel) -> Typestore:
     LogError
         The definition cannot be understood, or asks for more than any message needs.
     """
-    standard = _load_standard(channel.encoding)
-    if not channel.definition or channel.syntax == "idl":
+    text = "" if channel.syntax == "idl" else channel.definition
+    try:
+        return _make_store(text, channel.type, channel.encoding)
+    except LogError as error:
+        raise error.placed(channel.topic) from None
+
+
+@lru_cache(maxsize=64)
+def _make_store(text: str, kind: str, encoding: str) -> Typestore:
+    """Make the types of a definition; cached by its text, which all logs of a robot share."""
+    standard = _load_standard(encoding)
+    if not text:
         return standard
-    own = _parse_definition(channel)
-    if all(
-        part in standard.fielddefs and standard.fielddefs[part][1] == own[part][1] for part in own
-    ):
+    own = _parse_definition(text, kind)
+    known = standard.fielddefs
+    if all(part in known and known[part][1] == fields for part, (_, fields) in own.items()):
         return standard
     store = get_typestore(Stores.EMPTY)
     try:
         store.register(own)
     except _DEFINITION_ERRORS as error:
-        raise _refuse(channel, type(error).__name__) from error
+        raise _refuse(kind, type(error).__name__) from error
     return store
 
 
-def _parse_definition(channel: Channel) -> Typesdict:
+def _parse_definition(text: str, kind: str) -> Typesdict:
     """Parse a definition and those appended to it; only what the type needs, without constants."""
-    name, text = normalise_type(channel.type), channel.definition
+    name = normalise_type(kind)
     if len(text) > MAX_DEFINITION:
-        raise _refuse(channel, f"it has {len(text)} characters")
+        raise _refuse(kind, f"it has {len(text)} characters")
     try:
         # Bags from before 2011 call the header by the package that it then was in.
         types = get_types_from_msg(text.replace("MSG: roslib/Header", "MSG: std_msgs/Header"), name)
     except _DEFINITION_ERRORS as error:
-        raise _refuse(channel, type(error).__name__) from error
+        raise _refuse(kind, type(error).__name__) from error
     types = {**get_typestore(Stores.EMPTY).fielddefs, **types}  # ROS 1 has a time of its own
     counts: dict[str, int] = {}
     if flaw := _find_flaw(types, name, counts):
-        raise _refuse(channel, flaw if len(flaw) <= 99 else f"{flaw[:96]}...")
+        raise _refuse(kind, flaw if len(flaw) <= 99 else f"{flaw[:96]}...")
     return {part: ([], types[part][1]) for part in counts}
 
 
