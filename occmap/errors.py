@@ -39,6 +39,10 @@ class LogError(OccmapError):
     """A log cannot be read, or holds no scans."""
 
 
+class DamageError(LogError):
+    """One message of a log holds what it cannot hold; the others can be used."""
+
+
 class PoseError(OccmapError):
     """Scans have no pose in the map frame."""
 

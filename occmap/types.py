@@ -11,10 +11,13 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
+from numbers import Real
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from occmap.errors import DamageError
 
 Float32: TypeAlias = NDArray[np.float32]
 Float64: TypeAlias = NDArray[np.float64]
@@ -62,12 +65,8 @@ UNKNOWN_POSE = Pose(*[math.nan] * 7)
 """Stands beside a scan whose pose nobody knew, in a log that states poses beside its scans."""
 
 
-class Scan(NamedTuple):
-    """One turn of a laser as it was recorded: no value is interpreted yet.
-
-    A NamedTuple and not a dataclass: a log holds tens of thousands, and these are made six times
-    faster.
-    """
+class _ScanFields(NamedTuple):
+    """What a scan holds; a NamedTuple, since a log has tens of thousands."""
 
     stamp_ns: int
     frame: str
@@ -80,18 +79,61 @@ class Scan(NamedTuple):
     range_min: float
     range_max: float
     """Limits of the sensor (m); 0 and inf where the log states none."""
-    time_increment: float = 0.0
+    time_increment: float
     """Between beams (s)."""
-    pose: Pose | None = None
+    pose: Pose | None
     """The sensor in the map frame; None: the log does not state poses beside its scans."""
-    topic: str = ""
+    topic: str
     """The stream in its log that the scan came from."""
-    record_ns: int = 0
+    record_ns: int
     """When the recorder stored it; equal to `stamp_ns` in formats that hold one time only."""
 
+
+class Scan(_ScanFields):
+    """One turn of a laser as it was recorded: no value is interpreted yet.
+
+    Raises
+    ------
+    DamageError
+        A value is not of its type: a number, text, a time that fits 64 bits, or ranges in one row.
+    """
+
+    __slots__ = ()
+
+    def __new__(  # noqa: PLR0913, PLR0917  its fields
+        cls,
+        stamp_ns: int,
+        frame: str,
+        angle_min: float,
+        angle_increment: float,
+        ranges: ArrayLike,
+        range_min: float,
+        range_max: float,
+        time_increment: float = 0.0,
+        pose: Pose | None = None,
+        topic: str = "",
+        record_ns: int | None = None,
+    ) -> Self:
+        """Check every value and copy the ranges; without a record time the stamp stands for it."""
+        stamp_ns = as_stamp(stamp_ns)
+        return super().__new__(
+            cls,
+            stamp_ns,
+            as_text(frame),
+            as_number(angle_min),
+            as_number(angle_increment),
+            as_ranges(ranges),
+            as_number(range_min),
+            as_number(range_max),
+            as_number(time_increment),
+            None if pose is None else as_pose(pose),
+            as_text(topic),
+            stamp_ns if record_ns is None else as_stamp(record_ns),
+        )
+
     @property
-    def first(self) -> "Scan":
-        """Itself, as of a run the first scan."""
+    def first(self) -> Self:
+        """The scan itself, so that a single scan can stand in for a run of scans."""
         return self
 
     @property
@@ -135,18 +177,48 @@ class ScanRun(NamedTuple):
         return [self.first._replace(**dict(zip(columns, row, strict=True))) for row in rows]
 
 
-class PoseSample(NamedTuple):
-    """Where frame `child` was in frame `parent` at one moment, from any kind of source."""
+class _PoseFields(NamedTuple):
+    """What a pose sample holds."""
 
     stamp_ns: int
     parent: str
     child: str
     """"" where the source does not name what moved (PoseStamped, Path, a TUM file)."""
     pose: Pose
-    static: bool = False
+    static: bool
     """True: holds at all times, the stamp says nothing."""
-    topic: str = ""
-    record_ns: int = 0
+    topic: str
+    record_ns: int
+
+
+class PoseSample(_PoseFields):
+    """Where frame `child` was in frame `parent` at one moment, from any kind of source.
+
+    Raises
+    ------
+    DamageError
+        A value is not of its type: a number, text, or a time that fits 64 bits.
+    """
+
+    __slots__ = ()
+
+    def __new__(  # noqa: PLR0913, PLR0917  its fields
+        cls,
+        stamp_ns: int,
+        parent: str,
+        child: str,
+        pose: Pose,
+        static: bool = False,
+        topic: str = "",
+        record_ns: int | None = None,
+    ) -> Self:
+        """Check every value; without a record time the stamp stands for it."""
+        stamp_ns = as_stamp(stamp_ns)
+        record_ns = stamp_ns if record_ns is None else as_stamp(record_ns)
+        parent, child, topic = as_text(parent), as_text(child), as_text(topic)
+        return super().__new__(
+            cls, stamp_ns, parent, child, as_pose(pose), static, topic, record_ns
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,6 +372,64 @@ def as_float32(values: ArrayLike) -> Float32:
     """Round as ranges are; what is too large for a float32 becomes infinite, without a warning."""
     with np.errstate(over="ignore"):
         return np.asarray(values).astype(np.float32)
+
+
+def as_number(value: Any) -> float:
+    """Bring a number, which may be infinite or NaN, to a float; raises DamageError."""
+    if type(value) is float:
+        return value
+    if not isinstance(value, Real) or isinstance(value, bool):
+        raise DamageError(f"holds {shorten(value)} where a number belongs")
+    try:
+        return float(value)
+    except OverflowError:
+        raise DamageError("holds a number that no float can hold") from None
+
+
+def as_stamp(value: Any) -> int:
+    """Bring a time in whole nanoseconds to an int that fits 64 bits; raises DamageError."""
+    if not isinstance(value, (int, np.integer)) or not -(2**63) <= value < 2**63:
+        raise DamageError(f"holds {shorten(value)} where a time of 64 bits belongs")
+    return int(value)
+
+
+def as_text(value: Any) -> str:
+    """Take text that can be written as UTF-8; raises DamageError."""
+    if not isinstance(value, str):
+        raise DamageError(f"holds {shorten(value)} where text belongs")
+    try:
+        if not value.isascii():
+            value.encode()
+    except UnicodeEncodeError:
+        raise DamageError("holds text that is no Unicode") from None
+    return value
+
+
+def as_ranges(values: ArrayLike) -> Float32:
+    """Copy one row of numbers as float32, (B,); raises DamageError."""
+    try:
+        array = np.asarray(values)
+    except (ValueError, TypeError, OverflowError):  # rows that differ in length, and the like
+        raise DamageError("holds ranges that are not numbers in one row") from None
+    if array.ndim != 1 or array.dtype.kind not in "fiu":
+        raise DamageError(f"holds {array.ndim}-dimensional ranges of {array.dtype}")
+    return array.copy() if array.dtype == np.float32 else as_float32(array)
+
+
+def as_pose(pose: Pose) -> Pose:
+    """Bring the seven numbers of a pose to floats; raises DamageError."""
+    if not isinstance(pose, Pose):
+        raise DamageError(f"holds {shorten(pose)} where a Pose belongs")
+    is_plain = all(type(number) is float for number in pose)
+    return pose if is_plain else Pose._make(map(as_number, pose))
+
+
+def shorten(value: object) -> str:
+    """Quote what was found, in a few words; a number may have so many digits that none are said."""
+    if isinstance(value, int) and abs(value) >= 2**63:
+        return "a number beyond 64 bits"
+    text = repr(value) if isinstance(value, str | int | float | None) else type(value).__name__
+    return text if len(text) <= 40 else f"{text[:37]}..."
 
 
 def to_log_odds(probability: float) -> float:

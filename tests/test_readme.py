@@ -1,11 +1,13 @@
 """The README is true: its commands print what it shows, its code runs."""
 
 import json
+import os
 import re
 import shlex
 import subprocess
 import sys
 import textwrap
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +110,42 @@ def test_the_reader_in_the_readme_reads(tmp_path: Path) -> None:
     assert scans[1].ranges.tolist() == [4, 5, 6]
     assert scans[0].pose == (2, 3, 0, 0, 0, 0, 1)
     assert scans[0].angle_increment == pytest.approx(np.pi / 2)
+
+
+def test_the_reader_in_the_readme_is_a_plugin_once_it_is_packaged(tmp_path: Path) -> None:
+    (code,) = (block for block in blocks("python") if "LineReader" in block)
+    (section,) = re.findall(r"^    \[project\.entry-points.*\n    .*\n", README, re.MULTILINE)
+    groups = tomllib.loads(textwrap.dedent(section))["project"]["entry-points"]
+    package = tmp_path / "my_package"
+    installed = tmp_path / "my_package-1.0.dist-info"
+    for folder in (package, installed):
+        folder.mkdir()
+    (package / "my_module.py").write_text(code)
+    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: my_package\nVersion: 1.0\n")
+    (installed / "entry_points.txt").write_text(
+        "".join(
+            f"[{group}]\n" + "".join(f"{name} = {place}\n" for name, place in entries.items())
+            for group, entries in groups.items()
+        )
+    )
+    rows = [f"{1.5 + i} {0.1 * i} 3 0 1 2 3 2 1" for i in range(5)]
+    (tmp_path / "drive.lines").write_text("\n".join(["#lines", *rows, ""]))
+
+    def run(*words: str) -> dict[str, Any]:
+        done = subprocess.run(
+            [sys.executable, "-m", "occmap", *words, "--json"],
+            capture_output=True, text=True, check=True, cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        )  # fmt: skip
+        result: dict[str, Any] = json.loads(done.stdout)
+        return result
+
+    (found,) = run("check", "drive.lines")["logs"]
+    assert [(topic["topic"], topic["scans"]) for topic in found["scans"]] == [("scan", 5)]
+    assert found["scans"][0]["poses"]["posed"] == 5
+    built = run("build", "drive.lines", "-o", "map.pgm", "--stamps", "record")
+    assert built["scans"]["used"] == 5
+    assert (tmp_path / "map.pgm").exists()
 
 
 def test_the_steps_of_the_ci_job_run(folder: Path) -> None:

@@ -114,8 +114,14 @@ def read_poses(log: Log) -> Iterator[PoseSample | PoseBatch]:
 
 
 def read_scans(log: Log, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
-    """The scans of some topics of a log, in the way that is quickest for it."""
-    return log.stacked_scans(topics) if isinstance(log, StackingScans) else log.scans(topics)
+    """The scans of some topics of a log, in the way that is quickest for it.
+
+    A scan that names no topic is of the first: a reader of a format with one stream need not say.
+    """
+    if isinstance(log, StackingScans):
+        return log.stacked_scans(topics)
+    name = next(iter(topics), "")
+    return (scan if scan.topic else scan._replace(topic=name) for scan in log.scans(topics))
 
 
 class Reader(Protocol):

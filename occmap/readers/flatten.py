@@ -1,13 +1,15 @@
-"""Messages that hold more than a scan, brought down to one: several echoes, clouds of points."""
+"""Clouds of points, brought down to a scan."""
 
 import math
 from typing import Any
 
 import numpy as np
 
+from occmap.errors import DamageError
 from occmap.readers.header import read_frame, read_stamp
-from occmap.readers.options import Echo, ReaderOptions
-from occmap.types import Float32, Float64, Scan, as_float32
+from occmap.readers.options import ReaderOptions
+from occmap.readers.shapes import HEADER, Shape, as_bytes, as_flag
+from occmap.types import Float32, Float64, Scan, as_float32, as_stamp, as_text
 
 BEARINGS = 720
 """A cloud is flattened to half a degree: finer than most spinning lidars in the plane, and coarse
@@ -16,26 +18,16 @@ enough that one turn leaves few bearings empty."""
 _FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """NumPy's names of the number types of sensor_msgs/PointField."""
 
-
-def convert_multi_echo(options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Scan:
-    """Convert a sensor_msgs/MultiEchoLaserScan by one echo a beam.
-
-    A beam without an echo becomes +inf: nothing came back (REP 117).
-    """
-    at = 0 if options.echo is Echo.FIRST else -1
-    ranges = [beam.echoes[at] if len(beam.echoes) else math.inf for beam in message.ranges]
-    return Scan(
-        stamp_ns=read_stamp(message.header),
-        frame=read_frame(message.header.frame_id),
-        angle_min=message.angle_min,
-        angle_increment=message.angle_increment,
-        ranges=np.array(ranges, dtype=np.float32),
-        range_min=message.range_min,
-        range_max=message.range_max,
-        time_increment=message.time_increment,
-        topic=topic,
-        record_ns=record_ns,
-    )
+CLOUD: Shape = {
+    "header": HEADER,
+    "height": as_stamp,
+    "width": as_stamp,
+    "fields": [{"name": as_text, "offset": as_stamp, "datatype": as_stamp}],
+    "is_bigendian": as_flag,
+    "point_step": as_stamp,
+    "row_step": as_stamp,
+    "data": as_bytes,
+}
 
 
 def convert_cloud(options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Scan:
@@ -46,7 +38,7 @@ def convert_cloud(options: ReaderOptions, message: Any, topic: str, record_ns: i
 
     Raises
     ------
-    ValueError, TypeError, LookupError
+    DamageError
         The cloud has no x, y, z, or is not as long as it says.
     """
     points = read_points(message)
@@ -68,20 +60,24 @@ def convert_cloud(options: ReaderOptions, message: Any, topic: str, record_ns: i
 def read_points(message: Any) -> Float64:
     """Read x, y, z (N, 3) of a sensor_msgs/PointCloud2, without the points that are not finite."""
     order = ">" if message.is_bigendian else "<"
-    fields = {field.name: field for field in message.fields}
-    layout = np.dtype(
-        {
-            "names": ["x", "y", "z"],
-            "formats": [order + _FORMATS[fields[name].datatype] for name in "xyz"],
-            "offsets": [fields[name].offset for name in "xyz"],
-            "itemsize": message.point_step,
-        }
-    )
-    shape, strides = (message.height, message.width), (message.row_step, message.point_step)
-    data = np.ascontiguousarray(message.data)
-    cloud = np.ndarray(shape, layout, buffer=data.data, strides=strides)
-    points = np.stack([cloud[name].ravel() for name in "xyz"], axis=1).astype(np.float64)
-    return points[np.isfinite(points).all(axis=1)]
+    fields = {field.name: field for field in message.fields if field.datatype in _FORMATS}
+    if not fields.keys() >= set("xyz"):
+        raise DamageError("is a cloud of points without x, y and z")
+    columns = [(np.dtype(order + _FORMATS[fields[c].datatype]), fields[c].offset) for c in "xyz"]
+    rows, width, step = message.height, message.width, message.point_step
+    row_step = message.row_step if rows > 1 else width * step
+    if row_step < width * step or any(not 0 <= at <= step - t.itemsize for t, at in columns):
+        raise DamageError("is a cloud whose points lie over one another")
+    if min(rows, width) < 0 or (rows - 1) * row_step + width * step > len(message.data):
+        raise DamageError(f"announces {rows} x {width} points in {len(message.data)} bytes")
+    if rows * width == 0:
+        return np.empty((0, 3))
+    data = np.ascontiguousarray(message.data).data
+    points = [
+        np.ndarray((rows, width), kind, data, at, (row_step, step)).ravel() for kind, at in columns
+    ]
+    stacked = np.stack(points, axis=1).astype(np.float64)
+    return stacked[np.isfinite(stacked).all(axis=1)]
 
 
 def find_nearest(points: Float64) -> Float32:

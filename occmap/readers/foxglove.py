@@ -1,19 +1,18 @@
 """Foxglove's schemas as scans and pose samples, decoded from JSON or protobuf.
 
-https://docs.foxglove.dev/docs/visualization/message-schemas/introduction. Messages are objects
-with the schema's fields as attributes; the two encodings differ in how a time is written.
+https://docs.foxglove.dev/docs/visualization/message-schemas/introduction. What is decoded is
+brought into shape, so that messages of both encodings have the same fields as attributes.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
-import numpy as np
-
 from occmap.readers import Role
 from occmap.readers.header import read_frame
-from occmap.types import Pose, PoseSample, Scan, as_float32
+from occmap.readers.shapes import POSE, QUATERNION, VECTOR, Shape, as_row, get_field
+from occmap.types import Pose, PoseSample, Scan, as_number, as_stamp, as_text
 
-FOXGLOVE_ENCODINGS = ("json", "protobuf")
 SCAN_SCHEMA = "foxglove.LaserScan"
 IDENTITY = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
@@ -43,13 +42,13 @@ def convert_scan(message: Any, topic: str, record_ns: int) -> Scan:
     beams = len(message.ranges)
     frame = read_frame(message.frame_id)
     return Scan(
-        stamp_ns=_read_time(message.timestamp),
+        stamp_ns=message.timestamp,
         frame=frame if _read_origin(message) == IDENTITY else name_origin(frame, topic),
         angle_min=message.start_angle,
         angle_increment=(message.end_angle - message.start_angle) / max(beams - 1, 1),
-        ranges=as_float32(np.array(message.ranges, dtype=np.float64)),
+        ranges=message.ranges,
         range_min=0.0,
-        range_max=np.inf,
+        range_max=math.inf,
         topic=topic,
         record_ns=record_ns,
     )
@@ -60,7 +59,7 @@ def convert_origin(message: Any, topic: str, record_ns: int) -> list[PoseSample]
     origin, frame = _read_origin(message), read_frame(message.frame_id)
     if origin == IDENTITY:
         return []
-    child, stamp_ns = name_origin(frame, topic), _read_time(message.timestamp)
+    child, stamp_ns = name_origin(frame, topic), message.timestamp
     return [PoseSample(stamp_ns, frame, child, origin, topic=topic, record_ns=record_ns)]
 
 
@@ -73,7 +72,7 @@ def convert_transform(message: Any, topic: str, record_ns: int) -> list[PoseSamp
     """Convert a foxglove.FrameTransform."""
     return [
         PoseSample(
-            stamp_ns=_read_time(message.timestamp),
+            stamp_ns=message.timestamp,
             parent=read_frame(message.parent_frame_id),
             child=read_frame(message.child_frame_id),
             pose=_read_pose(message.translation, message.rotation),
@@ -104,7 +103,7 @@ def convert_poses(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
 
 def _make_sample(message: Any, pose: Any, topic: str, record_ns: int) -> PoseSample:
     return PoseSample(
-        stamp_ns=_read_time(message.timestamp),
+        stamp_ns=message.timestamp,
         parent=read_frame(message.frame_id),
         child="",
         pose=_read_pose(pose.position, pose.orientation),
@@ -117,16 +116,17 @@ def _read_origin(message: Any) -> Pose:
     return _read_pose(message.pose.position, message.pose.orientation)
 
 
-def _read_time(time: Any) -> int:
-    """Read a time in ns; decoding has brought both encodings to these names."""
-    stamp_ns: int = time.sec * 1_000_000_000 + time.nsec
-    return stamp_ns
-
-
 def _read_pose(position: Any, rotation: Any) -> Pose:
     """Read a position and a quaternion; one that was never set is no rotation at all."""
     turn = (rotation.x, rotation.y, rotation.z, rotation.w)
     return Pose(position.x, position.y, position.z, *(turn if any(turn) else IDENTITY[3:]))
+
+
+def as_time(value: Any) -> int:
+    """Bring a time to ns: JSON calls its parts sec and nsec, protobuf seconds and nanos."""
+    names = ("sec", "nsec") if isinstance(value, dict) else ("seconds", "nanos")
+    seconds, nanoseconds = (as_stamp(get_field(value, name)) for name in names)
+    return as_stamp(seconds * 1_000_000_000 + nanoseconds)
 
 
 SCAN_SCHEMAS: Mapping[str, ToScan] = {
@@ -140,3 +140,26 @@ POSE_SCHEMAS: Mapping[str, ToPoses] = {
     "foxglove.PosesInFrame": convert_poses,
     SCAN_SCHEMA: convert_origin,
 }
+
+_FRAMED: Mapping[str, Shape] = {"timestamp": as_time, "frame_id": as_text}
+_TRANSFORM: Shape = {
+    "timestamp": as_time,
+    "parent_frame_id": as_text,
+    "child_frame_id": as_text,
+    "translation": VECTOR,
+    "rotation": QUATERNION,
+}
+SCHEMA_SHAPES: Mapping[str, Shape] = {
+    SCAN_SCHEMA: {
+        **_FRAMED,
+        "pose": POSE,
+        "start_angle": as_number,
+        "end_angle": as_number,
+        "ranges": as_row,
+    },
+    "foxglove.FrameTransform": _TRANSFORM,
+    "foxglove.FrameTransforms": {"transforms": [_TRANSFORM]},
+    "foxglove.PoseInFrame": {**_FRAMED, "pose": POSE},
+    "foxglove.PosesInFrame": {**_FRAMED, "poses": [POSE]},
+}
+"""What a converter reads of a message."""

@@ -1,44 +1,31 @@
-"""From JSON or protobuf bytes to objects with the fields of Foxglove's schemas."""
+"""From JSON or protobuf bytes to messages of Foxglove's schemas."""
 
 import json
 from collections.abc import Callable
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, TypeVar
+from graphlib import TopologicalSorter
+from typing import Any
 
-from occmap.errors import LogError
+from occmap.errors import DamageError, LogError
 from occmap.readers.ros_source import Channel
 
-if TYPE_CHECKING:
-    from google.protobuf.descriptor_pb2 import FileDescriptorProto
-
-T = TypeVar("T")
-TIME = "google.protobuf.Timestamp"
+MAX_FILES = 1000
+"""Of a schema; Foxglove's own needs six."""
 
 
-def make_foxglove_reader(
-    channel: Channel, convert: Callable[[Any, str, int], T]
-) -> Callable[[memoryview, int], T]:
-    """Build the function that reads a channel's messages.
+def make_json_decoder(_channel: Channel) -> Callable[[memoryview], Any]:
+    """Give what decodes a JSON object; it raises DamageError where it is none."""
 
-    Raises
-    ------
-    LogError
-        The messages are protobuf and cannot be decoded here.
-    """
-    decode = decode_json if channel.encoding == "json" else make_protobuf_decoder(channel)
-    return lambda data, record_ns: convert(decode(data), channel.topic, record_ns)
+    def decode(data: memoryview) -> Any:
+        try:
+            return json.loads(bytes(data))
+        except (ValueError, RecursionError, MemoryError) as error:
+            raise DamageError(f"is no JSON ({type(error).__name__})") from error
 
-
-def decode_json(data: memoryview) -> Any:
-    """Decode a JSON object; raises ValueError where it is none.
-
-    JSON has no infinity: writers leave a null or a name, which NumPy reads as nan or infinity.
-    """
-    return json.loads(bytes(data), object_hook=lambda fields: SimpleNamespace(**fields))
+    return decode
 
 
 def make_protobuf_decoder(channel: Channel) -> Callable[[memoryview], Any]:
-    """Build a decoder by the descriptors that lie in the log.
+    """Build a decoder by the descriptors that lie in the log; it raises DamageError.
 
     Raises
     ------
@@ -66,8 +53,8 @@ def make_protobuf_decoder(channel: Channel) -> Callable[[memoryview], Any]:
         try:
             message.ParseFromString(bytes(data))
         except DecodeError as error:
-            raise ValueError(str(error)) from error
-        return _simplify(message)
+            raise DamageError("is not of its protobuf type") from error
+        return message
 
     return decode
 
@@ -77,38 +64,19 @@ def _load_message(channel: Channel) -> Callable[[], Any]:
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory  # noqa: PLC0415
 
     files = descriptor_pb2.FileDescriptorSet.FromString(channel.descriptors).file
+    if len(files) > MAX_FILES:
+        raise ValueError(f"{len(files)} files make one type")
     by_name = {file.name: file for file in files}
     pool = descriptor_pool.DescriptorPool()
-    added: set[str] = set()
-
-    def add(file: "FileDescriptorProto") -> None:
-        if file.name in added:
-            return
-        added.add(file.name)
-        for name in file.dependency:
-            if name in by_name:
-                add(by_name[name])
-        pool.Add(file)
-
-    for file in files:
-        add(file)
+    order = TopologicalSorter({file.name: file.dependency for file in files})
+    for name in order.static_order():
+        if name in by_name:
+            pool.Add(by_name[name])
     make: Callable[[], Any] = message_factory.GetMessageClass(
         pool.FindMessageTypeByName(channel.type)
     )
     return make
 
 
-def _simplify(message: Any) -> Any:
-    """Turn a protobuf message into what `decode_json` gives, arrays of numbers excepted."""
-    if message.DESCRIPTOR.full_name == TIME:
-        return SimpleNamespace(sec=message.seconds, nsec=message.nanos)
-    fields = {}
-    for field in message.DESCRIPTOR.fields:
-        value = getattr(message, field.name)
-        if field.message_type is None:
-            fields[field.name] = value
-        elif field.is_repeated:
-            fields[field.name] = [_simplify(item) for item in value]
-        else:
-            fields[field.name] = _simplify(value)
-    return SimpleNamespace(**fields)
+DECODERS = {"json": make_json_decoder, "protobuf": make_protobuf_decoder}
+"""What builds a decoder, for each way in which Foxglove's messages are written."""

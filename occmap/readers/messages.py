@@ -1,21 +1,23 @@
 """ROS messages as scans and pose samples: the types that occmap understands, and what each becomes.
 
 A type is listed under its ROS 2 name; ROS 1 names are brought to that form. To support another
-type, write its converter and add a line to one of the tables at the end: the table that a type
-stands in is its role.
+type, write what is read of it, its converter, and a line in one of the tables at the end: the
+table that a type stands in is its role.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-import numpy as np
+from numpy.typing import ArrayLike
 
 from occmap.readers import Role
-from occmap.readers.flatten import convert_cloud, convert_multi_echo
+from occmap.readers.flatten import CLOUD, convert_cloud
 from occmap.readers.header import read_frame, read_stamp
-from occmap.readers.options import ReaderOptions
-from occmap.types import Pose, PoseSample, Scan
+from occmap.readers.options import Echo, ReaderOptions
+from occmap.readers.shapes import HEADER, POSE, QUATERNION, VECTOR, Shape, as_row
+from occmap.types import Pose, PoseSample, Scan, as_number, as_text
 
 ToScan = Callable[[Any, str, int], Scan]
 """From a decoded message, its topic and its record time in ns."""
@@ -54,13 +56,26 @@ def is_static_topic(topic: str) -> bool:
 
 def convert_laser_scan(message: Any, topic: str, record_ns: int) -> Scan:
     """Convert a sensor_msgs/LaserScan."""
+    return _make_scan(message, message.ranges, topic, record_ns)
+
+
+def convert_multi_echo(options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Scan:
+    """Convert a sensor_msgs/MultiEchoLaserScan by one echo a beam.
+
+    A beam without an echo becomes +inf: nothing came back (REP 117).
+    """
+    at = 0 if options.echo is Echo.FIRST else -1
+    ranges = [beam.echoes[at] if len(beam.echoes) else math.inf for beam in message.ranges]
+    return _make_scan(message, ranges, topic, record_ns)
+
+
+def _make_scan(message: Any, ranges: ArrayLike, topic: str, record_ns: int) -> Scan:
     return Scan(
         stamp_ns=read_stamp(message.header),
         frame=read_frame(message.header.frame_id),
         angle_min=message.angle_min,
         angle_increment=message.angle_increment,
-        # A copy, since the message is a view of all bytes that were read with it.
-        ranges=np.array(message.ranges, dtype=np.float32),
+        ranges=ranges,
         range_min=message.range_min,
         range_max=message.range_max,
         time_increment=message.time_increment,
@@ -88,16 +103,8 @@ def convert_transforms(message: Any, topic: str, record_ns: int) -> list[PoseSam
 
 def convert_odometry(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
     """Convert a nav_msgs/Odometry, which names both of its frames."""
-    return [
-        PoseSample(
-            stamp_ns=read_stamp(message.header),
-            parent=read_frame(message.header.frame_id),
-            child=read_frame(message.child_frame_id),
-            pose=_read_pose(message.pose.pose.position, message.pose.pose.orientation),
-            topic=topic,
-            record_ns=record_ns,
-        )
-    ]
+    (sample,) = convert_pose_with_covariance(message, topic, record_ns)
+    return [sample._replace(child=read_frame(message.child_frame_id))]
 
 
 def convert_pose(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
@@ -134,6 +141,25 @@ def _read_pose(position: Any, rotation: Any) -> Pose:
     return Pose(position.x, position.y, position.z, rotation.x, rotation.y, rotation.z, rotation.w)
 
 
+_LASER: Mapping[str, Shape] = {
+    "header": HEADER,
+    "angle_min": as_number,
+    "angle_increment": as_number,
+    "time_increment": as_number,
+    "range_min": as_number,
+    "range_max": as_number,
+    "ranges": as_row,
+}
+_TRANSFORM: Shape = {
+    "header": HEADER,
+    "child_frame_id": as_text,
+    "transform": {"translation": VECTOR, "rotation": QUATERNION},
+}
+_TRANSFORMS: Shape = {"transforms": [_TRANSFORM]}
+_STAMPED: Shape = {"header": HEADER, "pose": POSE}
+_UNCERTAIN: Mapping[str, Shape] = {"header": HEADER, "pose": {"pose": POSE}}
+
+
 SCAN_TYPES: Mapping[str, ToScan] = {
     "sensor_msgs/msg/LaserScan": convert_laser_scan,
 }
@@ -154,3 +180,16 @@ POSE_TYPES: Mapping[str, ToPoses] = {
     "geometry_msgs/msg/PoseWithCovarianceStamped": convert_pose_with_covariance,
     "nav_msgs/msg/Path": convert_path,
 }
+
+SHAPES: Mapping[str, Shape] = {
+    "sensor_msgs/msg/LaserScan": _LASER,
+    "sensor_msgs/msg/MultiEchoLaserScan": {**_LASER, "ranges": [{"echoes": as_row}]},
+    "sensor_msgs/msg/PointCloud2": CLOUD,
+    "tf2_msgs/msg/TFMessage": _TRANSFORMS,
+    "tf/msg/tfMessage": _TRANSFORMS,
+    "nav_msgs/msg/Odometry": {**_UNCERTAIN, "child_frame_id": as_text},
+    "geometry_msgs/msg/PoseStamped": _STAMPED,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _UNCERTAIN,
+    "nav_msgs/msg/Path": {"header": HEADER, "poses": [_STAMPED]},
+}
+"""What a converter reads, for messages whose log gives their type another definition."""

@@ -1,49 +1,54 @@
-"""From the bytes of a ROS message to scans and pose samples, by the log's own definitions."""
+"""From the bytes of a message to scans and pose samples: decoded by a library, then converted.
 
-import re
-from collections.abc import Callable, Mapping
-from functools import lru_cache
+Only what goes wrong while bytes are decoded, or a value that `Scan` or `PoseSample` refuses, is
+damage of the log. Any other error is a fault of occmap's, and is not caught.
+"""
+
+import struct
+from collections.abc import Callable
+from functools import cache, lru_cache
 from typing import Any, TypeAlias, TypeVar
 
-from rosbags.typesys import (
-    Stores,
-    TypesysError,
-    get_types_from_idl,
-    get_types_from_msg,
-    get_typestore,
-)
+from rosbags.interfaces import Nodetype
+from rosbags.interfaces.typing import Typesdict
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from occmap.errors import LogError
-from occmap.readers.foxglove import FOXGLOVE_ENCODINGS, POSE_SCHEMAS, SCAN_SCHEMAS
-from occmap.readers.foxglove_decode import make_foxglove_reader
+from occmap.errors import DamageError, LogError
+from occmap.readers.foxglove import POSE_SCHEMAS, SCAN_SCHEMAS, SCHEMA_SHAPES
+from occmap.readers.foxglove_decode import DECODERS
 from occmap.readers.inflate import inflate_message
-from occmap.readers.messages import POSE_TYPES, find_converter, normalise_type
+from occmap.readers.messages import POSE_TYPES, SHAPES, find_converter, normalise_type
 from occmap.readers.options import ReaderOptions
-from occmap.readers.ros_cdr import (
-    ROS1_DEFINITIONS,
-    STANDARD_DEFINITIONS,
-    is_standard,
-    read_laser_scan,
-    read_transforms,
-)
-from occmap.readers.ros_source import Channel, Encoding
+from occmap.readers.ros_source import Channel
+from occmap.readers.shapes import take
 from occmap.types import PoseSample, Scan
 
 T = TypeVar("T")
 FromBytes: TypeAlias = Callable[[memoryview, int], T]
-"""From a message's bytes and its record time in ns."""
+"""From a message's bytes and its record time in ns; it raises DamageError."""
 
-# rosbags' parser and the code it generates raise these on definitions that are not well formed.
-_DEFINITION_ERRORS = (TypesysError, AssertionError, LookupError, SyntaxError, TypeError, ValueError)
+# What rosbags raises on definitions and on bytes that are not well formed.
+_DEFINITION_ERRORS = (
+    TypesysError, AssertionError, LookupError, MemoryError, NameError, RecursionError, SyntaxError,
+    TypeError, ValueError,
+)  # fmt: skip
+_DECODE_ERRORS = (
+    SerdeError, struct.error, ArithmeticError, AssertionError, LookupError, MemoryError,
+    RecursionError, TypeError, ValueError,
+)  # fmt: skip
+
+MAX_DEFINITION = 1 << 15
+"""Characters of a message definition; with all its comments none takes a fifth of that."""
+MAX_VALUES = 1000
+"""That a message holds before any list in it; an odometry's covariances are 72 of them."""
+
+_STORES = {"cdr": Stores.ROS2_HUMBLE, "ros1": Stores.ROS1_NOETIC}
 _TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms"
-"""rosbags knows all types of ROS 1 but these."""
-_DEFINITIONS: Mapping[Encoding, Mapping[str, str]] = {
-    "cdr": STANDARD_DEFINITIONS,
-    "ros1": ROS1_DEFINITIONS,
-}
-_IDL_SEPARATOR = "=" * 80 + "\n"
+"""rosbags knows all types but the older of these, and of ROS 1 neither."""
+_PLAIN_TYPES = ("sensor_msgs/msg/LaserScan", *_TF_TYPES)
 
 
 def make_scan_reader(channel: Channel, options: ReaderOptions) -> FromBytes[Scan]:
@@ -54,9 +59,9 @@ def make_scan_reader(channel: Channel, options: ReaderOptions) -> FromBytes[Scan
     LogError
         The channel's message definition cannot be understood.
     """
-    if channel.encoding in FOXGLOVE_ENCODINGS:
-        return make_foxglove_reader(channel, SCAN_SCHEMAS[channel.type])
-    return _make_reader(channel, find_converter(channel.type, options), read_laser_scan)
+    if channel.encoding in DECODERS:
+        return _combine(channel, SCAN_SCHEMAS[channel.type])
+    return _combine(channel, find_converter(channel.type, options))
 
 
 def make_pose_reader(channel: Channel) -> FromBytes[list[PoseSample]]:
@@ -67,88 +72,145 @@ def make_pose_reader(channel: Channel) -> FromBytes[list[PoseSample]]:
     LogError
         The channel's message definition cannot be understood.
     """
-    if channel.encoding in FOXGLOVE_ENCODINGS:
-        return make_foxglove_reader(channel, POSE_SCHEMAS[channel.type])
-    convert = POSE_TYPES[normalise_type(channel.type)]
-    return _make_reader(channel, convert, read_transforms)
+    if channel.encoding in DECODERS:
+        return _combine(channel, POSE_SCHEMAS[channel.type])
+    return _combine(channel, POSE_TYPES[normalise_type(channel.type)])
 
 
 def is_laid_out_plainly(channel: Channel) -> bool:
     """Say whether messages are of the types that a log holds most of, and laid out as is usual.
 
-    Little-endian ones can then be read many at a stroke.
+    Little-endian ones can then be stacked, and read many at once.
     """
-    name, known = normalise_type(channel.type), _DEFINITIONS.get(channel.encoding, {})
-    if channel.compressed or name not in known:
+    if channel.compressed or normalise_type(channel.type) not in _PLAIN_TYPES:
         return False
     try:
-        return is_standard(name, _load_types(channel, name).fielddefs, known)
-    except _DEFINITION_ERRORS:
+        return channel.encoding in _STORES and _is_standard(channel)
+    except LogError:
         return False
 
 
-def _make_reader(
-    channel: Channel,
-    convert: Callable[[Any, str, int], T],
-    read_standard: Callable[[memoryview, str, int], T],
-) -> FromBytes[T]:
-    """Combine decoding and conversion, by the short way where the definition is standard."""
-    name, topic = normalise_type(channel.type), channel.topic
+def _combine(channel: Channel, convert: Callable[[Any, str, int], T]) -> FromBytes[T]:
+    """Decode a message, bring it into shape where its type does not say what it holds, convert."""
+    topic = channel.topic
+    if channel.encoding not in DECODERS and _is_standard(channel):
+        decode = _make_ros_decoder(channel)
+        return lambda data, record_ns: convert(decode(data), topic, record_ns)
+    decode = DECODERS.get(channel.encoding, _make_ros_decoder)(channel)
+    shape = SCHEMA_SHAPES.get(channel.type) or SHAPES[normalise_type(channel.type)]
+    return lambda data, record_ns: convert(take(decode(data), shape), topic, record_ns)
+
+
+def _make_ros_decoder(channel: Channel) -> Callable[[memoryview], Any]:
+    """Build what decodes a message by its definition; it raises DamageError."""
+    store, name = _load_types(channel), normalise_type(channel.type)
     try:
-        store = _load_types(channel, name)
-        short = channel.encoding == "cdr" and is_standard(name, store.fielddefs)
-        if not short:
-            store.get_msgdef(name)
+        store.get_msgdef(name)
     except _DEFINITION_ERRORS as error:
-        raise LogError(
-            f"the definition of {channel.type} cannot be understood ({type(error).__name__})",
-            where=topic,
-        ) from error
-    decode = store.deserialize_ros1 if channel.encoding == "ros1" else store.deserialize_cdr
+        raise _refuse(channel.type, type(error).__name__).placed(channel.topic) from error
+    deserialise = store.deserialize_ros1 if channel.encoding == "ros1" else store.deserialize_cdr
 
-    def read_any(data: memoryview, record_ns: int) -> T:
-        return convert(decode(data, name), topic, record_ns)
+    def decode(data: memoryview) -> Any:
+        try:
+            return deserialise(inflate_message(data) if channel.compressed else data, name)
+        except _DECODE_ERRORS as error:
+            raise DamageError(f"is no {name} ({type(error).__name__})") from error
 
-    def read_short(data: memoryview, record_ns: int) -> T:
-        if data[0] == 0 and data[1] == 1:
-            return read_standard(data, topic, record_ns)
-        return read_any(data, record_ns)
-
-    read = read_short if short else read_any
-    return _decompress_first(read) if channel.compressed else read
+    return decode
 
 
-def _decompress_first(read: FromBytes[T]) -> FromBytes[T]:
-    """Decompress each message before it is read."""
-    return lambda data, record_ns: read(inflate_message(data), record_ns)
+def _refuse(kind: str, why: str) -> LogError:
+    return LogError(f"the definition of {kind} cannot be understood ({why})")
 
 
-def _load_types(channel: Channel, name: str) -> Typestore:
-    """Load the log's own definition of a message type, or the standard one where it has none."""
-    if channel.definition:
-        return _parse_definition(channel.definition, name, channel.syntax)
-    if channel.encoding == "cdr" and name in STANDARD_DEFINITIONS:
-        return _parse_definition(STANDARD_DEFINITIONS[name], name, "msg")
-    if channel.encoding == "cdr":
-        return get_typestore(Stores.ROS2_HUMBLE)
-    store = get_typestore(Stores.ROS1_NOETIC)
-    store.register(get_types_from_msg(_TF_DEFINITION, name) if name in _TF_TYPES else {})
+def _is_standard(channel: Channel) -> bool:
+    return _load_types(channel) is _load_standard(channel.encoding)
+
+
+@cache
+def _load_standard(encoding: str) -> Typestore:
+    """Load the types that ROS itself has."""
+    store = get_typestore(_STORES[encoding])
+    for name in _TF_TYPES:
+        if name not in store.fielddefs:
+            store.register(get_types_from_msg(_TF_DEFINITION, name))
     return store
+
+
+def _load_types(channel: Channel) -> Typestore:
+    """Load the log's own definition of a message type, or ROS's where it has none or the same.
+
+    A definition in IDL is one that ROS made of its own types; these are read by what ROS has.
+
+    Raises
+    ------
+    LogError
+        The definition cannot be understood, or asks for more than any message needs.
+    """
+    text = "" if channel.syntax == "idl" else channel.definition
+    try:
+        return _make_store(text, channel.type, channel.encoding)
+    except LogError as error:
+        raise error.placed(channel.topic) from None
 
 
 @lru_cache(maxsize=64)
-def _parse_definition(definition: str, name: str, syntax: str) -> Typestore:
-    """Parse a definition and those appended to it."""
-    if syntax == "msg":
-        # Bags from before 2011 call the header by the package that it then was in.
-        renamed = definition.replace("MSG: roslib/Header", "MSG: std_msgs/Header")
-        types = get_types_from_msg(renamed, name)
-    else:
-        # Where there are several, each is headed by a line that names it.
-        parts = [re.sub(r"\AIDL: .*\n", "", part) for part in definition.split(_IDL_SEPARATOR)]
-        types = {}
-        for part in filter(str.strip, parts):
-            types |= get_types_from_idl(part)
+def _make_store(text: str, kind: str, encoding: str) -> Typestore:
+    """Make the types of a definition; cached by its text, which all logs of a robot share."""
+    standard = _load_standard(encoding)
+    if not text:
+        return standard
+    own = _parse_definition(text, kind)
+    known = standard.fielddefs
+    if all(part in known and known[part][1] == fields for part, (_, fields) in own.items()):
+        return standard
     store = get_typestore(Stores.EMPTY)
-    store.register(types)
+    try:
+        store.register(own)
+    except _DEFINITION_ERRORS as error:
+        raise _refuse(kind, type(error).__name__) from error
     return store
+
+
+def _parse_definition(text: str, kind: str) -> Typesdict:
+    """Parse a definition and those appended to it; only what the type needs, without constants."""
+    name = normalise_type(kind)
+    if len(text) > MAX_DEFINITION:
+        raise _refuse(kind, f"it has {len(text)} characters")
+    try:
+        # Bags from before 2011 call the header by the package that it then was in.
+        types = get_types_from_msg(text.replace("MSG: roslib/Header", "MSG: std_msgs/Header"), name)
+    except _DEFINITION_ERRORS as error:
+        raise _refuse(kind, type(error).__name__) from error
+    types = {**get_typestore(Stores.EMPTY).fielddefs, **types}  # ROS 1 has a time of its own
+    counts: dict[str, int] = {}
+    if flaw := _find_flaw(types, name, counts):
+        raise _refuse(kind, flaw if len(flaw) <= 99 else f"{flaw[:96]}...")
+    return {part: ([], types[part][1]) for part in counts}
+
+
+def _find_flaw(types: Typesdict, name: str, counts: dict[str, int]) -> str:
+    """Count the values that a message has before any list in it; say why nobody can read it.
+
+    rosbags writes a line of code for each value, and would read what takes no bytes for ever.
+
+    Parameters
+    ----------
+    counts
+        Grows by the values of the type and of all that it is made of.
+    """
+    if name not in types:
+        return f"{name} is not defined"
+    if name in counts:
+        return "" if counts[name] else f"{name} contains itself"
+    counts[name] = total = 0
+    fields: Any = types[name][1]
+    for _, (node, detail) in fields:
+        part, repeat = (node, detail), 1
+        if node in {Nodetype.ARRAY, Nodetype.SEQUENCE}:
+            part, repeat = detail[0], detail[1] if node == Nodetype.ARRAY else 1
+        if part[0] == Nodetype.NAME and (flaw := _find_flaw(types, part[1], counts)):
+            return flaw
+        total += repeat * (counts[part[1]] if part[0] == Nodetype.NAME else 1)
+    counts[name] = total
+    return "" if 0 < total <= MAX_VALUES else f"{name} holds {total} values"

@@ -1,6 +1,5 @@
 """A log of ROS messages, whatever container they lie in."""
 
-import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -9,9 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from rosbags.serde import SerdeError
-
-from occmap.errors import LogError
+from occmap.errors import DamageError, LogError
 from occmap.readers import DEFAULT_OPTIONS, Note, Role, Stream
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_decode import (
@@ -26,19 +23,6 @@ from occmap.readers.ros_tf import RawTransforms, read_alike
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
 T = TypeVar("T")
-
-# What rosbags' decoders and the converters raise on bytes that are not what the type says.
-_DECODE_ERRORS = (
-    SerdeError,
-    struct.error,
-    AssertionError,
-    AttributeError,
-    ArithmeticError,
-    LookupError,
-    MemoryError,
-    TypeError,
-    ValueError,
-)
 
 STACK_BYTES = 1 << 19
 """Messages of one channel and length that are held, to be read at a stroke."""
@@ -186,7 +170,7 @@ class _ChannelReader(Generic[T]):
         """Read a message; None where it is damaged, which is counted."""
         try:
             item: T | None = self.decode(data, record_ns)
-        except _DECODE_ERRORS:
+        except DamageError:
             item = None if self._decided else self._read_by_standard(data, record_ns)
             self._failures += item is None
             return item
@@ -200,7 +184,7 @@ class _ChannelReader(Generic[T]):
             return None
         try:
             item = standard(data, record_ns)
-        except _DECODE_ERRORS:
+        except DamageError:
             return None
         self.decode, self._decided, self._uses_standard = standard, True, True
         return item
@@ -224,11 +208,9 @@ def _read_run(run: RawRun, reader: _ChannelReader[Scan]) -> Iterator[Scan | Scan
     """Read messages at a stroke; singly where they are few, or not all alike."""
     messages = run.split()
     first = reader.read(*messages[0])
-    if first is not None and len(messages) >= SHORTEST_RUN:
-        with suppress(*_DECODE_ERRORS):
-            if (scans := run.read(first)) is not None:
-                yield scans
-                return
+    if first is not None and len(messages) >= SHORTEST_RUN and (scans := run.read(first)):
+        yield scans
+        return
     others = (reader.read(data, record_ns) for data, record_ns in messages[1:])
     yield from (scan for scan in (first, *others) if scan is not None)
 
@@ -239,7 +221,7 @@ def _unstack(
     """Read stacked messages at a stroke; singly those that are damaged or like no other."""
     try:
         batches, others = read_alike(stack, channel.encoding, reader.decode)
-    except _DECODE_ERRORS:
+    except DamageError:
         batches, others = [], stack
     yield from batches
     for data, record_ns in others:

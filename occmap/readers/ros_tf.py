@@ -1,4 +1,4 @@
-"""Transforms of many messages at a stroke, where these are laid out alike.
+"""Transforms of many messages at once, where these are laid out alike.
 
 A log holds tens of thousands, and the frames that they name, so where each number lies, hardly
 ever change.
@@ -8,11 +8,17 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from occmap.readers.ros_cdr import align, count_at
-from occmap.readers.ros_columns import LITTLE_ENDIAN, read_columns, read_stamps
+from occmap.readers.ros_columns import (
+    LITTLE_ENDIAN,
+    align,
+    count_at,
+    find_alike,
+    read_columns,
+    read_stamps,
+)
 from occmap.readers.ros_decode import FromBytes
 from occmap.readers.ros_source import Encoding
-from occmap.types import Bool, Int64, PoseBatch, PoseSample, UInt8
+from occmap.types import Int64, PoseBatch, PoseSample, UInt8
 
 RawTransforms: TypeAlias = tuple[bytes, int]
 """A tf2_msgs/TFMessage as it is in the log, and its record time (ns)."""
@@ -42,12 +48,13 @@ def read_alike(
     Returns
     -------
     batches, others
-        The samples of each transform, and the messages of kinds beyond `MOST_KINDS`.
+        The samples of each transform, and the messages of kinds beyond `MOST_KINDS`, or all where
+        the first is not little-endian.
 
     Raises
     ------
-    ValueError, struct.error, OverflowError, or what `read` raises
-        The first message of its kind, or a record time, is damaged.
+    DamageError
+        The first message of its kind is damaged.
     """
     length = len(messages[0][0])
     raw = np.frombuffer(b"".join(data for data, _ in messages), np.uint8).reshape(-1, length)
@@ -58,11 +65,15 @@ def read_alike(
         if not len(left):
             break
         first = messages[left[0]][0]
-        fields = _locate(first, encoding)
-        fixed = _mark_fixed(length, fields)
-        alike = (raw[left][:, fixed] == raw[left[0], fixed]).all(axis=1)
-        rows = left[alike]
+        if encoding == "cdr" and not first.startswith(LITTLE_ENDIAN):
+            break
+        # Decoded first: that it could be says that all its parts lie within the message.
         samples = read(memoryview(first), 0)
+        fields = _locate(first, encoding)
+        stamps = [(each.header, each.stamp + 8) for each in fields]
+        poses = [(each.pose, each.pose + 56) for each in fields]
+        alike = find_alike(raw[left], stamps + poses)
+        rows = left[alike]
         batches += (
             _stack(raw[rows], record_ns[rows], *each) for each in zip(fields, samples, strict=True)
         )
@@ -71,15 +82,7 @@ def read_alike(
 
 
 def _locate(message: bytes, encoding: Encoding) -> list[_Fields]:
-    """Find the numbers of a message.
-
-    Raises
-    ------
-    ValueError, struct.error
-        The message is damaged, or big-endian.
-    """
-    if encoding == "cdr" and message[:2] != LITTLE_ENDIAN:
-        raise ValueError("the message is not little-endian")
+    """Find the numbers of a message."""
     data = memoryview(message)
     at = 4 if encoding == "cdr" else 0
     count, at = count_at(data, at), at + 4
@@ -99,15 +102,6 @@ def _pass_name(data: memoryview, at: int, encoding: Encoding) -> int:
     """Find where a name ends that begins, with its length, at an offset or, in CDR, behind it."""
     start = align(at, 4) if encoding == "cdr" else at
     return start + 4 + count_at(data, start)
-
-
-def _mark_fixed(length: int, fields: list[_Fields]) -> Bool:
-    """(L,): which bytes must be the same in messages that have their numbers in these places."""
-    fixed = np.ones(length, np.bool_)
-    for each in fields:
-        fixed[each.header : each.stamp + 8] = False
-        fixed[each.pose : each.pose + 56] = False
-    return fixed
 
 
 def _stack(raw: UInt8, record_ns: Int64, fields: _Fields, like: PoseSample) -> PoseBatch:

@@ -1,4 +1,4 @@
-"""Fuzz each reader for a minute, then damage each sample log in 1,200 ways."""
+"""Fuzz each reader for a minute, damage each sample log in 1,200 ways, spoil 5,000 messages."""
 
 import hashlib
 import os
@@ -14,6 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 
+from tests.fuzz import typed
 from tests.fuzz.mutate import mutate
 from tests.fuzz.targets import TARGETS, Target
 
@@ -31,6 +32,7 @@ def main(words: list[str]) -> int:
         command = [sys.executable, "-m", "pytest", "-q", "-n", "2", "tests/test_damage.py"]
         damage = subprocess.run(command, env=os.environ | {"OCCMAP_FUZZ": "1"}, check=False)
         failed += ["damage"] if damage.returncode else []
+        failed += ["typed"] if typed.main(["5000", str(time.time_ns() % 10**9)]) else []
     return 1 if failed else 0
 
 

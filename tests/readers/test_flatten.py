@@ -11,7 +11,8 @@ from rosbags.typesys.store import Typestore
 from occmap.errors import LogError, UsageError
 from occmap.pipeline import BuildOptions, choose_topics
 from occmap.readers import Role, open_log
-from occmap.readers.flatten import BEARINGS, convert_cloud, convert_multi_echo
+from occmap.readers.flatten import BEARINGS, convert_cloud
+from occmap.readers.messages import convert_multi_echo
 from occmap.readers.options import Echo, ReaderOptions
 from occmap.types import Float32
 from tests.readers.ros import ROS1, ROS2, SECOND, Written, drive, header, scan, write_mcap

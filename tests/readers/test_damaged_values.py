@@ -1,0 +1,171 @@
+"""One message with a value of a wrong type: it is damaged and noted, and the log goes on."""
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from occmap.readers import foxglove, messages, open_log
+from occmap.readers.flatten import convert_cloud
+from occmap.readers.options import ReaderOptions
+from occmap.readers.ros_log import RosLog
+from occmap.readers.ros_source import Channel
+from tests.readers.foxglove_logs import SECOND, Message, drive, scan, write_json
+from tests.readers.ros import ROS2, SCAN, TF, Memory, Written, transforms, write_mcap
+from tests.readers.ros import scan as ros_scan
+from tests.readers.test_flatten import cloud
+
+SCANS = [scan(index) for index in range(3)]
+
+
+def spoil(message: Message, path: str, value: Any) -> Message:
+    """Put a value in a place such as pose.position.x; it is taken away where it is `...`."""
+    fields = json.loads(json.dumps(message.fields))
+    *above, last = path.split(".")
+    place = fields
+    for name in above:
+        place = place[int(name)] if isinstance(place, list) else place[name]
+    if value is ...:
+        del place[last]
+    else:
+        place[last] = value
+    return message._replace(fields=fields)
+
+
+NOT_A_NUMBER: list[Any] = [None, "1.5", True, [1.0], {}, 10**400, ...]
+NOT_TEXT: list[Any] = [None, 7, ["laser"], "\ud800", ...]
+NO_MESSAGE: list[Any] = [None, 7, [], ...]
+NO_RANGES: list[Any] = [None, 7, {}, "none", [[1, 2], [3, 4]], [[1], [2, 3]], [10**400], ...]
+NOT_A_TIME: list[Any] = [None, 2**62, -(2**62), 2**64, 1.5, "7", ...]
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        *[("start_angle", value) for value in NOT_A_NUMBER],
+        *[("pose.position.x", value) for value in NOT_A_NUMBER],
+        *[("frame_id", value) for value in NOT_TEXT],
+        *[("timestamp.sec", value) for value in NOT_A_TIME],
+        *[("pose", value) for value in NO_MESSAGE],
+        *[("ranges", value) for value in NO_RANGES],
+    ],
+)
+def test_a_value_of_a_wrong_type_damages_its_scan(path: str, value: Any, tmp_path: Path) -> None:
+    log = open_log(
+        write_json(tmp_path / "l.mcap", [SCANS[0], spoil(SCANS[1], path, value), SCANS[2]])
+    )
+
+    assert [one.stamp_ns // SECOND for one in log.scans({"/scan"})] == [100, 102]
+    assert list(log.poses()) == []
+    assert [note.text for note in log.notes] == [
+        "1 of 3 messages on /scan are damaged and not used"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("transforms.0.rotation.w", "1"),
+        ("transforms.0.translation", None),
+        ("transforms.0.child_frame_id", 3),
+        ("transforms.0.timestamp.sec", 2**62),
+        ("transforms", {}),
+        ("transforms", "none"),
+        ("transforms", [None]),
+    ],
+)
+def test_a_value_of_a_wrong_type_damages_its_transform(
+    path: str, value: Any, tmp_path: Path
+) -> None:
+    whole = drive()
+    log = open_log(
+        write_json(tmp_path / "l.mcap", [*whole[:3], spoil(whole[3], path, value), *whole[4:]])
+    )
+
+    assert [one.record_ns // SECOND for one in log.poses()] == [100, 100, 102, 103, 104]
+    assert [note.text for note in log.notes] == ["1 of 5 messages on /tf are damaged and not used"]
+
+
+def test_json_nested_without_end_is_damaged() -> None:
+    channel = Channel("/scan", "foxglove.LaserScan", "json", count=2)
+    deep = b'{"ranges": ' + b"[" * 200_000
+    good = json.dumps(SCANS[0].fields).encode()
+    log = RosLog(Memory([(channel, 1, deep), (channel, 2, good)]))
+
+    assert [one.record_ns for one in log.scans({"/scan"})] == [2]
+    assert "1 of 2 messages on /scan are damaged" in log.notes[0].text
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"row_step": 0, "height": 2**31, "width": 2},
+        {"row_step": 0, "height": 2},
+        {"point_step": 0, "width": 2**32 - 1},
+        {"height": 2**32 - 1, "width": 2**32 - 1},
+        {"point_step": 2**32 - 1},
+    ],
+)
+def test_a_cloud_that_lays_its_points_over_one_another(
+    change: dict[str, int], tmp_path: Path
+) -> None:
+    message = cloud(ROS2, [(2.0, 0.1, 0.0), (2.0, 0.2, 0.0)])
+    for name, value in change.items():
+        setattr(message, name, value)
+    log = open_log(write_mcap(tmp_path / "cloud.mcap", [Written("/points", SECOND, message)]))
+
+    assert list(log.scans({"/points"})) == []
+    assert "1 of 1 messages on /points are damaged" in log.notes[0].text
+
+
+def test_a_single_row_of_points_needs_no_row_step() -> None:
+    message = cloud(ROS2, [(2.0, 0.1, 0.0)])
+    message.row_step = 0
+    assert convert_cloud(ReaderOptions(), message, "/p", 7).ranges.min() == np.float32(
+        math.hypot(2.0, np.float32(0.1))
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "read"),
+    [
+        (SCAN, lambda log: log.scans({"/it"})),
+        (SCAN, lambda log: log.stacked_scans({"/it"})),
+        (TF, lambda log: log.poses()),
+        (TF, lambda log: log.stacked_poses()),
+    ],
+)
+def test_a_fault_of_a_converter_is_no_damage_of_the_log(
+    kind: str, read: Callable[[RosLog], Iterator[Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def convert(message: Any, _topic: str, _record_ns: int) -> Any:
+        return message.anlge_min
+
+    table = messages.SCAN_TYPES if kind == SCAN else messages.POSE_TYPES
+    monkeypatch.setitem(table, kind, convert)
+    message = ros_scan(ROS2, 5) if kind == SCAN else transforms(ROS2, 5, [("a", "b", 1.0)])
+    channel = Channel("/it", kind, "cdr", count=1)
+    log = RosLog(Memory([(channel, 7, bytes(ROS2.serialize_cdr(message, kind)))]))
+
+    with pytest.raises(AttributeError, match="anlge_min"):
+        list(read(log))
+    assert log.notes == []
+
+
+def test_a_fault_of_a_foxglove_converter_is_no_damage_of_the_log(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(
+        foxglove.SCAN_SCHEMAS,
+        "foxglove.LaserScan",
+        lambda message, _topic, _record_ns: message.anlge_min,
+    )
+    log = open_log(write_json(tmp_path / "log.mcap", SCANS))
+
+    with pytest.raises(AttributeError, match="anlge_min"):
+        list(log.scans({"/scan"}))
+    assert log.notes == []

@@ -1,0 +1,201 @@
+"""Definitions of messages that are hostile, odd or damaged: noted, in bounded time and memory."""
+
+import tracemalloc
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from google.protobuf.descriptor_pb2 import (
+    FieldDescriptorProto,
+    FileDescriptorProto,
+    FileDescriptorSet,
+)
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from occmap.readers.options import ReaderOptions
+from occmap.readers.ros_decode import make_scan_reader
+from occmap.readers.ros_log import RosLog
+from occmap.readers.ros_source import Channel, Encoding, Syntax
+from tests.fuzz.__main__ import alarm
+from tests.readers.foxglove_logs import encode_protobuf, make_descriptors
+from tests.readers.foxglove_logs import scan as foxglove_scan
+from tests.readers.ros import RANGES, ROS2, SCAN, Memory, scan
+
+TEXT = ROS2.generate_msgdef(SCAN, ros_version=2)[0]
+MESSAGE = bytes(ROS2.serialize_cdr(scan(ROS2, 5), SCAN))
+PART = "=" * 80 + "\nMSG: sensor_msgs/"
+MEMORY = 64_000_000
+
+
+@contextmanager
+def bounded() -> Iterator[None]:
+    make_scan_reader(Channel("/warm", SCAN, "cdr"), ReaderOptions())  # loads rosbags' own types
+    tracemalloc.start()
+    try:
+        with alarm(5):
+            yield
+        assert tracemalloc.get_traced_memory()[1] < MEMORY
+    finally:
+        tracemalloc.stop()
+
+
+def read(
+    definition: str, data: bytes = MESSAGE, syntax: Syntax = "msg", encoding: Encoding = "cdr"
+) -> RosLog:
+    channel = Channel("/scan", SCAN, encoding, definition, syntax, 1)
+    return RosLog(Memory([(channel, 7, data)]))
+
+
+def test_constants_that_no_code_can_hold_are_of_no_matter() -> None:
+    log = read("float64 X=1e999\nfloat64 Y=-1e999\nint64 Z=0x" + "f" * 9000 + "\n" + TEXT)
+
+    (found,) = log.scans({"/scan"})
+
+    np.testing.assert_array_equal(found.ranges, RANGES)
+    assert log.notes == []
+
+
+def make_types(count: int, fields: str) -> str:
+    """Types A0, A1, ... of which each is made of the next."""
+    return "".join(f"{PART}A{i}\n{fields.format(i + 1)}" for i in range(count))
+
+
+HOSTILE = {
+    "itself": "LaserScan again\n" + TEXT,
+    "loop": "A0 x\n" + TEXT + f"{PART}A0\nA1 x\n{PART}A1\nA0[] x\n",
+    "doubling": "A0 x\n" + TEXT + make_types(60, "A{0} x\nA{0} y\n"),
+    "nothing": "A0[0] x\n" + TEXT + make_types(60, "A{0}[0] x\nA{0}[0] y\n"),
+    "empty": "A0[] x\n" + TEXT + f"{PART}A0\n",
+    "missing": "Missing x\n" + TEXT,
+    "headers": "Header[1000000000] x\n" + TEXT,
+    "strings": "string[100000000] x\n" + TEXT,
+    "digits": f"float32[{'9' * 5000}] x\n" + TEXT,
+    "path": "a/" * 15_000 + "A x\n" + TEXT,
+    "long": "byte x\n" * 1_000_000 + TEXT,
+    "zero": "\0",
+    "brackets": "(" * 5000,
+}
+
+
+@pytest.mark.parametrize("hostile", HOSTILE.values(), ids=list(HOSTILE))
+def test_a_definition_that_asks_for_too_much_is_noted_and_the_standard_one_used(
+    hostile: str,
+) -> None:
+    log = read(hostile)
+    with bounded():
+        (found,) = log.scans({"/scan"})
+
+    np.testing.assert_array_equal(found.ranges, RANGES)
+    text = f"the definition of {SCAN} on /scan is damaged; the standard one is used"
+    assert [note.text for note in log.notes] == [text]
+
+
+@pytest.mark.parametrize(
+    "definition",
+    [
+        "module a { const long X = 1 << 30000000000; };",
+        "module a { const long X = " + "(" * 200 + "1" + ")" * 200 + "; };",
+        "module a { " * 400 + "const long X = 1;" + " };" * 400,
+    ],
+    ids=["shift", "brackets", "modules"],
+)
+def test_idl_is_not_parsed(definition: str) -> None:
+    log = read(definition, syntax="idl")
+    with bounded():
+        (found,) = log.scans({"/scan"})
+
+    np.testing.assert_array_equal(found.ranges, RANGES)
+
+
+def test_a_definition_of_its_own_is_followed() -> None:
+    text = TEXT.replace("float32 angle_min\n", "uint8 mode\nfloat64 angle_min\n")
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text, SCAN))
+    fields = {**vars(scan(ROS2, 5)), "mode": 3, "angle_min": -1.25}
+    stamp = store.types["builtin_interfaces/msg/Time"](1, 2)
+    fields["header"] = store.types["std_msgs/msg/Header"](stamp, "/laser")
+    data = bytes(store.serialize_cdr(store.types[SCAN](**fields), SCAN))
+
+    log = read(text, data)
+    (found,) = log.scans({"/scan"})
+
+    assert (found.stamp_ns, found.frame, found.angle_min) == (1_000_000_002, "laser", -1.25)
+    np.testing.assert_array_equal(found.ranges, RANGES)
+    assert log.notes == []
+
+
+@pytest.mark.parametrize("kind", ["string", "float32[]", "bool", "string[]", "Header"])
+def test_a_field_of_another_type_is_damage_of_the_message(kind: str) -> None:
+    text = TEXT.replace("float32 angle_min\n", f"{kind} angle_min\n")
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text, SCAN))
+    stamp = store.types["builtin_interfaces/msg/Time"](1, 2)
+    header = store.types["std_msgs/msg/Header"](stamp, "/laser")
+    values = {
+        "string": "1.5", "float32[]": np.ones(2, np.float32), "bool": True, "string[]": ["1.5"],
+        "Header": header,
+    }  # fmt: skip
+    fields = {**vars(scan(ROS2, 5)), "header": header, "angle_min": values[kind]}
+    data = bytes(store.serialize_cdr(store.types[SCAN](**fields), SCAN))
+
+    log = read(text, data)
+
+    assert list(log.scans({"/scan"})) == []
+    assert [note.text for note in log.notes] == [
+        "1 of 1 messages on /scan are damaged and not used"
+    ]
+
+
+def make_chain(length: int) -> FileDescriptorSet:
+    """Foxglove's schemas, above files that each need the next."""
+    files = make_descriptors()
+    files.file[0].dependency.append("f0")
+    for i in range(length):
+        needed = [f"f{i + 1}"] if i < length - 1 else []
+        files.file.append(FileDescriptorProto(name=f"f{i}", syntax="proto3", dependency=needed))
+    return files
+
+
+def read_protobuf(files: FileDescriptorSet) -> RosLog:
+    kind = "foxglove.LaserScan"
+    channel = Channel("/scan", kind, "protobuf", count=1, descriptors=files.SerializeToString())
+    return RosLog(Memory([(channel, 7, encode_protobuf(kind, foxglove_scan(0).fields))]))
+
+
+def test_a_long_chain_of_protobuf_files_is_followed() -> None:
+    log = read_protobuf(make_chain(900))
+    with bounded():
+        assert len(list(log.scans({"/scan"}))) == 1
+    assert log.notes == []
+
+
+@pytest.mark.parametrize("length", [3000, 30_000])
+def test_a_chain_of_protobuf_files_beyond_reason_is_noted(length: int) -> None:
+    log = read_protobuf(make_chain(length))
+    with bounded():
+        assert list(log.scans({"/scan"})) == []
+    (note,) = log.notes
+    assert "the definition of foxglove.LaserScan cannot be understood" in note.text
+
+
+def test_protobuf_files_that_need_each_other_are_noted() -> None:
+    files = make_chain(3)
+    files.file[-1].dependency.append("f0")
+    log = read_protobuf(files)
+
+    assert list(log.scans({"/scan"})) == []
+    assert "cannot be understood (CycleError)" in log.notes[0].text
+
+
+def test_a_protobuf_type_that_contains_itself_is_read() -> None:
+    files = make_descriptors()
+    (pose,) = (m for m in files.file[0].message_type if m.name == "Pose")
+    again = pose.field.add(name="again", number=9)
+    again.label = FieldDescriptorProto.LABEL_OPTIONAL
+    again.type, again.type_name = FieldDescriptorProto.TYPE_MESSAGE, ".foxglove.Pose"
+    log = read_protobuf(files)
+
+    with bounded():
+        assert len(list(log.scans({"/scan"}))) == 1
+    assert log.notes == []

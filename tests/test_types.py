@@ -1,0 +1,101 @@
+"""Scans and pose samples check what they are made of, whoever makes them."""
+
+import math
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+
+from occmap.errors import DamageError, LogError
+from occmap.types import Pose, PoseSample, Scan
+
+HERE = Pose.planar(1.0, 2.0, 0.5)
+SCAN: dict[str, Any] = {
+    "stamp_ns": 5, "frame": "laser", "angle_min": -1.5, "angle_increment": 0.5,
+    "ranges": [1.0, 2.0], "range_min": 0.0, "range_max": math.inf, "time_increment": 0.0,
+    "pose": HERE, "topic": "/scan", "record_ns": 7,
+}  # fmt: skip
+SAMPLE: dict[str, Any] = {
+    "stamp_ns": 5, "parent": "map", "child": "base", "pose": HERE, "topic": "/tf", "record_ns": 7,
+}  # fmt: skip
+NO_NUMBERS = [None, "1.5", True, [1.0], 10**400, np.ones(2), 1j]
+NO_TIMES = [None, "7", 1.5, 2**63, -(2**63) - 1, math.nan]
+NO_TEXTS = [None, 7, b"laser", "\ud800"]
+NO_RANGES = [
+    None,
+    7.0,
+    "12",
+    ["1", "2"],
+    [None],
+    [[1, 2], [3, 4]],
+    [[1], [2, 3]],
+    [10**400],
+    [True],
+]
+NO_POSES = [(1.0, 2.0, 0.5), [0.0] * 7, Pose("1", 0, 0, 0, 0, 0, 1)]  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        *[("stamp_ns", value) for value in NO_TIMES],
+        *[("record_ns", value) for value in NO_TIMES[1:]],
+        *[(name, value) for name in ("frame", "topic") for value in NO_TEXTS],
+        *[(name, v) for name in ("angle_min", "angle_increment", "range_min") for v in NO_NUMBERS],
+        *[(name, value) for name in ("range_max", "time_increment") for value in NO_NUMBERS],
+        *[("ranges", value) for value in NO_RANGES],
+        *[("pose", value) for value in NO_POSES],
+    ],
+)
+def test_a_scan_refuses_what_is_not_of_its_type(field: str, value: Any) -> None:
+    with pytest.raises(DamageError) as caught:
+        Scan(**{**SCAN, field: value})
+    assert len(str(caught.value)) < 100
+    assert isinstance(caught.value, LogError)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        *[("stamp_ns", value) for value in NO_TIMES],
+        *[("record_ns", value) for value in NO_TIMES[1:]],
+        *[(name, value) for name in ("parent", "child", "topic") for value in NO_TEXTS],
+        *[("pose", value) for value in [None, *NO_POSES]],
+    ],
+)
+def test_a_pose_sample_refuses_what_is_not_of_its_type(field: str, value: Any) -> None:
+    with pytest.raises(DamageError):
+        PoseSample(**{**SAMPLE, field: value})
+
+
+def test_numbers_of_all_kinds_become_plain_ones() -> None:
+    scan = Scan(
+        np.int32(5), "laser", np.float32(0.5), Fraction(1, 4), [1, 2], 0, math.inf,  # type: ignore[arg-type]
+        pose=Pose(1, np.float32(2), 0, 0, 0, 0, 1),  # type: ignore[arg-type]
+    )  # fmt: skip
+
+    assert [type(value) for value in scan[:4]] == [int, str, float, float]
+    assert (scan.angle_min, scan.angle_increment, scan.range_min) == (0.5, 0.25, 0.0)
+    assert scan.pose is not None
+    assert {type(value) for value in scan.pose} == {float}
+    assert math.isnan(Scan(**{**SCAN, "angle_min": math.nan}).angle_min)
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32, np.int16, np.uint8])
+def test_ranges_are_copied_as_float32(kind: type[Any]) -> None:
+    given = np.array([1, 2, 3], kind)
+    ranges = Scan(**{**SCAN, "ranges": given}).ranges
+
+    assert ranges.dtype == np.float32
+    assert ranges.tolist() == [1, 2, 3]
+    assert not np.shares_memory(ranges, given)
+
+
+def test_a_range_beyond_float32_is_infinite() -> None:
+    assert Scan(**{**SCAN, "ranges": [1e300, -1e300]}).ranges.tolist() == [math.inf, -math.inf]
+
+
+def test_without_a_record_time_the_stamp_stands_for_it() -> None:
+    assert Scan(5, "laser", 0, 0.1, [1.0], 0, math.inf).record_ns == 5
+    assert PoseSample(5, "map", "base", HERE).record_ns == 5
