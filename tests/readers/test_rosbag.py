@@ -1,6 +1,5 @@
 import bz2
 import shutil
-import sqlite3
 import struct
 from pathlib import Path
 
@@ -18,7 +17,6 @@ from tests.readers.ros import (
     Bag2,
     Written,
     drive,
-    scan,
     transforms,
     write_bag1,
 )
@@ -259,28 +257,3 @@ def test_a_folder_of_several_recordings_is_refused(other: str, tmp_path: Path) -
         open_log(folder)
     assert other in caught.value.found
     assert caught.value.fix.startswith(f"give one of them, such as {folder}/")
-
-
-def test_a_database_that_is_no_bag_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "other.db3"
-    database = sqlite3.connect(path)
-    database.execute("CREATE TABLE birds (name TEXT)")
-    database.commit()
-    database.close()
-
-    with pytest.raises(LogError, match="no such table: topics"):
-        open_log(path)
-
-
-def test_a_database_that_was_cut_gives_the_rows_before_the_cut(tmp_path: Path) -> None:
-    log = [Written("/scan", k, scan(ROS2, k, "laser", RANGES.repeat(200))) for k in range(100)]
-    path = SQLITE.write(tmp_path / "drive", log) / "drive.db3"
-    data = path.read_bytes()
-    path.write_bytes(data[: len(data) // 2])
-
-    cut = open_log(path)
-    scans = list(cut.scans({"/scan"}))
-
-    assert [scan.stamp_ns for scan in scans] == list(range(len(scans)))
-    assert 40 <= len(scans) <= 60
-    assert "breaks off after" in cut.notes[0].text
