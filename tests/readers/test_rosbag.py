@@ -1,6 +1,8 @@
 import bz2
+import os
 import shutil
 import struct
+import sys
 from pathlib import Path
 
 import pytest
@@ -20,6 +22,7 @@ from tests.readers.ros import (
     transforms,
     write_bag1,
 )
+from tests.test_damage import time_limit
 
 SQLITE = Bag2(StoragePlugin.SQLITE3)
 MCAP = Bag2(StoragePlugin.MCAP)
@@ -212,12 +215,63 @@ def test_a_folder_without_metadata_is_read(tmp_path: Path) -> None:
         assert count_scans(open_log(folder)) == 6
 
 
-@pytest.mark.parametrize("text", ["", "just words", "{", "rosbag2_bagfile_information: 3"])
-def test_metadata_that_is_damaged_is_no_matter(text: str, tmp_path: Path) -> None:
+ANCHORS = "\n".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}, *a{i - 1}]" for i in range(1, 60))
+UNFOLDING = (
+    f"a0: &a0 [x, x]\n{ANCHORS}\nrosbag2_bagfile_information:\n"
+    "  relative_file_paths: *a59\n  compression_mode: *a59\n"
+)
+MERGING = "a0: &a0 {x: 1}\n" + "\n".join(
+    f"a{i}: &a{i} {{<<: [*a{i - 1}, *a{i - 1}], x{i}: 1}}" for i in range(1, 40)
+)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "just words", "{", "rosbag2_bagfile_information: 3"),
+        *("[" * 900 + "]" * 900, UNFOLDING, MERGING, "x" * (1 << 20) + ": 1"),
+        "rosbag2_bagfile_information: {relative_file_paths: [drive.db3],"
+        " topics_with_message_count: [{message_count: many, topic_metadata: {name: /tf}}]}",
+    ],
+    ids=range(9),
+)
+def test_the_files_of_a_folder_with_damaged_metadata_are_read(text: str, tmp_path: Path) -> None:
     folder = SQLITE.write(tmp_path / "drive", drive(ROS2))
     (folder / "metadata.yaml").write_text(text)
 
-    assert count_scans(open_log(folder)) == 6
+    with time_limit(5):
+        log = open_log(folder)
+
+    assert count_scans(log) == 6
+    assert log.notes == [Note("metadata.yaml is damaged and not used", damage=True)]
+
+
+@pytest.mark.parametrize("bag", [SQLITE, MCAP], ids=["sqlite", "mcap"])
+def test_messages_that_only_the_metadata_counts_are_told_of(bag: Bag2, tmp_path: Path) -> None:
+    folder = bag.write(tmp_path / "drive", drive(ROS2, scans=9))
+    metadata = (folder / "metadata.yaml").read_text()
+    assert open_log(folder).notes == []
+    shutil.rmtree(folder)
+    bag.write(folder, drive(ROS2, scans=6))
+    (folder / "metadata.yaml").write_text(metadata)
+
+    assert open_log(folder).notes == [
+        Note(f"metadata.yaml announces 9 messages on {topic}, the files 6", damage=True)
+        for topic in ("/tf", "/scan")
+    ]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs named pipes")
+@pytest.mark.parametrize("name", ["metadata.yaml", "drive_1.db3", "drive.db3-wal"])
+def test_a_pipe_in_the_place_of_a_file_is_not_waited_for(name: str, tmp_path: Path) -> None:
+    folder = SQLITE.write(tmp_path / "drive", drive(ROS2))
+    metadata = folder / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("- drive.db3", "- drive.db3\n  - drive_1.db3"))
+    (folder / name).unlink(missing_ok=True)
+    os.mkfifo(folder / name)
+
+    with time_limit(5):
+        assert count_scans(open_log(folder)) == 6
 
 
 def test_files_that_the_metadata_names_and_are_missing_are_named(tmp_path: Path) -> None:
