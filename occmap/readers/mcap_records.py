@@ -39,7 +39,7 @@ _FOOTER_BODY = 20
 _FOOTER_LENGTH = RECORD.size + _FOOTER_BODY
 _LONGEST_DATA_END = 255
 """Four bytes, and what a writer may leave behind them."""
-_SHORTEST = {
+_SHORTEST: Mapping[int, int] = {
     Opcode.SCHEMA: 14,
     Opcode.CHANNEL: 16,
     Opcode.MESSAGE: 22,

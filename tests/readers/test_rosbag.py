@@ -4,8 +4,10 @@ import shutil
 import struct
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+from rosbags.rosbag1 import Writer
 from rosbags.rosbag2 import StoragePlugin
 
 from occmap.errors import LogError
@@ -22,6 +24,7 @@ from tests.readers.ros import (
     transforms,
     write_bag1,
 )
+from tests.readers.test_bombs import bounded_memory
 from tests.test_damage import time_limit
 
 SQLITE = Bag2(StoragePlugin.SQLITE3)
@@ -151,6 +154,114 @@ def test_what_lies_before_a_cut_is_read(tmp_path: Path) -> None:
         assert count_scans(log) == sum(end <= cut for end in ends), cut
         assert all(note.damage for note in log.notes)
         assert log.notes
+
+
+PACKED = pytest.mark.parametrize("packed", ["none", "bz2", "lz4"])
+
+
+def list_records(
+    data: bytes | bytearray, opcode: int, at: int = 13, last: int = 0
+) -> list[tuple[int, int, int]]:
+    """Where each record of a kind starts, where its data does, and where it ends."""
+    found = []
+    while at < (last or len(data)):
+        (length,) = struct.unpack_from("<I", data, at)
+        start = at + 8 + length
+        end = start + struct.unpack_from("<I", data, start - 4)[0]
+        found += [(at, start, end)] if b"op=" + bytes([opcode]) in data[at:start] else []
+        at = end
+    return found
+
+
+def write_chunks(path: Path, packed: str) -> bytes:
+    """A bag of 30 scans in chunks of a few messages."""
+    writer = Writer(path)
+    writer.chunk_threshold = 500
+    if packed != "none":
+        writer.set_compression(Writer.CompressionFormat[packed.upper()])
+    with writer:
+        connections: dict[str, Any] = {}
+        for topic, record_ns, message in drive(ROS1, 30):
+            kind = message.__msgtype__
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=ROS1)
+            writer.write(connections[topic], record_ns, ROS1.serialize_ros1(message, kind))
+    return path.read_bytes()
+
+
+def read_damaged(path: Path, data: bytes | bytearray) -> list[int]:
+    """The numbers of the scans that are read; what is lost must have been noted."""
+    path.write_bytes(data)
+    log = open_log(path)
+    numbers = [scan.stamp_ns // SECOND - 1 for scan in log.scans({"/scan"})]
+    assert log.notes or numbers == list(range(30))
+    assert all(note.damage for note in log.notes)
+    return numbers
+
+
+@PACKED
+@pytest.mark.parametrize("wrong", [1, -5, 300, 1 << 20, 2**32 - 1])
+def test_a_chunk_of_a_wrong_length_is_read(tmp_path: Path, packed: str, wrong: int) -> None:
+    data = bytearray(write_chunks(tmp_path / "drive.bag", packed))
+    _, start, end = list_records(data, 5)[7]
+    struct.pack_into("<I", data, start - 4, (end - start + wrong) % 2**32)
+
+    assert read_damaged(tmp_path / "damaged.bag", data) == list(range(30))
+
+
+def test_a_message_of_a_wrong_length_takes_no_other(tmp_path: Path) -> None:
+    data = write_chunks(tmp_path / "drive.bag", "none")
+    at = data.index((RANGES + 8).tobytes())
+    chunks = list_records(data, 5)
+    messages = [found for _, *chunk in chunks for found in list_records(data, 2, *chunk)]
+    (start,) = [start for _, start, end in messages if start < at < end]
+    for wrong in (1, -5, 300, 1 << 20):
+        damaged = bytearray(data)
+        (length,) = struct.unpack_from("<I", data, start - 4)
+        struct.pack_into("<I", damaged, start - 4, length + wrong)
+
+        numbers = read_damaged(tmp_path / "damaged.bag", damaged)
+        assert set(range(30)) - set(numbers) <= {8}
+
+
+@PACKED
+def test_a_record_that_is_damaged_takes_no_other_chunk(tmp_path: Path, packed: str) -> None:
+    data = write_chunks(tmp_path / "drive.bag", packed)
+    head, start, end = list_records(data, 5)[7]
+    of_chunk = set(range(30)) - set(
+        read_damaged(tmp_path / "damaged.bag", data[:start] + bytes(end - start) + data[end:])
+    )
+    assert 0 < len(of_chunk) < 4
+    for at in range(head, start):
+        damaged = bytearray(data)
+        damaged[at] ^= 0x55
+        numbers = read_damaged(tmp_path / "damaged.bag", damaged)
+        assert set(range(30)) - set(numbers) <= of_chunk, at - head
+
+
+@PACKED
+def test_a_chunk_that_is_there_twice_is_used_once(tmp_path: Path, packed: str) -> None:
+    data = write_chunks(tmp_path / "drive.bag", packed)
+    at, _, end = list_records(data, 5)[7]
+
+    assert read_damaged(tmp_path / "damaged.bag", data[:end] + data[at:]) == list(range(30))
+
+
+def test_a_chunk_that_is_gone_is_told_of(tmp_path: Path) -> None:
+    data = write_chunks(tmp_path / "drive.bag", "lz4")
+    at, _, end = list_records(data, 5)[7]
+
+    assert set(read_damaged(tmp_path / "damaged.bag", data[:at] + data[end:])) < set(range(30))
+
+
+@pytest.mark.parametrize("opcode", [4, 5, 6, 7])
+def test_a_record_that_states_4_gib_is_read_in_bounded_memory(tmp_path: Path, opcode: int) -> None:
+    data = bytearray(write_chunks(tmp_path / "drive.bag", "none"))
+    _, start, _ = list_records(data, opcode)[-1]
+    struct.pack_into("<I", data, start - 4, 2**32 - 1)
+
+    with bounded_memory():
+        assert set(read_damaged(tmp_path / "damaged.bag", data)) >= set(range(29))
 
 
 def test_a_bz2_bomb_gives_no_more_than_it_announces(tmp_path: Path) -> None:
