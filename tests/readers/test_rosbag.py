@@ -173,10 +173,10 @@ def list_records(
     return found
 
 
-def write_chunks(path: Path, packed: str) -> bytes:
-    """A bag of 30 scans in chunks of a few messages."""
+def write_chunks(path: Path, packed: str, chunk_size: int = 500) -> bytes:
+    """A bag of 30 scans, by default in chunks of a few messages."""
     writer = Writer(path)
-    writer.chunk_threshold = 500
+    writer.chunk_threshold = chunk_size
     if packed != "none":
         writer.set_compression(Writer.CompressionFormat[packed.upper()])
     with writer:
@@ -210,7 +210,7 @@ def test_a_chunk_of_a_wrong_length_is_read(tmp_path: Path, packed: str, wrong: i
 
 
 def test_a_message_of_a_wrong_length_takes_no_other(tmp_path: Path) -> None:
-    data = write_chunks(tmp_path / "drive.bag", "none")
+    data = write_chunks(tmp_path / "drive.bag", "none", chunk_size=1 << 20)
     at = data.index((RANGES + 8).tobytes())
     chunks = list_records(data, 5)
     messages = [found for _, *chunk in chunks for found in list_records(data, 2, *chunk)]
