@@ -148,7 +148,10 @@ class McapSource:
             stated = statistics.message_count
             add_note(self.notes, f"{held.total()} messages are in it, its statistics have {stated}")
         counts = statistics.channel_message_counts if statistics else {}
-        return self._summary.channels | table.build(counts or held)
+        channels = self._summary.channels | table.build(counts or held)
+        if lost := sum(count for key, count in held.items() if key not in channels):
+            add_note(self.notes, f"{lost} messages belong to no channel that the file names")
+        return channels
 
     def _iterate_blocks(
         self, file: BinaryIO, wanted: Mapping[int, Channel] | None
@@ -167,8 +170,7 @@ class McapSource:
                 _, size = _INDEX_HEAD.unpack(file.read(_INDEX_HEAD.size).ljust(6, b"\0"))
                 indexed += size // _INDEX_ENTRY
             elif opcode in _PLAIN_RECORDS:
-                file.seek(position)
-                yield _Block(position, file.read(RECORD.size + length))
+                yield _Block(position, RECORD.pack(opcode, length) + file.read(length))
         self._compare_index(chunk, indexed)
         if lost := self._summary.chunk_channels.keys() - chunks:
             text = f"{len(lost)} chunks of its index are not there, the first at byte {min(lost)}"
@@ -189,7 +191,6 @@ class McapSource:
             ):
                 if opcode in _LAST_RECORDS:
                     return
-                file.seek(start)
                 yield opcode, position, length
                 position = start + length
                 behind = start  # its length is not sure before what follows it is seen
@@ -208,17 +209,22 @@ class McapSource:
         add_note(self.notes, f"the file breaks off at byte {position}, {rest}")
 
     def _read_head(self, file: BinaryIO, position: int) -> tuple[int, int]:
-        """Read kind and length of a record; those of a chunk can be told from its body, too."""
+        """Read kind and length of a record; those of a chunk can be told from its body, too.
+
+        The file is left at the body.
+        """
         file.seek(position)
-        head = file.read(RECORD.size + CHUNK_START)
-        opcode, length = RECORD.unpack_from(head.ljust(RECORD.size, b"\0"))
-        measured = measure_chunk(head[RECORD.size :])
-        if measured is None or (opcode, length) == (Opcode.CHUNK, measured):
+        opcode, length = RECORD.unpack(file.read(RECORD.size).ljust(RECORD.size, b"\0"))
+        if opcode == Opcode.MESSAGE:
             return opcode, length
-        end = position + RECORD.size + length
-        if length == measured or (opcode == Opcode.CHUNK and not leads_on(file, end, self._size)):
-            self._note(position, "has a damaged head")
-            return Opcode.CHUNK, measured
+        start = position + RECORD.size
+        measured = measure_chunk(file.read(CHUNK_START))
+        if measured is not None and (opcode, length) != (Opcode.CHUNK, measured):
+            is_odd = opcode == Opcode.CHUNK and not leads_on(file, start + length, self._size)
+            if is_odd or length == measured:
+                self._note(position, "has a damaged head")
+                opcode, length = Opcode.CHUNK, measured
+        file.seek(start)
         return opcode, length
 
     def _may_hold(self, position: int, wanted: Mapping[int, Channel] | None) -> bool:

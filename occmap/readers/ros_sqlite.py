@@ -22,6 +22,8 @@ MAGIC = b"SQLite format 3\x00"
 
 _SYNTAXES: Mapping[str, Syntax] = {"ros2msg": "msg", "ros2idl": "idl"}
 _ENCODINGS: Mapping[str, Encoding] = {"cdr": "cdr"}
+_ERRORS = (apsw.Error, UnicodeDecodeError)
+"""What the library raises on damaged files; texts in them may be anything."""
 _MOST_BYTES = 1 << 30
 """Of a value; no message is near it."""
 _FIRST = -(2**63)
@@ -44,7 +46,7 @@ class SqliteSource:
                 topics = _read_topics(database)
                 counts = self._count_messages(database)
                 self._note_state()
-        except apsw.Error as error:
+        except _ERRORS as error:
             raise LogError(
                 f"an SQLite database that cannot be read as a ROS 2 bag ({error})", where=path
             ) from None
@@ -79,7 +81,7 @@ class SqliteSource:
                     yield row
                     last = row[0]
                 return
-            except apsw.Error as error:
+            except _ERRORS as error:
                 add_note(self.notes, f"the storage file is damaged ({error})")
         yield from find_rows(self.path, last)
 
@@ -93,14 +95,14 @@ class SqliteSource:
             for key, topic in database.execute(f"{query} ORDER BY rowid"):
                 last = key
                 counts[topic] += 1
-        except apsw.Error as error:
+        except _ERRORS as error:
             problem = str(error)
         try:
             query = "SELECT count(timestamp) FROM messages INDEXED BY timestamp_idx"
             ((announced,),) = database.execute(query)
         except apsw.SQLError:
             pass  # there is no index
-        except apsw.Error as error:
+        except _ERRORS as error:
             problem = problem or str(error)
         if not problem and announced in {counts.total(), None}:
             return counts
@@ -186,13 +188,14 @@ def _refuse_imitations(database: apsw.Connection) -> None:
     apsw.SQLError
         A table that a bag has is missing, or is something else.
     """
-    query = "SELECT lower(CAST(name AS TEXT)) FROM sqlite_schema WHERE type = 'table' AND rootpage"
-    real = {name for (name,) in database.execute(query)}
+    is_table = "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND rootpage AND name = ?"
+    columns = "SELECT count(*), total(hidden) FROM pragma_table_xinfo(?)"
     for name in ("topics", "messages", "message_definitions"):
-        columns = database.execute(f"PRAGMA table_xinfo({name})").fetchall()
-        if name not in real and (columns or name != "message_definitions"):
+        ((real,),) = database.execute(is_table, (name,))
+        ((count, hidden),) = database.execute(columns, (name,))
+        if not real and (count or name != "message_definitions"):
             raise apsw.SQLError(f"no such table: {name}")
-        if any(hidden for *_, hidden in columns):
+        if hidden:
             raise apsw.SQLError(f"the table {name} has generated columns")
 
 

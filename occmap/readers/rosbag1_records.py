@@ -143,7 +143,7 @@ def split_messages(
                 end = start + _LENGTH.unpack(match["length"])[0]
                 _check_end(block, start, end)
                 (connection,) = _LENGTH.unpack(match["conn"])
-                record_ns = _read_time(match["time"])
+                record_ns = _read_time(match["time"]) if connection in wanted else 0
         except RECORD_ERRORS:
             findings.damaged.append(at)
             found = find_header(BytesIO(block), behind, len(block))

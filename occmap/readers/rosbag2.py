@@ -38,8 +38,8 @@ class _Metadata:
 
     files: tuple[str, ...] = ()
     zipped_messages: bool = False
-    counts: Mapping[str, int] = field(default_factory=dict)
-    """Messages by topic."""
+    counts: Mapping[tuple[str, str], int] = field(default_factory=dict)
+    """Messages by topic and type."""
 
 
 def list_storage(folder: Path) -> list[Path]:
@@ -159,15 +159,15 @@ class Bag2Source:
             add_note(self.notes, f"{METADATA} is damaged and not used")
             return _Metadata()
 
-    def _compare_counts(self, announced: Mapping[str, int]) -> None:
+    def _compare_counts(self, announced: Mapping[tuple[str, str], int]) -> None:
         """Note where the metadata and the storage files count other messages."""
-        held = Counter[str]()
+        held = Counter[tuple[str, str]]()
         for channel in self.channels:
-            held[channel.topic] += channel.count
-        for topic, count in announced.items():
-            if held[topic] != count:
-                text = f"{METADATA} announces {count} messages on {topic}, the files {held[topic]}"
-                add_note(self.notes, text)
+            held[channel.topic, channel.type] += channel.count
+        for (topic, kind), count in announced.items():
+            if (found := held[topic, kind]) != count:
+                text = f"{METADATA} announces {count} messages of {kind} on {topic}"
+                add_note(self.notes, f"{text}, the files {found}")
 
     def _gather_notes(self) -> None:
         """Take over what the storage files had to say."""
@@ -202,7 +202,8 @@ def _parse_metadata(path: Path) -> _Metadata:
     # Old recorders wrote the folder's name before the file's.
     files = tuple(Path(name).name for name in information["relative_file_paths"])
     topics = information.get("topics_with_message_count") or ()
-    counts = Counter[str]()
+    counts = Counter[tuple[str, str]]()
     for topic in topics:
-        counts[topic["topic_metadata"]["name"]] += int(topic["message_count"])
+        described = topic["topic_metadata"]
+        counts[described["name"], described["type"]] += int(topic["message_count"])
     return _Metadata(files, mode.lower() == "message", counts)

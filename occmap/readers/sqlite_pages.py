@@ -151,8 +151,8 @@ def count_lost_frames(path: Path) -> int:
     head = np.frombuffer(data[:_LOG_HEAD].ljust(_LOG_HEAD, b"\0"), ">u4")
     words = 6 + int(head[2]) // 4
     count, rest = divmod(len(data) - _LOG_HEAD, 4 * words)
-    if count < 0:
-        return 1
+    if count <= 0:
+        return int(len(data) != _LOG_HEAD)
     raw = data[_LOG_HEAD : len(data) - rest]
     frames = np.frombuffer(raw, ">u4").reshape(count, words)
     # A page, its size after a commit, two salts, two sums that go on from those before.

@@ -17,7 +17,9 @@ from tests.readers.ros import (
     RANGES,
     ROS1,
     ROS2,
+    SCAN,
     SECOND,
+    TF,
     Bag2,
     Written,
     drive,
@@ -247,6 +249,23 @@ def test_a_chunk_that_is_there_twice_is_used_once(tmp_path: Path, packed: str) -
     assert read_damaged(tmp_path / "damaged.bag", data[:end] + data[at:]) == list(range(30))
 
 
+@pytest.mark.parametrize("damaged", [b"/scam", b"sensor_msgs/LaserScam", b"float33 angle_min"])
+def test_a_connection_that_is_described_in_two_ways_is_told_of(
+    tmp_path: Path, damaged: bytes
+) -> None:
+    data = write_chunks(tmp_path / "drive.bag", "none")
+    sound = damaged.replace(b"scam", b"scan").replace(b"Scam", b"Scan").replace(b"33", b"32")
+    at = data.rindex(sound)
+    path = tmp_path / "damaged.bag"
+    path.write_bytes(data[:at] + damaged + data[at + len(damaged) :])
+
+    log = open_log(path)
+    assert len(list(log.poses())) == 31
+
+    text = "connection 2 is described in two ways"
+    assert any(text in note.text for note in log.notes)
+
+
 def test_a_chunk_that_is_gone_is_told_of(tmp_path: Path) -> None:
     data = write_chunks(tmp_path / "drive.bag", "lz4")
     at, _, end = list_records(data, 5)[7]
@@ -367,8 +386,8 @@ def test_messages_that_only_the_metadata_counts_are_told_of(bag: Bag2, tmp_path:
     (folder / "metadata.yaml").write_text(metadata)
 
     assert open_log(folder).notes == [
-        Note(f"metadata.yaml announces 9 messages on {topic}, the files 6", damage=True)
-        for topic in ("/tf", "/scan")
+        Note(f"metadata.yaml announces 9 messages of {kind} on {topic}, the files 6", damage=True)
+        for topic, kind in (("/tf", TF), ("/scan", SCAN))
     ]
 
 
