@@ -208,18 +208,28 @@ def test_a_time_outside_the_bounds_of_its_chunk_is_told_of(path: Path) -> None:
     assert "outside the times that it states" in log.notes[0].text
 
 
-def test_an_index_without_checksum_is_not_relied_on(path: Path) -> None:
+def test_a_message_of_an_unknown_channel_is_told_of(path: Path) -> None:
+    data = bytearray(write_variant(LOG, BARE))
+    at = find_inner_messages(data)[-1]
+    struct.pack_into("<H", data, at + 9, 77)
+    path.write_bytes(data)
+
+    log, _ = read(path)
+
+    text = "1 messages belong to no channel that the file names"
+    assert [note.text for note in log.notes] == [text]
+
+
+def test_an_index_without_checksum_is_not_relied_on(tmp_path: Path) -> None:
     data = bytearray(write_variant(LOG, FULL - {"checksums"}))
     place = struct.pack("<Q", list_records(data, CHUNK)[4][0])
     at = data.rindex(place) + 16 + 4
     while struct.unpack_from("<H", data, at) != (3,):  # of the channels, /scan is the third
         at += 10
     struct.pack_into("<H", data, at, 77)
-    path.write_bytes(data)
-    path.with_name("other").write_bytes(data[: len(data) // 2])
+    (tmp_path / "damaged.mcap").write_bytes(data)
 
-    assert read(path)[1] == STAMPS
-    path.write_bytes(data[:-9])  # so that there is something to note
+    assert read(tmp_path / "damaged.mcap")[1] == STAMPS
 
 
 @pytest.mark.parametrize("has", [set(), BARE, FULL], ids=len)
