@@ -52,6 +52,8 @@ _LATEST_NS = 2**63 - 1
 """A time beyond this is damage, and is brought into 64 bits with a sign."""
 
 _NEVER_NS = 2**64 - 1
+_LONGEST_PADDING = 64
+"""Bytes that a writer may leave behind the fields of a chunk."""
 
 _DESCRIPTIONS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
 _PLAIN_RECORDS = _DESCRIPTIONS | {Opcode.MESSAGE}
@@ -112,6 +114,9 @@ class McapSource:
                     self._summary = replace(self._summary, channels=self._survey(file))
         except OSError as error:
             raise LogError(f"cannot be read ({error.strerror})", where=path) from None
+        for channel in self.channels:
+            if channel.encoding in {"cdr", "ros1"} and not channel.type:
+                add_note(self.notes, f"the type of the messages on {channel.topic} is not stated")
         if problem and not self.notes:
             add_note(self.notes, f"{problem}: how many messages there should be is not known")
         if self.notes and not self.channels:
@@ -126,9 +131,14 @@ class McapSource:
     def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some channels, in file order."""
         channels = {key: item for key, item in self._summary.channels.items() if item in wanted}
+        table = ChannelTable()
         with self.path.open("rb") as file:
             for block in self._iterate_blocks(file, channels):
-                yield from self._iterate_messages(block, channels.get, None)
+                yield from self._iterate_messages(block, channels.get, table)
+        for key, other in table.build({}).items():
+            known = self._summary.channels.get(key, other)
+            if known.type and known.description != other.description:
+                add_note(self.notes, f"channel {key} is described in two ways: {known.topic}")
 
     def _survey(self, file: BinaryIO) -> dict[int, Channel]:
         """Find the channels and count their messages by reading the whole file."""
@@ -244,6 +254,8 @@ class McapSource:
             self._note(position, "has no head that can be read")
             return _Block(position, b"")
         block, problem = inflate(chunk.data, chunk.compression, chunk.size)
+        if chunk.left > _LONGEST_PADDING:
+            problem = problem or f"has {chunk.left} bytes that it does not state"
         if chunk.crc and not problem and position not in self._verified:
             self._verified.add(position)
             if zlib.crc32(block) != chunk.crc:
@@ -253,7 +265,7 @@ class McapSource:
         return _Block(position, block, chunk.first_ns, chunk.last_ns or _NEVER_NS, True)
 
     def _iterate_messages(
-        self, block: _Block, choose: Callable[[int], T | None], table: ChannelTable | None
+        self, block: _Block, choose: Callable[[int], T | None], table: ChannelTable
     ) -> Iterator[tuple[T, int, memoryview]]:
         """Give the messages of a block, by what is chosen for their channels; None for nothing.
 
@@ -285,12 +297,9 @@ class McapSource:
             self._note(position, "holds messages from outside the times that it states")
         self._held = position, held
 
-    def _describe(
-        self, table: ChannelTable | None, opcode: int, position: int, body: memoryview
-    ) -> None:
+    def _describe(self, table: ChannelTable, opcode: int, position: int, body: memoryview) -> None:
         try:
-            if table is not None:
-                table.add(opcode, bytes(body))
+            table.add(opcode, bytes(body))
         except RECORD_ERRORS:
             self._note(position, "holds a channel that cannot be read")
 

@@ -74,6 +74,8 @@ class Chunk(NamedTuple):
     """Of the bytes before compression; 0 for none."""
     compression: str
     data: memoryview
+    left: int
+    """Bytes behind the data."""
 
 
 @dataclass(frozen=True)
@@ -186,7 +188,9 @@ def parse_chunk(body: bytes) -> Chunk:
     (length,) = struct.unpack_from("<Q", view, name_length)
     start = name_length + 8
     name = str(view[:name_length], "utf-8")
-    return Chunk(first_ns, last_ns, size, crc, name, view[start : start + length])
+    data = view[start : start + length]
+    left = len(view) - start - len(data)
+    return Chunk(first_ns, last_ns, size, crc, name, data, left)
 
 
 def measure_chunk(start: bytes) -> int | None:

@@ -107,11 +107,10 @@ class SqliteSource:
         if not problem and announced in {counts.total(), None}:
             return counts
         problem = problem or "its table and its index differ"
-        self._is_sound = self._has_log  # whose rows lie on no page of the file
-        found = find_rows(self.path, last if self._has_log else _FIRST)
-        counts = Counter(topic for _, topic, _, _ in found) + (
-            counts if self._has_log else Counter()
-        )
+        if not self._has_log:  # the rows in a log lie on no page of the file
+            self._is_sound, last = False, _FIRST
+            counts.clear()
+        counts.update(topic for _, topic, _, _ in find_rows(self.path, last))
         share = f"{counts.total()} of {announced}" if announced else f"{counts.total()}"
         add_note(self.notes, f"the storage file is damaged ({problem}): {share} messages are found")
         return counts
@@ -134,11 +133,11 @@ class SqliteSource:
 
     def _connect(self) -> apsw.Connection:
         """Open the file so that nothing is ever written beside it, not even a lock."""
-        query, vfs = ("", _make_vfs().vfs_name) if self._has_log else ("?immutable=1", "")
+        vfs = _make_vfs().vfs_name if self._has_log else None
         database = apsw.Connection(
-            self.path.resolve().as_uri() + query,
+            self.path.resolve().as_uri() + ("" if vfs else "?immutable=1"),
             flags=apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI,
-            vfs=vfs or None,
+            vfs=vfs,
         )
         database.limit(apsw.SQLITE_LIMIT_LENGTH, _MOST_BYTES)
         # SQLite refuses a file that is shorter than its header says, unless told to try.
@@ -208,7 +207,7 @@ def _read_topics(database: apsw.Connection) -> dict[int, Channel]:
             if form in _SYNTAXES:
                 definitions[kind] = text, _SYNTAXES[form]
     topics = {}
-    fields = ("name", "type", "serialization_format", "id")
+    fields = ("name", "type", "serialization_format", "ifnull(CAST(id AS INTEGER), -1)")
     for name, kind, encoding, key in _read_texts(database, "topics", fields):
         text, syntax = definitions.get(kind, ("", ""))
         topics[int(key)] = Channel(name, kind, _ENCODINGS.get(encoding, ""), text, syntax)

@@ -225,11 +225,7 @@ class Bag1Source:
             self._note(position, f"is damaged in {len(places)} places, first at byte {places[0]}")
         for key, other in findings.connections.items():
             known = self._by_id.get(key, other)
-            if (known.topic, known.type, known.definition) != (
-                other.topic,
-                other.type,
-                other.definition,
-            ):
+            if known.description != other.description:
                 add_note(self.notes, f"connection {key} is described in two ways: {known.topic}")
 
     def _note(self, position: int, problem: str) -> None:

@@ -220,6 +220,40 @@ def test_a_message_of_an_unknown_channel_is_told_of(path: Path) -> None:
     assert [note.text for note in log.notes] == [text]
 
 
+def test_a_chunk_that_states_to_be_empty_is_told_of(path: Path) -> None:
+    data = bytearray(write_variant(LOG, BARE, "zstd"))
+    at, _ = list_records(data, CHUNK)[4]
+    data[at + 9 + 16 : at + 9 + 44] = bytes(28)  # its size, checksum, compression and length
+    path.write_bytes(data)
+
+    log, stamps = read(path)
+
+    assert len(stamps) < SCANS
+    assert "bytes that it does not state" in log.notes[0].text
+
+
+def test_a_channel_that_lost_its_schema_is_told_of(path: Path) -> None:
+    data = bytearray(write_variant(LOG, set()))
+    at, _ = list_records(data, 4)[1]
+    struct.pack_into("<H", data, at + 9 + 2, 0)
+    path.write_bytes(data)
+
+    assert read(path)[0].notes[0].text == "the type of the messages on /tf is not stated"
+
+
+def test_a_channel_that_is_described_in_two_ways_is_told_of(tmp_path: Path) -> None:
+    path = tmp_path / "damaged.mcap"
+    data = bytearray(write_variant(LOG, FULL - {"checksums"}))
+    at = data.rindex(b"sensor_msgs/msg/LaserScan")
+    data[at] = ord("x")
+    path.write_bytes(data)
+
+    log = open_log(path)
+    list(log.poses())
+
+    assert [note.text for note in log.notes] == ["channel 3 is described in two ways: /scan"]
+
+
 def test_an_index_without_checksum_is_not_relied_on(tmp_path: Path) -> None:
     data = bytearray(write_variant(LOG, FULL - {"checksums"}))
     place = struct.pack("<Q", list_records(data, CHUNK)[4][0])

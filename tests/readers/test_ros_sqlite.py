@@ -250,6 +250,21 @@ def test_only_real_tables_are_read(tmp_path: Path, statement: str) -> None:
         open_log(path)
 
 
+@pytest.mark.parametrize("key", ["NULL", "'one'"])
+def test_a_topic_without_a_number_is_told_of(tmp_path: Path, key: str) -> None:
+    path = write_bag(tmp_path)
+    database = sqlite3.connect(path)
+    rows = database.execute("SELECT name, type, serialization_format FROM topics").fetchall()
+    database.execute("DROP TABLE topics")
+    database.execute("CREATE TABLE topics(id, name, type, serialization_format)")
+    database.execute(f"INSERT INTO topics VALUES ({key}, ?, ?, ?)", rows[0])
+    database.commit()
+    database.close()
+
+    text = f"{SCANS} messages belong to no topic that the file names"
+    assert open_log(path).notes == [Note(text, damage=True)]
+
+
 @pytest.mark.parametrize("text", [b"/scan" + SCAN.encode(), b"INTEGER NOT NULL,\n      timestamp"])
 def test_texts_that_are_no_utf8_are_read(tmp_path: Path, text: bytes) -> None:
     path = write_bag(tmp_path)
