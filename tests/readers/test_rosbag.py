@@ -249,12 +249,12 @@ def test_a_chunk_that_is_there_twice_is_used_once(tmp_path: Path, packed: str) -
     assert read_damaged(tmp_path / "damaged.bag", data[:end] + data[at:]) == list(range(30))
 
 
-@pytest.mark.parametrize("damaged", [b"/scam", b"sensor_msgs/LaserScam", b"float33 angle_min"])
+@pytest.mark.parametrize("damaged", [b"sensor_msgs/LaserScam", b"float33 angle_min"])
 def test_a_connection_that_is_described_in_two_ways_is_told_of(
     tmp_path: Path, damaged: bytes
 ) -> None:
     data = write_chunks(tmp_path / "drive.bag", "none")
-    sound = damaged.replace(b"scam", b"scan").replace(b"Scam", b"Scan").replace(b"33", b"32")
+    sound = damaged.replace(b"Scam", b"Scan").replace(b"33", b"32")
     at = data.rindex(sound)
     path = tmp_path / "damaged.bag"
     path.write_bytes(data[:at] + damaged + data[at + len(damaged) :])
