@@ -8,10 +8,12 @@ import random
 import shutil
 import signal
 import struct
+import tempfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
@@ -24,22 +26,24 @@ SAMPLES = Path(__file__).parents[1] / "sample_logs"
 CUTS, FLIPS = (200, 1000) if "OCCMAP_FUZZ" in os.environ else (12, 60)
 SEED = 20_240_229
 TIME_LIMIT_S = 10.0
-SCAN_TOPICS = {"scan", "/scan", "ROBOTLASER1"}
 
-Ends = Callable[[bytes], list[int]]
-"""Finds, in a whole file, where each scan ends."""
+Zone = tuple[int, int]
+"""Where in a file damage may concern a scan: from one offset up to another."""
+FindZones = Callable[[bytes], list[Zone]]
 
 
 @dataclass(frozen=True)
 class Format:
-    """A sample log, where its scans end, and how many of those before damage must be read."""
+    """A sample log, where its scans lie, and how many of those before damage must be read."""
 
     source: str
-    ends: Ends
+    zones: FindZones
     share: float = 0.99
     pack: Callable[[bytes], bytes] = bytes
-    shows_its_end: bool = True
-    """A text that is cut between two lines looks whole."""
+    is_container: bool = True
+    """A text that is cut between two lines looks whole, and no text counts its scans."""
+    concerns_all: bytes = b"nothing"
+    """A text beside which damage concerns all scans, as on SQLite's page of topics."""
 
     def prepare(self, folder: Path) -> tuple[Path, Path]:
         """Copy the log: the path to open, and the file in it that is to be damaged."""
@@ -51,58 +55,96 @@ class Format:
         return target, folder / self.source
 
 
-def find_rows(data: bytes) -> list[int]:
-    """In CSV: behind each line that starts with a digit."""
+def find_rows(data: bytes) -> list[Zone]:
+    """In CSV: the lines that start with a digit."""
     return _find_lines(data, lambda line: line[:1].isdigit())
 
 
-def find_messages(data: bytes) -> list[int]:
+def find_messages(data: bytes) -> list[Zone]:
     """In CARMEN logs."""
     return _find_lines(data, lambda line: line.startswith(b"ROBOTLASER1"))
 
 
-def _find_lines(data: bytes, is_scan: Callable[[bytes], bool]) -> list[int]:
-    ends, at = [], 0
+def _find_lines(data: bytes, is_scan: Callable[[bytes], bool]) -> list[Zone]:
+    zones, at = [], 0
     for line in data.splitlines(keepends=True):
         at += len(line)
         if is_scan(line) and line.endswith(b"\n"):
-            ends.append(at)
-    return ends
+            zones.append((at - len(line), at))
+    return zones
 
 
-def find_unzipped_rows(data: bytes) -> list[int]:
-    """In gzip: where enough has come in for each row to come out."""
+def find_unzipped_rows(data: bytes) -> list[Zone]:
+    """In gzip: up to where enough has come in for each row to come out."""
     inflater = zlib.decompressobj(wbits=31)
     text = b""
-    ends: list[int] = []
+    zones: list[Zone] = []
     for at in range(0, len(data), 256):
         text += inflater.decompress(data[at : at + 256])
-        ends += [at + 256] * (len(find_rows(text)) - len(ends))
-    return ends
+        zones += [(0, at + 256)] * (len(find_rows(text)) - len(zones))
+    return zones
 
 
-def find_ranges(data: bytes) -> list[int]:
-    """In binary logs: behind the bytes of each scan's ranges, and those that follow them."""
+def find_ranges(data: bytes) -> list[Zone]:
+    """In binary logs: the bytes of each scan's ranges, with the heads before and what follows."""
     scans = open_log(SAMPLES / "drive.csv").scans({"scan"})
-    return [data.index(raw) + len(raw) + 8 for raw in (scan.ranges.tobytes() for scan in scans)]
+    places = [(data.index(raw), len(raw)) for raw in (scan.ranges.tobytes() for scan in scans)]
+    return [(at - 200, at + length + 8) for at, length in places]
 
 
-def find_pages(data: bytes) -> list[int]:
-    """In SQLite, which reads whole pages: at the end of the page that a scan lies in."""
-    return [-(-end // 4096) * 4096 for end in find_ranges(data)]
+def find_pages(data: bytes) -> list[Zone]:
+    """In SQLite, which reads whole pages: the pages that a scan lies on."""
+    return [(start // 4096 * 4096, -(-end // 4096) * 4096) for start, end in find_ranges(data)]
 
 
-def find_mcap_chunks(data: bytes) -> list[int]:
-    """In an MCAP file with compressed chunks: at the end of the chunk that a scan lies in."""
-    ends: list[int] = []
-    at = 8
-    while at < len(data) - 8:
-        opcode, length = struct.unpack_from("<BQ", data, at)
-        at += 9 + length
+def find_mcap_chunks(data: bytes) -> list[Zone]:
+    """In an MCAP file with compressed chunks: the chunk that a scan lies in, with its indexes."""
+    zones: list[Zone] = []
+    start = end = 8
+    while end < len(data) - 8:
+        opcode, length = struct.unpack_from("<BQ", data, end)
+        start = end if opcode == 6 else start
+        end += 9 + length
         if opcode == 7:  # a message index follows its chunk; that of /scan counts its scans
-            channel, size = struct.unpack_from("<HI", data, at - length)
-            ends += [at] * (size // 16 if channel == 3 else 0)
-    return ends
+            channel, size = struct.unpack_from("<HI", data, end - length)
+            zones += [(start, end)] * (size // 16 if channel == 3 else 0)
+    return zones
+
+
+def find_bag_chunks(data: bytes) -> list[Zone]:
+    """The same in a ROS 1 bag."""
+    zones: list[Zone] = []
+    start = end = 13
+    while end < len(data):
+        (length,) = struct.unpack_from("<I", data, end)
+        header = data[end + 4 : end + 4 + length]
+        start = end if b"op=\x05" in header else start
+        end += 8 + length + struct.unpack_from("<I", data, end + 4 + length)[0]
+        if b"op=\x04" in header and b"conn=" + struct.pack("<I", 2) in header:
+            (count,) = struct.unpack_from("<I", header, header.index(b"count=") + 6)
+            zones += [(start, end)] * count
+    return zones
+
+
+def pack_bag(data: bytes, compression: str) -> bytes:
+    """Write a ROS 1 bag again in small compressed chunks."""
+    from rosbags.rosbag1 import Reader, Writer  # noqa: PLC0415
+
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder, "source.bag"), Path(folder, "target.bag")
+        source.write_bytes(data)
+        writer = Writer(target)
+        writer.set_compression(Writer.CompressionFormat[compression])
+        writer.chunk_threshold = 1 << 15
+        connections = {}
+        with Reader(source) as reader, writer:
+            for item in reader.connections:
+                connections[item.id] = writer.add_connection(
+                    item.topic, item.msgtype, msgdef=item.msgdef.data, md5sum=item.digest
+                )
+            for item, record_ns, message in reader.messages():
+                writer.write(connections[item.id], record_ns, message)
+        return target.read_bytes()
 
 
 def pack_mcap(data: bytes) -> bytes:
@@ -134,14 +176,19 @@ def pack_gzip(data: bytes) -> bytes:
 
 
 FORMATS = {
-    "csv": Format("drive.csv", find_rows, share=1.0, shows_its_end=False),
-    "csv.gz": Format("drive.csv", find_unzipped_rows, 1.0, pack_gzip),
-    "carmen": Format("drive.log", find_messages, share=1.0, shows_its_end=False),
+    "csv": Format("drive.csv", find_rows, share=1.0, is_container=False),
+    "csv.gz": Format("drive.csv", find_unzipped_rows, 1.0, pack_gzip, is_container=False),
+    "carmen": Format("drive.log", find_messages, share=1.0, is_container=False),
     "bag": Format("drive.bag", find_ranges),
+    "bag.bz2": Format("drive.bag", find_bag_chunks, pack=partial(pack_bag, compression="BZ2")),
+    "bag.lz4": Format("drive.bag", find_bag_chunks, pack=partial(pack_bag, compression="LZ4")),
     "mcap": Format("drive.mcap", find_ranges),
     "mcap.zstd": Format("drive.mcap", find_mcap_chunks, pack=pack_mcap),
-    "ros2": Format("drive_ros2/drive_ros2.db3", find_pages),
+    "ros2": Format(
+        "drive_ros2/drive_ros2.db3", find_pages, concerns_all=b"/scansensor_msgs/msg/LaserScan"
+    ),
 }
+CONTAINERS = [name for name, form in FORMATS.items() if form.is_container]
 
 
 @contextmanager
@@ -160,19 +207,28 @@ def time_limit(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def read_stamps(path: Path) -> tuple[list[int], bool]:
-    """Read the stamps of all scans, and whether damage was noted; every pose is read, too."""
-    stamps: list[int] = []
+Scans = dict[int, bytes]
+"""Ranges by stamp."""
+
+
+def read_scans(path: Path) -> tuple[Scans, str]:
+    """Read all scans, and what was said of damage; every pose is read, too."""
+    scans: Scans = {}
     with time_limit(TIME_LIMIT_S):
         try:
             log = open_log(path)
             for _ in log.poses():
                 pass
             topics = {stream.topic for stream in log.streams if stream.role is Role.SCAN}
-            stamps.extend(scan.stamp_ns for scan in log.scans(topics & SCAN_TOPICS))
-        except OccmapError:
-            return stamps, True
-    return stamps, any(note.damage for note in log.notes)
+            count = 0
+            for scan in log.scans(topics):
+                scans[scan.stamp_ns] = scan.ranges.tobytes()
+                count += 1
+        except OccmapError as error:
+            return scans, str(error)
+    notes = "; ".join(note.text for note in log.notes if note.damage)
+    assert count == len(scans) or notes, "scans that have one stamp went untold"
+    return scans, notes
 
 
 @pytest.fixture(params=FORMATS)
@@ -180,7 +236,7 @@ def form(request: pytest.FixtureRequest) -> Format:
     return FORMATS[request.param]
 
 
-def check_before(form: Format, found: list[int], before: set[int]) -> None:
+def check_before(form: Format, found: Scans, before: set[int]) -> None:
     """See that of the scans that lie before the damage enough were found."""
     kept = before.intersection(found)
     assert len(kept) >= form.share * len(before), f"{len(kept)} of {len(before)}"
@@ -190,41 +246,111 @@ def test_the_scans_of_a_sound_log_are_where_they_are_looked_for(
     form: Format, tmp_path: Path
 ) -> None:
     path, file = form.prepare(tmp_path)
-    whole, damaged = read_stamps(path)
-    ends = form.ends(file.read_bytes())
+    whole, damage = read_scans(path)
 
-    assert len(whole) == len(ends) == len(set(whole)) == 414
-    assert not damaged
+    assert len(whole) == len(form.zones(file.read_bytes())) == 414
+    assert not damage
 
 
 def test_a_log_cut_anywhere(form: Format, tmp_path: Path) -> None:
     path, file = form.prepare(tmp_path)
     data = file.read_bytes()
-    whole, _ = read_stamps(path)
-    ends = form.ends(data)
+    whole, _ = read_scans(path)
+    zones = form.zones(data)
     dice = random.Random(SEED)
     for step in range(CUTS):
         cut = int((step + dice.random()) * len(data) / CUTS)
         file.write_bytes(data[:cut])
-        found, damaged = read_stamps(path)
-        before = {stamp for stamp, end in zip(whole, ends, strict=True) if end <= cut}
+        found, damage = read_scans(path)
+        before = {stamp for stamp, (_, end) in zip(whole, zones, strict=True) if end <= cut}
         check_before(form, found, before)
-        assert damaged or found == whole or not form.shows_its_end, cut
+        assert damage or found == whole or not form.is_container, cut
 
 
 def test_a_log_with_a_flipped_byte_anywhere(form: Format, tmp_path: Path) -> None:
     path, file = form.prepare(tmp_path)
     data = file.read_bytes()
-    whole, _ = read_stamps(path)
-    ends = form.ends(data)
+    whole, _ = read_scans(path)
+    zones = form.zones(data)
     dice = random.Random(SEED)
     for step in range(FLIPS):
         at = int((step + dice.random()) * len(data) / FLIPS)
         flipped = bytearray(data)
         flipped[at] ^= dice.randrange(1, 256)
         file.write_bytes(flipped)
-        found, _ = read_stamps(path)
-        check_before(form, found, {s for s, end in zip(whole, ends, strict=True) if end <= at})
+        found, _ = read_scans(path)
+        before = {stamp for stamp, (_, end) in zip(whole, zones, strict=True) if end <= at}
+        check_before(form, found, before)
+
+
+Damage = Callable[[bytearray, int, random.Random], int]
+"""Damages a file from an offset on, and says where the damage ends."""
+
+
+def flip_bit(data: bytearray, at: int, dice: random.Random) -> int:
+    data[at] ^= 1 << dice.randrange(8)
+    return at + 1
+
+
+def change_byte(data: bytearray, at: int, dice: random.Random) -> int:
+    data[at] ^= dice.randrange(1, 256)
+    return at + 1
+
+
+def put_number(data: bytearray, at: int, dice: random.Random) -> int:
+    size = dice.choice((2, 4, 8))
+    value = dice.choice((0, 1, 0x7FFF, 2**31 - 1, 2**31, 2**32 - 1, 2**63, 2**64 - 1))
+    piece = (value % 2 ** (8 * size)).to_bytes(size, "little")[: len(data) - at]
+    data[at : at + size] = piece
+    return at + size
+
+
+def put_zeros(data: bytearray, at: int, dice: random.Random) -> int:
+    """As a disk leaves a sector that it never wrote."""
+    start = at // 512 * 512
+    end = min(start + 512 * dice.choice((1, 1, 8)), len(data))
+    data[start:end] = bytes(end - start)
+    return end
+
+
+DAMAGES: tuple[Damage, ...] = (flip_bit, change_byte, put_number, put_zeros)
+
+
+@pytest.mark.parametrize("name", CONTAINERS)
+def test_nothing_is_lost_without_a_word_and_nothing_beside_the_damage(
+    name: str, tmp_path: Path
+) -> None:
+    form = FORMATS[name]
+    path, file = form.prepare(tmp_path)
+    data = file.read_bytes()
+    whole, _ = read_scans(path)
+    zones = dict(zip(whole, form.zones(data), strict=True))
+    dice = random.Random(SEED)
+    for step in range(FLIPS):
+        at = int((step + dice.random()) * len(data) / FLIPS)
+        damaged = bytearray(data)
+        damage = dice.choice(DAMAGES)
+        last = damage(damaged, at, dice)
+        first = at // 512 * 512 if damage is put_zeros else at
+        file.write_bytes(damaged)
+        found, told = read_scans(path)
+
+        where = f"{damage.__name__} at {at}: {told}"
+        assert told or len(found) == len(whole), where
+        if form.concerns_all in data[first // 4096 * 4096 : -(-last // 4096) * 4096]:
+            continue
+        beside = {stamp for stamp, (start, end) in zones.items() if end <= first or last <= start}
+        lost = {stamp for stamp in beside if found.get(stamp) != whole[stamp]}
+        assert not lost or refuses(path), f"{len(lost)} lost by {where}"
+
+
+def refuses(path: Path) -> bool:
+    """Whether a log cannot be opened at all."""
+    try:
+        open_log(path)
+    except OccmapError:
+        return True
+    return False
 
 
 def test_a_word_in_the_first_row_is_an_error_and_later_damage(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ OWNERS = {
     "tqdm": "cli",
     "rosbags": "readers",
     "mcap": "readers",
+    "apsw": "readers",
     "PIL": "writers",
     "numba": "grid",
 }

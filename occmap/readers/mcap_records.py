@@ -1,8 +1,9 @@
 """The records of an MCAP file that a map needs: channels, chunks and the summary."""
 
+import re
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
 from typing import BinaryIO, NamedTuple
@@ -13,7 +14,6 @@ from mcap.opcode import Opcode
 from mcap.records import Channel as McapChannel
 from mcap.records import ChunkIndex, Footer, Schema, Statistics
 
-from occmap.readers.inflate import Buffer
 from occmap.readers.ros_source import Channel, Encoding, Syntax
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -35,28 +35,69 @@ _SYNTAXES: Mapping[str, Syntax] = {
     "ros2idl": "idl",
     "omgidl": "idl",
 }
-_FOOTER_LENGTH = RECORD.size + 20
+_FOOTER_BODY = 20
+_FOOTER_LENGTH = RECORD.size + _FOOTER_BODY
+_LONGEST_DATA_END = 255
+"""Four bytes, and what a writer may leave behind them."""
+_SHORTEST: Mapping[int, int] = {
+    Opcode.SCHEMA: 14,
+    Opcode.CHANNEL: 16,
+    Opcode.MESSAGE: 22,
+    Opcode.CHUNK: 40,
+    Opcode.MESSAGE_INDEX: 6,
+    Opcode.DATA_END: 4,
+}
+"""Bytes of records whose texts and lists are empty."""
+LAST_OPCODE = 15
 _CHUNK_HEAD = struct.Struct("<QQQII")
+_CHUNK = re.compile(
+    rb".{28}(\x00{4}|\x03\x00{3}lz4|\x04\x00{3}(none|zstd))(?P<length>.{5}\x00{3})", re.DOTALL
+)
+"""How the body of a chunk starts."""
+CHUNK_START = 44
+"""Bytes of it that say how long the chunk is."""
+_HEAD = re.compile(rb"(?=[\x03-\x0f].{4}\x00{4})", re.DOTALL)
+"""How a record starts; none is as long as 4 GiB."""
+_WINDOW = 1 << 20
+_MOST_SUMMARY = 1 << 30
 
 
 class Chunk(NamedTuple):
     """A block of records, mostly compressed."""
 
+    first_ns: int
+    last_ns: int
+    """When its messages were recorded; 0 where that is not stated."""
     size: int
     """Bytes before compression."""
     crc: int
     """Of the bytes before compression; 0 for none."""
     compression: str
     data: memoryview
+    left: int
+    """Bytes behind the data."""
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What a file holds."""
+    """What the end of a file says that the file holds."""
 
-    channels: dict[int, Channel]
+    channels: dict[int, Channel] = field(default_factory=dict)
     chunk_channels: dict[int, frozenset[int]] = field(default_factory=dict)
-    """The channels with messages in the chunk at each file position, where that is known."""
+    """The channels with messages in the chunk at each file position; no channels: not known."""
+    statistics: Statistics | None = None
+    is_checked: bool = False
+    """Whether it has a checksum, and may be relied on to pass over chunks."""
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether it names every channel with its type, and counts every message."""
+        if self.statistics is None or len(self.channels) != self.statistics.channel_count:
+            return False
+        counts = self.statistics.channel_message_counts
+        return sum(counts.values()) == self.statistics.message_count and all(
+            key in self.channels and self.channels[key].type for key in counts
+        )
 
 
 class ChannelTable:
@@ -94,16 +135,44 @@ class ChannelTable:
         )
 
 
-def split_records(block: Buffer) -> Iterator[tuple[int, int, int]]:
-    """Give opcode, start and end of the body of each record, as far as they are whole."""
-    start = RECORD.size
-    while start <= len(block):
-        opcode, length = RECORD.unpack_from(block, start - RECORD.size)
-        end = start + length
-        if end > len(block):
-            return
-        yield opcode, start, end
-        start = end + RECORD.size
+def find_record(file: BinaryIO, start: int, size: int, chunk_end: int = 0) -> int | None:
+    """Find where records go on behind damage; None where they do not.
+
+    Two heads of records of which one leads to the other do not come about by chance. Before the
+    end of a chunk only those are looked for that are no part of it.
+    """
+    while start < size:
+        file.seek(start)
+        window = file.read(_WINDOW)
+        for match in _HEAD.finditer(window):
+            at = start + match.start()
+            is_inner = at < chunk_end and window[match.start()] < Opcode.CHUNK
+            if not is_inner and leads_on(file, at, size):
+                return at
+        start += max(len(window) - RECORD.size, RECORD.size)
+    return None
+
+
+def leads_on(file: BinaryIO, position: int, size: int) -> bool:
+    """Say whether records follow one another from a position on."""
+    for _ in range(2):
+        if position > size - RECORD.size:
+            return position == size
+        file.seek(position)
+        opcode, length = RECORD.unpack(file.read(RECORD.size))
+        if opcode == Opcode.FOOTER:
+            return bool(length == _FOOTER_BODY)
+        if not is_plausible(opcode, length, size - position - RECORD.size):
+            return False
+        position += RECORD.size + length
+    return True
+
+
+def is_plausible(opcode: int, length: int, left: int) -> bool:
+    """Say whether a record can be of a kind and length, with so many bytes of the file left."""
+    if opcode == Opcode.DATA_END and length > _LONGEST_DATA_END:
+        return False
+    return 0 < opcode <= LAST_OPCODE and _SHORTEST.get(opcode, 0) <= length <= left
 
 
 def parse_chunk(body: bytes) -> Chunk:
@@ -114,61 +183,71 @@ def parse_chunk(body: bytes) -> Chunk:
     struct.error, ValueError
         Not even its head is whole.
     """
-    _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(body)
+    first_ns, last_ns, size, crc, name_length = _CHUNK_HEAD.unpack_from(body)
     view = memoryview(body)[_CHUNK_HEAD.size :]
     (length,) = struct.unpack_from("<Q", view, name_length)
     start = name_length + 8
-    return Chunk(size, crc, str(view[:name_length], "utf-8"), view[start : start + length])
+    name = str(view[:name_length], "utf-8")
+    data = view[start : start + length]
+    left = len(view) - start - len(data)
+    return Chunk(first_ns, last_ns, size, crc, name, data, left)
 
 
-def read_summary(file: BinaryIO, size: int) -> Summary | None:
-    """Read the summary at the end of a file; None where it is absent, damaged or not complete."""
-    try:
-        return _parse_summary(_read_summary_section(file, size))
-    except RECORD_ERRORS:
-        return None
+def measure_chunk(start: bytes) -> int | None:
+    """Find how long the body of a chunk is from its first bytes; None where it is none."""
+    match = _CHUNK.match(start)
+    return match.end() + int.from_bytes(match["length"], "little") if match else None
 
 
-def _read_summary_section(file: BinaryIO, size: int) -> bytes:
-    """Read the bytes between the data and the footer; none where they are damaged."""
-    end = max(size - _FOOTER_LENGTH - len(MAGIC), 0)
-    file.seek(end)
+def read_summary(file: BinaryIO, size: int) -> tuple[Summary, str]:
+    """Read the summary at the end of a file, and say what is wrong with it.
+
+    A summary may be absent: that is not wrong.
+    """
+    end = size - _FOOTER_LENGTH - len(MAGIC)
+    file.seek(max(end, 0))
     tail = file.read()
-    if tail[0] != Opcode.FOOTER or not tail.endswith(MAGIC):
-        return b""
+    if end < 0 or not tail.endswith(MAGIC):
+        return Summary(), "the file is cut before its end"
+    if tail[0] != Opcode.FOOTER:
+        return Summary(), "the footer is damaged"
     footer = Footer.read(ReadDataStream(BytesIO(tail[RECORD.size :])))
-    file.seek(min(footer.summary_start, end) if footer.summary_start else end)
-    section = file.read(end - file.tell())
+    start = footer.summary_start or end
+    file.seek(min(start, end))
+    section = file.read(min(end - file.tell(), _MOST_SUMMARY))
     # The checksum covers the footer, too, up to the checksum itself.
     crc = zlib.crc32(tail[: _FOOTER_LENGTH - 4], zlib.crc32(section))
-    return section if footer.summary_crc in {0, crc} else b""
+    if start > end or footer.summary_crc not in {0, crc}:
+        return Summary(), "the summary at its end is damaged"
+    try:
+        return _parse_summary(section, is_checked=footer.summary_crc != 0), ""
+    except RECORD_ERRORS:
+        return Summary(), "the summary at its end cannot be read"
 
 
-def _parse_summary(section: bytes) -> Summary | None:
-    """Collect channels, message counts and the channels of each chunk."""
+def _parse_summary(section: bytes, is_checked: bool) -> Summary:
+    """Collect channels, message counts and the channels of each chunk.
+
+    Raises
+    ------
+    McapError, struct.error, LookupError, ValueError
+        A record is not well formed, or the last is cut.
+    """
     table = ChannelTable()
     statistics: Statistics | None = None
     chunk_channels = {}
-    for opcode, start, end in split_records(section):
-        body = section[start:end]
+    start = 0
+    while start < len(section):
+        opcode, length = RECORD.unpack_from(section, start)
+        body = section[start + RECORD.size : start + RECORD.size + length]
+        if not opcode or len(body) < length:
+            raise LookupError("a record is cut")
         table.add(opcode, body)
         if opcode == Opcode.STATISTICS:
             statistics = Statistics.read(ReadDataStream(BytesIO(body)))
         elif opcode == Opcode.CHUNK_INDEX:
             index = ChunkIndex.read(ReadDataStream(BytesIO(body)))
-            if index.message_index_offsets:
-                chunk_channels[index.chunk_start_offset] = frozenset(index.message_index_offsets)
-    if statistics is None:
-        return None
-    channels = table.build(statistics.channel_message_counts)
-    return Summary(channels, chunk_channels) if _is_complete(channels, statistics) else None
-
-
-def _is_complete(channels: Mapping[int, Channel], statistics: Statistics) -> bool:
-    """Say whether a summary names every channel with its type and counts every message."""
-    counts = statistics.channel_message_counts
-    return (
-        len(channels) == statistics.channel_count
-        and sum(counts.values()) == statistics.message_count
-        and all(key in channels and channels[key].type for key in counts)
-    )
+            chunk_channels[index.chunk_start_offset] = frozenset(index.message_index_offsets)
+        start += RECORD.size + length
+    counts = statistics.channel_message_counts if statistics else {}
+    return Summary(table.build(counts), chunk_channels, statistics, is_checked)

@@ -136,13 +136,26 @@ class RosLog:
                 add_note(self.notes, text)
 
     def _messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
-        """Give raw messages; a disk that fails is an error with the log's name."""
+        """Give raw messages, and see that they are as many as the log announces.
+
+        A disk that fails is an error with the log's name.
+        """
         if not wanted:
             return
+        counts = dict.fromkeys(wanted, 0)
         try:
-            yield from self._source.messages(wanted)
+            for message in self._source.messages(wanted):
+                counts[message[0]] += 1
+                yield message
         except OSError as error:
             raise LogError(f"cannot be read ({error.strerror})", where=self.path) from None
+        for channel, count in counts.items():
+            if count != channel.count:
+                add_note(
+                    self.notes,
+                    f"{count} messages are read on {channel.topic},"
+                    f" where the log announces {channel.count}",
+                )
 
 
 class _ChannelReader(Generic[T]):

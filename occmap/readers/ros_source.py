@@ -34,6 +34,11 @@ class Channel:
     """The protobuf FileDescriptorSet of the type, where `encoding` is "protobuf"."""
 
     @property
+    def description(self) -> tuple[str, str, str, str, bytes]:
+        """What a log that describes a channel twice should say both times."""
+        return self.topic, self.type, self.encoding, self.definition, self.descriptors
+
+    @property
     def role(self) -> Role:
         """What the messages can be used for."""
         if self.encoding in {"cdr", "ros1"}:

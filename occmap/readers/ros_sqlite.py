@@ -1,25 +1,33 @@
 """The SQLite storage files (.db3) of ROS 2 bags, row by row as they were written.
 
-Read without the index on time, so that a file that was cut gives the rows before the cut.
+Read without the index on time, which is left to say how many rows there should be.
 """
 
-import sqlite3
+import struct
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
-from typing import Any
-from urllib.parse import quote
+
+import apsw
 
 from occmap.errors import LogError
 from occmap.readers import Note
 from occmap.readers.ros_source import Channel, Encoding, RawMessage, Syntax, add_note
+from occmap.readers.sqlite_pages import Row, count_lost_frames, find_rows
 
 MAGIC = b"SQLite format 3\x00"
 
 _SYNTAXES: Mapping[str, Syntax] = {"ros2msg": "msg", "ros2idl": "idl"}
 _ENCODINGS: Mapping[str, Encoding] = {"cdr": "cdr"}
+_ERRORS = (apsw.Error, UnicodeDecodeError)
+"""What the library raises on damaged files; texts in them may be anything."""
+_MOST_BYTES = 1 << 30
+"""Of a value; no message is near it."""
+_FIRST = -(2**63)
+"""No id is below this one."""
 
 
 class SqliteSource:
@@ -28,16 +36,23 @@ class SqliteSource:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.notes: list[Note] = []
+        self._log = path.with_name(path.name + "-wal")
+        # A recorder that died leaves its last rows in a log beside the file.
+        self._has_log = self._log.is_file() and self._log.stat().st_size > 0
+        self._is_sound = True
         try:
             with closing(self._connect()) as database:
+                _refuse_imitations(database)
                 topics = _read_topics(database)
                 counts = self._count_messages(database)
-                self._note_cut(database)
-        except sqlite3.Error as error:
+                self._note_state()
+        except _ERRORS as error:
             raise LogError(
                 f"an SQLite database that cannot be read as a ROS 2 bag ({error})", where=path
             ) from None
         self._by_id = {key: replace(item, count=counts[key]) for key, item in topics.items()}
+        if lost := counts.total() - sum(channel.count for channel in self.channels):
+            add_note(self.notes, f"{lost} messages belong to no topic that the file names")
 
     @property
     def channels(self) -> Sequence[Channel]:
@@ -47,86 +62,162 @@ class SqliteSource:
     def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some topics, in the order in which they were written."""
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
+        with closing(self._connect()) as database:
+            for _, topic, record_ns, data in self._read_rows(database, by_id):
+                if topic in by_id and data is not None:
+                    yield by_id[topic], record_ns, memoryview(data)
+
+    def _read_rows(self, database: apsw.Connection, topics: Collection[int]) -> Iterator[Row]:
+        """Give the rows of some topics; behind damage those of all topics."""
         query = (
-            "SELECT id, topic_id, timestamp, data FROM messages NOT INDEXED"
-            f" WHERE topic_id IN ({','.join('?' * len(by_id))})"
-            " AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
+            "SELECT rowid, topic_id, timestamp, data FROM messages NOT INDEXED"
+            f" WHERE topic_id IN ({','.join('?' * len(topics))})"
+            " AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob' ORDER BY rowid"
         )
-        # What is lost where the file was cut has been noted when its messages were counted.
-        with closing(self._connect()) as database, suppress(sqlite3.Error):
-            for _, key, record_ns, data in _read_rows(database, query, tuple(by_id)):
-                yield by_id[key], record_ns, memoryview(data)
+        last = _FIRST
+        if self._is_sound:
+            try:
+                for row in database.execute(query, tuple(topics)):
+                    yield row
+                    last = row[0]
+                return
+            except _ERRORS as error:
+                add_note(self.notes, f"the storage file is damaged ({error})")
+        yield from find_rows(self.path, last)
 
-    def _note_cut(self, database: sqlite3.Connection) -> None:
-        """Note where the file ends within a page: SQLite takes what is missing for zeros."""
-        ((page,),) = database.execute("PRAGMA page_size")
-        lost = -self.path.stat().st_size % page
-        if lost and not self.notes:
-            add_note(self.notes, f"the storage file is cut: its last page lacks {lost} bytes")
-
-    def _connect(self) -> sqlite3.Connection:
-        """Open the file so that nothing is ever written, not even a lock."""
-        log = self.path.with_name(self.path.name + "-wal")
-        # A recorder that died leaves its last rows in a log beside the file.
-        unfinished = log.exists() and log.stat().st_size > 0
-        mode = "mode=ro" if unfinished else "mode=ro&immutable=1"
-        location = f"file:{quote(str(self.path.resolve()))}?{mode}"
-        database = sqlite3.connect(location, uri=True, check_same_thread=False)
-        # SQLite refuses a file that is shorter than its header says, unless told to try.
-        database.execute("PRAGMA writable_schema = ON")
-        return database
-
-    def _count_messages(self, database: sqlite3.Connection) -> Counter[int]:
-        """Count the messages of each topic, as far as the file is whole."""
+    def _count_messages(self, database: apsw.Connection) -> Counter[int]:
+        """Count the messages of each topic, and see that they are as many as the index has."""
         counts: Counter[int] = Counter()
+        last, problem = _FIRST, ""
+        announced: int | None = None
         try:
-            query = "SELECT id, topic_id FROM messages NOT INDEXED WHERE true"
-            for _, key in _read_rows(database, query, ()):
-                counts[key] += 1
-        except sqlite3.DatabaseError as error:
-            add_note(
-                self.notes,
-                f"the storage file breaks off after {counts.total()} messages ({error})",
-            )
+            query = "SELECT rowid, CAST(topic_id AS INTEGER) FROM messages NOT INDEXED"
+            for key, topic in database.execute(f"{query} ORDER BY rowid"):
+                last = key
+                counts[topic] += 1
+        except _ERRORS as error:
+            problem = str(error)
+        try:
+            query = "SELECT count(timestamp) FROM messages INDEXED BY timestamp_idx"
+            ((announced,),) = database.execute(query)
+        except apsw.SQLError:
+            pass  # there is no index
+        except _ERRORS as error:
+            problem = problem or str(error)
+        if not problem and announced in {counts.total(), None}:
+            return counts
+        problem = problem or "its table and its index differ"
+        if not self._has_log:  # the rows in a log lie on no page of the file
+            self._is_sound, last = False, _FIRST
+            counts.clear()
+        counts.update(topic for _, topic, _, _ in find_rows(self.path, last))
+        share = f"{counts.total()} of {announced}" if announced else f"{counts.total()}"
+        add_note(self.notes, f"the storage file is damaged ({problem}): {share} messages are found")
         return counts
 
+    def _note_state(self) -> None:
+        """Note what tells that the file was cut, or its recorder died."""
+        with self.path.open("rb") as file:
+            page, pages = struct.unpack(">16xH10xI", file.read(32))
+            size, whole = file.seek(0, 2), (1 << 16 if page == 1 else page) * pages
+        if size < whole and not self._has_log:
+            add_note(self.notes, f"the storage file is cut: {size} of its {whole} bytes are there")
+        if self._has_log and (lost := count_lost_frames(self._log)):
+            add_note(
+                self.notes,
+                f"{self._log.name} is cut or damaged: its last {lost} pages are not read",
+            )
+        journal = self.path.with_name(self.path.name + "-journal")
+        if journal.is_file() and journal.stat().st_size:
+            add_note(self.notes, f"the recorder died while it wrote: {journal.name} is not used")
 
-def _read_rows(
-    database: sqlite3.Connection, query: str, values: tuple[int, ...]
-) -> Iterator[tuple[Any, ...]]:
-    """Give the rows of a query, whose first column is the id, up to the last that is sound.
+    def _connect(self) -> apsw.Connection:
+        """Open the file so that nothing is ever written beside it, not even a lock."""
+        vfs = _make_vfs().vfs_name if self._has_log else None
+        database = apsw.Connection(
+            self.path.resolve().as_uri() + ("" if vfs else "?immutable=1"),
+            flags=apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI,
+            vfs=vfs,
+        )
+        database.limit(apsw.SQLITE_LIMIT_LENGTH, _MOST_BYTES)
+        # SQLite refuses a file that is shorter than its header says, unless told to try.
+        database.execute("PRAGMA writable_schema = ON; PRAGMA trusted_schema = OFF")
+        # So it keeps the index of a write-ahead log in memory.
+        database.execute("PRAGMA locking_mode = EXCLUSIVE")
+        return database
+
+
+class _UnlockedFile(apsw.VFSFile):
+    """A file that takes no locks."""
+
+    def xLock(self, level: int) -> None:  # noqa: N802  the library names it
+        """Take none."""
+
+    def xUnlock(self, level: int) -> None:  # noqa: N802
+        """There is none."""
+
+
+class _ReadOnly(apsw.VFS):
+    """Files as the system has them, the write-ahead log opened to be read only, too."""
+
+    vfs_name = "occmap-read-only"
+
+    def __init__(self) -> None:
+        super().__init__(self.vfs_name, "")
+
+    def xOpen(  # noqa: N802
+        self, name: str | apsw.URIFilename | None, flags: list[int]
+    ) -> apsw.VFSFile:
+        """Open a file."""
+        if flags[0] & apsw.SQLITE_OPEN_WAL:
+            flags[0] = apsw.SQLITE_OPEN_WAL | apsw.SQLITE_OPEN_READONLY
+        return _UnlockedFile("", name, flags)
+
+
+@cache
+def _make_vfs() -> _ReadOnly:
+    return _ReadOnly()
+
+
+def _refuse_imitations(database: apsw.Connection) -> None:
+    """Refuse what is no real table: views, virtual tables and generated columns run code.
 
     Raises
     ------
-    sqlite3.DatabaseError
-        The file is damaged behind these rows.
+    apsw.SQLError
+        A table that a bag has is missing, or is something else.
     """
-    last = -1
-    try:
-        for row in database.execute(f"{query} ORDER BY id", values):
-            last = row[0]
-            yield row
-    except sqlite3.DatabaseError:
-        # Python's cursor is one row ahead of what it gives, and loses that one with the error.
-        yield from database.execute(f"{query} AND id > ? ORDER BY id LIMIT 1", (*values, last))
-        raise
+    is_table = "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND rootpage AND name = ?"
+    columns = "SELECT count(*), total(hidden) FROM pragma_table_xinfo(?)"
+    for name in ("topics", "messages", "message_definitions"):
+        ((real,),) = database.execute(is_table, (name,))
+        ((count, hidden),) = database.execute(columns, (name,))
+        if not real and (count or name != "message_definitions"):
+            raise apsw.SQLError(f"no such table: {name}")
+        if hidden:
+            raise apsw.SQLError(f"the table {name} has generated columns")
 
 
-def _read_topics(database: sqlite3.Connection) -> dict[int, Channel]:
-    """Read the topics and their types."""
-    definitions = _read_definitions(database)
-    rows = database.execute("SELECT id, name, type, serialization_format FROM topics")
+def _read_topics(database: apsw.Connection) -> dict[int, Channel]:
+    """Read the topics and their types; recorders before ROS 2 Iron stored no definitions."""
+    definitions: dict[str, tuple[str, Syntax]] = {}
+    columns = ("topic_type", "encoding", "encoded_message_definition")
+    with suppress(apsw.SQLError):
+        for kind, form, text in _read_texts(database, "message_definitions", columns):
+            if form in _SYNTAXES:
+                definitions[kind] = text, _SYNTAXES[form]
     topics = {}
-    for key, name, kind, encoding in rows:
+    fields = ("name", "type", "serialization_format", "ifnull(CAST(id AS INTEGER), -1)")
+    for name, kind, encoding, key in _read_texts(database, "topics", fields):
         text, syntax = definitions.get(kind, ("", ""))
-        topics[key] = Channel(str(name), str(kind), _ENCODINGS.get(encoding, ""), text, syntax)
+        topics[int(key)] = Channel(name, kind, _ENCODINGS.get(encoding, ""), text, syntax)
     return topics
 
 
-def _read_definitions(database: sqlite3.Connection) -> dict[str, tuple[str, Syntax]]:
-    """Read the message definitions by type; recorders before ROS 2 Iron stored none."""
-    query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-    with suppress(sqlite3.OperationalError):
-        rows = database.execute(query)
-        return {kind: (text, _SYNTAXES[form]) for kind, form, text in rows if form in _SYNTAXES}
-    return {}
+def _read_texts(
+    database: apsw.Connection, table: str, columns: Sequence[str]
+) -> Iterator[tuple[str, ...]]:
+    """Give some columns of a table as text, also where it is not UTF-8."""
+    blobs = ", ".join(f"CAST(ifnull({column}, '') AS BLOB)" for column in columns)
+    for row in database.execute(f"SELECT {blobs} FROM {table}"):
+        yield tuple(value.decode(errors="replace") for value in row)

@@ -7,7 +7,7 @@ A walk over the records needs no index, so sound and damaged bags are read the s
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -18,18 +18,66 @@ from occmap.readers.ros_source import Channel, RawMessage, add_note
 from occmap.readers.rosbag1_records import (
     BAG,
     CHUNK,
+    CHUNK_INFO,
     CONNECTION,
     INDEX,
     INDEX_ENTRY,
+    INFO_ENTRY,
     MAGIC,
     MESSAGE,
     RECORD_ERRORS,
+    Findings,
     Header,
+    find_header,
+    leads_on,
     parse_connection,
     read_header,
     split_messages,
-    split_records,
 )
+
+_EVERY_ID = range(1 << 32)
+
+
+@dataclass
+class _Index:
+    """What the records around the messages of a bag say that it holds."""
+
+    bag: Header = Header(b"", {}, 0)  # noqa: RUF009  it is not changed
+    kinds: Counter[int] = field(default_factory=Counter)
+    connections: dict[int, Channel] = field(default_factory=dict)
+    counts: Counter[int] = field(default_factory=Counter)
+    """Messages by connection, as the end of the bag has them."""
+    entries: Counter[int] = field(default_factory=Counter)
+    """The same, as the records behind each chunk have them."""
+
+    def add(self, header: Header, data: bytes) -> None:
+        """Take in a record.
+
+        Raises
+        ------
+        struct.error, LookupError
+            It is not well formed.
+        """
+        if header.opcode == BAG:
+            self.bag = header
+        elif header.opcode == INDEX:
+            self.entries[header.number(b"conn")] += header.number(b"count")
+        elif header.opcode == CHUNK_INFO:
+            for key, count in INFO_ENTRY.iter_unpack(data):
+                self.counts[key] += count
+        elif header.opcode == CONNECTION:
+            self.connections[header.number(b"conn")] = parse_connection(header, data)
+        self.kinds[header.opcode] += 1
+
+    def is_whole(self) -> bool:
+        """Say whether the bag was closed, and its end is as long as its header has it."""
+        try:
+            return self.bag.number(b"index_pos") > 0 and (
+                len(self.connections),
+                self.kinds[CHUNK_INFO],
+            ) == (self.bag.number(b"conn_count"), self.bag.number(b"chunk_count"))
+        except LookupError:
+            return False
 
 
 class Bag1Source:
@@ -39,6 +87,7 @@ class Bag1Source:
         self.path = path
         self.notes: list[Note] = []
         self._odd_index = False
+        self._has_doubles = False
         try:
             with path.open("rb") as file:
                 self._size = file.seek(0, 2)
@@ -59,31 +108,31 @@ class Bag1Source:
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
         with self.path.open("rb") as file:
             for position, block in self._iterate_blocks(file):
-                yield from self._iterate_messages(position, block, by_id)
+                view, findings = memoryview(block), Findings()
+                for connection, record_ns, start, end in split_messages(view, by_id, findings):
+                    yield by_id[connection], record_ns, view[start:end]
+                self._note_damage(position, findings)
 
     def _survey_index(self, file: BinaryIO) -> dict[int, Channel]:
         """Find the connections and their counts in the index; none where it is not whole."""
-        connections: dict[int, Channel] = {}
-        counts: Counter[int] = Counter()
-        chunks = 0
-        bag = Header(b"", {}, 0)
-        with suppress(*RECORD_ERRORS):
-            for header, _ in self._walk(file):
-                if header.opcode == BAG:
-                    bag = header
-                elif header.opcode == CHUNK:
-                    chunks += 1
-                elif header.opcode == INDEX:
-                    counts[header.number(b"conn")] += header.number(b"count")
-                elif header.opcode == CONNECTION:
-                    data = file.read(header.length)
-                    connections[header.number(b"conn")] = parse_connection(header, data)
-        self._refuse_encrypted(bag)
-        if _is_whole(bag, len(connections), chunks):
-            return _with_counts(connections, counts)
-        if not self.notes:
-            add_note(self.notes, "the bag was not closed, and has no index: all of it is read")
-        return {}
+        index = _Index()
+        for header, _, length in self._walk(file):
+            data = file.read(length) if header.opcode in {CHUNK_INFO, CONNECTION} else b""
+            with suppress(*RECORD_ERRORS):
+                index.add(header, data)
+        self._refuse_encrypted(index.bag)
+        chunks, infos = index.kinds[CHUNK], index.kinds[CHUNK_INFO]
+        self._has_doubles = chunks > infos
+        if not index.is_whole():
+            if not self.notes:
+                text = "the bag was not closed, or its index is damaged: all of it is read"
+                add_note(self.notes, text)
+            return {}
+        if chunks != infos:
+            add_note(self.notes, f"{chunks} chunks are in it, its index has {infos}")
+        if +index.entries != +index.counts:
+            add_note(self.notes, "the indexes of its chunks and the one at its end differ")
+        return _with_counts(index.connections, index.counts)
 
     def _refuse_encrypted(self, bag: Header) -> None:
         if encryptor := bag.text(b"encryptor"):
@@ -98,20 +147,20 @@ class Bag1Source:
         connections: dict[int, Channel] = {}
         counts: Counter[int] = Counter()
         for _, block in self._iterate_blocks(file):
-            with suppress(*RECORD_ERRORS):
-                for header, start, end in split_records(block):
-                    key = header.number(b"conn")
-                    if header.opcode == MESSAGE:
-                        counts[key] += 1
-                    elif header.opcode == CONNECTION:
-                        connections.setdefault(key, parse_connection(header, block[start:end]))
+            findings = Findings(connections)
+            counts.update(key for key, *_ in split_messages(block, _EVERY_ID, findings))
         return _with_counts(connections, counts)
 
     def _iterate_blocks(self, file: BinaryIO) -> Iterator[tuple[int, Buffer]]:
         """Give the bag's records in blocks: a chunk's, or one that stands by itself."""
-        for header, position in self._walk(file):
+        seen: set[int] = set()
+        for header, position, length in self._walk(file):
             if header.opcode == CHUNK:
-                data = file.read(header.length)
+                data = file.read(length)
+                if self._has_doubles and hash(data) in seen:
+                    self._note(position, "is there twice, and is used once")
+                    continue
+                seen.add(hash(data) if self._has_doubles else 0)
                 size = int.from_bytes(header.fields.get(b"size", b""), "little")
                 block, problem = inflate(data, header.text(b"compression"), size)
                 if problem:
@@ -119,67 +168,68 @@ class Bag1Source:
                 yield position, block
             elif header.opcode in {MESSAGE, CONNECTION}:
                 # The last chunk of a recording that was not closed: its length was never written.
-                yield position, header.raw + file.read(header.length)
+                yield position, header.raw + file.read(length)
 
-    def _walk(self, file: BinaryIO) -> Iterator[tuple[Header, int]]:
-        """Give the header and position of each record, with the file at the record's data."""
-        position = file.seek(len(MAGIC))
+    def _walk(self, file: BinaryIO) -> Iterator[tuple[Header, int, int]]:
+        """Give header, position and length of each record, with the file at the record's data.
+
+        Behind damage it goes on with the next record that is sound.
+        """
+        position = behind = file.seek(len(MAGIC))
+        chunk_end = 0
         while position < self._size:
+            file.seek(position)
             header = read_header(file)
-            if header is None:
+            start = position + len(header.raw) if header else position
+            end = start + self._find_length(file, header, position) if header else self._size + 1
+            if header and (end <= self._size or header.opcode == CHUNK):
+                file.seek(start)
+                yield header, position, min(end, self._size) - start
+                if end > self._size:
+                    break
+                position, behind = end, start
+                chunk_end = end if header.opcode == CHUNK else 0
+            elif (found := find_header(file, behind, self._size, chunk_end)) is not None:
+                add_note(self.notes, f"damaged at byte {position}, read on from byte {found}")
+                position, behind = found, found + 1
+            else:
                 break
-            start = position + len(header.raw)
-            end = start + self._find_length(header, position)
-            if end <= self._size or header.opcode == CHUNK:
-                yield header, position
-            if end > self._size:
-                break
-            position = file.seek(end)
         if position < self._size:
             lost = self._size - position
             add_note(
                 self.notes, f"the bag breaks off at byte {position}, {lost} bytes before its end"
             )
 
-    def _find_length(self, header: Header, position: int) -> int:
-        """Find how long a record's data is; some index records state another length than theirs."""
-        count = header.fields.get(b"count")
-        if header.opcode != INDEX or count is None:
-            return header.length
-        length = INDEX_ENTRY * header.number(b"count")
-        if length != header.length and not self._odd_index:
-            self._odd_index = True
-            add_note(
-                self.notes,
-                f"index records state a wrong length, the first at byte {position};"
-                " the messages are all there",
-            )
-        return length
+    def _find_length(self, file: BinaryIO, header: Header, position: int) -> int:
+        """Find how long a record's data is, where it states another length than it has."""
+        start = position + len(header.raw)
+        if header.opcode == INDEX and b"count" in header.fields:
+            length = INDEX_ENTRY * header.number(b"count")
+            if length != header.length and not self._odd_index:
+                self._odd_index = True
+                add_note(
+                    self.notes,
+                    f"index records state a wrong length, the first at byte {position};"
+                    " the messages are all there",
+                )
+            return length if leads_on(file, start + length, self._size) else header.length
+        if header.opcode == CHUNK and not leads_on(file, start + header.length, self._size):
+            following = find_header(file, start, self._size, chunk_end=self._size)
+            if following is not None:
+                self._note(position, "states a wrong length")
+                return following - start
+        return header.length
 
-    def _iterate_messages(
-        self, position: int, block: Buffer, wanted: Mapping[int, Channel]
-    ) -> Iterator[RawMessage]:
-        """Give the messages of a block."""
-        view = memoryview(block)
-        try:
-            for connection, record_ns, start, end in split_messages(view, wanted):
-                yield wanted[connection], record_ns, view[start:end]
-        except RECORD_ERRORS as error:
-            self._note(position, f"cannot be read to its end ({error})")
+    def _note_damage(self, position: int, findings: Findings) -> None:
+        if places := findings.damaged:
+            self._note(position, f"is damaged in {len(places)} places, first at byte {places[0]}")
+        for key, other in findings.connections.items():
+            known = self._by_id.get(key, other)
+            if known.description != other.description:
+                add_note(self.notes, f"connection {key} is described in two ways: {known.topic}")
 
     def _note(self, position: int, problem: str) -> None:
         add_note(self.notes, f"the chunk at byte {position} {problem}")
-
-
-def _is_whole(bag: Header, connections: int, chunks: int) -> bool:
-    """Say whether a bag was closed, and holds all that its header counts."""
-    try:
-        return bag.number(b"index_pos") > 0 and (connections, chunks) == (
-            bag.number(b"conn_count"),
-            bag.number(b"chunk_count"),
-        )
-    except LookupError:
-        return False
 
 
 def _with_counts(

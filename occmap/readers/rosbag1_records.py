@@ -3,6 +3,9 @@
 import re
 import struct
 from collections.abc import Container, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from io import BytesIO
 from typing import BinaryIO, NamedTuple
 
 from occmap.readers.inflate import Buffer
@@ -10,10 +13,12 @@ from occmap.readers.ros_source import Channel
 
 MAGIC = b"#ROSBAG V2.0\n"
 
-MESSAGE, BAG, INDEX, CHUNK, CONNECTION = 2, 3, 4, 5, 7
-"""The opcodes that matter; 6 sums up a chunk in the index at the end."""
+MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
+"""The opcodes."""
 INDEX_ENTRY = 12
 """Bytes of an entry of an index record: a time and an offset."""
+INFO_ENTRY = struct.Struct("<II")
+"""Of the record that sums up a chunk: a connection, and how many messages it has."""
 
 RECORD_ERRORS = (struct.error, LookupError, ValueError)
 
@@ -21,6 +26,22 @@ _LENGTH = struct.Struct("<I")
 _TIME = struct.Struct("<II")
 _VALUES = {b"conn": b"(?P<conn>.{4})", b"time": b"(?P<time>.{8})"}
 """What differs between the headers of messages."""
+_FIELDS = {
+    MESSAGE: {b"conn", b"time"},
+    BAG: {b"index_pos"},
+    INDEX: {b"conn", b"count"},
+    CHUNK: {b"compression", b"size"},
+    CHUNK_INFO: {b"chunk_pos", b"count"},
+    CONNECTION: {b"conn", b"topic"},
+}
+"""What the header of each has."""
+_OPCODES = {bytes([opcode]) for opcode in _FIELDS}
+_OPCODE = re.compile(rb"\x04\x00{3}op=[\x02-\x07]")
+_WINDOW = 1 << 20
+_OVERLAP = 1 << 12
+"""Bytes of a window that the next one has, too: longer than headers are."""
+_LONGEST_START = 100
+"""Bytes of a header before its opcode, at most."""
 _MAX_HEADER = 1 << 20
 """A header is a hundred bytes; one that claims to be longer than this is no header."""
 
@@ -85,35 +106,90 @@ def split_records(block: Buffer, at: int = 0) -> Iterator[tuple[Header, int, int
         yield header, start, at
 
 
-def split_messages(block: Buffer, wanted: Container[int]) -> Iterator[tuple[int, int, int, int]]:
+@dataclass(frozen=True)
+class Findings:
+    """What lies between the messages of a block."""
+
+    connections: dict[int, Channel] = field(default_factory=dict)
+    damaged: list[int] = field(default_factory=list)
+    """Where records are damaged."""
+
+
+def split_messages(
+    block: Buffer, wanted: Container[int], findings: Findings
+) -> Iterator[tuple[int, int, int, int]]:
     """Give connection, time (ns), start and end of the data of each message of these connections.
 
     A program writes the headers of all its messages alike, so most are read by the pattern of the
-    one before them: in a tenth of the time that it takes field by field.
-
-    Raises
-    ------
-    struct.error, LookupError
-        As `split_records`.
+    one before them: in a tenth of the time that it takes field by field. Behind a damaged record it
+    goes on with the next that is sound.
     """
-    at = 0
+    at = behind = 0
     pattern: re.Pattern[bytes] | None = None
     while at < len(block):
         match = pattern.match(block, at) if pattern else None
-        if match is None:
-            header, start, end = next(split_records(block, at))
-            if header.opcode == MESSAGE:
-                pattern = _describe_alike(header)
-                if (connection := header.number(b"conn")) in wanted:
-                    yield connection, header.time_ns(), start, end
-        else:
-            start = match.end()
-            end = start + _LENGTH.unpack(match["length"])[0]
-            _check_end(block, start, end)
-            (connection,) = _LENGTH.unpack(match["conn"])
-            if connection in wanted:
-                yield connection, _read_time(match["time"]), start, end
-        at = end
+        try:
+            if match is None:
+                header, start, end = next(split_records(block, at))
+                connection = header.number(b"conn") if header.opcode == MESSAGE else -1
+                record_ns = header.time_ns() if connection in wanted else 0
+                if header.opcode == MESSAGE:
+                    pattern = _describe_alike(header)
+                elif header.opcode == CONNECTION:
+                    channel = parse_connection(header, block[start:end])
+                    findings.connections.setdefault(header.number(b"conn"), channel)
+            else:
+                start = match.end()
+                end = start + _LENGTH.unpack(match["length"])[0]
+                _check_end(block, start, end)
+                (connection,) = _LENGTH.unpack(match["conn"])
+                record_ns = _read_time(match["time"]) if connection in wanted else 0
+        except RECORD_ERRORS:
+            findings.damaged.append(at)
+            found = find_header(BytesIO(block), behind, len(block))
+            at, behind = (len(block), 0) if found is None else (found, found + 1)
+            continue
+        if connection in wanted:
+            yield connection, record_ns, start, end
+        at, behind = end, start
+
+
+def find_header(file: BinaryIO, start: int, size: int, chunk_end: int = 0) -> int | None:
+    """Find where records go on behind damage; None where they do not.
+
+    Before the end of a chunk only those are looked for that are no part of it.
+    """
+    while start < size:
+        file.seek(start)
+        window = file.read(_WINDOW)
+        for match in _OPCODE.finditer(window):
+            for at in range(max(match.start() - _LONGEST_START, 0), match.start() - 3):
+                position = start + at
+                header = _try_header(window, at, size - start)
+                if header is None or header.opcode != match.group()[-1]:
+                    continue
+                if position >= chunk_end or header.opcode not in {MESSAGE, CONNECTION}:
+                    return position
+        start += _WINDOW - _OVERLAP
+    return None
+
+
+def leads_on(file: BinaryIO, position: int, size: int) -> bool:
+    """Say whether a record, or the end of the file, is at a position."""
+    if position >= size:
+        return position == size
+    file.seek(position)
+    return read_header(file) is not None
+
+
+def _try_header(block: Buffer, at: int, size: int) -> Header | None:
+    """Parse what may be a header; None where it is none, or its data reaches beyond a size."""
+    with suppress(*RECORD_ERRORS):
+        header = _parse_header(block, at)
+        is_whole = at + len(header.raw) + header.length <= size
+        if is_whole and _FIELDS[header.opcode] <= header.fields.keys():
+            return header
+    return None
 
 
 def _describe_alike(header: Header) -> re.Pattern[bytes] | None:
@@ -161,8 +237,8 @@ def _parse_header(block: Buffer, at: int) -> Header:
     end = at + _LENGTH.size + length
     (data_length,) = _LENGTH.unpack_from(block, end)
     fields = _parse_fields(block[at + _LENGTH.size : end])
-    if len(fields.get(b"op", b"")) != 1:
-        raise LookupError("a record without an opcode")
+    if fields.get(b"op", b"") not in _OPCODES:
+        raise LookupError("a record of no known kind")
     return Header(bytes(block[at : end + _LENGTH.size]), fields, data_length)
 
 
@@ -175,4 +251,6 @@ def _parse_fields(header: Buffer) -> dict[bytes, bytes]:
         at += _LENGTH.size + length
         name, _, value = bytes(header[at - length : at]).partition(b"=")
         fields[name] = value
+    if at > len(header):
+        raise LookupError("a header that breaks off")
     return fields

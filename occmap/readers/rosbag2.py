@@ -7,8 +7,9 @@ import re
 import shutil
 import tempfile
 import weakref
-from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ from occmap.readers.ros_sqlite import SqliteSource
 
 METADATA = "metadata.yaml"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_MOST_METADATA = 1 << 20
+"""Characters that are read of it: a hundred times what recorders write."""
 _STORAGE_NAME = re.compile(r".*\.(db3|mcap)(\.zstd)?")
 
 
@@ -33,13 +36,16 @@ _STORAGE_NAME = re.compile(r".*\.(db3|mcap)(\.zstd)?")
 class _Metadata:
     """What metadata.yaml says that the storage files do not."""
 
-    files: tuple[str, ...]
-    zipped_messages: bool
+    files: tuple[str, ...] = ()
+    zipped_messages: bool = False
+    counts: Mapping[tuple[str, str], int] = field(default_factory=dict)
+    """Messages by topic and type."""
 
 
 def list_storage(folder: Path) -> list[Path]:
     """List the storage files of a folder, those of a split recording by their numbers."""
-    paths = (path for path in folder.iterdir() if _STORAGE_NAME.fullmatch(path.name))
+    named = (path for path in folder.iterdir() if _STORAGE_NAME.fullmatch(path.name))
+    paths = (path for path in named if path.is_file())  # a pipe would be waited for
     return sorted(paths, key=lambda path: ([int(n) for n in re.findall(r"\d+", path.name)], path))
 
 
@@ -69,13 +75,14 @@ class Bag2Source:
         self.notes: list[Note] = []
         self._scratch: Path | None = None
         try:
-            metadata = _read_metadata(path / METADATA)
+            metadata = self._read_metadata()
             files = self._find_files(metadata)
             self._parts = self._open_parts(files)
         except OSError as error:
             raise LogError(f"cannot be read ({error.strerror})", where=path) from None
         self._by_part = [_list_channels(part, metadata.zipped_messages) for part in self._parts]
         self._gather_notes()
+        self._compare_counts(metadata.counts)
 
     @property
     def channels(self) -> Sequence[Channel]:
@@ -95,12 +102,12 @@ class Bag2Source:
         """Find the storage files that the metadata names, or those that are there."""
         present = list_storage(self.path)
         named = [self.path / name for name in metadata.files]
-        missing = ", ".join(file.name for file in named if not file.exists())
+        missing = ", ".join(file.name for file in named if not file.is_file())
         if missing and not present:
             raise LogError(f"{METADATA} names files that are missing: {missing}", where=self.path)
         if missing:
             add_note(self.notes, f"{METADATA} names files that are missing: {missing}")
-        there = [file for file in named if file.exists()]
+        there = [file for file in named if file.is_file()]
         if not there:
             refuse_mixed(self.path, present)
         return there or present
@@ -141,6 +148,27 @@ class Bag2Source:
             add_note(self.notes, f"{file.name} {problem}")
         return target
 
+    def _read_metadata(self) -> _Metadata:
+        """Read metadata.yaml; where it is absent or damaged, the files speak for themselves."""
+        path = self.path / METADATA
+        if not path.is_file():
+            return _Metadata()
+        try:
+            return _parse_metadata(path)
+        except (YAMLError, LookupError, TypeError, AttributeError, ValueError, RecursionError):
+            add_note(self.notes, f"{METADATA} is damaged and not used")
+            return _Metadata()
+
+    def _compare_counts(self, announced: Mapping[tuple[str, str], int]) -> None:
+        """Note where the metadata and the storage files count other messages."""
+        held = Counter[tuple[str, str]]()
+        for channel in self.channels:
+            held[channel.topic, channel.type] += channel.count
+        for (topic, kind), count in announced.items():
+            if (found := held[topic, kind]) != count:
+                text = f"{METADATA} announces {count} messages of {kind} on {topic}"
+                add_note(self.notes, f"{text}, the files {found}")
+
     def _gather_notes(self) -> None:
         """Take over what the storage files had to say."""
         for part in self._parts:
@@ -158,17 +186,24 @@ def _list_channels(part: Source, compressed: bool) -> dict[Channel, Channel]:
     return {item: replace(item, compressed=compressed) for item in part.channels}
 
 
-def _read_metadata(path: Path) -> _Metadata:
-    """Read metadata.yaml; where it is absent or damaged, the files speak for themselves."""
-    nothing = _Metadata((), zipped_messages=False)
-    if not path.exists():
-        return nothing
-    try:
-        document: Any = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
-        information = document["rosbag2_bagfile_information"]
-        mode = information.get("compression_mode") or ""
-        # Old recorders wrote the folder's name before the file's.
-        files = tuple(Path(name).name for name in information["relative_file_paths"])
-    except (YAMLError, LookupError, TypeError, AttributeError, ValueError):
-        return nothing
-    return _Metadata(files, zipped_messages=str(mode).lower() == "message")
+def _parse_metadata(path: Path) -> _Metadata:
+    """Parse metadata.yaml, of which every value is taken as text: nothing in it unfolds.
+
+    Raises
+    ------
+    YAMLError, LookupError, TypeError, AttributeError, ValueError, RecursionError
+        It is not as recorders write it.
+    """
+    with path.open(encoding="utf-8") as file:
+        text = file.read(_MOST_METADATA)
+    document: Any = YAML(typ="base", pure=True).load(text)
+    information = document["rosbag2_bagfile_information"]
+    mode = information.get("compression_mode", "")
+    # Old recorders wrote the folder's name before the file's.
+    files = tuple(Path(name).name for name in information["relative_file_paths"])
+    topics = information.get("topics_with_message_count") or ()
+    counts = Counter[tuple[str, str]]()
+    for topic in topics:
+        described = topic["topic_metadata"]
+        counts[described["name"], described["type"]] += int(topic["message_count"])
+    return _Metadata(files, mode.lower() == "message", counts)

@@ -1,10 +1,13 @@
 import bz2
+import os
 import shutil
-import sqlite3
 import struct
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+from rosbags.rosbag1 import Writer
 from rosbags.rosbag2 import StoragePlugin
 
 from occmap.errors import LogError
@@ -14,14 +17,17 @@ from tests.readers.ros import (
     RANGES,
     ROS1,
     ROS2,
+    SCAN,
     SECOND,
+    TF,
     Bag2,
     Written,
     drive,
-    scan,
     transforms,
     write_bag1,
 )
+from tests.readers.test_bombs import bounded_memory
+from tests.test_damage import time_limit
 
 SQLITE = Bag2(StoragePlugin.SQLITE3)
 MCAP = Bag2(StoragePlugin.MCAP)
@@ -152,6 +158,131 @@ def test_what_lies_before_a_cut_is_read(tmp_path: Path) -> None:
         assert log.notes
 
 
+PACKED = pytest.mark.parametrize("packed", ["none", "bz2", "lz4"])
+
+
+def list_records(
+    data: bytes | bytearray, opcode: int, at: int = 13, last: int = 0
+) -> list[tuple[int, int, int]]:
+    """Where each record of a kind starts, where its data does, and where it ends."""
+    found = []
+    while at < (last or len(data)):
+        (length,) = struct.unpack_from("<I", data, at)
+        start = at + 8 + length
+        end = start + struct.unpack_from("<I", data, start - 4)[0]
+        found += [(at, start, end)] if b"op=" + bytes([opcode]) in data[at:start] else []
+        at = end
+    return found
+
+
+def write_chunks(path: Path, packed: str, chunk_size: int = 500) -> bytes:
+    """A bag of 30 scans, by default in chunks of a few messages."""
+    writer = Writer(path)
+    writer.chunk_threshold = chunk_size
+    if packed != "none":
+        writer.set_compression(Writer.CompressionFormat[packed.upper()])
+    with writer:
+        connections: dict[str, Any] = {}
+        for topic, record_ns, message in drive(ROS1, 30):
+            kind = message.__msgtype__
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=ROS1)
+            writer.write(connections[topic], record_ns, ROS1.serialize_ros1(message, kind))
+    return path.read_bytes()
+
+
+def read_damaged(path: Path, data: bytes | bytearray) -> list[int]:
+    """The numbers of the scans that are read; what is lost must have been noted."""
+    path.write_bytes(data)
+    log = open_log(path)
+    numbers = [scan.stamp_ns // SECOND - 1 for scan in log.scans({"/scan"})]
+    assert log.notes or numbers == list(range(30))
+    assert all(note.damage for note in log.notes)
+    return numbers
+
+
+@PACKED
+@pytest.mark.parametrize("wrong", [1, -5, 300, 1 << 20, 2**32 - 1])
+def test_a_chunk_of_a_wrong_length_is_read(tmp_path: Path, packed: str, wrong: int) -> None:
+    data = bytearray(write_chunks(tmp_path / "drive.bag", packed))
+    _, start, end = list_records(data, 5)[7]
+    struct.pack_into("<I", data, start - 4, (end - start + wrong) % 2**32)
+
+    assert read_damaged(tmp_path / "damaged.bag", data) == list(range(30))
+
+
+def test_a_message_of_a_wrong_length_takes_no_other(tmp_path: Path) -> None:
+    data = write_chunks(tmp_path / "drive.bag", "none", chunk_size=1 << 20)
+    at = data.index((RANGES + 8).tobytes())
+    chunks = list_records(data, 5)
+    messages = [found for _, *chunk in chunks for found in list_records(data, 2, *chunk)]
+    (start,) = [start for _, start, end in messages if start < at < end]
+    for wrong in (1, -5, 300, 1 << 20):
+        damaged = bytearray(data)
+        (length,) = struct.unpack_from("<I", data, start - 4)
+        struct.pack_into("<I", damaged, start - 4, length + wrong)
+
+        numbers = read_damaged(tmp_path / "damaged.bag", damaged)
+        assert set(range(30)) - set(numbers) <= {8}
+
+
+@PACKED
+def test_a_record_that_is_damaged_takes_no_other_chunk(tmp_path: Path, packed: str) -> None:
+    data = write_chunks(tmp_path / "drive.bag", packed)
+    head, start, end = list_records(data, 5)[7]
+    of_chunk = set(range(30)) - set(
+        read_damaged(tmp_path / "damaged.bag", data[:start] + bytes(end - start) + data[end:])
+    )
+    assert 0 < len(of_chunk) < 4
+    for at in range(head, start):
+        damaged = bytearray(data)
+        damaged[at] ^= 0x55
+        numbers = read_damaged(tmp_path / "damaged.bag", damaged)
+        assert set(range(30)) - set(numbers) <= of_chunk, at - head
+
+
+@PACKED
+def test_a_chunk_that_is_there_twice_is_used_once(tmp_path: Path, packed: str) -> None:
+    data = write_chunks(tmp_path / "drive.bag", packed)
+    at, _, end = list_records(data, 5)[7]
+
+    assert read_damaged(tmp_path / "damaged.bag", data[:end] + data[at:]) == list(range(30))
+
+
+@pytest.mark.parametrize("damaged", [b"sensor_msgs/LaserScam", b"float33 angle_min"])
+def test_a_connection_that_is_described_in_two_ways_is_told_of(
+    tmp_path: Path, damaged: bytes
+) -> None:
+    data = write_chunks(tmp_path / "drive.bag", "none")
+    sound = damaged.replace(b"Scam", b"Scan").replace(b"33", b"32")
+    at = data.rindex(sound)
+    path = tmp_path / "damaged.bag"
+    path.write_bytes(data[:at] + damaged + data[at + len(damaged) :])
+
+    log = open_log(path)
+    assert len(list(log.poses())) == 31
+
+    text = "connection 2 is described in two ways"
+    assert any(text in note.text for note in log.notes)
+
+
+def test_a_chunk_that_is_gone_is_told_of(tmp_path: Path) -> None:
+    data = write_chunks(tmp_path / "drive.bag", "lz4")
+    at, _, end = list_records(data, 5)[7]
+
+    assert set(read_damaged(tmp_path / "damaged.bag", data[:at] + data[end:])) < set(range(30))
+
+
+@pytest.mark.parametrize("opcode", [4, 5, 6, 7])
+def test_a_record_that_states_4_gib_is_read_in_bounded_memory(tmp_path: Path, opcode: int) -> None:
+    data = bytearray(write_chunks(tmp_path / "drive.bag", "none"))
+    _, start, _ = list_records(data, opcode)[-1]
+    struct.pack_into("<I", data, start - 4, 2**32 - 1)
+
+    with bounded_memory():
+        assert set(read_damaged(tmp_path / "damaged.bag", data)) >= set(range(29))
+
+
 def test_a_bz2_bomb_gives_no_more_than_it_announces(tmp_path: Path) -> None:
     path = write_bag1(tmp_path / "drive.bag", drive(ROS1), compression="bz2")
     data = path.read_bytes()
@@ -214,12 +345,63 @@ def test_a_folder_without_metadata_is_read(tmp_path: Path) -> None:
         assert count_scans(open_log(folder)) == 6
 
 
-@pytest.mark.parametrize("text", ["", "just words", "{", "rosbag2_bagfile_information: 3"])
-def test_metadata_that_is_damaged_is_no_matter(text: str, tmp_path: Path) -> None:
+ANCHORS = "\n".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}, *a{i - 1}]" for i in range(1, 60))
+UNFOLDING = (
+    f"a0: &a0 [x, x]\n{ANCHORS}\nrosbag2_bagfile_information:\n"
+    "  relative_file_paths: *a59\n  compression_mode: *a59\n"
+)
+MERGING = "a0: &a0 {x: 1}\n" + "\n".join(
+    f"a{i}: &a{i} {{<<: [*a{i - 1}, *a{i - 1}], x{i}: 1}}" for i in range(1, 40)
+)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("", "just words", "{", "rosbag2_bagfile_information: 3"),
+        *("[" * 900 + "]" * 900, UNFOLDING, MERGING, "x" * (1 << 20) + ": 1"),
+        "rosbag2_bagfile_information: {relative_file_paths: [drive.db3],"
+        " topics_with_message_count: [{message_count: many, topic_metadata: {name: /tf}}]}",
+    ],
+    ids=range(9),
+)
+def test_the_files_of_a_folder_with_damaged_metadata_are_read(text: str, tmp_path: Path) -> None:
     folder = SQLITE.write(tmp_path / "drive", drive(ROS2))
     (folder / "metadata.yaml").write_text(text)
 
-    assert count_scans(open_log(folder)) == 6
+    with time_limit(5):
+        log = open_log(folder)
+
+    assert count_scans(log) == 6
+    assert log.notes == [Note("metadata.yaml is damaged and not used", damage=True)]
+
+
+@pytest.mark.parametrize("bag", [SQLITE, MCAP], ids=["sqlite", "mcap"])
+def test_messages_that_only_the_metadata_counts_are_told_of(bag: Bag2, tmp_path: Path) -> None:
+    folder = bag.write(tmp_path / "drive", drive(ROS2, scans=9))
+    metadata = (folder / "metadata.yaml").read_text()
+    assert open_log(folder).notes == []
+    shutil.rmtree(folder)
+    bag.write(folder, drive(ROS2, scans=6))
+    (folder / "metadata.yaml").write_text(metadata)
+
+    assert open_log(folder).notes == [
+        Note(f"metadata.yaml announces 9 messages of {kind} on {topic}, the files 6", damage=True)
+        for topic, kind in (("/tf", TF), ("/scan", SCAN))
+    ]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs named pipes")
+@pytest.mark.parametrize("name", ["metadata.yaml", "drive_1.db3", "drive.db3-wal"])
+def test_a_pipe_in_the_place_of_a_file_is_not_waited_for(name: str, tmp_path: Path) -> None:
+    folder = SQLITE.write(tmp_path / "drive", drive(ROS2))
+    metadata = folder / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("- drive.db3", "- drive.db3\n  - drive_1.db3"))
+    (folder / name).unlink(missing_ok=True)
+    os.mkfifo(folder / name)
+
+    with time_limit(5):
+        assert count_scans(open_log(folder)) == 6
 
 
 def test_files_that_the_metadata_names_and_are_missing_are_named(tmp_path: Path) -> None:
@@ -259,28 +441,3 @@ def test_a_folder_of_several_recordings_is_refused(other: str, tmp_path: Path) -
         open_log(folder)
     assert other in caught.value.found
     assert caught.value.fix.startswith(f"give one of them, such as {folder}/")
-
-
-def test_a_database_that_is_no_bag_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "other.db3"
-    database = sqlite3.connect(path)
-    database.execute("CREATE TABLE birds (name TEXT)")
-    database.commit()
-    database.close()
-
-    with pytest.raises(LogError, match="no such table: topics"):
-        open_log(path)
-
-
-def test_a_database_that_was_cut_gives_the_rows_before_the_cut(tmp_path: Path) -> None:
-    log = [Written("/scan", k, scan(ROS2, k, "laser", RANGES.repeat(200))) for k in range(100)]
-    path = SQLITE.write(tmp_path / "drive", log) / "drive.db3"
-    data = path.read_bytes()
-    path.write_bytes(data[: len(data) // 2])
-
-    cut = open_log(path)
-    scans = list(cut.scans({"/scan"}))
-
-    assert [scan.stamp_ns for scan in scans] == list(range(len(scans)))
-    assert 40 <= len(scans) <= 60
-    assert "breaks off after" in cut.notes[0].text

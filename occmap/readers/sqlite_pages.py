@@ -1,0 +1,180 @@
+"""Rows of a damaged SQLite file, found page by page: https://www.sqlite.org/fileformat2.html.
+
+SQLite gives up a whole tree where one page of it is damaged, and the library has no `.recover` as
+its shell has. Here each page of rows is read for itself.
+"""
+
+import struct
+from array import array
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import BinaryIO, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+_LEAF = 0x0D
+"""The first byte of a page that holds rows of a table."""
+_LEAF_HEAD = 8
+_WIDTHS = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
+"""Bytes of an integer by its type: 0 is NULL, 8 and 9 are the numbers 0 and 1."""
+_BLOB = 12
+"""From here on, even types are blobs."""
+_LOG_HEAD = 32
+"""Bytes at the start of a write-ahead log."""
+
+
+Row: TypeAlias = tuple[int, int, int, bytes | None]
+"""Id, topic, time (ns) and message; None where a page that the message goes on in is damaged."""
+
+
+class _Cell(NamedTuple):
+    """A row as it lies on its page."""
+
+    id: int
+    topic: int
+    record_ns: int
+    start: int
+    """Where the record starts on the page."""
+    head: int
+    """Bytes of the record before the message."""
+    size: int
+    """Bytes of the record."""
+
+
+def find_rows(path: Path, after: int) -> Iterator[Row]:
+    """Give the rows with ids greater than one, by id.
+
+    A table of messages is known by its columns: id, topic, time (ns) and data.
+    """
+    with path.open("rb") as file:
+        pages = _Pages(file)
+        ids, places = array("q"), array("q")
+        for number, at in pages.list_cells():
+            cell = pages.parse_cell(number, at)
+            if cell is not None and cell.id > after:
+                ids.append(cell.id)
+                places.append(number * pages.size + at)
+        _, firsts = np.unique(ids, return_index=True)
+        for index in firsts.tolist():
+            number, at = divmod(places[index], pages.size)
+            cell = pages.parse_cell(number, at)
+            if cell is not None:
+                yield cell.id, cell.topic, cell.record_ns, pages.read_data(number, cell)
+
+
+class _Pages:
+    """The pages of a file, numbered from 0."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        size, reserved = struct.unpack(">16xH2xB", file.read(21))
+        self.size = 1 << 16 if size == 1 else max(size, 512)
+        self._usable = self.size - reserved
+        self._end = file.seek(0, 2)
+        self._held = -1, b""
+
+    def read(self, number: int) -> bytes:
+        """Read a page; it is short where the file is cut."""
+        if self._held[0] != number:
+            self._file.seek(number * self.size)
+            self._held = number, self._file.read(self.size)
+        return self._held[1]
+
+    def list_cells(self) -> Iterator[tuple[int, int]]:
+        """Give page and offset of each row of any table, but for the schema on the first page."""
+        for number in range(1, -(-self._end // self.size)):
+            page = self.read(number)
+            if page[0] == _LEAF and len(page) > _LEAF_HEAD:
+                count = int.from_bytes(page[3:5], "big")
+                count = min(count, (len(page) - _LEAF_HEAD) // 2)
+                for at in struct.unpack_from(f">{count}H", page, _LEAF_HEAD):
+                    yield number, at
+
+    def parse_cell(self, number: int, at: int) -> _Cell | None:
+        """Parse the start of a row; None where it is not one of messages, or is damaged."""
+        page = self.read(number)
+        with suppress(LookupError):
+            size, at = _read_varint(page, at)
+            key, start = _read_varint(page, at)
+            length, at = _read_varint(page, start)
+            end = start + length
+            kinds = []
+            while at < end:
+                kind, at = _read_varint(page, at)
+                kinds.append(kind)
+            numbers = []
+            for kind in kinds[:-1]:
+                value = page[end : end + _WIDTHS[kind]]
+                numbers.append(int.from_bytes(value, "big", signed=True) + (kind == 9))
+                end += len(value)
+            whole = end - start + (kinds[-1] - _BLOB) // 2 == size <= self._end
+            if whole and kinds[0] == kinds[-1] % 2 == 0 and len(kinds) == 4 and key < 2**63:
+                return _Cell(key, numbers[1], numbers[2], start, end - start, size)
+        return None
+
+    def read_data(self, number: int, cell: _Cell) -> bytes | None:
+        """Read the message of a row, over all pages that it lies on."""
+        most = self._usable - 35
+        least = (self._usable - 12) * 32 // 255 - 23
+        local = cell.size
+        if local > most:
+            local = least + (cell.size - least) % (self._usable - 4)
+            local = local if local <= most else least
+        page, end = self.read(number), cell.start + local
+        pieces = [page[cell.start + cell.head : end]]
+        lacking = cell.size - local
+        following = page[end : end + 4]
+        while lacking > 0 and (number := int.from_bytes(following, "big")) > 0:
+            page = self.read(number - 1)
+            following, piece = page[:4], page[4 : min(self._usable, 4 + lacking)]
+            pieces.append(piece)
+            lacking -= len(piece)
+        data = b"".join(pieces)
+        return data if len(data) == cell.size - cell.head else None
+
+
+def _read_varint(page: bytes, at: int) -> tuple[int, int]:
+    """Read an integer of 1 to 9 bytes, and where it ends."""
+    value = 0
+    for place in range(at, at + 8):
+        value = value << 7 | page[place] & 0x7F
+        if page[place] < 0x80:
+            return value, place + 1
+    return value << 8 | page[at + 8], at + 9
+
+
+def count_lost_frames(path: Path) -> int:
+    """Count the pages in a write-ahead log that lie behind its last whole transaction."""
+    data = path.read_bytes()
+    head = np.frombuffer(data[:_LOG_HEAD].ljust(_LOG_HEAD, b"\0"), ">u4")
+    words = 6 + int(head[2]) // 4
+    count, rest = divmod(len(data) - _LOG_HEAD, 4 * words)
+    if count <= 0:
+        return int(len(data) != _LOG_HEAD)
+    raw = data[_LOG_HEAD : len(data) - rest]
+    frames = np.frombuffer(raw, ">u4").reshape(count, words)
+    # A page, its size after a commit, two salts, two sums that go on from those before.
+    salts, sums = frames[:, 2:4], np.vstack([head[6:8], frames[:, 4:6]])
+    is_current = (salts == head[4:6]).all(axis=1)
+    order = ">u4" if head[0] & 1 else "<u4"
+    body = np.delete(np.frombuffer(raw, order).reshape(count, words), range(2, 6), axis=1)
+    is_sound = is_current & (_add_up(body, sums[:-1]) == sums[1:]).all(axis=1)
+    start = np.frombuffer(data[:24], order)[np.newaxis]
+    if not (_add_up(start, np.zeros((1, 2), np.uint32)) == head[6:8]).all():
+        return count + (rest > 0)
+    sound = count if is_sound.all() else int(is_sound.argmin())
+    whole = 1 + max(np.flatnonzero(frames[:sound, 1]), default=-1)
+    # Those with other salts are left from before the log was last emptied.
+    present = 1 + max(np.flatnonzero(is_current), default=-1)
+    return int(present - whole) + (present == count and rest > 0)
+
+
+def _add_up(words: NDArray[np.uint32], sums: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """Add the words of each row to its two sums, as a write-ahead log does."""
+    first, second = sums.T.astype(np.uint32)
+    for even, odd in words.reshape(len(words), -1, 2).transpose(1, 2, 0):
+        first = first + even + second
+        second = second + odd + first
+    return np.stack([first, second], axis=1)
