@@ -27,6 +27,7 @@ from occmap.report import (
     Remarks,
     Report,
     Tally,
+    list_disagreement,
     list_lacking,
     measure_shares,
     refuse_unseen,
@@ -175,6 +176,7 @@ def build_alone(
         *options.list_idle(),
         *list_lacking(tally, remarks.resumed),
         *list_lost(whole, grid),
+        *list_disagreement(grid),
     )
 
     @cache  # two files may want it, and it takes time to hash the logs

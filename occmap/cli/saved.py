@@ -9,6 +9,7 @@ from occmap.cli.collect import SHORTHANDS, collect_model, take
 from occmap.cli.console import Console
 from occmap.cli.summary import (
     LABEL,
+    format_agreement,
     format_scans,
     format_shares,
     format_size,
@@ -78,6 +79,7 @@ def format_saved(report: Report) -> str:
     lines = [
         ("map", format_size(report)),
         ("cells", format_shares(report)),
+        ("agree", format_agreement(report)),
         ("update", format_update(report)),
         ("scans", format_scans(report)),
         ("dropped", write_counts(report.dropped)),

@@ -14,6 +14,7 @@ def format_report(report: Report, seconds: float) -> str:
     lines = [
         ("map", format_size(report)),
         ("cells", format_shares(report)),
+        ("agree", format_agreement(report)),
         ("update", format_update(report)),
         ("scans", format_scans(report)),
         ("dropped", write_counts(report.dropped)),
@@ -55,6 +56,13 @@ def format_shares(report: Report) -> str:
     shares = (*report.shares, report.undecided)
     pairs = zip(names, shares, strict=True)
     return ", ".join(f"{share:.1%} {name}" for name, share in pairs if share > 5e-4)
+
+
+def format_agreement(report: Report) -> str:
+    """Say how well the scans fit each other."""
+    if report.agreement is None:
+        return ""
+    return f"{report.agreement:.1%} of the hits lie in occupied cells"
 
 
 def format_beams(report: Report) -> str:

@@ -8,7 +8,13 @@ from occmap.evidence import crop, read_model, refuse_other_profile, render, to_g
 from occmap.evidence.persistence import check_passes, keep_lasting, list_lost
 from occmap.evidence.repetition import list_repeated
 from occmap.grid.tiles import MAX_CELLS
-from occmap.report import Report, Resumed, list_unreached, measure_shares
+from occmap.report import (
+    Report,
+    Resumed,
+    list_disagreement,
+    list_unreached,
+    measure_shares,
+)
 from occmap.sensor.models import SensorModel, describe_model
 from occmap.sensor.returns import ReturnCounts
 from occmap.types import Box, Evidence, Manifest, OccupancyMap
@@ -48,18 +54,17 @@ def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path])
     grid = whole = render(lasting, model, options.max_cells)
     if lasting is not observed:
         whole = render(observed, model, options.max_cells)
-    lost = tuple(list_lost(whole, grid))
-    if options.crop:
-        grid = crop(grid, options.crop)
+    shown = crop(grid, options.crop) if options.crop else grid
     manifest = replace(evidence.manifest, model=describe_model(model))
-    product = Product(grid, lambda: replace(evidence, manifest=manifest))
+    product = Product(shown, lambda: replace(evidence, manifest=manifest))
     files = write_outputs(outputs, product, options.writing)
-    report = summarise(manifest, grid, options.writing)
+    report = summarise(manifest, shown, options.writing)
     notes = (
         *report.notes,
         *list_idle(outputs, options.writing),
         *list_unreached(model, options.writing),
-        *lost,
+        *list_lost(whole, grid),
+        *list_disagreement(grid),
     )
     return replace(report, notes=notes, files=tuple(files), min_passes=options.min_passes)
 

@@ -66,6 +66,12 @@ SAVED: "tuple[Measure[Report], ...]" = (
         lambda report: report.undecided,
     ),
     Measure(
+        "agreement",
+        SHARE,
+        "of the hits, those that lie in cells called occupied; 0 where hits are not kept",
+        lambda report: report.agreement or 0.0,
+    ),
+    Measure(
         "cells",
         COUNT,
         "columns times rows of the map",
