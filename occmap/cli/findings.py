@@ -75,6 +75,8 @@ def list_topic(topic: ScanFindings) -> Iterator[Row]:
     yield "stamps", write_span(topic.times.start_ns, topic.times.end_ns)
     yield "", format_times(topic.times)
     yield "poses", format_poses(topic)
+    if topic.agreement is not None:
+        yield "", f"{topic.agreement:.0%} of the hits of a sample lie in cells called occupied"
     if topic.mount is not None:
         yield "sensor", describe_mount(topic.mount, topic.poses)
 

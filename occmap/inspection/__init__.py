@@ -21,7 +21,7 @@ from occmap.inspection.findings import (
     ScanFindings,
 )
 from occmap.inspection.poses import Posing, prepare, suggest_stamps
-from occmap.inspection.sample import measure_crossing
+from occmap.inspection.sample import estimate_agreement, measure_crossing
 from occmap.inspection.survey import Survey, TopicSurvey
 from occmap.pipeline import BuildOptions, choose_topics, count_messages
 from occmap.posing.coverage import list_coverage
@@ -146,6 +146,7 @@ def _sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions)
         times=topic.stamps.sum_up(suggest_stamps(log, posing, topic)),
         poses=_sum_up_poses(topic, posing),
         mount=topic.sample.describe_mount(options.returns),
+        agreement=estimate_agreement(topic.sample.parts, options),
     )
 
 

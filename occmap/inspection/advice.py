@@ -7,6 +7,7 @@ from occmap.batching import find_oddity
 from occmap.command import compose_build
 from occmap.inspection.findings import LogFindings, ScanFindings
 from occmap.pipeline import BuildOptions
+from occmap.report import LEAST_AGREEMENT
 from occmap.wording import count
 
 TILTED_RAD = math.radians(3)
@@ -40,7 +41,7 @@ def list_warnings(log: LogFindings) -> list[str]:
     """List what will spoil a map, or surprise its maker."""
     posed = any(topic.poses.posed for topic in log.scans)  # that none is, is a problem
     lacking = [_warn_poses] if posed else []
-    warn = [_warn_shapes, _warn_mount, *lacking, _warn_times, _warn_ranges]
+    warn = [_warn_shapes, _warn_mount, *lacking, _warn_agreement, _warn_times, _warn_ranges]
     return [
         f"{log.path}: {topic.topic}: {text}"
         for topic in log.scans
@@ -72,6 +73,13 @@ def _warn_poses(topic: ScanFindings) -> list[str]:
         reasons = ", ".join(f"{scans} {reason}" for reason, scans in lost.items())
         return [f"scans without a pose: {reasons}"]
     return []
+
+
+def _warn_agreement(topic: ScanFindings) -> list[str]:
+    if topic.agreement is None or topic.agreement >= LEAST_AGREEMENT:
+        return []
+    found = f"only {topic.agreement:.0%} of the hits of a sample of scans lie in occupied cells"
+    return [f"{found}: the poses do not fit the scans; try `occmap tune`, or another trajectory"]
 
 
 def _warn_times(topic: ScanFindings) -> list[str]:

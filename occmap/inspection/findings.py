@@ -144,6 +144,8 @@ class ScanFindings:
     times: TimeFindings
     poses: PoseFindings
     mount: MountFindings | None
+    agreement: float | None
+    """Share of the hits of a sample of scans that lie in cells which their map calls occupied"""
 
     @property
     def wanted(self) -> int:

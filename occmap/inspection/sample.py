@@ -7,8 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from occmap.command import format_mount
+from occmap.errors import MapError
+from occmap.evidence import render
 from occmap.inspection.findings import MountFindings
+from occmap.pipeline import BuildOptions, make_engine
 from occmap.posing.rotations import rotate_by
+from occmap.sensor.models import CountingModel
 from occmap.sensor.returns import NoReturn, ReturnOptions, interpret
 from occmap.types import Bool, Float64, Int64, Kind, Pose, PosedScans, Rays, as_float32
 
@@ -19,6 +23,8 @@ HIT_CELL_M = 0.2
 MAX_REACH_M = 30.0
 MAX_CROSSING_BEAMS = 2000
 MIN_CROSSING_BEAMS = 50
+
+MOST_CELLS = 10**8
 
 MOUNT_CELL_M = 0.1
 MOUNT_YAWS = (0.0, math.pi / 2, math.pi, -math.pi / 2)
@@ -113,6 +119,23 @@ def encode_cells(points: Float64, cell: float) -> Int64:
     cells = np.rint(np.clip(points / cell, -(2**30), 2**30)).astype(np.int64)
     codes: Int64 = (cells[..., 0] << 32) + cells[..., 1]
     return codes
+
+
+def estimate_agreement(parts: Sequence[PosedScans], options: BuildOptions) -> float | None:
+    """Estimate the share of hits that lie in cells which the map of a log calls occupied.
+
+    Returns
+    -------
+    float or None
+        None where the sample makes no map, or one too large to be made in passing.
+    """
+    engine = make_engine(replace(options, model=CountingModel(), max_cells=MOST_CELLS))
+    try:
+        for part in parts:
+            engine.add(interpret(part, options.returns)[0])
+        return render(engine.finish(), CountingModel(), MOST_CELLS).agreement
+    except MapError:
+        return None
 
 
 def guess_mount(parts: Sequence[PosedScans], options: ReturnOptions) -> Pose | None:
