@@ -92,13 +92,17 @@ class Bench:
         """Trace every workload; the first has limits."""
         times = self._measure_engine(office)
         self.results.rows += limits.compare_engine(times, office.scans)
+        self.results.rows.append(limits.compare_updates(times, office.scans, "office"))
         scans = self._settings.scans
         self._measure_engine(
             make_office("office, 360 beams", Sensor.spanning(360, 360, 30.0), scans)
         )
         self._measure_engine(make_yard("yard, 80 m range", Sensor.spanning(180, 180, 80.0), scans))
         if FREIBURG.exists():
-            self._measure_engine(read_workload(FREIBURG, 0.05))
+            freiburg = read_workload(FREIBURG, 0.05)
+            times = self._measure_engine(freiburg)
+            row = limits.compare_updates(times, freiburg.scans, freiburg.name)
+            self.results.rows.append(row)
         else:
             show(f"\n{FREIBURG.name} is absent from {REAL_LOGS}: not measured\n")
 

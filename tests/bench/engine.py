@@ -8,23 +8,26 @@ from time import process_time
 import numpy as np
 
 from occmap.grid.lattice import CellBox
-from occmap.grid.tiles import TileGrid
+from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
 from occmap.pipeline import BuildOptions, make_engine
-from occmap.sensor.models import QuadraticModel, RadialModel, SensorModel, SimpleModel
+from occmap.sensor.models import QuadraticModel, SensorModel, SimpleModel
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.types import Float64, Int64, PosedScans, Update
+from occmap.types import Int64, PosedScans, Update
 from occmap.workers import Workers
 from tests.bench.measuring import Times, time_in_turn
 from tests.bench.workloads import Workload
 from tests.bench.yardstick import Trace, find_box
 
-MAX_CELLS = 10**9
+PLAIN_OFFSET = 0.0
+"""Hits lie where the yardsticks have them."""
 COUNTS = SimpleModel()
 COMBINATIONS: Mapping[str, tuple[Update, SensorModel]] = {
     "beam x simple, counting": (Update.BEAM, COUNTS),
     "polygon x simple, counting": (Update.POLYGON, COUNTS),
+    "surface x simple, counting": (Update.SURFACE, COUNTS),
     "beam x quadratic": (Update.BEAM, QuadraticModel()),
     "polygon x quadratic": (Update.POLYGON, QuadraticModel()),
+    "surface x quadratic": (Update.SURFACE, QuadraticModel()),
 }
 """The models simple and counting share their evidence; they differ in what is made of it."""
 
@@ -46,7 +49,8 @@ class Figure:
 
 def trace(workload: Workload, update: Update, model: SensorModel, jobs: int = 1) -> TileGrid:
     """What is timed of occmap: poses to matrices, ranges to rays, rays to evidence in tiles."""
-    engine = make_engine(BuildOptions(workload.resolution, update, model))
+    options = BuildOptions(workload.resolution, update, model, hit_offset=PLAIN_OFFSET)
+    engine = make_engine(options)
 
     def add(posed: PosedScans) -> None:
         rays, _ = interpret(posed, ReturnOptions())
@@ -69,11 +73,11 @@ def measure_engine(
         for name, (update, model) in COMBINATIONS.items()
     }
     times = time_in_turn({**runs, **traces}, rounds, process_time)
-    visited = {
+    visited: dict[str, float] = {
         name: sum(int(layer.sum(dtype=np.int64)) for layer in run()) for name, run in runs.items()
     }
     for name, run in traces.items():
-        visited[name] = count_observations(run(), COMBINATIONS[name][1])
+        visited[name] = count_observations(run())
     figures = [
         Figure(name, 1e6 * times.median(name) / workload.scans, cells / times.median(name))
         for name, cells in visited.items()
@@ -81,14 +85,11 @@ def measure_engine(
     return figures, times
 
 
-def count_observations(evidence: TileGrid, model: SensorModel) -> int:
+def count_observations(evidence: TileGrid) -> float:
     """How often all cells together were observed."""
-    radial = isinstance(model, RadialModel)
-
-    def observations(first: Int64, second: Int64) -> Float64:
-        return (second if radial else first + second).astype(np.float64)
-
-    return int(evidence.render(observations, 0.0, MAX_CELLS).log_odds.sum(dtype=np.float64))
+    counts = evidence.kind is EvidenceKind.COUNTS
+    tiles = evidence.tiles.values()
+    return sum(float((tile if counts else tile[1]).sum()) for tile in tiles) / evidence.unit
 
 
 def check_equal(workload: Workload, yardsticks: Mapping[str, Trace]) -> None:
@@ -113,11 +114,9 @@ def check_equal(workload: Workload, yardsticks: Mapping[str, Trace]) -> None:
 
 def spread(evidence: TileGrid, number: int, box: CellBox) -> Int64:
     """(H, W) of a box around all evidence: the first or second number of each cell."""
-    grid = evidence.render(lambda *pair: pair[number].astype(np.float64), 0.0, MAX_CELLS)
-    col, row = (round(metres / grid.resolution) for metres in grid.origin)
-    counts = np.zeros((box.rows, box.cols), np.int64)
-    rows, cols = grid.shape
-    counts[row - box.row : row - box.row + rows, col - box.col : col - box.col + cols] = (
-        grid.log_odds
-    )
-    return counts
+    top, left = box.row // TILE * TILE, box.col // TILE * TILE
+    counts = np.zeros((box.row_end - top + TILE, box.col_end - left + TILE), np.int64)
+    for (row, col), tile in evidence.tiles.items():
+        at_row, at_col = row * TILE - top, col * TILE - left
+        counts[at_row : at_row + TILE, at_col : at_col + TILE] = tile[number]
+    return counts[box.row - top : box.row_end - top, box.col - left : box.col_end - left]

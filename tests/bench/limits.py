@@ -22,7 +22,9 @@ ENGINE_LIMITS = {
     "beam x quadratic": 1.5,
     "polygon x quadratic": 1.5,
 }
-ROSBAGS_LIMITS = {Update.POLYGON: 1.3, Update.BEAM: 1.6}
+BEAM, SURFACE = "beam x simple, counting", "surface x simple, counting"
+SURFACE_LIMIT = 1.6
+ROSBAGS_LIMITS = {Update.POLYGON: 1.3, Update.BEAM: 1.6, Update.SURFACE: 1.8}
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,13 @@ def compare_engine(times: Times, scans: int) -> list[Row]:
         )
         for name, limit in ENGINE_LIMITS.items()
     ]
+
+
+def compare_updates(times: Times, scans: int, workload: str) -> Row:
+    """What the surface update costs beside the beam update, whose beams it traces, too."""
+    mine, its = (f"{1e6 * times.median(name) / scans:.1f}" for name in (SURFACE, BEAM))
+    what = f"surface / beam, counts, {workload}"
+    return Row(what, SURFACE_LIMIT, times.ratio(SURFACE, BEAM), f"{mine} / {its} us a scan")
 
 
 def compare_threads(workload: Workload, rounds: int) -> list[Row]:

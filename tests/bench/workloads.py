@@ -10,6 +10,8 @@ import numpy as np
 
 from occmap.batching import BATCH_BEAMS, Batcher, Selection
 from occmap.readers import Role, open_log
+from occmap.sensor.no_return import RangeLimits
+from occmap.sensor.returns import ReturnOptions
 from occmap.types import Float32, Float64, PosedScans, ScanBatch
 from tests.bench.plans import YARD, YARD_WAY, Box, corridor, office, office_way
 from tests.bench.raycast import cast_scans
@@ -128,7 +130,11 @@ def read_workload(path: Path, resolution: float) -> Workload:
     """Read a log that states a pose beside each scan, all of one geometry."""
     log = open_log(path)
     topics = [stream.topic for stream in log.streams if stream.role is Role.SCAN]
-    batches = list(Batcher(Selection()).stack(log.scans(topics)))
+    limits = RangeLimits(ReturnOptions())
+    for scan in log.scans(topics):
+        limits.see(scan)
+    limits.settle()
+    batches = list(Batcher(Selection(), limits=limits).stack(log.scans(topics)))
     one, beams = batches[0], batches[0].ranges.shape[1]
     sensor = Sensor(beams, one.angle_min, one.angle_increment, one.range_min, one.range_max)
     pose = np.concatenate([batch.pose for batch in batches if batch.pose is not None])

@@ -66,7 +66,7 @@ class Beam(NamedTuple):
 
     sensor: Point
     start: Point
-    """Half-way to its end, where it lies between two measured beams"""
+    """Five eighths of the way to its end, where it lies between two measured beams"""
     end: Point
     range: float
     """m"""
@@ -105,7 +105,7 @@ def list_beams(
     for a in range(beams if rays.full_circle and beams > 1 else beams - 1):
         b = (a + 1) % beams
         (x, y), (to_x, to_y) = ends[a], ends[b]
-        apart = (max(abs(to_x - x), abs(to_y - y)) + 128) // 256
+        apart = max(abs(to_x - x), abs(to_y - y)) // 256
         near = min(distance[a], distance[b])
         one_surface = abs(distance[a] - distance[b]) <= max(jump, near * 0.1) and apart <= 12
         drawn = 0
@@ -113,7 +113,10 @@ def list_beams(
             drawn = min(apart, 3)
             for i in range(1, drawn + 1):
                 end = x + i * ((to_x - x) // (drawn + 1)), y + i * ((to_y - y) // (drawn + 1))
-                start = (sensors[a][0] + end[0]) // 2, (sensors[a][1] + end[1]) // 2
+                start = (
+                    (3 * sensors[a][0] + 5 * end[0]) // 8,
+                    (3 * sensors[a][1] + 5 * end[1]) // 8,
+                )
                 r = max(math.dist(sensors[a], end) * resolution / 256 - depth, 0.0)
                 yield Beam(sensors[a], start, end, r, Kind.HIT, 2)
         elif not kinds[a] == kinds[b] == Kind.FREE:

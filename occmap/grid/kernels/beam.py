@@ -129,8 +129,8 @@ def trace_beams(
                         c = b + 1 if b + 1 < beams else 0
                         step_x, step_y = (ends_x[s, c] - x) // parts, (ends_y[s, c] - y) // parts
                     x, y = x + step_x, y + step_y
-                    col = ((origins[s, k, 0] + x) >> (CELL_SHIFT + 1)) - left
-                    row = ((origins[s, k, 1] + y) >> (CELL_SHIFT + 1)) - bottom
+                    col = ((3 * origins[s, k, 0] + 5 * x) >> (CELL_SHIFT + 3)) - left
+                    row = ((3 * origins[s, k, 1] + 5 * y) >> (CELL_SHIFT + 3)) - bottom
                     weight = BETWEEN
 
 

@@ -1,13 +1,13 @@
 """The surface update: what neighbouring beams know together of the surface that both of them meet.
 
 A denser laser would have sent more beams between the two. They are drawn as far as cells lie
-between the ends, and from half-way on: nearer the sensor they run through cells that the two beams
-cross anyway. The weight of those that are not drawn goes to the two beams, so that every pair
-weighs the same however far away the surface is.
+between the ends, and from five eighths of their way on: nearer the sensor they run through cells
+that the two beams cross anyway. The weight of those that are not drawn goes to the two beams, so
+that every pair weighs the same however far away the surface is.
 """
 
 from occmap.grid.kernels.jit import kernel
-from occmap.grid.kernels.units import ALONE, CELL_SHIFT, FREE, HALF_CELL, HIT, MOST_BETWEEN
+from occmap.grid.kernels.units import ALONE, CELL_SHIFT, FREE, HIT, MOST_BETWEEN
 from occmap.types import Float32, Int32, UInt8
 
 WIDEST_GAP = 12
@@ -48,7 +48,7 @@ def link_neighbours(
             c = b + 1 if b + 1 < beams else 0
             here, there = float(distance[s, b]), float(distance[s, c])
             across, up = abs(ends_x[s, c] - ends_x[s, b]), abs(ends_y[s, c] - ends_y[s, b])
-            cells = (max(across, up) + HALF_CELL) >> CELL_SHIFT
+            cells = max(across, up) >> CELL_SHIFT
             both_hit = (kinds[s, b] == HIT) & (kinds[s, c] == HIT)
             one_surface = abs(here - there) <= max(jump, SLANT * min(here, there))
             joined = both_hit & one_surface & (cells <= WIDEST_GAP)

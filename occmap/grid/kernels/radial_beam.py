@@ -152,6 +152,6 @@ def trace_radial_beams(
                         step_x = (ends_x[s, c] - ends_x[s, b]) // parts
                         step_y = (ends_y[s, c] - ends_y[s, b]) // parts
                     to_x, to_y = to_x + step_x, to_y + step_y
-                    from_x, from_y = (at_x + to_x) >> 1, (at_y + to_y) >> 1
+                    from_x, from_y = (3 * at_x + 5 * to_x) >> 3, (3 * at_y + 5 * to_y) >> 3
                     r = max(np.hypot(float(to_x - at_x), float(to_y - at_y)) - depth, 0.0)
                     weight = np.int64(BETWEEN)
