@@ -100,7 +100,7 @@ def _read_member(name: str, kind: type[StrEnum], value: Any) -> StrEnum:
     known = [member.value for member in kind]
     if value not in known:
         fix = suggest(str(value), known, "help(occmap.build_map)")
-        raise UsageError(f"no {name} is called {value!r}", fix=fix)
+        raise UsageError(f"{name} is {value!r}", fix=fix)
     return kind(value)
 
 

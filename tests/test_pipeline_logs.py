@@ -231,7 +231,7 @@ def test_build_map_takes_names(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "found"),
     [
-        ({"update": "polgon"}, "no update is called 'polgon'; did you mean 'polygon'"),
+        ({"update": "polgon"}, "update is 'polgon'; did you mean 'polygon'"),
         ({"model": "smiple"}, "no model is called 'smiple'; did you mean 'simple'"),
         ({"resolution": 0.0}, "a resolution of 0.0 m"),
         ({"jobs": 0}, "0 jobs"),
