@@ -37,7 +37,7 @@ def write_csv(
 ) -> Path:
     """Write a log of one scan a second, all with the same ranges, beams `step` radians apart."""
     beams = ",".join(f"r{beam}" for beam in range(len(ranges)))
-    head = f"# angle_min: 0\n# angle_increment: {step}\nstamp,x,y,yaw,{beams}\n"
+    head = f"# angle_min: 0\n# angle_increment: {step}\n# range_max: 1e6\nstamp,x,y,yaw,{beams}\n"
     cells = ",".join(map(str, ranges))
     rows = [f"{second},{x},{y},{yaw},{cells}\n" for second, (x, y, yaw) in enumerate(poses, start)]
     path.write_text(head + "".join(rows))

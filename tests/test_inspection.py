@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from occmap.batching import Selection
-from occmap.command import format_range
 from occmap.inspection import Inspection, inspect
 from occmap.inspection.findings import ScanFindings
 from occmap.inspection.ranges import BLOCK_RANGES, RangeCensus, find_repeated
@@ -137,18 +136,22 @@ def test_the_share_of_a_repeated_value_is_of_all_ranges() -> None:
     assert repeated.share == pytest.approx(0.2, abs=1e-4)
 
 
-def test_a_marker_below_the_limit_suggests_a_range_max(tmp_path: Path) -> None:
+def test_a_band_below_the_limit_is_no_return_without_a_flag(tmp_path: Path) -> None:
     def spoil(ranges: Float64) -> Float64:
         ranges[::9] = 25.6
         return ranges
 
-    found = look(write_csv(tmp_path / "marker.csv", Drive(spoil=spoil)))
-
-    assert topic(found).ranges.suggested_range_max == 25.6
-    assert found.command[3:5] == ("--range-max", "25.6")
-    assert "25.6 m is 11% of the ranges" in found.warnings[0]
-    told = look(tmp_path / "marker.csv", BuildOptions(returns=ReturnOptions(range_max=25.6)))
-    assert told.command == found.command
+    log = write_csv(tmp_path / "marker.csv", Drive(spoil=spoil))
+    found, told = look(log), look(log, BuildOptions(returns=ReturnOptions(range_max=25.6)))
+    share = f"{SCANS * 10} of {SCANS * BEAMS:,} ranges (11.1%) read 25.6 m"
+    (note,) = found.logs[0].notes
+    assert share in note
+    assert "--range-max" not in found.command
+    assert told.command[3:5] == ("--range-max", "25.6")
+    assert found.map is not None
+    assert told.map is not None
+    assert found.map.extent == told.map.extent
+    assert topic(found).ranges.measured == topic(told).ranges.measured == SCANS * (BEAMS - 10)
 
 
 def test_a_census_is_bounded_however_much_it_sees() -> None:
@@ -320,13 +323,6 @@ def test_flags_lose_no_digit_that_matters(tmp_path: Path) -> None:
         "--max-cells", "2000000000", "--ignore-sector", "0.12346,1.5",
         "--ignore-sector", "0.25,3.14159",
     )  # fmt: skip
-
-
-@pytest.mark.parametrize("metres", [25.6, 29.999992, 30.0, 81.83, 0.06, 3.4e38])
-def test_a_range_is_written_in_few_digits_that_are_the_same_float32(metres: float) -> None:
-    text = format_range(float(np.float32(metres)))
-    assert np.float32(text) == np.float32(metres)
-    assert len(text) <= 12
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,7 @@ def test_the_map_agrees_with_the_floor_plan(
 ) -> None:
     plan = load_nav2(SAMPLE_LOGS / "floor_plan.yaml")
     wall, free = plan == 100, plan == 0
-    """Ends where they were measured, each for its own cell; classes as nav2's map_saver has them."""
+    # Ends where they were measured, each for its own cell; classes as nav2's map_saver has them.
     rule = parse_model(model if model == "quadratic" else f"{model}:spread=0")
     returns = ReturnOptions(no_return=no_return)
     options = BuildOptions(update=update, model=rule, returns=returns, hit_offset=0.0)

@@ -104,7 +104,7 @@ class RangeTally:
             below = sum(n for k, n in self._counts.items() if empty <= to_range(k) < limit)
             readings = sum(inside.values())
             is_code = SICK_CODES[0] <= top <= SICK_CODES[1]
-            enough = MIN_VALUES <= len(self._different) and readings >= MIN_READINGS
+            enough = len(self._different) >= MIN_VALUES and readings >= MIN_READINGS
             if is_code or (enough and readings >= DOMINANCE * below):
                 low = min(k for k in inside if not is_code or to_range(k) >= SICK_CODES[0])
                 return Band(

@@ -120,7 +120,7 @@ def test_ten_times_as_many_as_just_below_are_a_band() -> None:
 def test_a_limit_that_the_scans_state_is_none_of_the_values() -> None:
     """What is at the limit or above it is no return without being looked for."""
     assert find(MEASURED + [30.0] * 50, stated=30.0) is None
-    above = tally(MEASURED + [30.0] * 50 + [31.0, math.inf, 77.0], stated=30.0)
+    above = tally([*MEASURED, *[30.0] * 50, 31.0, math.inf, 77.0], stated=30.0)
     assert (above.above, above.largest, above.find_band()) == (2, 77.0, None)
 
 
@@ -263,7 +263,7 @@ def test_the_users_limit_is_asked_for_nothing() -> None:
                 "used as measured: --range-max sets a limit"
             ],
         ),
-        (MEASURED + [50.0, math.inf], 50.0, []),
+        ([*MEASURED, 50.0, math.inf], 50.0, []),
     ],
 )
 def test_what_was_found_is_said(ranges: list[float], stated: float, expected: list[str]) -> None:
