@@ -39,7 +39,7 @@ def test_the_table_names_the_best_and_how_to_build_it(log: Path) -> None:
     assert shares == sorted(shares, reverse=True)
     assert lines[7:9] == ["", "scored by 4 beams of 2 held-out scans; 10 of 10 used"]
     build = f"occmap build surface '{log}' --resolution 0.1 --model counting -o 'my room.pgm'"
-    assert lines[9] == f"as good: {', '.join(names)}"  # two scans tell little
+    assert lines[9] == f"as good: {', '.join(names[:4])}"  # two scans tell little
     assert lines[10:12] == ["best: surface counting", build]
 
 
