@@ -4,7 +4,7 @@ The references are loops over single cells in a dictionary, which knows no tiles
 """
 
 import math
-from collections import Counter
+from collections import defaultdict
 from dataclasses import replace
 
 import numpy as np
@@ -47,7 +47,7 @@ def make_grid(numbers: Numbers, unit: int = 1) -> TileGrid:
 
 def spread_slowly(numbers: Numbers, share: float, unit: int) -> dict[Cell, tuple[float, float]]:
     """Each hit gives a share to the cells beside its own, and the share's square at corners."""
-    hits: Counter[Cell] = Counter()
+    hits: defaultdict[Cell, float] = defaultdict(float)
     for (row, col), (count, _) in numbers.items():
         for up in (-1, 0, 1):
             for right in (-1, 0, 1):
@@ -66,7 +66,7 @@ def test_spread_hits_are_those_of_single_cells(numbers: Numbers, share: float, u
     box = find_bounds(tiles)
     assert box == CellBox(min(rows), min(cols), max(rows) + 1, max(cols) + 1)
     for layer in (0, 1):
-        painted, observed = paint(tiles, lambda *pair, layer=layer: pair[layer], -1.0, box)  # type: ignore[misc]
+        painted, observed = paint(tiles, lambda *pair, layer=layer: pair[layer], -1.0, box)
         found = {
             (row + box.row, col + box.col): float(painted[row, col])
             for row, col in np.argwhere(observed).tolist()
