@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from occmap.types import Update
 from tests.cli.runner import occmap, read_error
 from tests.samples import SAMPLE_LOGS, write_csv
 
@@ -31,17 +32,15 @@ def test_the_table_names_the_best_and_how_to_build_it(log: Path) -> None:
     assert " ".join(lines[0].split()) == (
         "variant share error log-lik entropy (free, occupied) time memory"
     )
-    names = [" ".join(line.split()[:2]) for line in lines[1:5]]
+    names = [" ".join(line.split()[:2]) for line in lines[1:7]]
     models = ("simple", "counting")
-    assert set(names) == {f"{update} {model}" for update in ("beam", "polygon") for model in models}
-    shares = [float(line.split()[2]) for line in lines[1:5]]
+    assert set(names) == {f"{update} {model}" for update in Update for model in models}
+    shares = [float(line.split()[2]) for line in lines[1:7]]
     assert shares == sorted(shares, reverse=True)
-    assert lines[5:7] == ["", "scored by 4 beams of 2 held-out scans; 10 of 10 used"]
-    build = f"occmap build beam '{log}' --resolution 0.1 --model simple -o 'my room.pgm'"
-    assert lines[7] == f"as good: {', '.join(names)}"  # two scans tell little
-    assert lines[8:10] == ["best: beam simple", build]
-    likely = build.replace("simple", "counting")
-    assert lines[10:] == ["where probabilities matter: beam counting", likely]
+    assert lines[7:9] == ["", "scored by 4 beams of 2 held-out scans; 10 of 10 used"]
+    build = f"occmap build surface '{log}' --resolution 0.1 --model counting -o 'my room.pgm'"
+    assert lines[9] == f"as good: {', '.join(names[:4])}"  # two scans tell little
+    assert lines[10:12] == ["best: surface counting", build]
 
 
 def test_the_error_of_one_scan_is_not_known(log: Path) -> None:
@@ -66,7 +65,7 @@ def test_json_says_all_of_every_variant(log: Path) -> None:
     result = occmap("compare", log, "--json", "-q", "--update", "beam")
     comparison = json.loads(result.out)
     assert comparison["scans"] == {"read": 10, "used": 10, "held_out": 2, "dropped": {}}
-    assert comparison["best"] == "beam simple"
+    assert comparison["best"] == "beam counting"
     first = comparison["variants"][0]
     assert first["beams"] == 4
     assert first["cross_entropy"] == pytest.approx(

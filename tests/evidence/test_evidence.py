@@ -79,12 +79,15 @@ def test_bounds_are_of_probability_and_leave_what_is_between() -> None:
 @pytest.mark.parametrize(
     ("model", "notes"),
     [
-        ("simple:clamp_max=0.64", ("no cell can be occupied: clamp_max 0.64 is below --occ",)),
         (
-            "simple:clamp_min=0.2",
-            ("no cell can be free: clamp_min 0.2 is above --free-thresh 0.1",),
+            "simple:cut=0.64,clamp_max=0.64",
+            ("no cell can be occupied: clamp_max 0.64 is not above 0.64",),
         ),
-        ("simple:clamp_min=0.196,clamp_max=0.65", ()),
+        (
+            "simple:cut=0.2,clamp_min=0.2",
+            ("no cell can be free: clamp_min 0.2 is not below 0.2",),
+        ),
+        ("simple:clamp_min=0.49,clamp_max=0.51", ()),
     ],
 )
 def test_bounds_within_the_thresholds_are_noted(
@@ -123,7 +126,7 @@ def test_the_manifest_says_what_was_used(tmp_path: Path) -> None:
     assert [entry["name"] for entry in made["inputs"]] == ["drive.csv", "p.csv"]
     assert made["options"]["posing"]["poses"] == "p.csv"
     assert made["options"]["returns"]["max_range"] == str(math.inf)
-    assert made["options"]["model"] == "simple:p_hit=0.7,p_miss=0.4,prior=0.5"
+    assert made["options"]["model"] == "simple:p_hit=0.7,p_miss=0.4,prior=0.5,cut=0.5,spread=0.08"
     assert "jobs" not in made["options"]
     assert made["scans"]["read"] == made["scans"]["used"] + sum(made["scans"]["dropped"].values())
 
