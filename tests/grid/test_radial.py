@@ -17,7 +17,7 @@ from occmap.sensor.models import QuadraticModel
 from occmap.types import Kind, Rays, Update
 from tests.grid import radial_reference
 from tests.grid.radial_reference import Observed, Quadratic
-from tests.grid.scans import FEW, Drive, Evidence, aim, drives, observe
+from tests.grid.scans import FEW, Drive, Evidence, aim, drives, observe, upright_drives
 
 Trace = Callable[[Rays, float, Quadratic], Observed]
 
@@ -76,6 +76,19 @@ def test_random_scans_follow_the_rule(
     expected = TRACES[update](seen, resolution, model)
     spec = make_spec(update, resolution, model)
     check(observe(spec, [rays], window_cells), expected, model)
+
+
+@pytest.mark.parametrize("update", list(Update))
+@FEW
+@given(drive=upright_drives(), cells_deep=st.sampled_from([0.5, 3.3]))
+def test_beams_straight_up_and_down_follow_the_rule(
+    update: Update, drive: Drive, cells_deep: float
+) -> None:
+    rays, resolution = drive
+    model = Quadratic(cells_deep * resolution, 0.1)
+    seen = join_viewpoints(rays) if update is Update.POLYGON else rays
+    expected = TRACES[update](seen, resolution, model)
+    check(observe(make_spec(update, resolution, model), [rays]), expected, model)
 
 
 def look_around(distance: list[float], degrees: float) -> Rays:
