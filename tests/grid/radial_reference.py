@@ -127,8 +127,11 @@ class Sector:
 def trace_radial_polygons(rays: Rays, resolution: float, model: Quadratic) -> Observed:
     """Each cell once a scan, with the range of the beam that covers its bearing.
 
-    Where a scan goes more than once round, the later beam counts.
+    Where a scan goes more than once round, the later beam counts. A single beam has no neighbour
+    that would say how wide it is: it is a line.
     """
+    if rays.kind.shape[1] == 1:
+        return trace_radial_beams(rays, resolution, model)
     observed = Observed()
     for s in range(rays.kind.shape[0]):
         sectors = find_sectors(rays, s)

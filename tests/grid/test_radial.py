@@ -118,6 +118,17 @@ def test_the_cells_of_one_beam_worked_out_by_hand(update: Update) -> None:
     np.testing.assert_allclose(log_odds, np.log(p / (1 - p)), atol=tolerance(model))
 
 
+def test_a_sensor_of_one_beam_observes_the_cells_along_it_by_polygon() -> None:
+    """Range 4, depth 1, as for any beam: p = (d / 3)^2 / 2 before 3, the hit from 3 to 5."""
+    model = Quadratic(depth=1.0, p_min=0.1)
+    evidence = observe(make_spec(Update.POLYGON, 1.0, model), [look_around([4.0], 10.0)])
+    ahead = [(0, col) for col in range(6)]
+    assert evidence.second == dict.fromkeys(ahead, 1)
+    p = np.array([0.1, 0.1, 2 / 9, 0.5, 0.9, 0.5])
+    log_odds = np.array([evidence.first[cell] for cell in ahead]) * LOG_ODDS_UNIT
+    np.testing.assert_allclose(log_odds, np.log(p / (1 - p)), atol=tolerance(model))
+
+
 def test_near_cells_are_observed_by_every_beam_but_once_by_a_scan() -> None:
     model, rays = Quadratic(1.0, 0.1), look_around([4.0] * 36, 10.0)
     plain = (Update.BEAM, Update.POLYGON)
