@@ -151,8 +151,10 @@ def make_chain(steps: Sequence[Step], max_gap_s: float | None) -> Chain:
     max_gap_ns = np.inf if max_gap_s is None else max_gap_s * 1e9
     legs: list[_Rigid | _Moving | _Inverse] = []
     for step in steps:
+        # A correction holds until the next: the limit is for what moves.
+        limit_ns = np.inf if _is_correction(step, steps) else max_gap_ns
         leg = (
-            _Moving(step.edge.track, _find_jumps(step, steps), max_gap_ns)
+            _Moving(step.edge.track, _find_jumps(step, steps), limit_ns)
             if step in moving
             else _Rigid(step.edge.track.position[:1], rotate_by(step.edge.track.quaternion[:1]))
         )
