@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from occmap.sensor.returns import ReturnOptions
+from occmap.sensor.returns import ReturnOptions, read_limits
 from occmap.types import Float32, Scan, ScanBatch, ScanRun, as_float32
 
 BAND = 0.025
@@ -133,6 +133,8 @@ class RangeLimits:
     def __init__(self, options: ReturnOptions) -> None:
         self._asked = options.range_max is None
         self._tallies: dict[str, RangeTally] = {}
+        self._senseless: dict[str, float] = {}
+        """What scans of a topic state as their limit and none can be (m)"""
         self._applied: dict[str, float] = {}
         self._settled = False
 
@@ -141,8 +143,10 @@ class RangeLimits:
         if self._asked and not self._settled and some.ranges.size:
             first = some.first
             tally = self._tallies.setdefault(first.topic, RangeTally())
-            range_max = first.range_max if first.range_max > 0 else math.inf
+            _, range_max = read_limits(first)
             tally.add(some.ranges, range_max)
+            if range_max != first.range_max:
+                self._senseless.setdefault(first.topic, first.range_max)
 
     def apply(self, batch: ScanBatch) -> ScanBatch:
         """State the limit in a batch of scans."""
@@ -174,6 +178,8 @@ class RangeLimits:
         for topic, tally in self._tallies.items():
             unstated = math.isinf(tally.stated)
             limit = "no range limit" if unstated else f"{tally.stated:g} m as its range limit"
+            if topic in self._senseless:
+                limit = f"{self._senseless[topic]:g} m as its range limit, which is none"
             band = tally.find_band()
             if band is not None:
                 found = f"{tell_share(band.count, tally.total)} read {band.values}"

@@ -187,3 +187,16 @@ def test_a_report_sums_up_what_an_older_occmap_counted(tmp_path: Path) -> None:
     assert report.beams == ReturnCounts(hit=10)
     assert report.scans_used == 2 * made["scans"]["used"]
     assert report.notes == ("drive.csv is in it twice",)
+
+
+def test_each_observation_adds_what_it_says_beyond_the_prior_by_hand() -> None:
+    """Three observations, and one, from a prior of 0.2 (Thrun, Burgard, Fox 2005, ch. 9).
+
+    The prior's odds are 1/4. Observations of odds 3, 3 and 1/2 multiply them by odds over odds of
+    the prior: 1/4 * 12 * 12 * 2 = 72. One that says no more than the prior changes nothing.
+    """
+    model = parse_model("quadratic:prior=0.2,p_min=0.1")
+    log_odds = np.array([math.log(3) + math.log(3) + math.log(1 / 2), math.log(1 / 4)])
+    sums, observations = np.rint(log_odds * 65536), np.array([3.0, 1.0])
+    odds = np.exp(weigh(model)(sums, observations))
+    np.testing.assert_allclose(odds, [72, 1 / 4], rtol=2e-5)

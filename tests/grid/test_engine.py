@@ -30,6 +30,7 @@ from tests.grid.scans import (
     read_cells,
     shift,
     take,
+    upright_drives,
 )
 
 WINDOWS = st.sampled_from([50, 400, WINDOW_CELLS])
@@ -113,6 +114,20 @@ def test_polygon_update_follows_the_rule(
     spec = GridSpec(Update.POLYGON, Lattice(resolution), jump, border_gap)
     expected = reference.trace_polygons(join_viewpoints(rays), resolution, jump, border_gap)
     assert observe(spec, [rays], window_cells) == expected
+
+
+@pytest.mark.parametrize("update", list(Update))
+@MANY
+@given(drive=upright_drives())
+def test_beams_straight_up_and_down_end_at_the_sensor(update: Update, drive: Drive) -> None:
+    rays, resolution = drive
+    trace = {
+        Update.BEAM: reference.trace_beams,
+        Update.POLYGON: reference.trace_polygons,
+        Update.SURFACE: reference.trace_surfaces,
+    }[update]
+    seen = join_viewpoints(rays) if update is Update.POLYGON else rays
+    assert observe(GridSpec(update, Lattice(resolution)), [rays]) == trace(seen, resolution)
 
 
 @pytest.mark.parametrize("update", list(Update))

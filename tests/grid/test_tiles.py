@@ -7,6 +7,7 @@ from occmap.errors import MapError
 from occmap.evidence import render
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import find_bounds, paint
+from occmap.grid.stacks import add_stack
 from occmap.grid.tiles import (
     INT32_LIMIT,
     LOG_ODDS_UNIT,
@@ -74,6 +75,26 @@ def test_a_tile_widens_before_a_sum_can_overflow() -> None:
     assert grid.tiles[0, 0].dtype == np.int64
     add_cell(grid, 0, 1, 0, 7)
     assert read_cells(grid) == ({(0, 0): INT32_LIMIT + 1}, {(0, 0): 5, (0, 1): 7})
+
+
+def test_a_sum_that_was_widened_is_never_narrowed() -> None:
+    """What was stacked has no bound that the grid knows of: adding one must not make it 32 bits."""
+    cells = np.zeros((1, 2, TILE, TILE), np.int64)
+    cells[0, :, 0, 0] = 3_000_000_000, 4
+    grid = make_grid()
+    add_stack(grid, np.zeros((1, 2), np.int64), cells)
+    add_cell(grid, 0, 0, 1, 0)
+    assert read_cells(grid) == ({(0, 0): 3_000_000_001}, {(0, 0): 4})
+
+
+def test_a_grid_takes_over_what_was_stacked_in_another() -> None:
+    cells = np.zeros((1, 2, TILE, TILE), np.int64)
+    cells[0, 0, 0, 0] = 3_000_000_000
+    mine, other = make_grid(), make_grid()
+    add_cell(mine, 0, 0, 5, 0)
+    add_stack(other, np.zeros((1, 2), np.int64), cells)
+    mine.merge(other)
+    assert read_cells(mine).first == {(0, 0): 3_000_000_005}
 
 
 def test_a_robot_that_stands_still_for_ten_hours() -> None:
