@@ -33,6 +33,9 @@ by two standard errors or half a percent counts as good as the best; of those th
 or the best log-likelihood. That one is named, too, where it is another: its probabilities are the
 ones to plan and localise with.
 
+Of the recommended map it is told, too, whether its probabilities mean what they say: of the cells
+that it gives a probability, by tenths, the share that beams found occupied.
+
 \b
   occmap compare drive.mcap
   occmap compare intel.log.gz -o compare.png --resolution 0.1
@@ -118,6 +121,8 @@ def format_comparison(comparison: VariantComparison) -> str:
         [
             *format_table(comparison.results),
             "",
+            *format_reliability(best),
+            "",
             f"{rest}; {comparison.tally.scans_used:,} of {comparison.tally.scans_read:,} used",
             *(f"picture: {file}" for file in comparison.remarks.files),
             *([f"as good: {names}"] if len(equals) > 1 else []),
@@ -132,6 +137,15 @@ def recommend(comparison: VariantComparison, likeliest: Result) -> Iterator[str]
     """Name what to use where a map's probabilities matter, and the command line of it."""
     yield f"where probabilities matter: {likeliest.variant.name}"
     yield shlex.join(comparison.build_command(likeliest))
+
+
+def format_reliability(result: Result) -> Iterator[str]:
+    """Write what a map says of cells over what beams found in them."""
+    bins = result.score.reliability
+    yield f"cells of {result.variant.name}, as held-out beams look at them"
+    yield f"{'predicted occupied':<20}" + "".join(f"{each.predicted:8.3f}" for each in bins)
+    yield f"{'found occupied':<20}" + "".join(f"{each.observed:8.3f}" for each in bins)
+    yield f"{'looks, in thousands':<20}" + "".join(f"{each.looks / 1000:8.1f}" for each in bins)
 
 
 def format_table(results: Sequence[Result]) -> Iterator[str]:
