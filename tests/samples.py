@@ -4,6 +4,15 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from occmap.pipeline import BuildOptions
+from occmap.sensor.models import SimpleModel
+from occmap.types import Update
+
+PLAIN = BuildOptions(update=Update.BEAM, model=SimpleModel(spread=0.0), hit_offset=0.0, jobs=1)
+"""Each beam by itself, ends where they were measured: what a hand can work out"""
+PLAIN_WORDS = ("beam", "--model", "simple:spread=0", "--hit-offset", "0")
+"""The same on the command line, after `occmap build`"""
+
 ROOT = Path(__file__).parent.parent
 SAMPLE_LOGS = ROOT / "sample_logs"
 DRIVES = [

@@ -8,17 +8,17 @@ from time import process_time
 import numpy as np
 
 from occmap.grid.lattice import CellBox
+from occmap.grid.rendering import paint
 from occmap.grid.tiles import TileGrid
 from occmap.pipeline import BuildOptions, make_engine
 from occmap.sensor.models import QuadraticModel, RadialModel, SensorModel, SimpleModel
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.types import Float64, Int64, PosedScans, Update
+from occmap.types import Int64, PosedScans, Update
 from occmap.workers import Workers
 from tests.bench.measuring import Times, time_in_turn
 from tests.bench.workloads import Workload
 from tests.bench.yardstick import Trace, find_box
 
-MAX_CELLS = 10**9
 COUNTS = SimpleModel()
 COMBINATIONS: Mapping[str, tuple[Update, SensorModel]] = {
     "beam x simple, counting": (Update.BEAM, COUNTS),
@@ -46,7 +46,9 @@ class Figure:
 
 def trace(workload: Workload, update: Update, model: SensorModel, jobs: int = 1) -> TileGrid:
     """What is timed of occmap: poses to matrices, ranges to rays, rays to evidence in tiles."""
-    engine = make_engine(BuildOptions(workload.resolution, update, model))
+    # Ends where they were measured: the yardsticks have them there.
+    options = BuildOptions(workload.resolution, update, model, hit_offset=0.0)
+    engine = make_engine(options)
 
     def add(posed: PosedScans) -> None:
         rays, _ = interpret(posed, ReturnOptions())
@@ -83,12 +85,9 @@ def measure_engine(
 
 def count_observations(evidence: TileGrid, model: SensorModel) -> int:
     """How often all cells together were observed."""
-    radial = isinstance(model, RadialModel)
-
-    def observations(first: Int64, second: Int64) -> Float64:
-        return (second if radial else first + second).astype(np.float64)
-
-    return int(evidence.render(observations, 0.0, MAX_CELLS).log_odds.sum(dtype=np.float64))
+    layers = slice(1, 2) if isinstance(model, RadialModel) else slice(0, 2)
+    total = sum(int(tile[layers].sum(dtype=np.int64)) for tile in evidence.tiles.values())
+    return total // evidence.unit
 
 
 def check_equal(workload: Workload, yardsticks: Mapping[str, Trace]) -> None:
@@ -113,11 +112,5 @@ def check_equal(workload: Workload, yardsticks: Mapping[str, Trace]) -> None:
 
 def spread(evidence: TileGrid, number: int, box: CellBox) -> Int64:
     """(H, W) of a box around all evidence: the first or second number of each cell."""
-    grid = evidence.render(lambda *pair: pair[number].astype(np.float64), 0.0, MAX_CELLS)
-    col, row = (round(metres / grid.resolution) for metres in grid.origin)
-    counts = np.zeros((box.rows, box.cols), np.int64)
-    rows, cols = grid.shape
-    counts[row - box.row : row - box.row + rows, col - box.col : col - box.col + cols] = (
-        grid.log_odds
-    )
-    return counts
+    counts, _ = paint(evidence, lambda *pair: pair[number], 0.0, box)
+    return counts.astype(np.int64)

@@ -216,8 +216,9 @@ def test_skipped_beams_leave_no_trace(kind_of_map: int) -> None:
 @pytest.mark.parametrize("distance", [0.0, 0.3])
 def test_a_hit_in_the_sensors_own_cell_is_one_hit(update: Update, distance: float) -> None:
     rays = one_scan([distance], [Kind.HIT])
-    evidence = observe(GridSpec(update, Lattice(1.0)), [rays])
-    assert evidence == ({(0, 0): 1}, {})
+    spec = GridSpec(update, Lattice(1.0))
+    lone = 2 if update is Update.SURFACE else 1  # of the 8 that one among its neighbours weighs
+    assert observe(spec, [rays]) == ({(0, 0): lone}, {})
 
 
 def test_free_beam_of_no_length_is_one_miss_by_beam_and_nothing_by_polygon() -> None:
