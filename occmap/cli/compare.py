@@ -140,12 +140,18 @@ def recommend(comparison: VariantComparison, likeliest: Result) -> Iterator[str]
 
 
 def format_reliability(result: Result) -> Iterator[str]:
-    """Write what a map says of cells over what beams found in them."""
-    bins = result.score.reliability
+    """Write what a map says of its cells over what beams found in them, a column for each bin."""
     yield f"cells of {result.variant.name}, as held-out beams look at them"
-    yield f"{'predicted occupied':<20}" + "".join(f"{each.predicted:8.3f}" for each in bins)
-    yield f"{'found occupied':<20}" + "".join(f"{each.observed:8.3f}" for each in bins)
-    yield f"{'looks, in thousands':<20}" + "".join(f"{each.looks / 1000:8.1f}" for each in bins)
+    columns = [
+        ("predicted occupied", "found occupied", "looks"),
+        *(
+            (f"{each.predicted:.3f}", f"{each.observed:.3f}", f"{each.looks:,}")
+            for each in result.score.reliability
+        ),
+    ]
+    for row in range(3):
+        cells = [f"{column[row]:>{max(map(len, column))}}" for column in columns]
+        yield "  ".join([columns[0][row].ljust(len(cells[0])), *cells[1:]])
 
 
 def format_table(results: Sequence[Result]) -> Iterator[str]:
