@@ -20,105 +20,28 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.errors import OccmapError
 from occmap.evidence import render
 from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.units import HIT
 from occmap.grid.tiles import MAX_CELLS, TileGrid
-from occmap.pipeline import BuildOptions, choose_model, trace_logs
-from occmap.posing.options import Deskew, PosingOptions
+from occmap.pipeline import BuildOptions, trace_logs
 from occmap.readers import open_log
 from occmap.report import Tally
 from occmap.scoring.compare import refuse_unscored
 from occmap.scoring.score import Score, estimate_error, score_map
 from occmap.scoring.trials import HoldOut, SharedEvidence
-from occmap.sensor.models import parse_model
-from occmap.sensor.returns import NoReturn, ReturnOptions
-from occmap.types import Bool, Float64, OccupancyMap, Pose, Rays, Update
+from occmap.types import Bool, Float64, OccupancyMap, Rays
 from tests.bench.peers import CLASSES_ONLY, map_peers
+from tests.bench.settings import DEFAULT, LOGS, OURS, PLAIN, Recording, list_neighbours, list_steps
 from tests.bench.tables import draw
 from tests.samples import REAL_LOGS
-
-DEFAULT = BuildOptions()
-PLAIN = replace(DEFAULT, update=Update.BEAM, model=parse_model("simple:spread=0"), hit_offset=0.0)
-POLYGON = replace(DEFAULT, update=Update.POLYGON, model=choose_model(Update.POLYGON))
-OURS = "occmap, no flags"
 
 FARTHEST_M = 30.0
 NEAR = 2.0
 """Cells"""
 ROUNDS = 3
 """The shortest of so many builds is told"""
-
-
-class Recording(NamedTuple):
-    """A log, and what it does not say itself."""
-
-    path: Path
-    posing: PosingOptions = DEFAULT.posing
-
-
-LOGS = {
-    "Intel": Recording(REAL_LOGS / "carmen/intel-corrected.log.gz"),
-    "Freiburg 079": Recording(REAL_LOGS / "carmen/freiburg-079-corrected.log.gz"),
-    "CSAIL": Recording(REAL_LOGS / "carmen/csail-corrected.log.gz"),
-    "robotlaser": Recording(REAL_LOGS / "carmen/fr079-robotlaser.log.gz"),
-    "turtlebot": Recording(REAL_LOGS / "ros1/test_turtlebot.bag"),
-    "room": Recording(
-        REAL_LOGS / "ros1/mylaserdata2.bag", PosingOptions(sensor_pose=Pose.planar(0, 0, math.pi))
-    ),
-    "floor": Recording(REAL_LOGS / "ros2/macfirst_floor_take_2"),
-    "standing": Recording(REAL_LOGS / "ros1/test_replay_crash.bag"),
-}
-"""Those whose poses are known: a depth camera, a laser that looks all round, raw odometry, and a
-robot that stands still among them."""
-
-
-def list_steps() -> dict[str, BuildOptions]:
-    """The way from the plain rule to the default: each step by itself, then together."""
-
-    def simple(parameters: str) -> BuildOptions:
-        return replace(PLAIN, model=parse_model(f"simple:{parameters}"))
-
-    return {
-        "beam, written from 0.65": simple("spread=0,cut=0.65"),
-        "beam, cut at even odds": PLAIN,
-        "with hits half a cell out": replace(PLAIN, hit_offset=0.5),
-        "with hits spread": simple(""),
-        "with surfaces": replace(PLAIN, update=Update.SURFACE),
-        "with all three": replace(DEFAULT, model=parse_model("simple")),
-        "beam, the default's model": replace(DEFAULT, update=Update.BEAM),
-        "polygon": POLYGON,
-        OURS: DEFAULT,
-    }
-
-
-def list_neighbours() -> list[dict[str, BuildOptions]]:
-    """Settings to compare, the default first in each group."""
-    models = ("strength=0.2", "hit_weight=2", "cut=0.25", "cut=0.4", "cut=0.5")
-    spreads = ("spread=0", "spread=0.04", "spread=0.12")
-    polygons = ("cut=0.32,spread=0", "cut=0.5,spread=0", "cut=0.4")
-    return [
-        {
-            OURS: DEFAULT,
-            **{
-                each: replace(DEFAULT, model=parse_model(f"counting:{each}"))
-                for each in models + spreads
-            },
-            **{f"--hit-offset {n:g}": replace(DEFAULT, hit_offset=n) for n in (0, 0.25, 0.75, 1)},
-            **{f"--jump {m:g}": replace(DEFAULT, jump=m) for m in (0.05, 0.2, 0.4)},
-            "--no-return clear": replace(DEFAULT, returns=ReturnOptions(no_return=NoReturn.CLEAR)),
-            "--deskew on": replace(DEFAULT, posing=PosingOptions(deskew=Deskew.ON)),
-        },
-        {
-            "polygon": POLYGON,
-            **{
-                f"polygon {each}": replace(POLYGON, model=parse_model(f"counting:{each}"))
-                for each in polygons
-            },
-            **{f"polygon --jump {m:g}": replace(POLYGON, jump=m) for m in (0.05, 0.2)},
-            **{f"polygon --border-gap {n}": replace(POLYGON, border_gap=n) for n in (0, 4, 16)},
-        },
-    ]
 
 
 class Scans(NamedTuple):
@@ -330,7 +253,8 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("logs", nargs="*", type=Path, metavar="LOG")
     parser.add_argument("--resolution", type=float, default=DEFAULT.resolution, help="m")
     given = parser.parse_args(words)
-    logs = {path.name: Recording(path) for path in given.logs} or {
+    alike = len({path.name for path in given.logs}) < len(given.logs)
+    logs = {str(path) if alike else path.name: Recording(path) for path in given.logs} or {
         name: each for name, each in LOGS.items() if each.path.exists()
     }
     if not logs:
@@ -356,4 +280,7 @@ def main(words: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except OccmapError as error:
+        sys.exit(str(error))

@@ -22,6 +22,7 @@ from tests.bench.peers import (
     pass_through,
     share_hits,
 )
+from tests.bench.settings import DEFAULT, OURS, Recording, list_steps
 from tests.samples import SAMPLE_LOGS, write_csv
 
 SCAN_PEERS = sorted(SCAN_RULES)
@@ -194,20 +195,20 @@ def test_a_lead_is_measured_scan_by_scan() -> None:
 
 def test_every_fifth_scan_is_kept_from_all_maps(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "wall.csv", [(0.025, 0.025, 0.0)] * 10, [1.0, 2.0])
-    scans = quality.read_scans(quality.Recording(log), quality.DEFAULT)
+    scans = quality.read_scans(Recording(log), DEFAULT)
     assert [sum(len(rays.kind) for rays in part) for part in scans] == [8, 2]
 
 
 def test_the_last_step_is_a_bare_build() -> None:
-    assert quality.list_steps()[quality.OURS] == BuildOptions()
-    assert isinstance(quality.list_steps()["polygon"].model, CountingModel)
+    assert list_steps()[OURS] == BuildOptions()
+    assert isinstance(list_steps()["polygon"].model, CountingModel)
 
 
 def test_the_tables_of_a_drive(capsys: pytest.CaptureFixture[str]) -> None:
     quality.main([str(SAMPLE_LOGS / "drive.csv"), "--resolution", "0.2"])
     text = capsys.readouterr().out
     shares, walked, leads = (table.splitlines() for table in text.split("\n\n"))
-    rules = [*COUNT_RULES, *SCAN_RULES, *quality.list_steps()]
+    rules = [*COUNT_RULES, *SCAN_RULES, *list_steps()]
     for table in (shares, walked):
         assert [line[2:].split("  ")[0].strip(" |") for line in table[2:]] == rules
     assert leads[2].startswith("| drive.csv")
