@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from occmap.grid.kernels.cast import CERTAIN, FOLLOWED, UNIFORM, cast_beam, cast_beams
+from occmap.grid.kernels.cast import BINS, CERTAIN, FOLLOWED, UNIFORM, cast_beam, cast_beams
 from occmap.types import Bool, Float32, Float64, Kind, Rays
 from tests.grid.scans import FEW
 
@@ -46,7 +46,9 @@ def cast_through(
     along: tuple[float, float],
     reach: float,
 ) -> Cast:
-    return Cast(*cast_beam(occupied, probability, cost_free(probability), x, y, *along, reach))
+    maps = occupied, probability, cost_free(probability)
+    bins, tally = np.zeros(probability.shape, np.uint8), np.zeros((BINS + 1, 3))
+    return Cast(*cast_beam(*maps, x, y, *along, reach, bins, True, tally))
 
 
 def cast_slowly(probability: Float32, x: float, y: float, angle: float, reach: float) -> Cast:
@@ -144,6 +146,7 @@ def total(rays: Rays, probability: Float32, resolution: float = 1.0) -> Float64:
         *(rays.origin, rays.turn, rays.bearing, rays.distance, rays.kind),
         *(call_occupied(probability), probability, cost_free(probability)),
         *((-1.0, -1.0), resolution, totals),
+        *(np.zeros(probability.shape, np.uint8), np.zeros((BINS + 1, 3))),
     )
     by_kind: Float64 = totals.sum(axis=0)
     return by_kind
