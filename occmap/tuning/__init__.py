@@ -34,8 +34,8 @@ def tune(
 ) -> Tuning:
     """Search for a time offset, then for a mount, by the share of held-out beams.
 
-    The maps of the two halves of the scans lead a search; what it finds must gain in each of them,
-    and in a map of all. Scans are read once; a thousand of them at most are kept.
+    What is found must gain more than noise, and in both halves of the held-out scans. The logs are
+    read once; at most a thousand scans are kept.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def tune(
         )
     mount = find_mount(logs, options.posing)
     course = Course(logs, options, mount, lambda: tally.advance(kept))
-    before = course.score_whole(Correction())
+    before = course.score(Correction())
     motion = Motion.measure(course.trace(Correction()))
     timed = motion.shows_time and not all(log.stated for log in logs)
     time = find(course, Correction(), [TIME] if timed else [])
@@ -70,7 +70,7 @@ def tune(
     mounted = mount is not None and time.verdict is not Verdict.DISAGREE
     place = [*([YAW] if motion.shows_yaw else []), *([X, Y] if motion.shows_place else [])]
     found = find(course, time.correction, place if mounted else [])
-    after = course.score_whole(found.correction)
+    after = course.score(found.correction)
     tuning = Tuning(
         options=options,
         remarks=remarks,
@@ -121,9 +121,7 @@ class Motion(NamedTuple):
         return self.shows_yaw or self.shows_place
 
 
-def list_unsearched(
-    logs: Sequence[KeptLog], mount: Pose | None, motion: Motion
-) -> Iterator[str]:
+def list_unsearched(logs: Sequence[KeptLog], mount: Pose | None, motion: Motion) -> Iterator[str]:
     """Say what is not searched, and why."""
     if not motion.shows_time:
         yield "the sensor hardly moves: neither time nor mount shows in these scans"

@@ -8,7 +8,7 @@ from occmap.pipeline import BuildOptions
 from occmap.report import Remarks, Tally
 from occmap.scoring.compare import drop_infinite
 from occmap.scoring.score import Trial
-from occmap.tuning.search import Correction, Halves
+from occmap.tuning.search import Correction
 from occmap.tuning.verdict import Finding, Gain
 from occmap.types import Pose
 
@@ -30,7 +30,7 @@ class Tuning:
     """Where the laser sits on its body by what is known; None where no single pose says that"""
     before: Trial
     after: Trial
-    tried: dict[Correction, Halves]
+    tried: dict[Correction, Trial]
 
     @property
     def correction(self) -> Correction:
@@ -71,8 +71,7 @@ class Tuning:
             "time": finding_to_json(self.time),
             "mount": finding_to_json(self.mount),
             "tried": [
-                {**each._asdict(), "shares": [half.score.share for half in halves]}
-                for each, halves in self.tried.items()
+                {**each._asdict(), "share": trial.score.share} for each, trial in self.tried.items()
             ],
             "command": list(self.command),
             "notes": self.remarks.notes,
@@ -87,8 +86,7 @@ def finding_to_json(finding: Finding) -> dict[str, Any]:
         "correction": finding.correction._asdict(),
         **gain_to_json(finding.gain),
         "halves": [
-            {"correction": best._asdict(), **gain_to_json(gain)}
-            for best, gain in finding.halves
+            {"correction": best._asdict(), **gain_to_json(gain)} for best, gain in finding.halves
         ],
     }
 

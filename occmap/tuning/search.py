@@ -60,19 +60,6 @@ X = Knob("x", (0.04, 0.02, 0.01, 0.005), 0.5)
 Y = replace(X, name="y")
 
 
-class Halves(NamedTuple):
-    """How the two halves of the scans fare, each with a map and held-out scans of its own."""
-
-    first: Trial
-    second: Trial
-
-    @property
-    def share(self) -> float:
-        """Of the held-out beams of both."""
-        beams, near = sum(half.predicted.sum(axis=0) for half in self)
-        return float(near / beams)
-
-
 class Course:
     """Scores corrections on the same scans; remembers what it has scored."""
 
@@ -89,20 +76,12 @@ class Course:
         self._posing = replace(options.posing, max_pose_gap_s=None)
         self._mount = mount
         self._advance = advance
-        self.tried: dict[Correction, Halves] = {}
-        self._whole: dict[Correction, Trial] = {}
+        self.tried: dict[Correction, Trial] = {}
 
-    def score_whole(self, correction: Correction) -> Trial:
-        """Score one map of all scans."""
-        if correction not in self._whole:
-            self._whole[correction] = self._score(self.trace(correction))
-            self._advance()
-        return self._whole[correction]
-
-    def score_halves(self, correction: Correction) -> Halves:
-        """Score a map of the first half of the scans and one of the second."""
+    def score(self, correction: Correction) -> Trial:
+        """Score a map of the scans posed with a correction."""
         if correction not in self.tried:
-            self.tried[correction] = Halves(*map(self._score, split(self.trace(correction))))
+            self.tried[correction] = self._score(self.trace(correction))
             self._advance()
         return self.tried[correction]
 
@@ -123,19 +102,6 @@ class Course:
         return Trial(result.score, result.predicted)
 
 
-def split(scans: Sequence[Rays]) -> tuple[list[Rays], list[Rays]]:
-    """Split scans into a first half and a second."""
-    middle = sum(len(rays.kind) for rays in scans) // 2
-    first: list[Rays] = []
-    second: list[Rays] = []
-    for rays in scans:
-        here = min(middle, len(rays.kind))
-        middle -= here
-        first += [rays.take(slice(0, here))] if here else []
-        second += [rays.take(slice(here, None))] if here < len(rays.kind) else []
-    return first, second
-
-
 def search(course: Course, start: Correction, knobs: Sequence[Knob]) -> Correction:
     """Search for the correction of the best share, all numbers at each step before a finer one."""
     best = start
@@ -151,7 +117,7 @@ def climb(course: Course, best: Correction, knob: Knob, step: float) -> Correcti
         start, tried = best, best.move(knob.name, change)
         while (
             abs(getattr(tried, knob.name)) <= knob.reach
-            and course.score_halves(tried).share > course.score_halves(best).share
+            and course.score(tried).score.share > course.score(best).score.share
         ):
             best, tried = tried, tried.move(knob.name, change)
         if best != start:

@@ -1,5 +1,6 @@
 """What a search is worth: a gain that is more than noise, and that both halves of a log show."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -9,12 +10,15 @@ from occmap.scoring.score import Trial, estimate_error
 from occmap.scoring.trials import NOISE, SMALL
 from occmap.tuning.search import Correction, Course, Knob, search
 
+EVERY_SCAN = slice(None)
+
 
 class Verdict(StrEnum):
     """What came of a search."""
 
     FOUND = "found"
-    """A gain that is more than noise, in a map of all scans and in one of either half."""
+    """A gain that is more than noise, and so large in either half of the held-out scans that it
+    shows."""
     NOTHING = "nothing"
     DISAGREE = "disagree"
     """What gains in one half of the scans does not in the other: something else is wrong."""
@@ -35,11 +39,14 @@ class Gain(NamedTuple):
         return self.share > max(NOISE * self.error, SMALL)
 
     @classmethod
-    def measure(cls, before: Trial, after: Trial) -> "Gain":
-        """Measure it scan by scan."""
-        beams, near = after.predicted.T
-        error = estimate_error(near - before.predicted[:, 1], beams)
-        return cls(after.score.share - before.score.share, error)
+    def measure(cls, before: Trial, after: Trial, scans: slice = EVERY_SCAN) -> "Gain":
+        """Measure it by the same held-out scans, all or some."""
+        beams, now = after.predicted[scans].T
+        more = now - before.predicted[scans, 1]
+        return cls(math.fsum(more) / math.fsum(beams), estimate_error(more, beams))
+
+
+NO_GAIN = Gain()
 
 
 @dataclass(frozen=True)
@@ -49,30 +56,41 @@ class Finding:
     verdict: Verdict
     correction: Correction
     """The best there is: what was found, or else what the search began with"""
-    gain: Gain = Gain()
-    """Of the best that was tried, in a map of all scans"""
+    gain: Gain = NO_GAIN
+    """Of the best that was tried, by all held-out scans"""
     halves: tuple[tuple[Correction, Gain], ...] = ()
-    """What the first half of the scans and the second gain, and by what: by the best for both, or,
-    where they disagree, each by what is best for itself"""
+    """What the first half of the held-out scans and the second gain, and by what: by the best for
+    both, or, where they disagree, each by what is best for itself"""
 
 
 def find(course: Course, start: Correction, knobs: Sequence[Knob]) -> Finding:
     """Search for a better correction than one, and judge it; without knobs there is no search."""
     if not knobs:
         return Finding(Verdict.UNSEEN, start)
-    earlier = course.tried.keys() - {start}
+    before, earlier = course.score(start), course.tried.keys() - {start}
     best = search(course, start, knobs)
-    tried = {each: halves for each, halves in course.tried.items() if each not in earlier}
-    gain = Gain.measure(course.score_whole(start), course.score_whole(best))
-    alike = [(best, Gain.measure(*pair)) for pair in zip(tried[start], tried[best], strict=True)]
-    if gain.certain and all(part.certain for _, part in alike):
-        return Finding(Verdict.FOUND, best, gain, tuple(alike))
-    own = [max(tried, key=lambda each: tried[each][half].score.share) for half in (0, 1)]  # noqa: B023
-    apart = [
-        (each, Gain.measure(tried[start][half], tried[each][half])) for half, each in enumerate(own)
+    gain = Gain.measure(before, course.tried[best])
+    halves = [
+        {
+            each: Gain.measure(before, trial, half)
+            for each, trial in course.tried.items()
+            if each not in earlier
+        }
+        for half in cut(before)
     ]
-    swapped = [Gain.measure(tried[start][half], tried[own[1 - half]][half]) for half in (0, 1)]
-    opposed = all(part.certain for _, part in apart) and min(swapped).share < 0
-    if gain.certain or opposed:
-        return Finding(Verdict.DISAGREE, start, gain, tuple(apart))
-    return Finding(Verdict.NOTHING, start, gain, tuple(alike))
+    alike = tuple((best, gains[best]) for gains in halves)
+    if gain.certain and all(part.share > SMALL for _, part in alike):
+        return Finding(Verdict.FOUND, best, gain, alike)
+    own = [max(gains, key=lambda each: gains[each].share) for gains in halves]
+    apart = tuple((each, gains[each]) for each, gains in zip(own, halves, strict=True))
+    swapped = [gains[each].share for each, gains in zip(reversed(own), halves, strict=True)]
+    opposed = all(part.certain for _, part in apart) and min(swapped) < 0
+    if opposed or (gain.certain and min(part.share for _, part in alike) <= 0):
+        return Finding(Verdict.DISAGREE, start, gain, apart)
+    return Finding(Verdict.NOTHING, start, gain, alike)
+
+
+def cut(trial: Trial) -> tuple[slice, slice]:
+    """Cut the held-out scans of a trial into halves."""
+    middle = len(trial.predicted) // 2
+    return slice(0, middle), slice(middle, None)
