@@ -73,7 +73,9 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
     yield f"mount    {format_finding(tuning.mount, ['yaw', 'x', 'y'])}"
     yield f"share    {before.share:.4f}{gained}"
     yield f"scored   by {held}; {count(len(tuning.tried), 'map')} of {count(tuning.kept, 'scan')}"
-    yield shlex.join(tuning.command) if tuning.command else "nothing to gain"
+    disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
+    nothing = "nothing is recommended" if disagree else "nothing to gain"
+    yield shlex.join(tuning.command) or nothing
 
 
 def format_finding(finding: Finding, names: Sequence[str]) -> str:
@@ -87,9 +89,9 @@ def format_finding(finding: Finding, names: Sequence[str]) -> str:
         halves = f"{format_gain(one)} and {format_gain(other)} in the halves"
         return f"{describe(first, names)}: gains {format_gain(finding.gain)}; {halves}"
     return (
-        "the halves of the log do not agree, so nothing is recommended: the first gains "
-        f"{format_gain(one)} by {describe(first, names)}, "
-        f"the second {format_gain(other)} by {describe(second, names)}"
+        "the halves of the log do not agree, so nothing is recommended: by "
+        f"{describe(first, names)} the first gains {format_gain(one)}, by "
+        f"{describe(second, names)} the second {format_gain(other)}"
     )
 
 

@@ -51,6 +51,9 @@ def tune(
     most = max(MOST_SCANS // len(paths), 1)
     logs = [keep_log(log, options, most, tally, remarks) for log in opened]
     refuse_unused(opened, tally)
+    if (read := sum(log.scans for log in logs)) < tally.scans_used:
+        used = f"{tally.scans_used:,} scans"
+        remarks.notes.append(f"{read:,} of {used} are tried, spread over the logs")
     logs = [drop_outer(log, options.posing) for log in logs]
     kept = sum(log.scans for log in logs)
     if not kept:
@@ -141,9 +144,9 @@ def list_unsearched(logs: Sequence[KeptLog], mount: Pose | None, motion: Motion)
 
 def list_doubts(tuning: Tuning) -> Iterator[str]:
     """Say what makes the result less sure."""
-    used, kept, half = tuning.tally.scans_used, tuning.kept, tuning.held_out // 2
-    if kept < used:
-        yield f"{kept:,} of {used:,} scans are tried, spread over the logs"
+    if tuning.time.verdict is Verdict.DISAGREE:
+        yield "the mount is not searched: it would make up for times that change within the log"
+    half = tuning.held_out // 2
     if half < FEW_SCANS:
         yield f"{count(half, 'held-out scan')} in each half: too few to tell; give a longer log"
     if abs(tuning.correction.time_s) > TIME.reach - TIME.steps[-1]:

@@ -43,7 +43,7 @@ class Gain(NamedTuple):
         """Measure it by the same held-out scans, all or some."""
         beams, now = after.predicted[scans].T
         more = now - before.predicted[scans, 1]
-        return cls(math.fsum(more) / math.fsum(beams), estimate_error(more, beams))
+        return cls(math.fsum(more) / max(math.fsum(beams), 1), estimate_error(more, beams))
 
 
 NO_GAIN = Gain()
@@ -83,8 +83,10 @@ def find(course: Course, start: Correction, knobs: Sequence[Knob]) -> Finding:
         return Finding(Verdict.FOUND, best, gain, alike)
     own = [max(gains, key=lambda each: gains[each].share) for gains in halves]
     apart = tuple((each, gains[each]) for each, gains in zip(own, halves, strict=True))
-    swapped = [gains[each].share for each, gains in zip(reversed(own), halves, strict=True)]
-    opposed = all(part.certain for _, part in apart) and min(swapped) < 0
+    opposed = any(
+        gains[each].certain and Gain(-rest[each].share, rest[each].error).certain
+        for each, gains, rest in zip(own, halves, reversed(halves), strict=True)
+    )
     if opposed or (gain.certain and min(part.share for _, part in alike) <= 0):
         return Finding(Verdict.DISAGREE, start, gain, apart)
     return Finding(Verdict.NOTHING, start, gain, alike)
