@@ -174,11 +174,10 @@ def test_every_nth_scan_is_taken_however_they_are_batched(
     sizes: list[int], n: int, first: int
 ) -> None:
     stamps = np.split(np.arange(10), np.cumsum(sizes)[:-1])
+    still = [np.zeros(size) for size in sizes]
     batches = [
-        ScanBatch(
-            "laser", 0.0, 0.1, 0.0, 9.0, part, np.ones((len(part), 2), np.float32), part * 0.0
-        )
-        for part in stamps
+        ScanBatch("laser", 0.0, 0.1, 0.0, 9.0, part, np.ones((len(part), 2), np.float32), each)
+        for part, each in zip(stamps, still, strict=True)
     ]
     taken = [int(stamp) for part in take_every(batches, n, first) for stamp in part.stamp_ns]
     assert taken == list(range(first, 10, n))
