@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from occmap.types import Update
 from tests.cli.runner import occmap, read_error
 from tests.samples import SAMPLE_LOGS, write_csv
 
