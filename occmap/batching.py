@@ -11,6 +11,7 @@ import numpy as np
 from occmap.errors import UsageError
 from occmap.posing.options import Stamps
 from occmap.sensor.no_return import RangeLimits
+from occmap.sensor.returns import read_limits
 from occmap.types import Float32, Float64, Int64, Scan, ScanBatch, ScanRun
 
 BATCH_BEAMS = 1 << 18
@@ -84,15 +85,16 @@ class Geometry(NamedTuple):
 
     @classmethod
     def of(cls, scan: Scan) -> Self:
-        """Take it from a scan; limits that no range can have, or nan, become 0 and inf."""
+        """Take it from a scan."""
+        range_min, range_max = read_limits(scan)
         return cls(
             scan.topic,
             scan.frame,
             scan.angle_min,
             scan.angle_increment,
             len(scan.ranges),
-            scan.range_min if scan.range_min >= 0 else 0.0,
-            scan.range_max if scan.range_max > 0 else math.inf,
+            range_min,
+            range_max,
             scan.pose is not None,
         )
 

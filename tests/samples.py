@@ -4,6 +4,15 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from occmap.pipeline import BuildOptions
+from occmap.sensor.models import SimpleModel
+from occmap.types import Update
+
+PLAIN = BuildOptions(update=Update.BEAM, model=SimpleModel(spread=0.0), hit_offset=0.0, jobs=1)
+"""Each beam by itself, ends where they were measured: what a hand can work out"""
+PLAIN_WORDS = ("beam", "--model", "simple:spread=0", "--hit-offset", "0")
+"""The same on the command line, after `occmap build`"""
+
 ROOT = Path(__file__).parent.parent
 SAMPLE_LOGS = ROOT / "sample_logs"
 DRIVES = [
@@ -28,7 +37,7 @@ def write_csv(
 ) -> Path:
     """Write a log of one scan a second, all with the same ranges, beams `step` radians apart."""
     beams = ",".join(f"r{beam}" for beam in range(len(ranges)))
-    head = f"# angle_min: 0\n# angle_increment: {step}\nstamp,x,y,yaw,{beams}\n"
+    head = f"# angle_min: 0\n# angle_increment: {step}\n# range_max: 1e6\nstamp,x,y,yaw,{beams}\n"
     cells = ",".join(map(str, ranges))
     rows = [f"{second},{x},{y},{yaw},{cells}\n" for second, (x, y, yaw) in enumerate(poses, start)]
     path.write_text(head + "".join(rows))

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 
 from occmap.batching import Batcher, LeftOut, Selection
 from occmap.posing.options import Stamps
+from occmap.sensor.no_return import RangeLimits
+from occmap.sensor.returns import ReturnOptions
 from occmap.types import Scan, ScanBatch, ScanRun
 
 SECOND = 10**9
@@ -112,3 +114,29 @@ def test_runs_are_selected_as_single_scans_are(
 
     assert list_scans(some.stack(items)) == list_scans(single.stack(singles))
     assert (some.read, some.left_out) == (single.read, single.left_out)
+
+
+@pytest.mark.parametrize("single", [True, False])
+@pytest.mark.parametrize(
+    ("range_max", "told"),
+    [(0.0, "0 m"), (math.nan, "nan m"), (-3.0, "-3 m"), (-math.inf, "-inf m")],
+)
+def test_a_range_limit_that_none_can_be_is_none_and_told(
+    range_max: float, told: str, single: bool
+) -> None:
+    run = RUN._replace(first=RUN.first._replace(range_min=math.nan, range_max=range_max))
+    limits = RangeLimits(ReturnOptions())
+    batcher = Batcher(Selection(), limits=limits)
+    (batch,) = batcher.stack(run.split() if single else [run])
+    assert (batch.range_min, batch.range_max) == (0.0, math.inf)
+    assert list(limits.list_notes()) == [
+        f"/scan states {told} as its range limit, which is none; no value stands for "
+        '"no return", so every range is used as measured: --range-max sets a limit'
+    ]
+
+
+def test_a_limit_that_the_user_gives_needs_no_note() -> None:
+    limits = RangeLimits(ReturnOptions(range_max=20.0))
+    run = RUN._replace(first=RUN.first._replace(range_max=math.nan))
+    list(Batcher(Selection(), limits=limits).stack([run]))
+    assert list(limits.list_notes()) == []

@@ -1,5 +1,6 @@
 """One simulated drive: the same map from every format and in any order, and true to its plan."""
 
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -9,10 +10,10 @@ import pytest
 
 from occmap import batching
 from occmap.grid import engine
-from occmap.pipeline import BuildOptions, build
+from occmap.pipeline import BuildOptions, build, choose_model
 from occmap.sensor.models import parse_model
 from occmap.sensor.returns import NoReturn, ReturnOptions
-from occmap.types import Bool, OccupancyMap, Update
+from occmap.types import Bool, Decision, OccupancyMap, Update
 from tests.map_loaders import load_nav2
 from tests.samples import DRIVES, SAMPLE_LOGS
 
@@ -59,17 +60,38 @@ def test_the_map_agrees_with_the_floor_plan(
 ) -> None:
     plan = load_nav2(SAMPLE_LOGS / "floor_plan.yaml")
     wall, free = plan == 100, plan == 0
-    options = BuildOptions(
-        update=update, model=parse_model(model), returns=ReturnOptions(no_return=no_return)
-    )
-    grid = build(DRIVES[:1], options).map
-    occupied_cells = crop_to_plan(grid, grid.is_occupied(0.65))
-    free_cells = crop_to_plan(grid, grid.is_free(0.196))
+    # Ends where they were measured, each for its own cell; classes as nav2's map_saver has them.
+    rule = parse_model(model if model == "quadratic" else f"{model}:spread=0")
+    returns = ReturnOptions(no_return=no_return)
+    options = BuildOptions(update=update, model=rule, returns=returns, hit_offset=0.0)
+    grid = replace(build(DRIVES[:1], options).map, decision=Decision(0.196, 0.65))
+    occupied_cells = crop_to_plan(grid, grid.occupied)
+    free_cells = crop_to_plan(grid, grid.free)
     # Of the faces 98.9% were hit within a cell; the rest was never in sight.
     assert grow(occupied_cells)[wall].mean() > 0.98
     assert free_cells[free].mean() > 0.97
     assert grow(wall)[occupied_cells].mean() > 0.999
     assert free_cells[wall].mean() < 0.002
+
+
+@pytest.mark.parametrize("no_return", NoReturn)
+@pytest.mark.parametrize("update", Update)
+def test_the_usual_map_agrees_with_the_floor_plan(update: Update, no_return: NoReturn) -> None:
+    """Hits are half a cell deeper and speak for the cells beside them: walls are a cell thicker."""
+    plan = load_nav2(SAMPLE_LOGS / "floor_plan.yaml")
+    wall, free = plan == 100, plan == 0
+    returns = ReturnOptions(no_return=no_return)
+    grid = build(
+        DRIVES[:1], BuildOptions(update=update, model=choose_model(update), returns=returns)
+    ).map
+    occupied_cells, free_cells = (crop_to_plan(grid, each) for each in (grid.occupied, grid.free))
+    assert grow(occupied_cells)[wall].mean() > 0.98
+    assert free_cells[free].mean() > 0.97
+    assert grow(wall)[occupied_cells].mean() > 0.98
+    assert grow(grow(wall))[occupied_cells].mean() > 0.999
+    assert free_cells[wall].mean() < 0.002
+    assert grid.agreement is not None
+    assert grid.agreement > 0.9  # poses of a simulated drive are true
 
 
 @pytest.fixture(params=COMBINATIONS, ids=lambda pair: f"{pair[0]}-{pair[1]}", scope="module")

@@ -4,6 +4,7 @@ import gzip
 import json
 import math
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,10 @@ from occmap.pipeline import Build, BuildOptions, build
 from occmap.report import Report
 from occmap.types import OccupancyMap, Update
 from tests.readers.ros import ROS2, Written, drive, write_mcap
-from tests.samples import DRIVES, write_csv
+from tests.samples import DRIVES, PLAIN, write_csv
 
 QUARTER = math.pi / 2
-BEAM = BuildOptions(update=Update.BEAM, resolution=0.1, jobs=1)
+BEAM = replace(PLAIN, resolution=0.1)
 STILL = [(0.05, 0.05, 0.0)]
 """In the middle of cell (0, 0) at 10 cm."""
 
@@ -27,13 +28,13 @@ STILL = [(0.05, 0.05, 0.0)]
 def show(grid: OccupancyMap) -> list[str]:
     """Draw a map, highest row first."""
     marks = np.full(grid.shape, ".")
-    marks[grid.is_free(0.45)] = " "
-    marks[grid.is_occupied(0.55)] = "#"
+    marks[grid.free] = " "
+    marks[grid.occupied] = "#"
     return ["".join(row) for row in marks[::-1]]
 
 
 def choose(selection: Selection) -> BuildOptions:
-    return BuildOptions(update=Update.BEAM, resolution=0.1, selection=selection, jobs=1)
+    return replace(BEAM, selection=selection)
 
 
 def test_two_sensors_make_one_map(tmp_path: Path) -> None:
@@ -113,10 +114,9 @@ def test_without_the_wild_scan_the_map_is_made(tmp_path: Path) -> None:
 
 def test_max_cells_is_a_limit_that_may_be_met(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", STILL, [0.3])
-    four = BuildOptions(update=Update.BEAM, resolution=0.1, max_cells=4)
-    assert build([log], four).map.shape == (1, 4)
+    assert build([log], replace(BEAM, max_cells=4)).map.shape == (1, 4)
     with pytest.raises(MapError, match="4 x 1 cells, more than --max-cells 3"):
-        build([log], BuildOptions(update=Update.BEAM, resolution=0.1, max_cells=3))
+        build([log], replace(BEAM, max_cells=3))
 
 
 def test_nothing_seen_is_no_map(tmp_path: Path) -> None:
@@ -221,7 +221,8 @@ def test_outputs_are_checked_before_the_logs(
 
 def test_build_map_takes_names(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", STILL, [0.3])
-    grid = occmap.build_map(str(log), update="beam", model="simple:p_hit=0.9", resolution=0.1)
+    model = "simple:p_hit=0.9,spread=0"
+    grid = occmap.build_map(log, update="beam", model=model, resolution=0.1, hit_offset=0.0)
     assert isinstance(grid, occmap.OccupancyMap)
     # One miss at 0.4 in each of three cells, then one hit at 0.9.
     np.testing.assert_allclose(grid.probability, [[0.4, 0.4, 0.4, 0.9]], atol=1e-6)

@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 from ruamel.yaml import YAML
 
-from occmap.gates.measures import BUILD, CHECK, COMPARE, DIFF, SAVED, Measures
+from occmap.gates.measures import BUILD, CHECK, COMPARE, DIFF, SAVED, TUNE, Measures
 from occmap.pipeline import BuildOptions, build
 from occmap.readers import Probe, Role, open_log
 from occmap.types import Pose
@@ -178,7 +178,7 @@ def test_every_limit_is_in_the_table_with_its_unit_and_commands() -> None:
         for command in commands.split(", ")
     }
     tables: dict[str, Measures] = {"build": BUILD, "render": SAVED, "merge": SAVED}
-    tables |= {"check": CHECK, "compare": COMPARE, "diff": DIFF}
+    tables |= {"check": CHECK, "compare": COMPARE, "diff": DIFF, "tune": TUNE}
     assert shown == {
         (measure.name, measure.unit, command)
         for command, measures in tables.items()

@@ -28,6 +28,7 @@ COMMANDS = {
     "readers": "List the log formats that can be read.",
     "render": "Make a map of saved evidence, without reading the log.",
     "schema": "Print the JSON Schema of what a command prints with --json.",
+    "tune": "Find the time offset and the mount that suit logs best.",
     "writers": "List the map formats that can be written.",
 }
 """Each is `command` in the module of its name here; the texts are what --help says of it."""

@@ -33,6 +33,9 @@ by two standard errors or half a percent counts as good as the best; of those th
 or the best log-likelihood. That one is named, too, where it is another: its probabilities are the
 ones to plan and localise with.
 
+Of the recommended map it is told, too, whether its probabilities mean what they say: of the cells
+that it gives a probability, by tenths, the share that beams found occupied.
+
 \b
   occmap compare drive.mcap
   occmap compare intel.log.gz -o compare.png --resolution 0.1
@@ -118,6 +121,8 @@ def format_comparison(comparison: VariantComparison) -> str:
         [
             *format_table(comparison.results),
             "",
+            *format_reliability(best),
+            "",
             f"{rest}; {comparison.tally.scans_used:,} of {comparison.tally.scans_read:,} used",
             *(f"picture: {file}" for file in comparison.remarks.files),
             *([f"as good: {names}"] if len(equals) > 1 else []),
@@ -132,6 +137,21 @@ def recommend(comparison: VariantComparison, likeliest: Result) -> Iterator[str]
     """Name what to use where a map's probabilities matter, and the command line of it."""
     yield f"where probabilities matter: {likeliest.variant.name}"
     yield shlex.join(comparison.build_command(likeliest))
+
+
+def format_reliability(result: Result) -> Iterator[str]:
+    """Write what a map says of its cells over what beams found in them, a column for each bin."""
+    yield f"cells of {result.variant.name}, as held-out beams look at them"
+    columns = [
+        ("predicted occupied", "found occupied", "looks"),
+        *(
+            (f"{each.predicted:.3f}", f"{each.observed:.3f}", f"{each.looks:,}")
+            for each in result.score.reliability
+        ),
+    ]
+    for row in range(3):
+        cells = [f"{column[row]:>{max(map(len, column))}}" for column in columns]
+        yield "  ".join([columns[0][row].ljust(len(cells[0])), *cells[1:]])
 
 
 def format_table(results: Sequence[Result]) -> Iterator[str]:

@@ -17,6 +17,7 @@ SCHEMAS = {
     "models": "models",
     "readers": "readers",
     "render": "build",
+    "tune": "tune",
     "writers": "writers",
     "error": "error",
 }

@@ -139,7 +139,7 @@ def explain(
         describe_model(model),
         judge_cell(evidence, history, model, question.min_passes),
         tuple(list_visits(evidence, history)),
-        measure_extent(evidence),
+        measure_extent(evidence, model),
         scans_used,
         tuple(sorted(sightings, key=lambda each: each.stamp_ns)),
         (
@@ -157,10 +157,8 @@ def judge_cell(
     tiles = choose_tiles(lasting, model)
     key = history.row // TILE, history.col // TILE
     row, col = history.row % TILE, history.col % TILE
-    first, second = (
-        numbers[row : row + 1, col : col + 1] if key in tiles.keys else np.zeros((1, 1))
-        for numbers in tiles.read(key)
-    )
+    numbers = tiles.read(key) if key in tiles.keys else np.zeros((2, TILE, TILE))
+    first, second = (each[row : row + 1, col : col + 1] for each in numbers)
     observed = tiles.observed(first, second)
     log_odds = np.full((1, 1), to_log_odds(model.prior))
     log_odds[observed] = weigh(model)(first[observed], second[observed])
@@ -177,12 +175,12 @@ def list_visits(evidence: Evidence, history: CellHistory) -> Iterator[BuildVisit
             yield BuildVisits(index, tuple(logs), visits)
 
 
-def measure_extent(evidence: Evidence) -> Box | None:
-    """Lowest x and y, highest x and y of the observed cells (m); None where there are none."""
+def measure_extent(evidence: Evidence, model: SensorModel) -> Box | None:
+    """Lowest x and y, highest x and y of the map that a model makes (m); None: of nothing."""
     grid = to_grid(evidence)
     if not grid.tiles:
         return None
-    box = find_bounds(grid)
+    box = find_bounds(choose_tiles(grid, model))
     low_x, low_y, high_x, high_y = map(
         grid.lattice.to_metres, (box.col, box.row, box.col_end, box.row_end)
     )

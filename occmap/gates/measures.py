@@ -14,6 +14,7 @@ if TYPE_CHECKING:  # each command makes one kind of result, and need not load wh
     from occmap.inspection.findings import Inspection, ScanFindings
     from occmap.report import Report, Tally
     from occmap.scoring.compare import VariantComparison
+    from occmap.tuning import Tuning
 
 Measures = tuple[Measure[Any], ...]
 
@@ -198,6 +199,30 @@ COMPARE: "tuple[Measure[VariantComparison], ...]" = (
         "notes on damage to a log",
         lambda comparison: len(comparison.remarks.damage),
     ),
+)
+
+TUNE: "tuple[Measure[Tuning], ...]" = (
+    Measure(
+        "gain",
+        SHARE,
+        "by how much more of the held-out beams are predicted with what is recommended",
+        lambda tuning: tuning.gain.share,
+    ),
+    Measure(
+        "share",
+        SHARE,
+        "of the held-out beams, those that are predicted with what is recommended",
+        lambda tuning: tuning.after.score.share,
+    ),
+    Measure("scans_read", COUNT, "scans in the logs", lambda tuning: tuning.tally.scans_read),
+    Measure("scans_used", COUNT, "scans with a pose", lambda tuning: tuning.tally.scans_used),
+    Measure(
+        "dropped_scans",
+        SHARE,
+        "of the scans asked for, those that are not used",
+        lambda tuning: share_dropped(tuning.tally),
+    ),
+    Measure("damage", COUNT, "notes on damage to a log", lambda tuning: len(tuning.remarks.damage)),
 )
 
 

@@ -89,23 +89,25 @@ class TileGrid:
             layer[target] += part.astype(tile.dtype, copy=False)
 
     def _widen(self, key: tuple[int, int], bound: int) -> Tile:
-        """Make the tile where it is missing, and 64 bits wide before a sum could overflow 32."""
+        """Make the tile where it is missing, and 64 bits wide before a sum could overflow 32.
+
+        A tile that was stacked is wide and has no bound: it stays as it is.
+        """
         total = self._bounds.get(key, 0) + bound
         self._bounds[key] = total
         tile = self.tiles.get(key)
-        dtype = np.dtype(np.int32 if total <= INT32_LIMIT else np.int64)
         if tile is None:
-            tile = self.tiles[key] = np.zeros((2, TILE, TILE), dtype)
+            tile = self.tiles[key] = np.zeros((2, TILE, TILE), np.int32)
             place = CellBox(*key, key[0] + 1, key[1] + 1)
             self._reach = place if self._reach is None else self._reach.join(place)
-        elif tile.dtype != dtype:
-            tile = self.tiles[key] = tile.astype(dtype)
+        if total > INT32_LIMIT:
+            tile = self.tiles[key] = tile.astype(np.int64, copy=False)
         return tile
 
     def merge(self, other: Self) -> None:
         """Add the evidence of another grid of the same lattice and kind."""
         for key, tile in other.tiles.items():
-            mine = self._widen(key, other._bounds[key])
+            mine = self._widen(key, other._bounds.get(key, INT32_LIMIT + 1))
             mine += tile
 
     def refuse_outgrown(self, max_cells: int) -> None:

@@ -199,6 +199,27 @@ class RadialWindow(Window):
     def tables(self) -> RadialTables:
         return get_tables(self.spec)
 
+    def trace_lines(self, projected: Projected, constant: int, changes: Changes) -> None:
+        """Trace beam by beam; the first `constant` entries of the free table go to `changes`."""
+        rays, tables = projected.rays, self.tables
+        units_per_metre = self.spec.lattice.units_per_metre
+        trace_radial_beams(
+            projected.origins,
+            projected.ends_x,
+            projected.ends_y,
+            rays.turn,
+            rays.bearing,
+            rays.distance,
+            rays.kind,
+            projected.weights,
+            projected.between,
+            self.corner - projected.anchor,
+            units_per_metre,
+            Profile(tables.depth * units_per_metre, tables.free, tables.hit, constant),
+            self.cells,
+            changes,
+        )
+
     @abstractmethod
     def sum_plain(self, row: int, col: int, plain: Int32) -> None:
         """Write how often each cell got the first entry of the free table without being visited."""
@@ -223,24 +244,7 @@ class RadialBeamWindow(RadialWindow):
         self.changes = allocate_changes(rows, cols)
 
     def trace(self, projected: Projected) -> None:
-        rays, tables = projected.rays, self.tables
-        units_per_metre = self.spec.lattice.units_per_metre
-        trace_radial_beams(
-            projected.origins,
-            projected.ends_x,
-            projected.ends_y,
-            rays.turn,
-            rays.bearing,
-            rays.distance,
-            rays.kind,
-            projected.weights,
-            projected.between,
-            self.corner - projected.anchor,
-            units_per_metre,
-            Profile(tables.depth * units_per_metre, tables.free, tables.hit, tables.constant),
-            self.cells,
-            self.changes,
-        )
+        self.trace_lines(projected, self.tables.constant, self.changes)
 
     def sum_plain(self, row: int, col: int, plain: Int32) -> None:
         sum_beams(self.changes, self.cells.shape, (row, col), plain)
@@ -255,6 +259,9 @@ class RadialPolygonWindow(RadialWindow):
 
     def trace(self, projected: Projected) -> None:
         rays, tables = projected.rays, self.tables
+        if rays.kind.shape[1] == 1:  # no neighbour says how wide the beam is: it is a line
+            self.trace_lines(projected, 0, allocate_changes(0, 0))
+            return
         units_per_metre = self.spec.lattice.units_per_metre
         trace_radial_polygons(
             rays.origin,

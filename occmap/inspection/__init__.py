@@ -27,6 +27,7 @@ from occmap.pipeline import BuildOptions, choose_topics, count_messages
 from occmap.posing.coverage import list_coverage
 from occmap.posing.options import DropReason, Stamps
 from occmap.readers import Log, open_log, read_scans
+from occmap.sensor.bounds import Spreading
 from occmap.sensor.no_return import RangeLimits
 
 __all__ = ["Inspection", "inspect"]
@@ -84,9 +85,10 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
     topics = choose_topics(log, options.selection.topics)
     expected = count_messages(log, topics)
     limits = RangeLimits(options.returns)
-    problem = ""
+    model, problem = options.model, ""
+    around = options.resolution if isinstance(model, Spreading) and model.spread > 0 else 0.0
     for _ in range(2):  # again where the first scans did not show what stands for "no return"
-        reach = Extent()
+        reach = Extent(options.hit_offset * options.resolution, around)
         survey = Survey(posing.poser, options.returns, options.selection, expected, limits, reach)
         try:
             survey.read(read_scans(log, topics))

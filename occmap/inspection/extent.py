@@ -1,30 +1,44 @@
 """The extent that a map would have, and what that costs."""
 
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
 
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.inspection.findings import MapFindings
-from occmap.types import Float64
+from occmap.types import Float64, Kind, Rays
 
 BYTES_PER_CELL = 4 + 1 + 8
 """In memory: log-odds, observed, and two counts of four bytes as evidence."""
 
 
 class Extent:
-    """Grows with the points that it is shown."""
+    """Grows with the rays that it is shown.
 
-    def __init__(self) -> None:
+    Hits lie `behind` what was measured, and speak for the cells `around` them (m).
+    """
+
+    def __init__(self, behind: float = 0.0, around: float = 0.0) -> None:
         self.low = np.full(2, np.inf)
         self.high = np.full(2, -np.inf)
+        self._behind, self._around = behind, around
 
-    def add(self, points: Float64) -> None:
+    def add(self, rays: Rays) -> None:
+        """Take in the beams that are used, from where they were sent to where they end."""
+        hit, used = rays.kind == Kind.HIT, rays.kind != Kind.SKIP
+        ends = replace(rays, distance=rays.distance + hit * np.float32(self._behind)).end
+        one_viewpoint = rays.origin.shape[1] == 1
+        self._take(rays.origin[used.any(axis=1, keepdims=True) if one_viewpoint else used])
+        self._take(ends[used])
+        self._take(ends[hit], self._around)
+
+    def _take(self, points: Float64, around: float = 0.0) -> None:
         """Take points (N, 2)."""
         if len(points):
             columns = points.T  # NumPy takes five times as long for both at once
-            self.low = np.minimum(self.low, [column.min() for column in columns])
-            self.high = np.maximum(self.high, [column.max() for column in columns])
+            self.low = np.minimum(self.low, [column.min() - around for column in columns])
+            self.high = np.maximum(self.high, [column.max() + around for column in columns])
 
     def join(self, other: Self) -> None:
         """Take in what another extent covers."""

@@ -24,7 +24,7 @@ from occmap.posing.attach import Poser
 from occmap.posing.options import DropReason
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.types import Kind, Scan, ScanBatch, ScanRun
+from occmap.types import Scan, ScanBatch, ScanRun
 
 MAX_SHAPES = 1000
 """Shapes that are told apart; a log whose every scan has another must not fill the memory."""
@@ -120,10 +120,7 @@ class Survey:
             survey.posed += len(scans.batch.stamp_ns)
             survey.sample.take(scans)
             rays, _ = interpret(scans, self.returns)
-            used = rays.kind != Kind.SKIP
-            one_viewpoint = rays.origin.shape[1] == 1
-            self.extent.add(rays.end[used])
-            self.extent.add(rays.origin[used.any(axis=1, keepdims=True) if one_viewpoint else used])
+            self.extent.add(rays)
 
 
 def gather_topics(

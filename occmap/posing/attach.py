@@ -8,10 +8,9 @@ from typing import Self
 import numpy as np
 
 from occmap.errors import PoseError
-from occmap.posing.chain import REASONS, Chain, Found, Status, apply
+from occmap.posing.chain import REASONS, Chain, Found, Status
 from occmap.posing.options import Deskew, DropReason, PosingOptions
 from occmap.posing.resolve import resolve
-from occmap.posing.rotations import rotate_by
 from occmap.posing.sources import Sources, gather
 from occmap.posing.tracks import MAX_STAMP_NS, Track, find_usable
 from occmap.types import (
@@ -23,7 +22,6 @@ from occmap.types import (
     PosedScans,
     PoseSample,
     ScanBatch,
-    UInt8,
 )
 
 MAX_TURN_S = 60.0
@@ -33,7 +31,7 @@ MAX_AUTO_TURN_S = 1.0
 """The slowest laser that is de-skewed unasked; some drivers write milliseconds for seconds."""
 
 MOMENTS = 33
-"""Poses looked up for one de-skewed scan; see `_keep_deskewed` for how close that is."""
+"""Poses looked up for one de-skewed scan; see `_keep` for how close that is."""
 
 POSES_OF_BODY = (
     "the poses beside the scans are taken as the robot's, with the laser at --sensor-pose on it; "
@@ -123,57 +121,72 @@ class Poser:
         PoseError
             No scan frame so far has a chain to the map frame.
         """
+        kept: list[PosedScans] = []
+        counts: Counter[int] = Counter()
+        for part, found in self._look_up(batch) if len(batch.stamp_ns) else ():
+            # The worst of a scan's moments counts.
+            status = found.status.reshape(len(part.stamp_ns), -1).max(axis=1)
+            counts.update(status.tolist())
+            posed = status == Status.POSED
+            if posed.any():
+                kept.append(_keep(part, posed, found))
+        return kept, {why: counts[code] for code, why in REASONS.items() if counts[code]}
+
+    def _look_up(self, batch: ScanBatch) -> Iterator[tuple[ScanBatch, Found]]:
+        """Look up the sensor at the stamp of each scan (S), or at K moments of each (S * K).
+
+        A batch comes in two parts where only some of its scans are de-skewed.
+        """
         if batch.pose is not None and self.sources.trajectory is None:
-            if self.options.sensor_pose is not None:
-                self._note(POSES_OF_BODY)
             self._note(*_list_idle(self.options))
-            return _keep_posed(batch, _read_stated(batch.pose, self.options.sensor_pose))
+            yield batch, _read_stated(batch.pose, self.options.sensor_pose)
+            return
         if batch.frame not in self.chains:
             self.resolve([batch.frame])
         chain = self.chains[batch.frame]
         if chain is None:
-            return [], {DropReason.NO_TRANSFORM: len(batch.stamp_ns)}
-        return self._look_up(batch, chain)
-
-    def _look_up(self, batch: ScanBatch, chain: Chain) -> Attached:
-        """Look up each scan at its stamp, or at moments between its first beam and its last."""
-        deskewed = self._find_deskewed(batch, chain)
-        if self.options.deskew is Deskew.ON and not deskewed.all():
-            some = "some " if deskewed.any() else ""
-            found = "state no believable time between beams: not de-skewed"
-            self._note(f"{some}scans of {batch.frame!r} {found}")
-        if not deskewed.any():
-            return _keep_posed(batch, chain.at(self._to_pose_clock(batch)))
-        self._note(f"de-skewed: each beam of {batch.frame!r} has a pose of its own")
-        if deskewed.all():
-            moments_ns = self._to_pose_clock(batch)[:, None] + _spread_moments(batch)
-            return _keep_deskewed(batch, chain.at(moments_ns.ravel()), moments_ns.shape[1])
-        return _join(*(self._look_up(batch.take(part), chain) for part in (deskewed, ~deskewed)))
-
-    def _to_pose_clock(self, batch: ScanBatch) -> Int64:
-        """Tell when the scans (S) began by the clock of the poses (ns)."""
+            nowhere = np.full(len(batch.stamp_ns), Status.NO_TRANSFORM, np.uint8)
+            yield batch, Found(np.empty(0), np.empty(0), nowhere)
+            return
         stamp_ns = np.clip(batch.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS)
-        return stamp_ns + round(self.options.time_offset_s * 1e9)
+        stamp_ns = stamp_ns + round(self.options.time_offset_s * 1e9)  # by the clock of the poses
+        deskewed = self._choose_deskewed(batch, chain)
+        if deskewed.any():
+            part = _take(batch, deskewed)
+            yield part, chain.at((stamp_ns[deskewed, None] + _spread_moments(part)).ravel())
+        if not deskewed.all():
+            yield _take(batch, ~deskewed), chain.at(stamp_ns[~deskewed])
 
-    def _find_deskewed(self, batch: ScanBatch, chain: Chain) -> Bool:
-        """Tell of each scan (S) whether its beams get poses of their own.
+    def _choose_deskewed(self, batch: ScanBatch, chain: Chain) -> Bool:
+        """Choose the scans (S) whose beams get poses of their own.
 
         AUTO asks for a believable scan time and for poses dense enough to show the motion in it.
         """
         if self.options.deskew is Deskew.OFF:
             return np.zeros(len(batch.stamp_ns), np.bool_)
-        duration_s = _measure_durations(batch)
-        if self.options.deskew is Deskew.ON:
-            return (duration_s > 0) & (duration_s <= MAX_TURN_S)
-        dense = chain.is_dense(duration_s)
-        return dense & (duration_s > 0) & (duration_s <= MAX_AUTO_TURN_S)
+        with np.errstate(invalid="ignore", over="ignore"):  # a log may state any number
+            duration_s = np.abs(batch.time_increment) * (batch.ranges.shape[1] - 1)
+        if self.options.deskew is Deskew.AUTO:
+            dense = chain.is_dense(duration_s)
+            chosen: Bool = dense & (duration_s > 0) & (duration_s <= MAX_AUTO_TURN_S)
+        else:
+            chosen = (duration_s > 0) & (duration_s <= MAX_TURN_S)
+            if not chosen.all():
+                some = "some " if chosen.any() else ""
+                found = "state no believable time between beams: not de-skewed"
+                self._note(f"{some}scans of {batch.frame!r} {found}")
+        if chosen.any():
+            self._note(f"de-skewed: each beam of {batch.frame!r} has a pose of its own")
+        return chosen
 
     def _note(self, *sentences: str) -> None:
         self.notes.extend(s for s in dict.fromkeys(sentences) if s not in self.notes)
 
 
 def _list_idle(options: PosingOptions) -> Iterator[str]:
-    """Say which options do nothing where the poses stand beside the scans."""
+    """Say whose the poses beside the scans are, and which options do nothing to them."""
+    if options.sensor_pose is not None:
+        yield POSES_OF_BODY
     given = {
         "--map-frame": options.map_frame is not None,
         "--base-frame": options.base_frame is not None,
@@ -189,20 +202,12 @@ def _read_stated(pose: Float64, mount: Pose | None) -> Found:
     """Read the poses (S, 7) that a log states beside its scans, of the sensor or of its body."""
     usable, norm = find_usable(pose)
     pose = np.where(usable[:, None], pose, UNTURNED)
-    position = pose[:, :3]
-    rotation = rotate_by(pose[:, 3:] / norm[:, None])
-    if mount is not None:
-        fixed = Track.fixed(mount)
-        position = position + apply(rotation, fixed.position)
-        rotation = rotation @ rotate_by(fixed.quaternion)
-    return Found(position, rotation, np.where(usable, 0, Status.NOT_FINITE).astype(np.uint8))
-
-
-def _measure_durations(batch: ScanBatch) -> Float64:
-    """Measure the time (S,) from the first beam of each scan to its last (s)."""
-    with np.errstate(invalid="ignore", over="ignore"):  # a log may state any number
-        durations: Float64 = np.abs(batch.time_increment) * (batch.ranges.shape[1] - 1)
-    return durations
+    found = Found.of(pose[:, :3], pose[:, 3:] / norm[:, None])
+    found.status[~usable] = Status.NOT_FINITE
+    if mount is None:
+        return found
+    fixed = Track.fixed(mount)
+    return found.then(Found.of(fixed.position, fixed.quaternion))
 
 
 def _spread_moments(batch: ScanBatch) -> Int64:
@@ -213,48 +218,24 @@ def _spread_moments(batch: ScanBatch) -> Int64:
     return moments_ns
 
 
-def _keep_posed(batch: ScanBatch, found: Found) -> Attached:
-    """Keep the scans (S) that were found."""
-    posed, dropped = _judge(found.status)
-    if not posed.any():
-        return [], dropped
-    kept = PosedScans(_take(batch, posed), found.position[posed], found.rotation[posed])
-    return [kept], dropped
-
-
-def _keep_deskewed(batch: ScanBatch, found: Found, moments: int) -> Attached:
-    """Keep the scans that were found at all K moments (S * K), and give each beam its pose.
+def _keep(batch: ScanBatch, posed: Bool, found: Found) -> PosedScans:
+    """Keep the scans (S) that are posed; where there are K moments of each, each beam has a pose.
 
     Between two moments positions and matrices are interpolated linearly. At 720 degrees a second
     and ten scans a second a matrix is then off by 2e-4: 2 mm at ten metres.
     """
-    posed, dropped = _judge(found.status.reshape(-1, moments).max(axis=1))
-    if not posed.any():
-        return [], dropped
-    share = _share_moments(batch.ranges.shape[1], moments)
-    position = share @ found.position.reshape(-1, moments, 3)[posed]
-    rotation = share @ found.rotation.reshape(-1, moments, 9)[posed]
-    rotation = rotation.reshape(*rotation.shape[:2], 3, 3)
-    return [PosedScans(_take(batch, posed), position, rotation)], dropped
-
-
-def _share_moments(beams: int, moments: int) -> Float64:
-    """Weigh, for each beam (B), the evenly spread moments (K) around it: (B, K)."""
-    at = np.linspace(0, moments - 1, beams)
-    share: Float64 = np.maximum(0, 1 - np.abs(at[:, None] - np.arange(moments)))
-    return share
-
-
-def _judge(status: UInt8) -> tuple[Bool, dict[DropReason, int]]:
-    """Tell which scans (S) are posed; count the others by reason."""
-    dropped = {r: n for s, r in REASONS.items() if (n := int(np.count_nonzero(status == s)))}
-    return status == Status.POSED, dropped
+    scans = len(posed)
+    position = found.position.reshape(scans, -1, 3)[posed]
+    rotation = found.rotation.reshape(scans, -1, 9)[posed]
+    batch, moments = _take(batch, posed), position.shape[1]
+    if moments == 1:
+        return PosedScans(batch, position[:, 0], rotation.reshape(-1, 3, 3))
+    at = np.linspace(0, moments - 1, batch.ranges.shape[1])
+    share = np.maximum(0, 1 - np.abs(at[:, None] - np.arange(moments)))
+    rotation = share @ rotation
+    return PosedScans(batch, share @ position, rotation.reshape(*rotation.shape[:2], 3, 3))
 
 
 def _take(batch: ScanBatch, scans: Bool) -> ScanBatch:
     """Some of the scans; their ranges are copied only where these are not all."""
     return batch if scans.all() else batch.take(scans)
-
-
-def _join(one: Attached, other: Attached) -> Attached:
-    return [*one[0], *other[0]], dict(Counter(one[1]) + Counter(other[1]))

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -31,6 +31,7 @@ class Status(IntEnum):
     AFTER = 2
     GAP = 3
     NOT_FINITE = 4
+    NO_TRANSFORM = 5
 
 
 REASONS = {
@@ -38,42 +39,57 @@ REASONS = {
     Status.AFTER: DropReason.AFTER,
     Status.GAP: DropReason.GAP,
     Status.NOT_FINITE: DropReason.NOT_FINITE,
+    Status.NO_TRANSFORM: DropReason.NO_TRANSFORM,
 }
 
 
 class Found(NamedTuple):
-    """What a chain knows at N stamps; position and rotation mean something where POSED."""
+    """Where one frame was in another at N stamps, or at all times (N = 1)."""
 
     position: Float64
-    """(N, 3) m"""
+    """(N, 3) m; means something where POSED, as the rotation does"""
     rotation: Float64
     """(N, 3, 3)"""
     status: UInt8
     """(N,) of Status"""
 
+    @classmethod
+    def of(cls, position: Float64, quaternion: Float64) -> Self:
+        """Make it of poses: (N, 3) m and (N, 4)."""
+        return cls(position, rotate_by(quaternion), np.zeros(len(position), np.uint8))
 
-@dataclass(frozen=True, eq=False)
-class _Rigid:
-    """A leg that is the same at all times."""
+    def then(self, below: Self) -> Self:
+        """Go on to a frame that was found in this one."""
+        return type(self)(
+            self.position + turn(self.rotation, below.position),
+            self.rotation @ below.rotation,
+            np.maximum(self.status, below.status),
+        )
 
-    position: Float64
-    rotation: Float64
+    def invert(self) -> Self:
+        """Where the upper frame was in the lower one."""
+        back = self.rotation.swapaxes(1, 2)
+        return type(self)(-turn(back, self.position), back, self.status)
 
-    def at(self, stamp_ns: Int64) -> Found:
-        return Found(self.position, self.rotation, np.zeros(len(stamp_ns), np.uint8))
+
+def turn(rotation: Float64, position: Float64) -> Float64:
+    """Rotate vectors (N, 3) by matrices (N, 3, 3); either N may be 1."""
+    turned: Float64 = (rotation @ position[..., None])[..., 0]
+    return turned
 
 
 @dataclass(frozen=True, eq=False)
 class _Moving:
-    """A leg that is interpolated between the two samples around a stamp."""
+    """A step that is interpolated between the two samples around a stamp."""
 
-    track: Track
+    step: Step
     holds: Bool
-    """(N - 1,): the pose jumped between two samples, and the earlier one holds until then."""
+    """(N,): the pose jumps after a sample, which holds until then"""
     max_gap_ns: float
 
     def at(self, stamp_ns: Int64) -> Found:
-        stamps = self.track.stamp_ns
+        track = self.step.edge.track
+        stamps = track.stamp_ns
         last = len(stamps) - 1
         earlier = np.clip(np.searchsorted(stamps, stamp_ns, side="right") - 1, 0, last)
         later = np.minimum(earlier + 1, last)
@@ -82,27 +98,15 @@ class _Moving:
 
         fraction = since / np.maximum(width, 1)
         fraction[self.holds[earlier]] = 0
-        start, end = self.track.position[earlier], self.track.position[later]
-        position = start + fraction[:, None] * (end - start)
-        rotation = slerp(self.track.quaternion[earlier], self.track.quaternion[later], fraction)
-
-        status = np.zeros(len(stamp_ns), np.uint8)
-        status[(width > self.max_gap_ns) & (since > 0)] = Status.GAP
-        status[stamp_ns < stamps[0]] = Status.BEFORE
-        status[stamp_ns > stamps[-1]] = Status.AFTER
-        return Found(position, rotate_by(rotation), status)
-
-
-@dataclass(frozen=True, eq=False)
-class _Inverse:
-    """A leg that was recorded the other way round."""
-
-    leg: "_Rigid | _Moving"
-
-    def at(self, stamp_ns: Int64) -> Found:
-        position, rotation, status = self.leg.at(stamp_ns)
-        back = rotation.swapaxes(1, 2)
-        return Found(-apply(back, position), back, status)
+        start, end = track.position[earlier], track.position[later]
+        found = Found.of(
+            start + fraction[:, None] * (end - start),
+            slerp(track.quaternion[earlier], track.quaternion[later], fraction),
+        )
+        found.status[(width > self.max_gap_ns) & (since > 0)] = Status.GAP
+        found.status[stamp_ns < stamps[0]] = Status.BEFORE
+        found.status[stamp_ns > stamps[-1]] = Status.AFTER
+        return found.invert() if self.step.inverted else found
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +115,8 @@ class Chain:
 
     steps: tuple[Step, ...]
     """From the map frame downwards."""
-    legs: tuple[_Rigid | _Moving | _Inverse, ...]
+    legs: tuple[Found | _Moving, ...]
+    """The same way; what holds at all times is found already"""
     interval_s: float
     """Median time between the samples of the leg that is sampled least; 0 where none moves. What
     corrects odometry now and then does not count: it says nothing about the drive."""
@@ -129,14 +134,11 @@ class Chain:
     def at(self, stamp_ns: Int64) -> Found:
         """Interpolate at stamps (N,), in any order."""
         n = len(stamp_ns)
-        position, rotation = np.zeros((n, 3)), np.broadcast_to(np.eye(3), (n, 3, 3))
-        status = np.zeros(n, np.uint8)
+        unturned = np.broadcast_to(np.eye(3), (n, 3, 3))
+        found = Found(np.zeros((n, 3)), unturned, np.zeros(n, np.uint8))
         for leg in self.legs:
-            found = leg.at(stamp_ns)
-            position = position + apply(rotation, found.position)
-            rotation = rotation @ found.rotation
-            status = np.maximum(status, found.status)
-        return Found(position, rotation, status)
+            found = found.then(leg.at(stamp_ns) if isinstance(leg, _Moving) else leg)
+        return found
 
 
 def make_chain(steps: Sequence[Step], max_gap_s: float | None) -> Chain:
@@ -146,20 +148,27 @@ def make_chain(steps: Sequence[Step], max_gap_s: float | None) -> Chain:
     transform sent on /tf limits nothing. Where nothing moves, the step with the most samples
     says when the robot was seen.
     """
-    steps = tuple(steps)
     moving = _find_moving(steps)
+    # What corrects odometry moves `odom`, and something moves below it. REP 105 lets map -> odom
+    # jump at any time, and odom -> base_link never.
+    corrections = [step for step in moving[:-1] if "odom" in last_part(step.edge.child).lower()]
     max_gap_ns = np.inf if max_gap_s is None else max_gap_s * 1e9
-    legs: list[_Rigid | _Moving | _Inverse] = []
+    legs: list[Found | _Moving] = []
     for step in steps:
-        leg = (
-            _Moving(step.edge.track, _find_jumps(step, steps), max_gap_ns)
-            if step in moving
-            else _Rigid(step.edge.track.position[:1], rotate_by(step.edge.track.quaternion[:1]))
-        )
-        legs.append(_Inverse(leg) if step.inverted else leg)
-    driven = [step for step in moving if not _is_correction(step, steps)]
-    intervals = [float(np.median(s.edge.track.interval_s)) for s in driven if len(s.edge.track) > 1]
-    return Chain(steps, _merge(legs), max(intervals, default=0.0))
+        track = step.edge.track
+        if step in corrections:  # it holds until the next: the limit is for what moves
+            legs.append(_Moving(step, _find_jumps(track), np.inf))
+        elif step in moving:
+            legs.append(_Moving(step, np.zeros(len(track), np.bool_), max_gap_ns))
+        else:
+            rigid = Found.of(track.position[:1], track.quaternion[:1])
+            rigid = rigid.invert() if step.inverted else rigid
+            # Neighbouring rigid legs are multiplied out once, not for every batch.
+            above = legs.pop() if legs and isinstance(legs[-1], Found) else None
+            legs.append(above.then(rigid) if isinstance(above, Found) else rigid)
+    tracks = [step.edge.track for step in moving if step not in corrections]
+    intervals = [float(np.median(track.interval_s)) for track in tracks if len(track) > 1]
+    return Chain(tuple(steps), tuple(legs), max(intervals, default=0.0))
 
 
 def find_driven(steps: Sequence[Step]) -> Step | None:
@@ -176,46 +185,12 @@ def _find_moving(steps: Sequence[Step]) -> list[Step]:
     return [max(sampled, key=lambda step: len(step.edge.track))]
 
 
-def _is_correction(step: Step, steps: Sequence[Step]) -> bool:
-    """Tell whether a step corrects odometry: it moves `odom`, and something moves below it.
-
-    REP 105 lets map -> odom jump at any time, and odom -> base_link never.
-    """
-    moving = _find_moving(steps)
-    below = moving[moving.index(step) + 1 :] if step in moving else []
-    return bool(below) and "odom" in last_part(step.edge.child).lower()
-
-
-def _find_jumps(step: Step, steps: Sequence[Step]) -> Bool:
+def _find_jumps(correction: Track) -> Bool:
     """Find the samples (N,) after which a correction jumps, as at the closing of a loop.
 
     Halfway through such a jump the robot was never there, so nothing is interpolated.
     """
-    track = step.edge.track
-    jumps = np.zeros(len(track), np.bool_)
-    if _is_correction(step, steps):
-        far = track.step_m > DRIFT_M + DRIFT_M_PER_S * track.interval_s
-        turned = track.step_rad > DRIFT_RAD + DRIFT_RAD_PER_S * track.interval_s
-        jumps[:-1] = far | turned
-    return jumps
-
-
-def _merge(
-    legs: Sequence[_Rigid | _Moving | _Inverse],
-) -> tuple[_Rigid | _Moving | _Inverse, ...]:
-    """Multiply out neighbouring rigid legs once, not for every batch."""
-    merged: list[_Rigid | _Moving | _Inverse] = []
-    for leg in legs:
-        before = merged[-1] if merged else None
-        if isinstance(leg, _Rigid) and isinstance(before, _Rigid):
-            position = before.position + apply(before.rotation, leg.position)
-            merged[-1] = _Rigid(position, before.rotation @ leg.rotation)
-        else:
-            merged.append(leg)
-    return tuple(merged)
-
-
-def apply(rotation: Float64, position: Float64) -> Float64:
-    """Rotate vectors (N, 3) by matrices (N, 3, 3); either N may be 1."""
-    turned: Float64 = (rotation @ position[..., None])[..., 0]
-    return turned
+    interval_s = correction.interval_s
+    far = correction.step_m > DRIFT_M + DRIFT_M_PER_S * interval_s
+    turned = correction.step_rad > DRIFT_RAD + DRIFT_RAD_PER_S * interval_s
+    return np.append(far | turned, False)

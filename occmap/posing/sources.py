@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from occmap.errors import PoseError
+from occmap.posing.contradictions import list_contradictions
 from occmap.posing.frames import Edge, FrameTree, Source, last_part
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.posing.tracks import Track, TrackBuilder
@@ -65,6 +66,7 @@ def gather(samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) ->
     poses = tuple(sorted((edge for edge in edges if edge.source is Source.ODOMETRY), key=_rank))
     trajectory = _find_trajectory(options, poses, notes) if options.poses else None
     told = *_list_overruled(given, edges), *_list_loops(given, tree)
+    notes.extend(list_contradictions(edges, tree))
     return Sources(tree, poses, trajectory, (*told, *notes))
 
 
@@ -89,6 +91,8 @@ def _build_tracks(
                 f"{builder.unusable} poses of {name} are left out: not finite, "
                 "without a rotation, or with a damaged stamp"
             )
+        if key.static and builder.changes:
+            notes.append(f"{key.topic} changes {key.parent} -> {key.child}: the last one counts")
         if track is not None and key.parent != key.child:
             tracks.append((key, _take_last(track) if key.static else track))
     return tracks, notes

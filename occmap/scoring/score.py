@@ -2,13 +2,29 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from occmap.types import Float64, OccupancyMap, Rays
 from occmap.workers import Workers
+
+
+@dataclass(frozen=True)
+class ReliabilityBin:
+    """Cells of nearly equal probability, each as often as a held-out beam looked at it.
+
+    A reliability diagram (DeGroot and Fienberg 1983) shows `observed` over `predicted`: equal where
+    probabilities mean what they say.
+    """
+
+    looks: int
+    """How often a beam crossed or ended in such a cell"""
+    predicted: float
+    """Mean probability of being occupied"""
+    observed: float
+    """Share of the looks that found the cell occupied: the beam ended in it"""
 
 
 @dataclass(frozen=True)
@@ -28,6 +44,8 @@ class Score:
     """Mean cross-entropy of the cells that the beams ended in (nat)"""
     free_cost: float
     """... and of those that they crossed before (nat)"""
+    reliability: tuple[ReliabilityBin, ...] = ()
+    """By tenths of probability, without those that nothing was in; unknown cells do not count"""
 
     @property
     def cross_entropy(self) -> float:
@@ -45,12 +63,15 @@ class Trial(NamedTuple):
 
 def score_map(grid: OccupancyMap, held_out: Sequence[Rays], jobs: int) -> Trial:
     """Cast held-out beams, of which some must have measured a range, through a map."""
-    from occmap.grid.kernels.cast import CERTAIN, cast_beams  # noqa: PLC0415  late: loads numba
+    from occmap.grid.kernels.cast import BINS, CERTAIN, cast_beams  # noqa: PLC0415  late: loads numba
 
     probability = np.where(grid.observed, grid.probability, np.float32(0.5))
     occupied = grid.occupied
     free_cost = -np.log(np.maximum(1 - probability, np.float32(CERTAIN)))
+    tenths = np.minimum(probability * BINS, BINS - 1)
+    bins = np.where(grid.observed, tenths, BINS).astype(np.uint8)
     totals = [np.zeros((len(rays.kind), 6)) for rays in held_out]
+    tallies = [np.zeros((BINS + 1, 3)) for _ in held_out]
 
     def cast(index: int) -> None:
         rays = held_out[index]
@@ -58,13 +79,19 @@ def score_map(grid: OccupancyMap, held_out: Sequence[Rays], jobs: int) -> Trial:
             *(rays.origin, rays.turn, rays.bearing, rays.distance, rays.kind),
             *(occupied, probability, free_cost),
             *(grid.origin, grid.resolution, totals[index]),
+            *(bins, tallies[index]),
         )
 
     with Workers(cast, jobs) as workers:
         for index in range(len(held_out)):
             workers.give(index)
     by_scan = np.concatenate(totals)
-    return Trial(sum_up(by_scan), by_scan[:, :2])
+    reliability = tuple(
+        ReliabilityBin(int(looks), predicted / looks, ended / looks)
+        for looks, predicted, ended in np.sum(tallies, axis=0)[:BINS].tolist()
+        if looks
+    )
+    return Trial(replace(sum_up(by_scan), reliability=reliability), by_scan[:, :2])
 
 
 def sum_up(totals: Float64) -> Score:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from occmap.sensor.returns import ReturnOptions
+from occmap.sensor.returns import ReturnOptions, read_limits
 from occmap.types import Float32, Scan, ScanBatch, ScanRun, as_float32
 
 BAND = 0.025
@@ -21,6 +21,8 @@ MIN_READINGS = 10
 """Fewer readings are no band; so many may lie astray above one"""
 DOMINANCE = 10
 """How many times more readings a band holds than the part below it"""
+MIN_VALUES = 16
+"""Fewer different ranges tell nothing: a room drawn by hand may be all of 5 m"""
 SICK_CODES = (81.82, 81.92)
 """Between these the SICK LMS writes its error codes, in cm from 8183 to 8191; however few"""
 KEY_SHIFT = 8
@@ -57,6 +59,8 @@ class RangeTally:
         """Finite ranges above the limit that their own scan states ..."""
         self.largest = 0.0
         """... and the largest of those (m)"""
+        self._different: set[float] = set()
+        """Up to MIN_VALUES of the ranges that were measured, at the least"""
         self._counts: Counter[int] = Counter()
         self._floor = float(np.finfo(np.float32).tiny)
 
@@ -68,6 +72,9 @@ class RangeTally:
         above = ranges[(ranges > limit) & (ranges < np.inf)]
         self.above += above.size
         self.largest = max(self.largest, float(above.max(initial=0)))
+        if len(self._different) < MIN_VALUES:
+            measured = ranges[(ranges > 0) & (ranges < limit)]
+            self._different.update(np.unique(measured)[:MIN_VALUES].tolist())
         far = ranges[(ranges >= np.float32(self._floor)) & (ranges < limit)]
         if far.size:
             keys, counts = np.unique(far.view(np.uint32) >> KEY_SHIFT, return_counts=True)
@@ -97,7 +104,8 @@ class RangeTally:
             below = sum(n for k, n in self._counts.items() if empty <= to_range(k) < limit)
             readings = sum(inside.values())
             is_code = SICK_CODES[0] <= top <= SICK_CODES[1]
-            if is_code or readings >= max(MIN_READINGS, DOMINANCE * below):
+            enough = len(self._different) >= MIN_VALUES and readings >= MIN_READINGS
+            if is_code or (enough and readings >= DOMINANCE * below):
                 low = min(k for k in inside if not is_code or to_range(k) >= SICK_CODES[0])
                 return Band(
                     SICK_CODES[0] if is_code else limit,
@@ -125,6 +133,8 @@ class RangeLimits:
     def __init__(self, options: ReturnOptions) -> None:
         self._asked = options.range_max is None
         self._tallies: dict[str, RangeTally] = {}
+        self._senseless: dict[str, float] = {}
+        """What scans of a topic state as their limit and none can be (m)"""
         self._applied: dict[str, float] = {}
         self._settled = False
 
@@ -133,8 +143,10 @@ class RangeLimits:
         if self._asked and not self._settled and some.ranges.size:
             first = some.first
             tally = self._tallies.setdefault(first.topic, RangeTally())
-            range_max = first.range_max if first.range_max > 0 else math.inf
+            _, range_max = read_limits(first)
             tally.add(some.ranges, range_max)
+            if range_max != first.range_max:
+                self._senseless.setdefault(first.topic, first.range_max)
 
     def apply(self, batch: ScanBatch) -> ScanBatch:
         """State the limit in a batch of scans."""
@@ -166,6 +178,8 @@ class RangeLimits:
         for topic, tally in self._tallies.items():
             unstated = math.isinf(tally.stated)
             limit = "no range limit" if unstated else f"{tally.stated:g} m as its range limit"
+            if topic in self._senseless:
+                limit = f"{self._senseless[topic]:g} m as its range limit, which is none"
             band = tally.find_band()
             if band is not None:
                 found = f"{tell_share(band.count, tally.total)} read {band.values}"

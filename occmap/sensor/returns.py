@@ -22,6 +22,7 @@ from occmap.types import (
     Kind,
     PosedScans,
     Rays,
+    Scan,
     ScanBatch,
     UInt8,
     as_float32,
@@ -106,6 +107,17 @@ class ReturnCounts(NamedTuple):
 
     def __add__(self, other: tuple[int, ...]) -> Self:  # type: ignore[override]  # a sum
         return type(self)(*(mine + its for mine, its in zip(self, other, strict=True)))
+
+
+def read_limits(scan: Scan) -> tuple[float, float]:
+    """Read the nearest and the farthest range (m) that a scan states; 0 and inf where it has none.
+
+    A limit that no range is within, or NaN, is none: zero is what some drivers write there.
+    """
+    return (
+        scan.range_min if scan.range_min >= 0 else 0.0,
+        scan.range_max if scan.range_max > 0 else math.inf,
+    )
 
 
 def interpret(posed: PosedScans, options: ReturnOptions) -> tuple[Rays, ReturnCounts]:

@@ -8,7 +8,8 @@ from time import process_time
 import numpy as np
 
 from occmap.grid.lattice import CellBox
-from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
+from occmap.grid.rendering import paint
+from occmap.grid.tiles import EvidenceKind, TileGrid
 from occmap.pipeline import BuildOptions, make_engine
 from occmap.sensor.models import QuadraticModel, SensorModel, SimpleModel
 from occmap.sensor.returns import ReturnOptions, interpret
@@ -18,8 +19,6 @@ from tests.bench.measuring import Times, time_in_turn
 from tests.bench.workloads import Workload
 from tests.bench.yardstick import Trace, find_box
 
-PLAIN_OFFSET = 0.0
-"""Hits lie where the yardsticks have them."""
 COUNTS = SimpleModel()
 COMBINATIONS: Mapping[str, tuple[Update, SensorModel]] = {
     "beam x simple, counting": (Update.BEAM, COUNTS),
@@ -49,7 +48,8 @@ class Figure:
 
 def trace(workload: Workload, update: Update, model: SensorModel, jobs: int = 1) -> TileGrid:
     """What is timed of occmap: poses to matrices, ranges to rays, rays to evidence in tiles."""
-    options = BuildOptions(workload.resolution, update, model, hit_offset=PLAIN_OFFSET)
+    # Ends where they were measured: the yardsticks have them there.
+    options = BuildOptions(workload.resolution, update, model, hit_offset=0.0)
     engine = make_engine(options)
 
     def add(posed: PosedScans) -> None:
@@ -114,9 +114,5 @@ def check_equal(workload: Workload, yardsticks: Mapping[str, Trace]) -> None:
 
 def spread(evidence: TileGrid, number: int, box: CellBox) -> Int64:
     """(H, W) of a box around all evidence: the first or second number of each cell."""
-    top, left = box.row // TILE * TILE, box.col // TILE * TILE
-    counts = np.zeros((box.row_end - top + TILE, box.col_end - left + TILE), np.int64)
-    for (row, col), tile in evidence.tiles.items():
-        at_row, at_col = row * TILE - top, col * TILE - left
-        counts[at_row : at_row + TILE, at_col : at_col + TILE] = tile[number]
-    return counts[box.row - top : box.row_end - top, box.col - left : box.col_end - left]
+    counts, _ = paint(evidence, lambda *pair: pair[number], 0.0, box)
+    return counts.astype(np.int64)

@@ -10,14 +10,14 @@ from occmap.batching import Selection
 from occmap.cli import progress
 from occmap.cli.build import collect_request
 from occmap.cli.console import Console, Verbosity
-from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
+from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build, choose_model
 from occmap.posing.options import PosingOptions
-from occmap.sensor.models import SimpleModel
+from occmap.sensor.models import CountingModel, SimpleModel
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import Pose, PoseSample, Update
 from occmap.writers import MapMode, Shade, WriteOptions
 from tests.cli.runner import occmap, read_error
-from tests.samples import SAMPLE_LOGS, write_csv
+from tests.samples import PLAIN_WORDS, SAMPLE_LOGS, write_csv
 
 DRIVE = SAMPLE_LOGS / "drive.csv"
 
@@ -37,7 +37,7 @@ def test_no_flag_leaves_every_default() -> None:
 
 @pytest.mark.parametrize("update", Update)
 def test_the_first_word_may_be_the_update(update: Update) -> None:
-    assert parse(update.value) == BuildOptions(update=update)
+    assert parse(update.value) == BuildOptions(update=update, model=choose_model(update))
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,11 @@ def test_the_first_word_may_be_the_update(update: Update) -> None:
             {"writing": WriteOptions(MapMode.RAW, 0.8, 0.1, Shade.LIGHT_OCCUPIED)},
         ),
         ("--model simple:p_hit=0.8", {"model": SimpleModel(p_hit=0.8)}),
-        ("--p-hit 0.9 --p-miss 0.2", {"model": SimpleModel(0.9, 0.2)}),
+        ("--model simple --p-hit 0.9 --p-miss 0.2", {"model": SimpleModel(0.9, 0.2)}),
+        ("--prior 0.4", {"model": CountingModel(0.4)}),
+        ("polygon --prior 0.4", {"model": CountingModel(0.4, cut=0.4, spread=0.0)}),
+        ("polygon --model counting", {"model": CountingModel()}),
+        ("--hit-offset 0.25", {"hit_offset": 0.25}),
         ("--model simple:p_hit=0.8,prior=0.4 --p-hit 0.9", {"model": SimpleModel(0.9, prior=0.4)}),
         # Neither would do with the other's default.
         (
@@ -91,7 +95,8 @@ def test_the_map_is_what_the_library_builds(tmp_path: Path) -> None:
     mine, expected = tmp_path / "mine.pgm", tmp_path / "expected.pgm"
     result = occmap("build", "polygon", DRIVE, "-o", mine, "-o", tmp_path / "mine.png")
     assert (result.code, result.err) == (0, "")
-    build([DRIVE], BuildOptions(update=Update.POLYGON), [expected])
+    model = choose_model(Update.POLYGON)
+    build([DRIVE], BuildOptions(update=Update.POLYGON, model=model), [expected])
     assert mine.read_bytes() == expected.read_bytes()
     files = {path.name for path in tmp_path.iterdir()} - {"expected.pgm", "expected.yaml"}
     assert files == {"mine.pgm", "mine.yaml", "mine.png"}
@@ -100,11 +105,11 @@ def test_the_map_is_what_the_library_builds(tmp_path: Path) -> None:
 def test_the_report_is_aligned_and_says_what_was_done(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", [(float(second), 0, 0) for second in range(4)], [0.32])
     words = ["--resolution", 0.1, "--end", 3, "-o", tmp_path / "m.pgm"]
-    lines = occmap("build", "beam", log, *words).out.splitlines()
+    lines = occmap("build", *PLAIN_WORDS, log, *words).out.splitlines()
     assert lines[:6] == [
         "map      24 x 1 cells of 0.1 m, x 0 to 2.4 m, y 0 to 0.1 m",
-        "cells    12.5% occupied, 50.0% unknown, 37.5% undecided",
-        "update   beam, model simple:p_hit=0.7,p_miss=0.4,prior=0.5",
+        "cells    12.5% occupied, 37.5% free, 50.0% unknown",
+        "update   beam, model simple:p_hit=0.7,p_miss=0.4,prior=0.5,cut=0.5,spread=0.0",
         "scans    3 of 4 used",
         "dropped  1 outside --start and --end",
         "beams    3: 3 hit",
@@ -183,10 +188,12 @@ def test_odd_angles_are_noted_by_build_and_check(
 def test_options_of_the_other_update_are_noted(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", [(0, 0, 0)], [1.0])
     words = [log, "--jump", "0.3", "--border-gap", "4", "-o", tmp_path / "map.pgm"]
-    assert occmap("build", *words).err == (
-        "note: --jump does nothing: it is for `occmap build polygon`\n"
-        "note: --border-gap does nothing: it is for `occmap build polygon`\n"
+    jump, gap = (
+        "note: --jump does nothing under `occmap build beam`\n",
+        "note: --border-gap does nothing: it is for `occmap build polygon`\n",
     )
+    assert occmap("build", "beam", *words).err == jump + gap
+    assert occmap("build", *words).err == gap
     assert occmap("build", "polygon", *words).err == ""
 
 
@@ -221,7 +228,7 @@ def test_a_bar_is_shown_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_help_lists_options_by_section() -> None:
     text = occmap("build", "--help").out
-    assert text.startswith("Usage: occmap build [OPTIONS] [beam|polygon] LOG...")
+    assert text.startswith("Usage: occmap build [OPTIONS] [beam|polygon|surface] LOG...")
     heads = [line for line in text.splitlines() if line.endswith(":") and line[0] != " "]
     assert heads == [
         "Files:",

@@ -24,24 +24,43 @@ def log(tmp_path: Path) -> Path:
 def test_the_table_names_the_best_and_how_to_build_it(log: Path) -> None:
     result = occmap("compare", log, "--resolution", 0.1, "--model", "simple", "--model", "counting")
     assert result.code == 0
-    assert result.err == (
+    assert result.err.endswith(
         "note: 2 held-out scans: too few to tell variants apart; give a longer log\n"
     )
     lines = result.out.splitlines()
     assert " ".join(lines[0].split()) == (
         "variant share error log-lik entropy (free, occupied) time memory"
     )
-    names = [" ".join(line.split()[:2]) for line in lines[1:5]]
-    models = ("simple", "counting")
-    assert set(names) == {f"{update} {model}" for update in ("beam", "polygon") for model in models}
-    shares = [float(line.split()[2]) for line in lines[1:5]]
+    names = [" ".join(line.split()[:2]) for line in lines[1:7]]
+    updates, models = ("beam", "polygon", "surface"), ("simple", "counting")
+    assert set(names) == {f"{update} {model}" for update in updates for model in models}
+    shares = [float(line.split()[2]) for line in lines[1:7]]
     assert shares == sorted(shares, reverse=True)
-    assert lines[5:7] == ["", "scored by 4 beams of 2 held-out scans; 10 of 10 used"]
-    build = f"occmap build beam '{log}' --resolution 0.1 --model simple -o 'my room.pgm'"
-    assert lines[7] == f"as good: {', '.join(names)}"  # two scans tell little
-    assert lines[8:10] == ["best: beam simple", build]
-    likely = build.replace("simple", "counting")
-    assert lines[10:] == ["where probabilities matter: beam counting", likely]
+    assert lines[7:9] == ["", "cells of surface counting, as held-out beams look at them"]
+    assert lines[12:14] == ["", "scored by 4 beams of 2 held-out scans; 10 of 10 used"]
+    build = f"occmap build surface '{log}' --resolution 0.1 --model counting -o 'my room.pgm'"
+    assert lines[14] == f"as good: {', '.join(names[:4])}"  # two scans tell little
+    assert lines[15:17] == ["best: surface counting", build]
+    likely = build.replace("surface", "beam")
+    assert lines[17:] == ["where probabilities matter: beam counting", likely]
+
+
+def test_the_reliability_is_told_of_the_recommended_map_and_in_json_of_all(tmp_path: Path) -> None:
+    """One beam crosses 19 free cells and ends; the other crosses those and the end of the first.
+
+    Of the 8 scans in the map the nearer end has 8 hits and 8 misses, the other 8 hits.
+    """
+    log = write_csv(tmp_path / "wall.csv", [(0.025, 0.025, 0)] * 10, [1.0, 0.96], 1e-6)
+    words = ["compare", log, "--update", "beam", "--model", "simple:spread=0", "--hit-offset", 0]
+    lines = [line.split() for line in occmap(*words).out.splitlines()]
+    ends = [1 / (1 + (3 / 7) ** 8 * (3 / 2) ** misses) for misses in (8, 0)]
+    predicted = (2 * ends[0] + ends[1]) / 3
+    assert lines[3][:4] == ["cells", "of", "beam", "simple:spread=0,"]
+    assert lines[4] == ["predicted", "occupied", "0.002", f"{predicted:.3f}"]
+    assert lines[5:7] == [["found", "occupied", "0.000", "0.667"], ["looks", "76", "6"]]
+    (variant,) = json.loads(occmap(*words, "--json").out)["variants"]
+    assert [each["looks"] for each in variant["reliability"]] == [76, 6]
+    assert variant["reliability"][1]["observed"] == pytest.approx(4 / 6)
 
 
 def test_the_error_of_one_scan_is_not_known(log: Path) -> None:
@@ -66,7 +85,7 @@ def test_json_says_all_of_every_variant(log: Path) -> None:
     result = occmap("compare", log, "--json", "-q", "--update", "beam")
     comparison = json.loads(result.out)
     assert comparison["scans"] == {"read": 10, "used": 10, "held_out": 2, "dropped": {}}
-    assert comparison["best"] == "beam simple"
+    assert comparison["best"] == "beam counting"
     first = comparison["variants"][0]
     assert first["beams"] == 4
     assert first["cross_entropy"] == pytest.approx(

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.runner import occmap, read_error
-from tests.samples import write_csv
+from tests.samples import PLAIN_WORDS, write_csv
 
 ACROSS = [(0.05, 0.05, 0.0), (0.65, 0.05, math.pi), (0.25, 0.05, 0.0)]
 """With a beam of 0.32 m: two that hit the cell at (0.35, 0.05), and one that crosses it"""
@@ -20,8 +20,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     write_csv(tmp_path / "a.csv", ACROSS, [0.32])
     write_csv(tmp_path / "b.csv", [(-1.95, -0.55, 0.0)], [0.32])
     for log, name, model in (("a", "a", "simple"), ("b", "b", "simple"), ("a", "q", "quadratic")):
-        words = ["--resolution", "0.1", "--model", model, "-o", f"{name}.npz"]
-        assert occmap("build", f"{log}.csv", *words).code == 0
+        rule = model if model == "quadratic" else f"{model}:spread=0"
+        words = ["--resolution", "0.1", "--model", rule, "-o", f"{name}.npz"]
+        assert occmap("build", *PLAIN_WORDS, f"{log}.csv", *words).code == 0
     return tmp_path
 
 
@@ -30,7 +31,8 @@ def test_a_cell_in_lines() -> None:
     assert (result.code, result.err) == (0, "")
     assert result.out.splitlines() == [
         "cell     row 0, column 3: x 0.3 to 0.4 m, y 0 to 0.1 m",
-        "class    occupied: probability 0.784 by simple:p_hit=0.7,p_miss=0.4,prior=0.5",
+        "class    occupied: probability 0.784 by "
+        "simple:p_hit=0.7,p_miss=0.4,prior=0.5,cut=0.5,spread=0.0",
         "seen     2 hits and 1 miss",
         "visits   a.csv: hit on 1 of 1 visit, between 0.000 s and 10.000 s",
         "around   hits/misses of the cells beside it, y upwards",
@@ -68,7 +70,7 @@ def test_visits_come_by_build() -> None:
     # Two visits, half a minute apart: on the first the cell is hit, on the second it is crossed.
     write_csv(Path("late.csv"), [ACROSS[0], *[(5.0, 5.0, 0.0)] * 29, ACROSS[2]], [0.32])
     words = ["--resume", "a.npz", "-o", "al.npz", "--resolution", "0.1"]
-    assert occmap("build", "late.csv", *words).code == 0
+    assert occmap("build", *PLAIN_WORDS, "late.csv", *words).code == 0
     words = ["explain", "al.npz", "0.37", "0.05"]
     assert occmap(*words).out.splitlines()[3:6] == [
         "visits   a.csv: hit on 1 of 1 visit, between 0.000 s and 10.000 s",
@@ -82,12 +84,14 @@ def test_visits_come_by_build() -> None:
     assert [build["until_ns"] for build in found["builds"]] == [10 * 10**9, 40 * 10**9]
     known = {"since_ns": 0, "until_ns": 40 * 10**9, "hit_visits": 1, "seen_visits": 2}
     assert found["visits"] == known
-    assert (found["class"], found["min_passes"]) == ("undecided", 2)  # two misses are left: 0.31
+    assert (found["class"], found["min_passes"]) == ("free", 2)  # two misses are left: 0.31
 
 
 def test_hits_on_too_few_visits_are_forgotten() -> None:
     write_csv(Path("once.csv"), ACROSS[:1], [0.32])
-    assert occmap("build", "once.csv", "-o", "once.npz", "--resolution", "0.1").code == 0
+    assert (
+        occmap("build", *PLAIN_WORDS, "once.csv", "-o", "once.npz", "--resolution", "0.1").code == 0
+    )
     words = ["explain", "once.npz", "0.37", "0.05", "--min-passes"]
     assert occmap(*words, "2").out.splitlines()[1:3] == [
         "class    unknown: it was hit, but on fewer visits than --min-passes",
@@ -121,7 +125,9 @@ def test_evidence_that_is_empty() -> None:
 
 def test_a_long_list_is_cut_and_json_is_not() -> None:
     write_csv(Path("long.csv"), ACROSS[:1] * 50, [0.32])
-    assert occmap("build", "long.csv", "-o", "long.npz", "--resolution", "0.1").code == 0
+    assert (
+        occmap("build", *PLAIN_WORDS, "long.csv", "-o", "long.npz", "--resolution", "0.1").code == 0
+    )
     words = ["explain", "long.npz", "0.37", "0.05", "--log", "long.csv"]
     lines = occmap(*words).out.splitlines()
     stamps = [line.split()[0] for line in lines[10:]]
@@ -133,7 +139,10 @@ def test_a_long_list_is_cut_and_json_is_not() -> None:
 
 def test_another_model_and_other_thresholds() -> None:
     words = ["explain", "a.npz", "0.37", "0.05"]
-    assert "probability 0.600 by counting:prior=0.5" in occmap(*words, "--model", "counting").out
+    assert (
+        "probability 0.600 by counting:prior=0.5"
+        in occmap(*words, "--model", "counting:strength=2,spread=0").out
+    )
     assert "class    undecided: " in occmap(*words, "--occupied-thresh", "0.8").out
     assert "p_hit=0.6" in occmap(*words, "--p-hit", "0.6").out
 

@@ -42,7 +42,7 @@ def test_all_that_is_installed_is_listed(command: str, names: list[str]) -> None
 def test_models_have_parameters_with_defaults() -> None:
     listed = json.loads(occmap("models", "--json").out)["models"]
     (simple,) = [model for model in listed if model["name"] == "simple"]
-    observed = {"p_hit": 0.7, "p_miss": 0.4, "prior": 0.5}
+    observed = {"p_hit": 0.7, "p_miss": 0.4, "prior": 0.5, "cut": 0.5, "spread": 0.08}
     assert simple["parameters"] == observed | {"clamp_min": 0.0, "clamp_max": 1.0}
     assert "p_hit=0.7, p_miss=0.4, prior=0.5" in occmap("models").out
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.runner import occmap, read_error
-from tests.samples import write_csv
+from tests.samples import PLAIN_WORDS, write_csv
 
 
 @pytest.fixture(autouse=True)
@@ -16,8 +16,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     write_csv(tmp_path / "a.csv", [(0.0, 0.0, 0.0)], [0.3])
     write_csv(tmp_path / "b.csv", [(0.0, 1.0, 0.0)], [0.4])
     for name in ("a", "b"):
-        assert occmap("build", f"{name}.csv", "-o", f"{name}.npz").code == 0
-    words = ["build", "a.csv", "-o", "q.npz", "--model", "quadratic"]
+        assert occmap("build", *PLAIN_WORDS, f"{name}.csv", "-o", f"{name}.npz").code == 0
+    words = ["build", "beam", "a.csv", "-o", "q.npz", "--model", "quadratic"]
     assert occmap(*words).code == 0
     return tmp_path
 
@@ -31,8 +31,8 @@ def test_render_says_what_it_made() -> None:
     assert (result.code, result.err) == (0, "")
     assert result.out.splitlines() == [
         "map      7 x 1 cells of 0.05 m, x 0 to 0.35 m, y 0 to 0.05 m",
-        "cells    14.3% occupied, 85.7% undecided",
-        "update   beam, model simple:p_hit=0.7,p_miss=0.4,prior=0.5",
+        "cells    14.3% occupied, 85.7% free",
+        "update   beam, model simple:p_hit=0.7,p_miss=0.4,prior=0.5,cut=0.5,spread=0.0",
         "scans    1 of 1 used",
         "files    a.pgm",
         "         a.yaml",
@@ -41,18 +41,18 @@ def test_render_says_what_it_made() -> None:
 
 def test_render_takes_a_model_thresholds_and_a_mode() -> None:
     words = ["--p-miss", "0.1", "--free-thresh", "0.15", "--mode", "raw"]
-    assert occmap("build", "a.csv", "-o", "built.pgm", *words).code == 0
+    assert occmap("build", *PLAIN_WORDS, "a.csv", "-o", "built.pgm", *words).code == 0
     assert occmap("render", "a.npz", "-o", "built2.pgm", *words).code == 0
     assert read_bytes("built.pgm") == read_bytes("built2.pgm")
     found = json.loads(occmap("render", "a.npz", "-o", "c.pgm", "--json", *words).out)
-    assert found["map"]["model"] == "simple:p_hit=0.7,p_miss=0.1,prior=0.5"
+    assert found["map"]["model"] == "simple:p_hit=0.7,p_miss=0.1,prior=0.5,cut=0.5,spread=0.0"
     assert found["map"]["free"] == pytest.approx(6 / 7)
     words = ["--model", "counting", "--prior", "0.4"]
     assert "counting:prior=0.4" in occmap("render", "a.npz", "-o", "c.pgm", *words).out
     words = ["--clamp-min", "0.1", "--clamp-max", "0.9"]
-    bounded = "prior=0.5,clamp_min=0.1,clamp_max=0.9"
-    assert bounded in occmap("render", "a.npz", "-o", "c.pgm", *words).out
-    assert bounded in occmap("render", "q.npz", "-o", "c.pgm", *words).out
+    bounds = "clamp_min=0.1,clamp_max=0.9"
+    for name, shown in (("a.npz", f"spread=0.0,{bounds}"), ("q.npz", f"cut=0.5,{bounds}")):
+        assert shown in occmap("render", name, "-o", "c.pgm", *words).out
     assert occmap("render", "q.npz", "-o", "c.pgm", "--prior", "0.45").code == 0
 
 
@@ -63,7 +63,7 @@ def test_render_crops_a_map_and_never_evidence() -> None:
 
 
 def test_merge_is_a_build_of_both_and_back() -> None:
-    assert occmap("build", "a.csv", "b.csv", "-o", "both.pgm").code == 0
+    assert occmap("build", *PLAIN_WORDS, "a.csv", "b.csv", "-o", "both.pgm").code == 0
     assert occmap("merge", "a.npz", "b.npz", "-o", "ab.npz", "-o", "ab.pgm").code == 0
     assert read_bytes("ab.pgm") == read_bytes("both.pgm")
     assert occmap("merge", "ab.npz", "--subtract", "a.npz", "-o", "rest.npz").code == 0
@@ -72,15 +72,15 @@ def test_merge_is_a_build_of_both_and_back() -> None:
 
 def test_resume_is_a_build_of_both() -> None:
     assert occmap("merge", "a.npz", "b.npz", "-o", "ab.npz").code == 0
-    assert occmap("build", "b.csv", "--resume", "a.npz", "-o", "a.npz").code == 0
+    assert occmap("build", *PLAIN_WORDS, "b.csv", "--resume", "a.npz", "-o", "a.npz").code == 0
     assert read_bytes("a.npz") == read_bytes("ab.npz")
 
 
 def test_scan_counts_say_what_they_count() -> None:
-    words = ["build", "b.csv", "--resume", "a.npz", "-o", "ab.npz"]
+    words = ["build", *PLAIN_WORDS, "b.csv", "--resume", "a.npz", "-o", "ab.npz"]
     lines = occmap(*words).out.splitlines()
     assert "scans    1 of 1 used, added to 1 of 1 in a.npz" in lines
-    words = ["build", "b.csv", "--resume", "ab.npz", "-o", "abb.npz", "--json"]
+    words = ["build", *PLAIN_WORDS, "b.csv", "--resume", "ab.npz", "-o", "abb.npz", "--json"]
     found = json.loads(occmap(*words).out)
     assert found["scans"]["used"] == found["builds"] == 1
     assert found["resumed"] == {"file": "ab.npz", "read": 2, "used": 2}
@@ -90,7 +90,9 @@ def test_scan_counts_say_what_they_count() -> None:
     assert (rendered["scans"]["used"], rendered["builds"], rendered["resumed"]) == (3, 3, None)
 
 
-@pytest.mark.parametrize("words", [["build", "a.csv"], ["render", "a.npz"], ["merge", "a.npz"]])
+@pytest.mark.parametrize(
+    "words", [["build", *PLAIN_WORDS, "a.csv"], ["render", "a.npz"], ["merge", "a.npz"]]
+)
 @pytest.mark.parametrize(
     ("flags", "found"),
     [
@@ -120,9 +122,9 @@ def test_a_log_that_counts_twice_is_noted() -> None:
 
 
 def test_a_log_that_is_resumed_by_itself_is_noted() -> None:
-    result = occmap("build", "a.csv", "--resume", "a.npz", "-o", "aa.npz")
+    result = occmap("build", *PLAIN_WORDS, "a.csv", "--resume", "a.npz", "-o", "aa.npz")
     assert (result.code, result.err) == (0, "note: a.csv is in it twice\n")
-    assert occmap("build", "b.csv", "--resume", "a.npz", "-o", "ab.npz").err == ""
+    assert occmap("build", *PLAIN_WORDS, "b.csv", "--resume", "a.npz", "-o", "ab.npz").err == ""
 
 
 def test_halves_that_are_merged_are_no_loss() -> None:
@@ -134,15 +136,16 @@ def test_halves_that_are_merged_are_no_loss() -> None:
 
 
 def test_evidence_is_a_map_to_diff() -> None:
-    assert occmap("build", "a.csv", "-o", "a.pgm").code == 0
+    assert occmap("build", *PLAIN_WORDS, "a.csv", "-o", "a.pgm").code == 0
     assert occmap("diff", "a.npz", "a.pgm", "--fail-above", "0").code == 0
     assert occmap("diff", "a.npz", "b.npz", "--fail-above", "0").code == 3
 
 
 def test_an_undecided_cell_is_not_called_unknown() -> None:
-    assert "85.7% undecided" in occmap("render", "a.npz", "-o", "a.pgm").out
+    told = occmap("render", "a.npz", "-o", "a.pgm", "--free-thresh", "0.196")
+    assert "85.7% undecided" in told.out
     assert occmap("render", "a.npz", "-o", "sure.pgm", "--p-miss", "0.1").code == 0
-    assert "6 neither to free" in occmap("diff", "a.npz", "sure.pgm").out
+    assert "6 neither to free" in occmap("diff", "a.pgm", "sure.pgm").out
 
 
 @pytest.mark.parametrize(
@@ -159,7 +162,7 @@ def test_an_undecided_cell_is_not_called_unknown() -> None:
         (["render", "a.npz", "-o", "m.pgm", "--epsilon", "1"], 2, "--epsilon does not go with"),
         (
             ["render", "a.npz", "-o", "m.pgm", "--model", "counting", "--p-hit", "0.8"],
-            *(2, "model counting; it has --prior, --clamp-min, --clamp-max"),
+            *(2, "model counting; it has --prior, --cut, --spread, --clamp-min, --clamp-max; see"),
         ),
         (["render", "q.npz", "-o", "m.pgm", "--model", "simple"], 1, "q.npz: was summed up for"),
         (["render", "q.npz", "-o", "m.pgm", "--p-min", "0.3"], 1, "no other can read it"),
@@ -167,7 +170,14 @@ def test_an_undecided_cell_is_not_called_unknown() -> None:
         (["merge", "a.npz"], 2, "add -o merged.npz"),
         (["merge", "a.npz", "q.npz", "-o", "m.npz"], 1, "q.npz: its kind is log_odds"),
         (["merge", "a.npz", "--subtract", "b.npz", "-o", "m.npz"], 1, "cells that a.npz lacks"),
-        (["build", "b.csv", "--resume", "q.npz", "-o", "m.npz"], 1, "q.npz: its kind is log_odds"),
+        (
+            ["build", "b.csv", "--resume", "a.npz", "-o", "m.npz"],
+            *(1, "a.npz: its update is beam, that of what it is to be combined with is surface"),
+        ),
+        (
+            ["build", *PLAIN_WORDS, "b.csv", "--resume", "q.npz", "-o", "m.npz"],
+            *(1, "q.npz: its kind is log_odds"),
+        ),
         (["build", "b.csv", "--resume", "b.csv", "-o", "m.npz"], 1, "is no evidence file"),
     ],
 )

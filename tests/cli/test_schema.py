@@ -115,6 +115,8 @@ def test_numbers_have_units(name: str) -> None:
         "check a.csv b.csv cut.csv.gz",
         "compare a.csv -o compare.png",
         "compare b.csv --model simple:p_hit=0.8 --update beam",
+        "tune b.csv",
+        f"tune {SAMPLE_LOGS / 'drive.mcap'} --resolution 0.1",
         "diff a.npz b.npz -o d.png",
         "diff a.npz a.npz",
         "explain a.npz 0.3 0",

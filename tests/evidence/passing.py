@@ -79,7 +79,7 @@ def write_passes(path: Path, passes: int, person: Person) -> Path:
     beams = ",".join(f"r{beam}" for beam in range(BEAMS))
     head = (
         f"# angle_min: {math.radians(FIRST)}\n# angle_increment: {math.radians(STEP)}\n"
-        f"stamp,x,y,yaw,{beams}\n"
+        f"# range_max: 1e6\nstamp,x,y,yaw,{beams}\n"
     )
     rows = [
         f"{look.stamp},{look.x},0,0,{','.join(f'{r:.6g}' for r in look.ranges)}\n"

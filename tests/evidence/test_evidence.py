@@ -79,12 +79,15 @@ def test_bounds_are_of_probability_and_leave_what_is_between() -> None:
 @pytest.mark.parametrize(
     ("model", "notes"),
     [
-        ("simple:clamp_max=0.64", ("no cell can be occupied: clamp_max 0.64 is below --occ",)),
         (
-            "simple:clamp_min=0.2",
-            ("no cell can be free: clamp_min 0.2 is above --free-thresh 0.1",),
+            "simple:cut=0.64,clamp_max=0.64",
+            ("no cell can be occupied: clamp_max 0.64 is not above 0.64",),
         ),
-        ("simple:clamp_min=0.196,clamp_max=0.65", ()),
+        (
+            "simple:cut=0.2,clamp_min=0.2",
+            ("no cell can be free: clamp_min 0.2 is not below 0.2",),
+        ),
+        ("simple:clamp_min=0.49,clamp_max=0.51", ()),
     ],
 )
 def test_bounds_within_the_thresholds_are_noted(
@@ -123,7 +126,7 @@ def test_the_manifest_says_what_was_used(tmp_path: Path) -> None:
     assert [entry["name"] for entry in made["inputs"]] == ["drive.csv", "p.csv"]
     assert made["options"]["posing"]["poses"] == "p.csv"
     assert made["options"]["returns"]["max_range"] == str(math.inf)
-    assert made["options"]["model"] == "simple:p_hit=0.7,p_miss=0.4,prior=0.5"
+    assert made["options"]["model"] == "simple:p_hit=0.7,p_miss=0.4,prior=0.5,cut=0.5,spread=0.08"
     assert "jobs" not in made["options"]
     assert made["scans"]["read"] == made["scans"]["used"] + sum(made["scans"]["dropped"].values())
 
@@ -184,3 +187,16 @@ def test_a_report_sums_up_what_an_older_occmap_counted(tmp_path: Path) -> None:
     assert report.beams == ReturnCounts(hit=10)
     assert report.scans_used == 2 * made["scans"]["used"]
     assert report.notes == ("drive.csv is in it twice",)
+
+
+def test_each_observation_adds_what_it_says_beyond_the_prior_by_hand() -> None:
+    """Three observations, and one, from a prior of 0.2 (Thrun, Burgard, Fox 2005, ch. 9).
+
+    The prior's odds are 1/4. Observations of odds 3, 3 and 1/2 multiply them by odds over odds of
+    the prior: 1/4 * 12 * 12 * 2 = 72. One that says no more than the prior changes nothing.
+    """
+    model = parse_model("quadratic:prior=0.2,p_min=0.1")
+    log_odds = np.array([math.log(3) + math.log(3) + math.log(1 / 2), math.log(1 / 4)])
+    sums, observations = np.rint(log_odds * 65536), np.array([3.0, 1.0])
+    odds = np.exp(weigh(model)(sums, observations))
+    np.testing.assert_allclose(odds, [72, 1 / 4], rtol=2e-5)

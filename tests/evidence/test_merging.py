@@ -12,8 +12,9 @@ from occmap.evidence.merging import merge, subtract
 from occmap.evidence.publishing import RenderOptions, publish
 from occmap.explanation.history import look_at
 from occmap.grid.slices import count_visits, split_tiles, unite
+from occmap.grid.tiles import LOG_ODDS_UNIT, TILE
 from occmap.pipeline import BuildOptions, build
-from occmap.types import Slices, Update
+from occmap.types import Evidence, Manifest, Slices, Update
 from occmap.writers.npz import read_evidence
 from tests.evidence.saving import (
     COMBINATIONS,
@@ -212,3 +213,24 @@ def test_two_halves_of_a_real_log_make_the_whole(
     assert (tmp_path / "both.pgm").read_bytes() == (tmp_path / "whole.pgm").read_bytes()
     rest = subtract(both, halves[1])
     assert write_bytes(tmp_path, rest) == write_bytes(tmp_path, halves[0])
+
+
+def hold_one_cell(log_odds: float, observations: int) -> Evidence:
+    """Evidence of a quadratic model with a prior of 0.2, by hand: one cell, 1 m wide."""
+    manifest = Manifest(1.0, "beam", "log_odds", "quadratic", 10.0, "quadratic:prior=0.2", ())
+    cells = np.zeros((1, 2, TILE, TILE), np.int64)
+    cells[0, :, 3, 4] = round(log_odds / LOG_ODDS_UNIT), observations
+    return Evidence(manifest, np.zeros((1, 2), np.int64), cells)
+
+
+def test_what_is_left_of_log_odds_by_hand() -> None:
+    """1.5 of five observations without -0.5 of two of them is 2 of three."""
+    rest = subtract(hold_one_cell(1.5, 5), hold_one_cell(-0.5, 2))
+    assert rest.cells[0, :, 3, 4].tolist() == [2 * 65536, 3]
+
+
+def test_no_log_odds_are_left_without_an_observation() -> None:
+    """As many observations go, but not the same ones: no scan says 0.5 without observing."""
+    with pytest.raises(MapError, match="holds observations of 1 cells that the sum lacks"):
+        subtract(hold_one_cell(1.5, 2), hold_one_cell(1.0, 2))
+    assert not len(subtract(hold_one_cell(1.5, 2), hold_one_cell(1.5, 2)).tiles)

@@ -25,15 +25,15 @@ from occmap.sensor.models import (
     parse_model,
 )
 from occmap.types import Evidence, Update
-from occmap.writers import WriteOptions
+from occmap.writers import MapMode, WriteOptions
 from occmap.writers.npz import read_evidence
-from tests.samples import REAL_LOGS, SAMPLE_LOGS, Planar, write_csv
+from tests.samples import PLAIN, REAL_LOGS, SAMPLE_LOGS, Planar, write_csv
 
 DRIVE = SAMPLE_LOGS / "drive.csv"
 each_combination = pytest.mark.parametrize(
     ("update", "model"), list(product(Update, ["simple", "quadratic", "counting"]))
 )
-TENTH = BuildOptions(resolution=0.1, jobs=1)
+TENTH = replace(PLAIN, resolution=0.1)
 """Cells of 0.1 m"""
 
 
@@ -71,7 +71,11 @@ def test_scans_of_the_drive_add_up(tmp_path: Path, update: Update, model: str) -
 
 def test_a_cell_is_judged_as_the_map_is(tmp_path: Path) -> None:
     evidence = save(tmp_path, DRIVE, BuildOptions())
-    models: list[SensorModel] = [SimpleModel(0.9, 0.25, 0.3), CountingModel(0.4)]
+    models: list[SensorModel] = [
+        SimpleModel(0.9, 0.25, 0.3),
+        CountingModel(0.4, cut=0.2),
+        SimpleModel(spread=0.0),
+    ]
     for model, min_passes in product(models, (None, 2)):
         lasting = keep_lasting(to_grid(evidence), evidence.slices, min_passes)
         grid = render(lasting, model, 10**9)
@@ -83,8 +87,8 @@ def test_a_cell_is_judged_as_the_map_is(tmp_path: Path) -> None:
             found = explain(evidence, Question(x, y, model=model, min_passes=min_passes))
             assert found.probability == grid.probability[row, col]
             assert (found.verdict == "unknown") == (not grid.observed[row, col])
-            assert (found.verdict == "occupied") == grid.is_occupied(0.65)[row, col]
-            assert (found.verdict == "free") == grid.is_free(0.196)[row, col]
+            assert (found.verdict == "occupied") == grid.occupied[row, col]
+            assert (found.verdict == "free") == grid.free[row, col]
             if min_passes is None:
                 assert found.extent == pytest.approx(grid.extent)
 
@@ -116,7 +120,7 @@ def test_one_beam(tmp_path: Path) -> None:
     assert found.probability == pytest.approx(0.7)
     on_the_way = ask(tmp_path, [pose], (0.15, 0.05))
     assert [each.numbers for each in on_the_way.sightings] == [(0, 1)]
-    assert on_the_way.verdict == "undecided"
+    assert on_the_way.verdict == "free"
     assert on_the_way.probability == pytest.approx(0.4)
 
 
@@ -220,8 +224,13 @@ def test_evidence_that_holds_nothing_has_no_extent(tmp_path: Path) -> None:
 def test_thresholds_decide_what_a_cell_is(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", [(0.05, 0.05, 0.0)], [0.32])
     evidence = save(tmp_path, log)
-    for threshold, verdict in ((0.69, "occupied"), (0.71, "undecided")):
-        writing = WriteOptions(occupied_thresh=threshold)
+    for thresholds, verdict in (
+        ((0.69, 0.1), "occupied"),
+        ((0.71, 0.1), "undecided"),
+        ((0.71, None), "undecided"),  # the hit's 0.7 is not below the model's 0.5 either
+        ((0.8, 0.71), "free"),
+    ):
+        writing = WriteOptions(MapMode.TRINARY, *thresholds)
         assert explain(evidence, Question(0.35, 0.05, writing=writing)).verdict == verdict
 
 

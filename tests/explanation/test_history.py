@@ -1,6 +1,7 @@
 """A point in a map: which cell it is in, and what that cell holds."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,17 +11,18 @@ from occmap.errors import UsageError
 from occmap.evidence.merging import merge
 from occmap.explanation.history import Visits, look_at
 from occmap.grid.tiles import EvidenceKind
-from occmap.pipeline import BuildOptions, build
+from occmap.pipeline import build
 from occmap.sensor.models import parse_model
 from occmap.types import Evidence
 from occmap.writers.npz import read_evidence
-from tests.samples import Planar, write_csv
+from tests.samples import PLAIN, Planar, write_csv
 
 
 def observe(folder: Path, poses: list[Planar], model: str = "simple") -> Evidence:
     """Build evidence of scans with one beam of 0.32 m each, in cells of 0.1 m."""
     log = write_csv(folder / "log.csv", poses, [0.32])
-    build([log], BuildOptions(resolution=0.1, model=parse_model(model)), [folder / "m.npz"])
+    options = replace(PLAIN, resolution=0.1, model=parse_model(model))
+    build([log], options, [folder / "m.npz"])
     return read_evidence(folder / "m.npz")
 
 

@@ -26,7 +26,7 @@ MOUNT = Pose.from_xyzrpy((0.1, -0.2, 0.3), (math.pi, 0.1, -0.7))
 UNUSUAL = BuildOptions(
     resolution=0.1 + 0.2,
     update=Update.POLYGON,
-    model=SimpleModel(p_hit=0.9, p_miss=1 / 3, prior=0.45, clamp_min=0.1, clamp_max=0.96),
+    model=CountingModel(0.45, 1 / 3, 2.5, cut=0.4, spread=0.01, clamp_min=0.1, clamp_max=0.96),
     reading=ReaderOptions(echo=Echo.LAST, min_height=-0.5, max_height=1.1),
     returns=ReturnOptions(
         min_range=0.05,
@@ -51,6 +51,7 @@ UNUSUAL = BuildOptions(
     writing=WriteOptions(MapMode.SCALE, 0.7, 0.2, Shade.LIGHT_OCCUPIED),
     jump=math.inf,
     border_gap=0,
+    hit_offset=0.25,
     max_cells=12,
     min_passes=3,
     pass_gap_s=0.25,
@@ -84,7 +85,7 @@ def test_every_option_is_tested() -> None:
         BuildOptions(),
         UNUSUAL,
         replace(UNUSUAL, model=QuadraticModel(0.07, 0.3, 0.4), min_passes=None),
-        replace(UNUSUAL, model=CountingModel(prior=0.2, strength=1 / 30, hit_weight=2)),
+        replace(UNUSUAL, model=SimpleModel(0.9, 1 / 3, 0.45, cut=0.6, spread=0.0, clamp_min=0.1)),
         replace(UNUSUAL, returns=ReturnOptions(), posing=PosingOptions(max_pose_gap_s=math.inf)),
     ],
     ids=lambda options: options.model.name,

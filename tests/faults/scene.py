@@ -12,7 +12,7 @@ COMMANDS = {
     "build png": "build a.csv -o m.png --jobs 1",
     "build npz": "build a.csv -o m.npz --jobs 1",
     "build resume": "build a.csv --resume m.npz -o m.npz --jobs 1",
-    "render": "render a.npz -o m.pgm -o m.png -o m.npz --p-hit 0.8",
+    "render": "render a.npz -o m.pgm -o m.png -o m.npz --prior 0.4",
     "merge": "merge a.npz b.npz -o m.npz -o m.pgm",
     "compare": "compare a.csv -o m.png --jobs 1 --model simple --update beam",
     "diff": "diff a.pgm b.pgm -o m.png",

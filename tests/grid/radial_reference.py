@@ -68,11 +68,16 @@ def centre_from(sensor: Point, cell: Cell, resolution: float) -> tuple[float, fl
     return x * resolution / 256, y * resolution / 256
 
 
+def range_on_map(rays: Rays, s: int, b: int) -> float:
+    """How far away a beam's end lies on the map (m): nothing for one straight up."""
+    return float(rays.distance[s, b]) * math.hypot(*rays.direction[s, b])
+
+
 def trace_radial_beams(rays: Rays, resolution: float, model: Quadratic) -> Observed:
     """Along each beam: to its range, or where it hit something to its range + depth."""
     observed = Observed()
     for s, b in all_beams(rays):
-        kind, r = Kind(int(rays.kind[s, b])), float(rays.distance[s, b])
+        kind, r = Kind(int(rays.kind[s, b])), range_on_map(rays, s, b)
         if kind == Kind.SKIP:
             continue
         sensor = point(rays, s, b, 0.0, resolution)
@@ -122,8 +127,11 @@ class Sector:
 def trace_radial_polygons(rays: Rays, resolution: float, model: Quadratic) -> Observed:
     """Each cell once a scan, with the range of the beam that covers its bearing.
 
-    Where a scan goes more than once round, the later beam counts.
+    Where a scan goes more than once round, the later beam counts. A single beam has no neighbour
+    that would say how wide it is: it is a line.
     """
+    if rays.kind.shape[1] == 1:
+        return trace_radial_beams(rays, resolution, model)
     observed = Observed()
     for s in range(rays.kind.shape[0]):
         sectors = find_sectors(rays, s)
@@ -136,7 +144,7 @@ def trace_radial_polygons(rays: Rays, resolution: float, model: Quadratic) -> Ob
                 observed.doubtful.add(cell)
             if covering:
                 b = covering[-1]
-                d, r = math.hypot(x, y), float(rays.distance[s, b])
+                d, r = math.hypot(x, y), range_on_map(rays, s, b)
                 observed.note(cell, model.observe(d, r, Kind(int(rays.kind[s, b]))))
                 if model.is_on_limit(d, r):
                     observed.doubtful.add(cell)
@@ -146,11 +154,18 @@ def trace_radial_polygons(rays: Rays, resolution: float, model: Quadratic) -> Ob
 def find_sectors(rays: Rays, s: int) -> dict[int, Sector]:
     """What each beam covers: half-way to its neighbours, and as much beyond the first and last.
 
-    A beam covers nothing where it is SKIP or its sides lie the wrong way round.
+    A beam covers nothing where it is SKIP or its sides lie the wrong way round. One straight up
+    has no bearing: it covers nothing, and a neighbour's sector ends at the neighbour's own bearing.
     """
-    bearings = [math.atan2(y, x) for x, y in rays.direction[s].tolist()]
+    directions = rays.direction[s].tolist()
+    bearings = [math.atan2(y, x) for x, y in directions]
     beams = len(bearings)
-    turns = [turn_between(bearings[b], bearings[(b + 1) % beams]) for b in range(beams)]
+    turns = [
+        turn_between(bearings[b], bearings[(b + 1) % beams])
+        if any(directions[b]) and any(directions[(b + 1) % beams])
+        else 0.0
+        for b in range(beams)
+    ]
     sense = 1 if sum(math.sin(turn) for turn in turns[:-1]) >= 0 else -1
     # A neighbour on the far side counts as one ahead, whichever way round to it is shorter.
     halves = [WIDEST if abs(turn) > 2 * WIDEST else sense * turn / 2 for turn in turns]
@@ -162,7 +177,7 @@ def find_sectors(rays: Rays, s: int) -> dict[int, Sector]:
         elif not rays.full_circle and b == beams - 1:
             after = before
         width = before + after
-        if width > 0 and beams > 1 and rays.kind[s, b] != Kind.SKIP:
+        if width > 0 and any(directions[b]) and rays.kind[s, b] != Kind.SKIP:
             sectors[b] = Sector(bearings[b] - (before if sense > 0 else after), width)
     return sectors
 

@@ -125,7 +125,8 @@ def list_beams(
         weights[b] += 3 - drawn
     for b, kind in enumerate(kinds):
         if kind != Kind.SKIP:
-            yield Beam(sensors[b], sensors[b], ends[b], distance[b], kind, weights[b])
+            on_map = distance[b] * math.hypot(*rays.direction[s, b])
+            yield Beam(sensors[b], sensors[b], ends[b], on_map, kind, weights[b])
 
 
 def trace_polygons(

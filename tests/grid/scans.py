@@ -154,6 +154,17 @@ def drives(
     return Drive(rays, resolution)
 
 
+@st.composite
+def upright_drives(draw: st.DrawFn) -> Drive:
+    """Scans of an upright lidar, some of whose beams point exactly straight up or down."""
+    rays, resolution = draw(drives())
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    vertical = rng.random(rays.kind.shape) < draw(st.sampled_from([0.05, 0.5, 1.0]))
+    direction = np.where(vertical[..., None], 0.0, rays.direction)
+    turn = np.stack([direction, np.zeros_like(direction)], axis=-1)
+    return Drive(replace(rays, turn=turn), resolution)
+
+
 TWELVE = [
     (5, 0), (4, 3), (3, 4), (0, 5), (-3, 4), (-4, 3), (-5, 0), (-4, -3), (-3, -4), (0, -5),
     (3, -4), (4, -3),

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from occmap.grid.kernels.cast import CERTAIN, FOLLOWED, UNIFORM, cast_beam, cast_beams
-from occmap.types import Float32, Float64, Kind, Rays
+from occmap.grid.kernels.cast import BINS, CERTAIN, FOLLOWED, UNIFORM, cast_beam, cast_beams
+from occmap.types import Bool, Float32, Float64, Kind, Rays
 from tests.grid.scans import FEW
 
 UNKNOWN_COST = math.log(2)
@@ -18,6 +18,11 @@ UNKNOWN_COST = math.log(2)
 
 def cost_free(probability: Float32) -> Float32:
     return np.asarray(-np.log(np.maximum(1 - probability, CERTAIN)), np.float32)
+
+
+def call_occupied(probability: Float32) -> Bool:
+    above: Bool = probability > 0.5
+    return above
 
 
 class Cast(NamedTuple):
@@ -30,7 +35,20 @@ class Cast(NamedTuple):
 
 def cast(probability: Float32, x: float, y: float, angle: float, reach: float) -> Cast:
     along = math.cos(angle), math.sin(angle)
-    return Cast(*cast_beam(probability, cost_free(probability), x, y, *along, reach))
+    return cast_through(call_occupied(probability), probability, x, y, along, reach)
+
+
+def cast_through(
+    occupied: Bool,
+    probability: Float32,
+    x: float,
+    y: float,
+    along: tuple[float, float],
+    reach: float,
+) -> Cast:
+    maps = occupied, probability, cost_free(probability)
+    bins, tally = np.zeros(probability.shape, np.uint8), np.zeros((BINS + 1, 3))
+    return Cast(*cast_beam(*maps, x, y, *along, reach, bins, True, tally))
 
 
 def cast_slowly(probability: Float32, x: float, y: float, angle: float, reach: float) -> Cast:
@@ -101,6 +119,18 @@ def test_the_likelihood_of_a_wall_behind_half_free_cells() -> None:
     assert beam.cost == pytest.approx(sum(costs), rel=1e-6)
 
 
+@pytest.mark.parametrize(("occupied_above", "found"), [(0.5, 0), (0.32, 1)])
+def test_what_the_map_calls_occupied_is_found_however_probable_it_is(
+    occupied_above: float, found: int
+) -> None:
+    """A wall at 0.4, from 7 to 8."""
+    probability = np.array([[0.0, 0, 0, 0, 0, 0, 0, 0.4, 0, 0]], np.float32)
+    occupied = probability > np.float32(occupied_above)
+    beam = cast_through(occupied, probability, 0.0, 0.5, (1.0, 0.0), 7.5)
+    assert beam.found == found
+    assert beam.stopped == pytest.approx(0.4)  # the likelihood asks only how probable
+
+
 @pytest.mark.parametrize("cells", [FOLLOWED - 9, FOLLOWED + 1, 10**9])
 def test_beyond_the_map_all_is_unknown_and_costs_no_time(cells: int) -> None:
     probability = np.full((1, 4), 0.01, np.float32)
@@ -114,7 +144,9 @@ def total(rays: Rays, probability: Float32, resolution: float = 1.0) -> Float64:
     totals = np.zeros((len(rays.kind), 6))
     cast_beams(
         *(rays.origin, rays.turn, rays.bearing, rays.distance, rays.kind),
-        *(probability, cost_free(probability), (-1.0, -1.0), resolution, totals),
+        *(call_occupied(probability), probability, cost_free(probability)),
+        *((-1.0, -1.0), resolution, totals),
+        *(np.zeros(probability.shape, np.uint8), np.zeros((BINS + 1, 3))),
     )
     by_kind: Float64 = totals.sum(axis=0)
     return by_kind

@@ -30,6 +30,7 @@ from tests.grid.scans import (
     read_cells,
     shift,
     take,
+    upright_drives,
 )
 
 WINDOWS = st.sampled_from([50, 400, WINDOW_CELLS])
@@ -113,6 +114,20 @@ def test_polygon_update_follows_the_rule(
     spec = GridSpec(Update.POLYGON, Lattice(resolution), jump, border_gap)
     expected = reference.trace_polygons(join_viewpoints(rays), resolution, jump, border_gap)
     assert observe(spec, [rays], window_cells) == expected
+
+
+@pytest.mark.parametrize("update", list(Update))
+@MANY
+@given(drive=upright_drives())
+def test_beams_straight_up_and_down_end_at_the_sensor(update: Update, drive: Drive) -> None:
+    rays, resolution = drive
+    trace = {
+        Update.BEAM: reference.trace_beams,
+        Update.POLYGON: reference.trace_polygons,
+        Update.SURFACE: reference.trace_surfaces,
+    }[update]
+    seen = join_viewpoints(rays) if update is Update.POLYGON else rays
+    assert observe(GridSpec(update, Lattice(resolution)), [rays]) == trace(seen, resolution)
 
 
 @pytest.mark.parametrize("update", list(Update))
@@ -216,8 +231,9 @@ def test_skipped_beams_leave_no_trace(kind_of_map: int) -> None:
 @pytest.mark.parametrize("distance", [0.0, 0.3])
 def test_a_hit_in_the_sensors_own_cell_is_one_hit(update: Update, distance: float) -> None:
     rays = one_scan([distance], [Kind.HIT])
-    evidence = observe(GridSpec(update, Lattice(1.0)), [rays])
-    assert evidence == ({(0, 0): 1}, {})
+    spec = GridSpec(update, Lattice(1.0))
+    lone = 2 if update is Update.SURFACE else 1  # of the 8 that one among its neighbours weighs
+    assert observe(spec, [rays]) == ({(0, 0): lone}, {})
 
 
 def test_free_beam_of_no_length_is_one_miss_by_beam_and_nothing_by_polygon() -> None:

@@ -17,7 +17,7 @@ from occmap.sensor.models import QuadraticModel
 from occmap.types import Kind, Rays, Update
 from tests.grid import radial_reference
 from tests.grid.radial_reference import Observed, Quadratic
-from tests.grid.scans import FEW, Drive, Evidence, aim, drives, observe
+from tests.grid.scans import FEW, Drive, Evidence, aim, drives, observe, upright_drives
 
 Trace = Callable[[Rays, float, Quadratic], Observed]
 
@@ -78,6 +78,19 @@ def test_random_scans_follow_the_rule(
     check(observe(spec, [rays], window_cells), expected, model)
 
 
+@pytest.mark.parametrize("update", list(Update))
+@FEW
+@given(drive=upright_drives(), cells_deep=st.sampled_from([0.5, 3.3]))
+def test_beams_straight_up_and_down_follow_the_rule(
+    update: Update, drive: Drive, cells_deep: float
+) -> None:
+    rays, resolution = drive
+    model = Quadratic(cells_deep * resolution, 0.1)
+    seen = join_viewpoints(rays) if update is Update.POLYGON else rays
+    expected = TRACES[update](seen, resolution, model)
+    check(observe(make_spec(update, resolution, model), [rays]), expected, model)
+
+
 def look_around(distance: list[float], degrees: float) -> Rays:
     """One scan from the middle of cell (0, 0) of cells of a metre, its first beam along x."""
     beams = len(distance)
@@ -102,6 +115,17 @@ def test_the_cells_of_one_beam_worked_out_by_hand(update: Update) -> None:
     assert [evidence.second[cell] for cell in ahead] == [weight] * 6
     p = np.array([0.1, 0.1, 2 / 9, 0.5, 0.9, 0.5])
     log_odds = np.array([evidence.first[cell] for cell in ahead]) * LOG_ODDS_UNIT / weight
+    np.testing.assert_allclose(log_odds, np.log(p / (1 - p)), atol=tolerance(model))
+
+
+def test_a_sensor_of_one_beam_observes_the_cells_along_it_by_polygon() -> None:
+    """Range 4, depth 1, as for any beam: p = (d / 3)^2 / 2 before 3, the hit from 3 to 5."""
+    model = Quadratic(depth=1.0, p_min=0.1)
+    evidence = observe(make_spec(Update.POLYGON, 1.0, model), [look_around([4.0], 10.0)])
+    ahead = [(0, col) for col in range(6)]
+    assert evidence.second == dict.fromkeys(ahead, 1)
+    p = np.array([0.1, 0.1, 2 / 9, 0.5, 0.9, 0.5])
+    log_odds = np.array([evidence.first[cell] for cell in ahead]) * LOG_ODDS_UNIT
     np.testing.assert_allclose(log_odds, np.log(p / (1 - p)), atol=tolerance(model))
 
 

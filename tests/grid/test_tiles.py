@@ -4,9 +4,20 @@ import numpy as np
 import pytest
 
 from occmap.errors import MapError
+from occmap.evidence import render
 from occmap.grid.lattice import CellBox, Lattice
-from occmap.grid.tiles import INT32_LIMIT, LOG_ODDS_UNIT, TILE, EvidenceKind, TileGrid
-from occmap.types import Float64, Int64, OccupancyMap
+from occmap.grid.rendering import find_bounds, paint
+from occmap.grid.stacks import add_stack
+from occmap.grid.tiles import (
+    INT32_LIMIT,
+    LOG_ODDS_UNIT,
+    TILE,
+    EvidenceKind,
+    TileGrid,
+    refuse_large,
+)
+from occmap.sensor.models import CountingModel
+from occmap.types import Float64
 from tests.grid.scans import read_cells
 
 HITS, MISSES = 2, 1
@@ -22,16 +33,12 @@ def add_cell(grid: TileGrid, row: int, col: int, first: int, second: int) -> Non
     grid.add(box, np.array([[first]], np.int64), np.array([[second]], np.int64), bound)
 
 
-def difference(first: Int64, second: Int64) -> Float64:
-    return (first - second).astype(np.float64)
+def difference(first: Float64, second: Float64) -> Float64:
+    return first - second
 
 
-def scale(log_odds: Int64, _observations: Int64) -> Float64:
-    return np.multiply(log_odds, LOG_ODDS_UNIT)
-
-
-def render(grid: TileGrid, prior: float = 0.0, max_cells: int = 10**6) -> OccupancyMap:
-    return grid.render(difference, prior, max_cells)
+def scale(log_odds: Float64, _observations: Float64) -> Float64:
+    return log_odds * LOG_ODDS_UNIT
 
 
 def test_a_box_is_spread_over_the_tiles_that_it_covers() -> None:
@@ -70,6 +77,26 @@ def test_a_tile_widens_before_a_sum_can_overflow() -> None:
     assert read_cells(grid) == ({(0, 0): INT32_LIMIT + 1}, {(0, 0): 5, (0, 1): 7})
 
 
+def test_a_sum_that_was_widened_is_never_narrowed() -> None:
+    """What was stacked has no bound that the grid knows of: adding one must not make it 32 bits."""
+    cells = np.zeros((1, 2, TILE, TILE), np.int64)
+    cells[0, :, 0, 0] = 3_000_000_000, 4
+    grid = make_grid()
+    add_stack(grid, np.zeros((1, 2), np.int64), cells)
+    add_cell(grid, 0, 0, 1, 0)
+    assert read_cells(grid) == ({(0, 0): 3_000_000_001}, {(0, 0): 4})
+
+
+def test_a_grid_takes_over_what_was_stacked_in_another() -> None:
+    cells = np.zeros((1, 2, TILE, TILE), np.int64)
+    cells[0, 0, 0, 0] = 3_000_000_000
+    mine, other = make_grid(), make_grid()
+    add_cell(mine, 0, 0, 5, 0)
+    add_stack(other, np.zeros((1, 2), np.int64), cells)
+    mine.merge(other)
+    assert read_cells(mine).first == {(0, 0): 3_000_000_005}
+
+
 def test_a_robot_that_stands_still_for_ten_hours() -> None:
     """40 scans a second of 1081 beams, all through one cell at p = 0.1: exact, not overflowed."""
     scans, log_odds = 10 * 3600 * 40, round(-2.1972245773362196 / LOG_ODDS_UNIT)
@@ -79,50 +106,52 @@ def test_a_robot_that_stands_still_for_ten_hours() -> None:
         add_cell(grid, 4, 4, log_odds * per_minute, per_minute)
     tile = grid.tiles[0, 0]
     assert tile[:, 4, 4].tolist() == [log_odds * scans * 1081, scans * 1081]
-    grid_map = grid.render(scale, 0.0, 100)
-    assert grid_map.log_odds[0, 0] == pytest.approx(-2.1972245773 * scans * 1081, rel=1e-5)
-    assert grid_map.probability[0, 0] == 0
+    log_odds_of_map, _ = paint(grid, scale, 0.0, find_bounds(grid))
+    assert log_odds_of_map[0, 0] == pytest.approx(-2.1972245773 * scans * 1081, rel=1e-5)
 
 
 def test_bounds_are_those_of_the_observed_cells() -> None:
     grid = make_grid()
     for row, col in ((5, -200), (70, 3), (-1, 40)):
         add_cell(grid, row, col, HITS, MISSES)
-    assert grid.find_bounds() == CellBox(-1, -200, 71, 41)
+    assert find_bounds(grid) == CellBox(-1, -200, 71, 41)
 
 
 def test_without_observations_there_is_no_map() -> None:
     with pytest.raises(MapError, match="no beam of any scan observed a cell"):
-        make_grid().find_bounds()
+        find_bounds(make_grid())
 
 
 def test_a_map_has_every_cell_where_it_was_observed() -> None:
     grid = make_grid(resolution=0.5)
     add_cell(grid, -1, 62, 5, 1)
     add_cell(grid, 1, 65, 0, 3)
-    grid_map = render(grid, prior=-0.7)
-    assert grid_map.origin == (31.0, -0.5)
-    assert grid_map.resolution == 0.5
+    box = find_bounds(grid)
+    assert box == CellBox(-1, 62, 2, 66)
+    log_odds, observed = paint(grid, difference, -0.7, box)
     expected = np.full((3, 4), -0.7, np.float32)
     expected[0, 0], expected[2, 3] = 4, -3
-    np.testing.assert_array_equal(grid_map.log_odds, expected)
-    np.testing.assert_array_equal(grid_map.observed, expected != np.float32(-0.7))
+    np.testing.assert_array_equal(log_odds, expected)
+    np.testing.assert_array_equal(observed, expected != np.float32(-0.7))
 
 
 def test_log_odds_of_zero_are_observed_where_there_were_observations() -> None:
     grid = make_grid(EvidenceKind.LOG_ODDS)
     add_cell(grid, 0, 0, 0, 2)
     add_cell(grid, 0, 2, 9, 1)
-    assert render(grid).observed.tolist() == [[True, False, True]]
+    _, observed = paint(grid, difference, 0.0, find_bounds(grid))
+    assert observed.tolist() == [[True, False, True]]
 
 
 def test_a_map_as_large_as_allowed_is_made_and_a_larger_one_refused() -> None:
     grid = make_grid(resolution=0.25)
     add_cell(grid, -3, -5, 1, 0)
     add_cell(grid, 6, 14, 1, 0)
-    assert render(grid, max_cells=200).shape == (10, 20)
+    box = find_bounds(grid)
+    assert (box.rows, box.cols) == (10, 20)
+    refuse_large(box, grid.lattice, 200)
     with pytest.raises(MapError) as caught:
-        render(grid, max_cells=199)
+        refuse_large(box, grid.lattice, 199)
     assert str(caught.value) == (
         "the map would reach from (-1.25, -0.75) to (3.75, 1.75) m: 20 x 10 cells, more than "
         "--max-cells 199; if a pose is wrong, leave it out with --start and --end; else use a "
@@ -155,4 +184,4 @@ def test_a_map_with_a_wild_pose_is_refused_before_it_takes_memory() -> None:
     add_cell(grid, 0, 0, 1, 0)
     add_cell(grid, 2 * 10**8, 2 * 10**8, 1, 0)
     with pytest.raises(MapError, match=r"to \(1e\+07, 1e\+07\) m"):
-        render(grid, max_cells=10**9)
+        render(grid, CountingModel(), 10**9)

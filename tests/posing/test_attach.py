@@ -39,6 +39,24 @@ def test_the_gap_limit_may_be_lifted() -> None:
     assert posed.position.tolist() == [[30.5, 0, 0]]
 
 
+def test_the_gap_limit_is_for_what_moves_and_not_for_its_correction() -> None:
+    """Corrections every 5 s, odometry at 10 Hz: no scan of a minute lacks a pose."""
+    corrections = [at(t, "map", "odom", Pose.planar(0, t / 100, 0)) for t in range(0, 61, 5)]
+    tenths = [t / 10 for t in range(601)]
+    poser = build(*corrections, *drive("odom", "laser", seconds=tenths))
+    (posed,), dropped = poser.attach(batch_at(tenths))
+    assert (len(posed.position), dropped) == (601, {})
+    # Between two corrections the small one grows as the time does.
+    np.testing.assert_allclose(posed.position[125], [12.5, 0.125, 0], atol=1e-12)
+
+
+def test_odometry_that_stops_between_two_corrections_is_a_gap() -> None:
+    corrections = [at(t, "map", "odom", Pose.planar(0, t / 100, 0)) for t in (0, 5, 10)]
+    poser = build(*corrections, *drive("odom", "laser", seconds=(0, 1, 2, 6, 7, 8, 9, 10)))
+    _, dropped = poser.attach(batch_at([1.5, 2.0, 3.0, 5.9, 6.0]))
+    assert dropped == {DropReason.GAP: 2}
+
+
 def test_the_time_offset_is_added_to_the_stamps_of_scans() -> None:
     poser = build(*drive("odom", "base_link"), MOUNT, time_offset_s=-100.25)
     (posed,), _ = poser.attach(batch_at([104.25]))

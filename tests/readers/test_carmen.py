@@ -12,6 +12,8 @@ import pytest
 from occmap.errors import LogError
 from occmap.readers import Log, Note, Probe, Role, StackingScans, Stream, carmen, probe_path
 from occmap.readers.carmen import CarmenReader
+from occmap.sensor.no_return import RangeLimits
+from occmap.sensor.returns import ReturnOptions
 from occmap.types import Pose, PoseSample, ScanRun
 
 REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", "../shared/logs")) / "carmen"
@@ -56,7 +58,7 @@ def test_a_small_log(tmp_path: Path) -> None:
         0, "base_link", "front_laser", Pose(0.25, 0, 0, 0, 0, 0, 1), static=True, topic="PARAM"
     )
     assert (moved.parent, moved.child, moved.pose.x) == ("odom", "base_link", 1)
-    assert [note.damage for note in log.notes] == [False] * 3
+    assert [note.damage for note in log.notes] == [False] * 2
 
 
 def test_no_transform_is_invented(tmp_path: Path) -> None:
@@ -71,25 +73,13 @@ def test_only_the_topics_asked_for(tmp_path: Path) -> None:
     assert stamps(log, "scan") == []
 
 
-def test_the_no_return_value_becomes_the_limit(tmp_path: Path) -> None:
-    ranges = " ".join(f"{1 + beam / 100:.2f}" for beam in range(168)) + " 32.767" * 12
+def test_the_limit_is_what_the_log_states(tmp_path: Path) -> None:
+    """FLASER states none, whatever its ranges are; a raw scan has a field for it."""
+    ranges = " ".join(f"{1 + beam / 100:.2f}" for beam in range(168)) + " 81.91" * 12
     log = open_text(tmp_path, flaser(1, ranges))
-    (scan,) = log.scans(["FLASER"])
-    assert scan.range_max == float(np.float32(32.767))
-    assert np.count_nonzero(scan.ranges >= scan.range_max) == 12
-    assert any("12 of 180 ranges read 32.767 m" in note.text for note in log.notes)
-
-
-def test_each_laser_has_its_own_limit(tmp_path: Path) -> None:
-    log = open_text(tmp_path, flaser(1, "1 81.83") + flaser(2, "1 81.91", word="RLASER"))
-    limits = [scan.range_max for scan in log.scans(["FLASER", "RLASER"])]
-    assert limits == [float(np.float32(81.83)), float(np.float32(81.91))]
-
-
-def test_without_a_marker_there_is_no_limit(tmp_path: Path) -> None:
-    log = open_text(tmp_path, flaser(1))
     assert [scan.range_max for scan in log.scans(["FLASER"])] == [math.inf]
-    assert any("--range-max sets one" in note.text for note in log.notes)
+    assert not any("81.91" in note.text for note in log.notes)
+    assert [scan.range_max for scan in open_text(tmp_path, raw(1)).scans(["RAWLASER1"])] == [8.0]
 
 
 def test_unknown_beam_counts_are_noted_once(tmp_path: Path) -> None:
@@ -288,31 +278,48 @@ def open_real(name: str) -> Log:
 
 
 @pytest.mark.parametrize(
-    ("name", "size", "first", "no_return"),
+    ("name", "size", "first", "range_max"),
     [
-        ("intel-corrected", (910, 180), (32_906_800_000, 0.600266, -0.0320327), 81.83),
-        ("freiburg-079-corrected", (4791, 360), (227_623_000, 0.00123601, -0.00106807), 81.91),
-        ("csail-corrected", (406, 361), (1_134_860_000_000_000_000, 0.154, 0.068), 81.91),
+        ("intel-corrected", (910, 180), (32_906_800_000, 0.600266, -0.0320327), math.inf),
+        ("freiburg-079-corrected", (4791, 360), (227_623_000, 0.00123601, -0.00106807), math.inf),
+        ("csail-corrected", (406, 361), (1_134_860_000_000_000_000, 0.154, 0.068), math.inf),
         ("fr079-robotlaser", (1464, 360), (1_211_520_329_000, -0.040001, 0.0), 50.0),
     ],
 )
 def test_real_logs(
-    name: str, size: tuple[int, int], first: tuple[int, float, float], no_return: float
+    name: str, size: tuple[int, int], first: tuple[int, float, float], range_max: float
 ) -> None:
     log = open_real(f"{name}.log.gz")
     (stream,) = (stream for stream in log.streams if stream.role is Role.SCAN)
     scans = list(log.scans([stream.topic]))
     assert stream.count == len(scans) == size[0]
     assert {scan.ranges.size for scan in scans} == {size[1]}
-    assert {scan.range_max for scan in scans} == {float(np.float32(no_return))}
+    assert {scan.range_max for scan in scans} == {range_max}
     assert scans[0].pose is not None
     assert (scans[0].stamp_ns, scans[0].pose.x, scans[0].pose.y) == first
     assert not any(note.damage for note in log.notes)
 
 
-def test_real_robotlaser_has_the_laser_pose_and_more_than_it_states() -> None:
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("intel-corrected", "read 81.8"),
+        ("freiburg-079-corrected", "read 81.9"),
+        ("csail-corrected", "read 81.9"),
+        ("fr079-robotlaser", "10,528 of 527,040 ranges (2.0%) are above it, up to 81.91 m"),
+    ],
+)
+def test_what_no_return_is_in_real_logs(name: str, found: str) -> None:
+    log, limits = open_real(f"{name}.log.gz"), RangeLimits(ReturnOptions())
+    (stream,) = (stream for stream in log.streams if stream.role is Role.SCAN)
+    for scan in log.scans([stream.topic]):
+        limits.see(scan)
+    (note,) = limits.list_notes()
+    assert found in note
+
+
+def test_real_robotlaser_has_the_laser_pose() -> None:
     log = open_real("fr079-robotlaser.log.gz")
-    assert any("10528 of 527040 ranges are above it, up to 81.91 m" in n.text for n in log.notes)
     scan = next(log.scans(["ROBOTLASER1"]))
     assert (scan.angle_min, scan.angle_increment) == (-1.570796, 0.008727)
 

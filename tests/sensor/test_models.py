@@ -16,13 +16,13 @@ from occmap.sensor.models import (
     make_model,
     parse_model,
 )
-from occmap.types import Int64, OccupancyMap
+from occmap.types import Float64, OccupancyMap
 
 LN2, LN3, LN9 = math.log(2), math.log(3), math.log(9)
 
 
-def counts(*values: int) -> Int64:
-    return np.array(values, np.int64)
+def counts(*values: float) -> Float64:
+    return np.array(values, np.float64)
 
 
 def test_simple_adds_a_fixed_weight_for_each_hit_and_miss() -> None:
@@ -48,27 +48,27 @@ def test_one_observation_says_what_it_says_whatever_the_prior() -> None:
 
 def test_counting_is_the_share_of_hits_with_two_imagined_observations() -> None:
     """Beta(1, 1): (hits + 1) / (hits + misses + 2)."""
-    log_odds = CountingModel().log_odds(counts(0, 1, 0, 3, 1), counts(0, 0, 1, 1, 7))
+    log_odds = CountingModel(strength=2).log_odds(counts(0, 1, 0, 3, 1), counts(0, 0, 1, 1, 7))
     shares = [1 / 2, 2 / 3, 1 / 3, 4 / 6, 2 / 10]
     np.testing.assert_allclose(1 / (1 + np.exp(-log_odds)), shares, rtol=1e-12)
 
 
 def test_counting_imagines_them_as_the_prior_says() -> None:
     """Beta(0.4, 1.6): nothing seen is 0.2; one hit is 1.4 / 3."""
-    log_odds = CountingModel(prior=0.2).log_odds(counts(0, 1), counts(0, 0))
+    log_odds = CountingModel(prior=0.2, strength=2).log_odds(counts(0, 1), counts(0, 0))
     np.testing.assert_allclose(1 / (1 + np.exp(-log_odds)), [0.2, 1.4 / 3], rtol=1e-12)
 
 
 def test_counting_with_little_prior_takes_observations_at_their_word() -> None:
     """Beta(0.01, 0.01): one hit is 1.01 / 1.02; a hit among three is 1.01 / 3.02."""
-    log_odds = CountingModel(strength=0.02).log_odds(counts(1, 0, 1), counts(0, 1, 2))
+    log_odds = CountingModel().log_odds(counts(1, 0, 1), counts(0, 1, 2))
     shares = [1.01 / 1.02, 0.01 / 1.02, 1.01 / 3.02]
     np.testing.assert_allclose(1 / (1 + np.exp(-log_odds)), shares, rtol=1e-12)
 
 
 def test_a_hit_may_weigh_more_than_a_miss() -> None:
     """With weight 2.5: two hits and five misses are one to one; the prior weighs as before."""
-    log_odds = CountingModel(hit_weight=2.5).log_odds(counts(2, 0, 4), counts(5, 3, 0))
+    log_odds = CountingModel(strength=2, hit_weight=2.5).log_odds(counts(2, 0, 4), counts(5, 3, 0))
     np.testing.assert_allclose(log_odds, [0, -math.log(4), math.log(11)], atol=1e-12)
 
 
@@ -108,9 +108,12 @@ def test_models_are_found_by_name_and_described_as_they_are_written(name: str, k
 
 
 def test_bounds_are_described_where_they_bound_anything() -> None:
-    assert describe_model(CountingModel()) == "counting:prior=0.5,strength=2.0,hit_weight=1.0"
+    usual = "counting:prior=0.5,strength=0.02,hit_weight=1.0,cut=0.32,spread=0.08"
+    assert describe_model(CountingModel()) == usual
     model = QuadraticModel(clamp_max=0.97)
-    assert describe_model(model) == "quadratic:epsilon=0.0,p_min=0.4,prior=0.5,clamp_max=0.97"
+    assert (
+        describe_model(model) == "quadratic:epsilon=0.0,p_min=0.4,prior=0.5,cut=0.5,clamp_max=0.97"
+    )
     assert parse_model(describe_model(model)) == model
 
 
@@ -144,6 +147,13 @@ def test_parameters_are_read_from_text() -> None:
         ("counting:strength=nan", ["strength nan", "1e-06 to 1e+06"]),
         ("counting:hit_weight=-1", ["hit_weight -1.0 is not possible", "counting:hit_weight=1"]),
         ("counting:hit_weight=inf", ["hit_weight inf"]),
+        ("counting:cut=0", ["cut 0.0 is not a probability", "--cut 0.32"]),
+        ("simple:cut=1", ["cut 1.0 is not a probability"]),
+        ("quadratic:cut=nan", ["cut nan"]),
+        ("simple:spread=-0.01", ["spread -0.01 is not a share of a hit; give 0 to 1"]),
+        ("counting:spread=1.01", ["spread 1.01"]),
+        ("counting:spread=nan", ["spread nan"]),
+        ("quadratic:spread=0.1", ["quadratic has no parameter 'spread'"]),
         ("counting:clamp_min=0.5", ["clamp_min 0.5 and clamp_max 1.0", "either side of 0.5"]),
         ("simple:clamp_max=0.5", ["clamp_min 0.0 and clamp_max 0.5", "--clamp-max 0.97"]),
         ("simple:clamp_min=-0.1", ["clamp_min -0.1"]),

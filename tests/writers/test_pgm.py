@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ from ruamel.yaml import YAML
 
 from occmap import writers
 from occmap.errors import OutputError
-from occmap.types import OccupancyMap
+from occmap.types import Decision, OccupancyMap
 from occmap.writers import MapMode, WriteOptions
 from occmap.writers.pgm import PgmWriter, describe_map, written_thresholds
 from tests.map_loaders import load_nav2, load_ros1, read_pgm
@@ -29,14 +30,14 @@ def write(folder: Path, grid: OccupancyMap, options: WriteOptions) -> Path:
     return yaml
 
 
-def expected_classes(grid: OccupancyMap, options: WriteOptions) -> list[list[int]]:
+def expected_classes(grid: OccupancyMap, occupied: float, free: float) -> list[list[int]]:
     """Classify cell by cell, in the probabilities that the map holds."""
 
     def classify(log_odds: float, observed: bool) -> int:
         p = 1 / (1 + np.exp(-float(log_odds)))
         if not observed:
             return -1
-        return 100 if p >= options.occupied_thresh else 0 if p <= options.free_thresh else -1
+        return 100 if p > occupied else 0 if p < free else -1
 
     rows = zip(grid.log_odds, grid.observed, strict=True)
     return [[classify(lo, seen) for lo, seen in zip(*row, strict=True)] for row in rows]
@@ -103,16 +104,59 @@ def test_trinary_classes_survive_both_loaders(
     assert callable(load)
     options = WriteOptions(MapMode.TRINARY, occupied, free)
     grid = map_of([AROUND, AROUND[::-1]])
-    assert load(write(tmp_path, grid, options)).tolist() == expected_classes(grid, options)
+    assert load(write(tmp_path, grid, options)).tolist() == expected_classes(grid, occupied, free)
 
 
 @pytest.mark.parametrize("load", [load_ros1, load_nav2])
-def test_a_cell_on_a_threshold_belongs_to_the_class_it_bounds(tmp_path: Path, load: object) -> None:
+def test_a_cell_on_a_threshold_is_undecided(tmp_path: Path, load: object) -> None:
     assert callable(load)
     for mode in (MapMode.TRINARY, MapMode.SCALE):
         # 0.2 is exactly the grey 204: no loader agrees with the other on that pixel.
-        yaml = write(tmp_path, map_of([[0.6, 0.2]]), WriteOptions(mode, 0.6, 0.2))
-        assert load(yaml).tolist() == [[100, 0]]
+        grid = map_of([[0.6, 0.2, 0.601, 0.199]])
+        found = load(write(tmp_path, grid, WriteOptions(mode, 0.6, 0.2)))[0].tolist()
+        assert found[2:] == [100, 0]
+        assert all(each == -1 or 0 < each < 100 for each in found[:2])
+
+
+@pytest.mark.parametrize("load", [load_ros1, load_nav2])
+def test_trinary_is_what_the_map_decides_and_the_yaml_tells_greys_apart(
+    tmp_path: Path, load: object
+) -> None:
+    assert callable(load)
+    grid = replace(map_of([[0.31, 0.32, 0.33, np.nan]]), decision=Decision(0.32, 0.32))
+    yaml = write(tmp_path, grid, TRINARY)
+    assert load(yaml).tolist() == [[0, -1, 100, -1]]
+    fields = YAML(typ="safe").load(yaml)
+    assert (fields["occupied_thresh"], fields["free_thresh"]) == (0.65, 0.196)
+
+
+USUAL, LOW = Decision(0.5, 0.5), Decision(0.32, 0.32)
+
+
+@pytest.mark.parametrize(
+    ("mode", "thresholds", "decision", "expected"),
+    [
+        (MapMode.TRINARY, (None, None), USUAL, USUAL),
+        (MapMode.TRINARY, (None, None), LOW, LOW),
+        (MapMode.TRINARY, (0.8, None), LOW, Decision(0.32, 0.8)),
+        (MapMode.TRINARY, (None, 0.25), LOW, Decision(0.25, 0.32)),
+        (MapMode.TRINARY, (0.8, 0.1), LOW, Decision(0.1, 0.8)),
+        # What is above the user's one cannot be free by the map's other.
+        (MapMode.TRINARY, (0.3, None), USUAL, Decision(0.3, 0.3)),
+        (MapMode.TRINARY, (None, 0.6), USUAL, Decision(0.5, 0.5)),
+        (MapMode.SCALE, (None, None), LOW, Decision(0.196, 0.65)),
+        (MapMode.SCALE, (0.7, None), LOW, Decision(0.196, 0.7)),
+        (MapMode.RAW, (None, None), LOW, Decision(0.196, 0.65)),
+        (MapMode.RAW, (None, 0.1), USUAL, Decision(0.1, 0.65)),
+    ],
+)
+def test_who_decides_what_a_cell_is(
+    mode: MapMode,
+    thresholds: tuple[float | None, float | None],
+    decision: Decision,
+    expected: Decision,
+) -> None:
+    assert WriteOptions(mode, *thresholds).decide(decision) == expected
 
 
 @settings(max_examples=60)
@@ -129,7 +173,7 @@ def test_scale_classes_survive_both_loaders(
     kept = [p for p in probabilities if min(abs(p - free), abs(p - occupied)) > 1e-6]
     grid = map_of([[*kept, 0.999]])
     yaml = write(tmp_path_factory.mktemp("scale"), grid, options)
-    expected = np.select([grid.probability >= occupied, grid.probability <= free], [100, 0], -1)
+    expected = np.select([grid.probability > occupied, grid.probability < free], [100, 0], -1)
     for load in (load_ros1, load_nav2):
         loaded = load(yaml)
         assert np.where((loaded > 0) & (loaded < 100), -1, loaded).tolist() == expected.tolist()
@@ -172,10 +216,10 @@ def test_raw_is_per_cent_and_255(tmp_path: Path, load: object) -> None:
     assert read_pgm(yaml.with_suffix(".pgm"))[0, -1] == 255
 
 
-def test_one_hit_at_the_threshold_is_occupied(tmp_path: Path) -> None:
-    log_odds = np.array([[np.log(0.65 / 0.35)]], np.float32)
-    grid = OccupancyMap(log_odds, np.ones((1, 1), np.bool_), 0.05, (0.0, 0.0))
-    assert load_nav2(write(tmp_path, grid, TRINARY)).tolist() == [[100]]
+def test_even_odds_are_undecided(tmp_path: Path) -> None:
+    log_odds = np.array([[0.0, 1e-6, -1e-6]], np.float32)
+    grid = OccupancyMap(log_odds, np.ones((1, 3), np.bool_), 0.05, (0.0, 0.0))
+    assert load_nav2(write(tmp_path, grid, TRINARY)).tolist() == [[-1, 100, 0]]
 
 
 def test_extreme_log_odds(tmp_path: Path) -> None:

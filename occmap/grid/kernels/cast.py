@@ -21,6 +21,8 @@ UNKNOWN = 0.5
 CERTAIN = 0.001
 """No cell costs more than if the map had given what was found there this probability, so that one
 cell in thousands does not decide."""
+BINS = 10
+"""Of probabilities, equally wide, to compare what a map says with what beams find."""
 FOLLOWED = 64
 """So many unknown cells stop a beam with certainty; there is no likelihood left after them."""
 
@@ -38,6 +40,8 @@ def cast_beams(
     corner: tuple[float, float],
     resolution: float,
     totals: Float64,
+    bins: UInt8,
+    tally: Float64,
 ) -> None:
     """Score a map by beams that it was not made from.
 
@@ -57,6 +61,11 @@ def cast_beams(
         (S, 6) added to, scan by scan: HIT beams; those whose first occupied cell is near the
         measured range; the log-likelihoods of their ranges; the costs of the cells that they ended
         in; cells that any beam found free; the costs of those.
+    bins
+        (H, W) which bin of probabilities each cell is in; BINS where unknown.
+    tally
+        (BINS + 1, 3) added to, bin by bin, whenever a beam looks at a cell: 1; the cell's
+        probability; 1 if the beam measured a range that ends there.
     """
     scans, beams = distance.shape
     viewpoints, turns = origin.shape[1], turn.shape[1]
@@ -77,6 +86,9 @@ def cast_beams(
                 along_x / length,
                 along_y / length,
                 distance[s, b] * length / resolution,
+                bins,
+                kinds[s, b] == HIT,
+                tally,
             )
             if kinds[s, b] == HIT:
                 totals[s, 0] += 1
@@ -100,8 +112,13 @@ def cast_beam(
     along_x: float,
     along_y: float,
     reach: float,
+    bins: UInt8,
+    stops: bool,
+    tally: Float64,
 ) -> tuple[int, float, int, float, float]:
     """Follow one beam; lengths are in cells from the map's corner.
+
+    It `stops` at its end, or measured no range; `bins` and `tally` are as for `cast_beams`.
 
     Returns
     -------
@@ -120,21 +137,25 @@ def cast_beam(
         leave_y = (row + up - y) / along_y if along_y != 0 else np.inf
         leave = min(leave_x, leave_y)
         if leave > entry:  # not only a corner of the cell
-            p, price, is_occupied = UNKNOWN, math.log(2.0), False
+            p, price, is_occupied, look = UNKNOWN, math.log(2.0), False, BINS
             if 0 <= col < cols and 0 <= row < rows:
                 p, price = float(probability[row, col]), float(free_cost[row, col])
-                is_occupied = occupied[row, col]
+                is_occupied, look = occupied[row, col], int(bins[row, col])
             middle = (entry + leave) / 2
             if is_occupied and first < 0:
                 first = middle
             if abs(middle - reach) <= NEAR:
                 stopped += survived * p
             survived *= 1 - p
+            if entry <= reach:
+                tally[look, 0] += 1
+                tally[look, 1] += p
             if leave <= reach:
                 free += 1
                 cost += price
             elif entry <= reach:
                 end = p
+                tally[look, 2] += stops
             entry = leave
         if leave_x < leave_y:
             col += 2 * right - 1

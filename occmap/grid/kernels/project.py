@@ -71,6 +71,9 @@ def project_ends(
 
 @kernel
 def _reach(distance: float, kind: int, depth: float, along_x: float, along_y: float) -> float:
-    """How far to follow a beam: a HIT one by `depth` more on the map."""
-    beyond = depth / np.sqrt(along_x * along_x + along_y * along_y)
+    """How far to follow a beam: a HIT one by `depth` more on the map.
+
+    One straight up or down has no direction there, and ends where it begins.
+    """
+    beyond = depth / max(np.sqrt(along_x * along_x + along_y * along_y), 1e-300)
     return np.float64(distance) + (beyond if kind == HIT else 0.0)

@@ -11,6 +11,7 @@ from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.project import round_to_units
 from occmap.grid.kernels.sectors import (
     BEARINGS,
+    COS_60,
     cover_bearings,
     find_sectors,
     outline_sectors,
@@ -129,14 +130,14 @@ def reach_out(
 ) -> None:
     """Write how far sectors must go so that nothing that a beam speaks of is left out.
 
-    To the tangent at the outermost circle, and a little more for rounding.
+    To the tangent at the outermost circle, and a little more for rounding. A side lies at most 60
+    degrees from its beam, but for a beam straight up, which has none.
     """
     for b in range(kinds.size):
         reach = ranges[b] + (depth if kinds[b] == HIT else 0.0) + 4
         for side in range(2):
-            lengths[b, side] = reach / (
-                sides[b, 2 * side] * direction[b, 0] + sides[b, 2 * side + 1] * direction[b, 1]
-            )
+            cosine = sides[b, 2 * side] * direction[b, 0] + sides[b, 2 * side + 1] * direction[b, 1]
+            lengths[b, side] = reach / max(cosine, COS_60 / 2)
     for b in range(1, kinds.size):
         lengths[b - 1, 1] = lengths[b, 0] = max(lengths[b - 1, 1], lengths[b, 0])
 

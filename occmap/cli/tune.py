@@ -1,0 +1,113 @@
+"""`occmap tune`: a time offset and a mount by which a map predicts held-out scans better."""
+
+import math
+import shlex
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from occmap.cli import COMMANDS, limits, log_options, options
+from occmap.cli.collect import collect_reading
+from occmap.cli.console import Console
+from occmap.cli.progress import show_progress
+from occmap.cli.sections import SectionCommand, join
+from occmap.cli.values import PATH
+from occmap.errors import UsageError
+from occmap.gates import judge
+from occmap.gates.measures import TUNE
+from occmap.tuning import Tuning, tune
+from occmap.tuning.search import Correction
+from occmap.tuning.verdict import Finding, Gain, Verdict
+from occmap.wording import count
+
+HELP = f"""{COMMANDS["tune"]}
+
+A map is made of four fifths of the scans, a thousand at most, and asked what the others will see:
+the share of beams whose first occupied cell is within two cells of the measured range. A search
+from coarse to fine, some thirty maps, looks for the time offset by which that share is largest, and
+then for yaw, x and y of the laser on its body. A gain counts where it is more than two standard
+errors and half a percent, and where both halves of the held-out scans show it. What is found is
+added to --time-offset and --sensor-pose, where they are given.
+
+\b
+  occmap tune drive.mcap
+  occmap tune room.bag --sensor-pose 0,0,3.14159
+  occmap tune drive.bag --fail-if 'gain > 2%'
+"""
+
+
+@click.command("tune", cls=SectionCommand, help=HELP, short_help=COMMANDS["tune"])
+@click.argument("logs", nargs=-1, type=PATH, metavar="LOG...")
+@join(options.resolution, options.max_cells, log_options.ranges)
+@join(log_options.selection, log_options.posing)
+@join(limits.fail_if(TUNE), options.jobs, options.as_json, options.verbosity)
+@click.pass_obj
+def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
+    """Search for what is off, and print what was found."""
+    if not logs:
+        raise UsageError("no log is given", fix="type: occmap tune LOG")
+    common = collect_reading(values)
+    with show_progress(console) as progress:
+        tuning = tune(logs, common, progress)
+    for note in tuning.remarks.notes:
+        console.note(note)
+    failed = judge(values["limits"], tuning)
+    if values["as_json"]:
+        console.put_json("tune", tuning.to_json() | limits.to_json(failed))
+    else:
+        console.put("\n".join(format_tuning(tuning)))
+    limits.tell(console, failed)
+    limits.leave(failed)
+
+
+def format_tuning(tuning: Tuning) -> Iterator[str]:
+    """Write what came of each search, on what that rests, and the build line."""
+    before, after = tuning.before.score, tuning.after.score
+    gained = (
+        f" -> {after.share:.4f}, a gain of {format_gain(tuning.gain)}" if tuning.command else ""
+    )
+    held = f"{count(before.beams, 'beam')} of {count(tuning.held_out, 'held-out scan')}"
+    yield f"time     {format_finding(tuning.time, ['time_s'])}"
+    yield f"mount    {format_finding(tuning.mount, ['yaw', 'x', 'y'])}"
+    yield f"share    {before.share:.4f}{gained}"
+    yield f"scored   by {held}; {count(len(tuning.tried), 'map')} of {count(tuning.kept, 'scan')}"
+    disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
+    nothing = "nothing is recommended" if disagree else "nothing to gain"
+    yield shlex.join(tuning.command) or nothing
+
+
+def format_finding(finding: Finding, names: Sequence[str]) -> str:
+    """Write what came of the search for some numbers of a correction."""
+    if finding.verdict is Verdict.UNSEEN:
+        return "not searched"
+    if finding.verdict is Verdict.NOTHING:
+        return "nothing to gain"
+    (first, one), (second, other) = finding.halves
+    if finding.verdict is Verdict.FOUND:
+        halves = f"{format_gain(one)} and {format_gain(other)} in the halves"
+        return f"{describe(first, names)}: gains {format_gain(finding.gain)}; {halves}"
+    return (
+        "the halves of the log do not agree, so nothing is recommended: by "
+        f"{describe(first, names)} the first gains {format_gain(one)}, by "
+        f"{describe(second, names)} the second {format_gain(other)}"
+    )
+
+
+def describe(correction: Correction, names: Sequence[str]) -> str:
+    """Write those of some numbers of a correction that are not zero."""
+    written = {
+        "time_s": f"offset {correction.time_s:+.6g} s",
+        "yaw": f"yaw {math.degrees(correction.yaw):+.4g} deg",
+        "x": f"x {correction.x:+.6g} m",
+        "y": f"y {correction.y:+.6g} m",
+    }
+    changed = [written[name] for name in names if getattr(correction, name)]
+    return ", ".join(changed) or "no change"
+
+
+def format_gain(gain: Gain) -> str:
+    """Write a gain and its standard error, where that is known."""
+    error = f" +- {gain.error:.4f}" if math.isfinite(gain.error) else ""
+    return f"{gain.share:.4f}{error}"

@@ -1,0 +1,154 @@
+"""What is wrong with time and mount: corrections of poses that make maps predict scans better."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from occmap.errors import PoseError
+from occmap.pipeline import BuildOptions, Progress, count_scans, ignore_progress
+from occmap.readers import open_log
+from occmap.report import Remarks, Tally, name_logs, refuse_unused
+from occmap.scoring.compare import FEW_SCANS
+from occmap.tuning.kept import MOST_OFFSET_S, MOST_SCANS, KeptLog, drop_outer, find_mount, keep_log
+from occmap.tuning.result import Tuning
+from occmap.tuning.search import TIME, YAW, Correction, Course, X, Y
+from occmap.tuning.verdict import Verdict, find
+from occmap.types import Pose, Rays
+from occmap.wording import count
+
+__all__ = ["Tuning", "tune"]
+
+USUAL_SCORINGS = 35
+"""For the progress bar: a search takes so many, or a few less or more."""
+TRAVEL_M = 0.5
+"""Where a robot stays nearer than this to where it began, no yaw of a mount shows: all of the map
+turns with it, and by chance cells fit the walls better or worse."""
+TURN_RAD = 0.5
+"""... and where it turns less, the place of a mount does not: all of the map shifts with it."""
+
+
+def tune(
+    paths: Sequence[Path], options: BuildOptions, progress: Progress = ignore_progress
+) -> Tuning:
+    """Search for a time offset, then for a mount, by the share of held-out beams.
+
+    What is found must gain more than noise, and in both halves of the held-out scans. The logs are
+    read once; at most a thousand scans are kept.
+
+    Raises
+    ------
+    OccmapError
+        As `build`, or no held-out beam measured a range.
+    """
+    tally = Tally()
+    opened = [open_log(path, options.reading) for path in paths]
+    total = sum(count_scans(log, options.selection.topics) for log in opened)
+    planned = total + USUAL_SCORINGS * min(total, MOST_SCANS)
+    tally.advance = lambda scans: progress(scans, planned)
+    remarks = Remarks([str(log.path) for log in opened])
+    most = max(MOST_SCANS // len(paths), 1)
+    logs = [keep_log(log, options, most, tally, remarks) for log in opened]
+    refuse_unused(opened, tally)
+    if (read := sum(log.scans for log in logs)) < tally.scans_used:
+        used = f"{tally.scans_used:,} scans"
+        remarks.notes.append(f"{read:,} of {used} are tried, spread over the logs")
+    logs = [drop_outer(log, options.posing) for log in logs]
+    kept = sum(log.scans for log in logs)
+    if not kept:
+        raise PoseError(
+            f"no scan has a pose both {MOST_OFFSET_S:g} s before its time and {MOST_OFFSET_S:g} s "
+            "after it",
+            where=name_logs(opened),
+            fix="give a longer log",
+        )
+    mount = find_mount(logs, options.posing)
+    course = Course(logs, options, mount, lambda: tally.advance(kept))
+    before = course.score(Correction())
+    motion = Motion.measure(course.trace(Correction()))
+    timed = motion.shows_time and not all(log.stated for log in logs)
+    time = find(course, Correction(), [TIME] if timed else [])
+    # Where halves want different times, a mount would only make up for that.
+    mounted = mount is not None and time.verdict is not Verdict.DISAGREE
+    place = [*([YAW] if motion.shows_yaw else []), *([X, Y] if motion.shows_place else [])]
+    found = find(course, time.correction, place if mounted else [])
+    after = course.score(found.correction)
+    tuning = Tuning(
+        options=options,
+        remarks=remarks,
+        tally=tally,
+        kept=kept,
+        held_out=len(before.predicted),
+        time=time,
+        mount=found,
+        sensor_pose=mount,
+        before=before,
+        after=after,
+        tried=course.tried,
+    )
+    remarks.notes += [*list_unsearched(logs, mount, motion), *list_doubts(tuning)]
+    return tuning
+
+
+class Motion(NamedTuple):
+    """How far the sensors get from where they began."""
+
+    travel: float
+    """m"""
+    turn: float
+    """rad"""
+
+    @classmethod
+    def measure(cls, scans: Sequence[Rays]) -> "Motion":
+        """Measure it; scans of several logs begin where those of the first one do."""
+        place = np.concatenate([rays.origin[:, 0] for rays in scans])
+        ahead = np.concatenate([rays.turn[:, 0, :, 0] for rays in scans])
+        cosine = ahead @ ahead[0] / np.maximum(np.linalg.norm(ahead, axis=1), 1e-9)
+        travel = np.linalg.norm(place - place[0], axis=1).max()
+        return cls(float(travel), float(np.arccos(np.clip(cosine, -1, 1)).max()))
+
+    @property
+    def shows_yaw(self) -> bool:
+        """Whether a wrong yaw of the mount blurs the map, rather than turning all of it."""
+        return self.travel > TRAVEL_M
+
+    @property
+    def shows_place(self) -> bool:
+        """Whether a wrong place of the mount blurs the map, rather than shifting all of it."""
+        return self.turn > TURN_RAD
+
+    @property
+    def shows_time(self) -> bool:
+        """Whether a wrong time offset blurs the map."""
+        return self.shows_yaw or self.shows_place
+
+
+def list_unsearched(logs: Sequence[KeptLog], mount: Pose | None, motion: Motion) -> Iterator[str]:
+    """Say what is not searched, and why."""
+    if not motion.shows_time:
+        yield "the sensor hardly moves: neither time nor mount shows in these scans"
+        return
+    if all(log.stated for log in logs):
+        yield "the poses stand beside the scans: there is no time offset to search"
+    if mount is None:
+        yield (
+            "the mount is not searched: no single --sensor-pose says where the lasers sit; name "
+            "one laser by --scan-topic, or its body by --base-frame"
+        )
+    elif not motion.shows_yaw:
+        yield f"the yaw of the mount is not searched: it takes more than {TRAVEL_M:g} m of travel"
+    elif not motion.shows_place:
+        yield f"x and y of the mount are not searched: it takes a turn of {TURN_RAD:g} rad"
+
+
+def list_doubts(tuning: Tuning) -> Iterator[str]:
+    """Say what makes the result less sure."""
+    if tuning.time.verdict is Verdict.DISAGREE:
+        yield "the mount is not searched: it would make up for times that change within the log"
+    half = tuning.held_out // 2
+    if half < FEW_SCANS:
+        yield f"{count(half, 'held-out scan')} in each half: too few to tell; give a longer log"
+    if abs(tuning.correction.time_s) > TIME.reach - TIME.steps[-1]:
+        offset = tuning.options.posing.time_offset_s + tuning.correction.time_s
+        yield f"no larger time offset is tried: see also `occmap tune --time-offset {offset:g}`"

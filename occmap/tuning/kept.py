@@ -1,0 +1,157 @@
+"""The scans of logs, read once and kept, so that they can be posed again and again."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from occmap.batching import Batcher
+from occmap.pipeline import BuildOptions, choose_topics, make_poser
+from occmap.posing.attach import Poser
+from occmap.posing.options import PosingOptions
+from occmap.readers import Log, read_scans
+from occmap.report import Remarks, Tally
+from occmap.sensor.no_return import RangeLimits
+from occmap.sensor.returns import ReturnOptions, interpret
+from occmap.types import Float64, Pose, PosedScans, Rays, Scan, ScanBatch, ScanRun
+
+MOST_SCANS = 1000
+"""Spread over the logs: more tell little more, and they are traced more than thirty times."""
+MOST_OFFSET_S = 0.5
+"""No larger time offset is tried, either way."""
+ALIKE = 1e-3
+"""Mounts that differ by less (m, rad) are one: no map shows it."""
+ON_BODY = Pose.planar(0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class KeptLog:
+    """Scans of one log, and what is needed to say where they were taken."""
+
+    path: str
+    poser: Poser
+    batches: tuple[ScanBatch, ...]
+
+    @property
+    def stated(self) -> bool:
+        """Whether all poses stand beside the scans, so that their times do not matter."""
+        chosen = self.poser.sources.trajectory is not None
+        return not chosen and all(batch.pose is not None for batch in self.batches)
+
+    def pose(self, options: PosingOptions) -> list[PosedScans]:
+        """Pose the scans with other options; those that then have no pose are left out."""
+        poser = Poser(self.poser.sources, options, self.poser.fixed)
+        return [posed for batch in self.batches for posed in poser.attach(batch)[0]]
+
+    @property
+    def scans(self) -> int:
+        """How many are kept."""
+        return sum(len(batch.stamp_ns) for batch in self.batches)
+
+
+def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: Remarks) -> KeptLog:
+    """Read a log as a build does, and keep at most so many of the scans that have a pose.
+
+    Raises
+    ------
+    LogError, PoseError
+        As a build.
+    """
+    topics = choose_topics(log, options.selection.topics)
+    poser = make_poser(log, topics, options.posing)
+    batcher = Batcher(options.selection, options.posing.stamps)
+    limits = RangeLimits(options.returns)
+
+    def show(scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
+        for some in scans:
+            limits.see(some)
+            yield some
+
+    kept: list[ScanBatch] = []
+    seen, every = 0, 1
+    for batch in batcher.stack(show(read_scans(log, topics))):
+        posed, dropped = poser.attach(batch)
+        tally.drop(dropped)
+        for scans in posed:
+            kept += take_every([scans.batch], every, -seen % every)
+            seen += len(scans.batch.stamp_ns)
+        while sum(len(part.stamp_ns) for part in kept) > most:
+            kept, every = take_every(kept, 2), 2 * every
+        tally.advance(len(batch.stamp_ns))
+    tally.scans_used += seen
+    tally.scans_read += batcher.read
+    tally.drop(dict(batcher.left_out))
+    limits.settle()  # so that what the whole log shows is applied to all of it
+    remarks.note(log, [*poser.notes, *batcher.notes, *limits.list_notes()])
+    return KeptLog(str(log.path), poser, tuple(limits.apply(each) for each in kept))
+
+
+def take_every(batches: Sequence[ScanBatch], n: int, first: int = 0) -> list[ScanBatch]:
+    """Take every n-th of the scans of all batches, counted from the first on."""
+    taken = []
+    for batch in batches:
+        scans = len(batch.stamp_ns)
+        rows = np.arange(first, scans, n)
+        first = (first - scans) % n
+        taken += [batch.take(rows)] if len(rows) else []
+    return taken
+
+
+def drop_outer(log: KeptLog, options: PosingOptions) -> KeptLog:
+    """Drop the scans that have no pose at some time offset, so that all maps are of the same."""
+    for offset in (-MOST_OFFSET_S, MOST_OFFSET_S):
+        shifted = replace(options, time_offset_s=options.time_offset_s + offset)
+        log = replace(log, batches=tuple(posed.batch for posed in log.pose(shifted)))
+    return log
+
+
+def trace_rays(
+    logs: Sequence[KeptLog], posing: PosingOptions, returns: ReturnOptions
+) -> list[Rays]:
+    """Turn all kept scans, posed with these options, into rays."""
+    return [interpret(posed, returns)[0] for log in logs for posed in log.pose(posing)]
+
+
+def find_mount(logs: Sequence[KeptLog], options: PosingOptions) -> Pose | None:
+    """Find the --sensor-pose that leaves every pose of a scan as it is.
+
+    Returns
+    -------
+    Pose or None
+        None where no single one does: lasers sit at different places, one turns on its body, or
+        the log does not tell which frame the body is.
+    """
+    if options.sensor_pose is not None:
+        return options.sensor_pose
+    on_body = replace(options, sensor_pose=ON_BODY)
+    mounts = []
+    for log in logs:
+        sensor, body = log.pose(options), log.pose(on_body)
+        if [len(each.position) for each in sensor] != [len(each.position) for each in body]:
+            return None
+        mounts += [measure_mount(*pair) for pair in zip(sensor, body, strict=True)]
+    every = np.concatenate(mounts)
+    return to_pose(every[0]) if np.abs(every - every[0]).max() < ALIKE else None
+
+
+def measure_mount(sensor: PosedScans, body: PosedScans) -> Float64:
+    """Measure where a sensor sits on its body at each scan: (S, 3, 4), turn and position.
+
+    The height is left out, as it is of --sensor-pose: no map shows it.
+    """
+    scans = len(sensor.position)
+    turn = sensor.rotation.reshape(scans, -1, 3, 3)[:, 0]
+    back = body.rotation.reshape(scans, -1, 3, 3)[:, 0].swapaxes(1, 2)
+    apart = (sensor.position - body.position).reshape(scans, -1, 3, 1)[:, 0]
+    place = back @ apart
+    place[:, 2] = 0
+    return np.concatenate([back @ turn, place], axis=2)
+
+
+def to_pose(matrix: Float64) -> Pose:
+    """Turn (3, 4), a rotation and a position, into a pose."""
+    roll = float(np.arctan2(matrix[2, 1], matrix[2, 2]))
+    pitch = float(-np.arcsin(np.clip(matrix[2, 0], -1, 1)))
+    yaw = float(np.arctan2(matrix[1, 0], matrix[0, 0]))
+    x, y, z = matrix[:, 3].tolist()
+    return Pose.from_xyzrpy((x, y, z), (roll, pitch, yaw))

@@ -1,0 +1,286 @@
+"""Whose map foretells the laser best: `python -m tests.bench.quality [LOG...] [--resolution M]`.
+
+Every fifth scan is held out; each rule makes its map of the others. Two measures, both the share of
+held-out beams whose first occupied cell is within two cells of the measured range: that of
+`occmap compare`, which visits every cell that a beam crosses, and a plain walk in steps of one
+cell, which owes nothing to occmap. Without logs it takes the real ones, and adds what the
+neighbours of the defaults do.
+"""
+
+import argparse
+import math
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from itertools import chain
+from pathlib import Path
+from statistics import mean
+from time import thread_time
+from typing import NamedTuple
+
+import numpy as np
+
+from occmap.errors import OccmapError
+from occmap.evidence import render
+from occmap.grid.kernels.jit import kernel
+from occmap.grid.kernels.units import HIT
+from occmap.grid.tiles import MAX_CELLS, TileGrid
+from occmap.pipeline import BuildOptions, trace_logs
+from occmap.readers import open_log
+from occmap.report import Tally
+from occmap.scoring.compare import refuse_unscored
+from occmap.scoring.score import Score, estimate_error, score_map
+from occmap.scoring.trials import HoldOut, SharedEvidence
+from occmap.types import Bool, Float64, OccupancyMap, Rays
+from tests.bench.peers import CLASSES_ONLY, map_peers
+from tests.bench.settings import DEFAULT, LOGS, OURS, PLAIN, Recording, list_neighbours, list_steps
+from tests.bench.tables import draw
+from tests.samples import REAL_LOGS
+
+FARTHEST_M = 30.0
+NEAR = 2.0
+"""Cells"""
+ROUNDS = 3
+"""The shortest of so many builds is told"""
+
+
+class Scans(NamedTuple):
+    """What maps are made of, and what they are asked for."""
+
+    seen: list[Rays]
+    held_out: list[Rays]
+
+
+class Fare(NamedTuple):
+    """How a map fared by both measures, and the processor time that it took (s)."""
+
+    score: Score
+    exact: Float64
+    """(N, 2) of each held-out scan: beams that count, and those of them foretold"""
+    walked: Float64
+    seconds: float = math.nan
+
+    @property
+    def walked_share(self) -> float:
+        """Of the plain walk."""
+        beams, near = self.walked.sum(axis=0)
+        return float(near / beams)
+
+
+def read_scans(recording: Recording, options: BuildOptions) -> Scans:
+    """Read a log; every fifth scan is held out.
+
+    Raises
+    ------
+    OccmapError
+        As `compare`.
+    """
+    seen: list[Rays] = []
+    hold_out = HoldOut()
+
+    def begin() -> Callable[[Rays], None]:
+        nonlocal hold_out
+        hold_out = HoldOut()
+        seen.clear()
+        return lambda rays: seen.append(hold_out.split(rays))
+
+    posing = replace(recording.posing, deskew=options.posing.deskew)
+    in_order = replace(options, posing=posing, jobs=1)
+    log = open_log(recording.path, options.reading)
+    for _ in trace_logs([log], in_order, begin, Tally()):
+        pass
+    refuse_unscored([str(recording.path)], hold_out)
+    return Scans(seen, hold_out.held)
+
+
+def trace(scans: Scans, options: BuildOptions) -> tuple[TileGrid, float]:
+    """Give the evidence of a build, and the processor time that it took (s)."""
+    evidence = SharedEvidence(options)
+    for rays in scans.seen:
+        evidence.add(rays)
+    return evidence.finish(), evidence.seconds
+
+
+def score(grid: OccupancyMap, scans: Scans, seconds: float = math.nan) -> Fare:
+    """Ask a map by both measures."""
+    found, exact = score_map(grid, scans.held_out, DEFAULT.jobs)
+    return Fare(found, exact, walk(grid, scans.held_out), seconds)
+
+
+def score_builds(scans: Scans, settings: Mapping[str, BuildOptions]) -> dict[str, Fare]:
+    """Make and score the maps of some settings, each by its name."""
+    fares = {}
+    for name, options in settings.items():
+        seconds = []
+        for _ in range(ROUNDS):
+            evidence, spent = trace(scans, options)
+            start = thread_time()
+            grid = render(evidence, options.model, MAX_CELLS)
+            seconds.append(spent + thread_time() - start)
+        fares[name] = score(grid, scans, min(seconds))
+    return fares
+
+
+def score_peers(scans: Scans, resolution: float) -> dict[str, Fare]:
+    """Make and score the maps of all peers."""
+    by_beam, _ = trace(scans, replace(PLAIN, resolution=resolution))
+    return {name: score(grid, scans) for name, grid in map_peers(scans.seen, by_beam).items()}
+
+
+def walk(grid: OccupancyMap, held_out: Sequence[Rays]) -> Float64:
+    """Walk beams in steps of one cell; (N, 2) of each scan: beams that count, those foretold."""
+    totals = [np.zeros((len(rays.kind), 2)) for rays in held_out]
+    for rays, total in zip(held_out, totals, strict=True):
+        starts = (rays.origin - grid.origin) / grid.resolution
+        ways = rays.direction * rays.distance[..., None] / grid.resolution
+        counts = (rays.kind == HIT) & (rays.distance > 0) & (rays.distance < FARTHEST_M)
+        walk_beams(starts, ways, counts, grid.occupied, total)
+    return np.concatenate(totals)
+
+
+@kernel
+def walk_beams(
+    starts: Float64, ways: Float64, counts: Bool, occupied: Bool, totals: Float64
+) -> None:
+    """Find the first occupied cell of each beam.
+
+    Parameters
+    ----------
+    starts, ways
+        (S, K, 2), (S, B, 2): x and y of sensors and of whole beams, in cells from the map's corner.
+    counts
+        (S, B) whether a beam does.
+    totals
+        (S, 2) added to.
+    """
+    for s, b in np.argwhere(counts):
+        x, y = starts[s, min(b, starts.shape[1] - 1)]
+        reach = math.hypot(ways[s, b, 0], ways[s, b, 1])
+        totals[s, 0] += 1
+        for step in range(int(reach + NEAR) + 1 if reach > 0 else 0):
+            col = int(np.floor(x + step * ways[s, b, 0] / reach))
+            row = int(np.floor(y + step * ways[s, b, 1] / reach))
+            inside = 0 <= row < occupied.shape[0] and 0 <= col < occupied.shape[1]
+            if inside and occupied[row, col]:
+                totals[s, 1] += abs(step - reach) <= NEAR
+                break
+
+
+def measure_lead(ours: Float64, theirs: Float64) -> tuple[float, float]:
+    """How much larger our share is, and the standard error of that, scan by scan; (N, 2) each."""
+    gained = ours[:, 1] - theirs[:, 1]
+    return gained.sum() / ours[:, 0].sum(), estimate_error(gained, ours[:, 0])
+
+
+Fares = Mapping[str, Mapping[str, Fare]]
+"""By log, by rule"""
+
+
+def draw_shares(fares: Fares) -> str:
+    """Every rule on every log, exact share and log-likelihood; what it costs beside plain beams."""
+    names = list(next(iter(fares.values())))
+    spent = {name: sum(of[name].seconds for of in fares.values()) for name in names}
+    rows = []
+    for name in names:
+        scores = [of[name].score for of in fares.values()]
+        shares = [each.share for each in scores]
+        likely = [each.log_likelihood for each in scores]
+        cost = spent[name] / spent["beam, cut at even odds"]
+        texts = [
+            f"{p:.3f}" if name in CLASSES_ONLY else f"{p:.3f} / {q:.2f}"
+            for p, q in zip([*shares, mean(shares)], [*likely, mean(likely)], strict=True)
+        ]
+        rows.append((name, *texts, "" if math.isnan(cost) else f"{cost:.2f}"))
+    return draw(("every cell, share / log-likelihood", *fares, "mean", "time"), rows)
+
+
+def draw_walked(fares: Fares) -> str:
+    """Every rule on every log by the plain walk."""
+    rows = []
+    for name in next(iter(fares.values())):
+        shares = [of[name].walked_share for of in fares.values()]
+        rows.append((name, *(f"{share:.3f}" for share in [*shares, mean(shares)])))
+    return draw(("steps of one cell, share", *fares, "mean"), rows)
+
+
+def draw_leads(fares: Fares, peers: Sequence[str]) -> str:
+    """How far occmap's default is ahead of the best peer on each log, with standard errors."""
+    rows = []
+    for log, of in fares.items():
+        row = [log]
+        for kind in ("exact", "walked"):
+            tables = {name: getattr(of[name], kind) for name in peers}
+            best = max(peers, key=lambda name: tables[name][:, 1].sum())
+            lead, error = measure_lead(getattr(of[OURS], kind), tables[best])
+            row.append(f"{lead:+.4f} +- {error:.4f} ({best})")
+        rows.append(row)
+    return draw(("ahead of the best peer", "every cell", "steps of one cell"), rows)
+
+
+def draw_neighbours(fares: Fares, groups: Sequence[Mapping[str, BuildOptions]]) -> str:
+    """The mean over all logs, and how far the share of each moves from the default's."""
+    rows = []
+    for group in groups:
+        first = next(iter(group))
+        for name in group:
+            moved = [of[name].score.share - of[first].score.share for of in fares.values()]
+            share = mean(of[name].score.share for of in fares.values())
+            likely = mean(of[name].score.log_likelihood for of in fares.values())
+            span = f"{min(moved):+.3f} to {max(moved):+.3f}" if name != first else ""
+            rows.append((name, f"{share:.3f} / {likely:.2f}", span))
+    return draw(("setting", "mean of all logs", "share, by log, against the first"), rows)
+
+
+def score_neighbours(
+    recording: Recording, groups: Sequence[Mapping[str, BuildOptions]]
+) -> dict[str, Fare]:
+    """Score what differs from a default in one setting; a log is read once for each way to read."""
+    fares: dict[str, Fare] = {}
+    settings = dict(chain.from_iterable(group.items() for group in groups))
+    for reading in {(each.returns, each.posing): each for each in settings.values()}.values():
+        alike = {
+            name: each
+            for name, each in settings.items()
+            if (each.returns, each.posing) == (reading.returns, reading.posing)
+        }
+        fares |= score_builds(read_scans(recording, reading), alike)
+    return fares
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(prog="python -m tests.bench.quality", description=__doc__)
+    parser.add_argument("logs", nargs="*", type=Path, metavar="LOG")
+    parser.add_argument("--resolution", type=float, default=DEFAULT.resolution, help="m")
+    given = parser.parse_args(words)
+    alike = len({path.name for path in given.logs}) < len(given.logs)
+    logs = {str(path) if alike else path.name: Recording(path) for path in given.logs} or {
+        name: each for name, each in LOGS.items() if each.path.exists()
+    }
+    if not logs:
+        sys.exit(f"no real logs in {REAL_LOGS}; set OCCMAP_REAL_LOGS to where they are")
+    steps = {
+        name: replace(each, resolution=given.resolution) for name, each in list_steps().items()
+    }
+    fares: dict[str, dict[str, Fare]] = {}
+    peers: list[str] = []
+    for name, recording in logs.items():
+        scans = read_scans(recording, DEFAULT)
+        found = score_peers(scans, given.resolution)
+        peers = list(found)
+        fares[name] = found | score_builds(scans, steps)
+    sys.stdout.write("\n".join([draw_shares(fares), draw_walked(fares), draw_leads(fares, peers)]))
+    if not given.logs:
+        groups = [
+            {name: replace(each, resolution=given.resolution) for name, each in group.items()}
+            for group in list_neighbours()
+        ]
+        around = {name: score_neighbours(each, groups) for name, each in logs.items()}
+        sys.stdout.write(f"\n{draw_neighbours(around, groups)}")
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except OccmapError as error:
+        sys.exit(str(error))

@@ -1,0 +1,89 @@
+"""What the quality table is made of: the real logs, and the settings that are compared."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from occmap.pipeline import BuildOptions, choose_model
+from occmap.posing.options import Deskew, PosingOptions
+from occmap.sensor.models import parse_model
+from occmap.sensor.returns import NoReturn, ReturnOptions
+from occmap.types import Pose, Update
+from tests.samples import REAL_LOGS
+
+DEFAULT = BuildOptions()
+PLAIN = replace(DEFAULT, update=Update.BEAM, model=parse_model("simple:spread=0"), hit_offset=0.0)
+POLYGON = replace(DEFAULT, update=Update.POLYGON, model=choose_model(Update.POLYGON))
+OURS = "occmap, no flags"
+
+
+class Recording(NamedTuple):
+    """A log, and what it does not say itself."""
+
+    path: Path
+    posing: PosingOptions = DEFAULT.posing
+
+
+LOGS = {
+    "Intel": Recording(REAL_LOGS / "carmen/intel-corrected.log.gz"),
+    "Freiburg 079": Recording(REAL_LOGS / "carmen/freiburg-079-corrected.log.gz"),
+    "CSAIL": Recording(REAL_LOGS / "carmen/csail-corrected.log.gz"),
+    "robotlaser": Recording(REAL_LOGS / "carmen/fr079-robotlaser.log.gz"),
+    "turtlebot": Recording(REAL_LOGS / "ros1/test_turtlebot.bag"),
+    "room": Recording(
+        REAL_LOGS / "ros1/mylaserdata2.bag", PosingOptions(sensor_pose=Pose.planar(0, 0, math.pi))
+    ),
+    "floor": Recording(REAL_LOGS / "ros2/macfirst_floor_take_2"),
+    "standing": Recording(REAL_LOGS / "ros1/test_replay_crash.bag"),
+}
+"""Those whose poses are known: a depth camera, a laser that looks all round, raw odometry, and a
+robot that stands still among them."""
+
+
+def list_steps() -> dict[str, BuildOptions]:
+    """The way from the plain rule to the default: each step by itself, then together."""
+
+    def simple(parameters: str) -> BuildOptions:
+        return replace(PLAIN, model=parse_model(f"simple:{parameters}"))
+
+    return {
+        "beam, written from 0.65": simple("spread=0,cut=0.65"),
+        "beam, cut at even odds": PLAIN,
+        "with hits half a cell out": replace(PLAIN, hit_offset=0.5),
+        "with hits spread": simple(""),
+        "with surfaces": replace(PLAIN, update=Update.SURFACE),
+        "with all three": replace(DEFAULT, model=parse_model("simple")),
+        "beam, the default's model": replace(DEFAULT, update=Update.BEAM),
+        "polygon": POLYGON,
+        OURS: DEFAULT,
+    }
+
+
+def list_neighbours() -> list[dict[str, BuildOptions]]:
+    """Settings to compare, the default first in each group."""
+    models = ("strength=0.2", "hit_weight=2", "cut=0.25", "cut=0.4", "cut=0.5")
+    spreads = ("spread=0", "spread=0.04", "spread=0.12")
+    polygons = ("cut=0.32,spread=0", "cut=0.5,spread=0", "cut=0.4")
+    return [
+        {
+            OURS: DEFAULT,
+            **{
+                each: replace(DEFAULT, model=parse_model(f"counting:{each}"))
+                for each in models + spreads
+            },
+            **{f"--hit-offset {n:g}": replace(DEFAULT, hit_offset=n) for n in (0, 0.25, 0.75, 1)},
+            **{f"--jump {m:g}": replace(DEFAULT, jump=m) for m in (0.05, 0.2, 0.4)},
+            "--no-return clear": replace(DEFAULT, returns=ReturnOptions(no_return=NoReturn.CLEAR)),
+            "--deskew on": replace(DEFAULT, posing=PosingOptions(deskew=Deskew.ON)),
+        },
+        {
+            "polygon": POLYGON,
+            **{
+                f"polygon {each}": replace(POLYGON, model=parse_model(f"counting:{each}"))
+                for each in polygons
+            },
+            **{f"polygon --jump {m:g}": replace(POLYGON, jump=m) for m in (0.05, 0.2)},
+            **{f"polygon --border-gap {n}": replace(POLYGON, border_gap=n) for n in (0, 4, 16)},
+        },
+    ]

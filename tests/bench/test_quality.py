@@ -1,0 +1,215 @@
+"""The rules of peers, worked by hand on a few cells and scans, and the plain walk."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from occmap.grid.engine import GridEngine
+from occmap.grid.lattice import Lattice
+from occmap.grid.spec import GridSpec
+from occmap.pipeline import BuildOptions
+from occmap.sensor.models import CountingModel
+from occmap.types import Kind, OccupancyMap, Rays, Update
+from tests.bench import quality
+from tests.bench.peers import (
+    COUNT_RULES,
+    SCAN_RULES,
+    Verdict,
+    add_log_odds,
+    map_peers,
+    pass_through,
+    share_hits,
+)
+from tests.bench.settings import DEFAULT, OURS, Recording, list_steps
+from tests.samples import SAMPLE_LOGS, write_csv
+
+SCAN_PEERS = sorted(SCAN_RULES)
+
+
+def look(verdict: Verdict) -> str:
+    """A letter for each cell."""
+    odds = math.log(verdict.cut / (1 - verdict.cut))
+    with np.errstate(invalid="ignore"):
+        occupied = verdict.known & (verdict.log_odds > np.float32(odds))
+    return "".join(
+        "#" if is_occupied else "." if known else " "
+        for is_occupied, known in zip(occupied, verdict.known, strict=True)
+    )
+
+
+def count(*pairs: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Hits and misses."""
+    hits, misses = np.array(pairs, np.float32).T
+    return hits, misses
+
+
+def test_gmapping_calls_a_cell_occupied_above_one_hit_in_four_visits() -> None:
+    assert look(share_hits(*count((0, 0), (0, 5), (1, 0), (1, 2), (1, 3), (3, 8)))) == " .##.#"
+
+
+def test_karto_wants_three_passes_and_more_than_one_hit_in_ten() -> None:
+    """A hit is two passes: 1 of 2, 1 of 3, 1 of 9, 1 of 10; 0 of 2, 0 of 3."""
+    assert look(pass_through(*count((1, 0), (1, 1), (1, 7), (1, 8), (0, 2), (0, 3)))) == " ##. ."
+
+
+def test_bayes_takes_two_misses_for_a_hit_and_not_three() -> None:
+    """ln(7/3) = 0.847 for a hit, ln(2/3) = -0.405 for a miss."""
+    verdict = add_log_odds(*count((0, 0), (1, 2), (1, 3), (2, 4)))
+    assert look(verdict) == " #.#"
+    assert verdict.log_odds[3] == pytest.approx(2 * 0.8473 - 4 * 0.4055, abs=1e-3)
+
+
+def make_scan(*beams: tuple[float, Kind]) -> Rays:
+    """Beams along the middle of a row of cells of 1 m, from the middle of the first."""
+    kinds = np.array([[kind for _, kind in beams]], np.uint8)
+    reach = np.array([[length for length, _ in beams]], np.float32)
+    along = np.tile([1.0, 0.0], (1, len(beams), 1))
+    origin, stamp_ns = np.array([[[0.5, 0.5]]]), np.zeros(1, np.int64)
+    return Rays.along(origin, along, reach, kinds, stamp_ns, full_circle=False)
+
+
+def map_scans(*scans: Rays) -> dict[str, OccupancyMap]:
+    engine = GridEngine(GridSpec(Update.BEAM, Lattice(1.0)))
+    for rays in scans:
+        engine.add(rays)
+    return map_peers(scans, engine.finish())
+
+
+def read_row(grid: OccupancyMap) -> list[float | None]:
+    """Log-odds of the cells from x = 0 on; None where unknown."""
+    row, col = round(-grid.origin[1]), round(-grid.origin[0])
+    cells = zip(grid.log_odds[row, col:].tolist(), grid.observed[row, col:].tolist(), strict=True)
+    return [value if known else None for value, known in cells]
+
+
+HIT_MISS = {"OctoMap": (0.7, 0.4), "hector": (0.9, 0.4), "Cartographer": (0.55, 0.49)}
+
+
+@pytest.mark.parametrize("name", SCAN_PEERS)
+def test_a_scan_counts_once_in_a_cell_and_its_hits_come_first(name: str) -> None:
+    """Two beams cross the first cells; the third cell is hit by one and crossed by the other."""
+    rays = make_scan((2, Kind.HIT), (4, Kind.HIT), (5, Kind.SKIP))
+    hit, miss = (math.log(p / (1 - p)) for p in HIT_MISS[name])
+    expected = [miss, miss, hit, miss, hit, None]
+    assert read_row(map_scans(rays)[name]) == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", SCAN_PEERS)
+def test_a_beam_without_return_crosses_its_last_cell(name: str) -> None:
+    miss = math.log(HIT_MISS[name][1] / (1 - HIT_MISS[name][1]))
+    row = read_row(map_scans(make_scan((2, Kind.FREE)))[name])
+    assert row == pytest.approx([miss] * 3 + [None], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        # five hits end at 3.5, ten misses later at -0.5: bounds at the end alone would say 0.2
+        ("OctoMap", math.log(0.971 / 0.029) + 10 * math.log(0.4 / 0.6)),
+        ("hector", 5 * math.log(9) + 10 * math.log(0.4 / 0.6)),
+        ("Cartographer", 5 * math.log(0.55 / 0.45) + 10 * math.log(0.49 / 0.51)),
+    ],
+)
+def test_bounds_hold_after_each_scan(name: str, expected: float) -> None:
+    scans = [make_scan((2, Kind.HIT))] * 5 + [make_scan((4, Kind.HIT))] * 10
+    assert read_row(map_scans(*scans)[name])[2] == pytest.approx(expected, abs=1e-5)
+
+
+def test_what_is_sure_of_itself_stays_within_bounds() -> None:
+    found = map_scans(*[make_scan((2, Kind.HIT))] * 40)
+    ends = {name: read_row(found[name])[2] for name in SCAN_PEERS}
+    assert ends == pytest.approx(
+        {"OctoMap": 3.5111, "hector": 50, "Cartographer": 2.1972}, abs=1e-3
+    )
+    starts = {name: read_row(found[name])[0] for name in SCAN_PEERS}
+    free = {
+        "OctoMap": -2.0001,
+        "hector": -40 * 0.405465,
+        "Cartographer": 40 * math.log(0.49 / 0.51),
+    }
+    assert starts == pytest.approx(free, abs=1e-3)
+
+
+def test_a_slanted_beam_crosses_what_occmap_says_it_does() -> None:
+    """Once a scan, with one beam each: seen is what the plain beam update saw."""
+    rng = np.random.default_rng(7)
+    scans = [
+        Rays.along(
+            rng.uniform(-9, 9, (1, 1, 2)),
+            np.array([[[math.cos(angle), math.sin(angle)]]]),
+            np.array([[reach]], np.float32),
+            np.array([[kind]], np.uint8),
+            np.zeros(1, np.int64),
+            full_circle=False,
+        )
+        for angle, reach, kind in zip(
+            rng.uniform(-4, 4, 60),
+            rng.uniform(0.1, 12, 60),
+            [Kind.HIT, Kind.FREE] * 30,
+            strict=True,
+        )
+    ]
+    found = map_scans(*scans)
+    assert set(found) == {*COUNT_RULES, *SCAN_RULES}
+    assert np.array_equal(found["OctoMap"].observed, found["plain Bayes"].observed)
+    hits_less_misses = found["hector"].log_odds  # no bound is met
+    share = found["gmapping"].probability
+    assert np.array_equal(hits_less_misses > 2.19, share == 1)
+
+
+def draw_map(cells: str) -> OccupancyMap:
+    """One row of cells of 0.5 m from x = -0.5."""
+    occupied = np.array([[cell == "#" for cell in cells]])
+    log_odds = np.where(occupied, 3, -3).astype(np.float32)
+    return OccupancyMap(log_odds, np.ones_like(occupied), 0.5, (-0.5, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("reach", "foretold"), [(2.4, 0), (2.6, 1), (3.5, 1), (4.5, 1), (4.6, 0), (30.0, None)]
+)
+def test_the_walk_finds_the_first_occupied_cell_to_two_cells(
+    reach: float, foretold: int | None
+) -> None:
+    """From x = 0.25 steps fall on the middles of cells; the seventh is in the wall at 3.5 m."""
+    rays = make_scan((reach, Kind.HIT), (3.5, Kind.SKIP), (3.5, Kind.FREE))
+    rays.origin[..., 0] = 0.25
+    rays.origin[..., 1] = 0.25
+    found = quality.walk(draw_map("........###"), [rays])
+    assert found.tolist() == [[0, 0] if foretold is None else [1, foretold]]
+
+
+def test_a_walk_leaves_the_map_and_finds_nothing() -> None:
+    rays = make_scan((20, Kind.HIT), (20, Kind.HIT))
+    assert quality.walk(draw_map("...."), [rays]).tolist() == [[2, 0]]
+
+
+def test_a_lead_is_measured_scan_by_scan() -> None:
+    """Of 10 beams each: ahead by 2, 1 and 0 of them."""
+    ours, theirs = (np.array([(10, n) for n in near], float) for near in ((9, 8, 5), (7, 7, 5)))
+    lead, error = quality.measure_lead(ours, theirs)
+    assert lead == pytest.approx(3 / 30)
+    assert error == pytest.approx(0.1 / math.sqrt(3))
+
+
+def test_every_fifth_scan_is_kept_from_all_maps(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "wall.csv", [(0.025, 0.025, 0.0)] * 10, [1.0, 2.0])
+    scans = quality.read_scans(Recording(log), DEFAULT)
+    assert [sum(len(rays.kind) for rays in part) for part in scans] == [8, 2]
+
+
+def test_the_last_step_is_a_bare_build() -> None:
+    assert list_steps()[OURS] == BuildOptions()
+    assert isinstance(list_steps()["polygon"].model, CountingModel)
+
+
+def test_the_tables_of_a_drive(capsys: pytest.CaptureFixture[str]) -> None:
+    quality.main([str(SAMPLE_LOGS / "drive.csv"), "--resolution", "0.2"])
+    text = capsys.readouterr().out
+    shares, walked, leads = (table.splitlines() for table in text.split("\n\n"))
+    rules = [*COUNT_RULES, *SCAN_RULES, *list_steps()]
+    for table in (shares, walked):
+        assert [line[2:].split("  ")[0].strip(" |") for line in table[2:]] == rules
+    assert leads[2].startswith("| drive.csv")
+    assert leads[2].count("+-") == 2

@@ -1,0 +1,100 @@
+"""`occmap tune` as a command line: what it prints, what it exits with, and what is refused."""
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+
+from tests.cli.runner import occmap, read_error
+from tests.inspection_logs import Drive, write_bag
+from tests.samples import SAMPLE_LOGS, write_csv
+from tests.tuning.simulated import write_drive
+
+DRIVE = SAMPLE_LOGS / "drive.csv"
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A drive whose scans are stamped a tenth of a second late, and its poses."""
+    return write_drive(tmp_path_factory.mktemp("late"), lambda _: 0.1)
+
+
+def test_what_is_found_is_said_with_the_line_that_mends_it(
+    late: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scans, _ = late
+    monkeypatch.chdir(scans.parent)
+    result = occmap("tune", "scans.csv", "--poses", "poses.csv", "--resolution", 0.1)
+    assert result.code == 0
+    time, mount, share, scored, line = result.out.splitlines()
+    assert time.startswith("time     offset -0.1 s: gains 0.")
+    assert mount == "mount    nothing to gain"
+    assert " -> 0.9" in share
+    assert scored.startswith("scored   by 20,")
+    assert line == (
+        "occmap build scans.csv --resolution 0.1 --poses poses.csv --time-offset -0.1 -o scans.pgm"
+    )
+    mended = occmap("tune", "scans.csv", *shlex.split(line)[3:-2])
+    assert mended.out.splitlines()[-1] == "nothing to gain"
+    assert occmap(*shlex.split(line)[1:]).code == 0
+    assert (scans.parent / "scans.pgm").exists()
+
+
+def test_a_gain_can_fail_a_pipeline(late: tuple[Path, Path]) -> None:
+    scans, poses = late
+    words = [scans, "--poses", poses, "--resolution", 0.1, "--json", "-q"]
+    result = occmap("tune", *words, "--fail-if", "gain > 2%", "--fail-if", "share < 10%")
+    assert result.code == 3
+    assert result.err.startswith("error: gain is ")
+    printed = json.loads(result.out)
+    assert [each["name"] for each in printed["failed"]] == ["gain"]
+    assert printed["time"]["verdict"] == "found"
+    assert printed["share"] - printed["share_before"] == pytest.approx(printed["gain"])
+    assert printed["correction"] == {"time_s": -0.1, "yaw": 0.0, "x": 0.0, "y": 0.0}
+    assert printed["tried"][0]["share"] == printed["share_before"]
+
+
+def test_halves_that_disagree_are_told(tmp_path: Path) -> None:
+    scans, poses = write_drive(tmp_path, lambda number: 0.15 if number < 207 else 0.0)
+    result = occmap("tune", scans, "--poses", poses)
+    time, mount, *_, last = result.out.splitlines()
+    start = "time     the halves of the log do not agree, so nothing is recommended: by offset -0."
+    assert time.startswith(start)
+    assert time.endswith("by no change the second 0.0000 +- 0.0000")
+    assert mount == "mount    not searched"
+    assert last == "nothing is recommended"
+    assert "times that change within the log" in result.err
+
+
+def test_few_scans_are_told(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "a.csv", [(0.1 * i, 0.0, 0.1 * i) for i in range(10)], [1.0, 2.0])
+    result = occmap("tune", log)
+    assert result.out.splitlines()[-1] == "nothing to gain"
+    assert "note: 1 held-out scan in each half: too few to tell; give a longer log" in result.err
+
+
+def test_a_missing_mount_is_asked_for_as_by_build(tmp_path: Path) -> None:
+    log = write_bag(tmp_path / "room.bag", Drive(3.14159))
+    asked = read_error(occmap("tune", log), 1)
+    assert "--sensor-pose x,y,yaw" in asked
+    assert asked == read_error(occmap("build", log, "-o", tmp_path / "m.pgm"), 1)
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ([], "no log is given; type: occmap tune LOG"),
+        ([DRIVE, "--resolution", "0"], "a resolution of 0.0 m is not possible"),
+        ([DRIVE, "--jobs", "0"], "0 jobs are not possible"),
+        ([DRIVE, "--fail-if", "agreement > 2%"], "nothing is called 'agreement'"),
+        ([DRIVE, "--model", "simple"], "No such option"),
+    ],
+)
+def test_wrong_usage(words: list[object], found: str) -> None:
+    assert found in read_error(occmap("tune", *words), 2)
+
+
+def test_what_fails_is_one_line(tmp_path: Path) -> None:
+    assert "no such file" in read_error(occmap("tune", tmp_path / "no.log"), 1)
+    assert "--max-cells 3" in read_error(occmap("tune", DRIVE, "--max-cells", 3), 1)

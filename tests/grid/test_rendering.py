@@ -1,0 +1,244 @@
+"""From tiles to one map: hits that speak for the cells around them, and what a map says of itself.
+
+The references are loops over single cells in a dictionary, which knows no tiles.
+"""
+
+import math
+from collections import defaultdict
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from occmap.errors import MapError
+from occmap.evidence import render
+from occmap.grid.engine import GridEngine
+from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid.rendering import SpreadHits, find_bounds, measure_agreement, paint
+from occmap.grid.spec import GridSpec, find_unit
+from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
+from occmap.sensor.models import CountingModel, QuadraticModel, SensorModel, SimpleModel
+from occmap.types import Float64, Kind, OccupancyMap, Rays, Update
+from tests.grid.scans import FEW, MANY, Drive, aim, drives
+
+Cell = tuple[int, int]
+Numbers = dict[Cell, tuple[int, int]]
+"""Hits and misses of each observed cell"""
+
+EDGES = [0, 1, TILE - 2, TILE - 1, TILE, -1, -2, -TILE, -TILE - 1, 7]
+PLACES = st.tuples(st.sampled_from(EDGES), st.sampled_from(EDGES))
+OBSERVED = st.dictionaries(
+    PLACES,
+    st.tuples(st.integers(0, 9), st.integers(0, 9)).filter(any),
+    min_size=1,
+    max_size=12,
+)
+
+
+def make_grid(numbers: Numbers, unit: int = 1) -> TileGrid:
+    grid = TileGrid(Lattice(1.0), EvidenceKind.COUNTS, unit)
+    for (row, col), (hits, misses) in numbers.items():
+        box = CellBox(row, col, row + 1, col + 1)
+        grid.add(box, np.array([[hits]]), np.array([[misses]]), max(hits, misses))
+    return grid
+
+
+def spread_slowly(numbers: Numbers, share: float, unit: int) -> dict[Cell, tuple[float, float]]:
+    """Each hit gives a share to the cells beside its own, and the share's square at corners."""
+    hits: defaultdict[Cell, float] = defaultdict(float)
+    for (row, col), (count, _) in numbers.items():
+        for up in (-1, 0, 1):
+            for right in (-1, 0, 1):
+                hits[row + up, col + right] += count / unit * share ** (abs(up) + abs(right))
+    reached = {cell for cell in hits if hits[cell]} | numbers.keys()
+    return {cell: (hits[cell], numbers.get(cell, (0, 0))[1] / unit) for cell in reached}
+
+
+@MANY
+@given(numbers=OBSERVED, share=st.sampled_from([0.08, 0.1, 0.5, 1.0]), unit=st.sampled_from([1, 8]))
+def test_spread_hits_are_those_of_single_cells(numbers: Numbers, share: float, unit: int) -> None:
+    """On the edges and corners of tiles, and beyond, where there is no tile."""
+    expected = spread_slowly(numbers, share, unit)
+    tiles = SpreadHits(make_grid(numbers, unit), share)
+    rows, cols = zip(*expected, strict=True)
+    box = find_bounds(tiles)
+    assert box == CellBox(min(rows), min(cols), max(rows) + 1, max(cols) + 1)
+    for layer in (0, 1):
+        painted, observed = paint(tiles, lambda *pair, layer=layer: pair[layer], -1.0, box)
+        found = {
+            (row + box.row, col + box.col): float(painted[row, col])
+            for row, col in np.argwhere(observed).tolist()
+        }
+        assert found == pytest.approx({cell: pair[layer] for cell, pair in expected.items()})
+        assert (painted[~observed] == -1).all()
+
+
+@pytest.mark.parametrize(
+    ("row", "col", "keys"),
+    [
+        (5, 5, {(0, 0)}),
+        (0, 5, {(0, 0), (-1, 0)}),
+        (TILE - 1, 5, {(0, 0), (1, 0)}),
+        (5, 0, {(0, 0), (0, -1)}),
+        (0, 0, {(0, 0), (-1, 0), (0, -1), (-1, -1)}),
+        (TILE - 1, TILE - 1, {(0, 0), (1, 0), (0, 1), (1, 1)}),
+        (0, TILE - 1, {(0, 0), (-1, 0), (0, 1), (-1, 1)}),
+        (TILE - 1, 0, {(0, 0), (1, 0), (0, -1), (1, -1)}),
+    ],
+)
+def test_a_hit_reaches_the_tiles_that_it_touches_and_a_miss_none(
+    row: int, col: int, keys: set[Cell]
+) -> None:
+    assert set(SpreadHits(make_grid({(row, col): (1, 0)}), 0.1).keys) == keys
+    assert set(SpreadHits(make_grid({(row, col): (0, 1)}), 0.1).keys) == {(0, 0)}
+
+
+def test_a_lone_hit_in_the_corner_of_a_tile_by_hand() -> None:
+    """Nine cells in four tiles: 1 in the middle, 0.1 beside it, 0.01 at corners."""
+    tiles = SpreadHits(make_grid({(TILE, TILE): (1, 0)}), 0.1)
+    box = find_bounds(tiles)
+    hits, observed = paint(tiles, lambda hits, _: hits, 0.0, box)
+    assert box == CellBox(TILE - 1, TILE - 1, TILE + 2, TILE + 2)
+    assert observed.all()
+    expected = [[0.01, 0.1, 0.01], [0.1, 1.0, 0.1], [0.01, 0.1, 0.01]]
+    np.testing.assert_allclose(hits, expected, rtol=1e-6)
+
+
+def test_nothing_observed_has_no_bounds_whatever_is_spread() -> None:
+    with pytest.raises(MapError, match="no beam of any scan observed a cell"):
+        find_bounds(SpreadHits(make_grid({}), 0.1))
+
+
+@FEW
+@given(numbers=OBSERVED, share=st.sampled_from([0.0, 0.08, 1.0]))
+def test_a_map_is_what_its_model_says_of_each_cell(numbers: Numbers, share: float) -> None:
+    model = SimpleModel(p_hit=0.75, p_miss=0.25, spread=share)
+    grid = render(make_grid(numbers), model, 10**6)
+    expected = spread_slowly(numbers, share, 1)
+    col, row = round(grid.origin[0]), round(grid.origin[1])
+    for at_row, at_col in np.ndindex(grid.shape):
+        seen = expected.get((row + at_row, col + at_col))
+        assert grid.observed[at_row, at_col] == (seen is not None)
+        hits, misses = seen or (0, 0)
+        log_odds = (hits - misses) * math.log(3)
+        assert grid.log_odds[at_row, at_col] == pytest.approx(log_odds, rel=1e-5, abs=1e-5)
+
+
+SIX_HITS: Numbers = {(0, 0): (3, 0), (0, TILE): (2, 1), (0, 5): (1, 4), (9, 9): (0, 7)}
+"""By shares of hits: 1, 2/3, 1/5 and 0"""
+
+
+@pytest.mark.parametrize(("cut", "agreement"), [(0.1, 6 / 6), (0.32, 5 / 6), (0.7, 3 / 6)])
+def test_agreement_is_the_share_of_hits_in_occupied_cells(cut: float, agreement: float) -> None:
+    model = CountingModel(strength=1e-6, cut=cut, spread=0.0)
+    assert render(make_grid(SIX_HITS), model, 10**6).agreement == pytest.approx(agreement)
+
+
+def test_agreement_counts_hits_where_they_are_and_not_what_they_say_of_others() -> None:
+    """Ten hits beside fifty misses make no wall, though they reach the cell of one hit."""
+    numbers: Numbers = {(0, 0): (10, 50), (0, 1): (1, 3)}
+    plain = CountingModel(strength=1e-6, spread=0.0)
+    assert render(make_grid(numbers), plain, 100).agreement == 0
+    # With a tenth of the ten, 2 of 5 observations of the other are hits; the first has 10.1 of 60.1
+    spread = replace(plain, spread=0.1)
+    assert render(make_grid(numbers), spread, 100).agreement == pytest.approx(1 / 11)
+
+
+def test_agreement_is_not_known_without_hits() -> None:
+    assert render(make_grid({(0, 0): (0, 4)}), SimpleModel(), 100).agreement is None
+    grid = TileGrid(Lattice(1.0), EvidenceKind.LOG_ODDS)
+    grid.add(CellBox(0, 0, 1, 1), np.array([[9]]), np.array([[1]]), 9)
+    assert render(grid, QuadraticModel(), 100).agreement is None
+    box = CellBox(0, 0, 1, 1)
+    assert measure_agreement(grid, np.ones((1, 1), np.bool_), box) is None
+
+
+@pytest.mark.parametrize("update", Update)
+def test_where_two_scans_tell_of_walls_that_cross_each_other_agreement_is_low(
+    update: Update,
+) -> None:
+    """Three scans agree on a wall at 3 m; a fourth, turned by a wrong pose, is alone."""
+    model = CountingModel(spread=0.0)
+    true, wrong = one_beam(3.5, scans=3), one_beam(1.5)
+    engine = GridEngine(GridSpec(update, Lattice(1.0)))
+    engine.add(true)
+    assert render(engine.finish(), model, 100).agreement == 1
+    engine.add(wrong)
+    expected = 3 / 4 if update is not Update.POLYGON else 1.0
+    found = render(engine.finish(), model, 100).agreement
+    assert found == expected
+
+
+def one_beam(reach: float, scans: int = 1) -> Rays:
+    """Hits along x from the middle of cell (0, 0), in cells of a metre."""
+    return Rays.along(
+        np.full((scans, 1, 2), 0.5),
+        np.repeat(aim(0.0, 0.1, 1)[None], scans, axis=0),
+        np.full((scans, 1), reach, np.float32),
+        np.full((scans, 1), Kind.HIT, np.uint8),
+        np.zeros(scans, np.int64),
+        full_circle=False,
+    )
+
+
+def build_map(rays: Rays, model: SensorModel) -> OccupancyMap:
+    engine = GridEngine(GridSpec(Update.SURFACE, Lattice(1.0)))
+    engine.add(rays)
+    return render(engine.finish(), model, 1000)
+
+
+def test_a_lone_beam_of_the_surface_update_counts_a_quarter_of_one_among_others() -> None:
+    """Its weight is 2 of 8: as observations 0.25, beside which the prior weighs 0.02."""
+    grid = build_map(one_beam(3.0), CountingModel(spread=0.0))
+    hit, missed = (0.25 + 0.01) / (0.25 + 0.02), 0.01 / (0.25 + 0.02)
+    np.testing.assert_allclose(grid.probability, [[missed] * 3 + [hit]], rtol=1e-5)
+    simple = build_map(one_beam(3.0), SimpleModel(0.75, 0.25, spread=0.0))
+    third = math.log(3) / 4
+    np.testing.assert_allclose(simple.log_odds, [[-third] * 3 + [third]], rtol=1e-5)
+
+
+def test_four_lone_beams_are_one_observation() -> None:
+    grid = build_map(one_beam(3.0, scans=4), SimpleModel(0.75, 0.25, spread=0.0))
+    np.testing.assert_allclose(grid.log_odds, [[-math.log(3)] * 3 + [math.log(3)]], rtol=1e-5)
+
+
+@pytest.mark.parametrize("model", [CountingModel(), SimpleModel(), CountingModel(spread=0.0)])
+@FEW
+@given(drive=drives(), factor=st.sampled_from([2, 3, 16]))
+def test_a_map_does_not_depend_on_the_unit_of_weights(
+    model: SensorModel, drive: Drive, factor: int
+) -> None:
+    rays, resolution = drive
+    engine = GridEngine(GridSpec(Update.SURFACE, Lattice(resolution)))
+    engine.add(rays)
+    evidence = engine.finish()
+    assert evidence.unit == find_unit(Update.SURFACE) == 8
+    finer = TileGrid(evidence.lattice, evidence.kind, evidence.unit * factor)
+    finer.tiles = {key: tile * factor for key, tile in evidence.tiles.items()}
+    if not evidence.tiles:
+        return
+    one, other = (render(each, model, 10**7) for each in (evidence, finer))
+    np.testing.assert_allclose(other.log_odds, one.log_odds, rtol=1e-5, atol=1e-6)
+    assert np.array_equal(other.observed, one.observed)
+    assert other.agreement == one.agreement
+
+
+def test_the_ratio_of_hits_is_that_of_beams_among_their_neighbours() -> None:
+    """On a wall seen by many beams each pair of neighbours weighs the same: 8 a beam inside."""
+    rays = Rays.along(
+        np.full((1, 1, 2), 0.5),
+        aim(-0.01, 0.001, 21)[None],
+        np.full((1, 21), 3.0, np.float32),
+        np.full((1, 21), Kind.HIT, np.uint8),
+        np.zeros(1, np.int64),
+        full_circle=False,
+    )
+    engine = GridEngine(GridSpec(Update.SURFACE, Lattice(1.0)))
+    engine.add(rays)
+    (tile,) = engine.finish().tiles.values()
+    layers: list[Float64] = [layer / 8 for layer in tile]
+    # 19 beams weigh 2 + 3 + 3, and those at both ends 2 + 3.
+    assert layers[0][0, 3] == pytest.approx(19 + 2 * 5 / 8)
+    assert layers[1][0, :3].tolist() == pytest.approx([19 + 2 * 5 / 8] * 3)

@@ -1,0 +1,339 @@
+"""The ranges that stand for "no return": bands at the top of all ranges, whoever states what."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from occmap import batching
+from occmap.inspection import inspect
+from occmap.pipeline import BuildOptions, build
+from occmap.sensor.no_return import Band, RangeLimits, RangeTally, settle
+from occmap.sensor.returns import ReturnOptions
+from occmap.types import Scan, ScanBatch
+from tests.grid.scans import FEW
+from tests.samples import PLAIN
+
+MEASURED = [1 + beam / 100 for beam in range(2000)]
+"""1.00 to 20.99 m, each once"""
+
+
+def tally(ranges: Sequence[float], stated: float = math.inf, per_scan: int = 50) -> RangeTally:
+    counts = RangeTally()
+    for start in range(0, len(ranges), per_scan):
+        block = np.array(ranges[start : start + per_scan], np.float32)
+        counts.add(block, stated)
+    return counts
+
+
+def find(ranges: Sequence[float], stated: float = math.inf, per_scan: int = 50) -> Band | None:
+    return tally(ranges, stated, per_scan).find_band()
+
+
+@pytest.mark.parametrize(
+    ("codes", "top", "values"),
+    [
+        ([50.0] * 40, 50.0, "50 m"),
+        ([32.767] * 10, 32.767, "32.77 m"),
+        ([32.763] * 30 + [32.767] * 5, 32.767, "32.76 m to 32.77 m"),
+        ([51.15] * 40 + [51.16] * 3, 51.16, "51.15 m to 51.16 m"),
+        ([51.05] * 20 + [51.10] * 20, 51.10, "51.05 m to 51.1 m"),
+        ([51.14] * 30 + [51.15] * 30 + [51.25], 51.25, "51.14 m to 51.25 m"),
+    ],
+)
+def test_values_close_together_are_one_band(codes: list[float], top: float, values: str) -> None:
+    """A band begins 2.5% below its top; strays in it and above it count with it."""
+    band = find(MEASURED + codes)
+    assert band is not None
+    assert band.count == len(codes)
+    assert band.values == values
+    assert band.limit == pytest.approx(0.975 * top, rel=1e-4)
+    assert all(band.limit <= np.float32(code) for code in codes)
+
+
+@pytest.mark.parametrize(("strays", "found"), [(1, True), (9, True), (10, False)])
+def test_a_few_strays_above_a_band_do_not_hide_it(strays: int, found: bool) -> None:
+    """Of the strays no two are near enough to make a band of their own."""
+    far = [40 * 1.1**n for n in range(strays)]
+    band = find(MEASURED + [30.0] * 50 + far)
+    assert (band is not None) == found
+    if band is not None:
+        assert band.limit == pytest.approx(0.975 * 30, rel=1e-4)
+        assert band.count == 50 + strays
+        assert band.high == pytest.approx(far[-1], abs=0.01)
+
+
+@pytest.mark.parametrize("codes", [[81.83], [81.91], [81.83, 81.90, 81.90, 81.91], [81.84] * 9])
+def test_sick_error_codes_are_no_return_however_few(codes: list[float]) -> None:
+    band = find(MEASURED + codes)
+    assert band is not None
+    assert (band.limit, band.count) == (81.82, len(codes))
+    assert band.low == pytest.approx(min(codes), abs=2e-3)
+
+
+def test_a_code_that_was_not_divided_by_a_hundred_hides_no_other() -> None:
+    band = find([*MEASURED, 81.91, 8183.0])
+    assert band is not None
+    assert (band.limit, band.count, band.values) == (81.82, 2, "81.91 m to 8183 m")
+
+
+def test_far_walls_just_below_the_codes_are_measured() -> None:
+    """79.5 m is within the 2.5% below 81.91 m; the SICK measures up to 80 m."""
+    band = find([*MEASURED, *[79.5] * 30, 81.91, 81.91])
+    assert band is not None
+    assert (band.limit, band.count) == (81.82, 2)
+
+
+@pytest.mark.parametrize(
+    "ranges",
+    [
+        MEASURED,
+        MEASURED + [40.0] * 9,
+        MEASURED * 30,
+        MEASURED + [40 - n / 100 for n in range(200)] * 30 + [40.0] * 50,
+        MEASURED + [40.0] * 99 + [38.5] * 10,
+        [5.0] * 400,
+        [5.0] * 400 + [1 + n / 10 for n in range(14)],
+        [0.0] * 400,
+        [math.inf, math.nan, -math.inf, -1.0],
+        [],
+    ],
+    ids=["once", "rare", "standstill", "far wall", "not ten times as many", "one range", "drawn",
+         "zeros", "special", "none"],
+)  # fmt: skip
+def test_measurements_are_no_band(ranges: list[float]) -> None:
+    assert find(ranges) is None
+
+
+def test_ten_times_as_many_as_just_below_are_a_band() -> None:
+    """38.5 m lies in the 2.5% below 39 m; the range of 37 m does not."""
+    band = find(MEASURED + [40.0] * 100 + [38.5] * 10 + [37.0] * 1000)
+    assert band is not None
+    assert band.limit == pytest.approx(39, rel=1e-4)
+
+
+def test_a_limit_that_the_scans_state_is_none_of_the_values() -> None:
+    """What is at the limit or above it is no return without being looked for."""
+    assert find(MEASURED + [30.0] * 50, stated=30.0) is None
+    above = tally([*MEASURED, *[30.0] * 50, 31.0, math.inf, 77.0], stated=30.0)
+    assert (above.above, above.largest, above.find_band()) == (2, 77.0, None)
+
+
+def test_a_band_below_a_stated_limit_takes_its_place() -> None:
+    band = find(MEASURED + [51.15] * 50, stated=60.0)
+    assert band is not None
+    assert band.values == "51.15 m"
+
+
+RANGES = st.lists(
+    st.sampled_from([1.0, 5.0, 28.4, 29.24, 29.26, 29.9, 30.0, 30.01, 31.5, 81.83, 8183.0])
+    | st.floats(0.5, 40, width=32),
+    max_size=80,
+)
+
+
+@FEW
+@given(rare=RANGES, common=RANGES, cuts=st.integers(1, 60), seed=st.integers(0, 2**32))
+def test_neither_order_nor_scans_change_what_is_found(
+    rare: list[float], common: list[float], cuts: int, seed: int
+) -> None:
+    ranges = MEASURED[::50] + rare + common * 12
+    shuffled = np.random.default_rng(seed).permutation(ranges).tolist()
+    once = find(ranges, per_scan=10**9)
+    assert find(sorted(ranges), per_scan=cuts) == once
+    assert find(sorted(ranges)[::-1], per_scan=cuts) == once
+    assert find(shuffled, per_scan=cuts) == once
+
+
+def find_slowly(ranges: Sequence[float]) -> tuple[float, int] | None:
+    """Where a band begins and how many readings it has: the rule, from all the ranges at once."""
+    far = np.array(ranges)
+    for top in sorted(set(ranges), reverse=True):
+        if np.count_nonzero(far > top) >= 10:
+            return None
+        inside = np.count_nonzero((far >= 0.975 * top) & (far <= top))
+        below = np.count_nonzero((far >= 0.95 * top) & (far < 0.975 * top))
+        if inside >= 10 and inside >= 10 * below:
+            return 0.975 * top, int(np.count_nonzero(far >= 0.975 * top))
+    return None
+
+
+@FEW
+@given(
+    counts=st.lists(st.integers(0, 130) | st.integers(0, 3), min_size=40, max_size=40),
+    scale=st.floats(0.1, 2.0),
+)
+def test_the_tally_follows_the_rule(counts: list[int], scale: float) -> None:
+    """Values half a per cent apart and never near the edge of a band."""
+    values = [scale * 1.0049**n for n in range(40)]
+    ranges = [value for value, count in zip(values, counts, strict=True) for _ in range(count)]
+    near = [scale / 4 * (1 + n / 16) for n in range(16)]  # different ranges enough
+    expected, band = find_slowly(near + ranges), find(near + ranges, per_scan=7)
+    assert (band is None) == (expected is None)
+    if band is not None and expected is not None:
+        assert band.limit == pytest.approx(expected[0], rel=1e-4)
+        assert band.count == expected[1]
+
+
+def test_the_tally_stays_small() -> None:
+    rng = np.random.default_rng(1)
+    counts = RangeTally()
+    for _ in range(20):
+        counts.add(rng.uniform(0.1, 30, 100_000).astype(np.float32), math.inf)
+    assert len(counts._counts) < 1.5 / 30 * 2**15 * 2  # of two octaves the topmost twentieth
+
+
+def scan(ranges: Sequence[float], topic: str = "scan", range_max: float = math.inf) -> Scan:
+    measured = np.array(ranges, np.float32)
+    return Scan(0, "laser", 0.0, 0.01, measured, 0.0, range_max, topic=topic)
+
+
+def batch(topic: str = "scan", range_max: float = math.inf) -> ScanBatch:
+    ranges, stamps = np.ones((1, 1), np.float32), np.zeros(1, np.int64)
+    return ScanBatch("laser", 0, 0.1, 0, range_max, stamps, ranges, np.zeros(1), topic=topic)
+
+
+def test_limits_are_of_each_topic() -> None:
+    limits = RangeLimits(ReturnOptions())
+    limits.see(scan(MEASURED + [30.0] * 50, "front"))
+    limits.see(scan([*MEASURED, 81.83], "rear"))
+    limits.see(scan(MEASURED, "side"))
+    applied = {name: limits.apply(batch(name)).range_max for name in ("front", "rear", "side")}
+    assert applied == {"front": pytest.approx(29.25), "rear": 81.82, "side": math.inf}
+    assert limits.apply(batch("front", range_max=8.0)).range_max == 8.0  # the nearer one holds
+    assert limits.settle()
+
+
+def test_limits_that_come_late_are_applied_in_the_second_reading() -> None:
+    limits = RangeLimits(ReturnOptions())
+    for again in (False, True):
+        limits.see(scan(MEASURED))
+        first = limits.apply(batch()).range_max
+        assert first == (pytest.approx(29.25) if again else math.inf)
+        limits.see(scan([30.0] * 50))
+        assert limits.apply(batch()).range_max == first  # one limit for all of a reading
+        assert settle([limits]) == again
+    (note,) = limits.list_notes()
+    assert "50 of 2,050 ranges (2.4%) read 30 m, taken as no return" in note
+
+
+def test_the_users_limit_is_asked_for_nothing() -> None:
+    limits = RangeLimits(ReturnOptions(range_max=25.0))
+    limits.see(scan(MEASURED + [30.0] * 50))
+    given_batch = batch(range_max=60.0)
+    assert limits.apply(given_batch) is given_batch
+    assert limits.settle()
+    assert list(limits.list_notes()) == []
+
+
+@pytest.mark.parametrize(
+    ("ranges", "stated", "expected"),
+    [
+        (
+            MEASURED + [51.14] * 300 + [51.15] * 200,
+            math.inf,
+            [
+                "scan states no range limit; 500 of 2,500 ranges (20.0%) read 51.14 m to 51.15 m, "
+                "taken as no return: --range-max overrides"
+            ],
+        ),
+        (
+            MEASURED + [51.15] * 500,
+            60.0,
+            [
+                "scan states 60 m as its range limit; 500 of 2,500 ranges (20.0%) read 51.15 m, "
+                "taken as no return: --range-max overrides"
+            ],
+        ),
+        (
+            MEASURED + [51.15] * 500,
+            50.0,
+            [
+                "scan states 50 m as its range limit; 500 of 2,500 ranges (20.0%) are above it, up "
+                "to 51.15 m, taken as no return: --range-max overrides"
+            ],
+        ),
+        (
+            MEASURED,
+            math.inf,
+            [
+                'scan states no range limit; no value stands for "no return", so every range is '
+                "used as measured: --range-max sets a limit"
+            ],
+        ),
+        ([*MEASURED, 50.0, math.inf], 50.0, []),
+    ],
+)
+def test_what_was_found_is_said(ranges: list[float], stated: float, expected: list[str]) -> None:
+    limits = RangeLimits(ReturnOptions())
+    limits.see(scan(ranges, range_max=stated))
+    assert list(limits.list_notes()) == expected
+
+
+def write_late(path: Path, scans: int, marked_from: int) -> Path:
+    """A log whose laser writes 30 m where nothing came back, though not before some scan."""
+    beams = 60
+    names = ",".join(f"r{beam}" for beam in range(beams))
+    head = f"# angle_min: 0\n# angle_increment: 0.02\nstamp,x,y,yaw,{names}\n"
+    rows = []
+    for number in range(scans):
+        ranges = [2 + 0.05 * beam + 0.01 * (number % 7) for beam in range(beams)]
+        if number >= marked_from:
+            ranges[::5] = [30.0] * len(ranges[::5])
+        rows.append(f"{number},0,{0.01 * number},0,{','.join(f'{r:.2f}' for r in ranges)}\n")
+    path.write_text(head + "".join(rows))
+    return path
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_band_that_shows_late_is_no_return_from_the_first_scan_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jobs: int
+) -> None:
+    monkeypatch.setattr(batching, "BATCH_BEAMS", 600)
+    log = write_late(tmp_path / "late.csv", scans=60, marked_from=30)
+    options = replace(PLAIN, jobs=jobs)
+    # The first single 30 m is to be judged as the last: one lies among the scans without others.
+    lines = log.read_text().splitlines()
+    cells = lines[5].split(",")
+    lines[5] = ",".join([*cells[:-1], "30.0"])
+    log.write_text("\n".join(lines) + "\n")
+
+    found = build([log], options)
+    told = build([log], replace(options, returns=ReturnOptions(range_max=29.25)))
+
+    assert found.map.extent == told.map.extent
+    assert found.map.extent[2] < 6  # metres; 30 m would be far beyond
+    np.testing.assert_array_equal(found.map.log_odds, told.map.log_odds)
+    assert found.report.beams == told.report.beams
+    assert found.report.beams.no_return == 30 * 12 + 1
+    assert (found.report.scans_read, found.report.scans_used) == (60, 60)
+    assert sum("361 of 3,600 ranges (10.0%) read 30 m" in note for note in found.report.notes) == 1
+
+
+def test_a_log_larger_than_a_batch_is_built_as_with_its_limit(tmp_path: Path) -> None:
+    scans = batching.BATCH_BEAMS // 60 + 400
+    log = write_late(tmp_path / "late.csv", scans, marked_from=scans - 200)
+    found = build([log], PLAIN)
+    told = build([log], replace(PLAIN, returns=ReturnOptions(range_max=29.25)))
+    assert found.report.beams == told.report.beams
+    assert found.report.beams.no_return == 200 * 12
+    np.testing.assert_array_equal(found.map.log_odds, told.map.log_odds)
+
+
+def test_check_says_of_a_band_what_build_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(batching, "BATCH_BEAMS", 600)
+    log = write_late(tmp_path / "late.csv", scans=60, marked_from=30)
+    (of_log,) = inspect([log], BuildOptions()).logs
+    built = build([log], BuildOptions()).report
+    said = [note for note in of_log.notes if "read 30 m" in note]
+    assert len(said) == 1
+    assert f"{log}: {said[0]}" in built.notes
+    (topic,) = of_log.scans
+    assert topic.ranges.largest < 6

@@ -1,0 +1,236 @@
+"""Tuning: what was put out of true in a simulated drive is found, and nothing else is."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from occmap.command import to_rpy
+from occmap.errors import LogError, PoseError
+from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, choose_model
+from occmap.posing.options import PosingOptions
+from occmap.scoring.compare import compare
+from occmap.scoring.score import Score, Trial
+from occmap.scoring.variants import Variant
+from occmap.tuning import tune
+from occmap.tuning.kept import take_every
+from occmap.tuning.search import TIME, YAW, Correction, X
+from occmap.tuning.verdict import Gain, Verdict
+from occmap.types import Pose, ScanBatch
+from tests.samples import REAL_LOGS, SAMPLE_LOGS, write_csv
+from tests.tuning.simulated import write_drive
+
+STEP_S, STEP_RAD, STEP_M = TIME.steps[-1], YAW.steps[-1], X.steps[-1]
+
+
+def follow(poses: Path, mount: tuple[float, float, float] | None = None) -> BuildOptions:
+    """Options by which a drive's scans are posed; the laser is thought to sit at a mount."""
+    sensor_pose = None if mount is None else Pose.planar(*mount)
+    return BuildOptions(posing=PosingOptions(poses=str(poses), sensor_pose=sensor_pose))
+
+
+@pytest.mark.parametrize("late", [0.13, -0.31])
+def test_a_known_time_offset_is_found(late: float, tmp_path: Path) -> None:
+    scans, poses = write_drive(tmp_path, lambda _: late)
+    tuning = tune([scans], follow(poses))
+    assert tuning.time.verdict is Verdict.FOUND
+    assert tuning.correction.time_s == pytest.approx(-late, abs=STEP_S + 1e-9)
+    assert tuning.mount.verdict is Verdict.NOTHING
+    assert tuning.after.score.share > 0.95 > tuning.before.score.share
+    place = tuning.command.index("--time-offset")
+    assert float(tuning.command[place + 1]) == tuning.correction.time_s
+
+
+def test_a_known_error_of_the_mount_is_found(tmp_path: Path) -> None:
+    true, thought = (0.25, 0.0, 0.0), (0.29, -0.03, math.radians(3))
+    scans, poses = write_drive(tmp_path, mount=true)
+    tuning = tune([scans], follow(poses, thought))
+    assert tuning.time.verdict is Verdict.NOTHING
+    assert tuning.mount.verdict is Verdict.FOUND
+    found = tuning.options.posing.sensor_pose
+    pose = tuning.correction.apply(tuning.options.posing, found).sensor_pose
+    assert pose is not None
+    assert (pose.x, pose.y) == pytest.approx(true[:2], abs=STEP_M + 1e-5)
+    assert to_rpy(pose)[2] == pytest.approx(true[2], abs=STEP_RAD + 1e-5)
+
+
+@pytest.mark.parametrize("name", ["drive.mcap", "drive.log"])
+def test_a_right_log_has_nothing_to_gain(name: str) -> None:
+    tuning = tune([SAMPLE_LOGS / name], BuildOptions())
+    assert Verdict.FOUND not in (tuning.time.verdict, tuning.mount.verdict)
+    assert Verdict.DISAGREE not in (tuning.time.verdict, tuning.mount.verdict)
+    assert (tuning.correction, tuning.command) == (Correction(), ())
+    assert tuning.gain == Gain(0.0, 0.0)
+
+
+def test_halves_that_want_different_times_are_told_and_not_averaged(tmp_path: Path) -> None:
+    scans, poses = write_drive(tmp_path, lambda number: 0.1 if number < 207 else -0.1)
+    tuning = tune([scans], follow(poses))
+    assert tuning.time.verdict is Verdict.DISAGREE
+    (first, gained), (second, gained_too) = tuning.time.halves
+    assert first.time_s < 0 < second.time_s
+    assert gained.certain
+    assert gained_too.certain
+    assert tuning.mount.verdict is Verdict.UNSEEN
+    assert (tuning.correction, tuning.command) == (Correction(), ())
+
+
+def test_a_half_that_is_right_outweighs_one_that_gains(tmp_path: Path) -> None:
+    scans, poses = write_drive(tmp_path, lambda number: 0.15 if number < 207 else 0.0)
+    tuning = tune([scans], follow(poses))
+    assert tuning.time.verdict is Verdict.DISAGREE
+    assert tuning.time.halves[1][0] == Correction()
+
+
+def test_a_correction_is_added_to_the_options_given(tmp_path: Path) -> None:
+    scans, poses = write_drive(tmp_path, lambda _: 0.6)
+    options = BuildOptions(posing=PosingOptions(poses=str(poses), time_offset_s=-0.5))
+    tuning = tune([scans], options)
+    assert tuning.correction.time_s == pytest.approx(-0.1, abs=STEP_S + 1e-9)
+    words = tuning.command
+    assert float(words[words.index("--time-offset") + 1]) == pytest.approx(-0.6, abs=STEP_S + 1e-9)
+
+
+def test_the_mount_that_a_log_states_is_where_the_search_begins() -> None:
+    tuning = tune([SAMPLE_LOGS / "drive.bag"], BuildOptions())
+    assert tuning.sensor_pose is not None
+    assert tuning.sensor_pose[:3] == pytest.approx((0.25, 0, 0), abs=1e-9)
+    given = Correction(x=0.005).apply(tuning.options.posing, tuning.sensor_pose).sensor_pose
+    assert given is not None
+    assert given[:2] == (0.255, 0.0)
+
+
+def test_a_search_scores_what_compare_scores() -> None:
+    """A drive of which no scan is dropped, with ranges that stand for "no return"."""
+    options, log = BuildOptions(), SAMPLE_LOGS / "drive.log"
+    variant = Variant(DEFAULT_UPDATE, choose_model(DEFAULT_UPDATE))
+    (result,) = compare([log], [variant], options).results
+    assert tune([log], options).before.score == result.score
+
+
+def test_equal_bytes_for_any_number_of_threads() -> None:
+    one, two = (tune([SAMPLE_LOGS / "drive.csv"], BuildOptions(jobs=jobs)) for jobs in (1, 2))
+    assert one.to_json() == two.to_json()
+
+
+def test_a_sensor_that_stands_still_shows_nothing(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "still.csv", [(0.0, 0.0, 0.0)] * 20, [1.0, 2.0], 0.3)
+    tuning = tune([log], BuildOptions())
+    assert (tuning.time.verdict, tuning.mount.verdict) == (Verdict.UNSEEN, Verdict.UNSEEN)
+    assert "the sensor hardly moves: neither time nor mount shows in these scans" in (
+        tuning.remarks.notes
+    )
+    assert len(tuning.tried) == 1
+
+
+@pytest.mark.parametrize(
+    ("poses", "searched", "note"),
+    [
+        ([(0.1 * i, 0.0, 0.0) for i in range(20)], {"yaw"}, "x and y of the mount are not"),
+        ([(0.0, 0.0, 0.1 * i) for i in range(20)], {"x", "y"}, "the yaw of the mount is not"),
+    ],
+)
+def test_only_what_the_motion_shows_is_searched(
+    poses: list[tuple[float, float, float]], searched: set[str], note: str, tmp_path: Path
+) -> None:
+    log = write_csv(tmp_path / "log.csv", poses, [1.0, 2.0, 1.5], 0.3)
+    tuning = tune([log], BuildOptions())
+    changed = {name for each in tuning.tried for name in each._fields if getattr(each, name)}
+    assert changed == searched
+    assert any(text.startswith(note) for text in tuning.remarks.notes)
+
+
+def test_lasers_at_different_places_have_no_one_mount() -> None:
+    tuning = tune([SAMPLE_LOGS / "drive.bag", SAMPLE_LOGS / "drive.csv"], BuildOptions())
+    assert tuning.sensor_pose is None
+    assert tuning.mount.verdict is Verdict.UNSEEN
+    assert any("no single --sensor-pose" in text for text in tuning.remarks.notes)
+
+
+def test_scans_without_a_pose_at_some_offset_are_in_no_map(tmp_path: Path) -> None:
+    scans, poses = write_drive(tmp_path)
+    tuning = tune([scans], follow(poses))
+    assert tuning.kept == 414 - 2 * 3  # three of five a second at either end
+
+
+def test_too_short_a_log_is_refused(tmp_path: Path) -> None:
+    scans, poses = write_drive(tmp_path)
+    few = tmp_path / "few.csv"
+    few.write_text("\n".join(poses.read_text().splitlines()[:5]))
+    with pytest.raises(PoseError, match="give a longer log"):
+        tune([scans], follow(few))
+
+
+def test_nothing_to_score_by_is_refused(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "blind.csv", [(0.1 * i, 0.0, 0.0) for i in range(20)], [math.nan])
+    with pytest.raises(LogError, match="measured a range"):
+        tune([log], BuildOptions())
+
+
+@pytest.mark.parametrize("sizes", [[10], [1] * 10, [3, 4, 3], [7, 0, 3]])
+@pytest.mark.parametrize(("n", "first"), [(1, 0), (2, 0), (3, 2), (4, 1)])
+def test_every_nth_scan_is_taken_however_they_are_batched(
+    sizes: list[int], n: int, first: int
+) -> None:
+    stamps = np.split(np.arange(10), np.cumsum(sizes)[:-1])
+    still = [np.zeros(size) for size in sizes]
+    batches = [
+        ScanBatch("laser", 0.0, 0.1, 0.0, 9.0, part, np.ones((len(part), 2), np.float32), each)
+        for part, each in zip(stamps, still, strict=True)
+    ]
+    taken = [int(stamp) for part in take_every(batches, n, first) for stamp in part.stamp_ns]
+    assert taken == list(range(first, 10, n))
+
+
+def test_a_long_log_is_thinned_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("occmap.tuning.MOST_SCANS", 150)
+    tuning = tune([SAMPLE_LOGS / "drive.csv"], BuildOptions())
+    assert tuning.kept == 104  # every fourth of 414
+    assert "104 of 414 scans are tried, spread over the logs" in tuning.remarks.notes
+    assert tuning.command == ()
+
+
+def make_trial(predicted: list[int]) -> Trial:
+    """Scans of ten beams each."""
+    share = sum(predicted) / (10 * len(predicted))
+    by_scan = np.array([(10, near) for near in predicted], float)
+    return Trial(Score(10 * len(predicted), share, 0.0, 0.0, 0.0, 0.0), by_scan)
+
+
+def test_a_gain_is_measured_scan_by_scan() -> None:
+    gain = Gain.measure(make_trial([1, 4, 7, 3]), make_trial([3, 6, 9, 5]))
+    assert gain == pytest.approx((0.2, 0.0))
+    assert gain.certain
+    # Gains of 4, 0, 4, 0 beams in ten: their mean is 0.2, its error sqrt(4/3 * 4 * 4) / 40
+    noisy = Gain.measure(make_trial([1, 4, 1, 3]), make_trial([5, 4, 5, 3]))
+    assert noisy == pytest.approx((0.2, math.sqrt(64 / 3) / 40))
+    assert not noisy.certain
+    half = Gain.measure(make_trial([1, 4, 7, 3]), make_trial([1, 4, 8, 4]), slice(2, None))
+    assert half == pytest.approx((0.1, 0.0))
+    assert not Gain(0.004, 0.0).certain  # nobody sees that
+
+
+real = pytest.mark.skipif(not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}")
+
+
+@real
+def test_a_real_robot_whose_stamps_are_late() -> None:
+    tuning = tune([REAL_LOGS / "ros2" / "macfirst_floor_take_2"], BuildOptions())
+    assert tuning.time.verdict is Verdict.FOUND
+    assert tuning.correction.time_s == pytest.approx(-0.1, abs=0.03)
+    assert tuning.time.gain.share > 0.05
+
+
+@real
+@pytest.mark.parametrize("name", ["intel", "csail"])
+def test_corrected_logs_have_nothing_to_gain(name: str) -> None:
+    tuning = tune([REAL_LOGS / "carmen" / f"{name}-corrected.log.gz"], BuildOptions())
+    assert tuning.mount.verdict is Verdict.NOTHING
+    askew = [
+        trial.score.share
+        for each, trial in tuning.tried.items()
+        if each == Correction(yaw=each.yaw) and abs(each.yaw) > YAW.steps[-1] / 2
+    ]
+    assert len(askew) == 2 * len(YAW.steps)
+    assert max(askew) < tuning.before.score.share
