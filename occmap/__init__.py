@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from occmap.api import build_map, check, compare, diff, merge, read_log
+    from occmap.api import build_map, check, compare, diff, merge, read_log, tune
     from occmap.errors import OccmapError
     from occmap.maps import Map
     from occmap.pipeline import Build, BuildOptions, build
@@ -32,6 +32,7 @@ __all__ = [
     "diff",
     "merge",
     "read_log",
+    "tune",
 ]
 
 _HOMES = {
@@ -42,7 +43,9 @@ _HOMES = {
     "OccmapError": "occmap.errors",
     "OccupancyMap": "occmap.types",
     "build": "occmap.pipeline",
-    **dict.fromkeys(("build_map", "check", "compare", "diff", "merge", "read_log"), "occmap.api"),
+    **dict.fromkeys(
+        ("build_map", "check", "compare", "diff", "merge", "read_log", "tune"), "occmap.api"
+    ),
 }
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from occmap import difference, evidence, inspection
+from occmap import difference, evidence, inspection, tuning
 from occmap.difference.maps import load_map
 from occmap.errors import UsageError
 from occmap.evidence import merging, publishing
@@ -172,6 +172,29 @@ def compare(
         [read_option("model", hints["model"], each) for each in models],
     )
     return scoring.compare(paths, variants, common, None if picture is None else Path(picture))
+
+
+def tune(*logs: AnyPath, **options: Any) -> tuning.Tuning:
+    """Search for the time offset and the mount by which a map predicts held-out scans better.
+
+    Parameters
+    ----------
+    logs
+        Paths to recordings of any installed format.
+    options
+        Those of `build_map` that concern scans, poses, ranges and the lattice.
+
+    Returns
+    -------
+    Tuning
+        What was found of `time` and of `mount`, the `gain`, and the `command` that uses it.
+
+    Raises
+    ------
+    OccmapError
+        As `compare`.
+    """
+    return tuning.tune(list_logs(logs, "tune"), read_common(options, "tune"))
 
 
 def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> Map:

@@ -10,7 +10,7 @@ from functools import reduce
 from numbers import Real
 from pathlib import Path
 from types import NoneType
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, TypeVar, cast, get_args, get_type_hints
 
 from occmap.errors import UsageError
 from occmap.plugins import suggest
@@ -51,8 +51,7 @@ def read_options(kind: type[Options], given: Mapping[str, Any], call: str) -> Op
         for name, value in given.items()
         if value is not None or NoneType in get_args(hints[name])
     }
-    made: Options = _group(kind, values)
-    return made
+    return take(kind, values)
 
 
 def list_options(kind: Any) -> dict[str, Any]:
@@ -63,13 +62,14 @@ def list_options(kind: Any) -> dict[str, Any]:
     return found
 
 
-def _group(kind: Any, values: Mapping[str, Any]) -> Any:
+def take(kind: type[Options], values: Mapping[str, Any]) -> Options:
+    """Make options of the values that are named like its fields, or like those of its groups."""
     made = {}
     for name, hint in get_type_hints(kind).items():
-        if is_dataclass(hint):
-            made[name] = _group(hint, values)
-        elif name in values:
+        if name in values:
             made[name] = values[name]
+        elif is_dataclass(hint):
+            made[name] = take(cast(type[Any], hint), values)
     return kind(**made)
 
 

@@ -7,7 +7,7 @@ import json
 import math
 import re
 from dataclasses import fields
-from enum import EnumType
+from enum import EnumType, StrEnum
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -194,7 +194,7 @@ def test_what_is_no_option_is_refused_in_words(options: dict[str, Any], message:
     assert message in str(caught.value)
 
 
-@pytest.mark.parametrize("call", [occmap.check, occmap.compare])
+@pytest.mark.parametrize("call", [occmap.check, occmap.compare, occmap.tune])
 @pytest.mark.parametrize("name", ["update", "model", "min_passes", "resume", "mode", "shade"])
 def test_an_option_that_would_do_nothing_is_refused(call: Any, name: str) -> None:
     with pytest.raises(UsageError, match=f"has no option '{name}'; build_map takes it"):
@@ -232,8 +232,11 @@ def test_the_docstring_lists_every_option_with_its_default_and_unit() -> None:
     }
     for name, _, unit in shown:
         kind = list_options(BuildOptions)[name]
-        choices = kind.__members__.values() if isinstance(kind, EnumType) else ()
-        assert all(f'"{choice}"' in unit for choice in choices) if choices else unit in UNITS
+        if isinstance(kind, EnumType):
+            members: list[StrEnum] = list(kind)
+            assert re.findall('"(.+?)"', unit) == list(map(str, members))
+        else:
+            assert unit in UNITS
         assert unit == "s" or not name.endswith("_s")
 
 
@@ -398,6 +401,13 @@ def test_check_gives_what_the_command_prints() -> None:
     printed = run("check", DRIVE, "--resolution", "0.1", "--max-range", "5")
     assert printed == {**printed, **as_printed(found.to_json())}
     assert found.buildable
+
+
+def test_tune_gives_what_the_command_prints() -> None:
+    found = occmap.tune(DRIVE, stride=4)
+    printed = run("tune", DRIVE, "--stride", "4")
+    assert printed == {**printed, **as_printed(found.to_json())}
+    assert found.tally.scans_used == 104
 
 
 def test_check_finds_what_a_build_would_raise(tmp_path: Path) -> None:
