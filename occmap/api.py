@@ -294,8 +294,8 @@ def read_build(options: Mapping[str, Any], call: str = "build_map") -> BuildOpti
     hints = list_options(BuildOptions)
     given = dict(options)
     if given.get("model") is None:
-        update = read_option("update", hints["update"], given.get("update"))
-        given["model"] = choose_model(update or DEFAULT_UPDATE)
+        update = given.get("update") or DEFAULT_UPDATE
+        given["model"] = choose_model(read_option("update", hints["update"], update))
     return read_options(BuildOptions, given, call)
 
 

@@ -81,9 +81,9 @@ def read_option(name: str, hint: Any, value: Any) -> Any:
     UsageError
         It is nothing of the kind.
     """
-    if value is None:
-        return None
     if NoneType in get_args(hint):
+        if value is None:
+            return None
         hint = reduce(operator.or_, (each for each in get_args(hint) if each is not NoneType))
     if hint not in FORMS:
         return _read_member(name, hint, value)

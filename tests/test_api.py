@@ -435,6 +435,8 @@ def test_compare_gives_what_the_command_prints(tmp_path: Path) -> None:
     ("options", "message"),
     [
         ({"updates": ["beem"]}, "update is 'beem'; did you mean 'beam'?"),
+        ({"updates": [None]}, "update is None; there are beam, polygon, surface"),
+        ({"models": [None]}, "model is None; give text such as"),
         ({"models": ["smiple"]}, "no model is called 'smiple'"),
         ({"strid": 2}, "compare has no option 'strid'; did you mean 'stride'?"),
     ],
