@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from occmap.errors import PoseError
+from occmap.posing.contradictions import list_contradictions
+from occmap.posing.conventions import join_names
 from occmap.posing.frames import Edge, FrameTree, Source, last_part
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.posing.tracks import Track, TrackBuilder
@@ -65,6 +67,7 @@ def gather(samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) ->
     poses = tuple(sorted((edge for edge in edges if edge.source is Source.ODOMETRY), key=_rank))
     trajectory = _find_trajectory(options, poses, notes) if options.poses else None
     told = *_list_overruled(given, edges), *_list_loops(given, tree)
+    notes.extend(list_contradictions(edges, tree))
     return Sources(tree, poses, trajectory, (*told, *notes))
 
 
@@ -81,6 +84,7 @@ def _build_tracks(
             builder.add(item, stamps)
     tracks: list[tuple[_Key, Track]] = []
     notes: list[str] = []
+    changed: dict[str, list[str]] = defaultdict(list)
     for key, builder in ((_Key(*names), each) for names, each in sorted(builders.items())):
         track = builder.build()
         if builder.unusable:
@@ -89,8 +93,12 @@ def _build_tracks(
                 f"{builder.unusable} poses of {name} are left out: not finite, "
                 "without a rotation, or with a damaged stamp"
             )
+        if key.static and builder.changes:
+            changed[key.topic].append(f"{key.parent} -> {key.child}")
         if track is not None and key.parent != key.child:
             tracks.append((key, _take_last(track) if key.static else track))
+    for topic, names in changed.items():
+        notes.append(f"{topic} changes {join_names(names)}: the last pose counts")
     return tracks, notes
 
 

@@ -48,12 +48,7 @@ class Track:
     @cached_property
     def moves(self) -> bool:
         """Whether the pose ever changes: fixed transforms are sent on /tf, too, in old logs."""
-        if len(self) == 1:
-            return False
-        first = np.broadcast_to(self.quaternion[:1], self.quaternion.shape)
-        far = float(np.abs(self.position - self.position[:1]).max())
-        turned = float(angle_between(first, self.quaternion).max())
-        return far > STILL_M or turned > STILL_RAD
+        return len(self) > 1 and differ(self.position, self.quaternion)
 
     @cached_property
     def interval_s(self) -> Float64:
@@ -101,6 +96,14 @@ class TrackBuilder:
         self._times.frombytes(times[sound].tobytes())
         self._values.frombytes(batch.pose[sound].tobytes())
 
+    @property
+    def changes(self) -> bool:
+        """Whether usable samples differ, be it under one stamp."""
+        values = np.frombuffer(self._values, np.float64).reshape(-1, 7)
+        usable, norm = find_usable(values)
+        unit = values[usable, 3:] / norm[usable, None]
+        return len(values) > 1 and differ(values[usable, :3], unit)
+
     def build(self) -> Track | None:
         """Sort what was gathered; None where nothing is usable.
 
@@ -118,6 +121,14 @@ class TrackBuilder:
         kept = kept[np.lexsort((record[kept], stamp[kept]))]
         kept = kept[np.append(np.diff(stamp[kept]) > 0, True)]
         return Track(stamp[kept], values[kept, :3], values[kept, 3:] / norm[kept, None])
+
+
+def differ(position: Float64, quaternion: Float64) -> bool:
+    """Whether any of the poses (N, 3) and (N, 4) is another than the first."""
+    far = float(np.abs(position - position[:1]).max(initial=0))
+    first = np.broadcast_to(quaternion[:1], quaternion.shape)
+    turned = float(angle_between(first, quaternion).max(initial=0))
+    return far > STILL_M or turned > STILL_RAD
 
 
 def find_usable(values: Float64) -> tuple[Bool, Float64]:

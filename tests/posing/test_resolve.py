@@ -8,7 +8,7 @@ import pytest
 
 from occmap.errors import LogError, PoseError
 from occmap.posing.attach import Poser
-from occmap.types import Pose
+from occmap.types import Pose, PoseSample
 from tests.posing.scenes import at, bolted, build, drive, positions, turned, yaw_of
 
 MOUNT = bolted("base_link", "laser", Pose.planar(0.5, 0, 0))
@@ -141,6 +141,46 @@ def test_a_given_transform_that_closes_a_loop_is_told() -> None:
 def test_of_a_static_transform_that_is_sent_again_the_last_holds() -> None:
     again = MOUNT._replace(stamp_ns=1, pose=turned(0, y=2))
     assert place(build(*drive("odom", "base_link"), again, MOUNT)) == [4, 2, 0]
+
+
+# Transforms that contradict each other: maps are made all the same, and it is said
+
+
+def notes_of(*samples: PoseSample) -> list[str]:
+    return build(*drive("odom", "base_link"), MOUNT, *samples).notes
+
+
+def test_a_frame_with_two_parents_is_told() -> None:
+    assert notes_of(bolted("tower", "laser", turned(0)), bolted("map", "odom", turned(0))) == [
+        "frames that have several parents: laser (base_link, tower); the shortest way counts"
+    ]
+
+
+def test_a_loop_is_told_once() -> None:
+    loop = bolted("laser", "odom", turned(0)), bolted("odom", "camera", turned(0))
+    assert notes_of(*loop) == [
+        "the transforms laser -> odom -> base_link -> laser form a loop: the shortest way counts"
+    ]
+
+
+def test_a_long_chain_of_frames_costs_no_time() -> None:
+    chain = [bolted(f"link{i}", f"link{i + 1}", turned(0)) for i in range(10_000)]
+    assert notes_of(*chain) == []
+
+
+@pytest.mark.parametrize("stamp_ns", [0, 1])
+def test_a_static_transform_that_changes_is_told(stamp_ns: int) -> None:
+    again = MOUNT._replace(stamp_ns=stamp_ns, record_ns=5)
+    moved = again._replace(pose=turned(0, y=2))
+    assert notes_of(moved) == ["/tf_static changes base_link -> laser: the last pose counts"]
+    assert notes_of(again) == []
+
+
+def test_a_transform_that_is_static_and_otherwise_is_told() -> None:
+    sent = [at(t, "base_link", "laser", MOUNT.pose) for t in range(3)]
+    assert notes_of(*sent) == []
+    moved = [at(t, "base_link", "laser", turned(0, y=t)) for t in range(3)]
+    assert notes_of(*moved) == ["/tf, /tf_static differ on base_link -> laser: /tf counts"]
 
 
 # Odometry and topics of poses
