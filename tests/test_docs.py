@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 from ruamel.yaml import YAML
 
 from occmap.gates.measures import BUILD, CHECK, COMPARE, DIFF, SAVED, Measures
@@ -46,6 +47,22 @@ def test_commands_do_what_the_page_shows(page: str, folder: Path) -> None:
                 assert session.code == 0, f"{step.command}\n{printed}"
             else:
                 assert matches(printed, step.expected), f"{step.command}\n{printed}"
+    for name in re.findall(r"\]\(pictures/(.*?)\)", read_page(page)):
+        shown, made = (
+            np.asarray(Image.open(each / name)) for each in (ROOT / "docs" / "pictures", folder)
+        )
+        assert np.array_equal(shown, made), name
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_no_block_is_left_out_for_its_mark(page: str) -> None:
+    text = read_page(page)
+    blocks = list_blocks(page, "console", "sh", "python", "csv", "toml", "yaml")
+    assert text.count("```") == 2 * len(blocks)
+    assert {block.needs for block in blocks} <= {"", *NOT_YET}
+    for block in blocks:
+        if block.language == "console":
+            assert block.code.startswith("$ ")
 
 
 @pytest.mark.usefixtures("folder")
