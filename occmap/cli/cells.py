@@ -39,7 +39,9 @@ def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
     else:
         yield "class", "unknown: nothing observed this cell"
     if history.observed:
-        yield "seen", describe_numbers((history.first, history.second), history.kind)
+        seen = describe_numbers((history.first, history.second), history.kind)
+        parts = "" if history.unit == 1 else f"; a beam among its neighbours counts {history.unit}"
+        yield "seen", seen + parts
         yield from list_builds(explanation)
     if explanation.extent:
         low_x, low_y, high_x, high_y = explanation.extent

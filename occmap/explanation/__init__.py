@@ -100,6 +100,7 @@ class Explanation:
             "class": self.verdict,
             "probability": self.probability,
             "model": self.model,
+            "unit": history.unit,
             "seen": numbers_to_json((history.first, history.second), kind),
             "around": around[::-1],
             "min_passes": self.question.min_passes,

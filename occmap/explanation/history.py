@@ -9,8 +9,9 @@ import numpy as np
 from occmap.errors import UsageError
 from occmap.grid.lattice import Lattice
 from occmap.grid.slices import count_visits, take, unite, unpack
+from occmap.grid.spec import find_unit
 from occmap.grid.tiles import TILE, EvidenceKind
-from occmap.types import Box, Evidence, Int64, Slices
+from occmap.types import Box, Evidence, Int64, Slices, Update
 
 FARTHEST_CELL = 1 << 44
 """Beyond this a float cannot tell the parts of a cell apart."""
@@ -39,6 +40,8 @@ class CellHistory:
     """Lowest x and y, highest x and y (m)"""
     kind: EvidenceKind
     """What the two numbers are"""
+    unit: int
+    """What one beam counts in them, or one scan"""
     around: Int64
     """(3, 3, 2) the two numbers of the cell, in the middle, and its neighbours; row 0 is the lowest
     y"""
@@ -86,6 +89,7 @@ def look_at(evidence: Evidence, x: float, y: float) -> CellHistory:
         col,
         extent=(low_x, low_y, high_x, high_y),
         kind=EvidenceKind(evidence.manifest.kind),
+        unit=find_unit(Update(evidence.manifest.update)),
         around=np.array(around),
         visits=read_visits(unite(layers), row, col, slice_ns),
         builds=tuple(read_visits(layer, row, col, slice_ns) for layer in layers),

@@ -21,14 +21,17 @@ def list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str]
     for edge in tree.edges:
         if edge.source is not Source.GIVEN:
             parents[edge.child].append(edge.parent)
-    for child, above in parents.items():
-        if len(above) > 1:
-            yield f"{child} has {len(above)} parents, {join_names(above)}: the shortest way counts"
+    several = [
+        f"{child} ({', '.join(above)})" for child, above in parents.items() if len(above) > 1
+    ]
+    if several:
+        yield f"frames that have several parents: {join_names(several)}; the shortest way counts"
     yield from _list_loops(parents)
 
 
 def _list_doubles(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str]:
-    """Say which fixed transforms the log states another time, and otherwise."""
+    """Say which fixed transforms another topic states, too, and otherwise."""
+    doubles: dict[tuple[str, str], list[str]] = defaultdict(list)
     stated: dict[tuple[str, str], list[Edge]] = defaultdict(list)
     for edge in edges:
         if edge.source is Source.TF:
@@ -40,8 +43,9 @@ def _list_doubles(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str]:
             positions = np.concatenate([track.position for track in tracks])
             if differ(positions, np.concatenate([track.quaternion for track in tracks])):
                 topics = join_names(sorted({edge.topic for edge in same}))
-                name = f"{used.parent} -> {used.child}"
-                yield f"{name} is stated by {topics}, which differ: that of {used.topic} counts"
+                doubles[topics, used.topic].append(f"{used.parent} -> {used.child}")
+    for (topics, topic), names in doubles.items():
+        yield f"{topics} differ on {join_names(names)}: {topic} counts"
 
 
 def _list_loops(parents: dict[str, list[str]]) -> Iterator[str]:

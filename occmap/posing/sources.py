@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from occmap.errors import PoseError
 from occmap.posing.contradictions import list_contradictions
+from occmap.posing.conventions import join_names
 from occmap.posing.frames import Edge, FrameTree, Source, last_part
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.posing.tracks import Track, TrackBuilder
@@ -83,6 +84,7 @@ def _build_tracks(
             builder.add(item, stamps)
     tracks: list[tuple[_Key, Track]] = []
     notes: list[str] = []
+    changed: dict[str, list[str]] = defaultdict(list)
     for key, builder in ((_Key(*names), each) for names, each in sorted(builders.items())):
         track = builder.build()
         if builder.unusable:
@@ -92,9 +94,11 @@ def _build_tracks(
                 "without a rotation, or with a damaged stamp"
             )
         if key.static and builder.changes:
-            notes.append(f"{key.topic} changes {key.parent} -> {key.child}: the last one counts")
+            changed[key.topic].append(f"{key.parent} -> {key.child}")
         if track is not None and key.parent != key.child:
             tracks.append((key, _take_last(track) if key.static else track))
+    for topic, names in changed.items():
+        notes.append(f"{topic} changes {join_names(names)}: the last pose counts")
     return tracks, notes
 
 
