@@ -12,7 +12,7 @@ from occmap.report import Remarks, Tally
 from occmap.scoring.compare import FEW_SCANS
 from occmap.tuning.kept import MOST_SCANS, KeptLog, find_mount, keep_logs
 from occmap.tuning.result import Tuning
-from occmap.tuning.search import TIME, YAW, Correction, Course, X, Y
+from occmap.tuning.search import TIME, TOGETHER, YAW, Correction, Course, X, Y
 from occmap.tuning.verdict import Verdict, find
 from occmap.types import Pose, Rays
 from occmap.wording import count
@@ -59,18 +59,20 @@ def tune(
     mounted = mount is not None and time.verdict is not Verdict.DISAGREE
     place = [*([YAW] if motion.shows_yaw else []), *([X, Y] if motion.shows_place else [])]
     found = find(course, time.correction, place if mounted else [])
-    after = course.score(found.correction)
+    # One may have hidden part of the other: a laser that is late looks as if it sat further back.
+    again = timed and found.verdict is Verdict.FOUND
+    both = find(course, found.correction, TOGETHER if again else [])
     tuning = Tuning(
         options=options,
         remarks=remarks,
         tally=tally,
         kept=kept,
-        held_out=len(before.predicted),
         time=time,
         mount=found,
+        together=both,
         sensor_pose=mount,
         before=before,
-        after=after,
+        after=course.score(both.correction),
         tried=course.tried,
     )
     remarks.notes += [*list_unsearched(logs, mount, motion), *list_doubts(tuning)]

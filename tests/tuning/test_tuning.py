@@ -58,6 +58,17 @@ def test_a_known_error_of_the_mount_is_found(tmp_path: Path) -> None:
     assert to_rpy(pose)[2] == pytest.approx(true[2], abs=STEP_RAD + 1e-5)
 
 
+def test_a_time_offset_that_a_wrong_mount_hides_is_found(tmp_path: Path) -> None:
+    scans, poses = write_drive(tmp_path, lambda _: 0.05, mount=(0.15, 0.05, 0.0))
+    tuning = tune([scans], follow(poses))
+    assert tuning.time.correction.time_s > -0.05  # as the laser sits before where it is thought to
+    assert tuning.mount.verdict is tuning.together.verdict is Verdict.FOUND
+    found = tuning.correction
+    assert found.time_s == pytest.approx(-0.05, abs=STEP_S + 1e-9)
+    assert (found.x, found.y) == pytest.approx((0.15, 0.05), abs=STEP_M + 1e-9)
+    assert found.yaw == pytest.approx(0.0, abs=STEP_RAD + 1e-9)
+
+
 @pytest.mark.parametrize("name", ["drive.mcap", "drive.log"])
 def test_a_right_log_has_nothing_to_gain(name: str) -> None:
     tuning = tune([SAMPLE_LOGS / name], BuildOptions())
