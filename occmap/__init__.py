@@ -8,40 +8,55 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from occmap.api import build_map, read_log
+    from occmap.api import build_map, check, compare, diff, merge, read_log, tune
     from occmap.errors import OccmapError
+    from occmap.maps import Map
     from occmap.pipeline import Build, BuildOptions, build
     from occmap.readers import Log
     from occmap.types import OccupancyMap
+
+    __version__: str
 
 __all__ = [
     "Build",
     "BuildOptions",
     "Log",
+    "Map",
     "OccmapError",
     "OccupancyMap",
+    "__version__",
     "build",
     "build_map",
+    "check",
+    "compare",
+    "diff",
+    "merge",
     "read_log",
+    "tune",
 ]
 
 _HOMES = {
     "Build": "occmap.pipeline",
     "BuildOptions": "occmap.pipeline",
     "Log": "occmap.readers",
+    "Map": "occmap.maps",
     "OccmapError": "occmap.errors",
     "OccupancyMap": "occmap.types",
     "build": "occmap.pipeline",
-    "build_map": "occmap.api",
-    "read_log": "occmap.api",
+    **dict.fromkeys(
+        ("build_map", "check", "compare", "diff", "merge", "read_log", "tune"), "occmap.api"
+    ),
 }
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first asked for (PEP 562)."""
-    if name not in _HOMES:
+    if name == "__version__":
+        value: Any = import_module("importlib.metadata").version("occmap")
+    elif name in _HOMES:
+        value = getattr(import_module(_HOMES[name]), name)
+    else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(_HOMES[name]), name)
     globals()[name] = value
     return value
 

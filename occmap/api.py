@@ -1,60 +1,278 @@
-"""What a notebook or a program calls: a map in one line, or a log to look into."""
+"""What a notebook or a program calls: the commands as functions that return what they found."""
 
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from occmap import difference, evidence, inspection, tuning
+from occmap.difference.maps import load_map
 from occmap.errors import UsageError
-from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build, choose_model
-from occmap.plugins import suggest
+from occmap.evidence import merging, publishing
+from occmap.keywords import list_options, read_option, read_options
+from occmap.maps import Map
+from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build, choose_model, list_inputs
 from occmap.readers import Log, open_log
-from occmap.sensor.models import parse_model
-from occmap.types import OccupancyMap, Update
+from occmap.scoring import compare as scoring
+from occmap.scoring.variants import combine
+from occmap.sensor.models import SensorModel
+from occmap.writers import WriteOptions, check_picture
+from occmap.writers.npz import read_evidence
+
+AnyPath = str | Path
+OF_ONE_MAP = ("update", "model", "min_passes", "pass_gap_s", "resume")
+"""Options that say nothing to what looks at logs, or makes several maps of them"""
 
 
-def build_map(*logs: str | Path, **options: Any) -> OccupancyMap:
+def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **options: Any) -> Map:
     """Build one occupancy map from all usable scans of one or more logs.
 
     Parameters
     ----------
     logs
         Paths to recordings of any installed format.
+    outputs
+        Files to write at once; the suffix picks the format. Only a map that was built with an .npz
+        among them can be saved as one later: it keeps when its cells were seen, which takes time.
     options
-        Fields of `BuildOptions`; `update` and `model` may be text, such as "beam" and
-        "simple:p_hit=0.8".
+        By name; None leaves an option at its default. The map:
+
+        resolution = 0.05 (m): side of a cell
+        update = "surface" ("beam", "polygon" or "surface"): how scans become observations of cells
+        model = None (text or model): how evidence is weighed, such as "simple:p_hit=0.8"; the
+            default is the counting model, as it suits the update
+        hit_offset = 0.5 (cells): a hit lies so far behind the measured point
+        jump = 0.1 (m): neighbouring beams see one surface where ranges differ by at most this
+        border_gap = 8 (cells): polygon: a surface is closed over so many cells
+        max_cells = 1_000_000_000 (cells): a larger map is refused
+        min_passes = None (visits): cells that were hit on fewer lose their hits
+        pass_gap_s = 10.0 (s): two visits lie at least so far apart
+        resume = None (path): an .npz; its observations are added to those of the logs
+        jobs = None (threads): the default is one for each core
+
+        What a range means:
+
+        min_range = 0.0 (m): nearer ranges are ignored
+        max_range = inf (m): beams count up to here; a longer one is free up to here
+        range_max = None (m): the sensor's limit, where the log states a wrong one or none
+        no_return = "ignore" ("clear" or "ignore"): where nothing came back, space is free up to
+            the limit, or nothing is known
+        ignore_sectors = () (rad): [(from, to), ...]: bearings, counter-clockwise, as the sensor
+            sees them, that the robot blocks
+        footprint = None (m): (x_min, y_min, x_max, y_max) around the sensor: the robot itself
+
+        Which scans:
+
+        topics = () (names): one topic or several; the default is all
+        start_s = -inf (s): scans before this time after the first are left out
+        end_s = inf (s): ... and scans from this time on
+        stride = 1 (scans): use every n-th
+        echo = "first" ("first" or "last"): which echo of a MultiEchoLaserScan counts
+        min_height = -0.2 (m): points of a PointCloud2 from this height over the sensor ...
+        max_height = 0.2 (m): ... up to this one are used
+
+        Where the scans were taken:
+
+        poses = None (path or topic): a trajectory file, or the topic to take the poses from
+        sensor_pose = None (m, rad): (x, y, yaw) or (x, y, yaw, roll, pitch) of the laser on the
+            robot
+        static_transforms = () (m, rad): [(parent, child, x, y, z, roll, pitch, yaw), ...] that the
+            log lacks
+        map_frame = None (name): the default is map, else odom, else the root of the laser's tree
+        base_frame = None (name): the moving body that sensor_pose is on
+        max_pose_gap_s = 2.0 (s): no pose is interpolated across a longer gap; None: across any
+        time_offset_s = 0.0 (s): added to the stamps of scans
+        stamps = "header" ("header" or "record"): the driver's time, or the recorder's
+        deskew = "off" ("auto", "on" or "off"): each beam gets a pose of its own
+
+        How the map is saved:
+
+        mode = "trinary" ("trinary", "scale" or "raw"): what the pixels of a PGM mean
+        occupied_thresh = None (probability): occupied above; the default is the model's cut
+        free_thresh = None (probability): free below; likewise
+        shade = "dark" ("dark" or "light"): which end of the greys of a PNG is occupied
 
     Raises
     ------
     OccmapError
-        A log cannot be read, has no scans or no poses, an option is out of its range, or the map
-        would be too large.
+        A log cannot be read, has no scans or no poses, an option is unknown or out of its range,
+        the map would be too large, or an output cannot be written.
     """
-    if not logs:
-        raise UsageError("no log is given", fix='try build_map("drive.mcap")')
-    if "update" in options:
-        options["update"] = parse_update(options["update"])
-    if isinstance(options.get("model"), str):
-        options["model"] = parse_model(options["model"])
-    elif "model" not in options:
-        options["model"] = choose_model(options.get("update", DEFAULT_UPDATE))
-    return build([Path(log) for log in logs], BuildOptions(**options)).map
+    paths = list_logs(logs, "build_map")
+    chosen = read_build(options)
+    made = build(paths, chosen, list_paths([outputs] if isinstance(outputs, AnyPath) else outputs))
+    return Map.wrap(
+        made.map,
+        report=made.report,
+        writing=chosen.writing,
+        inputs=tuple(list_inputs(paths, chosen)),
+        tiles=made.observed,
+        keep_evidence=made.evidence,
+    )
 
 
-def parse_update(name: str) -> Update:
-    """Find an update by its name.
+def check(*logs: AnyPath, **options: Any) -> inspection.Inspection:
+    """Say what is in logs, and what will go wrong with them: `occmap check`.
+
+    Parameters
+    ----------
+    logs
+        Paths to recordings of any installed format.
+    options
+        Those of `build_map` that concern scans, poses, ranges and the size of the map.
+
+    Returns
+    -------
+    Inspection
+        `logs`, `map`, `problems`, `warnings`, and the `command` that it recommends. A log that
+        cannot be read is among the problems.
 
     Raises
     ------
     UsageError
-        No update has that name.
+        No log is given, or an option is unknown or out of its range.
     """
-    known = [update.value for update in Update]
-    if name not in known:
-        fix = suggest(name, known, "occmap build --help")
-        raise UsageError(f"no update is called {name!r}", fix=fix)
-    return Update(name)
+    return inspection.inspect(list_logs(logs, "check"), read_common(options, "check"))
 
 
-def read_log(path: str | Path) -> Log:
+def compare(
+    *logs: AnyPath,
+    updates: Sequence[str] = (),
+    models: Sequence[str | SensorModel] = (),
+    picture: AnyPath | None = None,
+    **options: Any,
+) -> scoring.VariantComparison:
+    """Build maps with several updates and models, and score them on held-out scans.
+
+    Parameters
+    ----------
+    logs
+        Paths to recordings of any installed format.
+    updates, models
+        What to combine; without them, all updates and the usual models.
+    picture
+        A PNG to draw all maps in, and where they disagree.
+    options
+        Those of `build_map` that concern scans, poses, ranges and the lattice.
+
+    Returns
+    -------
+    VariantComparison
+        `results`, the best share first, each with its `variant`, `score` and `map`; the
+        `recommended` one, and the `likeliest`.
+
+    Raises
+    ------
+    OccmapError
+        As `build_map`, or no held-out beam measured a range.
+    """
+    paths, common = list_logs(logs, "compare"), read_common(options, "compare")
+    hints = list_options(BuildOptions)
+    variants = combine(
+        [read_option("update", hints["update"], each) for each in updates],
+        [read_option("model", hints["model"], each) for each in models],
+    )
+    return scoring.compare(paths, variants, common, None if picture is None else Path(picture))
+
+
+def tune(*logs: AnyPath, **options: Any) -> tuning.Tuning:
+    """Search for the time offset and the mount by which a map predicts held-out scans better.
+
+    Parameters
+    ----------
+    logs
+        Paths to recordings of any installed format.
+    options
+        Those of `build_map` that concern scans, poses, ranges and the lattice.
+
+    Returns
+    -------
+    Tuning
+        What was found of `time` and of `mount`, the `gain`, and the `command` that uses it.
+
+    Raises
+    ------
+    OccmapError
+        As `compare`.
+    """
+    return tuning.tune(list_logs(logs, "tune"), read_common(options, "tune"))
+
+
+def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> Map:
+    """Add saved evidence (.npz) exactly, or take some of it away; one file alone is rendered.
+
+    Parameters
+    ----------
+    paths
+        Evidence of one resolution, update and kind of model.
+    subtract
+        Evidence to take away from the sum.
+    options
+        Of `build_map`: model (the default is what the evidence was built with), min_passes,
+        max_cells, mode, occupied_thresh, free_thresh and shade; and crop: the part of the map to
+        show, (x_min, y_min, x_max, y_max) in metres.
+
+    Raises
+    ------
+    OccmapError
+        A file cannot be read, the evidence does not go together, or an option is unknown or out of
+        its range.
+    """
+    if not paths:
+        raise UsageError("no evidence is given", fix='try merge("a.npz", "b.npz")')
+    added, taken = list_paths(paths), list_paths(subtract)
+    chosen = read_options(publishing.RenderOptions, options, "merge")
+    total = merging.merge([read_evidence(path) for path in added])
+    for path in taken:
+        total = merging.subtract(total, read_evidence(path))
+    made = publishing.render_kept(total, chosen)
+    return Map.wrap(
+        made.map,
+        report=made.report,
+        writing=chosen.writing,
+        inputs=(*added, *taken),
+        tiles=evidence.to_grid(total),
+        keep_evidence=lambda: made.evidence,
+    )
+
+
+def diff(
+    before: AnyPath, after: AnyPath, picture: AnyPath | None = None, **thresholds: Any
+) -> difference.MapDifference:
+    """Say what changed between two maps.
+
+    Parameters
+    ----------
+    before, after
+        Maps as PGM with YAML, PNG or evidence (.npz).
+    picture
+        A PNG to draw the changes in.
+    thresholds
+        occupied_thresh and free_thresh, for formats that hold probabilities.
+
+    Returns
+    -------
+    MapDifference
+        `share` of the `known` cells that changed, `changed` cells by what they were and are, and
+        the `largest` connected change.
+
+    Raises
+    ------
+    OccmapError
+        A map cannot be read, they do not lie on one lattice, or the picture cannot be written.
+    """
+    paths = list_paths([before, after])
+    if picture is not None:
+        check_picture(Path(picture), paths)
+    chosen = read_options(WriteOptions, thresholds, "diff")
+    found = difference.compare_maps(*(load_map(path, chosen) for path in paths))
+    if picture is not None:
+        from occmap.writers.images import write_colours  # noqa: PLC0415  late: it brings pillow
+
+        write_colours(Path(picture), difference.paint(found))
+    return found
+
+
+def read_log(path: AnyPath) -> Log:
     """Open a recording of any installed format; iterate over its `scans` and `poses`.
 
     Raises
@@ -63,3 +281,44 @@ def read_log(path: str | Path) -> Log:
         The path cannot be read, or no reader knows what it is.
     """
     return open_log(Path(path))
+
+
+def read_build(options: Mapping[str, Any], call: str = "build_map") -> BuildOptions:
+    """Make the options of a build of what a caller gave by name.
+
+    Raises
+    ------
+    UsageError
+        An option is unknown or out of its range.
+    """
+    hints = list_options(BuildOptions)
+    given = dict(options)
+    if given.get("model") is None:
+        update = given.get("update") or DEFAULT_UPDATE
+        given["model"] = choose_model(read_option("update", hints["update"], update))
+    return read_options(BuildOptions, given, call)
+
+
+def read_common(options: Mapping[str, Any], call: str) -> BuildOptions:
+    """Make the options that do not concern one map alone; raises UsageError for all others."""
+    for name in options:
+        if name in OF_ONE_MAP or name in WriteOptions.__dataclass_fields__:
+            raise UsageError(f"{call} has no option {name!r}", fix="build_map takes it")
+    return read_build(options, call)
+
+
+def list_logs(logs: Sequence[AnyPath], call: str) -> list[Path]:
+    """Make paths of the logs that a function was called with; raises UsageError if none is."""
+    if not logs:
+        raise UsageError("no log is given", fix=f'try {call}("drive.mcap")')
+    return list_paths(logs)
+
+
+def list_paths(paths: Iterable[AnyPath]) -> list[Path]:
+    """Make paths of what a caller gave; raises UsageError where one of them is no path."""
+    found = list(paths)
+    for path in found:
+        if not isinstance(path, AnyPath):
+            fix = "give text or a Path; the paths of a list are given with a star: build_map(*logs)"
+            raise UsageError(f"{path!r} is no path", fix=fix)
+    return list(map(Path, found))

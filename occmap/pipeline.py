@@ -122,6 +122,11 @@ class Build(NamedTuple):
 
     map: OccupancyMap
     report: Report
+    observed: TileGrid
+    """What the map was made of, before `min_passes` forgets anything"""
+    evidence: Callable[[], Evidence]
+    """The same to write and to merge; made, and the logs hashed, when it is first called. It has
+    slices of time only where an output or `min_passes` asked for them"""
 
 
 def ignore_progress(_scans: int, _total: int) -> None:
@@ -142,10 +147,15 @@ def build(
         A log cannot be read, has no scans or no poses, the map would be too large, or an output
         cannot be written.
     """
-    inputs = [*paths, *(path / "metadata.yaml" for path in paths)]  # of a folder that is a bag
-    check_outputs(outputs, [*inputs, Path(options.posing.poses or "")])
+    check_outputs(outputs, list_inputs(paths, options))
     with hold_alone(options.resume, outputs):
         return build_alone(paths, options, outputs, progress)
+
+
+def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
+    """List the files that a build reads, which nothing may write over."""
+    bags = [path / "metadata.yaml" for path in paths]  # of a folder that is a bag
+    return [*paths, *bags, Path(options.posing.poses or "")]
 
 
 def build_alone(
@@ -188,7 +198,7 @@ def build_alone(
 
     with tally.time("write"):
         remarks.files += write_outputs(outputs, Product(grid, keep_evidence), options.writing)
-    return Build(grid, make_report(grid, options, tally, remarks))
+    return Build(grid, make_report(grid, options, tally, remarks), tiles, keep_evidence)
 
 
 def observe_logs(

@@ -6,6 +6,7 @@ import math
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -232,7 +233,7 @@ def test_build_map_takes_names(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "found"),
     [
-        ({"update": "polgon"}, "no update is called 'polgon'; did you mean 'polygon'"),
+        ({"update": "polgon"}, "update is 'polgon'; did you mean 'polygon'"),
         ({"model": "smiple"}, "no model is called 'smiple'; did you mean 'simple'"),
         ({"resolution": 0.0}, "a resolution of 0.0 m"),
         ({"jobs": 0}, "0 jobs"),
@@ -241,7 +242,7 @@ def test_build_map_takes_names(tmp_path: Path) -> None:
     ],
 )
 def test_build_map_refuses_what_makes_no_sense(
-    tmp_path: Path, options: dict[str, object], found: str
+    tmp_path: Path, options: dict[str, Any], found: str
 ) -> None:
     log = write_csv(tmp_path / "log.csv", STILL, [0.3])
     with pytest.raises(UsageError, match=found):

@@ -6,7 +6,6 @@ from typing import Any
 import click
 
 from occmap.cli import COMMANDS, limits, log_options, options
-from occmap.cli.collect import collect_reading
 from occmap.cli.console import Console
 from occmap.cli.findings import format_inspection
 from occmap.cli.sections import SectionCommand, join
@@ -15,6 +14,8 @@ from occmap.errors import UsageError
 from occmap.gates import judge
 from occmap.gates.measures import CHECK
 from occmap.inspection import inspect
+from occmap.keywords import take
+from occmap.pipeline import BuildOptions
 
 HELP = f"""{COMMANDS["check"]}
 
@@ -38,7 +39,7 @@ def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> Non
     """Look into logs, and print what was found."""
     if not logs:
         raise UsageError("no log is given", fix="type: occmap check LOG")
-    inspection = inspect(logs, collect_reading(values))
+    inspection = inspect(logs, take(BuildOptions, values))
     console = ctx.ensure_object(Console)
     failed = judge(values["limits"], inspection)
     if values["as_json"]:

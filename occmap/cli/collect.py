@@ -4,21 +4,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from occmap.batching import Selection
 from occmap.errors import UsageError
+from occmap.keywords import take
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, choose_model
-from occmap.posing.options import PosingOptions
-from occmap.readers.options import ReaderOptions
 from occmap.sensor.models import SensorModel, describe_model, parse_model
-from occmap.sensor.returns import ReturnOptions
 from occmap.types import Update
-from occmap.writers import WriteOptions
 
 Values = Mapping[str, Any]
 """What click read, by the names of the options."""
-Group = TypeVar("Group")
 
 SHORTHANDS = (
     *("p_hit", "p_miss", "epsilon", "p_min"),
@@ -36,34 +31,10 @@ def collect_options(update: Update, values: Values) -> BuildOptions:
         A value is out of its range, or does not fit another.
     """
     return replace(
-        collect_reading(values),
+        take(BuildOptions, values),
         update=update,
         model=collect_model(values, choose_model(update)),
-        writing=take(WriteOptions, values),
     )
-
-
-def collect_reading(values: Values) -> BuildOptions:
-    """Gather what matters before a map is made: scans, poses and ranges, and the size of the map.
-
-    Raises
-    ------
-    UsageError
-        A value is out of its range.
-    """
-    return replace(
-        take(BuildOptions, values),
-        reading=take(ReaderOptions, values),
-        returns=take(ReturnOptions, values),
-        posing=take(PosingOptions, values),
-        selection=take(Selection, values),
-    )
-
-
-def take(group: type[Group], values: Values) -> Group:
-    """Make a group of options of the values that are named like its fields."""
-    names = [field.name for field in fields(group)]  # type: ignore[arg-type]  # a dataclass
-    return group(**{name: values[name] for name in names if name in values})
 
 
 def collect_model(values: Values, usual: SensorModel) -> SensorModel:

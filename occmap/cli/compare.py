@@ -9,7 +9,6 @@ from typing import Any
 import click
 
 from occmap.cli import COMMANDS, limits, log_options, options
-from occmap.cli.collect import collect_reading
 from occmap.cli.console import Console
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join, option
@@ -17,6 +16,8 @@ from occmap.cli.values import PATH
 from occmap.errors import UsageError
 from occmap.gates import judge
 from occmap.gates.measures import COMPARE
+from occmap.keywords import take
+from occmap.pipeline import BuildOptions
 from occmap.scoring.compare import VariantComparison, compare
 from occmap.scoring.trials import Result
 from occmap.scoring.variants import DEFAULT_MODELS, Variant, combine
@@ -85,7 +86,7 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     """Compare variants, and print the table."""
     if not logs:
         raise UsageError("no log is given", fix="type: occmap compare LOG")
-    chosen, common = collect_variants(values), collect_reading(values)
+    chosen, common = collect_variants(values), take(BuildOptions, values)
     with show_progress(console) as progress:
         comparison = compare(logs, chosen, common, values["picture"], progress)
     for note in comparison.remarks.notes:

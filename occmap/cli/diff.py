@@ -7,7 +7,6 @@ from typing import Any
 import click
 
 from occmap.cli import COMMANDS, limits, options
-from occmap.cli.collect import take
 from occmap.cli.console import Console
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.summary import LABEL
@@ -16,6 +15,7 @@ from occmap.difference import MapDifference, compare_maps, paint
 from occmap.difference.maps import load_map
 from occmap.gates import Limit, judge
 from occmap.gates.measures import DIFF
+from occmap.keywords import take
 from occmap.wording import count
 from occmap.writers import WriteOptions, check_picture
 

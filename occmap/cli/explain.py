@@ -8,13 +8,13 @@ import click
 
 from occmap.cli import COMMANDS, options
 from occmap.cli.cells import format_explanation
-from occmap.cli.collect import take
 from occmap.cli.console import Console
 from occmap.cli.progress import show_progress
 from occmap.cli.saved import choose_model
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.values import PATH
 from occmap.explanation import Question, explain
+from occmap.keywords import take
 from occmap.types import Evidence
 from occmap.writers import WriteOptions
 from occmap.writers.npz import read_evidence

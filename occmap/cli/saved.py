@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from occmap.cli import limits
-from occmap.cli.collect import SHORTHANDS, collect_model, take
+from occmap.cli.collect import SHORTHANDS, collect_model
 from occmap.cli.console import Console
 from occmap.cli.summary import (
     LABEL,
@@ -20,6 +20,7 @@ from occmap.errors import UsageError
 from occmap.evidence import read_model
 from occmap.evidence.publishing import RenderOptions, publish
 from occmap.gates import judge
+from occmap.keywords import take
 from occmap.report import Report
 from occmap.sensor.models import SensorModel
 from occmap.types import Evidence

@@ -9,7 +9,6 @@ from typing import Any
 import click
 
 from occmap.cli import COMMANDS, limits, log_options, options
-from occmap.cli.collect import collect_reading
 from occmap.cli.console import Console
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join
@@ -17,6 +16,8 @@ from occmap.cli.values import PATH
 from occmap.errors import UsageError
 from occmap.gates import judge
 from occmap.gates.measures import TUNE
+from occmap.keywords import take
+from occmap.pipeline import BuildOptions
 from occmap.tuning import Tuning, tune
 from occmap.tuning.search import Correction
 from occmap.tuning.verdict import Finding, Gain, Verdict
@@ -49,7 +50,7 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     """Search for what is off, and print what was found."""
     if not logs:
         raise UsageError("no log is given", fix="type: occmap tune LOG")
-    common = collect_reading(values)
+    common = take(BuildOptions, values)
     with show_progress(console) as progress:
         tuning = tune(logs, common, progress)
     for note in tuning.remarks.notes:

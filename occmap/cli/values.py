@@ -10,13 +10,12 @@ import click
 
 from occmap.cli.console import Console, Verbosity
 from occmap.errors import UsageError
+from occmap.keywords import refuse_degrees
 from occmap.types import Box, Pose, PoseSample
 from occmap.wording import count
 
 PATH = click.Path(path_type=Path, readable=False)
 """Where click would look whether it can be read, occmap's own error says more."""
-LARGEST_ANGLE = 7.0
-"""A little more than a turn (rad), for people round."""
 POSE_FORM = "write x,y,yaw or x,y,yaw,roll,pitch in metres and radians, such as 0.1,0,3.14159"
 TRANSFORM_FORM = "write parent,child,x,y,z,roll,pitch,yaw in metres and radians"
 
@@ -55,15 +54,6 @@ def parse_transform(text: str) -> PoseSample:
     refuse_degrees((roll, pitch, yaw), where)
     pose = Pose.from_xyzrpy((x, y, z), (roll, pitch, yaw))
     return PoseSample(0, words[0], words[1], pose, static=True)
-
-
-def refuse_degrees(angles: tuple[float, ...], where: str) -> None:
-    """Refuse an angle of more than a turn; raises UsageError with what it is in radians."""
-    for angle in angles:
-        if abs(angle) > LARGEST_ANGLE:
-            found = f"an angle of {angle:g} rad is more than a turn"
-            fix = f"write radians: {angle:g} degrees are {math.radians(angle):.6g}"
-            raise UsageError(found, where=where, fix=fix)
 
 
 def parse_share(text: str) -> float:

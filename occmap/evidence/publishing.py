@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from occmap.evidence import crop, read_model, refuse_other_profile, render, to_grid
 from occmap.evidence.persistence import check_passes, keep_lasting, list_lost
@@ -36,16 +37,40 @@ class RenderOptions:
     """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
 
 
+class Rendered(NamedTuple):
+    """A map of saved evidence, what there is to say of it, and the evidence to save again."""
+
+    map: OccupancyMap
+    report: Report
+    evidence: Evidence
+
+
 def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path]) -> Report:
     """Render evidence and write it, as a map or as evidence; the report sums up its builds.
 
     Raises
     ------
     OccmapError
-        The model cannot read the evidence or knows no visits, nothing is left of the map or it
-        would be too large, or an output cannot be written.
+        As `render_kept`, or an output cannot be written.
     """
     check_outputs(outputs)
+    made = render_kept(evidence, options, outputs)
+    product = Product(made.map, lambda: made.evidence)
+    files = write_outputs(outputs, product, options.writing)
+    return replace(made.report, files=tuple(files))
+
+
+def render_kept(
+    evidence: Evidence, options: RenderOptions, outputs: Sequence[Path] = ()
+) -> Rendered:
+    """Render evidence; a note says which options do nothing for the outputs.
+
+    Raises
+    ------
+    OccmapError
+        The model cannot read the evidence or knows no visits, or nothing is left of the map or it
+        would be too large.
+    """
     model = options.model or read_model(evidence)
     refuse_other_profile(evidence, model)
     check_passes(options.min_passes, model)
@@ -56,8 +81,6 @@ def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path])
         whole = render(observed, model, options.max_cells)
     shown = crop(grid, options.crop) if options.crop else grid
     manifest = replace(evidence.manifest, model=describe_model(model))
-    product = Product(shown, lambda: replace(evidence, manifest=manifest))
-    files = write_outputs(outputs, product, options.writing)
     report = summarise(manifest, shown, options.writing)
     notes = (
         *report.notes,
@@ -66,7 +89,8 @@ def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path])
         *list_lost(whole, grid),
         *list_disagreement(grid),
     )
-    return replace(report, notes=notes, files=tuple(files), min_passes=options.min_passes)
+    report = replace(report, notes=notes, min_passes=options.min_passes)
+    return Rendered(shown, report, replace(evidence, manifest=manifest))
 
 
 def list_notes(manifest: Manifest) -> Iterator[str]:

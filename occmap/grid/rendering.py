@@ -151,6 +151,16 @@ def paint(
     return grid, observed
 
 
+def read_cells(tiles: TileSource, box: CellBox) -> Float64:
+    """(2, H, W): the two numbers of each cell of a box, in observations."""
+    cells = np.zeros((2, box.rows, box.cols))
+    for key in tiles.keys:
+        inner, outer = _overlap(key, box)
+        for layer, numbers in zip(cells, tiles.read(key), strict=True):
+            layer[outer] = numbers[inner]
+    return cells
+
+
 def _overlap(key: Key, box: CellBox) -> tuple[Part, Part]:
     """What a tile shares with a box: as rows and columns of the tile, and of the box."""
     row, col = key[0] * TILE - box.row, key[1] * TILE - box.col

@@ -202,6 +202,8 @@ def want_evidence(outputs: Sequence[Path]) -> bool:
 
 def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
     """Say which options do nothing, since no output is of the format that they are for."""
+    if not outputs:  # a map that is saved later, in whatever format
+        return
     suffixes = {path.suffix.lower() for path in outputs}
     if options.mode is not MapMode.TRINARY and suffixes <= {".png", ".npz"}:
         yield f"--mode {options.mode} does nothing: it is for a PGM, and no -o ends in .pgm"

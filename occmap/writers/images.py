@@ -1,5 +1,6 @@
 """Images in and out, through pillow."""
 
+import io
 import struct
 import warnings
 from pathlib import Path
@@ -64,4 +65,11 @@ def write_colours(path: Path, pixels: UInt8) -> None:
         It cannot be written; then nothing is left behind.
     """
     with open_atomic(path) as (file,):
-        Image.fromarray(pixels).save(file, format="PNG")
+        file.write(encode_png(pixels))
+
+
+def encode_png(pixels: UInt8) -> bytes:
+    """Make a PNG of (H, W, 3) red, green, blue, first row on top."""
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, format="PNG")
+    return file.getvalue()

@@ -1,0 +1,183 @@
+"""Options by their names and as plain values, as a notebook gives them: no groups, no classes."""
+
+import math
+import operator
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import is_dataclass
+from enum import StrEnum
+from functools import reduce
+from numbers import Real
+from pathlib import Path
+from types import NoneType
+from typing import Any, TypeVar, cast, get_args, get_type_hints
+
+from occmap.errors import UsageError
+from occmap.plugins import suggest
+from occmap.sensor.ignore import Sector
+from occmap.sensor.models import SensorModel, parse_model
+from occmap.types import Box, Pose, PoseSample
+
+Options = TypeVar("Options")
+
+LARGEST_ANGLE = 7.0
+"""A little more than a turn (rad), for people round."""
+
+
+def read_options(kind: type[Options], given: Mapping[str, Any], call: str) -> Options:
+    """Make options of what a caller gave by name.
+
+    None leaves an option at its default, unless None is one of its values.
+
+    Parameters
+    ----------
+    kind
+        A dataclass of options; what it groups in further dataclasses is given by name, too.
+    call
+        The function that was called, for the error.
+
+    Raises
+    ------
+    UsageError
+        No option has such a name, or a value is not what the option takes.
+    """
+    hints = list_options(kind)
+    for name in given:
+        if name not in hints:
+            fix = suggest(name, sorted(hints), f"help(occmap.{call})")
+            raise UsageError(f"{call} has no option {name!r}", fix=fix)
+    values = {
+        name: read_option(name, hints[name], value)
+        for name, value in given.items()
+        if value is not None or NoneType in get_args(hints[name])
+    }
+    return take(kind, values)
+
+
+def list_options(kind: Any) -> dict[str, Any]:
+    """List the type of each option by its name; a group gives way to what is in it."""
+    found: dict[str, Any] = {}
+    for name, hint in get_type_hints(kind).items():
+        found |= list_options(hint) if is_dataclass(hint) else {name: hint}
+    return found
+
+
+def take(kind: type[Options], values: Mapping[str, Any]) -> Options:
+    """Make options of the values that are named like its fields, or like those of its groups."""
+    made = {}
+    for name, hint in get_type_hints(kind).items():
+        if name in values:
+            made[name] = values[name]
+        elif is_dataclass(hint):
+            made[name] = take(cast(type[Any], hint), values)
+    return kind(**made)
+
+
+def read_option(name: str, hint: Any, value: Any) -> Any:
+    """Make what an option of this type holds of what a caller gave.
+
+    Raises
+    ------
+    UsageError
+        It is nothing of the kind.
+    """
+    if NoneType in get_args(hint):
+        if value is None:
+            return None
+        hint = reduce(operator.or_, (each for each in get_args(hint) if each is not NoneType))
+    if hint not in FORMS:
+        return _read_member(name, hint, value)
+    read, form = FORMS[hint]
+    try:
+        return read(value)
+    except UsageError as error:
+        raise error.placed(f"{name} = {value!r}") from None
+    except (TypeError, ValueError):
+        raise UsageError(f"{name} is {value!r}", fix=f"give {form}") from None
+
+
+def _read_member(name: str, kind: type[StrEnum], value: Any) -> StrEnum:
+    known = [member.value for member in kind]
+    if value not in known:
+        fix = suggest(str(value), known, "help(occmap.build_map)")
+        raise UsageError(f"{name} is {value!r}", fix=fix)
+    return kind(value)
+
+
+def refuse_degrees(angles: Iterable[float], where: str = "") -> None:
+    """Refuse an angle of more than a turn; raises UsageError with what it is in radians."""
+    for angle in angles:
+        if abs(angle) > LARGEST_ANGLE:
+            found = f"an angle of {angle:g} rad is more than a turn"
+            fix = f"write radians: {angle:g} degrees are {math.radians(angle):.6g}"
+            raise UsageError(found, where=where, fix=fix)
+
+
+def _read_number(value: Any) -> float:
+    if not isinstance(value, Real) or isinstance(value, bool):
+        raise TypeError
+    return float(value)
+
+
+def _read_numbers(value: Iterable[Any], *sizes: int) -> tuple[float, ...]:
+    numbers = tuple(map(_read_number, value))
+    if len(numbers) not in sizes:
+        raise ValueError
+    return numbers
+
+
+def _read_mount(value: Any) -> Pose:
+    if isinstance(value, Pose):
+        return value
+    x, y, yaw, roll, pitch, *_ = (*_read_numbers(value, 3, 5), 0.0, 0.0)
+    refuse_degrees((yaw, roll, pitch))
+    return Pose.from_xyzrpy((x, y, 0.0), (roll, pitch, yaw))
+
+
+def _read_transform(value: Any) -> PoseSample:
+    if isinstance(value, PoseSample):
+        return value
+    parent, child, *numbers = value
+    x, y, z, roll, pitch, yaw = _read_numbers(numbers, 6)
+    refuse_degrees((roll, pitch, yaw))
+    pose = Pose.from_xyzrpy((x, y, z), (roll, pitch, yaw))
+    return PoseSample(0, os.fspath(parent), os.fspath(child), pose, static=True)
+
+
+def _read_sector(value: Any) -> tuple[float, ...]:
+    sector = _read_numbers(value, 2)
+    refuse_degrees(sector)
+    return sector
+
+
+def _read_topics(value: Any) -> tuple[str, ...]:
+    return tuple(map(os.fspath, [value] if isinstance(value, str) else value))
+
+
+def _read_model(value: Any) -> SensorModel:
+    if isinstance(value, str):
+        return parse_model(value)
+    if isinstance(value, type) or not isinstance(value, SensorModel):
+        raise TypeError
+    return value
+
+
+FORMS: dict[Any, tuple[Callable[[Any], Any], str]] = {
+    float: (_read_number, "a number"),
+    int: (operator.index, "a whole number"),
+    str: (os.fspath, "text"),
+    Path: (Path, "a path"),
+    Pose: (_read_mount, "(x, y, yaw) or (x, y, yaw, roll, pitch) in metres and radians"),
+    Box: (lambda box: _read_numbers(box, 4), "(x_min, y_min, x_max, y_max) in metres"),
+    SensorModel: (_read_model, 'text such as "simple:p_hit=0.8", or a model'),
+    tuple[str, ...]: (_read_topics, "a topic or a list of topics"),
+    tuple[Sector, ...]: (
+        lambda sectors: tuple(map(_read_sector, sectors)),
+        "a list of (from, to) in radians, counter-clockwise",
+    ),
+    tuple[PoseSample, ...]: (
+        lambda transforms: tuple(map(_read_transform, transforms)),
+        "a list of (parent, child, x, y, z, roll, pitch, yaw) in metres and radians",
+    ),
+}
+"""How a value of each type is read, and what to give; an enum is read by the text of a member."""

@@ -1,0 +1,122 @@
+"""The map that a notebook gets: an occupancy map that knows how it came about and can be saved."""
+
+from base64 import b64encode
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from html import escape
+from pathlib import Path
+from typing import Any, Self
+
+from occmap.errors import UsageError
+from occmap.grid.lattice import CellBox
+from occmap.grid.rendering import read_cells
+from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
+from occmap.report import Report
+from occmap.types import Evidence, Float64, OccupancyMap
+from occmap.writers import Product, WriteOptions, check_outputs, write_outputs
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Map(OccupancyMap):
+    """An occupancy map with its report and what was observed."""
+
+    report: Report
+    """Scans, beams, shares, and `notes`: what the command line prints beside the map"""
+    writing: WriteOptions
+    """How it is saved"""
+    inputs: tuple[Path, ...]
+    """What it was made of, which is never written over"""
+    tiles: TileGrid
+    """What was observed, in tiles"""
+    keep_evidence: Callable[[], Evidence]
+    """Makes of it what an .npz holds"""
+
+    @classmethod
+    def wrap(cls, grid: OccupancyMap, **others: Any) -> Self:
+        """Add the fields that an occupancy map lacks."""
+        return cls(**{each.name: getattr(grid, each.name) for each in fields(grid)}, **others)
+
+    @property
+    def hits(self) -> Float64:
+        """(H, W): how many beams ended in each cell.
+
+        The polygon update counts scans rather than beams. The beams that the surface update adds
+        between two neighbours count as fractions of one.
+
+        Raises
+        ------
+        UsageError
+            The map was made with a model that sums up log-odds.
+        """
+        hits, _ = self._read_counts()
+        return hits
+
+    @property
+    def misses(self) -> Float64:
+        """(H, W): how many beams went through each cell; as `hits` otherwise."""
+        _, misses = self._read_counts()
+        return misses
+
+    @property
+    def evidence(self) -> Evidence:
+        """What an .npz file holds, to be saved, merged and rendered.
+
+        Raises
+        ------
+        UsageError
+            The build did not keep it.
+        """
+        evidence = self.keep_evidence()
+        if len(evidence.slices) != len(evidence.manifest.builds):
+            raise UsageError(
+                "this map did not keep when its cells were seen, which an .npz holds",
+                fix='build it with outputs="map.npz"',
+            )
+        return evidence
+
+    def save(self, path: str | Path) -> tuple[Path, ...]:
+        """Write the map; the suffix picks the format: .pgm (with its YAML), .png or .npz.
+
+        Returns
+        -------
+        tuple of Path
+            The files that were written.
+
+        Raises
+        ------
+        UsageError, OutputError
+            No writer has that suffix, the path is an input of the map, the evidence was not kept
+            (.npz), or the file cannot be written.
+        """
+        outputs = [Path(path)]
+        check_outputs(outputs, self.inputs)
+        product = Product(self, lambda: self.evidence)
+        return tuple(map(Path, write_outputs(outputs, product, self.writing)))
+
+    def __repr__(self) -> str:
+        (rows, cols), shares = self.shape, self.report.shares
+        return (
+            f"<Map of {cols} x {rows} cells of {self.resolution:g} m: {shares.occupied:.1%} "
+            f"occupied, {shares.free:.1%} free, {shares.unknown:.1%} unknown; "
+            f"{self.report.scans_used:,} of {self.report.scans_read:,} scans used>"
+        )
+
+    def _repr_html_(self) -> str:
+        """Show the probability as a small picture, dark is occupied, and the notes under it."""
+        from occmap.scoring.picture import Frame, paint_map  # noqa: PLC0415  late: brings pillow
+        from occmap.writers.images import encode_png  # noqa: PLC0415  late: likewise
+
+        png = b64encode(encode_png(paint_map(self, Frame([self])))).decode()
+        lines = [repr(self).strip("<>"), *self.report.notes]
+        return f'<img src="data:image/png;base64,{png}"><br>' + "<br>".join(map(escape, lines))
+
+    def _read_counts(self) -> CellNumbers:
+        if self.tiles.kind is not EvidenceKind.COUNTS:
+            raise UsageError(
+                f"the model {self.report.model.partition(':')[0]} sums up log-odds: it keeps no "
+                "hits and misses",
+                fix='build with model="counting" or model="simple"',
+            )
+        (row, col), (rows, cols) = self.place.tolist(), self.shape
+        hits, misses = read_cells(self.tiles, CellBox(row, col, row + rows, col + cols))
+        return hits, misses

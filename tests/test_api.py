@@ -1,0 +1,546 @@
+"""What a notebook calls: flat options, a map that can be saved, the commands as functions."""
+
+import base64
+import inspect
+import io
+import json
+import math
+import re
+from dataclasses import fields
+from enum import EnumType, StrEnum
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import occmap
+from occmap.batching import Selection
+from occmap.errors import MapError, OccmapError, OutputError, UsageError
+from occmap.evidence.publishing import RenderOptions
+from occmap.keywords import list_options, read_options
+from occmap.pipeline import BuildOptions, build
+from occmap.posing.options import Deskew, PosingOptions, Stamps
+from occmap.readers.options import Echo, ReaderOptions
+from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel
+from occmap.sensor.returns import NoReturn, ReturnOptions
+from occmap.types import Pose, PoseSample, Update
+from occmap.writers import MapMode, Shade, WriteOptions
+from tests.cli.runner import occmap as command_line
+from tests.samples import DRIVES, ROOT, write_csv
+
+DRIVE = DRIVES[-1]
+STILL = [(0.05, 0.05, 0.0)] * 2
+"""Two scans from the middle of a cell of 0.1 m"""
+BY_HAND: dict[str, Any] = {
+    "update": "beam",
+    "model": "simple:p_hit=0.9,p_miss=0.2,spread=0",
+    "resolution": 0.1,
+    "hit_offset": 0,
+}
+HALF = math.sqrt(0.5)
+
+PLAIN: list[tuple[str, Any, BuildOptions]] = [
+    ("resolution", 1, BuildOptions(resolution=1.0)),
+    ("update", "beam", BuildOptions(update=Update.BEAM)),
+    ("model", "simple:cut=0.4", BuildOptions(model=SimpleModel(cut=0.4))),
+    ("hit_offset", 0.25, BuildOptions(hit_offset=0.25)),
+    ("jump", np.float32(0.5), BuildOptions(jump=0.5)),
+    ("border_gap", np.int64(3), BuildOptions(border_gap=3)),
+    ("max_cells", 1000, BuildOptions(max_cells=1000)),
+    ("min_passes", 2, BuildOptions(min_passes=2)),
+    ("pass_gap_s", 30, BuildOptions(pass_gap_s=30.0)),
+    ("resume", "a.npz", BuildOptions(resume=Path("a.npz"))),
+    ("jobs", 1, BuildOptions(jobs=1)),
+    ("min_range", 0.5, BuildOptions(returns=ReturnOptions(min_range=0.5))),
+    ("max_range", 6, BuildOptions(returns=ReturnOptions(max_range=6.0))),
+    ("range_max", 30, BuildOptions(returns=ReturnOptions(range_max=30.0))),
+    ("no_return", "clear", BuildOptions(returns=ReturnOptions(no_return=NoReturn.CLEAR))),
+    (
+        "ignore_sectors",
+        [[2.5, -2.5]],
+        BuildOptions(returns=ReturnOptions(ignore_sectors=((2.5, -2.5),))),
+    ),
+    (
+        "footprint",
+        np.array([-1, -1, 1, 1]),
+        BuildOptions(returns=ReturnOptions(footprint=(-1.0, -1.0, 1.0, 1.0))),
+    ),
+    ("topics", "/scan", BuildOptions(selection=Selection(topics=("/scan",)))),
+    ("start_s", 5, BuildOptions(selection=Selection(start_s=5.0))),
+    ("end_s", 5, BuildOptions(selection=Selection(end_s=5.0))),
+    ("stride", 2, BuildOptions(selection=Selection(stride=2))),
+    ("echo", "last", BuildOptions(reading=ReaderOptions(echo=Echo.LAST))),
+    ("min_height", -1, BuildOptions(reading=ReaderOptions(min_height=-1.0))),
+    ("max_height", 1, BuildOptions(reading=ReaderOptions(max_height=1.0))),
+    ("poses", Path("poses.tum"), BuildOptions(posing=PosingOptions(poses="poses.tum"))),
+    (
+        "sensor_pose",
+        (1, 2, 0, math.pi / 2, 0),
+        BuildOptions(posing=PosingOptions(sensor_pose=Pose(1, 2, 0, HALF, 0, 0, HALF))),
+    ),
+    (
+        "static_transforms",
+        [("a", "b", 1, 2, 3, 0, 0, math.pi / 2)],
+        BuildOptions(
+            posing=PosingOptions(
+                static_transforms=(
+                    PoseSample(0, "a", "b", Pose(1, 2, 3, 0, 0, HALF, HALF), static=True),
+                )
+            )
+        ),
+    ),
+    ("map_frame", "map", BuildOptions(posing=PosingOptions(map_frame="map"))),
+    ("base_frame", "base", BuildOptions(posing=PosingOptions(base_frame="base"))),
+    ("max_pose_gap_s", None, BuildOptions(posing=PosingOptions(max_pose_gap_s=None))),
+    ("time_offset_s", -1, BuildOptions(posing=PosingOptions(time_offset_s=-1.0))),
+    ("stamps", "record", BuildOptions(posing=PosingOptions(stamps=Stamps.RECORD))),
+    ("deskew", "auto", BuildOptions(posing=PosingOptions(deskew=Deskew.AUTO))),
+    ("mode", "scale", BuildOptions(writing=WriteOptions(mode=MapMode.SCALE))),
+    ("occupied_thresh", 0.9, BuildOptions(writing=WriteOptions(occupied_thresh=0.9))),
+    ("free_thresh", 0.1, BuildOptions(writing=WriteOptions(free_thresh=0.1))),
+    ("shade", "light", BuildOptions(writing=WriteOptions(shade=Shade.LIGHT_OCCUPIED))),
+]
+
+
+def flatten(value: Any) -> Any:
+    """Numbers and text of nested tuples, in one list that pytest.approx takes."""
+    if isinstance(value, tuple):
+        return [each for part in value for each in flatten(part)]
+    return [value]
+
+
+@pytest.mark.parametrize(("name", "given", "expected"), PLAIN, ids=[name for name, *_ in PLAIN])
+def test_an_option_is_given_by_name_as_a_plain_value(
+    name: str, given: Any, expected: BuildOptions
+) -> None:
+    made = read_options(BuildOptions, {name: given}, "build_map")
+    for group in BuildOptions.__dataclass_fields__:
+        mine, its = getattr(made, group), getattr(expected, group)
+        if group == "posing":  # an angle is rounded when it becomes a quaternion
+            for field in PosingOptions.__dataclass_fields__:
+                values = flatten(getattr(mine, field)), flatten(getattr(its, field))
+                assert len(values[0]) == len(values[1])
+                for one, other in zip(*values, strict=True):
+                    assert one == (pytest.approx(other) if isinstance(other, float) else other)
+        else:
+            assert mine == its
+
+
+def test_every_option_can_be_given() -> None:
+    grouped = {"reading", "returns", "posing", "selection", "writing"}
+    groups = (ReaderOptions, ReturnOptions, PosingOptions, Selection, WriteOptions)
+    names = [*BuildOptions.__dataclass_fields__.keys() - grouped]
+    for group in groups:
+        names += [field.name for field in fields(group)]
+    assert sorted(name for name, *_ in PLAIN) == sorted(names)
+    assert list_options(RenderOptions).keys() <= {*names, "crop"}
+
+
+def test_values_of_the_classes_are_taken_as_they_are() -> None:
+    mount, transform = Pose.planar(1, 2, 3), PoseSample(0, "a", "b", Pose.planar(0, 0, 0), True)
+    made = read_options(
+        BuildOptions,
+        {
+            "model": QuadraticModel(),
+            "update": Update.POLYGON,
+            "sensor_pose": mount,
+            "static_transforms": [transform],
+        },
+        "build_map",
+    )
+    assert (made.model, made.update) == (QuadraticModel(), Update.POLYGON)
+    assert (made.posing.sensor_pose, made.posing.static_transforms) == (mount, (transform,))
+
+
+def test_none_is_the_default_but_where_it_is_a_value() -> None:
+    nothing = dict.fromkeys(list_options(BuildOptions).keys() - {"max_pose_gap_s"})
+    assert read_options(BuildOptions, nothing, "build_map") == BuildOptions()
+    endless = read_options(BuildOptions, {"max_pose_gap_s": None}, "build_map")
+    assert endless.posing.max_pose_gap_s is None
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"maxrange": 6}, "build_map has no option 'maxrange'; did you mean 'max_range'?"),
+        ({"static_tf": ()}, "no option 'static_tf'; did you mean 'static_transforms'?"),
+        ({"returns": ReturnOptions()}, "build_map has no option 'returns'"),
+        ({"no_return": "cler"}, "no_return is 'cler'; did you mean 'clear'?"),
+        ({"max_range": "6"}, "max_range is '6'; give a number"),
+        ({"max_range": True}, "max_range is True; give a number"),
+        ({"jobs": 2.5}, "jobs is 2.5; give a whole number"),
+        ({"resume": 5}, "resume is 5; give a path"),
+        ({"map_frame": 5}, "map_frame is 5; give text"),
+        ({"model": SimpleModel}, "give text such as"),
+        ({"model": 0.5}, "give text such as"),
+        ({"topics": 5}, "give a topic or a list of topics"),
+        ({"footprint": (0, 1)}, "give (x_min, y_min, x_max, y_max) in metres"),
+        ({"sensor_pose": (0, 0)}, "give (x, y, yaw) or (x, y, yaw, roll, pitch)"),
+        ({"sensor_pose": "0,0,1"}, "sensor_pose is '0,0,1'; give (x, y, yaw)"),
+        ({"sensor_pose": (0, 0, 90)}, "90 degrees are 1.5708"),
+        ({"sensor_pose": (math.nan, 0, 0)}, "the sensor's pose cannot be (nan, 0.0, 0.0)"),
+        ({"ignore_sectors": (2.5, -2.5)}, "give a list of (from, to) in radians"),
+        ({"ignore_sectors": [(0, 90)]}, "an angle of 90 rad is more than a turn"),
+        ({"static_transforms": [("a", "b", 1, 2, 3)]}, "give a list of (parent, child, x"),
+        ({"static_transforms": [("a", "b", 0, 0, 0, 0, 0, 90)]}, "90 degrees are 1.5708"),
+    ],
+)
+def test_what_is_no_option_is_refused_in_words(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        occmap.build_map("there is no such log", **options)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("call", [occmap.check, occmap.compare, occmap.tune])
+@pytest.mark.parametrize("name", ["update", "model", "min_passes", "resume", "mode", "shade"])
+def test_an_option_that_would_do_nothing_is_refused(call: Any, name: str) -> None:
+    with pytest.raises(UsageError, match=f"has no option '{name}'; build_map takes it"):
+        call(DRIVE, **{name: None})
+
+
+@pytest.mark.parametrize("call", [occmap.build_map, occmap.check, occmap.compare, occmap.merge])
+def test_paths_are_given_one_by_one(call: Any) -> None:
+    with pytest.raises(UsageError, match=r"no (log|evidence) is given; try \w+\("):
+        call()
+    with pytest.raises(UsageError, match=r"\['a.bag'\] is no path; .* build_map\(\*logs\)"):
+        call(["a.bag"])
+
+
+UNITS = {
+    *("m", "s", "rad", "m, rad", "cells", "threads", "visits", "scans", "probability"),
+    *("name", "names", "path", "path or topic", "text or model"),
+}
+
+
+def test_the_docstring_lists_every_option_with_its_default_and_unit() -> None:
+    text = inspect.getdoc(occmap.build_map) or ""
+    shown = re.findall(r"^    (\w+) = (.+?) \((.+?)\): \S", text, re.MULTILINE)
+    defaults = BuildOptions()
+    groups = (defaults.reading, defaults.returns, defaults.posing, defaults.selection)
+    expected = {
+        name: getattr(place, name)
+        for place in (defaults, *groups, defaults.writing)
+        for name in list_options(BuildOptions)
+        if hasattr(place, name)
+    }
+    # These two depend on the update and on the machine.
+    assert expected | {"model": None, "jobs": None} == {
+        name: eval(default, {"inf": math.inf}) for name, default, _ in shown
+    }
+    for name, _, unit in shown:
+        kind = list_options(BuildOptions)[name]
+        if isinstance(kind, EnumType):
+            members: list[StrEnum] = list(kind)
+            assert re.findall('"(.+?)"', unit) == list(map(str, members))
+        else:
+            assert unit in UNITS
+        assert unit == "s" or not name.endswith("_s")
+
+
+def test_flat_options_make_the_map_of_the_grouped_ones() -> None:
+    flat = occmap.build_map(DRIVES[2], max_range=6, sensor_pose=(0, 0, 3.14), end_s=10)
+    options = BuildOptions(
+        returns=ReturnOptions(max_range=6.0),
+        posing=PosingOptions(sensor_pose=Pose.planar(0, 0, 3.14)),
+        selection=Selection(end_s=10.0),
+    )
+    grouped = build([DRIVES[2]], options)
+    assert np.array_equal(flat.log_odds, grouped.map.log_odds)
+    assert flat.origin == grouped.map.origin
+    assert flat.report.beams == grouped.report.beams
+
+
+def test_the_model_suits_the_update_where_none_is_given(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", STILL, [0.3] * 3, step=0.5)
+    polygon = occmap.build_map(log, update="polygon", model=None)
+    assert polygon.decision.occupied_above == 0.4
+    assert occmap.build_map(log).decision.occupied_above == CountingModel().cut
+
+
+def test_a_map_knows_its_cells_hits_and_misses(tmp_path: Path) -> None:
+    grid = occmap.build_map(write_csv(tmp_path / "log.csv", STILL, [0.3]), **BY_HAND)
+    assert isinstance(grid, occmap.OccupancyMap)
+    assert (grid.resolution, grid.origin, grid.shape) == (0.1, (0.0, 0.0), (1, 4))
+    # Two scans: each misses three cells and hits the fourth.
+    assert grid.hits.tolist() == [[0, 0, 0, 2]]
+    assert grid.misses.tolist() == [[2, 2, 2, 0]]
+    # Odds of 1/4 and of 9, twice: 1/16 and 81.
+    np.testing.assert_allclose(grid.probability, [[1 / 17, 1 / 17, 1 / 17, 81 / 82]], rtol=1e-5)
+    np.testing.assert_allclose(grid.log_odds, [[-math.log(16)] * 3 + [math.log(81)]], rtol=1e-5)
+    assert grid.occupied.tolist() == [[False, False, False, True]]
+    assert grid.free.tolist() == [[True, True, True, False]]
+    assert grid.agreement == 1.0
+    assert repr(grid) == (
+        "<Map of 4 x 1 cells of 0.1 m: 25.0% occupied, 75.0% free, 0.0% unknown; 2 of 2 scans used>"
+    )
+
+
+def test_a_part_of_a_map_has_its_own_hits(tmp_path: Path) -> None:
+    grid = occmap.build_map(write_csv(tmp_path / "log.csv", STILL, [0.3]), **BY_HAND)
+    part = grid.take(slice(None), slice(2, 4))
+    assert part.hits.tolist() == [[0, 2]]
+    assert part.misses.tolist() == [[2, 0]]
+
+
+def test_hits_are_as_observed_whatever_the_visits(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", STILL, [0.3])
+    grid = occmap.build_map(log, **BY_HAND, min_passes=2)
+    assert grid.hits.sum() == 0  # one visit: the cell that was hit is not in the map any more
+    assert grid.misses.tolist() == [[2, 2, 2]]
+
+
+def test_a_model_that_sums_log_odds_keeps_no_hits(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", STILL, [0.3])
+    grid = occmap.build_map(log, model="quadratic")
+    assert grid.agreement is None
+    for name in ("hits", "misses"):
+        with pytest.raises(UsageError, match="the model quadratic sums up log-odds: it keeps no"):
+            getattr(grid, name)
+
+
+def test_a_map_is_saved_as_a_build_writes_it(tmp_path: Path) -> None:
+    built, saved = tmp_path / "built", tmp_path / "saved"
+    built.mkdir()
+    saved.mkdir()
+    names = ["map.pgm", "map.png", "map.npz"]
+    grid = occmap.build_map(DRIVE, stride=8, outputs=[built / name for name in names])
+    written = [grid.save(saved / name) for name in names]
+    assert written == [
+        (saved / "map.pgm", saved / "map.yaml"),
+        (saved / "map.png",),
+        (saved / "map.npz",),
+    ]
+    for name in [*names, "map.yaml"]:
+        assert (saved / name).read_bytes() == (built / name).read_bytes()
+
+
+def test_a_map_is_saved_as_its_options_say(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", STILL, [0.3])
+    grid = occmap.build_map(log, **BY_HAND, mode="scale", shade="light")
+    assert not any("does nothing" in note for note in grid.report.notes)
+    grid.save(str(tmp_path / "map.pgm"))
+    assert "mode: scale\n" in (tmp_path / "map.yaml").read_text()
+    grid.save(tmp_path / "map.png")
+    grey = np.asarray(Image.open(tmp_path / "map.png"))[..., 0]
+    assert grey.tolist() == [[15, 15, 15, 252]]  # 255/17, and 255 * 81/82
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "found"),
+    [
+        ("map.npz", UsageError, 'did not keep when .*; build it with outputs="map.npz"'),
+        ("map.jpg", UsageError, "unknown suffix"),
+        ("nowhere/map.pgm", OutputError, "does not exist"),
+    ],
+)
+def test_what_cannot_be_saved_is_refused(
+    tmp_path: Path, name: str, error: type[OccmapError], found: str
+) -> None:
+    grid = occmap.build_map(write_csv(tmp_path / "log.csv", STILL, [0.3]))
+    with pytest.raises(error, match=found):
+        grid.save(tmp_path / name)
+    assert list(tmp_path.iterdir()) == [tmp_path / "log.csv"]
+
+
+def test_an_input_is_never_saved_over(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    for file in DRIVES[3].iterdir():
+        (bag / file.name).write_bytes(file.read_bytes())
+    grid = occmap.build_map(bag, stride=50)
+    with pytest.raises(UsageError, match="is an input"):
+        grid.save(bag / "metadata.pgm")  # its YAML would be the bag's own
+    grid = occmap.build_map(DRIVE, stride=50, outputs=tmp_path / "a.npz")
+    with pytest.raises(UsageError, match="is an input"):
+        occmap.merge(tmp_path / "a.npz").save(tmp_path / "a.npz")
+
+
+def read_picture(grid: occmap.Map) -> Any:
+    html = grid._repr_html_()
+    (data,) = re.findall(r'<img src="data:image/png;base64,([^"]+)">', html)
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))))
+
+
+def test_a_notebook_shows_a_picture_and_the_notes(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", STILL, [0.3])
+    grid = occmap.build_map(log, log, **BY_HAND)
+    pixels = read_picture(grid)
+    # Four cells of 90 pixels; four scans: odds of 1/256 and of 6561.
+    assert pixels.shape == (90, 360, 3)
+    assert pixels[0, ::90, 0].tolist() == [254, 254, 254, 0]
+    html = grid._repr_html_()
+    assert "Map of 4 x 1 cells of 0.1 m" in html
+    assert f"{log}: given 2 times, and counted as often" in html
+
+
+def test_a_large_map_is_shown_thinned(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", STILL, [250.0])
+    grid = occmap.build_map(log, **BY_HAND)
+    assert grid.shape == (1, 2501)
+    pixels = read_picture(grid)
+    assert pixels.shape == (1, 834, 3)  # three cells a pixel
+    assert pixels[0, -1, 0] == round(255 * (1 - 81 / 82))  # a wall is not thinned away
+
+
+def run(*words: str | Path) -> Any:
+    """Return what a command prints as JSON."""
+    done = command_line(*words, "--json")
+    assert (done.code, done.err) == (0, "")
+    return json.loads(done.out)
+
+
+def as_printed(value: dict[str, Any]) -> Any:
+    return json.loads(json.dumps(value))
+
+
+def test_check_gives_what_the_command_prints() -> None:
+    found = occmap.check(DRIVE, resolution=0.1, max_range=5)
+    printed = run("check", DRIVE, "--resolution", "0.1", "--max-range", "5")
+    assert printed == {**printed, **as_printed(found.to_json())}
+    assert found.buildable
+
+
+def test_tune_gives_what_the_command_prints() -> None:
+    found = occmap.tune(DRIVE, stride=4)
+    printed = run("tune", DRIVE, "--stride", "4")
+    assert printed == {**printed, **as_printed(found.to_json())}
+    assert found.tally.scans_used == 104
+
+
+def test_check_finds_what_a_build_would_raise(tmp_path: Path) -> None:
+    found = occmap.check(tmp_path / "none.bag")
+    assert not found.buildable
+    assert "none.bag" in found.problems[0]
+
+
+def test_compare_gives_what_the_command_prints(tmp_path: Path) -> None:
+    picture = tmp_path / "compare.png"
+    found = occmap.compare(
+        str(DRIVE), updates=["beam"], models=["simple", CountingModel()], picture=picture, stride=4
+    )
+    words = ("--update", "beam", "--model", "simple", "--model", "counting", "--stride", "4")
+    printed = run("compare", DRIVE, *words, "-o", picture)
+    shown = as_printed(found.to_json())
+    for variant in (*shown["variants"], *printed["variants"]):
+        assert variant.pop("seconds") >= 0
+    assert printed == {**printed, **shown}
+    assert {each.variant.name for each in found.results} == {"beam simple", "beam counting"}
+    assert picture.exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"updates": ["beem"]}, "update is 'beem'; did you mean 'beam'?"),
+        ({"updates": [None]}, "update is None; there are beam, polygon, surface"),
+        ({"models": [None]}, "model is None; give text such as"),
+        ({"models": ["smiple"]}, "no model is called 'smiple'"),
+        ({"strid": 2}, "compare has no option 'strid'; did you mean 'stride'?"),
+    ],
+)
+def test_compare_refuses_what_it_does_not_know(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        occmap.compare(DRIVE, **options)
+    assert message in str(caught.value)
+
+
+@pytest.fixture(scope="module")
+def halves(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with both halves of a drive, and the whole."""
+    folder = tmp_path_factory.mktemp("halves")
+    occmap.build_map(DRIVE, end_s=40, outputs=[folder / "a.npz", folder / "a.pgm"])
+    occmap.build_map(DRIVE, start_s=40, outputs=folder / "b.npz")
+    occmap.build_map(DRIVE, outputs=str(folder / "whole.pgm"))
+    return folder
+
+
+def test_merge_gives_what_the_command_prints_and_writes(halves: Path, tmp_path: Path) -> None:
+    merged = occmap.merge(halves / "a.npz", str(halves / "b.npz"), mode="raw")
+    merged.save(tmp_path / "mine.npz")
+    merged.save(tmp_path / "mine.pgm")
+    outputs = ("-o", tmp_path / "its.npz", "-o", tmp_path / "its.pgm")
+    printed = run("merge", halves / "a.npz", halves / "b.npz", "--mode", "raw", *outputs)
+    assert printed.pop("files")
+    mine = as_printed(merged.report.to_json())
+    assert mine.pop("files") == []
+    assert printed == {**printed, **mine}
+    for suffix in (".npz", ".pgm"):
+        written = (tmp_path / f"{name}{suffix}" for name in ("mine", "its"))
+        assert len({file.read_bytes() for file in written}) == 1
+
+
+def test_merged_halves_are_the_whole_and_come_apart_again(halves: Path, tmp_path: Path) -> None:
+    merged, whole = occmap.merge(halves / "a.npz", halves / "b.npz"), occmap.build_map(DRIVE)
+    assert np.array_equal(merged.hits, whole.hits)
+    assert np.array_equal(merged.misses, whole.misses)
+    assert merged.agreement == whole.agreement
+    merged.save(tmp_path / "both.npz")
+    rest = occmap.merge(tmp_path / "both.npz", subtract=[halves / "a.npz"])
+    second = occmap.build_map(DRIVE, start_s=40)
+    assert np.array_equal(rest.hits, second.hits)
+    assert rest.origin == second.origin
+
+
+def test_a_part_of_evidence_is_shown_with_its_hits(halves: Path) -> None:
+    whole, part = (occmap.merge(halves / "a.npz", crop=crop) for crop in (None, (0, 0, 2, 1)))
+    assert (part.shape, part.origin) == ((20, 40), (0.0, 0.0))
+    col, row = (round(-edge / 0.05) for edge in whole.origin)
+    assert part.hits.sum() > 0
+    assert np.array_equal(part.hits, whole.hits[row : row + 20, col : col + 40])
+
+
+def test_one_file_of_evidence_is_rendered(halves: Path, tmp_path: Path) -> None:
+    shown = occmap.merge(halves / "a.npz", model="simple", crop=(0, 0, 2, 1), min_passes=1)
+    shown.save(tmp_path / "mine.pgm")
+    choice = ("--model", "simple", "--crop", "0,0,2,1", "--min-passes", "1")
+    printed = run("render", halves / "a.npz", *choice, "-o", tmp_path / "its.pgm")
+    assert printed["map"] == as_printed(shown.report.to_json())["map"]
+    assert (tmp_path / "mine.pgm").read_bytes() == (tmp_path / "its.pgm").read_bytes()
+
+
+def test_evidence_that_is_not_there_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(MapError, match="no such file"):
+        occmap.merge(tmp_path / "none.npz")
+
+
+def test_diff_gives_what_the_command_prints(halves: Path, tmp_path: Path) -> None:
+    before, after = halves / "a.npz", halves / "whole.pgm"
+    found = occmap.diff(before, str(after), picture=tmp_path / "mine.png", occupied_thresh=0.6)
+    printed = run("diff", before, after, "-o", tmp_path / "its.png", "--occupied-thresh", "0.6")
+    assert printed == {**printed, **as_printed(found.to_json())}
+    assert found.share > 0
+    assert (tmp_path / "mine.png").read_bytes() == (tmp_path / "its.png").read_bytes()
+    with pytest.raises(UsageError, match="the picture is a PNG"):
+        occmap.diff(before, after, picture="diff.jpg")
+    with pytest.raises(UsageError, match="diff has no option 'occupied'; did you mean 'occupied_"):
+        occmap.diff(before, after, occupied=0.6)
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    assert occmap.__version__ == version("occmap")
+
+
+def test_the_page_about_python_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "sample_logs").symlink_to(ROOT / "sample_logs")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    for block in blocks:
+        exec(block, names)
+    assert len(blocks) == 9
+    assert np.array_equal(names["whole"].hits, occmap.build_map("sample_logs/drive.csv").hits)
+    assert names["changes"].share > 0
+    assert {path.name for path in tmp_path.iterdir()} >= {"map.pgm", "map.png", "changes.png"}
+
+
+def test_errors_in_the_page_about_python_are_as_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    (shown,) = re.findall(r"print\(error\)  # (.*)", text)
+    with pytest.raises(OccmapError) as caught:
+        occmap.build_map("sample_logs/drive.mcap", maxrange=6)
+    assert str(caught.value) == shown
+    assert capsys.readouterr().out == ""
