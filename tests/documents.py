@@ -1,8 +1,7 @@
 """The project's pages: their blocks of code, and how to run the commands in them.
 
 A block marked `console` is a session: each `$ command` must print what stands below it, where a
-line `...` stands for any lines. A block marked `sh` holds commands that must succeed. What else
-needs to be there before a block can run is named behind the language.
+line `...` stands for any lines. A block marked `sh` holds commands that must succeed.
 """
 
 import re
@@ -16,7 +15,7 @@ from typing import NamedTuple
 from tests.samples import ROOT
 
 PAGES = ("README.md", *sorted(str(p.relative_to(ROOT)) for p in ROOT.glob("docs/*.md")))
-FENCE = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 TIMES = re.compile(r"[\d.,]+(?= s\b)|[\d,]+(?= scans/s)|(?<=[a-z] )\d+\.\d\d(?=[,)])")
 """Seconds and scans a second, which differ from run to run."""
 
@@ -25,7 +24,6 @@ class Block(NamedTuple):
     """Code on a page."""
 
     language: str
-    needs: str
     code: str
 
 
@@ -36,9 +34,7 @@ def read_page(page: str) -> str:
 
 def list_blocks(page: str, *languages: str) -> list[Block]:
     """List the blocks of a page that are in one of some languages."""
-    blocks = (
-        Block(name, needs.strip(), code) for name, needs, code in FENCE.findall(read_page(page))
-    )
+    blocks = (Block(name, code) for name, code in FENCE.findall(read_page(page)))
     return [block for block in blocks if block.language in languages]
 
 

@@ -14,16 +14,14 @@ import pytest
 from PIL import Image
 from ruamel.yaml import YAML
 
-from occmap.gates.measures import BUILD, CHECK, COMPARE, DIFF, SAVED, Measures
+from occmap.gates.measures import BUILD, CHECK, COMPARE, DIFF, SAVED, TUNE, Measures
 from occmap.pipeline import BuildOptions, build
 from occmap.readers import Probe, Role, open_log
 from occmap.types import Pose
 from tests.documents import PAGES, Session, list_blocks, list_steps, matches, read_page
 from tests.samples import ROOT
 
-NOT_YET = {"tune"}
-"""Blocks that need one of these are left out, until the command is there."""
-COMMANDS = ("build", "check", "compare", "diff", "explain", "merge", "render")
+COMMANDS = ("build", "check", "compare", "diff", "explain", "merge", "render", "tune")
 TEXTS = (*PAGES, "CONTRIBUTING.md", "CHANGELOG.md")
 
 
@@ -39,8 +37,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_commands_do_what_the_page_shows(page: str, folder: Path) -> None:
     session = Session(folder)
     for block in list_blocks(page, "console", "sh"):
-        if block.needs in NOT_YET:
-            continue
         for step in list_steps(block):
             printed = session.run(step.command)
             if step.expected is None:
@@ -59,7 +55,6 @@ def test_no_block_is_left_out_for_its_mark(page: str) -> None:
     text = read_page(page)
     blocks = list_blocks(page, "console", "sh", "python", "csv", "toml", "yaml")
     assert text.count("```") == 2 * len(blocks)
-    assert {block.needs for block in blocks} <= {"", *NOT_YET}
     for block in blocks:
         if block.language == "console":
             assert block.code.startswith("$ ")
@@ -97,7 +92,7 @@ def test_every_option_that_a_page_names_exists(tmp_path: Path) -> None:
         for command in COMMANDS
         for option in re.findall(r"--[a-z][a-z-]+", session.run(f"occmap {command} --help"))
     }
-    text = re.sub(r"^```sh tune\n.*?^```$", "", "".join(map(read_page, PAGES)), flags=re.M | re.S)
+    text = "".join(map(read_page, PAGES))
     commands = re.findall(r"occmap (?:build|check|compare|diff|explain|merge|render) .*", text)
     quoted = re.findall(r"`(--[a-z][a-z-]+)", text)
     named = {option for line in commands for option in re.findall(r"--[a-z][a-z-]+", line)}
@@ -209,7 +204,7 @@ def test_every_limit_is_in_the_table_with_its_unit_and_commands() -> None:
         for command in commands.split(", ")
     }
     tables: dict[str, Measures] = {"build": BUILD, "render": SAVED, "merge": SAVED}
-    tables |= {"check": CHECK, "compare": COMPARE, "diff": DIFF}
+    tables |= {"check": CHECK, "compare": COMPARE, "diff": DIFF, "tune": TUNE}
     assert shown == {
         (measure.name, measure.unit, command)
         for command, measures in tables.items()

@@ -52,7 +52,7 @@ variants = join(
         "updates",
         type=click.Choice([update.value for update in Update]),
         multiple=True,
-        show_default="both",
+        show_default="all",
         help="How a scan becomes observations. May repeat.",
     ),
     option(
@@ -61,7 +61,7 @@ variants = join(
         "model_texts",
         multiple=True,
         metavar="NAME[:KEY=NUMBER,...]",
-        show_default=", ".join(DEFAULT_MODELS),
+        show_default="the usual one of each update, " + ", ".join(DEFAULT_MODELS),
         help="How evidence is weighed: see `occmap models`. May repeat.",
     ),
 )

@@ -28,9 +28,10 @@ HELP = f"""{COMMANDS["tune"]}
 A map is made of four fifths of the scans, a thousand at most, and asked what the others will see:
 the share of beams whose first occupied cell is within two cells of the measured range. A search
 from coarse to fine, some thirty maps, looks for the time offset by which that share is largest, and
-then for yaw, x and y of the laser on its body. A gain counts where it is more than two standard
-errors and half a percent, and where both halves of the held-out scans show it. What is found is
-added to --time-offset and --sensor-pose, where they are given.
+then for yaw, x and y of the laser on its body; where these are off, for all of them together, since
+one hides the other. A gain counts where it is more than two standard errors and half a percent, and
+where both halves of the held-out scans show it. What is found is added to --time-offset and
+--sensor-pose, where they are given.
 
 \b
   occmap tune drive.mcap
@@ -72,6 +73,9 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
     held = f"{count(before.beams, 'beam')} of {count(tuning.held_out, 'held-out scan')}"
     yield f"time     {format_finding(tuning.time, ['time_s'])}"
     yield f"mount    {format_finding(tuning.mount, ['yaw', 'x', 'y'])}"
+    if tuning.together.verdict is Verdict.FOUND:
+        together = format_finding(tuning.together, list(Correction._fields))
+        yield f"together {together}"
     yield f"share    {before.share:.4f}{gained}"
     yield f"scored   by {held}; {count(len(tuning.tried), 'map')} of {count(tuning.kept, 'scan')}"
     disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)

@@ -19,7 +19,7 @@ from occmap.pipeline import (
 )
 from occmap.readers import open_log
 from occmap.report import Remarks, Tally, refuse_unused
-from occmap.scoring.trials import HoldOut, Result, Trials
+from occmap.scoring.trials import SMALL, HoldOut, Result, Trials
 from occmap.scoring.variants import Variant, shorten_model
 from occmap.types import Update
 from occmap.wording import count
@@ -47,14 +47,21 @@ class VariantComparison:
 
         Where that is not among them, their log-likelihood decides, which tells more than a share.
         """
-        usual = Variant(DEFAULT_UPDATE, BuildOptions().model)
-        default = [each for each in self.equals if each.variant == usual]
-        return default[0] if default else self.likeliest
+        return self._find_default() or self.likeliest
 
     @property
     def likeliest(self) -> Result:
         """The one to use where probabilities matter: as good a share, the best log-likelihood."""
-        return max(self.equals, key=lambda each: each.score.log_likelihood)
+        best = max(self.equals, key=lambda each: each.score.log_likelihood)
+        usual = self._find_default()
+        if usual and best.score.log_likelihood - usual.score.log_likelihood < SMALL:
+            return usual
+        return best
+
+    def _find_default(self) -> Result | None:
+        """The variant of a bare build, where it is as good as the best."""
+        usual = Variant(DEFAULT_UPDATE, BuildOptions().model)
+        return next((each for each in self.equals if each.variant == usual), None)
 
     @property
     def equals(self) -> list[Result]:
@@ -64,9 +71,10 @@ class VariantComparison:
     def build_command(self, result: Result) -> tuple[str, ...]:
         """Compose the command line that builds the map of a variant from all scans."""
         variant, options = result.variant, self.options
+        if variant.update is not Update.POLYGON:
+            options = replace(options, border_gap=BuildOptions.border_gap)
         if variant.update is Update.BEAM:  # which knows no surfaces
-            usual = BuildOptions()
-            options = replace(options, jump=usual.jump, border_gap=usual.border_gap)
+            options = replace(options, jump=BuildOptions.jump)
         flags = {"--model": shorten_model(variant.model)}
         return compose_build(self.remarks.logs, options, flags, variant.update.value)
 

@@ -6,14 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.errors import PoseError
 from occmap.pipeline import BuildOptions, Progress, count_scans, ignore_progress
 from occmap.readers import open_log
-from occmap.report import Remarks, Tally, name_logs, refuse_unused
+from occmap.report import Remarks, Tally
 from occmap.scoring.compare import FEW_SCANS
-from occmap.tuning.kept import MOST_OFFSET_S, MOST_SCANS, KeptLog, drop_outer, find_mount, keep_log
+from occmap.tuning.kept import MOST_SCANS, KeptLog, find_mount, keep_logs
 from occmap.tuning.result import Tuning
-from occmap.tuning.search import TIME, YAW, Correction, Course, X, Y
+from occmap.tuning.search import TIME, TOGETHER, YAW, Correction, Course, X, Y
 from occmap.tuning.verdict import Verdict, find
 from occmap.types import Pose, Rays
 from occmap.wording import count
@@ -48,21 +47,8 @@ def tune(
     planned = total + USUAL_SCORINGS * min(total, MOST_SCANS)
     tally.advance = lambda scans: progress(scans, planned)
     remarks = Remarks([str(log.path) for log in opened])
-    most = max(MOST_SCANS // len(paths), 1)
-    logs = [keep_log(log, options, most, tally, remarks) for log in opened]
-    refuse_unused(opened, tally)
-    if (read := sum(log.scans for log in logs)) < tally.scans_used:
-        used = f"{tally.scans_used:,} scans"
-        remarks.notes.append(f"{read:,} of {used} are tried, spread over the logs")
-    logs = [drop_outer(log, options.posing) for log in logs]
+    logs = keep_logs(opened, options, tally, remarks)
     kept = sum(log.scans for log in logs)
-    if not kept:
-        raise PoseError(
-            f"no scan has a pose both {MOST_OFFSET_S:g} s before its time and {MOST_OFFSET_S:g} s "
-            "after it",
-            where=name_logs(opened),
-            fix="give a longer log",
-        )
     mount = find_mount(logs, options.posing)
     course = Course(logs, options, mount, lambda: tally.advance(kept))
     before = course.score(Correction())
@@ -73,18 +59,20 @@ def tune(
     mounted = mount is not None and time.verdict is not Verdict.DISAGREE
     place = [*([YAW] if motion.shows_yaw else []), *([X, Y] if motion.shows_place else [])]
     found = find(course, time.correction, place if mounted else [])
-    after = course.score(found.correction)
+    # One may have hidden part of the other: a laser that is late looks as if it sat further back.
+    again = timed and found.verdict is Verdict.FOUND
+    both = find(course, found.correction, TOGETHER if again else [])
     tuning = Tuning(
         options=options,
         remarks=remarks,
         tally=tally,
         kept=kept,
-        held_out=len(before.predicted),
         time=time,
         mount=found,
+        together=both,
         sensor_pose=mount,
         before=before,
-        after=after,
+        after=course.score(both.correction),
         tried=course.tried,
     )
     remarks.notes += [*list_unsearched(logs, mount, motion), *list_doubts(tuning)]

@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from occmap.batching import Batcher
+from occmap.errors import PoseError
 from occmap.pipeline import BuildOptions, choose_topics, make_poser
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
 from occmap.readers import Log, read_scans
-from occmap.report import Remarks, Tally
+from occmap.report import Remarks, Tally, name_logs, refuse_unused
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Float64, Pose, PosedScans, Rays, Scan, ScanBatch, ScanRun
@@ -49,14 +50,35 @@ class KeptLog:
         return sum(len(batch.stamp_ns) for batch in self.batches)
 
 
-def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: Remarks) -> KeptLog:
-    """Read a log as a build does, and keep at most so many of the scans that have a pose.
+def keep_logs(
+    logs: Sequence[Log], options: BuildOptions, tally: Tally, remarks: Remarks
+) -> list[KeptLog]:
+    """Read logs as a build does, and keep scans that have a pose at every time offset.
 
     Raises
     ------
-    LogError, PoseError
-        As a build.
+    OccmapError
+        As a build, or no scan is left.
     """
+    most = max(MOST_SCANS // len(logs), 1)
+    kept = [keep_log(log, options, most, tally, remarks) for log in logs]
+    refuse_unused(logs, tally)
+    read, used = sum(log.scans for log in kept), tally.scans_used
+    if read < used:
+        remarks.notes.append(f"{read:,} of {used:,} scans are tried, spread over the logs")
+    kept = [drop_outer(log, options.posing) for log in kept]
+    if not any(log.scans for log in kept):
+        raise PoseError(
+            f"no scan has a pose both {MOST_OFFSET_S:g} s before its time and {MOST_OFFSET_S:g} s "
+            "after it",
+            where=name_logs(logs),
+            fix="give a longer log",
+        )
+    return kept
+
+
+def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: Remarks) -> KeptLog:
+    """Read a log, and keep at most so many of the scans that have a pose."""
     topics = choose_topics(log, options.selection.topics)
     poser = make_poser(log, topics, options.posing)
     batcher = Batcher(options.selection, options.posing.stamps)

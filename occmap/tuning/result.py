@@ -22,10 +22,10 @@ class Tuning:
     tally: Tally
     kept: int
     """Scans that maps were made from and scored on"""
-    held_out: int
-    """Of these, those that scored"""
     time: Finding
     mount: Finding
+    together: Finding
+    """What time and mount gain beyond that, where a mount was found and they are searched again"""
     sensor_pose: Pose | None
     """Where the laser sits on its body by what is known; None where no single pose says that"""
     before: Trial
@@ -34,8 +34,13 @@ class Tuning:
 
     @property
     def correction(self) -> Correction:
-        """All that is worth correcting; the search for a mount begins with the time offset."""
-        return self.mount.correction
+        """All that is worth correcting: each search begins with what the one before found."""
+        return self.together.correction
+
+    @property
+    def held_out(self) -> int:
+        """Of the scans kept, those that scored."""
+        return len(self.before.predicted)
 
     @property
     def gain(self) -> Gain:
@@ -70,6 +75,7 @@ class Tuning:
             "correction": self.correction._asdict(),
             "time": finding_to_json(self.time),
             "mount": finding_to_json(self.mount),
+            "together": finding_to_json(self.together),
             "tried": [
                 {**each._asdict(), "share": trial.score.share} for each, trial in self.tried.items()
             ],

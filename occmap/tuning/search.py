@@ -58,6 +58,7 @@ TIME = Knob("time_s", (0.16, 0.08, 0.04, 0.02, 0.01), MOST_OFFSET_S)
 YAW = Knob("yaw", tuple(math.radians(angle) for angle in (2, 1, 0.5, 0.25)), math.radians(20))
 X = Knob("x", (0.04, 0.02, 0.01, 0.005), 0.5)
 Y = replace(X, name="y")
+TOGETHER = [replace(knob, steps=knob.steps[-3:]) for knob in (TIME, YAW, X, Y)]
 
 
 class Course:

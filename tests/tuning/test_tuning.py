@@ -1,6 +1,7 @@
 """Tuning: what was put out of true in a simulated drive is found, and nothing else is."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,16 +11,18 @@ from occmap.command import to_rpy
 from occmap.errors import LogError, PoseError
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing.options import PosingOptions
+from occmap.readers import open_log
+from occmap.report import Remarks, Tally
 from occmap.scoring.compare import compare
 from occmap.scoring.score import Score, Trial
 from occmap.scoring.variants import Variant
 from occmap.tuning import tune
-from occmap.tuning.kept import take_every
+from occmap.tuning.kept import KeptLog, find_mount, keep_logs, take_every
 from occmap.tuning.search import TIME, YAW, Correction, X
 from occmap.tuning.verdict import Gain, Verdict
 from occmap.types import Pose, ScanBatch
 from tests.samples import REAL_LOGS, SAMPLE_LOGS, write_csv
-from tests.tuning.simulated import write_drive
+from tests.tuning.simulated import read_drive, write_drive
 
 STEP_S, STEP_RAD, STEP_M = TIME.steps[-1], YAW.steps[-1], X.steps[-1]
 
@@ -53,6 +56,17 @@ def test_a_known_error_of_the_mount_is_found(tmp_path: Path) -> None:
     assert pose is not None
     assert (pose.x, pose.y) == pytest.approx(true[:2], abs=STEP_M + 1e-5)
     assert to_rpy(pose)[2] == pytest.approx(true[2], abs=STEP_RAD + 1e-5)
+
+
+def test_a_time_offset_that_a_wrong_mount_hides_is_found(tmp_path: Path) -> None:
+    scans, poses = write_drive(tmp_path, lambda _: 0.05, mount=(0.15, 0.05, 0.0))
+    tuning = tune([scans], follow(poses))
+    assert tuning.time.correction.time_s > -0.05  # as the laser sits before where it is thought to
+    assert tuning.mount.verdict is tuning.together.verdict is Verdict.FOUND
+    found = tuning.correction
+    assert found.time_s == pytest.approx(-0.05, abs=STEP_S + 1e-9)
+    assert (found.x, found.y) == pytest.approx((0.15, 0.05), abs=STEP_M + 1e-9)
+    assert found.yaw == pytest.approx(0.0, abs=STEP_RAD + 1e-9)
 
 
 @pytest.mark.parametrize("name", ["drive.mcap", "drive.log"])
@@ -92,13 +106,33 @@ def test_a_correction_is_added_to_the_options_given(tmp_path: Path) -> None:
     assert float(words[words.index("--time-offset") + 1]) == pytest.approx(-0.6, abs=STEP_S + 1e-9)
 
 
-def test_the_mount_that_a_log_states_is_where_the_search_begins() -> None:
-    tuning = tune([SAMPLE_LOGS / "drive.bag"], BuildOptions())
-    assert tuning.sensor_pose is not None
-    assert tuning.sensor_pose[:3] == pytest.approx((0.25, 0, 0), abs=1e-9)
-    given = Correction(x=0.005).apply(tuning.options.posing, tuning.sensor_pose).sensor_pose
-    assert given is not None
-    assert given[:2] == (0.255, 0.0)
+def keep(path: Path, options: BuildOptions) -> tuple[list[KeptLog], list[str]]:
+    """Read a log as tune does; give what is kept, and the notes."""
+    remarks = Remarks([str(path)])
+    return keep_logs([open_log(path)], options, Tally(), remarks), remarks.notes
+
+
+@pytest.mark.parametrize(
+    ("name", "x"), [("drive.bag", 0.25), ("drive_ros2", 0.25), ("drive.csv", 0.0)]
+)
+def test_the_mount_that_a_log_states_is_where_the_search_begins(name: str, x: float) -> None:
+    options = BuildOptions()
+    logs, _ = keep(SAMPLE_LOGS / name, options)
+    mount = find_mount(logs, options.posing)
+    assert mount is not None
+    assert mount == pytest.approx((x, 0, 0, 0, 0, 0, 1), abs=1e-9)
+    moved = Correction(x=0.005).apply(options.posing, mount).sensor_pose
+    assert moved is not None
+    assert moved[:2] == (x + 0.005, 0.0)
+
+
+def test_a_mount_that_is_given_as_it_is_changes_no_pose() -> None:
+    options = BuildOptions()
+    logs, _ = keep(SAMPLE_LOGS / "drive.bag", options)
+    given = replace(options.posing, sensor_pose=find_mount(logs, options.posing))
+    for one, other in zip(logs[0].pose(options.posing), logs[0].pose(given), strict=True):
+        np.testing.assert_allclose(one.position, other.position, atol=1e-9)
+        np.testing.assert_allclose(one.rotation, other.rotation, atol=1e-9)
 
 
 def test_a_search_scores_what_compare_scores() -> None:
@@ -150,8 +184,8 @@ def test_lasers_at_different_places_have_no_one_mount() -> None:
 
 def test_scans_without_a_pose_at_some_offset_are_in_no_map(tmp_path: Path) -> None:
     scans, poses = write_drive(tmp_path)
-    tuning = tune([scans], follow(poses))
-    assert tuning.kept == 414 - 2 * 3  # three of five a second at either end
+    ((log,), _) = keep(scans, follow(poses))
+    assert log.scans == 414 - 2 * 3  # three of five a second at either end
 
 
 def test_too_short_a_log_is_refused(tmp_path: Path) -> None:
@@ -184,11 +218,11 @@ def test_every_nth_scan_is_taken_however_they_are_batched(
 
 
 def test_a_long_log_is_thinned_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("occmap.tuning.MOST_SCANS", 150)
-    tuning = tune([SAMPLE_LOGS / "drive.csv"], BuildOptions())
-    assert tuning.kept == 104  # every fourth of 414
-    assert "104 of 414 scans are tried, spread over the logs" in tuning.remarks.notes
-    assert tuning.command == ()
+    monkeypatch.setattr("occmap.tuning.kept.MOST_SCANS", 150)
+    ((log,), notes) = keep(SAMPLE_LOGS / "drive.csv", BuildOptions())
+    (batch,) = log.batches
+    assert batch.stamp_ns.tolist() == [scan.stamp_ns for scan in read_drive()[::4]]
+    assert "104 of 414 scans are tried, spread over the logs" in notes
 
 
 def make_trial(predicted: list[int]) -> Trial:
@@ -223,9 +257,8 @@ def test_a_real_robot_whose_stamps_are_late() -> None:
 
 
 @real
-@pytest.mark.parametrize("name", ["intel", "csail"])
-def test_corrected_logs_have_nothing_to_gain(name: str) -> None:
-    tuning = tune([REAL_LOGS / "carmen" / f"{name}-corrected.log.gz"], BuildOptions())
+def test_a_corrected_log_has_nothing_to_gain() -> None:
+    tuning = tune([REAL_LOGS / "carmen" / "intel-corrected.log.gz"], BuildOptions())
     assert tuning.mount.verdict is Verdict.NOTHING
     askew = [
         trial.score.share
