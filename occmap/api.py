@@ -4,10 +4,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from occmap import difference, evidence, inspection, tuning
+from occmap import difference, inspection, tuning
 from occmap.difference.maps import load_map
 from occmap.errors import UsageError
-from occmap.evidence import merging, publishing
+from occmap.evidence import merging, publishing, to_grid
 from occmap.keywords import list_options, read_option, read_options
 from occmap.maps import Map
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build, choose_model, list_inputs
@@ -106,7 +106,7 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
         writing=chosen.writing,
         inputs=tuple(list_inputs(paths, chosen)),
         tiles=made.observed,
-        keep_evidence=made.evidence,
+        evidence=made.evidence,
     )
 
 
@@ -230,8 +230,8 @@ def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> 
         report=made.report,
         writing=chosen.writing,
         inputs=(*added, *taken),
-        tiles=evidence.to_grid(total),
-        keep_evidence=lambda: made.evidence,
+        tiles=to_grid(total),
+        evidence=made.evidence,
     )
 
 

@@ -1,7 +1,6 @@
 """The map that a notebook gets: an occupancy map that knows how it came about and can be saved."""
 
 from base64 import b64encode
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 from html import escape
 from pathlib import Path
@@ -28,8 +27,8 @@ class Map(OccupancyMap):
     """What it was made of, which is never written over"""
     tiles: TileGrid
     """What was observed, in tiles"""
-    keep_evidence: Callable[[], Evidence]
-    """Makes of it what an .npz holds"""
+    evidence: Evidence | None
+    """The same as an .npz holds it; None where the build was not asked for one"""
 
     @classmethod
     def wrap(cls, grid: OccupancyMap, **others: Any) -> Self:
@@ -57,23 +56,6 @@ class Map(OccupancyMap):
         _, misses = self._read_counts()
         return misses
 
-    @property
-    def evidence(self) -> Evidence:
-        """What an .npz file holds, to be saved, merged and rendered.
-
-        Raises
-        ------
-        UsageError
-            The build did not keep it.
-        """
-        evidence = self.keep_evidence()
-        if len(evidence.slices) != len(evidence.manifest.builds):
-            raise UsageError(
-                "this map did not keep when its cells were seen, which an .npz holds",
-                fix='build it with outputs="map.npz"',
-            )
-        return evidence
-
     def save(self, path: str | Path) -> tuple[Path, ...]:
         """Write the map; the suffix picks the format: .pgm (with its YAML), .png or .npz.
 
@@ -90,7 +72,7 @@ class Map(OccupancyMap):
         """
         outputs = [Path(path)]
         check_outputs(outputs, self.inputs)
-        product = Product(self, lambda: self.evidence)
+        product = Product(self, self._take_evidence)
         return tuple(map(Path, write_outputs(outputs, product, self.writing)))
 
     def __repr__(self) -> str:
@@ -109,6 +91,14 @@ class Map(OccupancyMap):
         png = b64encode(encode_png(paint_map(self, Frame([self])))).decode()
         lines = [repr(self).strip("<>"), *self.report.notes]
         return f'<img src="data:image/png;base64,{png}"><br>' + "<br>".join(map(escape, lines))
+
+    def _take_evidence(self) -> Evidence:
+        if self.evidence is None:
+            raise UsageError(
+                "this map did not keep when its cells were seen, which an .npz holds",
+                fix='build it with outputs="map.npz"',
+            )
+        return self.evidence
 
     def _read_counts(self) -> CellNumbers:
         if self.tiles.kind is not EvidenceKind.COUNTS:

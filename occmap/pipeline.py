@@ -124,9 +124,8 @@ class Build(NamedTuple):
     report: Report
     observed: TileGrid
     """What the map was made of, before `min_passes` forgets anything"""
-    evidence: Callable[[], Evidence]
-    """The same to write and to merge; made, and the logs hashed, when it is first called. It has
-    slices of time only where an output or `min_passes` asked for them"""
+    evidence: Evidence | None
+    """The same to write and to merge, with its slices of time; None where no output is of it"""
 
 
 def ignore_progress(_scans: int, _total: int) -> None:
@@ -198,7 +197,8 @@ def build_alone(
 
     with tally.time("write"):
         remarks.files += write_outputs(outputs, Product(grid, keep_evidence), options.writing)
-    return Build(grid, make_report(grid, options, tally, remarks), tiles, keep_evidence)
+    report = make_report(grid, options, tally, remarks)
+    return Build(grid, report, tiles, keep_evidence() if want_evidence(outputs) else None)
 
 
 def observe_logs(

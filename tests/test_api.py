@@ -5,6 +5,7 @@ import inspect
 import io
 import json
 import math
+import pickle
 import re
 from dataclasses import fields
 from enum import EnumType, StrEnum
@@ -326,6 +327,15 @@ def test_a_map_is_saved_as_its_options_say(tmp_path: Path) -> None:
     grid.save(tmp_path / "map.png")
     grey = np.asarray(Image.open(tmp_path / "map.png"))[..., 0]
     assert grey.tolist() == [[15, 15, 15, 252]]  # 255/17, and 255 * 81/82
+
+
+def test_a_map_passes_between_processes(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", STILL, [0.3])
+    grid = occmap.build_map(log, **BY_HAND, outputs=tmp_path / "map.npz")
+    again = pickle.loads(pickle.dumps(grid))
+    assert again.hits.tolist() == [[0, 0, 0, 2]]
+    again.save(tmp_path / "again.npz")
+    assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "map.npz").read_bytes()
 
 
 @pytest.mark.parametrize(
