@@ -9,6 +9,7 @@ import numpy as np
 
 from occmap.errors import PoseError
 from occmap.posing.chain import REASONS, Chain, Found, Status, apply
+from occmap.posing.leaps import LeapFilter
 from occmap.posing.options import Deskew, DropReason, PosingOptions
 from occmap.posing.resolve import resolve
 from occmap.posing.rotations import rotate_by
@@ -62,6 +63,9 @@ class Poser:
     """What was decided or left out and its user should know; grows, each sentence once."""
     chains: dict[str, Chain | None] = field(default_factory=dict)
     """By scan frame; None where there is no way to it."""
+
+    def __post_init__(self) -> None:
+        self._leaps = LeapFilter(self.options.max_speed, self.notes)
 
     @classmethod
     def build(
@@ -127,13 +131,14 @@ class Poser:
             if self.options.sensor_pose is not None:
                 self._note(POSES_OF_BODY)
             self._note(*_list_idle(self.options))
-            return _keep_posed(batch, _read_stated(batch.pose, self.options.sensor_pose))
+            posed = _keep_posed(batch, _read_stated(batch.pose, self.options.sensor_pose))
+            return self._leaps.drop(*posed)
         if batch.frame not in self.chains:
             self.resolve([batch.frame])
         chain = self.chains[batch.frame]
         if chain is None:
             return [], {DropReason.NO_TRANSFORM: len(batch.stamp_ns)}
-        return self._look_up(batch, chain)
+        return self._leaps.drop(*self._look_up(batch, chain))
 
     def _look_up(self, batch: ScanBatch, chain: Chain) -> Attached:
         """Look up each scan at its stamp, or at moments between its first beam and its last."""

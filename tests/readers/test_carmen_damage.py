@@ -54,9 +54,7 @@ def test_a_deleted_byte_leaves_the_no_return_value_known(tmp_path: Path, index: 
         ("VERTEX2 7 1.5", False),
     ],
 )
-def test_a_cut_in_a_line_that_is_no_scan_is_told(
-    tmp_path: Path, line: str, is_whole: bool
-) -> None:
+def test_a_cut_in_a_line_that_is_no_scan_is_told(tmp_path: Path, line: str, is_whole: bool) -> None:
     path = tmp_path / "hand.log"
     path.write_text(LOG + line)
     damage = [note.text for note in CarmenReader().open(path).notes if note.damage]
