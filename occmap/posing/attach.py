@@ -66,6 +66,7 @@ class Poser:
 
     def __post_init__(self) -> None:
         self._leaps = LeapFilter(self.options.max_speed, self.notes)
+        self._noted = set(self.notes)
 
     @classmethod
     def build(
@@ -112,7 +113,7 @@ class Poser:
             else:
                 self.fixed, self.chains[frame] = way.fixed, way.chain
                 self._note(*way.notes)
-                if not way.chain.interval_s and any(e.track.moves for e in self.sources.tree.edges):
+                if not way.chain.interval_s and self.sources.tree.moves:
                     self._note(f"{frame!r} never moves in {way.fixed!r}, though other frames do")
         return failures
 
@@ -174,7 +175,9 @@ class Poser:
         return dense & (duration_s > 0) & (duration_s <= MAX_AUTO_TURN_S)
 
     def _note(self, *sentences: str) -> None:
-        self.notes.extend(s for s in dict.fromkeys(sentences) if s not in self.notes)
+        new = [each for each in dict.fromkeys(sentences) if each not in self._noted]
+        self._noted.update(new)
+        self.notes.extend(new)
 
 
 def _list_idle(options: PosingOptions) -> Iterator[str]:

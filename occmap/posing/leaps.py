@@ -9,7 +9,7 @@ from occmap.posing.options import DropReason
 from occmap.types import Bool, Float64, Int64, PosedScans
 
 SLACK_M = 1.0
-"""A shorter step is no leap, however little time it took: stamps are rounded, odometry corrected."""
+"""A shorter step is no leap, however short the time: stamps are rounded, odometry corrected."""
 SPARSE_S = 10.0
 """Between scans that are further apart in time a robot may have been carried."""
 RARE = 10

@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TypeAlias, TypeVar
 
-from occmap.readers import Note, Probe, Role, Stream
+from occmap.readers import Note, NoteList, Probe, Role, Stream
 from occmap.readers.carmen_lines import (
     FRAMES,
     FRONT,
@@ -90,7 +90,7 @@ class CarmenLog:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.notes: list[Note] = []
+        self.notes: list[Note] = NoteList()
         self._words: Counter[str] = Counter()
         self._front_offset: float | None = None
         self._size = 0

@@ -9,10 +9,10 @@ import pytest
 from occmap.inspection import inspect
 from occmap.pipeline import Build, BuildOptions, build
 from occmap.posing.options import PosingOptions
+from occmap.types import Pose
 from tests.posing.scenes import at, batch_at, bolted, drive
 from tests.posing.scenes import build as make_poser
 from tests.samples import REAL_LOGS, Planar, write_csv
-from occmap.types import Pose
 
 DRIVE: list[Planar] = [(second / 2, 0.0, 0.0) for second in range(40)]
 LEAP = "further from their neighbours than --max-speed allows"
