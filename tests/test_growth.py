@@ -4,6 +4,7 @@ import resource
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -47,7 +48,7 @@ def many_topics() -> list[Written]:
     ("log", "used"),
     [(many_lasers, "2,006 of 4,006"), (long_chain, "6 of 7"), (many_topics, "4,006 of 4,006")],
 )
-def test_a_log_of_very_many(tmp_path: Path, log, used: str) -> None:  # type: ignore[no-untyped-def]
+def test_a_log_of_very_many(tmp_path: Path, log: Callable[[], list[Written]], used: str) -> None:
     path = write_mcap(tmp_path / "log.mcap", log())
     words = ["build", str(path), "-o", str(tmp_path / "map.pgm"), "--resolution", "0.5"]
     run = subprocess.run(
@@ -56,7 +57,7 @@ def test_a_log_of_very_many(tmp_path: Path, log, used: str) -> None:  # type: ig
         capture_output=True,
         text=True,
         timeout=SECONDS,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY)),  # noqa: PLW1509
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY)),
     )
     assert run.returncode == 0, run.stderr[-400:]
     assert f"{used} used" in run.stdout

@@ -81,7 +81,7 @@ def command(console: Console, /, before: Path, after: Path, **values: Any) -> No
     if values["as_json"]:
         console.put_json("diff", difference.to_json() | limits.to_json(failed))
     else:
-        console.put("\n".join(format_comparison(difference)))
+        console.put(format_comparison(difference))
     limits.tell(console, failed)
     limits.leave(failed)
 
