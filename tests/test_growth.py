@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -32,7 +33,7 @@ def many_lasers() -> list[Written]:
 
 def long_chain() -> list[Written]:
     names = ["base", *(f"frame{n}" for n in range(FRAMES)), "deep"]
-    edges = [(upper, lower, 0.25) for upper, lower in zip(names, names[1:], strict=False)]
+    edges = [(upper, lower, 0.25) for upper, lower in pairwise(names)]
     deep = Written("/deep", 2 * SECOND, scan(ROS2, 2 * SECOND, "deep"))
     return [Written("/tf_static", SECOND, transforms(ROS2, SECOND, edges)), *drive(ROS2), deep]
 

@@ -9,7 +9,6 @@ from functools import cached_property
 from occmap.errors import PoseError
 from occmap.posing.tracks import Track
 
-
 MOST_STEPS = 100
 """A robot's frames hang ten deep; where a way is longer, the frames of a log are damage."""
 MOST_TARGETS = 4
