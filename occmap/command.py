@@ -28,6 +28,7 @@ POSING_FLAGS = {
     "base_frame": "--base-frame",
     "poses": "--poses",
     "max_pose_gap_s": "--max-pose-gap",
+    "max_speed": "--max-speed",
     "time_offset_s": "--time-offset",
     "deskew": "--deskew",
     "stamps": "--stamps",

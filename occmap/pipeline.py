@@ -3,7 +3,6 @@
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -327,7 +326,8 @@ def count_scans(log: Log, wanted: Sequence[str]) -> int:
 
 def count_messages(log: Log, topics: Sequence[str]) -> int:
     """Count the messages of some topics, as the reader has it."""
-    return sum(stream.count for stream in log.streams if stream.topic in topics)
+    wanted = set(topics)
+    return sum(stream.count for stream in log.streams if stream.topic in wanted)
 
 
 def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser:
@@ -338,7 +338,7 @@ def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser
     PoseError
         No scan frame has a chain of transforms to a map frame.
     """
-    first = [scan for topic in topics for scan in take_one(log.scans([topic]))]
+    first = take_first(log, topics)
     stated = options.poses is None and all(scan.pose is not None for scan in first)
     poser = Poser.build([] if stated else read_poses(log), options)
     if not stated:
@@ -349,12 +349,17 @@ def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser
     return poser
 
 
-def take_one(scans: Iterator[Scan]) -> list[Scan]:
-    """The first scan, if there is one; the file is closed again."""
-    first = list(islice(scans, 1))
+def take_first(log: Log, topics: Sequence[str]) -> list[Scan]:
+    """The first scan of each topic, read in one go, as there may be very many; then closed."""
+    first: dict[str, Scan] = {}
+    scans = log.scans(set(topics))
+    for scan in scans:
+        first.setdefault(scan.topic, scan)
+        if len(first) == len(topics):
+            break
     if isinstance(scans, Generator):
         scans.close()
-    return first
+    return list(first.values())
 
 
 def choose_engine(options: BuildOptions, outputs: Sequence[Path]) -> "GridEngine | SlicedEngine":

@@ -27,6 +27,9 @@ UInt8: TypeAlias = NDArray[np.uint8]
 Bool: TypeAlias = NDArray[np.bool_]
 
 
+MOST_OBSERVED = 1 << 53
+"""No number of a cell is larger, either way: floats hold it exactly, and sums of a thousand fit."""
+
 Box: TypeAlias = tuple[float, float, float, float]
 """Lowest x and y, highest x and y (m)"""
 

@@ -18,12 +18,12 @@ MOST_BUILDS = 6
 Row = tuple[str, ...]
 
 
-def format_explanation(explanation: Explanation) -> str:
+def format_explanation(explanation: Explanation) -> list[str]:
     """Write all that was found."""
     lines = [*list_cell(explanation)]
     if explanation.question.logs:
         lines += list_scans(explanation)
-    return "\n".join(f"{name:<{LABEL}}{text}".rstrip() for name, text in lines)
+    return [f"{name:<{LABEL}}{text}".rstrip() for name, text in lines]
 
 
 def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:

@@ -112,26 +112,24 @@ def collect_variants(values: dict[str, Any]) -> list[Variant]:
     return combine([Update(text) for text in values["updates"]], models)
 
 
-def format_comparison(comparison: VariantComparison) -> str:
+def format_comparison(comparison: VariantComparison) -> list[str]:
     """Write the table, on what it rests, and the command line of the best."""
     best, equals, likeliest = comparison.recommended, comparison.equals, comparison.likeliest
     names = ", ".join(result.variant.name for result in equals)
     held = count(comparison.held_out, "held-out scan")
     rest = f"scored by {count(best.score.beams, 'beam')} of {held}"
-    return "\n".join(
-        [
-            *format_table(comparison.results),
-            "",
-            *format_reliability(best),
-            "",
-            f"{rest}; {comparison.tally.scans_used:,} of {comparison.tally.scans_read:,} used",
-            *(f"picture: {file}" for file in comparison.remarks.files),
-            *([f"as good: {names}"] if len(equals) > 1 else []),
-            f"best: {best.variant.name}",
-            shlex.join(comparison.build_command(best)),
-            *([] if likeliest is best else recommend(comparison, likeliest)),
-        ]
-    )
+    return [
+        *format_table(comparison.results),
+        "",
+        *format_reliability(best),
+        "",
+        f"{rest}; {comparison.tally.scans_used:,} of {comparison.tally.scans_read:,} used",
+        *(f"picture: {file}" for file in comparison.remarks.files),
+        *([f"as good: {names}"] if len(equals) > 1 else []),
+        f"best: {best.variant.name}",
+        shlex.join(comparison.build_command(best)),
+        *([] if likeliest is best else recommend(comparison, likeliest)),
+    ]
 
 
 def recommend(comparison: VariantComparison, likeliest: Result) -> Iterator[str]:

@@ -1,7 +1,9 @@
 """What is printed where: results on stdout, notes and errors on stderr, each in one line."""
 
 import os
+import re
 import sys
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
@@ -11,6 +13,8 @@ import click
 
 from occmap.errors import OccmapError, OutputError
 
+ORDER = re.compile(r"^(\s*):(?=:)|#(?=#\w*\[)")
+"""Starts what runners of pipelines take for an order where they find it in a log (`::error::`)."""
 RESULT_VERSION = 1
 """Of what --json prints: it grows where a field changes its meaning or goes."""
 
@@ -35,10 +39,10 @@ class Console:
     answered: bool = False
     """It has got it"""
 
-    def put(self, text: str) -> None:
+    def put(self, lines: Iterable[str]) -> None:
         """Print a result, unless the user wants quiet."""
         if self.verbosity > Verbosity.QUIET:
-            put_line(text)
+            put_line("\n".join(clean(line) for line in lines))
 
     def put_json(self, kind: str, value: dict[str, Any]) -> None:
         """Print a result as one JSON object that names its schema."""
@@ -46,7 +50,8 @@ class Console:
 
         self.answered = True
         named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **value}
-        put_line(json.dumps(named, indent=2, allow_nan=False))
+        text = json.dumps(named, indent=2, allow_nan=False)
+        put_line(text.replace("##", r"\u0023#"))  # the same to who reads JSON, and no order
 
     def note(self, text: str) -> None:
         """Print something worth knowing."""
@@ -67,7 +72,8 @@ class Console:
         if self.verbosity is Verbosity.VERBOSE:
             import traceback  # noqa: PLC0415  late: rarely wanted
 
-            tell("".join(traceback.format_exception(error)).rstrip())
+            for text in "".join(traceback.format_exception(error)).splitlines():
+                tell(text)
         found = f"{type(error).__name__}: {error} (at {find_place(error)})"
         advice = "this is a fault in occmap: please report it, with what the same command prints"
         return self.fail(OccmapError(found, fix=f"{advice} with -v"), 1)
@@ -102,10 +108,17 @@ def put_line(text: str) -> None:
         raise OutputError(f"cannot be written ({error.strerror})", where="stdout") from None
 
 
+def clean(line: str) -> str:
+    """Make one line of text of what logs and paths say: it moves no cursor and orders nothing."""
+    if not line.isprintable():
+        line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+    return ORDER.sub(lambda found: f"{found[1] or ''}\\x{ord(found[0][-1]):x}", line)
+
+
 def tell(text: str) -> None:
-    """Print to stderr; where that is closed there is nobody to tell."""
+    """Print a line to stderr; where that is closed there is nobody to tell."""
     try:
-        click.echo(text, err=True)
+        click.echo(clean(text), err=True)
     except OSError:
         discard(sys.stderr.fileno())
 

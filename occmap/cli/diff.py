@@ -17,7 +17,7 @@ from occmap.gates import Limit, judge
 from occmap.gates.measures import DIFF
 from occmap.keywords import take
 from occmap.wording import count
-from occmap.writers import WriteOptions, check_picture
+from occmap.writers import WriteOptions, check_picture, refuse_input
 
 HELP = f"""{COMMANDS["diff"]}
 
@@ -71,8 +71,10 @@ def command(console: Console, /, before: Path, after: Path, **values: Any) -> No
     if values["output"] is not None:
         check_picture(values["output"], [before, after])
     thresholds = take(WriteOptions, values)
-    difference = compare_maps(load_map(before, thresholds), load_map(after, thresholds))
+    maps = [load_map(path, thresholds) for path in (before, after)]
+    difference = compare_maps(*maps)
     if values["output"]:
+        refuse_input(values["output"], [each.image for each in maps if each.image])
         from occmap.writers.images import write_colours  # noqa: PLC0415  late: it brings pillow
 
         write_colours(values["output"], paint(difference))
@@ -81,7 +83,7 @@ def command(console: Console, /, before: Path, after: Path, **values: Any) -> No
     if values["as_json"]:
         console.put_json("diff", difference.to_json() | limits.to_json(failed))
     else:
-        console.put("\n".join(format_comparison(difference)))
+        console.put(format_comparison(difference))
     limits.tell(console, failed)
     limits.leave(failed)
 

@@ -25,7 +25,7 @@ Row = tuple[str, str]
 """A label, "" where it is that of the row before, and the text."""
 
 
-def format_inspection(inspection: Inspection) -> str:
+def format_inspection(inspection: Inspection) -> list[str]:
     """Write all findings; problems and the recommended command come last."""
     lines = [line for log in inspection.logs for line in list_log(log)]
     if inspection.map is not None:
@@ -34,7 +34,7 @@ def format_inspection(inspection: Inspection) -> str:
     lines += [label("problem", text) for text in inspection.problems]
     if inspection.command:
         lines += ["", shlex.join(inspection.command)]
-    return "\n".join(lines)
+    return lines
 
 
 def label(name: str, text: str) -> str:

@@ -34,12 +34,9 @@ class Listing:
             "broken": [vars(plugin) for plugin in self.broken],
         }
 
-    def to_text(self) -> str:
+    def list_lines(self) -> Iterator[str]:
         """One line a plugin, aligned; parameters and faults below."""
         width = max((len(plugin.name) for plugin in self.working), default=0) + 2
-        return "\n".join(self._list_lines(width))
-
-    def _list_lines(self, width: int) -> Iterator[str]:
         for plugin in self.working:
             yield f"{plugin.name:<{width}}{plugin.description}"
             if plugin.parameters:
@@ -61,4 +58,4 @@ def show(console: Console, listing: Listing, values: dict[str, Any]) -> None:
     if values["as_json"]:
         console.put_json(listing.kind, listing.to_json())
     else:
-        console.put(listing.to_text())
+        console.put(listing.list_lines())

@@ -151,6 +151,15 @@ posing = join(
         show_default=True,
         help="Interpolate no poses across a longer gap.",
     ),
+    option(
+        POSES,
+        "--max-speed",
+        type=float,
+        metavar="M/S",
+        default=DEFAULTS.posing.max_speed,
+        show_default=True,
+        help="Leave out scans that lie further from those before and after.",
+    ),
     seconds(
         POSES,
         "--time-offset",

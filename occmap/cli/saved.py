@@ -75,7 +75,7 @@ def choose_model(evidence: Evidence, values: dict[str, Any]) -> SensorModel | No
     return collect_model(values, read_model(evidence))
 
 
-def format_saved(report: Report) -> str:
+def format_saved(report: Report) -> list[str]:
     """Sum up a map of saved evidence in a few lines."""
     lines = [
         ("map", format_size(report)),
@@ -86,4 +86,4 @@ def format_saved(report: Report) -> str:
         ("dropped", write_counts(report.dropped)),
         *label_files(report),
     ]
-    return "\n".join(f"{label:<{LABEL}}{text}" for label, text in lines if text)
+    return [f"{label:<{LABEL}}{text}" for label, text in lines if text]

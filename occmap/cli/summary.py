@@ -9,7 +9,7 @@ LABEL = 9
 """Width of the first column."""
 
 
-def format_report(report: Report, seconds: float) -> str:
+def format_report(report: Report, seconds: float) -> list[str]:
     """Sum up a build in a dozen lines; `seconds` is how long it took on the clock."""
     lines = [
         ("map", format_size(report)),
@@ -22,7 +22,7 @@ def format_report(report: Report, seconds: float) -> str:
         ("time", format_time(report, seconds)),
         *label_files(report),
     ]
-    return "\n".join(f"{label:<{LABEL}}{text}" for label, text in lines if text)
+    return [f"{label:<{LABEL}}{text}" for label, text in lines if text]
 
 
 def format_scans(report: Report) -> str:

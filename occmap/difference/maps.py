@@ -5,7 +5,9 @@ one that stayed undecided, so both are called neither here.
 """
 
 import math
+import reprlib
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
@@ -20,8 +22,12 @@ from occmap.types import Bool, Int64, UInt8
 from occmap.writers import MapMode, WriteOptions
 from occmap.writers.npz import read_evidence
 
-YAML_BYTES = 1 << 20
+YAML_BYTES = 1 << 16
 """A map's YAML has seven lines."""
+FARTHEST_M = 1e15
+"""Further out, and for larger cells, a float does not tell one cell from the next."""
+BYTES = {0xDC80 + byte: 0xE080 + byte for byte in range(128)}
+"""Stands for bytes that are no UTF-8, as names of files may have them: YAML takes no surrogates."""
 
 
 class CellClass(IntEnum):
@@ -52,6 +58,8 @@ class ClassMap:
     """(H, W) of CellClass; row 0 is the lowest y"""
     place: Place | None
     """None: a bare image, which says nothing of the world"""
+    image: Path | None = None
+    """What the cells were read from, where that is another file than `path`"""
 
 
 def load_map(path: Path, thresholds: WriteOptions) -> ClassMap:
@@ -92,7 +100,8 @@ def load_yaml(path: Path, _thresholds: WriteOptions) -> ClassMap:
         The YAML or its image is missing, damaged or not of a map.
     """
     meta = parse_meta(path, read_yaml(path))
-    return ClassMap(path, classify(path.parent / meta.image, meta), meta.place)
+    image = path.parent / meta.image
+    return ClassMap(path, classify(image, meta), meta.place, image)
 
 
 def load_pgm(path: Path, _thresholds: WriteOptions) -> ClassMap:
@@ -161,8 +170,15 @@ class Meta:
     place: Place | None = None
 
 
+def brief(value: object) -> str:
+    """Write a value of a YAML, of which some are very long."""
+    return reprlib.repr(value)[:60]
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Read a YAML file of names and values.
+    """Read a YAML file of names and values; a value is text, a list or again names and values.
+
+    So nothing is made of a value, however long, and an alias is one more name for what it is of.
 
     Raises
     ------
@@ -174,8 +190,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
     try:
         with path.open("rb") as file:
-            text = file.read(YAML_BYTES).decode("utf-8")
-        values = YAML(typ="safe", pure=True).load(text)
+            text = file.read(YAML_BYTES).decode("utf-8", "surrogateescape")
+        values = YAML(typ="base", pure=True).load(text.translate(BYTES))
     except OSError as error:
         raise MapError(f"cannot be read ({error.strerror})", where=path) from None
     except (YAMLError, ValueError, RecursionError) as error:
@@ -198,16 +214,21 @@ def parse_meta(path: Path, values: dict[str, Any]) -> Meta:
     if not isinstance(image, str):
         raise MapError("names no image", where=path, fix="add a line such as `image: map.pgm`")
     if mode not in list(MapMode):
-        raise MapError(f"{mode!r} is no mode of a map", where=path, fix="trinary, scale or raw")
+        raise MapError(
+            f"{brief(mode)} is no mode of a map", where=path, fix="trinary, scale or raw"
+        )
     resolution, occupied, free = (
         parse_number(path, name, values.get(name))
         for name in ("resolution", "occupied_thresh", "free_thresh")
     )
-    if not resolution > 0:
+    if not 0 < resolution <= FARTHEST_M:
         raise MapError(f"a resolution of {resolution} m is not possible", where=path)
-    negate = parse_number(path, "negate", values.get("negate", 0)) != 0
+    negate = values.get("negate", "0")
+    if negate not in ("true", "false"):
+        negate = "true" if parse_number(path, "negate", negate) else "false"
     place = Place(resolution, *parse_origin(path, values.get("origin")))
-    return Meta(image, MapMode(mode), occupied, free, negate, place)
+    image = image.translate({private: byte for byte, private in BYTES.items()})
+    return Meta(image, MapMode(mode), occupied, free, negate == "true", place)
 
 
 def parse_number(path: Path, name: str, value: object) -> float:
@@ -218,9 +239,10 @@ def parse_number(path: Path, name: str, value: object) -> float:
     MapError
         It is missing or none.
     """
-    if isinstance(value, int | float) and math.isfinite(value):
-        return float(value)
-    raise MapError(f"{name} is {value!r}, where a number belongs", where=path)
+    with suppress(ValueError):
+        if isinstance(value, str) and math.isfinite(number := float(value)):
+            return number
+    raise MapError(f"{name} is {brief(value)}, where a number belongs", where=path)
 
 
 def parse_origin(path: Path, value: object) -> tuple[float, float]:
@@ -232,10 +254,12 @@ def parse_origin(path: Path, value: object) -> tuple[float, float]:
         It is missing, or the map is turned.
     """
     if not isinstance(value, list) or len(value) != 3:
-        raise MapError(f"origin is {value!r}, where [x, y, yaw] belongs", where=path)
+        raise MapError(f"origin is {brief(value)}, where [x, y, yaw] belongs", where=path)
     x, y, yaw = (parse_number(path, "a value of origin", each) for each in value)
     if yaw:
         raise MapError(f"the map is turned by {yaw} rad: it lies on no lattice", where=path)
+    if max(abs(x), abs(y)) > FARTHEST_M:
+        raise MapError(f"an origin of ({x:g}, {y:g}) m is too far away", where=path)
     return x, y
 
 

@@ -97,9 +97,9 @@ class Lattice:
         return np.rint(metres * self.units_per_metre).astype(np.int64)
 
     def to_cell(self, x: float, y: float) -> tuple[int, int]:
-        """The (row, col) of the cell that holds a point."""
-        col, row = self.to_units(np.array([x, y])) >> CELL_SHIFT
-        return int(row), int(col)
+        """The (row, col) of the cell that holds a point, however far away."""
+        row, col = (round(each * self.units_per_metre) >> CELL_SHIFT for each in (y, x))
+        return row, col
 
     def to_metres(self, cells: int) -> float:
         """The coordinate of the lower or left edge of a row or column (m)."""

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from occmap.errors import MapError
 from occmap.grid.tiles import INT32_LIMIT, TILE, TileGrid
-from occmap.types import Int64
+from occmap.types import MOST_OBSERVED, Int64
 
 
 def stack_tiles(grid: TileGrid) -> tuple[Int64, Int64]:
@@ -20,11 +21,22 @@ def stack_tiles(grid: TileGrid) -> tuple[Int64, Int64]:
 
 
 def add_stack(grid: TileGrid, tiles: Int64, cells: Int64) -> None:
-    """Add stacked tiles to a grid; a sum is 64 bits wide, and no tile is shared with the stack."""
+    """Add stacked tiles to a grid; a sum is 64 bits wide, and no tile is shared with the stack.
+
+    Raises
+    ------
+    MapError
+        A sum is more than evidence may hold.
+    """
     for (row, col), tile in zip(tiles.tolist(), cells, strict=True):
         known = grid.tiles.get((row, col))
         wide = tile.astype(np.int64)
-        grid.tiles[row, col] = wide if known is None else known + wide
+        total = grid.tiles[row, col] = wide if known is None else known + wide
+        if max(-int(total.min()), int(total.max())) > MOST_OBSERVED:
+            raise MapError(
+                f"the observations of a cell add up to more than {MOST_OBSERVED:,}",
+                fix="no log holds so many: build the evidence again from its logs",
+            )
 
 
 def drop_empty(grid: TileGrid) -> None:

@@ -98,7 +98,10 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
             break
     extent.join(reach)
     seen = [survey.topics[topic] for topic in topics if topic in survey.topics]
-    scans = tuple(_sum_up(log, topic, posing, options) for topic in seen if topic.shapes)
+    types = {stream.topic: stream.type for stream in reversed(log.streams)}
+    scans = tuple(
+        _sum_up(log, types[topic.topic], topic, posing, options) for topic in seen if topic.shapes
+    )
     notes, damage = _list_notes(log)
     return LogFindings(
         path=str(log.path),
@@ -133,12 +136,14 @@ def _place(error: OccmapError, path: Path) -> str:
     return str(error.placed(path))
 
 
-def _sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) -> ScanFindings:
+def _sum_up(
+    log: Log, kind: str, topic: TopicSurvey, posing: Posing, options: BuildOptions
+) -> ScanFindings:
     ranked = topic.shapes.most_common()
     crossed = measure_crossing(topic.sample.parts, options.returns)
     return ScanFindings(
         topic=topic.topic,
-        type=next(stream.type for stream in log.streams if stream.topic == topic.topic),
+        type=kind,
         frames=tuple(topic.frames),
         scans=topic.read,
         left_out={reason.value: count for reason, count in topic.left_out.items()},

@@ -8,7 +8,7 @@ import numpy as np
 from occmap.errors import PoseError
 from occmap.inspection.sample import UNTURNED, guess_mount
 from occmap.inspection.survey import Survey, TopicSurvey
-from occmap.pipeline import BuildOptions, count_messages, take_one
+from occmap.pipeline import BuildOptions, count_messages, take_first
 from occmap.posing.attach import Poser
 from occmap.posing.chain import Status
 from occmap.posing.options import PosingOptions, Stamps
@@ -44,7 +44,7 @@ def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:
         The trajectory that the user chose cannot be used.
     """
     poser = Poser.build(read_poses(log), options.posing)
-    first = [scan for topic in topics for scan in take_one(log.scans([topic]))]
+    first = take_first(log, topics)
     frames = {scan.frame for scan in first if scan.pose is None or options.posing.poses}
     faults = find_faults(poser.sources, options.posing, frames)
     sound = frames - faults.keys()

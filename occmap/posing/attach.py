@@ -9,6 +9,7 @@ import numpy as np
 
 from occmap.errors import PoseError
 from occmap.posing.chain import REASONS, Chain, Found, Status
+from occmap.posing.leaps import LeapFilter
 from occmap.posing.options import Deskew, DropReason, PosingOptions
 from occmap.posing.resolve import resolve
 from occmap.posing.sources import Sources, gather
@@ -61,6 +62,10 @@ class Poser:
     chains: dict[str, Chain | None] = field(default_factory=dict)
     """By scan frame; None where there is no way to it."""
 
+    def __post_init__(self) -> None:
+        self._leaps = LeapFilter(self.options.max_speed, self.notes)
+        self._noted = set(self.notes)
+
     @classmethod
     def build(
         cls, samples: Iterable[PoseSample | PoseBatch], options: PosingOptions | None = None
@@ -106,7 +111,7 @@ class Poser:
             else:
                 self.fixed, self.chains[frame] = way.fixed, way.chain
                 self._note(*way.notes)
-                if not way.chain.interval_s and any(e.track.moves for e in self.sources.tree.edges):
+                if not way.chain.interval_s and self.sources.tree.moves:
                     self._note(f"{frame!r} never moves in {way.fixed!r}, though other frames do")
         return failures
 
@@ -130,7 +135,8 @@ class Poser:
             posed = status == Status.POSED
             if posed.any():
                 kept.append(_keep(part, posed, found))
-        return kept, {why: counts[code] for code, why in REASONS.items() if counts[code]}
+        dropped = {why: counts[code] for code, why in REASONS.items() if counts[code]}
+        return self._leaps.drop(kept, dropped)
 
     def _look_up(self, batch: ScanBatch) -> Iterator[tuple[ScanBatch, Found]]:
         """Look up the sensor at the stamp of each scan (S), or at K moments of each (S * K).
@@ -180,7 +186,9 @@ class Poser:
         return chosen
 
     def _note(self, *sentences: str) -> None:
-        self.notes.extend(s for s in dict.fromkeys(sentences) if s not in self.notes)
+        new = [each for each in dict.fromkeys(sentences) if each not in self._noted]
+        self._noted.update(new)
+        self.notes.extend(new)
 
 
 def _list_idle(options: PosingOptions) -> Iterator[str]:

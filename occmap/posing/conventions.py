@@ -34,25 +34,11 @@ def list_bases(tree: FrameTree, frame: str) -> list[str]:
         if name in tree:
             return [name]
     for name in BASE_NAMES:
-        namesakes = [other for other in tree.frames if last_part(other) == name]
+        namesakes = tree.namesakes.get(name, [])
         kin = [other for other in namesakes if _namespace(other) == _namespace(frame)]
         if namesakes:
             return kin or namesakes
-    return list_bodies(tree)
-
-
-def list_bodies(tree: FrameTree) -> list[str]:
-    """List the frames that drive: they move, and above them only `odom` does.
-
-    So neither the correction of odometry counts nor a turning wheel. Where nothing moves, what
-    was sent again and again counts.
-    """
-    edges = [edge for edge in tree.edges if "odom" not in last_part(edge.child).lower()]
-    moving = [edge for edge in edges if edge.track.moves]
-    driven = moving or [edge for edge in edges if not edge.track.static]
-    children = {edge.child for edge in driven}
-    top = {edge.child for edge in driven if children.isdisjoint(tree.list_ancestors(edge.parent))}
-    return sorted(top)
+    return tree.bodies
 
 
 def find_body(tree: FrameTree, frame: str) -> str:
@@ -67,7 +53,7 @@ def find_body(tree: FrameTree, frame: str) -> str:
 
 def join_names(names: Iterable[str]) -> str:
     """List names in a sentence, the first few where they are many."""
-    names = list(names)
+    names = tuple(names)
     if not names:
         return "none"
     more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""

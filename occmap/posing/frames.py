@@ -1,11 +1,18 @@
 """The transform tree: which frames a log knows, and the ways between them."""
 
 from collections import defaultdict, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 
+from occmap.errors import PoseError
 from occmap.posing.tracks import Track
+
+MOST_STEPS = 100
+"""A robot's frames hang ten deep; where a way is longer, the frames of a log are damage."""
+MOST_TARGETS = 4
+"""Ways are looked for to few frames from many, so the distances to the last few are kept."""
 
 
 class Source(IntEnum):
@@ -62,20 +69,48 @@ class FrameTree:
             self._up[edge.child].append(edge)
             self._down[edge.parent].append(edge)
         self.frames: tuple[str, ...] = tuple(sorted(self._up.keys() | self._down.keys()))
+        self._distances: dict[str, dict[str, int]] = {}
 
     def __contains__(self, frame: str) -> bool:
         return frame in self._up or frame in self._down
 
-    @property
+    @cached_property
     def edges(self) -> tuple[Edge, ...]:
         """Every edge, by the names of its frames."""
         return tuple(edge for frame in self.frames for edge in self._down.get(frame, ()))
 
+    @cached_property
+    def moves(self) -> bool:
+        """Whether anything does."""
+        return any(edge.track.moves for edge in self.edges)
+
+    @cached_property
+    def bodies(self) -> list[str]:
+        """The frames that drive: they move, and above them only `odom` does.
+
+        So neither the correction of odometry counts nor a turning wheel. Where nothing moves, what
+        was sent again and again counts.
+        """
+        edges = [edge for edge in self.edges if "odom" not in last_part(edge.child).lower()]
+        moving = [edge for edge in edges if edge.track.moves]
+        driven = moving or [edge for edge in edges if not edge.track.static]
+        children = {edge.child for edge in driven}
+        top = {e.child for e in driven if children.isdisjoint(self.list_ancestors(e.parent))}
+        return sorted(top)
+
+    @cached_property
+    def namesakes(self) -> dict[str, list[str]]:
+        """The frames that share the last part of their names, by that."""
+        found = defaultdict(list)
+        for frame in self.frames:
+            found[last_part(frame)].append(frame)
+        return dict(found)
+
     def list_ancestors(self, frame: str) -> list[str]:
-        """List a frame and all above it, nearest first."""
+        """List a frame and those above it, nearest first, as many as a way may have steps."""
         found = {frame: None}
         queue = deque([frame])
-        while queue:
+        while queue and len(found) <= MOST_STEPS:
             for edge in self._up.get(queue.popleft(), ()):
                 if edge.parent not in found:
                     found[edge.parent] = None
@@ -91,29 +126,52 @@ class FrameTree:
         """Find the shortest way down from one frame to another; None where there is none.
 
         Of equally short ways the one that climbs from `lower` is preferred, then names decide.
-        """
-        if upper not in self or lower not in self:
-            return None
-        onward: dict[str, Step | None] = {lower: None}
-        queue = deque([lower])
-        while queue and upper not in onward:
-            frame = queue.popleft()
-            for step in self._list_steps_to(frame):
-                if step.upper not in onward:
-                    onward[step.upper] = step
-                    queue.append(step.upper)
-        if upper not in onward:
-            return None
-        path = []
-        step_down = onward[upper]
-        while step_down is not None:
-            path.append(step_down)
-            step_down = onward[step_down.lower]
-        return path
 
-    def _list_steps_to(self, frame: str) -> list[Step]:
-        climb = [Step(edge) for edge in self._up.get(frame, ())]
-        return climb + [Step(edge, inverted=True) for edge in self._down.get(frame, ())]
+        Raises
+        ------
+        PoseError
+            It has more than `MOST_STEPS` steps.
+        """
+        distances = self._measure(upper)
+        if lower not in distances:
+            return None
+        if distances[lower] > MOST_STEPS:
+            raise PoseError(
+                f"the way from {upper!r} to {lower!r} leads through {distances[lower]} frames, "
+                f"where {MOST_STEPS} are the most that is followed",
+                fix="see the transforms in `occmap check`",
+            )
+        path: list[Step] = []
+        while lower != upper:
+            near = distances[lower] - 1
+            step = next(s for s in self._list_steps_to(lower) if distances[s.upper] == near)
+            path.append(step)
+            lower = step.upper
+        return path[::-1]
+
+    def _measure(self, upper: str) -> dict[str, int]:
+        """Count the steps from a frame to each that is connected with it."""
+        if upper not in self:
+            return {}
+        if upper not in self._distances:
+            distances = {upper: 0}
+            queue = deque([upper])
+            while queue:
+                frame = queue.popleft()
+                below = (edge.child for edge in self._down.get(frame, ()))
+                above = (edge.parent for edge in self._up.get(frame, ()))
+                for other in (*below, *above):
+                    if other not in distances:
+                        distances[other] = distances[frame] + 1
+                        queue.append(other)
+            while len(self._distances) >= MOST_TARGETS:
+                del self._distances[next(iter(self._distances))]
+            self._distances[upper] = distances
+        return self._distances[upper]
+
+    def _list_steps_to(self, frame: str) -> Iterator[Step]:
+        yield from (Step(edge) for edge in self._up.get(frame, ()))
+        yield from (Step(edge, inverted=True) for edge in self._down.get(frame, ()))
 
 
 def last_part(frame: str) -> str:

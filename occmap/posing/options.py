@@ -40,6 +40,7 @@ class DropReason(StrEnum):
     AFTER = "after the last pose"
     GAP = "in a pose gap longer than --max-pose-gap"
     NOT_FINITE = "pose not finite"
+    LEAP = "further from their neighbours than --max-speed allows"
     NO_TRANSFORM = "no transform to the scan's frame"
 
 
@@ -64,6 +65,9 @@ class PosingOptions:
     max_pose_gap_s: float | None = 2.0
     """Nothing is interpolated across a longer gap; None: across any. Two seconds: logs that are
     whole have gaps of one, and a robot that is not watched for longer can have been anywhere."""
+    max_speed: float = 50.0
+    """Scans that lie further from their neighbours in time are left out (m/s; inf: none). The
+    fastest step of nine logs of robots, with rounded stamps, is 8; cars reach 50."""
     time_offset_s: float = 0.0
     """Added to the stamps of scans, for a lidar whose clock is off."""
     deskew: Deskew = Deskew.OFF
@@ -84,6 +88,10 @@ class PosingOptions:
         if self.max_pose_gap_s is not None and not self.max_pose_gap_s > 0:
             raise UsageError(
                 f"the longest pose gap is {self.max_pose_gap_s} s", fix="give more than 0 s"
+            )
+        if not self.max_speed > 0:
+            raise UsageError(
+                f"a largest speed of {self.max_speed} m/s is not possible", fix="give more than 0"
             )
         if self.sensor_pose is not None:
             _check_pose(self.sensor_pose, "the sensor's pose")

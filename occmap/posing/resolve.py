@@ -11,7 +11,6 @@ from occmap.posing.conventions import (
     find_body,
     join_names,
     list_bases,
-    list_bodies,
 )
 from occmap.posing.frames import Edge, FrameTree, Source, Step, last_part
 from occmap.posing.options import PosingOptions
@@ -190,7 +189,7 @@ class _Search:
         )
 
     def _fail_without_motion(self, root: str) -> NoReturn:
-        bodies = list_bodies(self.tree)
+        bodies = self.tree.bodies
         if bodies:
             raise PoseError(
                 f"the laser's frame {self.frame!r} hangs on {root!r}, which is not connected to "

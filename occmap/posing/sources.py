@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,7 +44,7 @@ class Sources:
     """The one that the user chose instead of tf."""
     notes: tuple[str, ...]
 
-    @property
+    @cached_property
     def unnamed_body(self) -> Edge | None:
         """The pose topic to fall back on where tf and odometry do not reach a scan."""
         usable = (edge for edge in self.pose_topics if not edge.child and len(edge.track) > 1)

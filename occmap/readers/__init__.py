@@ -71,6 +71,22 @@ class Note:
     """True: the log is not as its recorder meant it; `text` says where, and what is lost."""
 
 
+class NoteList(list[Note]):
+    """Notes of which `in` finds one at once, as a damaged log may give very many."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._known: set[Note] = set()
+
+    def __contains__(self, note: object) -> bool:
+        return note in self._known
+
+    def append(self, note: Note) -> None:
+        """Add a note."""
+        super().append(note)
+        self._known.add(note)
+
+
 class Log(Protocol):
     """An opened log. Both iterators may be called more than once and start at the beginning."""
 

@@ -1,6 +1,7 @@
 """Reads logs of the CARMEN toolkit: text, one message a line; `carmen_lines` has the formats."""
 
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
@@ -8,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TypeAlias, TypeVar
 
-from occmap.readers import Note, Probe, Role, Stream
+from occmap.readers import Note, NoteList, Probe, Role, Stream
 from occmap.readers.carmen_lines import (
     FRAMES,
     FRONT,
@@ -49,6 +50,8 @@ MAX_WORDS = 100
 """Kinds of line that are counted each by itself; garbage must not fill the memory."""
 MAX_KEPT_BYTES = 1 << 26
 """A log whose scans fit is parsed once and kept; a larger one is parsed again as a stream."""
+WHOLE_MESSAGE = re.compile(r"\S+\s+\S+\s+\S.*\s(?!\d)\S+\s+[-+.e\d]+\s*")
+"""A keyword, two words or more, the name of a host, and a time."""
 FIX = "correct or delete this line"
 SCAN_BYTES = 700
 """What a scan takes beside its ranges, as measured."""
@@ -87,7 +90,7 @@ class CarmenLog:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.notes: list[Note] = []
+        self.notes: list[Note] = NoteList()
         self._words: Counter[str] = Counter()
         self._front_offset: float | None = None
         self._size = 0
@@ -264,11 +267,10 @@ def _starts_message(head: list[str]) -> bool:
 
 
 def _is_cut(word: str, text: str) -> bool:
-    """Whether a last line without a line end is the start of one that would have been used."""
-    if word != "ODOM":
-        return any(used.startswith(word) for used in (*FRAMES, "ODOM"))
+    """Whether a last line without a line end is not whole."""
     try:
-        parse_odometry(text)
+        if word == "ODOM":
+            parse_odometry(text)
+        return WHOLE_MESSAGE.fullmatch(text) is None
     except ValueError:
         return True
-    return False

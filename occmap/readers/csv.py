@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from occmap.errors import LogError
-from occmap.readers import Note, Probe, Role, Stream
+from occmap.readers import Note, NoteList, Probe, Role, Stream
 from occmap.readers.csv_layout import (
     POSE_NAMES,
     Layout,
@@ -82,7 +82,7 @@ class CsvLog:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.notes: list[Note] = []
+        self.notes: list[Note] = NoteList()
         self._rows = 0
         self._last: Line | None = None
         self._judged = False

@@ -16,7 +16,7 @@ from typing import BinaryIO, NamedTuple, TypeVar
 from mcap.opcode import Opcode
 
 from occmap.errors import LogError
-from occmap.readers import DEFAULT_OPTIONS, Note, Probe
+from occmap.readers import DEFAULT_OPTIONS, Note, NoteList, Probe
 from occmap.readers.inflate import Buffer, inflate
 from occmap.readers.mcap_records import (
     CHUNK_START,
@@ -101,7 +101,7 @@ class McapSource:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.notes: list[Note] = []
+        self.notes: list[Note] = NoteList()
         self._verified: set[int] = set()
         self._repeated: set[int] = set()
         self._held = -1, 0

@@ -14,7 +14,7 @@ from pathlib import Path
 import apsw
 
 from occmap.errors import LogError
-from occmap.readers import Note
+from occmap.readers import Note, NoteList
 from occmap.readers.ros_source import Channel, Encoding, RawMessage, Syntax, add_note
 from occmap.readers.sqlite_pages import Row, count_lost_frames, find_rows
 
@@ -35,7 +35,7 @@ class SqliteSource:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.notes: list[Note] = []
+        self.notes: list[Note] = NoteList()
         self._log = path.with_name(path.name + "-wal")
         # A recorder that died leaves its last rows in a log beside the file.
         self._has_log = self._log.is_file() and self._log.stat().st_size > 0

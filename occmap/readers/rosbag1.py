@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from occmap.errors import LogError
-from occmap.readers import Note
+from occmap.readers import Note, NoteList
 from occmap.readers.inflate import Buffer, inflate
 from occmap.readers.ros_source import Channel, RawMessage, add_note
 from occmap.readers.rosbag1_records import (
@@ -85,7 +85,7 @@ class Bag1Source:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.notes: list[Note] = []
+        self.notes: list[Note] = NoteList()
         self._odd_index = False
         self._has_doubles = False
         try:

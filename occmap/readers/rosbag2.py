@@ -17,7 +17,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from occmap.errors import LogError
-from occmap.readers import Note
+from occmap.readers import Note, NoteList
 from occmap.readers.inflate import unzip_file
 from occmap.readers.mcap import McapSource
 from occmap.readers.mcap_records import MAGIC as MCAP_MAGIC
@@ -72,7 +72,7 @@ class Bag2Source:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.notes: list[Note] = []
+        self.notes: list[Note] = NoteList()
         self._scratch: Path | None = None
         try:
             metadata = self._read_metadata()

@@ -164,7 +164,8 @@ class RangeLimits:
         return right
 
     def _find(self, topic: str) -> float:
-        band = self.bands.get(topic)
+        tally = self._tallies.get(topic)  # of this topic alone: there may be very many
+        band = None if tally is None else tally.find_band()
         return math.inf if band is None else band.limit
 
     @property

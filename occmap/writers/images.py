@@ -37,6 +37,8 @@ def read_grey(path: Path) -> GreyImage:
     MapError
         It cannot be read, is cut, too large, or not of 8 bits a channel.
     """
+    if path.exists() and not path.is_file():  # a pipe would be waited for
+        raise MapError("is no file", where=path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)

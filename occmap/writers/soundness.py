@@ -1,16 +1,19 @@
 """What evidence must be beyond a checksum that fits, since others may write this format, too."""
 
-import math
 from collections.abc import Iterator
+from reprlib import repr as brief
 from typing import Any
 
 import numpy as np
 
-from occmap.types import Evidence, Int64, Manifest, Slices, Update
+from occmap.types import MOST_OBSERVED, Evidence, Int64, Manifest, Slices, Update
 
 COUNTS, LOG_ODDS = "counts", "log_odds"
 FARTHEST_TILE = 1 << 38
 """Cells beyond it have no coordinates that a float could hold."""
+
+LEAST_CELL_M, LARGEST_CELL_M = 1e-12, 1e12
+LONGEST_S = 1e12
 
 SECONDS = (float, int, "inf", "-inf")
 SELECTION = {"start_s": SECONDS, "end_s": SECONDS, "stride": int, "topics": list}
@@ -46,10 +49,10 @@ def list_faults(evidence: Evidence) -> Iterator[str]:
 def list_manifest_faults(manifest: Manifest) -> Iterator[str]:
     """List values that occmap does not know what to do with."""
     size = manifest.resolution
-    if not isinstance(size, int | float) or not 0 < size < math.inf:
-        yield f"its resolution is {size!r}"
-    if not isinstance(manifest.pass_gap_s, int | float) or not 0 < manifest.pass_gap_s < math.inf:
-        yield f"its pass_gap_s is {manifest.pass_gap_s!r}"
+    if not isinstance(size, int | float) or not LEAST_CELL_M < size < LARGEST_CELL_M:
+        yield f"its resolution is {brief(size)}"
+    if not isinstance(manifest.pass_gap_s, int | float) or not 0 < manifest.pass_gap_s < LONGEST_S:
+        yield f"its pass_gap_s is {brief(manifest.pass_gap_s)}"
     if manifest.kind not in (COUNTS, LOG_ODDS):
         yield f"its kind is {manifest.kind!r}"
     if manifest.update not in list(Update):
@@ -103,6 +106,8 @@ def to_set(tiles: Int64) -> set[tuple[int, int]]:
 def are_observations(cells: Int64, kind: str) -> bool:
     """Whether scans can have made the two numbers of every cell (T, 2, 64, 64)."""
     first, second = cells[:, 0], cells[:, 1]
+    if cells.min(initial=0) < -MOST_OBSERVED or cells.max(initial=0) > MOST_OBSERVED:
+        return False
     if second.min(initial=0) < 0:
         return False
     if kind == COUNTS:

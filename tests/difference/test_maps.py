@@ -74,7 +74,7 @@ def test_negate_turns_black_and_white(tmp_path: Path) -> None:
         ("a: \xff\n", "names no image"),
         (THRESHOLDS, "names no image"),
         (META, "occupied_thresh is None, where a number belongs"),
-        (META.replace("0.05", ".nan") + THRESHOLDS, "resolution is nan, where a number"),
+        (META.replace("0.05", ".nan") + THRESHOLDS, "resolution is '.nan', where a number"),
         (META.replace("0.05", "0") + THRESHOLDS, "a resolution of 0.0 m is not possible"),
         (META.replace("2.0, 0.0", "2.0") + THRESHOLDS, "where [x, y, yaw] belongs"),
         (META.replace("2.0, 0.0", "2.0, 0.1") + THRESHOLDS, "the map is turned by 0.1 rad"),

@@ -1,0 +1,145 @@
+"""Numbers beyond their types, and YAML that unfolds: one line and an exit code, quickly."""
+
+import resource
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from occmap.types import MOST_OBSERVED
+from occmap.writers.npz import NpzWriter, read_evidence
+from tests.cli.runner import occmap, read_error
+from tests.samples import write_csv
+
+MEMORY = 1 << 30
+UNFOLDING = "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 40))
+MERGING = "".join(f"a{n}: &a{n} {{<<: [{', '.join([f'*a{n - 1}'] * 9)}]}}\n" for n in range(1, 40))
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Work in a new folder with a map, `m`, as PGM with YAML, PNG and evidence."""
+    monkeypatch.chdir(tmp_path)
+    log = write_csv(tmp_path / "log.csv", [(x / 10, 0.0, 0.0) for x in range(5)], [1.0, 1.5], 0.1)
+    assert occmap("build", log, *["-o", "m.pgm", "-o", "m.png", "-o", "m.npz"]).code == 0
+    return tmp_path
+
+
+def change_yaml(name: str, value: str, before: str = "") -> str:
+    lines = Path("m.yaml").read_text().splitlines()
+    kept = [line for line in lines if not line.startswith(f"{name}:")]
+    Path("bad.yaml").write_text(before + "\n".join([*kept, f"{name}: {value}", ""]))
+    return "bad.yaml"
+
+
+def diff_in_bounds(file: str) -> str:
+    run = subprocess.run(
+        [sys.executable, "-m", "occmap", "diff", "m.yaml", file],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=20,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY)),
+    )
+    assert (run.returncode, run.stdout) == (1, "")
+    assert run.stderr.count("\n") == 1
+    assert len(run.stderr) < 400
+    assert "fault in occmap" not in run.stderr
+    return run.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "found"),
+    [
+        ("resolution", "9" * 400, "resolution is '999999999999"),
+        ("resolution", "9" * 9000, "resolution is '999999999999"),
+        ("resolution", "1e300", "a resolution of 1e+300 m is not possible"),
+        ("origin", "[1e308, -1e308, 0]", "an origin of (1e+308, -1e+308) m is too far away"),
+        ("origin", "[" * 900 + "]" * 900, ""),
+        ("origin", "[" * 9000 + "]" * 9000, ""),
+        ("occupied_thresh", "1" + "0" * 400, "occupied_thresh is '1000"),
+        ("negate", "[1]", "negate is ['1'], where a number belongs"),
+    ],
+)
+def test_a_yaml_with_numbers_beyond_their_types(name: str, value: str, found: str) -> None:
+    error = diff_in_bounds(change_yaml(name, value))
+    assert "bad.yaml: " in error
+    assert found in error
+
+
+@pytest.mark.parametrize("unfolding", [UNFOLDING, MERGING])
+@pytest.mark.parametrize("name", ["origin", "mode", "resolution"])
+def test_a_yaml_that_unfolds(unfolding: str, name: str) -> None:
+    before = "a0: &a0 {x: 1}\n" + unfolding
+    assert f"bad.yaml: {name}"[:10] in diff_in_bounds(change_yaml(name, "*a39", before))
+
+
+def test_a_picture_of_changes_spares_the_image_that_a_yaml_names(folder: Path) -> None:
+    image = Path("m.png").read_bytes()
+    named = change_yaml("image", "m.png")
+    for maps in ([named, "m.pgm"], ["m.pgm", named]):
+        error = read_error(occmap("diff", *maps, "-o", "m.png"), 2)
+        assert error == "m.png: is an input: it would be overwritten; give -o another name"
+        assert Path("m.png").read_bytes() == image
+    assert occmap("diff", named, "m.pgm", "-o", "changes.png").code == 0
+    assert (folder / "changes.png").exists()
+
+
+def test_maps_under_names_that_are_no_text() -> None:
+    """The YAML names its image with the bytes that the file system has."""
+    name = "map\udcff.pgm"
+    assert occmap("build", "log.csv", "-o", name).code == 0
+    assert occmap("diff", "map\udcff.yaml", "m.yaml").code == 0
+    assert occmap("diff", "map\udcff.pgm", "m.yaml").code == 0
+
+
+@pytest.mark.parametrize("fill", [MOST_OBSERVED, MOST_OBSERVED // 2 + 1])
+def test_sums_beyond_what_evidence_may_hold_are_refused(fill: int) -> None:
+    saved = read_evidence(Path("m.npz"))
+    cells = np.where(saved.cells > 0, np.int64(fill), 0)
+    NpzWriter().write_evidence(Path("big.npz"), replace(saved, cells=cells))
+    error = read_error(occmap("merge", "big.npz", "big.npz", "-o", "sum.npz"), 1)
+    assert "the observations of a cell add up to more than 9,007,199,254,740,992" in error
+    assert not Path("sum.npz").exists()
+    resumed = occmap("build", "log.csv", "--resume", "big.npz", "-o", "sum.npz")
+    assert resumed.code == (fill == MOST_OBSERVED)
+    assert occmap("render", "sum.npz", "-o", "n.pgm").code == resumed.code
+
+
+@pytest.mark.parametrize("size", [1e308, 1e-308, 10**400, 10**4000])
+def test_evidence_of_a_resolution_that_no_map_has(size: float) -> None:
+    saved = read_evidence(Path("m.npz"))
+    manifest = replace(saved.manifest, resolution=size)
+    NpzWriter().write_evidence(Path("bad.npz"), replace(saved, manifest=manifest))
+    for words in (
+        "render bad.npz -o n.pgm",
+        "merge bad.npz bad.npz -o n.npz",
+        "diff m.npz bad.npz",
+    ):
+        error = read_error(occmap(*words.split()), 1)
+        assert error.startswith("bad.npz: is not what occmap writes: its resolution is ")
+        assert len(error) < 300
+
+
+@pytest.mark.parametrize("reading", [3.4e38, 3e30, 1e18])
+def test_a_stray_range_beyond_all_sense(tmp_path: Path, reading: float) -> None:
+    """What `check` recommends is what works, or it says why nothing does."""
+    ranges = [1.0 + beam / 7 for beam in range(100)]
+    log = write_csv(tmp_path / "far.csv", [(0.1 * x, 0.0, 0.0) for x in range(5)], ranges, 0.01)
+    text = log.read_text().splitlines()
+    row = text[-1].split(",")
+    text[-1] = ",".join([*row[:-1], f"{reading:g}"])
+    log.write_text("\n".join(text))
+    seen = occmap("check", log)
+    built = occmap("build", log, "-o", "far.pgm")
+    assert "Warning" not in seen.err + built.err
+    assert built.code == seen.code
+    assert "1 x 1 cells" not in seen.out
+    if seen.code:
+        assert f"{reading:.6g} m" in seen.out
+        assert f"{reading:.6g} m" in built.err
+        assert "occmap build" not in seen.out.splitlines()[-1]
+    assert occmap("build", log, "-o", "far.pgm", "--max-range", 30).code == 0

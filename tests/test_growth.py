@@ -1,0 +1,74 @@
+"""Logs of very many frames, topics or notes: memory and time grow with their number only."""
+
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from occmap.readers import Note, NoteList
+from tests.readers.ros import ROS2, SECOND, Written, drive, scan, transforms, write_mcap
+
+MEMORY = 1 << 31
+FRAMES = 4000
+SECONDS = 40
+"""Where it grows with the square it takes minutes."""
+
+
+def many_lasers() -> list[Written]:
+    """Each laser has a frame of its own on the robot, of which the half has no transform."""
+    mounts = [("base", f"laser{n}", 0.25) for n in range(0, FRAMES, 2)]
+    edges = [transforms(ROS2, SECOND, mounts), transforms(ROS2, SECOND, [("base", "/laser", 0.25)])]
+    static = [Written("/tf_static", SECOND, each) for each in edges]
+    return [
+        *static,
+        *drive(ROS2)[1:],
+        *(Written("/scan", 2 * SECOND, scan(ROS2, 2 * SECOND, f"laser{n}")) for n in range(FRAMES)),
+    ]
+
+
+def long_chain() -> list[Written]:
+    names = ["base", *(f"frame{n}" for n in range(FRAMES)), "deep"]
+    edges = [(upper, lower, 0.25) for upper, lower in pairwise(names)]
+    deep = Written("/deep", 2 * SECOND, scan(ROS2, 2 * SECOND, "deep"))
+    return [Written("/tf_static", SECOND, transforms(ROS2, SECOND, edges)), *drive(ROS2), deep]
+
+
+def many_topics() -> list[Written]:
+    scans = (
+        Written(f"/scan{n}", 2 * SECOND, scan(ROS2, 2 * SECOND, "/laser")) for n in range(FRAMES)
+    )
+    return [*drive(ROS2), *scans]
+
+
+@pytest.mark.parametrize(
+    ("log", "used"),
+    [(many_lasers, "2,006 of 4,006"), (long_chain, "6 of 7"), (many_topics, "4,006 of 4,006")],
+)
+def test_a_log_of_very_many(tmp_path: Path, log: Callable[[], list[Written]], used: str) -> None:
+    path = write_mcap(tmp_path / "log.mcap", log())
+    words = ["build", str(path), "-o", str(tmp_path / "map.pgm"), "--resolution", "0.5"]
+    run = subprocess.run(
+        [sys.executable, "-m", "occmap", *words, "--jobs", "1"],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=SECONDS,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY)),
+    )
+    assert run.returncode == 0, run.stderr[-400:]
+    assert f"{used} used" in run.stdout
+
+
+def test_a_note_is_found_at_once() -> None:
+    notes = NoteList()
+    start = time.process_time()
+    for number in [*range(30_000), *range(30_000)]:
+        if (note := Note(f"message {number} is damaged")) not in notes:
+            notes.append(note)
+    assert len(notes) == 30_000
+    assert time.process_time() - start < 5  # one after the other: minutes
