@@ -259,7 +259,8 @@ def list_lacking(tally: Tally, resumed: Resumed | None) -> Iterator[str]:
 
 def list_disagreement(grid: OccupancyMap) -> Iterator[str]:
     """Say that the scans of a map contradict each other."""
-    if grid.agreement is not None and grid.agreement < LEAST_AGREEMENT:
+    few = grid.agreement is not None and grid.agreement < LEAST_AGREEMENT
+    if few and grid.occupied.any():
         yield (
             f"only {grid.agreement:.0%} of the hits lie in cells that the map calls occupied: the "
             "poses do not fit the scans; see `occmap check`, try `occmap tune`, another "

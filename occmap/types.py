@@ -494,7 +494,8 @@ class OccupancyMap:
     def take(self, rows: slice, cols: slice) -> Self:
         """A part of the map; its arrays are views."""
         x, y = self.origin
-        start = x + (cols.start or 0) * self.resolution, y + (rows.start or 0) * self.resolution
+        right, up = (cols.start or 0) * self.resolution, (rows.start or 0) * self.resolution
+        start = round(x + right, 12), round(y + up, 12)
         log_odds, observed = self.log_odds[rows, cols], self.observed[rows, cols]
         return replace(self, log_odds=log_odds, observed=observed, origin=start)
 
@@ -508,7 +509,8 @@ class OccupancyMap:
     def extent(self) -> Box:
         """Lowest x and y, highest x and y (m)."""
         (rows, cols), (x, y) = self.shape, self.origin
-        return x, y, x + cols * self.resolution, y + rows * self.resolution
+        right, top = x + cols * self.resolution, y + rows * self.resolution
+        return x, y, round(right, 12), round(top, 12)
 
     @property
     def shape(self) -> tuple[int, int]:

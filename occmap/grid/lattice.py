@@ -103,4 +103,4 @@ class Lattice:
 
     def to_metres(self, cells: int) -> float:
         """The coordinate of the lower or left edge of a row or column (m)."""
-        return cells * self.resolution
+        return round(cells * self.resolution, 12)  # -3.05, and not -3.0500000000000003
