@@ -65,9 +65,6 @@ class PosingOptions:
     max_pose_gap_s: float | None = 2.0
     """Nothing is interpolated across a longer gap; None: across any. Two seconds: logs that are
     whole have gaps of one, and a robot that is not watched for longer can have been anywhere."""
-    max_speed: float = 50.0
-    """Scans that lie further from their neighbours in time are left out (m/s; inf: none). The
-    fastest step of nine logs of robots, with rounded stamps, is 8; cars reach 50."""
     time_offset_s: float = 0.0
     """Added to the stamps of scans, for a lidar whose clock is off."""
     deskew: Deskew = Deskew.OFF
@@ -78,6 +75,9 @@ class PosingOptions:
     """Which time of a pose sample to use; a scan batch holds the chosen one already."""
     static_transforms: tuple[PoseSample, ...] = ()
     """Fixed transforms that the log lacks; each goes before what the log says of its child."""
+    max_speed: float = 50.0
+    """Scans that lie further from their neighbours in time are left out (m/s; inf: none). The
+    fastest step of nine logs of robots, with rounded stamps, is 8; cars reach 50."""
 
     def __post_init__(self) -> None:
         if not abs(self.time_offset_s) <= MAX_OFFSET_S:
