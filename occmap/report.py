@@ -259,10 +259,10 @@ def list_lacking(tally: Tally, resumed: Resumed | None) -> Iterator[str]:
 
 def list_disagreement(grid: OccupancyMap) -> Iterator[str]:
     """Say that the scans of a map contradict each other."""
-    few = grid.agreement is not None and grid.agreement < LEAST_AGREEMENT
-    if few and grid.occupied.any():
+    agreement = 1.0 if grid.agreement is None else grid.agreement
+    if agreement < LEAST_AGREEMENT and grid.occupied.any():
         yield (
-            f"only {grid.agreement:.0%} of the hits lie in cells that the map calls occupied: the "
+            f"only {agreement:.0%} of the hits lie in cells that the map calls occupied: the "
             "poses do not fit the scans; see `occmap check`, try `occmap tune`, another "
             "--time-offset or another trajectory"
         )

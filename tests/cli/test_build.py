@@ -106,17 +106,18 @@ def test_the_report_is_aligned_and_says_what_was_done(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", [(float(second), 0, 0) for second in range(4)], [0.32])
     words = ["--resolution", 0.1, "--end", 3, "-o", tmp_path / "m.pgm"]
     lines = occmap("build", *PLAIN_WORDS, log, *words).out.splitlines()
-    assert lines[:6] == [
+    assert lines[:7] == [
         "map      24 x 1 cells of 0.1 m, x 0 to 2.4 m, y 0 to 0.1 m",
         "cells    12.5% occupied, 37.5% free, 50.0% unknown",
+        "agree    100.0% of the hits lie in occupied cells",
         "update   beam, model simple:p_hit=0.7,p_miss=0.4,prior=0.5,cut=0.5,spread=0.0",
         "scans    3 of 4 used",
         "dropped  1 outside --start and --end",
         "beams    3: 3 hit",
     ]
-    assert lines[6].startswith("time     ")
-    assert " scans/s (open " in lines[6]
-    assert lines[7:] == [f"files    {tmp_path / 'm.pgm'}", f"         {tmp_path / 'm.yaml'}"]
+    assert lines[7].startswith("time     ")
+    assert " scans/s (open " in lines[7]
+    assert lines[8:] == [f"files    {tmp_path / 'm.pgm'}", f"         {tmp_path / 'm.yaml'}"]
 
 
 def test_json_is_one_object_and_nothing_else(tmp_path: Path) -> None:
