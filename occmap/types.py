@@ -532,6 +532,8 @@ class Manifest:
     """The radial model that log-odds were summed by, without prior and bounds; "" for counts"""
     pass_gap_s: float
     """How long a slice of time is, by which visits are told apart (s)"""
+    hit_offset: float
+    """How far behind the measured points hits lie (cells)"""
     model: str
     """The model to render with, unless the user wants another"""
     builds: tuple[dict[str, Any], ...]

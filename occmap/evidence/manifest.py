@@ -101,6 +101,7 @@ def plan_manifest(options: Any) -> Manifest:
         kind.value,
         profile,
         options.pass_gap_s,
+        options.hit_offset,
         describe_model(options.model),
         builds=(),
     )

@@ -109,12 +109,12 @@ def refuse_different(manifest: Manifest, other: Evidence) -> None:
     MapError
         Naming what differs.
     """
-    for name in ("resolution", "update", "kind", "profile", "pass_gap_s"):
+    for name in ("resolution", "update", "kind", "profile", "pass_gap_s", "hit_offset"):
         mine, its = getattr(manifest, name), getattr(other.manifest, name)
         if mine != its:
             raise MapError(
-                f"its {name} is {its or 'none'}, that of what it is to be combined with is "
-                f"{mine or 'none'}",
+                f"its {name} is {'none' if its == '' else its}, that of what it is to be combined "
+                f"with is {'none' if mine == '' else mine}",
                 where=other.where,
                 fix="build both with the same options",
             )

@@ -12,8 +12,8 @@ COUNTS, LOG_ODDS = "counts", "log_odds"
 FARTHEST_TILE = 1 << 38
 """Cells beyond it have no coordinates that a float could hold."""
 
-LEAST_CELL_M, LARGEST_CELL_M = 1e-12, 1e12
-LONGEST_S = 1e12
+BOUNDS = (("resolution", 1e-12, 1e12), ("pass_gap_s", 1e-12, 1e12), ("hit_offset", 0, 10))
+"""Numbers of a manifest, and the least and the largest that occmap writes or more."""
 
 SECONDS = (float, int, "inf", "-inf")
 SELECTION = {"start_s": SECONDS, "end_s": SECONDS, "stride": int, "topics": list}
@@ -48,11 +48,10 @@ def list_faults(evidence: Evidence) -> Iterator[str]:
 
 def list_manifest_faults(manifest: Manifest) -> Iterator[str]:
     """List values that occmap does not know what to do with."""
-    size = manifest.resolution
-    if not isinstance(size, int | float) or not LEAST_CELL_M < size < LARGEST_CELL_M:
-        yield f"its resolution is {brief(size)}"
-    if not isinstance(manifest.pass_gap_s, int | float) or not 0 < manifest.pass_gap_s < LONGEST_S:
-        yield f"its pass_gap_s is {brief(manifest.pass_gap_s)}"
+    for name, low, high in BOUNDS:
+        value = getattr(manifest, name)
+        if not isinstance(value, int | float) or not low <= value <= high:
+            yield f"its {name} is {brief(value)}"
     if manifest.kind not in (COUNTS, LOG_ODDS):
         yield f"its kind is {manifest.kind!r}"
     if manifest.update not in list(Update):

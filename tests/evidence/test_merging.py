@@ -155,6 +155,7 @@ def test_resuming_with_other_options_is_refused_before_the_log_is_read(tmp_path:
         (choose(Update.POLYGON), "its update is polygon, .* is beam"),
         (choose(model="quadratic"), "its kind is log_odds, .* is counts"),
         (replace(choose(), pass_gap_s=5.0), "its pass_gap_s is 5.0, .* is 10.0"),
+        (replace(choose(), hit_offset=0.25), "its hit_offset is 0.25, .* is 0.5"),
     ],
 )
 def test_evidence_that_does_not_add_up_is_refused(
@@ -217,7 +218,7 @@ def test_two_halves_of_a_real_log_make_the_whole(
 
 def hold_one_cell(log_odds: float, observations: int) -> Evidence:
     """Evidence of a quadratic model with a prior of 0.2, by hand: one cell, 1 m wide."""
-    manifest = Manifest(1.0, "beam", "log_odds", "quadratic", 10.0, "quadratic:prior=0.2", ())
+    manifest = Manifest(1.0, "beam", "log_odds", "quadratic", 10.0, 0.0, "quadratic:prior=0.2", ())
     cells = np.zeros((1, 2, TILE, TILE), np.int64)
     cells[0, :, 3, 4] = round(log_odds / LOG_ODDS_UNIT), observations
     return Evidence(manifest, np.zeros((1, 2), np.int64), cells)

@@ -23,7 +23,7 @@ BUILD = {
     "options": {"model": "simple", "selection": SELECTION, "posing": {"poses": None}},
     "scans": {"read": 2, "used": 1, "dropped": {"no beams": 1}, "beams": {"hit": 3}},
 }
-MANIFEST = Manifest(0.05, "beam", "counts", "", 10.0, "simple:prior=0.5", (BUILD, BUILD))
+MANIFEST = Manifest(0.05, "beam", "counts", "", 10.0, 0.0, "simple:prior=0.5", (BUILD, BUILD))
 
 
 def evidence_of(cells: dict[tuple[int, int], tuple[int, int]]) -> Evidence:

@@ -47,6 +47,7 @@ def test_what_occmap_may_write_is_sound(changed: dict[str, Any]) -> None:
         ({"kind": None}, "its kind is None"),
         ({"pass_gap_s": 0}, "its pass_gap_s is 0"),
         ({"pass_gap_s": "10"}, "its pass_gap_s is '10'"),
+        ({"hit_offset": -0.5}, "its hit_offset is -0.5"),
         ({"update": "ray"}, "its update is 'ray'"),
         ({"model": 3}, "its model is no text"),
         ({"profile": "quadratic"}, "its profile is 'quadratic', and its kind counts"),
