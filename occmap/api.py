@@ -80,6 +80,7 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
         map_frame = None (name): the default is map, else odom, else the root of the laser's tree
         base_frame = None (name): the moving body that sensor_pose is on
         max_pose_gap_s = 2.0 (s): no pose is interpolated across a longer gap; None: across any
+        max_speed = 50.0 (m/s): scans that leap away and back faster are left out; inf: none
         time_offset_s = 0.0 (s): added to the stamps of scans
         stamps = "header" ("header" or "record"): the driver's time, or the recorder's
         deskew = "off" ("auto", "on" or "off"): each beam gets a pose of its own

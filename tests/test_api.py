@@ -96,6 +96,7 @@ PLAIN: list[tuple[str, Any, BuildOptions]] = [
     ("map_frame", "map", BuildOptions(posing=PosingOptions(map_frame="map"))),
     ("base_frame", "base", BuildOptions(posing=PosingOptions(base_frame="base"))),
     ("max_pose_gap_s", None, BuildOptions(posing=PosingOptions(max_pose_gap_s=None))),
+    ("max_speed", 2, BuildOptions(posing=PosingOptions(max_speed=2.0))),
     ("time_offset_s", -1, BuildOptions(posing=PosingOptions(time_offset_s=-1.0))),
     ("stamps", "record", BuildOptions(posing=PosingOptions(stamps=Stamps.RECORD))),
     ("deskew", "auto", BuildOptions(posing=PosingOptions(deskew=Deskew.AUTO))),
@@ -211,7 +212,7 @@ def test_paths_are_given_one_by_one(call: Any) -> None:
 
 
 UNITS = {
-    *("m", "s", "rad", "m, rad", "cells", "threads", "visits", "scans", "probability"),
+    *("m", "s", "rad", "m, rad", "m/s", "cells", "threads", "visits", "scans", "probability"),
     *("name", "names", "path", "path or topic", "text or model"),
 }
 

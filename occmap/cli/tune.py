@@ -59,7 +59,7 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     if values["as_json"]:
         console.put_json("tune", tuning.to_json() | limits.to_json(failed))
     else:
-        console.put("\n".join(format_tuning(tuning)))
+        console.put(format_tuning(tuning))
     limits.tell(console, failed)
     limits.leave(failed)
 

@@ -43,6 +43,7 @@ UNUSUAL = BuildOptions(
         poses="/slam/pose",
         max_pose_gap_s=None,
         time_offset_s=-1e-9,
+        max_speed=math.inf,
         deskew=Deskew.AUTO,
         stamps=Stamps.RECORD,
         static_transforms=(PoseSample(0, "robot", "laser", MOUNT, static=True),),
