@@ -210,14 +210,14 @@ def observe_logs(
     """Trace all scans; give what was observed and, where it is kept, in which slices of time."""
 
     def begin() -> Callable[[Rays], None]:
-        engines.append(choose_engine(options, outputs))
-        return engines[-1].add
+        engines[:] = [choose_engine(options, outputs)]
+        return engines[0].add
 
     engines: list[GridEngine | SlicedEngine] = []
     for log, notes in trace_logs(logs, options, begin, tally):
         remarks.note(log, notes)
     with tally.time("fold"):
-        return engines[-1].finish(), engines[-1].read_slices()
+        return engines[0].finish(), engines[0].read_slices()
 
 
 def trace_logs(

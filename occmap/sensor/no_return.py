@@ -6,7 +6,6 @@ ranges, far more of them than of the ranges just below.
 """
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
@@ -21,12 +20,14 @@ MIN_READINGS = 10
 """Fewer readings are no band; so many may lie astray above one"""
 DOMINANCE = 10
 """How many times more readings a band holds than the part below it"""
+MOST_CODES = 3
+"""Half of a band at the least is of so few values: a wall far behind all others has noise"""
 MIN_VALUES = 16
 """Fewer different ranges tell nothing: a room drawn by hand may be all of 5 m"""
 SICK_CODES = (81.82, 81.92)
 """Between these the SICK LMS writes its error codes, in cm from 8183 to 8191; however few"""
-KEY_SHIFT = 8
-"""Bits of a float32 that are left out where ranges are counted: the rest tells millimetres apart"""
+COARSE = np.uint32(0xFFFFFF00)
+"""The bits of a float32 by which ranges are counted: they tell millimetres apart, 8 near 80 m"""
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Band:
     limit: float
     """From this range on (m)"""
     low: float
-    """The smallest of them and the largest, to a millimetre (m)"""
+    """The smallest of them and the largest, rounded down as `COARSE` says (m)"""
     high: float
     count: int
 
@@ -61,65 +62,66 @@ class RangeTally:
         """... and the largest of those (m)"""
         self._different: set[float] = set()
         """Up to MIN_VALUES of the ranges that were measured, at the least"""
-        self._counts: Counter[int] = Counter()
-        self._floor = float(np.finfo(np.float32).tiny)
+        self._values = np.zeros(0, np.float32)
+        """The largest ranges in ascending order, rounded down ..."""
+        self._counts = np.zeros(0, np.int64)
+        """... and how many there are of each"""
+        self._floor: Float32 = as_float32(np.finfo(np.float32).tiny)
 
     def add(self, ranges: Float32, range_max: float) -> None:
         """Count the ranges (of any shape) of scans that state one limit (m)."""
         self.total += ranges.size
         self.stated = max(self.stated, range_max)
         limit = as_float32(range_max)
-        above = ranges[(ranges > limit) & (ranges < np.inf)]
-        self.above += above.size
-        self.largest = max(self.largest, float(above.max(initial=0)))
+        if range_max < math.inf:
+            above = ranges[(ranges > limit) & (ranges < np.inf)]
+            self.above += above.size
+            self.largest = max(self.largest, float(above.max(initial=0)))
         if len(self._different) < MIN_VALUES:
             measured = ranges[(ranges > 0) & (ranges < limit)]
             self._different.update(np.unique(measured)[:MIN_VALUES].tolist())
-        far = ranges[(ranges >= np.float32(self._floor)) & (ranges < limit)]
+        far = ranges[(ranges >= self._floor) & (ranges < limit)]
         if far.size:
-            keys, counts = np.unique(far.view(np.uint32) >> KEY_SHIFT, return_counts=True)
-            self._counts.update(dict(zip(keys.tolist(), counts.tolist(), strict=True)))
-            self._forget_small()
+            self._count(far)
 
-    def _forget_small(self) -> None:
-        """Forget ranges that no band can reach down to: any has so many at or above its top."""
-        readings = 0
-        for key in sorted(self._counts, reverse=True):
-            readings += self._counts[key]
-            if readings >= MIN_READINGS:
-                self._floor = (1 - 2 * BAND) * to_range(key)
-                break
-        for key in [key for key in self._counts if to_range(key + 1) <= self._floor]:
-            del self._counts[key]
+    def _count(self, far: Float32) -> None:
+        """Count ranges (N,), and forget those that no band can reach down to any more."""
+        values, counts = np.unique(round_down(far), return_counts=True)
+        every = np.concatenate([self._counts, counts])
+        values, places = np.unique(np.concatenate([self._values, values]), return_inverse=True)
+        counts = np.bincount(places, weights=every).astype(np.int64)
+        at_or_above = np.cumsum(counts[::-1])[::-1]
+        # Any band has so many readings at or above its top.
+        if at_or_above[0] >= MIN_READINGS:
+            top = values[at_or_above >= MIN_READINGS][-1]
+            self._floor = round_down(as_float32((1 - 2 * BAND) * float(top)))
+        kept = values >= self._floor
+        self._values, self._counts = values[kept], counts[kept]
 
     def find_band(self) -> Band | None:
         """Find the ranges that stand for "no return" below what the scans state as their limit."""
-        astray = 0
-        for key in sorted(self._counts, reverse=True):
-            if astray >= MIN_READINGS:
+        values, counts = self._values.astype(np.float64), self._counts
+        for at in range(len(values) - 1, -1, -1):
+            if counts[at + 1 :].sum() >= MIN_READINGS:  # more than lie astray
                 return None
-            top = to_range(key)
-            limit, empty = (1 - BAND) * top, (1 - 2 * BAND) * top
-            inside = {k: n for k, n in self._counts.items() if limit <= to_range(k) <= top}
-            below = sum(n for k, n in self._counts.items() if empty <= to_range(k) < limit)
-            readings = sum(inside.values())
+            top = values[at]
             is_code = SICK_CODES[0] <= top <= SICK_CODES[1]
+            limit = SICK_CODES[0] if is_code else (1 - BAND) * top
+            low, empty = np.searchsorted(values, [limit, (1 - 2 * BAND) * top])
+            readings, below = counts[low : at + 1].sum(), counts[empty:low].sum()
             enough = len(self._different) >= MIN_VALUES and readings >= MIN_READINGS
-            if is_code or (enough and readings >= DOMINANCE * below):
-                low = min(k for k in inside if not is_code or to_range(k) >= SICK_CODES[0])
-                return Band(
-                    SICK_CODES[0] if is_code else limit,
-                    to_range(low),
-                    to_range(max(self._counts)),
-                    sum(n for k, n in self._counts.items() if k >= low),
-                )
-            astray += self._counts[key]
+            codes = np.sort(counts[low : at + 1])[-MOST_CODES:].sum()
+            stands_out = readings >= DOMINANCE * below and 2 * codes >= readings
+            if is_code or (enough and stands_out):
+                count = int(counts[low:].sum())
+                return Band(float(limit), float(values[low]), float(values[-1]), count)
         return None
 
 
-def to_range(key: int) -> float:
-    """The smallest range (m) that is counted under a key."""
-    return float(np.uint32(key << KEY_SHIFT).view(np.float32))
+def round_down(ranges: Float32) -> Float32:
+    """Round ranges (m) of any shape to what they are counted under."""
+    rounded: Float32 = (np.ascontiguousarray(ranges).view(np.uint32) & COARSE).view(np.float32)
+    return rounded.reshape(np.shape(ranges))
 
 
 class RangeLimits:
