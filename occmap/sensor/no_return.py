@@ -73,15 +73,14 @@ class RangeTally:
         self.total += ranges.size
         self.stated = max(self.stated, range_max)
         limit = as_float32(range_max)
-        if range_max < math.inf:
-            above = ranges[(ranges > limit) & (ranges < np.inf)]
-            self.above += above.size
-            self.largest = max(self.largest, float(above.max(initial=0)))
         if len(self._different) < MIN_VALUES:
             measured = ranges[(ranges > 0) & (ranges < limit)]
             self._different.update(np.unique(measured)[:MIN_VALUES].tolist())
-        far = ranges[(ranges >= self._floor) & (ranges < limit)]
-        if far.size:
+        far = ranges[ranges >= np.minimum(self._floor, limit)]  # few: one look at all is enough
+        above = far[(far > limit) & (far < np.inf)]
+        self.above += above.size
+        self.largest = max(self.largest, float(above.max(initial=0)))
+        if (far := far[(far >= self._floor) & (far < limit)]).size:
             self._count(far)
 
     def _count(self, far: Float32) -> None:
