@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from occmap.batching import Batcher, Selection
 from occmap.errors import LogError, MapError, PoseError, UsageError
-from occmap.evidence import render, to_evidence
+from occmap.evidence import to_evidence
 from occmap.evidence.manifest import describe_build, plan_manifest
 from occmap.evidence.merging import open_saved
-from occmap.evidence.persistence import check_gap, check_passes, keep_lasting, list_lost
+from occmap.evidence.persistence import check_gap, check_passes, render_lasting
 from occmap.evidence.publishing import describe_resumed
 from occmap.evidence.repetition import list_repeated
 from occmap.grid.lattice import Lattice
@@ -176,14 +176,13 @@ def build_alone(
     refuse_unused(logs, tally)
     refuse_unseen(logs, tally, tiles)
     with tally.time("render"):
-        lasting = keep_lasting(tiles, slices, options.min_passes)
-        grid = whole = render(lasting, options.model, options.max_cells)
-        if lasting is not tiles:
-            whole = render(tiles, options.model, options.max_cells)
+        grid, lost = render_lasting(
+            tiles, slices, options.min_passes, options.model, options.max_cells
+        )
     remarks.notes += (
         *options.list_idle(),
         *list_lacking(tally, remarks.resumed),
-        *list_lost(whole, grid),
+        *lost,
         *list_disagreement(grid),
     )
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from occmap.errors import MapError, UsageError
+from occmap.evidence import render
 from occmap.grid.slices import count_visits, split_tiles, unite
 from occmap.grid.stacks import drop_empty
 from occmap.grid.tiles import Tile, TileGrid
@@ -59,6 +60,27 @@ def weigh_visits(numbers: Tile, visits: Int64, min_passes: int) -> Int64:
     often = hit >= min_passes
     mostly = often & (2 * hit >= seen)
     return np.stack([np.where(often, hits, 0), np.where(mostly, 0, misses)])
+
+
+def render_lasting(
+    grid: TileGrid,
+    layers: Sequence[Slices],
+    min_passes: int | None,
+    model: SensorModel,
+    max_cells: int,
+) -> tuple[OccupancyMap, list[str]]:
+    """Make a map of what lasts; a note says where that is much less than what was observed.
+
+    Raises
+    ------
+    MapError
+        As `keep_lasting` and `render`.
+    """
+    lasting = keep_lasting(grid, layers, min_passes)
+    made = render(lasting, model, max_cells)
+    if lasting is grid:
+        return made, []
+    return made, list(list_lost(render(grid, model, max_cells), made))
 
 
 def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:

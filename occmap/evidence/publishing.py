@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
-from occmap.evidence import crop, read_model, refuse_other_profile, render, to_grid
-from occmap.evidence.persistence import check_passes, keep_lasting, list_lost
+from occmap.evidence import crop, read_model, refuse_other_profile, to_grid
+from occmap.evidence.persistence import check_passes, render_lasting
 from occmap.evidence.repetition import list_repeated
 from occmap.grid.tiles import MAX_CELLS
 from occmap.report import (
@@ -74,11 +74,9 @@ def render_kept(
     model = options.model or read_model(evidence)
     refuse_other_profile(evidence, model)
     check_passes(options.min_passes, model)
-    observed = to_grid(evidence)
-    lasting = keep_lasting(observed, evidence.slices, options.min_passes)
-    grid = whole = render(lasting, model, options.max_cells)
-    if lasting is not observed:
-        whole = render(observed, model, options.max_cells)
+    grid, lost = render_lasting(
+        to_grid(evidence), evidence.slices, options.min_passes, model, options.max_cells
+    )
     shown = crop(grid, options.crop) if options.crop else grid
     manifest = replace(evidence.manifest, model=describe_model(model))
     report = summarise(manifest, shown, options.writing)
@@ -86,7 +84,7 @@ def render_kept(
         *report.notes,
         *list_idle(outputs, options.writing),
         *list_unreached(model, options.writing),
-        *list_lost(whole, grid),
+        *lost,
         *list_disagreement(grid),
     )
     report = replace(report, notes=notes, min_passes=options.min_passes)

@@ -169,12 +169,6 @@ class RangeLimits:
         band = None if tally is None else tally.find_band()
         return math.inf if band is None else band.limit
 
-    @property
-    def bands(self) -> dict[str, Band]:
-        """What was found so far, by topic."""
-        found = {topic: tally.find_band() for topic, tally in self._tallies.items()}
-        return {topic: band for topic, band in found.items() if band is not None}
-
     def list_notes(self) -> Iterator[str]:
         """Say what the user should know of each topic, and how to change it."""
         for topic, tally in self._tallies.items():
