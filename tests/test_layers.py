@@ -34,8 +34,8 @@ HEAVY = {"numpy", "numba", "llvmlite", "rosbags", "mcap", "PIL", "tqdm", "import
 BUILD_COMMAND = {
     f"occmap.cli.{name}"
     for name in [
-        *("build", "collect", "console", "limits", "log_options", "options", "progress"),
-        *("sections", "signals", "summary", "values"),
+        *("commands", "commands.build", "collect", "console", "limits", "log_options"),
+        *("options", "progress", "sections", "signals", "summary", "values"),
     ]
 }
 

@@ -31,7 +31,7 @@ COMMANDS = {
     "tune": "Find the time offset and the mount that suit logs best.",
     "writers": "List the map formats that can be written.",
 }
-"""Each is `command` in the module of its name here; the texts are what --help says of it."""
+"""Each is `command` in the module of that name in `commands`; the texts are those of --help."""
 
 NEW_OBJECTS = 100_000
 """Allocations between two garbage collections; at Python's 700 an import sets off many."""
@@ -48,7 +48,7 @@ class CommandTable(click.Group):
         """Import one command."""
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = import_module(f"occmap.cli.{cmd_name}").command
+        command: click.Command = import_module(f"occmap.cli.commands.{cmd_name}").command
         return command
 
     def resolve_command(

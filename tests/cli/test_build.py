@@ -8,7 +8,7 @@ import pytest
 
 from occmap.batching import Selection
 from occmap.cli import progress
-from occmap.cli.build import collect_request
+from occmap.cli.commands.build import collect_request
 from occmap.cli.console import Console, Verbosity
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build, choose_model
 from occmap.posing.options import PosingOptions
@@ -24,7 +24,7 @@ DRIVE = SAMPLE_LOGS / "drive.csv"
 
 def parse(*words: str) -> BuildOptions:
     """Read a command line without running it."""
-    from occmap.cli.build import command  # noqa: PLC0415
+    from occmap.cli.commands.build import command  # noqa: PLC0415
 
     context = command.make_context("build", [*words, "x.log", "-o", "m.pgm"], obj=Console())
     values = dict(context.params)

@@ -8,14 +8,15 @@ import click
 import pytest
 
 from occmap import cli
-from occmap.cli import COMMANDS, readers
+from occmap.cli import COMMANDS
+from occmap.cli.commands import readers
 from occmap.errors import LogError, OccmapError, UsageError
 from tests.cli.runner import occmap, read_error
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_the_table_says_what_the_command_says(name: str) -> None:
-    command: click.Command = import_module(f"occmap.cli.{name}").command
+    command: click.Command = import_module(f"occmap.cli.commands.{name}").command
     assert command.name == name
     assert command.get_short_help_str(limit=200) == COMMANDS[name]
     (help_line,) = [line for line in occmap("--help").out.splitlines() if f"  {name} " in line]
@@ -107,7 +108,7 @@ def test_a_fault_of_occmap_is_one_line_and_with_v_a_traceback(
 ) -> None:
     fail_with(KeyError("oh\nno"), monkeypatch)
     line = read_error(occmap("readers"), 1)
-    assert line.startswith("KeyError: 'oh\\nno' (at occmap/cli/readers.py:")
+    assert line.startswith("KeyError: 'oh\\nno' (at occmap/cli/commands/readers.py:")
     assert "please report it" in line
     told = occmap("readers", "-v")
     assert told.code == 1

@@ -11,7 +11,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from occmap.cli import COMMANDS
-from occmap.cli.schema import SCHEMAS
+from occmap.cli.commands.schema import SCHEMAS
 from tests.cli.runner import occmap, read_error
 from tests.inspection_logs import Drive, write_bag
 from tests.samples import DRIVES, SAMPLE_LOGS, write_csv
@@ -65,7 +65,7 @@ def folder(logs: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_every_command_that_has_json_has_a_schema() -> None:
-    commands = {name: import_module(f"occmap.cli.{name}").command for name in COMMANDS}
+    commands = {name: import_module(f"occmap.cli.commands.{name}").command for name in COMMANDS}
     having = {
         name
         for name, command in commands.items()

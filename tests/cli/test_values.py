@@ -3,7 +3,7 @@ from collections.abc import Callable
 
 import pytest
 
-from occmap.cli.render import parse_crop
+from occmap.cli.commands.render import parse_crop
 from occmap.cli.values import (
     parse_box,
     parse_sector,
