@@ -2,6 +2,7 @@
 
 import ast
 import json
+import re
 import subprocess
 import sys
 import tomllib
@@ -89,6 +90,27 @@ def test_nothing_knows_the_command_line() -> None:
     assert knowing == {"occmap.__main__"}
 
 
+FLAG = re.compile(r"(?<![\w-])(--[a-z]+(-[a-z]+)*|-o)(?![\w>-])")
+
+
+def list_texts(path: Path) -> Iterator[str]:
+    """All texts of a module, docstrings, too."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+
+
+def test_only_the_command_line_spells_flags() -> None:
+    others = [path for path in MODULES if find_layer(name_module(path)) not in {"cli", "command"}]
+    assert not [
+        (name_module(path), text)
+        for path in others
+        for text in list_texts(path)
+        if FLAG.search(text)
+    ]
+    assert any(FLAG.search(text) for text in list_texts(PACKAGE / "cli" / "options.py"))
+
+
 @pytest.mark.parametrize("package", OWNERS)
 def test_a_package_has_one_owner(package: str) -> None:
     importing = {
@@ -114,8 +136,8 @@ def test_what_is_imported_is_named_as_a_dependency_and_nothing_else() -> None:
 
 
 def test_the_walk_sees_the_imports() -> None:
-    pipeline = {find_layer(name) for name in list_imports(PACKAGE / "pipeline.py")}
-    assert set(LAYERS) <= pipeline
+    build = {name for name in ("pipeline", "tracing") for name in find_met(PACKAGE / f"{name}.py")}
+    assert set(LAYERS) <= build
     assert "tqdm.tqdm" in set(list_imports(PACKAGE / "cli" / "progress.py"))
 
 

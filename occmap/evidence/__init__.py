@@ -118,7 +118,7 @@ def cut_box(whole: CellBox, box: Box, lattice: Lattice) -> CellBox:
     if part.row >= part.row_end or part.col >= part.col_end:
         edges = (whole.col, whole.row, whole.col_end, whole.row_end)
         reach = ", ".join(f"{lattice.to_metres(edge):.6g}" for edge in edges)
-        raise MapError("no cell of the map lies in --crop", fix=f"the map's own box is {reach}")
+        raise MapError("no cell of the map lies in `crop`", fix=f"the map's own box is {reach}")
     return part
 
 
@@ -148,7 +148,7 @@ def read_model(evidence: Described) -> SensorModel:
         raise MapError(
             f"its model {evidence.manifest.model!r} cannot be made ({error.found})",
             where=evidence.where,
-            fix="give another with --model, or install what has it",
+            fix="give another with `model`, or install what has it",
         ) from None
 
 
@@ -177,10 +177,10 @@ def refuse_other_profile(evidence: Described, model: SensorModel) -> None:
     made_for, wanted = evidence.manifest.profile, describe_profile(model)
     if made_for and made_for != wanted:
         found = f"was summed up for the model {made_for}; no other can read it"
-        raise MapError(found, where=evidence.where, fix="leave out --model, or change --prior")
+        raise MapError(found, where=evidence.where, fix="leave out `model`, or change `prior`")
     if wanted and not made_for:
         raise MapError(
             f"holds hits and misses, which {model.name} cannot read",
             where=evidence.where,
-            fix=f"build it with --model {model.name}",
+            fix=f"build it with `model={model.name}`",
         )

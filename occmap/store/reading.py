@@ -115,7 +115,9 @@ def open_store(path: Path) -> Store:
     if not path.exists():
         raise MapError("no such folder", where=path, fix="check the path")
     if not (path / "zarr.json").is_file():
-        raise MapError("is no store of evidence", where=path, fix="build one with -o map.zarr")
+        raise MapError(
+            "is no store of evidence", where=path, fix="build one with `outputs=map.zarr`"
+        )
     zarr = import_zarr()
     with refuse_damage(path):
         root = zarr.open_group(path, mode="r", zarr_format=3)

@@ -1,4 +1,4 @@
-"""The writer of `-o map.zarr`."""
+"""The writer of stores, which are files whose names end in `.zarr`."""
 
 import secrets
 import shutil
