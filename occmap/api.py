@@ -15,8 +15,8 @@ from occmap.readers import Log, open_log
 from occmap.scoring import compare as scoring
 from occmap.scoring.variants import combine
 from occmap.sensor.models import SensorModel
+from occmap.store.sources import open_saved, read_all
 from occmap.writers import WriteOptions, check_picture
-from occmap.writers.npz import read_evidence
 
 AnyPath = str | Path
 OF_ONE_MAP = ("update", "model", "min_passes", "pass_gap_s", "resume")
@@ -222,9 +222,7 @@ def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> 
         raise UsageError("no evidence is given", fix='try merge("a.npz", "b.npz")')
     added, taken = list_paths(paths), list_paths(subtract)
     chosen = read_options(publishing.RenderOptions, options, "merge")
-    total = merging.merge([read_evidence(path) for path in added])
-    for path in taken:
-        total = merging.subtract(total, read_evidence(path))
+    total = read_all(merging.combine(*(list(map(open_saved, some)) for some in (added, taken))))
     made = publishing.render_kept(total, chosen)
     return Map.wrap(
         made.map,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from occmap.evidence import to_evidence
 from occmap.evidence.manifest import BuildRecord, describe_build, plan_manifest
-from occmap.evidence.merging import open_saved
+from occmap.evidence.merging import open_resumed
 from occmap.evidence.persistence import render_lasting
 from occmap.evidence.publishing import describe_resumed
 from occmap.evidence.repetition import list_repeated
@@ -95,7 +95,7 @@ def build_alone(
 ) -> Build:
     """Build and write a map, while nobody else adds to the same evidence."""
     plan = plan_manifest(options)
-    saved = open_saved(options.resume, plan) if options.resume else None
+    saved = open_resumed(options.resume, plan) if options.resume else None
     keep_slices = options.min_passes is not None or want_evidence(outputs)
     tiles, slices, tally, remarks = observe(paths, options, keep_slices, progress)
     if saved:

@@ -21,6 +21,8 @@ Row = tuple[str, ...]
 def format_explanation(explanation: Explanation) -> list[str]:
     """Write all that was found."""
     lines = [*list_cell(explanation)]
+    if explanation.digest:
+        lines.append(("digest", explanation.digest))
     if explanation.question.logs:
         lines += list_scans(explanation)
     return [f"{name:<{LABEL}}{text}".rstrip() for name, text in lines]

@@ -18,18 +18,18 @@ from occmap.cli.summary import (
 )
 from occmap.command import MODEL_PARAMETERS
 from occmap.errors import UsageError
-from occmap.evidence import read_model
+from occmap.evidence import Described, read_model
 from occmap.evidence.publishing import RenderOptions, publish
 from occmap.gates import judge
 from occmap.keywords import take
 from occmap.report import Report
 from occmap.sensor.models import SensorModel
-from occmap.types import Evidence
+from occmap.store.sources import Saved
 from occmap.wording import write_counts
 from occmap.writers import WriteOptions, check_outputs
 
 
-def put_out(console: Console, command: str, evidence: Evidence, values: dict[str, Any]) -> None:
+def put_out(console: Console, command: str, evidence: Saved, values: dict[str, Any]) -> None:
     """Render evidence, write it as the user wants, sum it up, and hold the limits."""
     options = RenderOptions(
         choose_model(evidence, values),
@@ -63,7 +63,7 @@ def refuse_no_output(outputs: tuple[Path, ...], example: str, inputs: Sequence[P
     check_outputs(outputs, inputs)
 
 
-def choose_model(evidence: Evidence, values: dict[str, Any]) -> SensorModel | None:
+def choose_model(evidence: Described, values: dict[str, Any]) -> SensorModel | None:
     """Make the model that the user wants, if any; a shorthand changes the one of the evidence.
 
     Raises

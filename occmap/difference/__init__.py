@@ -57,6 +57,8 @@ class MapDifference:
     """Cells that are occupied or free in either map"""
     largest: ChangedBlob | None
     """None: nothing changed"""
+    digests: tuple[str | None, str | None] = (None, None)
+    """SHA-256 of what was observed for each map; None for an image"""
 
     @property
     def share(self) -> float:
@@ -74,6 +76,7 @@ class MapDifference:
             and {"cells": self.largest.cells, "extent": list(self.largest.extent)},
             "columns": self.before.shape[1],
             "rows": self.before.shape[0],
+            "digests": list(self.digests),
         }
 
 
@@ -104,6 +107,7 @@ def compare_maps(before: ClassMap, after: ClassMap) -> MapDifference:
         changed=count_changes(one, other),
         known=int(np.count_nonzero(one | other)),
         largest=measure_largest(one, other, corner),
+        digests=(before.digest, after.digest),
     )
 
 

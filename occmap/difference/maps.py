@@ -17,6 +17,9 @@ import numpy as np
 from occmap.errors import MapError, UsageError
 from occmap.evidence import read_model, render_saved
 from occmap.grid.tiles import MAX_CELLS
+from occmap.store.blocks import digest_evidence
+from occmap.store.reading import open_store
+from occmap.store.rendering import View, classify_blocks, open_map
 from occmap.types import Bool, CellClass, Int64, UInt8
 from occmap.writers import MapMode, WriteOptions
 from occmap.writers.npz import read_evidence
@@ -50,6 +53,8 @@ class ClassMap:
     """None: a bare image, which says nothing of the world"""
     image: Path | None = None
     """What the cells were read from, where that is another file than `path`"""
+    digest: str | None = None
+    """SHA-256 of what was observed, however it is kept; None for an image"""
 
 
 def load_map(path: Path, thresholds: WriteOptions) -> ClassMap:
@@ -76,7 +81,7 @@ def load_map(path: Path, thresholds: WriteOptions) -> ClassMap:
             where=path,
             fix=f"maps are {', '.join(LOADERS)}",
         )
-    if not path.is_file():
+    if not path.exists():
         raise MapError("no such file", where=path, fix="check the path")
     return loader(path, thresholds)
 
@@ -133,7 +138,22 @@ def load_evidence(path: Path, thresholds: WriteOptions) -> ClassMap:
     evidence = read_evidence(path)
     grid = render_saved(evidence, read_model(evidence), MAX_CELLS)
     grid = replace(grid, decision=thresholds.decide(grid.decision))
-    return ClassMap(path, grid.classes, Place(grid.resolution, *grid.origin))
+    place = Place(grid.resolution, *grid.origin)
+    return ClassMap(path, grid.classes, place, digest=digest_evidence(evidence))
+
+
+def load_store(path: Path, thresholds: WriteOptions) -> ClassMap:
+    """Load a store as `load_evidence` would, block by block.
+
+    Raises
+    ------
+    MapError
+        It cannot be read, or is damaged.
+    """
+    store = open_store(path)
+    made = open_map(View(store, read_model(store)))
+    classes, place = classify_blocks(made, thresholds, MAX_CELLS), Place(*made.place)
+    return ClassMap(path, classes, place, digest=store.digest)
 
 
 LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {
@@ -142,6 +162,7 @@ LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {
     ".yml": load_yaml,
     ".png": load_png,
     ".npz": load_evidence,
+    ".zarr": load_store,
 }
 
 

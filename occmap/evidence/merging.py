@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from occmap.errors import MapError
-from occmap.evidence import to_evidence, to_grid
+from occmap.evidence import Described, to_evidence, to_grid
 from occmap.grid.slices import restrict
 from occmap.grid.stacks import add_stack, drop_empty, stack_tiles
 from occmap.grid.tiles import EvidenceKind, TileGrid
+from occmap.store.sources import Combined, Saved, as_blocks, open_saved, read_all
 from occmap.types import Evidence, Manifest
-from occmap.writers.npz import read_evidence
 
 
-def open_saved(path: Path, plan: Manifest) -> Evidence:
+def open_resumed(path: Path, plan: Manifest) -> Evidence:
     """Read evidence that a build is to add to.
 
     Raises
@@ -23,9 +23,33 @@ def open_saved(path: Path, plan: Manifest) -> Evidence:
     MapError
         It cannot be read, or does not add up with what the build makes.
     """
-    saved = read_evidence(path)
+    saved = read_all(open_saved(path))
     refuse_different(plan, saved)
     return saved
+
+
+def combine(added: Sequence[Saved], subtracted: Sequence[Saved] = ()) -> Saved:
+    """Add evidence and take some away: at once, or block by block where any of it is in a store.
+
+    Raises
+    ------
+    MapError
+        As `merge` and `subtract`; of blocks, maybe only when they are read.
+    """
+
+    def add_up(evidences: Sequence[Evidence]) -> Evidence:
+        total = merge(evidences[: len(added)])
+        for other in evidences[len(added) :]:
+            total = subtract(total, other)
+        return total
+
+    parts = (*added, *subtracted)
+    held = [each for each in parts if isinstance(each, Evidence)]
+    if len(held) == len(parts):
+        return add_up(held)
+    made = Combined(tuple(map(as_blocks, parts)), add_up)
+    refuse_different(made.manifest, parts[0])  # of nothing yet: what differs is refused at once
+    return made
 
 
 def merge(evidences: Sequence[Evidence]) -> Evidence:
@@ -101,7 +125,7 @@ def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None
         )
 
 
-def refuse_different(manifest: Manifest, other: Evidence) -> None:
+def refuse_different(manifest: Manifest, other: Described) -> None:
     """Refuse evidence that does not add up with other evidence.
 
     Raises

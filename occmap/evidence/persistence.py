@@ -103,8 +103,13 @@ def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:
         slice(place, place + size)
         for place, size in zip(after.place - before.place, after.shape, strict=True)
     )
-    were = np.count_nonzero(before.occupied)
-    lost = were - np.count_nonzero(before.occupied[rows, cols] & after.occupied)
+    were = int(np.count_nonzero(before.occupied))
+    lost = were - int(np.count_nonzero(before.occupied[rows, cols] & after.occupied))
+    yield from describe_lost(were, lost)
+
+
+def describe_lost(were: int, lost: int) -> Iterator[str]:
+    """Say where many of the cells are lost that were occupied."""
     if lost and lost >= MUCH * were:
         yield (
             f"`min_passes` takes away {100 * lost / were:.0f}% of the occupied cells ({lost:,} of "

@@ -12,14 +12,25 @@ from occmap.grid.tiles import MAX_CELLS
 from occmap.report import (
     Report,
     Resumed,
+    Shares,
     list_disagreement,
     list_unreached,
     measure_shares,
 )
 from occmap.sensor.models import SensorModel, describe_model
 from occmap.sensor.returns import ReturnCounts
+from occmap.store.rendering import View, open_map, render_blocks, survey_blocks
+from occmap.store.sources import Blocks, Saved, as_blocks, read_all
+from occmap.store.writer import ZarrWriter
 from occmap.types import Box, Evidence, Manifest, OccupancyMap
-from occmap.writers import Product, WriteOptions, check_outputs, list_idle, write_outputs
+from occmap.writers import (
+    Product,
+    WriteOptions,
+    check_outputs,
+    find_writer,
+    list_idle,
+    write_outputs,
+)
 
 
 @dataclass(frozen=True)
@@ -45,8 +56,20 @@ class Rendered(NamedTuple):
     evidence: Evidence
 
 
-def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path]) -> Report:
+class Seen(NamedTuple):
+    """What a report says of a map, whether it was ever there as a whole or not."""
+
+    shape: tuple[int, int]
+    extent: Box
+    shares: Shares
+    agreement: float | None
+    notes: tuple[str, ...]
+
+
+def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Report:
     """Render evidence and write it, as a map or as evidence; the report sums up its builds.
+
+    Where no output is of the whole map, there is none: evidence is written block by block.
 
     Raises
     ------
@@ -54,15 +77,28 @@ def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path])
         As `render_kept`, or an output cannot be written.
     """
     check_outputs(outputs)
-    made = render_kept(evidence, options, outputs)
-    product = Product(made.map, lambda: made.evidence)
-    files = write_outputs(outputs, product, options.writing)
-    return replace(made.report, files=tuple(files))
+    model, manifest = settle(saved, options)
+    if isinstance(saved, Evidence) or not all(map(is_store, outputs)):
+        grid, seen = paint_saved(saved, model, options)
+    else:
+        grid, seen = None, survey_saved(saved, model, options)
+    files: list[str] = []
+    for path in outputs:
+        if is_store(path):
+            files += map(str, ZarrWriter().write_blocks(path, as_blocks(saved), manifest))
+        elif grid:
+            product = Product(grid, lambda: replace(read_all(saved), manifest=manifest))
+            files += write_outputs([path], product, options.writing)
+    report = summarise(manifest, model, seen, options, outputs)
+    return replace(report, files=tuple(files))
 
 
-def render_kept(
-    evidence: Evidence, options: RenderOptions, outputs: Sequence[Path] = ()
-) -> Rendered:
+def is_store(path: Path) -> bool:
+    """Whether an output is written block by block."""
+    return isinstance(find_writer(path), ZarrWriter)
+
+
+def render_kept(saved: Saved, options: RenderOptions, outputs: Sequence[Path] = ()) -> Rendered:
     """Render evidence; a note says which options do nothing for the outputs.
 
     Raises
@@ -71,24 +107,48 @@ def render_kept(
         The model cannot read the evidence or knows no visits, or nothing is left of the map or it
         would be too large.
     """
-    model = options.model or read_model(evidence)
-    refuse_other_profile(evidence, model)
+    model, manifest = settle(saved, options)
+    grid, seen = paint_saved(saved, model, options)
+    report = summarise(manifest, model, seen, options, outputs)
+    return Rendered(grid, report, replace(read_all(saved), manifest=manifest))
+
+
+def settle(saved: Saved, options: RenderOptions) -> tuple[SensorModel, Manifest]:
+    """Choose the model, and say what evidence is that is to be rendered by it.
+
+    Raises
+    ------
+    OccmapError
+        The model cannot read the evidence or knows no visits.
+    """
+    model = options.model or read_model(saved)
+    refuse_other_profile(saved, model)
     check_passes(options.min_passes, model)
-    grid, lost = render_lasting(
-        to_grid(evidence), evidence.slices, options.min_passes, model, options.max_cells
-    )
-    shown = crop(grid, options.crop) if options.crop else grid
-    manifest = replace(evidence.manifest, model=describe_model(model))
-    report = summarise(manifest, shown, options.writing)
-    notes = (
-        *report.notes,
-        *list_idle(outputs, options.writing),
-        *list_unreached(model, options.writing),
-        *lost,
-        *list_disagreement(grid),
-    )
-    report = replace(report, notes=notes, min_passes=options.min_passes)
-    return Rendered(shown, report, replace(evidence, manifest=manifest))
+    return model, replace(saved.manifest, model=describe_model(model))
+
+
+def paint_saved(
+    saved: Saved, model: SensorModel, options: RenderOptions
+) -> tuple[OccupancyMap, Seen]:
+    """Paint a map, or the part of it that is wanted; raises MapError."""
+    if isinstance(saved, Evidence):
+        tiles, passes = to_grid(saved), options.min_passes
+        grid, lost = render_lasting(tiles, saved.slices, passes, model, options.max_cells)
+        shown = crop(grid, options.crop) if options.crop else grid
+    else:
+        view = View(saved, model, options.min_passes)
+        grid, lost = render_blocks(open_map(view, options.crop), options.max_cells)
+        shown = grid
+    notes = (*lost, *list_disagreement(grid))
+    shares = measure_shares(shown, options.writing)
+    return shown, Seen(shown.shape, shown.extent, shares, shown.agreement, notes)
+
+
+def survey_saved(saved: Blocks, model: SensorModel, options: RenderOptions) -> Seen:
+    """Look at a map that is never there as a whole; raises MapError."""
+    made = open_map(View(saved, model, options.min_passes), options.crop)
+    shares, agreement, lost = survey_blocks(made, options.writing)
+    return Seen(made.shape, made.extent, shares, agreement, tuple(lost))
 
 
 def list_notes(manifest: Manifest) -> Iterator[str]:
@@ -98,14 +158,20 @@ def list_notes(manifest: Manifest) -> Iterator[str]:
         yield "something else than a whole build was subtracted: visits are bounds"
 
 
-def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> Report:
+def summarise(
+    manifest: Manifest,
+    model: SensorModel,
+    seen: Seen,
+    options: RenderOptions,
+    outputs: Sequence[Path],
+) -> Report:
     """Sum up all builds of evidence, and the map that was made of it."""
     scans = [build["scans"] for build in manifest.builds]
     read, used = sum_scans(manifest)
     dropped: dict[str, int] = {}
     for reason, count in (pair for each in scans for pair in each["dropped"].items()):
         dropped[reason] = dropped.get(reason, 0) + count
-    rows, cols = grid.shape
+    rows, cols = seen.shape
     return Report(
         logs=tuple(entry["name"] for build in manifest.builds for entry in build["inputs"]),
         scans_read=read,
@@ -113,15 +179,21 @@ def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> 
         builds=len(scans),
         dropped=dropped,
         beams=sum((read_counts(each["beams"]) for each in scans), ReturnCounts()),
-        notes=tuple(list_notes(manifest)),
+        notes=(
+            *list_notes(manifest),
+            *list_idle(outputs, options.writing),
+            *list_unreached(model, options.writing),
+            *seen.notes,
+        ),
         update=manifest.update,
         model=manifest.model,
+        min_passes=options.min_passes,
         resolution=manifest.resolution,
         columns=cols,
         rows=rows,
-        extent=grid.extent,
-        shares=measure_shares(grid, writing),
-        agreement=grid.agreement,
+        extent=seen.extent,
+        shares=seen.shares,
+        agreement=seen.agreement,
     )
 
 

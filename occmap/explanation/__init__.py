@@ -11,13 +11,17 @@ from occmap.errors import UsageError
 from occmap.evidence import choose_tiles, read_model, refuse_other_profile, to_grid, weigh
 from occmap.evidence.persistence import check_passes, keep_lasting
 from occmap.evidence.publishing import list_notes
-from occmap.explanation.history import CellHistory, Visits, look_at
+from occmap.explanation.history import CellHistory, Visits, look_at, refuse_far_point
 from occmap.explanation.provenance import Use, find_uses, list_logs, list_missing, shorten
 from occmap.explanation.sightings import Numbers, Sighting, add_up, find_sightings
-from occmap.grid.rendering import find_bounds
+from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid.rendering import measure_bounds
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
 from occmap.pipeline import Progress, ignore_progress
 from occmap.sensor.models import SensorModel, describe_model, find_decision
+from occmap.store.reading import Store
+from occmap.store.rendering import View, find_bounds
+from occmap.store.sources import Saved, read_part
 from occmap.types import Box, Evidence, OccupancyMap, to_log_odds
 from occmap.wording import count
 from occmap.writers import WriteOptions
@@ -66,6 +70,8 @@ class Explanation:
     """Those that observed the cell"""
     extent: Box | None
     """Of all observed cells: lowest x and y, highest x and y (m); None: there are none"""
+    digest: str | None
+    """SHA-256 of all that a store holds; None for a file, which is not read for it"""
     scans_used: int = 0
     """Scans of the logs that were looked through: those that their builds used"""
     sightings: tuple[Sighting, ...] = ()
@@ -96,6 +102,7 @@ class Explanation:
         return {
             "point": [self.question.x, self.question.y],
             "cell": {"row": history.row, "column": history.col, "extent": list(history.extent)},
+            "digest": self.digest,
             "map_extent": self.extent and list(self.extent),
             "class": self.verdict,
             "probability": self.probability,
@@ -115,9 +122,7 @@ class Explanation:
         }
 
 
-def explain(
-    evidence: Evidence, question: Question, progress: Progress = ignore_progress
-) -> Explanation:
+def explain(saved: Saved, question: Question, progress: Progress = ignore_progress) -> Explanation:
     """Say what was observed at a point, and by which scans of the logs that the user has.
 
     Raises
@@ -126,11 +131,12 @@ def explain(
         The point is in no map, the model cannot read the evidence, a log cannot be read or is none
         that the evidence was made of, or a trajectory is missing.
     """
-    model = question.model or read_model(evidence)
-    refuse_other_profile(evidence, model)
+    model = question.model or read_model(saved)
+    refuse_other_profile(saved, model)
     check_passes(question.min_passes, model)
     if question.poses and not question.logs:
         raise UsageError("`poses` goes with a log", fix="add `logs=LOG`, or leave it out")
+    evidence = read_around(saved, question.x, question.y)
     history = look_at(evidence, question.x, question.y)
     uses = find_uses(evidence, question.logs, question.poses)
     sightings, scans_used = find_sightings(uses, history, progress)
@@ -140,7 +146,8 @@ def explain(
         describe_model(model),
         judge_cell(evidence, history, model, question.min_passes),
         tuple(list_visits(evidence, history)),
-        measure_extent(evidence, model),
+        measure_extent(saved, model),
+        saved.digest if isinstance(saved, Store) else None,
         scans_used,
         tuple(sorted(sightings, key=lambda each: each.stamp_ns)),
         (
@@ -176,16 +183,33 @@ def list_visits(evidence: Evidence, history: CellHistory) -> Iterator[BuildVisit
             yield BuildVisits(index, tuple(logs), visits)
 
 
-def measure_extent(evidence: Evidence, model: SensorModel) -> Box | None:
+def measure_extent(saved: Saved, model: SensorModel) -> Box | None:
     """Lowest x and y, highest x and y of the map that a model makes (m); None: of nothing."""
-    grid = to_grid(evidence)
-    if not grid.tiles:
+    if isinstance(saved, Evidence):
+        box = measure_bounds(choose_tiles(to_grid(saved), model))
+    else:
+        box = find_bounds(View(saved, model)) if saved.blocks else None
+    lattice = Lattice(saved.manifest.resolution)
+    if box is None:
         return None
-    box = find_bounds(choose_tiles(grid, model))
     low_x, low_y, high_x, high_y = map(
-        grid.lattice.to_metres, (box.col, box.row, box.col_end, box.row_end)
+        lattice.to_metres, (box.col, box.row, box.col_end, box.row_end)
     )
     return low_x, low_y, high_x, high_y
+
+
+def read_around(saved: Saved, x: float, y: float) -> Evidence:
+    """Read the tile that holds a point (m) and those beside it, or all that is in memory.
+
+    Raises
+    ------
+    UsageError
+        No map reaches so far.
+    """
+    lattice = Lattice(saved.manifest.resolution)
+    refuse_far_point(lattice, x, y)
+    row, col = lattice.to_cell(x, y)
+    return read_part(saved, CellBox(row, col, row + 1, col + 1))
 
 
 def list_unexplained(

@@ -2,99 +2,206 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from occmap.errors import MapError
 from occmap.evidence import choose_tiles, cut_box, to_grid, weigh
-from occmap.evidence.persistence import drop_passing, list_lost, refuse_nothing_left
+from occmap.evidence.persistence import describe_lost, drop_passing, refuse_nothing_left
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing, measure_bounds, paint
 from occmap.grid.tiles import TileGrid, refuse_large
+from occmap.report import Shares
 from occmap.sensor.models import SensorModel, find_decision
 from occmap.store.blocks import Block
 from occmap.store.sources import Blocks, Recent, read_part
-from occmap.types import Box, OccupancyMap, to_log_odds
+from occmap.types import Box, CellClass, Evidence, Int64, OccupancyMap, UInt8, to_log_odds
+from occmap.writers import WriteOptions
 
 STRIPE = 3
 """Blocks are painted in stripes so many rows high, so that few of them are read twice"""
 
 
+class Piece(NamedTuple):
+    """A part of a map."""
+
+    box: CellBox
+    map: OccupancyMap
+    hits: tuple[int, int]
+    """Those in cells called occupied, and all"""
+    occupied: tuple[int, int]
+    """Cells that were occupied before anything was forgotten, and those of them that are still"""
+
+
 @dataclass(frozen=True, eq=False)
 class View:
-    """What is seen of evidence: by a model, and of what lasts."""
+    """How evidence is looked at."""
 
     source: Blocks
     model: SensorModel
     min_passes: int | None = None
 
-    @cached_property
-    def lattice(self) -> Lattice:
-        """That of the map."""
-        return Lattice(self.source.manifest.resolution)
-
-    def read_grid(self, box: CellBox) -> TileGrid:
-        """What lasts of the tiles in a box of cells and beside it."""
-        evidence = read_part(self.source, box)
-        grid = to_grid(evidence)
+    def forget(self, grid: TileGrid, evidence: Evidence) -> TileGrid:
+        """What lasts of a grid of some evidence."""
         if self.min_passes is None:
             return grid
         return drop_passing(grid, evidence.slices, self.min_passes)
 
     def paint(self, grid: TileGrid, box: CellBox) -> OccupancyMap:
         """The map of a box of cells."""
-        tiles = choose_tiles(grid, self.model)
+        tiles, lattice = choose_tiles(grid, self.model), grid.lattice
         painted = paint(tiles, weigh(self.model), to_log_odds(self.model.prior), box)
-        origin = self.lattice.to_metres(box.col), self.lattice.to_metres(box.row)
-        return OccupancyMap(*painted, self.lattice.resolution, origin, find_decision(self.model))
+        origin = lattice.to_metres(box.col), lattice.to_metres(box.row)
+        return OccupancyMap(*painted, lattice.resolution, origin, find_decision(self.model))
 
-    def measure_bounds(self, block: Block) -> CellBox | None:
+    def measure_block(self, block: Block) -> CellBox | None:
         """The smallest box around the cells that are observed in a block or beside it."""
-        return measure_bounds(choose_tiles(self.read_grid(block.box), self.model))
+        evidence = read_part(self.source, block.box)
+        grid = self.forget(to_grid(evidence), evidence)
+        return measure_bounds(choose_tiles(grid, self.model))
 
 
-def render_blocks(
-    view: View, max_cells: int, part: Box | None = None
-) -> tuple[OccupancyMap, list[str]]:
-    """Make a map, or the part of it that a box touches; notes say where little of it lasts.
+@dataclass(frozen=True, eq=False)
+class BlockMap:
+    """A map that is painted piece by piece, anew whenever it is asked for."""
 
-    Cell by cell it is the map of `render_lasting`. The agreement is that of the whole map, so a
-    part has none.
+    view: View
+    box: CellBox
+    """Its cells"""
+    before: CellBox
+    """Those of the map of all that was observed, of which maybe not all lasts"""
+    is_part: bool
+
+    @property
+    def lattice(self) -> Lattice:
+        """That of its cells."""
+        return Lattice(self.view.source.manifest.resolution)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.box.rows, self.box.cols
+
+    @property
+    def place(self) -> tuple[float, float, float]:
+        """Side of a cell, and x and y of the lower-left corner of cell (0, 0) (m)."""
+        return self.lattice.resolution, self.extent[0], self.extent[1]
+
+    @property
+    def extent(self) -> Box:
+        """Lowest x and y, highest x and y (m)."""
+        edges = (self.box.col, self.box.row, self.box.col_end, self.box.row_end)
+        x, y, x_end, y_end = map(self.lattice.to_metres, edges)
+        return x, y, x_end, y_end
+
+    def walk(self) -> Iterator[Piece]:
+        """Paint all pieces; what is in none of them was not observed."""
+        for place in list_pieces(self.view.source, self.before):
+            evidence, box = read_part(self.view.source, place), self.box.clip(place)
+            grid = to_grid(evidence)
+            lasting = self.view.forget(grid, evidence)
+            made = self.view.paint(lasting, box)
+            hits = count_agreeing(lasting, made.occupied, box)
+            yield Piece(box, made, hits, self._count_kept(grid, made, place, box))
+
+    def _count_kept(
+        self, grid: TileGrid, made: OccupancyMap, place: CellBox, box: CellBox
+    ) -> tuple[int, int]:
+        if self.view.min_passes is None:
+            return 0, 0
+        before = self.view.paint(grid, place).occupied
+        still = before[find_window(box, place)] & made.occupied
+        return int(np.count_nonzero(before)), int(np.count_nonzero(still))
+
+
+def open_map(view: View, part: Box | None = None) -> BlockMap:
+    """Find out where a map lies, or the part of it that a box touches.
 
     Raises
     ------
     MapError
-        Nothing was observed, or lasts, or lies in the box; the map would be too large, or a block
-        cannot be read.
+        Nothing was observed, or lasts, or lies in the box; or a block cannot be read.
     """
     view = replace(view, source=Recent(view.source))
-    made = paint_part(view, max_cells, part)
-    if view.min_passes is None:
-        return made, []
-    return made, list(list_lost(paint_part(replace(view, min_passes=None), max_cells, part), made))
-
-
-def paint_part(view: View, max_cells: int, part: Box | None) -> OccupancyMap:
-    """Paint a map, or the part of it that a box touches; raises MapError as `render_blocks`."""
-    box = find_bounds(view)
+    box = before = find_bounds(view)
+    if view.min_passes is not None:
+        before = find_bounds(replace(view, min_passes=None))
     if part:
-        box = cut_box(box, part, view.lattice)
-    refuse_large(box, view.lattice, max_cells)
-    log_odds = np.full((box.rows, box.cols), to_log_odds(view.model.prior), np.float32)
-    observed = np.zeros((box.rows, box.cols), np.bool_)
-    hits = np.zeros(2, np.int64)
-    for piece in list_pieces(view.source, box):
-        grid = view.read_grid(piece)
-        made = view.paint(grid, piece)
-        rows = slice(piece.row - box.row, piece.row_end - box.row)
-        cols = slice(piece.col - box.col, piece.col_end - box.col)
-        log_odds[rows, cols], observed[rows, cols] = made.log_odds, made.observed
-        hits += count_agreeing(grid, made.occupied, piece)
-    agreed, total = hits.tolist()
-    origin = view.lattice.to_metres(box.col), view.lattice.to_metres(box.row)
-    decision, agreement = find_decision(view.model), agreed / total if total and not part else None
-    return OccupancyMap(log_odds, observed, view.lattice.resolution, origin, decision, agreement)
+        lattice = Lattice(view.source.manifest.resolution)
+        box, before = (cut_box(each, part, lattice) for each in (box, before))
+    return BlockMap(view, box, before, part is not None)
+
+
+def render_blocks(made: BlockMap, max_cells: int) -> tuple[OccupancyMap, list[str]]:
+    """Paint all of a map; notes say where little of what was observed lasts.
+
+    Cell by cell it is the map of `render_lasting`. The agreement is that of a whole map: a part
+    has none.
+
+    Raises
+    ------
+    MapError
+        The map would be too large, or a block cannot be read.
+    """
+    refuse_large(made.box, made.lattice, max_cells)
+    model, (x, y, _, _) = made.view.model, made.extent
+    log_odds = np.full(made.shape, to_log_odds(model.prior), np.float32)
+    observed = np.zeros(made.shape, np.bool_)
+    counts = np.zeros((2, 2), np.int64)
+    for piece in made.walk():
+        window = find_window(piece.box, made.box)
+        log_odds[window], observed[window] = piece.map.log_odds, piece.map.observed
+        counts += (piece.hits, piece.occupied)
+    painted = OccupancyMap(
+        log_odds, observed, made.lattice.resolution, (x, y), find_decision(model)
+    )
+    agreement, notes = sum_up(made, counts)
+    return replace(painted, agreement=agreement), notes
+
+
+def classify_blocks(made: BlockMap, writing: WriteOptions, max_cells: int) -> UInt8:
+    """(H, W) of CellClass, a byte for each cell; raises MapError as `render_blocks`."""
+    refuse_large(made.box, made.lattice, max_cells)
+    decision = writing.decide(find_decision(made.view.model))
+    classes = np.full(made.shape, CellClass.NEITHER, np.uint8)
+    for piece in made.walk():
+        window = find_window(piece.box, made.box)
+        classes[window] = replace(piece.map, decision=decision).classes
+    return classes
+
+
+def survey_blocks(made: BlockMap, writing: WriteOptions) -> tuple[Shares, float | None, list[str]]:
+    """Measure shares and agreement of a map that is never there as a whole; notes as above.
+
+    Raises
+    ------
+    MapError
+        A block cannot be read.
+    """
+    decision = writing.decide(find_decision(made.view.model))
+    classes, counts = np.zeros(3, np.int64), np.zeros((2, 2), np.int64)
+    for piece in made.walk():
+        written = replace(piece.map, decision=decision)
+        masks = (written.occupied, written.free, written.observed)
+        classes += [np.count_nonzero(mask) for mask in masks]
+        counts += (piece.hits, piece.occupied)
+    occupied, free, observed = (classes / made.box.cells).tolist()
+    agreement, notes = sum_up(made, counts)
+    return Shares(occupied, free, 1 - observed), agreement, notes
+
+
+def sum_up(made: BlockMap, counts: Int64) -> tuple[float | None, list[str]]:
+    """The agreement of a map, and what its pieces lost."""
+    (agreed, hits), (were, still) = counts.tolist()
+    agreement = agreed / hits if hits and not made.is_part else None
+    return agreement, list(describe_lost(were, were - still))
+
+
+def find_window(box: CellBox, whole: CellBox) -> tuple[slice, slice]:
+    """Rows and columns of a box in a larger one."""
+    row, col = box.row - whole.row, box.col - whole.col
+    return slice(row, row + box.rows), slice(col, col + box.cols)
 
 
 def list_pieces(source: Blocks, box: CellBox) -> Iterator[CellBox]:
@@ -128,7 +235,7 @@ def find_bounds(view: View) -> CellBox:
             if found and outward * found[side] >= outward * reach[block] + 1:
                 break
             if block not in known:
-                known[block] = view.measure_bounds(block)
+                known[block] = view.measure_block(block)
             box = known[block]
             if box:
                 found = found.join(box) if found else box

@@ -233,9 +233,9 @@ def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
     if not outputs:  # a map that is saved later, in whatever format
         return
     suffixes = {path.suffix.lower() for path in outputs}
-    if options.mode is not MapMode.TRINARY and suffixes <= {".png", ".npz"}:
+    if options.mode is not MapMode.TRINARY and suffixes <= {".png", ".npz", ".zarr"}:
         yield f"`mode={options.mode}` does nothing: it is for a PGM, and no output ends in .pgm"
-    if options.shade is not Shade.DARK_OCCUPIED and suffixes <= {".pgm", ".npz"}:
+    if options.shade is not Shade.DARK_OCCUPIED and suffixes <= {".pgm", ".npz", ".zarr"}:
         yield "`shade` does nothing: it is for a PNG, and no output ends in .png"
 
 

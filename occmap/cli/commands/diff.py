@@ -21,9 +21,9 @@ from occmap.writers import WriteOptions, check_picture, refuse_input
 
 HELP = f"""{COMMANDS["diff"]}
 
-A and B are maps as PGM with YAML, PNG, or evidence (.npz); they may differ in size where they share
-a lattice, as all maps of one resolution do. A PNG does not say where it lies: it is compared with a
-map of its size, and read as dark is occupied.
+A and B are maps as PGM with YAML, PNG, or evidence (.npz or .zarr); they may differ in size where
+they share a lattice, as all maps of one resolution do. A PNG does not say where it lies: it is
+compared with a map of its size, and read as dark is occupied.
 
 A cell that is neither occupied nor free is unknown or undecided; images do not tell one from the
 other, so both count as neither.
@@ -101,3 +101,9 @@ def format_comparison(difference: MapDifference) -> Iterator[str]:
         blob = count(difference.largest.cells, "connected cell")
         where = f"x {low_x} to {high_x}, y {low_y} to {high_y}"
         yield f"{'largest':<{LABEL}}{blob}, {where}"
+    before, after = difference.digests
+    if before and after and before == after:
+        yield f"{'digest':<{LABEL}}{before}, of both"
+    elif before and after:
+        yield f"{'digests':<{LABEL}}{before}"
+        yield f"{'':<{LABEL}}{after}"

@@ -13,11 +13,11 @@ from occmap.cli.progress import show_progress
 from occmap.cli.saved import choose_model
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.values import PATH
+from occmap.evidence import Described
 from occmap.explanation import Question, explain
 from occmap.keywords import take
-from occmap.types import Evidence
+from occmap.store.sources import open_saved
 from occmap.writers import WriteOptions
-from occmap.writers.npz import read_evidence
 
 HELP = f"""{COMMANDS["explain"]}
 
@@ -70,7 +70,7 @@ poses = option(
 @click.pass_obj
 def command(console: Console, /, path: Path, **values: Any) -> None:
     """Look at a cell, and print what was found."""
-    evidence = read_evidence(path)
+    evidence = open_saved(path)
     question = take(Question, values | collect_view(evidence, values))
     with show_progress(console) as progress:
         explanation = explain(evidence, question, progress)
@@ -82,7 +82,7 @@ def command(console: Console, /, path: Path, **values: Any) -> None:
         console.put(format_explanation(explanation))
 
 
-def collect_view(evidence: Evidence, values: dict[str, Any]) -> dict[str, Any]:
+def collect_view(evidence: Described, values: dict[str, Any]) -> dict[str, Any]:
     """Gather what a cell is to be judged by.
 
     Raises

@@ -12,8 +12,8 @@ from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.values import PATH, read_by, read_list
 from occmap.errors import UsageError
 from occmap.gates.measures import SAVED
+from occmap.store.sources import open_saved
 from occmap.types import Box
-from occmap.writers.npz import read_evidence
 
 HELP = f"""{COMMANDS["render"]}
 
@@ -62,4 +62,4 @@ part = option(
 def command(console: Console, /, path: Path, **values: Any) -> None:
     """Read evidence, and write a map of it."""
     refuse_no_output(values["outputs"], "map.pgm", [path])
-    put_out(console, "render", read_evidence(path), values)
+    put_out(console, "render", open_saved(path), values)

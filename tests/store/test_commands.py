@@ -1,0 +1,189 @@
+"""Commands on a store do what they do on an .npz of the same build."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from occmap.batching import Selection
+from occmap.pipeline import build
+from occmap.store.reading import open_store
+from occmap.types import Update
+from tests.cli.runner import Result, occmap, read_error
+from tests.evidence.saving import DRIVE, MIDDLE_S, choose
+from tests.store.test_store import FINE
+
+HALVES = {"early": Selection(end_s=MIDDLE_S), "late": Selection(start_s=MIDDLE_S)}
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the drive, whole and in halves, as .npz and as store of each."""
+    folder = tmp_path_factory.mktemp("built")
+    options = replace(choose(Update.SURFACE, "counting"), resolution=FINE, pass_gap_s=3.0)
+    for name, selection in {"whole": Selection(), **HALVES}.items():
+        outputs = [folder / f"{name}.npz", folder / f"{name}.zarr"]
+        build([DRIVE], replace(options, selection=selection), outputs)
+    return folder
+
+
+def run_both(folder: Path, tmp_path: Path, *words: str) -> list[Result]:
+    """Run a command on files and on stores; `.in` and `.out` stand for what is read and written."""
+    results = []
+    for suffix in (".npz", ".zarr"):
+        line = [
+            word.replace("IN/", f"{folder}/")
+            .replace(".in", suffix)
+            .replace("OUT/", f"{tmp_path}/{suffix[1:]}-")
+            for word in words
+        ]
+        results.append(occmap(*line))
+        assert results[-1].code == 0, results[-1].err
+    return results
+
+
+def strip(text: str, tmp_path: Path) -> str:
+    return text.replace(f"{tmp_path}/zarr-", f"{tmp_path}/npz-").replace(".zarr", ".npz")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        (),
+        ("--model", "simple", "--p-hit", "0.8", "--mode", "scale"),
+        ("--spread", "0"),
+        ("--spread", "0.3"),
+        ("--min-passes", "2"),
+        ("--min-passes", "3", "--spread", "0"),
+    ],
+)
+def test_a_map_of_a_store_is_that_of_the_file(
+    built: Path, tmp_path: Path, options: tuple[str, ...]
+) -> None:
+    words = ("render", "IN/whole.in", "-o", "OUT/m.pgm", "-o", "OUT/m.png", *options, "--json")
+    one, other = run_both(built, tmp_path, *words)
+    assert json.loads(one.out) == json.loads(strip(other.out, tmp_path))
+    assert one.err == other.err
+    for name in ("m.pgm", "m.png"):
+        assert (tmp_path / f"npz-{name}").read_bytes() == (tmp_path / f"zarr-{name}").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "box", ["-3,-2,1,4", "-0.5,-0.5,0.5,0.5", "-99,-99,99,-1", "5,1,99,99", "-999,-999,999,999"]
+)
+@pytest.mark.parametrize("options", [(), ("--min-passes", "2")])
+def test_a_part_of_a_map_is_that_of_the_whole(
+    built: Path, tmp_path: Path, box: str, options: tuple[str, ...]
+) -> None:
+    words = ("render", "IN/whole.in", "-o", "OUT/m.pgm", "--crop", box, *options, "--json")
+    one, other = (json.loads(each.out) for each in run_both(built, tmp_path, *words))
+    assert (tmp_path / "npz-m.pgm").read_bytes() == (tmp_path / "zarr-m.pgm").read_bytes()
+    assert other["map"].pop("agreement") is None
+    del one["map"]["agreement"]
+    for each in (one, other):  # what --min-passes takes away is told of the part alone
+        del each["files"], each["notes"]
+    assert one == other
+
+
+def test_a_box_beside_the_map_is_refused_alike(built: Path, tmp_path: Path) -> None:
+    errors = {
+        read_error(
+            occmap("render", built / name, "-o", tmp_path / "m.pgm", "--crop", "99,99,100,100"), 1
+        )
+        for name in ("whole.npz", "whole.zarr")
+    }
+    assert len(errors) == 1
+
+
+def test_a_store_and_a_file_are_made_of_each_other(built: Path, tmp_path: Path) -> None:
+    whole = (built / "whole.npz").read_bytes()
+    occmap("render", built / "whole.zarr", "-o", tmp_path / "a.npz")
+    assert (tmp_path / "a.npz").read_bytes() == whole
+    occmap("render", built / "whole.npz", "-o", tmp_path / "b.zarr", "-o", tmp_path / "b.pgm")
+    occmap("render", tmp_path / "b.zarr", "-o", tmp_path / "c.npz")
+    assert (tmp_path / "c.npz").read_bytes() == whole
+
+
+@pytest.mark.parametrize("point", [("1.5", "-0.25"), ("0", "0"), ("-0.01", "2"), ("50", "50")])
+def test_a_cell_is_explained_alike(built: Path, tmp_path: Path, point: tuple[str, str]) -> None:
+    for options in ((), ("--min-passes", "2"), ("--log", str(DRIVE))):
+        one, other = run_both(built, tmp_path, "explain", "IN/whole.in", *point, *options)
+        lines = other.out.splitlines()
+        assert f"digest   {open_store(built / 'whole.zarr').digest}" in lines
+        lines = [line for line in lines if not line.startswith("digest")]
+        assert (one.out.splitlines(), one.err) == (lines, other.err)
+
+
+MERGED = {
+    "sum": ("IN/early.in", "IN/late.in"),
+    "part": ("IN/whole.in", "IN/late.in", "--subtract", "IN/late.in"),
+    "mixed": ("IN/early.npz", "IN/late.zarr"),
+}
+
+
+@pytest.mark.parametrize("words", MERGED.values(), ids=MERGED)
+def test_sums_and_differences_are_those_of_files(
+    built: Path, tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    line = ("merge", *words, "-o", "OUT/m.npz", "-o", "OUT/m.zarr", "-o", "OUT/m.pgm", "--json")
+    one, other = run_both(built, tmp_path, *line)
+    assert strip(one.out, tmp_path) == strip(other.out, tmp_path)
+    for name in ("m.npz", "m.pgm"):
+        assert (tmp_path / f"npz-{name}").read_bytes() == (tmp_path / f"zarr-{name}").read_bytes()
+    occmap("render", tmp_path / "zarr-m.zarr", "-o", tmp_path / "back.npz")
+    assert (tmp_path / "back.npz").read_bytes() == (tmp_path / "npz-m.npz").read_bytes()
+
+
+def test_a_merge_into_a_store_alone_says_the_same(built: Path, tmp_path: Path) -> None:
+    words = ("merge", "IN/early.in", "IN/late.in", "-o", "OUT/m.zarr", "--min-passes", "2")
+    one, other = (strip(each.out, tmp_path) for each in run_both(built, tmp_path, *words))
+    assert one == other
+
+
+def test_maps_are_compared_block_by_block(built: Path, tmp_path: Path) -> None:
+    words = ("diff", "IN/early.in", "IN/whole.in", "-o", "OUT/d.png")
+    one, other = run_both(built, tmp_path, *words)
+    assert one == other
+    digests = [open_store(built / f"{name}.zarr").digest for name in ("early", "whole")]
+    assert one.out.splitlines()[-2:] == [f"digests  {digests[0]}", f"         {digests[1]}"]
+    assert (tmp_path / "npz-d.png").read_bytes() == (tmp_path / "zarr-d.png").read_bytes()
+    same = occmap("diff", built / "whole.npz", built / "whole.zarr")
+    assert same.out.splitlines()[-1] == f"digest   {digests[1]}, of both"
+    assert json.loads(occmap("diff", *[built / "whole.zarr"] * 2, "--json").out)["changed"] == 0
+
+
+def test_what_does_not_add_up_is_refused_alike(built: Path, tmp_path: Path) -> None:
+    for suffix in ("npz", "zarr"):
+        early, late = (built / f"{name}.{suffix}" for name in HALVES)
+        done = occmap("merge", early, "--subtract", late, "-o", tmp_path / "m.zarr")
+        assert "holds observations of" in read_error(done, 1)
+        build([DRIVE], choose(), [tmp_path / f"coarse.{suffix}"])
+        done = occmap("merge", early, tmp_path / f"coarse.{suffix}", "-o", tmp_path / "m.zarr")
+        assert "its resolution is 0.05" in read_error(done, 1)
+    assert not (tmp_path / "m.zarr").exists()
+    assert not list(tmp_path.glob(".occmap-*"))
+
+
+def test_a_build_goes_on_from_a_store(built: Path, tmp_path: Path) -> None:
+    line = ["build", "surface", DRIVE, "--resolution", FINE, "--start", MIDDLE_S, "--pass-gap", "3"]
+    for suffix in ("npz", "zarr"):
+        resumed = [*line, "--resume", built / f"early.{suffix}", "-o", tmp_path / f"{suffix}.npz"]
+        assert occmap(*resumed, "--model", "counting").code == 0
+    assert (tmp_path / "npz.npz").read_bytes() == (tmp_path / "zarr.npz").read_bytes()
+
+
+def test_outputs_that_cannot_be_are_refused(built: Path, tmp_path: Path) -> None:
+    (tmp_path / "full.zarr").mkdir()
+    (tmp_path / "full.zarr" / "notes.txt").write_text("mine\n")
+    done = occmap("render", built / "whole.npz", "-o", tmp_path / "full.zarr")
+    assert "not as occmap writes it" in read_error(done, 1)
+    done = occmap("render", built / "whole.zarr", "-o", built / "whole.zarr")
+    assert "is an input" in read_error(done, 2)
+    done = occmap("render", built / "whole.zarr", "-o", tmp_path / "none" / "m.zarr")
+    assert "does not exist" in read_error(done, 1)
+    occmap("render", built / "early.zarr", "-o", tmp_path / "m.zarr")
+    assert occmap("render", built / "whole.zarr", "-o", tmp_path / "m.zarr").code == 0
+    occmap("render", tmp_path / "m.zarr", "-o", tmp_path / "m.npz")
+    assert (tmp_path / "m.npz").read_bytes() == (built / "whole.npz").read_bytes()
+    assert [each.name for each in tmp_path.iterdir() if each.name.startswith(".")] == []
