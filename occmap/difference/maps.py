@@ -152,8 +152,9 @@ def load_store(path: Path, thresholds: WriteOptions) -> ClassMap:
     """
     store = open_store(path)
     made = open_map(View(store, read_model(store)))
-    classes, place = classify_blocks(made, thresholds, MAX_CELLS), Place(*made.place)
-    return ClassMap(path, classes, place, digest=store.digest)
+    x, y, _, _ = made.extent
+    classes = classify_blocks(made, thresholds, MAX_CELLS)
+    return ClassMap(path, classes, Place(made.resolution, x, y), digest=store.digest)
 
 
 LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {

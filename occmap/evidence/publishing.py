@@ -19,12 +19,13 @@ from occmap.report import (
 )
 from occmap.sensor.models import SensorModel, describe_model
 from occmap.sensor.returns import ReturnCounts
-from occmap.store.rendering import View, open_map, render_blocks, survey_blocks
+from occmap.store.rendering import BlockMap, View, open_map, render_blocks, survey_blocks
 from occmap.store.sources import Blocks, Saved, as_blocks, read_all
 from occmap.store.writer import ZarrWriter
 from occmap.types import Box, Evidence, Manifest, OccupancyMap
 from occmap.writers import (
     Product,
+    WindowWriter,
     WriteOptions,
     check_outputs,
     find_writer,
@@ -78,24 +79,28 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
     """
     check_outputs(outputs)
     model, manifest = settle(saved, options)
-    if isinstance(saved, Evidence) or not all(map(is_store, outputs)):
+    grid: OccupancyMap | BlockMap
+    if isinstance(saved, Evidence) or not all(map(is_in_parts, outputs)):
         grid, seen = paint_saved(saved, model, options)
     else:
-        grid, seen = None, survey_saved(saved, model, options)
+        grid, seen = survey_saved(saved, model, options)
     files: list[str] = []
     for path in outputs:
-        if is_store(path):
-            files += map(str, ZarrWriter().write_blocks(path, as_blocks(saved), manifest))
-        elif grid:
+        writer = find_writer(path)
+        if isinstance(writer, ZarrWriter):
+            files += map(str, writer.write_blocks(path, as_blocks(saved), manifest))
+        elif isinstance(writer, WindowWriter):
+            files += map(str, writer.write_windows(path, grid, options.writing))
+        elif isinstance(grid, OccupancyMap):
             product = Product(grid, lambda: replace(read_all(saved), manifest=manifest))
             files += write_outputs([path], product, options.writing)
     report = summarise(manifest, model, seen, options, outputs)
     return replace(report, files=tuple(files))
 
 
-def is_store(path: Path) -> bool:
-    """Whether an output is written block by block."""
-    return isinstance(find_writer(path), ZarrWriter)
+def is_in_parts(path: Path) -> bool:
+    """Whether an output is written part by part, so that there need not be a whole map."""
+    return isinstance(find_writer(path), ZarrWriter | WindowWriter)
 
 
 def render_kept(saved: Saved, options: RenderOptions, outputs: Sequence[Path] = ()) -> Rendered:
@@ -144,11 +149,13 @@ def paint_saved(
     return shown, Seen(shown.shape, shown.extent, shares, shown.agreement, notes)
 
 
-def survey_saved(saved: Blocks, model: SensorModel, options: RenderOptions) -> Seen:
+def survey_saved(
+    saved: Blocks, model: SensorModel, options: RenderOptions
+) -> tuple[BlockMap, Seen]:
     """Look at a map that is never there as a whole; raises MapError."""
     made = open_map(View(saved, model, options.min_passes), options.crop)
     shares, agreement, lost = survey_blocks(made, options.writing)
-    return Seen(made.shape, made.extent, shares, agreement, tuple(lost))
+    return made, Seen(made.shape, made.extent, shares, agreement, tuple(lost))
 
 
 def list_notes(manifest: Manifest) -> Iterator[str]:

@@ -16,7 +16,7 @@ from occmap.report import Shares
 from occmap.sensor.models import SensorModel, find_decision
 from occmap.store.blocks import Block
 from occmap.store.sources import Blocks, Recent, read_part
-from occmap.types import Box, CellClass, Evidence, Int64, OccupancyMap, UInt8, to_log_odds
+from occmap.types import Box, CellClass, Decision, Evidence, Int64, OccupancyMap, UInt8, to_log_odds
 from occmap.writers import WriteOptions
 
 STRIPE = 3
@@ -84,9 +84,26 @@ class BlockMap:
         return self.box.rows, self.box.cols
 
     @property
-    def place(self) -> tuple[float, float, float]:
-        """Side of a cell, and x and y of the lower-left corner of cell (0, 0) (m)."""
-        return self.lattice.resolution, self.extent[0], self.extent[1]
+    def place(self) -> Int64:
+        """(2,) row and column of its first cell on the lattice."""
+        return np.array([self.box.row, self.box.col])
+
+    @property
+    def resolution(self) -> float:
+        """Side of a cell (m)."""
+        return self.lattice.resolution
+
+    @property
+    def decision(self) -> Decision:
+        """How its cells are decided."""
+        return find_decision(self.view.model)
+
+    def take(self, rows: slice, cols: slice) -> OccupancyMap:
+        """Paint a part of it."""
+        ends = (rows.start, cols.start, rows.stop, cols.stop)
+        box = CellBox(*(np.array(ends) + np.tile(self.place, 2)).tolist())
+        made, _ = render_blocks(replace(self, box=box, before=box, is_part=True), box.cells)
+        return made
 
     @property
     def extent(self) -> Box:

@@ -1,14 +1,12 @@
 """The writer of stores, which are files whose names end in `.zarr`."""
 
-import secrets
-import shutil
 from pathlib import Path
 
 from occmap.store.layout import import_zarr
 from occmap.store.sources import Blocks, Held
-from occmap.store.writing import create_store, finish_store, publish_store, write_block
+from occmap.store.writing import create_store, finish_store, write_block
 from occmap.types import Evidence, Manifest
-from occmap.writers.atomic import follow_links
+from occmap.writers.atomic import make_folder
 
 
 class ZarrWriter:
@@ -43,15 +41,10 @@ class ZarrWriter:
         OccmapError
             As `write_evidence`, or a block cannot be read.
         """
-        target = follow_links(path)
-        temporary = target.with_name(f".occmap-{secrets.token_hex(8)}.tmp")
-        try:
-            create_store(temporary, manifest, source.blocks)
+        with make_folder(path) as folder:
+            create_store(folder, manifest, source.blocks)
             records = [
-                write_block(temporary, block, source.read_block(block)) for block in source.blocks
+                write_block(folder, block, source.read_block(block)) for block in source.blocks
             ]
-            finish_store(temporary, manifest, records)
-            publish_store(temporary, target)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
+            finish_store(folder, manifest, records)
         return (path,)

@@ -1,7 +1,5 @@
 """How a store is made: created, written block by block by whoever has one, and finished."""
 
-import os
-import shutil
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
@@ -37,7 +35,7 @@ from occmap.store.layout import (
 )
 from occmap.store.pictures import classify_block, reduce_classes
 from occmap.types import Manifest, Update
-from occmap.writers.atomic import sync_folder
+from occmap.writers.atomic import publish_folder
 
 Run = Callable[[Callable[[Block], None], Sequence[Block]], Iterable[None]]
 """Calls a function for each block, as `map` does: in this process, or in others"""
@@ -224,13 +222,4 @@ def publish_store(temporary: Path, path: Path) -> None:
         It cannot be put there; then the one before stays.
     """
     with refuse_unwritable(path):
-        for file in temporary.rglob("*"):
-            if file.is_file():
-                with file.open("rb") as opened:
-                    os.fsync(opened.fileno())
-        past = path.with_name(f"{temporary.name}.past")
-        if path.exists():
-            path.rename(past)
-        temporary.rename(path)
-        sync_folder(path.parent)
-        shutil.rmtree(past, ignore_errors=True)
+        publish_folder(temporary, path)

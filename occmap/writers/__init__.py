@@ -14,11 +14,13 @@ from typing import Protocol, cast, runtime_checkable
 
 from occmap.errors import OutputError, UsageError
 from occmap.plugins import list_plugins, load_plugin
-from occmap.types import Decision, Evidence, OccupancyMap
+from occmap.types import Decision, Evidence, Int64, OccupancyMap
 from occmap.writers.atomic import check_parent, check_target, follow_links
 
 BAND_CELLS = 1 << 22
 """Cells that are turned into pixels at once, so that a large map needs no second copy in floats."""
+UNSHADED = (".npz", ".zarr", ".tiles", ".tif")
+"""Formats without a choice of greys."""
 
 
 class MapMode(StrEnum):
@@ -134,6 +136,37 @@ class FolderWriter(Protocol):
         """Whether an existing folder is one that this writer made, which it may replace."""
 
 
+class Windows(Protocol):
+    """A map that is looked at part by part."""
+
+    @property
+    def place(self) -> Int64:
+        """(2,) row and column of its first cell."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+
+    @property
+    def resolution(self) -> float:
+        """Side of a cell (m)."""
+
+    @property
+    def decision(self) -> Decision:
+        """How its cells are decided."""
+
+    def take(self, rows: slice, cols: slice) -> OccupancyMap:
+        """A part of it."""
+
+
+@runtime_checkable
+class WindowWriter(Protocol):
+    """A format that is written part by part, so that there need not be a whole map."""
+
+    def write_windows(self, path: Path, grid: Windows, options: WriteOptions) -> tuple[Path, ...]:
+        """As `Writer.write`."""
+
+
 def find_writer(path: Path) -> Writer | EvidenceWriter:
     """Find the writer for a file name by its suffix, upper or lower case.
 
@@ -233,9 +266,9 @@ def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
     if not outputs:  # a map that is saved later, in whatever format
         return
     suffixes = {path.suffix.lower() for path in outputs}
-    if options.mode is not MapMode.TRINARY and suffixes <= {".png", ".npz", ".zarr"}:
+    if options.mode is not MapMode.TRINARY and suffixes <= {".png", *UNSHADED}:
         yield f"`mode={options.mode}` does nothing: it is for a PGM, and no output ends in .pgm"
-    if options.shade is not Shade.DARK_OCCUPIED and suffixes <= {".pgm", ".npz", ".zarr"}:
+    if options.shade is not Shade.DARK_OCCUPIED and suffixes <= {".pgm", *UNSHADED}:
         yield "`shade` does nothing: it is for a PNG, and no output ends in .png"
 
 

@@ -9,6 +9,7 @@ import errno
 import logging
 import os
 import secrets
+import shutil
 import stat
 import sys
 from collections.abc import Iterator, Sequence
@@ -108,6 +109,43 @@ def open_atomic(*paths: Path) -> Iterator[Sequence[BinaryIO]]:
     finally:
         for temporary in temporaries:
             temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def make_folder(path: Path) -> Iterator[Path]:
+    """Make a folder that appears whole, or replaces the one at `path`, when the block ends well.
+
+    Where the machine stops between two renames, the one before is still there, under a name that
+    ends in `.past`.
+
+    Raises
+    ------
+    OutputError
+        It cannot be put there.
+    """
+    temporary = follow_links(path).with_name(f".occmap-{secrets.token_hex(8)}.tmp")
+    try:
+        yield temporary
+        publish_folder(temporary, follow_links(path))
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise OutputError(f"cannot be written ({reason})", where=path) from None
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def publish_folder(temporary: Path, path: Path) -> None:
+    """Sync a folder and put it in its place; one that was there before is removed."""
+    for file in temporary.rglob("*"):
+        if file.is_file():
+            with file.open("rb") as opened:
+                os.fsync(opened.fileno())
+    past = path.with_name(f"{temporary.name}.past")
+    if path.exists():
+        path.rename(past)
+    temporary.rename(path)
+    sync_folder(path.parent)
+    shutil.rmtree(past, ignore_errors=True)
 
 
 def keep_access(new: Path, old: Path) -> None:

@@ -48,7 +48,7 @@ class PgmWriter:
         # The image is renamed first: a YAML never names an image that is not there.
         with open_atomic(image_path, yaml_path) as (image, yaml):
             _write_image(image, grid, options)
-            _write_yaml(yaml, describe_map(image_path.name, grid, options))
+            write_yaml(yaml, describe_map(image_path.name, grid, options))
         return image_path, yaml_path
 
 
@@ -130,7 +130,7 @@ def _percent(grid: OccupancyMap) -> UInt8:
     return percent
 
 
-def _write_yaml(file: BinaryIO, fields: dict[str, object]) -> None:
+def write_yaml(file: BinaryIO, fields: dict[str, object]) -> None:
     """Write seven plain lines: importing a YAML library takes longer than writing the image."""
     lines = [f"{name}: {_to_yaml(value)}\n" for name, value in fields.items()]
     file.write("".join(lines).encode("utf-8", "surrogateescape"))  # the image's name as it is

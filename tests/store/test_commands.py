@@ -187,3 +187,16 @@ def test_outputs_that_cannot_be_are_refused(built: Path, tmp_path: Path) -> None
     occmap("render", tmp_path / "m.zarr", "-o", tmp_path / "m.npz")
     assert (tmp_path / "m.npz").read_bytes() == (built / "whole.npz").read_bytes()
     assert [each.name for each in tmp_path.iterdir() if each.name.startswith(".")] == []
+
+
+def test_tiles_are_painted_one_by_one(built: Path, tmp_path: Path) -> None:
+    for crop in ((), ("--crop", "-3,-2,9,4")):
+        run_both(built, tmp_path, "render", "IN/whole.in", "-o", "OUT/m.tiles", *crop)
+        names = [f"{suffix}-m.tiles" for suffix in ("npz", "zarr")]
+        one, other = (
+            {each.relative_to(tmp_path / name): each.read_bytes() for each in files}
+            for name in names
+            for files in [[e for e in (tmp_path / name).rglob("*") if e.is_file()]]
+        )
+        assert one == other
+        assert len(one) > 4

@@ -1,0 +1,134 @@
+"""Folders of PNG tiles, for maps that no single image holds: z/x/y, as web maps have them.
+
+At the top level a pixel is a cell, and a tile has a map_server YAML beside it. One level below, a
+pixel stands for 2 x 2 of them: occupied where any is, else free where any is; and so on down to
+level 0, a single tile. x counts to the right and y down. Tiles in which nothing was observed are
+left out.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from PIL import Image
+
+from occmap.types import CellClass, OccupancyMap, UInt8
+from occmap.writers import Windows, WriteOptions
+from occmap.writers.atomic import make_folder
+from occmap.writers.pgm import FREE, OCCUPIED, UNKNOWN, describe_map, write_yaml
+
+TILE_PIXELS = 1024
+"""Along the side of a tile, which begins at a multiple of as many cells"""
+GREYS = np.array([UNKNOWN, FREE, OCCUPIED], np.uint8)
+"""Of CellClass, as in a PGM"""
+
+TRINARY = WriteOptions()
+"""For the thresholds of the YAML: the greys are classes"""
+
+Address: TypeAlias = tuple[int, int, int]
+"""Level, x and y of a tile"""
+
+
+class TilesWriter:
+    """A folder of PNG tiles."""
+
+    description = "folder of PNG tiles (z/x/y), those at full resolution with a YAML each"
+
+    def targets(self, path: Path) -> tuple[Path, ...]:
+        """Return the folder."""
+        return (path,)
+
+    def owns(self, path: Path) -> bool:
+        """Whether a folder is one that this writer made."""
+        return all(each.name.isdigit() for each in path.iterdir())
+
+    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
+        """Write all tiles; return the folder. Raises OutputError as below."""
+        return self.write_windows(path, grid, options)
+
+    def write_windows(self, path: Path, grid: Windows, options: WriteOptions) -> tuple[Path, ...]:
+        """Write all tiles; return the folder.
+
+        Raises
+        ------
+        OutputError
+            One cannot be written; then nothing is left behind.
+        """
+        with make_folder(path) as folder:
+            folder.mkdir()
+            TileTree(folder, grid, options).write((0, 0, 0))
+        return (path,)
+
+
+class TileTree:
+    """Tiles of a map, each made of the four below it."""
+
+    def __init__(self, folder: Path, grid: Windows, options: WriteOptions) -> None:
+        self.folder, self.grid, self.options = folder, grid, options
+        ends = grid.place + grid.shape
+        self.low = grid.place // TILE_PIXELS
+        """Row and column of the lowest tiles"""
+        self.size = -(-ends // TILE_PIXELS) - self.low
+        """How many rows and columns of tiles there are"""
+        self.top = int(self.size.max() - 1).bit_length()
+        """The level at which a pixel is a cell"""
+
+    def write(self, address: Address) -> UInt8 | None:
+        """Write a tile and all above it; return its classes, or None where there is nothing."""
+        level, x, y = address
+        if level == self.top:
+            classes = self.paint(x, y)
+        else:
+            classes = self.shrink([self.write(each) for each in list_above(address)])
+        if classes is not None:
+            file = self.folder / f"{level}" / f"{x}" / f"{y}.png"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(GREYS[classes][::-1]).save(file)
+        return classes
+
+    def shrink(self, quarters: list[UInt8 | None]) -> UInt8 | None:
+        """Make one tile of four: the two upper ones first; row 0 is the lowest y."""
+        if all(each is None for each in quarters):
+            return None
+        blank = np.full((TILE_PIXELS,) * 2, CellClass.NEITHER, np.uint8)
+        one, two, three, four = (blank if each is None else each for each in quarters)
+        whole = np.block([[three, four], [one, two]])
+        half = TILE_PIXELS
+        classes: UInt8 = whole.reshape(half, 2, half, 2).max(axis=(1, 3))
+        return classes
+
+    def paint(self, x: int, y: int) -> UInt8 | None:
+        """Paint the cells of a tile at the top level, and say where it lies."""
+        row, col = self.low + np.array([self.size[0] - 1 - y, x])
+        start = np.array([row, col]) * TILE_PIXELS - self.grid.place
+        first = np.maximum(start, 0)
+        last = np.minimum(start + TILE_PIXELS, self.grid.shape)
+        if (first >= last).any():
+            return None
+        part = self.grid.take(
+            *(slice(*ends) for ends in zip(first.tolist(), last.tolist(), strict=True))
+        )
+        if not part.observed.any():
+            return None
+        decision = self.options.decide(part.decision)
+        classes = np.full((TILE_PIXELS,) * 2, CellClass.NEITHER, np.uint8)
+        inner = zip((first - start).tolist(), (last - start).tolist(), strict=True)
+        rows, cols = (slice(*ends) for ends in inner)
+        classes[rows, cols] = replace(part, decision=decision).classes
+        file = self.folder / f"{self.top}" / f"{x}" / f"{y}.yaml"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        corner = np.array([col, row]) * TILE_PIXELS * self.grid.resolution
+        lying = replace(part, origin=(round(corner[0], 12), round(corner[1], 12)))
+        with file.open("wb") as opened:
+            write_yaml(opened, describe_map(f"{y}.png", lying, TRINARY))
+        return classes
+
+
+def list_above(address: Address) -> Iterator[Address]:
+    """The four tiles of the next level that one covers."""
+    level, x, y = address
+    for down in (0, 1):
+        for right in (0, 1):
+            yield level + 1, 2 * x + right, 2 * y + down
