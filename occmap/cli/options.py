@@ -50,7 +50,7 @@ output = option(
     multiple=True,
     metavar="FILE",
     help="Write the map here; the suffix picks the format: .pgm, .png, or .npz for what can be "
-    "rendered, merged and resumed. May repeat.",
+    "rendered, merged and resumed (.zarr and .tiles: in parts). May repeat.",
 )
 thresholds = join(
     option(
