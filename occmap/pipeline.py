@@ -111,7 +111,8 @@ def build_alone(
         manifest = plan
         if want_evidence(outputs):  # only then: it takes time to hash the logs
             manifest = add_build(plan, saved, describe_build(paths, options, tally.to_json()))
-        keep = cache(partial(to_evidence, tiles, manifest, slices))
+        where = saved.where if saved else ""
+        keep = cache(partial(to_evidence, tiles, manifest, slices, where))
         files = write_outputs(outputs, Product(grid, keep), options.writing)
     resumed = describe_resumed(saved) if saved else None
     notes = [

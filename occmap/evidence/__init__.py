@@ -152,9 +152,14 @@ def read_model(evidence: Described) -> SensorModel:
         ) from None
 
 
-def to_evidence(grid: TileGrid, manifest: Manifest, slices: tuple[Slices, ...]) -> Evidence:
-    """Make evidence of a grid, and of the slices of time in which each build observed its cells."""
-    return Evidence(manifest, *stack_tiles(grid), slices)
+def to_evidence(
+    grid: TileGrid, manifest: Manifest, slices: tuple[Slices, ...], where: str = ""
+) -> Evidence:
+    """Make evidence of a grid, and of the slices of time in which each build observed its cells.
+
+    `where` is what it goes on from, if anything.
+    """
+    return Evidence(manifest, *stack_tiles(grid), slices, where)
 
 
 def to_grid(evidence: Evidence) -> TileGrid:

@@ -2,7 +2,10 @@
 
 from pathlib import Path
 
+from occmap.store.blocks import Block, BlockRecord, describe_block
 from occmap.store.layout import import_zarr
+from occmap.store.reading import Store
+from occmap.store.sharing import open_base, share_block
 from occmap.store.sources import Blocks, Held
 from occmap.store.writing import create_store, finish_store, write_block
 from occmap.types import Evidence, Manifest
@@ -36,15 +39,27 @@ class ZarrWriter:
     def write_blocks(self, path: Path, source: Blocks, manifest: Manifest) -> tuple[Path, ...]:
         """Write evidence block by block; the manifest may name another model.
 
+        Blocks that are those of the store that the evidence was read from share its files.
+
         Raises
         ------
         OccmapError
             As `write_evidence`, or a block cannot be read.
         """
+        base = open_base(source.where)
         with make_folder(path) as folder:
             create_store(folder, manifest, source.blocks)
-            records = [
-                write_block(folder, block, source.read_block(block)) for block in source.blocks
-            ]
+            records = [self._write_block(folder, base, block, source) for block in source.blocks]
             finish_store(folder, manifest, records)
         return (path,)
+
+    def _write_block(
+        self, folder: Path, base: Store | None, block: Block, source: Blocks
+    ) -> BlockRecord:
+        content = source.read_block(block)
+        if base and block in base.blocks:
+            record = describe_block(block, content)
+            is_equal = record.sha256 == base.blocks[block].sha256
+            if is_equal and share_block(base, folder, block):
+                return record
+        return write_block(folder, block, content)

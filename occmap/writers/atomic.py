@@ -127,6 +127,8 @@ def make_folder(path: Path) -> Iterator[Path]:
     try:
         yield temporary
         publish_folder(temporary, follow_links(path))
+    except OutputError as error:  # of the temporary folder, which nobody knows
+        raise OutputError(error.found, where=path, fix=error.fix) from None
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise OutputError(f"cannot be written ({reason})", where=path) from None

@@ -1,6 +1,7 @@
 """Commands on a store do what they do on an .npz of the same build."""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from occmap.store.reading import open_store
 from occmap.types import Update
 from tests.cli.runner import Result, occmap, read_error
 from tests.evidence.saving import DRIVE, MIDDLE_S, choose
+from tests.samples import write_csv
 from tests.store.test_store import FINE
 
 HALVES = {"early": Selection(end_s=MIDDLE_S), "late": Selection(start_s=MIDDLE_S)}
@@ -173,6 +175,48 @@ def test_a_build_goes_on_from_a_store(built: Path, tmp_path: Path) -> None:
     assert (tmp_path / "npz.npz").read_bytes() == (tmp_path / "zarr.npz").read_bytes()
 
 
+def list_shards(path: Path) -> dict[str, tuple[int, bytes]]:
+    files = [each for each in path.glob("hits/c/*/*") if each.is_file()]
+    return {f"{f.parent.name}/{f.name}": (f.stat().st_ino, f.read_bytes()) for f in files}
+
+
+def test_a_build_shares_the_blocks_that_it_does_not_change(built: Path, tmp_path: Path) -> None:
+    far = tmp_path / "far.csv"
+    write_csv(far, [(100.0, 100.0, 0.0)], [2.0, 2.0, 2.0], 0.1)
+    line = ["build", "surface", far, "--resolution", FINE, "--pass-gap", "3"]
+    new, plain = tmp_path / "new.zarr", tmp_path / "plain.npz"
+    assert occmap(*line, "--resume", built / "early.zarr", "-o", new).code == 0
+    assert occmap(*line, "--resume", built / "early.npz", "-o", plain).code == 0
+    kept, shards = (list_shards(path) for path in (built / "early.zarr", new))
+    assert len(shards) == len(kept) + 1
+    assert {inode for inode, _ in kept.values()} < {inode for inode, _ in shards.values()}
+    occmap("render", new, "-o", tmp_path / "new.npz")
+    assert (tmp_path / "new.npz").read_bytes() == plain.read_bytes()
+    assert occmap(*line, "--resume", new, "-o", new).code == 0
+    assert list_shards(built / "early.zarr") == kept
+
+
+def test_files_are_copied_where_there_are_no_links(
+    built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = os.link
+
+    def refuse(source: Path, target: Path) -> None:
+        if not source.name.endswith(".partial"):  # zarr's own
+            raise OSError(1, "Operation not permitted")
+        real(source, target)
+
+    monkeypatch.setattr("os.link", refuse)
+    assert occmap("render", built / "early.zarr", "-o", tmp_path / "m.zarr").code == 0
+    kept, shards = (list_shards(path) for path in (built / "early.zarr", tmp_path / "m.zarr"))
+    assert {data for _, data in kept.values()} == {data for _, data in shards.values()}
+    assert not {inode for inode, _ in kept.values()} & {inode for inode, _ in shards.values()}
+
+
+def run_out_of_space(*_: object, **__: object) -> None:
+    raise OSError(28, "No space left on device")
+
+
 def test_outputs_that_cannot_be_are_refused(built: Path, tmp_path: Path) -> None:
     (tmp_path / "full.zarr").mkdir()
     (tmp_path / "full.zarr" / "notes.txt").write_text("mine\n")
@@ -182,6 +226,11 @@ def test_outputs_that_cannot_be_are_refused(built: Path, tmp_path: Path) -> None
     assert "is an input" in read_error(done, 2)
     done = occmap("render", built / "whole.zarr", "-o", tmp_path / "none" / "m.zarr")
     assert "does not exist" in read_error(done, 1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("zarr.storage._local._put", run_out_of_space)
+        done = occmap("render", built / "whole.npz", "-o", tmp_path / "m.zarr")
+    expected = f"{tmp_path / 'm.zarr'}: cannot be written (No space left on device)"
+    assert read_error(done, 1) == expected
     occmap("render", built / "early.zarr", "-o", tmp_path / "m.zarr")
     assert occmap("render", built / "whole.zarr", "-o", tmp_path / "m.zarr").code == 0
     occmap("render", tmp_path / "m.zarr", "-o", tmp_path / "m.npz")
