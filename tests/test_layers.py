@@ -26,6 +26,7 @@ OWNERS = {
     "apsw": "readers",
     "PIL": "writers",
     "numba": "grid",
+    "rasterio": "writers",
     "zarr": "store",
 }
 """Who alone may import a package."""
@@ -124,7 +125,7 @@ def test_a_package_has_one_owner(package: str) -> None:
 def test_what_is_imported_is_named_as_a_dependency_and_nothing_else() -> None:
     project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    lines = [*project["dependencies"], *extras["foxglove"], *extras["dask"]]
+    lines = [*project["dependencies"], *extras["foxglove"], *extras["dask"], *extras["geotiff"]]
     lines.remove("distributed>=2025.1")  # which zarr alone does not need
     named = {line.partition(">=")[0] for line in lines}
     imported = {name.split(".")[0] for path in MODULES for name in list_imports(path)}

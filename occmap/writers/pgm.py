@@ -82,7 +82,9 @@ def written_thresholds(options: WriteOptions) -> tuple[float, float]:
 def _write_image(file: BinaryIO, grid: OccupancyMap, options: WriteOptions) -> None:
     rows, cols = grid.shape
     file.write(f"P5\n{cols} {rows}\n255\n".encode("ascii"))
-    to_pixels = {MapMode.TRINARY: _trinary, MapMode.SCALE: _scale, MapMode.RAW: _raw}[options.mode]
+    to_pixels = {MapMode.TRINARY: _trinary, MapMode.SCALE: _scale, MapMode.RAW: to_raw}[
+        options.mode
+    ]
     decided = replace(grid, decision=options.decide(grid.decision))
     for band in bands_from_top(decided):
         file.write(to_pixels(band)[::-1].tobytes())
@@ -119,7 +121,8 @@ def _grey_limits(thresholds: Decision) -> tuple[int, int, tuple[int, int]]:
     return min(darkest_free, 255), max(lightest_occupied, 0), between
 
 
-def _raw(grid: OccupancyMap) -> UInt8:
+def to_raw(grid: OccupancyMap) -> UInt8:
+    """(H, W) per cent of being occupied, 255 where nothing was observed; row 0 is the lowest y."""
     pixels: UInt8 = np.where(grid.observed, _percent(grid), RAW_UNKNOWN).astype(np.uint8)
     return pixels
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import rasterio
 
 from occmap.batching import Selection
 from occmap.pipeline import build
@@ -249,3 +250,11 @@ def test_tiles_are_painted_one_by_one(built: Path, tmp_path: Path) -> None:
         )
         assert one == other
         assert len(one) > 4
+
+
+def test_an_image_for_a_gis_is_painted_part_by_part(built: Path, tmp_path: Path) -> None:
+    run_both(built, tmp_path, "render", "IN/whole.in", "-o", "OUT/m.tif")
+    one, other = (rasterio.open(tmp_path / f"{name}-m.tif") for name in ("npz", "zarr"))
+    with one, other:
+        assert (one.read() == other.read()).all()
+        assert one.transform == other.transform

@@ -1,0 +1,114 @@
+"""GeoTIFF images, cloud-optimised, for maps that a GIS shows: one file, read part by part."""
+
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from occmap.errors import OutputError, UsageError
+from occmap.types import OccupancyMap
+from occmap.writers import Windows, WriteOptions
+from occmap.writers.atomic import check_target, follow_links, open_atomic
+from occmap.writers.pgm import RAW_UNKNOWN, to_raw
+
+WINDOW = 1024
+"""Cells along the side of what is painted at once, from a multiple of as many cells on"""
+
+
+class GeoTiffWriter:
+    """8 bit, 0 to 100 per cent of being occupied, with overviews; 255 is no data."""
+
+    description = "cloud-optimised GeoTIFF of the probability in per cent, for GIS"
+
+    def targets(self, path: Path) -> tuple[Path, ...]:
+        """Return the image."""
+        import_rasterio()
+        return (path,)
+
+    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
+        """Write the image; return its path. Raises OutputError as below."""
+        return self.write_windows(path, grid, options)
+
+    def write_windows(self, path: Path, grid: Windows, options: WriteOptions) -> tuple[Path, ...]:  # noqa: ARG002  it has no options
+        """Write the image part by part; return its path.
+
+        Raises
+        ------
+        OutputError
+            It cannot be written; then nothing is left behind.
+        """
+        rasterio = import_rasterio()
+        check_target(path)
+        target = follow_links(path)
+        # GDAL can only copy into this format: all is written once without compression first.
+        plain, done = (target.with_name(f".occmap-{secrets.token_hex(8)}.tif") for _ in range(2))
+        try:
+            with rasterio.open(plain, "w", **describe(grid)) as image:
+                for window, part in paint_windows(grid):
+                    image.write(to_raw(part)[::-1], 1, window=window)
+            rasterio.shutil.copy(
+                plain, done, driver="COG", compress="DEFLATE", overview_resampling="average"
+            )
+            with open_atomic(path) as (file,), done.open("rb") as made:
+                while data := made.read(1 << 20):
+                    file.write(data)
+        except (OSError, rasterio.errors.RasterioError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            raise OutputError(f"cannot be written ({reason})", where=path) from None
+        finally:
+            plain.unlink(missing_ok=True)
+            done.unlink(missing_ok=True)
+        return (path,)
+
+
+def import_rasterio() -> Any:
+    """Load rasterio, late: it is an extra.
+
+    Raises
+    ------
+    UsageError
+        It is not installed.
+    """
+    try:
+        import rasterio  # noqa: PLC0415  as above
+        import rasterio.shutil  # noqa: PLC0415  as above
+    except ImportError:
+        raise UsageError(
+            "a GeoTIFF needs rasterio, which is not installed",
+            fix="install it: pip install '.[geotiff]'",
+        ) from None
+    return rasterio
+
+
+def describe(grid: Windows) -> dict[str, Any]:
+    """Say where the image lies and how it is laid out; its frame is the map's, on no globe."""
+    (rows, cols), (row, col) = grid.shape, grid.place.tolist()
+    size = grid.resolution
+    return {
+        "driver": "GTiff",
+        "dtype": "uint8",
+        "count": 1,
+        "height": rows,
+        "width": cols,
+        "tiled": True,
+        "blockxsize": 512,
+        "blockysize": 512,
+        "bigtiff": "if_safer",
+        "nodata": RAW_UNKNOWN,
+        "transform": (size, 0.0, round(col * size, 12), 0.0, -size, round((row + rows) * size, 12)),
+    }
+
+
+def paint_windows(grid: Windows) -> Iterator[tuple[Any, OccupancyMap]]:
+    """Paint a map part by part, and say where in the image, top row first, each part lies."""
+    from rasterio.windows import Window  # noqa: PLC0415  late: an extra
+
+    (rows, cols), (row, col) = grid.shape, grid.place.tolist()
+    for low in range(-(row % WINDOW), rows, WINDOW):
+        for left in range(-(col % WINDOW), cols, WINDOW):
+            part = grid.take(
+                slice(max(low, 0), min(low + WINDOW, rows)),
+                slice(max(left, 0), min(left + WINDOW, cols)),
+            )
+            height, width = part.shape
+            yield Window(max(left, 0), rows - max(low, 0) - height, width, height), part
