@@ -37,6 +37,7 @@ def put_out(console: Console, command: str, evidence: Saved, values: dict[str, A
         values["max_cells"],
         values.get("crop"),
         values["min_passes"],
+        values.get("overview"),
     )
     report = publish(evidence, options, values["outputs"])
     for note in report.notes:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
+from occmap.errors import UsageError
 from occmap.evidence import crop, read_model, refuse_other_profile, to_grid
 from occmap.evidence.persistence import check_passes, render_lasting
 from occmap.evidence.repetition import list_repeated
@@ -19,7 +20,15 @@ from occmap.report import (
 )
 from occmap.sensor.models import SensorModel, describe_model
 from occmap.sensor.returns import ReturnCounts
-from occmap.store.rendering import BlockMap, View, open_map, render_blocks, survey_blocks
+from occmap.store.reading import Store
+from occmap.store.rendering import (
+    BlockMap,
+    View,
+    open_map,
+    read_overview,
+    render_blocks,
+    survey_blocks,
+)
 from occmap.store.sources import Blocks, Saved, as_blocks, read_all
 from occmap.store.writer import ZarrWriter
 from occmap.types import Box, Evidence, Manifest, OccupancyMap
@@ -47,6 +56,8 @@ class RenderOptions:
     """Only this part of the map, to whole cells; evidence is never cropped"""
     min_passes: int | None = None
     """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
+    overview: int | None = None
+    """Make each pixel a square of so many cells, from the pictures in a store; None: a cell"""
 
 
 class Rendered(NamedTuple):
@@ -60,6 +71,8 @@ class Rendered(NamedTuple):
 class Seen(NamedTuple):
     """What a report says of a map, whether it was ever there as a whole or not."""
 
+    resolution: float
+    """Side of a cell, or of a pixel of an overview (m)"""
     shape: tuple[int, int]
     extent: Box
     shares: Shares
@@ -80,7 +93,7 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
     check_outputs(outputs)
     model, manifest = settle(saved, options)
     grid: OccupancyMap | BlockMap
-    if isinstance(saved, Evidence) or not all(map(is_in_parts, outputs)):
+    if isinstance(saved, Evidence) or options.overview or not all(map(is_in_parts, outputs)):
         grid, seen = paint_saved(saved, model, options)
     else:
         grid, seen = survey_saved(saved, model, options)
@@ -136,7 +149,10 @@ def paint_saved(
     saved: Saved, model: SensorModel, options: RenderOptions
 ) -> tuple[OccupancyMap, Seen]:
     """Paint a map, or the part of it that is wanted; raises MapError."""
-    if isinstance(saved, Evidence):
+    if options.overview is not None:
+        shown = grid = read_overview(check_overview(saved, options), options.overview, options.crop)
+        lost: list[str] = []
+    elif isinstance(saved, Evidence):
         tiles, passes = to_grid(saved), options.min_passes
         grid, lost = render_lasting(tiles, saved.slices, passes, model, options.max_cells)
         shown = crop(grid, options.crop) if options.crop else grid
@@ -146,7 +162,25 @@ def paint_saved(
         shown = grid
     notes = (*lost, *list_disagreement(grid))
     shares = measure_shares(shown, options.writing)
-    return shown, Seen(shown.shape, shown.extent, shares, shown.agreement, notes)
+    return shown, Seen(shown.resolution, shown.shape, shown.extent, shares, shown.agreement, notes)
+
+
+def check_overview(saved: Saved, options: RenderOptions) -> Store:
+    """Refuse an overview of what has no pictures, or by another model than theirs.
+
+    Raises
+    ------
+    UsageError
+        Saying what does not go with it.
+    """
+    if not isinstance(saved, Store):
+        raise UsageError("`overview` goes with a store", where=saved.where, fix="leave it out")
+    if options.model or options.min_passes:
+        raise UsageError(
+            "the pictures in a store show what its own model decided of all that was observed",
+            fix="leave out `overview`, or the model and `min_passes`",
+        )
+    return saved
 
 
 def survey_saved(
@@ -155,7 +189,7 @@ def survey_saved(
     """Look at a map that is never there as a whole; raises MapError."""
     made = open_map(View(saved, model, options.min_passes), options.crop)
     shares, agreement, lost = survey_blocks(made, options.writing)
-    return made, Seen(made.shape, made.extent, shares, agreement, tuple(lost))
+    return made, Seen(made.resolution, made.shape, made.extent, shares, agreement, tuple(lost))
 
 
 def list_notes(manifest: Manifest) -> Iterator[str]:
@@ -195,7 +229,7 @@ def summarise(
         update=manifest.update,
         model=manifest.model,
         min_passes=options.min_passes,
-        resolution=manifest.resolution,
+        resolution=seen.resolution,
         columns=cols,
         rows=rows,
         extent=seen.extent,

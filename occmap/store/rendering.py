@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
 
-from occmap.errors import MapError
+from occmap.errors import MapError, UsageError
 from occmap.evidence import choose_tiles, cut_box, to_grid, weigh
 from occmap.evidence.persistence import describe_lost, drop_passing, refuse_nothing_left
 from occmap.grid.lattice import CellBox, Lattice
@@ -15,12 +16,17 @@ from occmap.grid.tiles import TileGrid, refuse_large
 from occmap.report import Shares
 from occmap.sensor.models import SensorModel, find_decision
 from occmap.store.blocks import Block
+from occmap.store.layout import refuse_damage
+from occmap.store.reading import Store
 from occmap.store.sources import Blocks, Recent, read_part
 from occmap.types import Box, CellClass, Decision, Evidence, Int64, OccupancyMap, UInt8, to_log_odds
 from occmap.writers import WriteOptions
 
 STRIPE = 3
 """Blocks are painted in stripes so many rows high, so that few of them are read twice"""
+
+CLASS_LOG_ODDS = np.array([0, to_log_odds(0.01), to_log_odds(0.99)], np.float32)
+"""Of a pixel of each CellClass, of which nothing else is known"""
 
 
 class Piece(NamedTuple):
@@ -261,3 +267,36 @@ def find_bounds(view: View) -> CellBox:
             refuse_nothing_left(view.min_passes)
         raise MapError("no beam of any scan observed a cell, so there is no map")
     return found
+
+
+def read_overview(store: Store, side: int, part: Box | None = None) -> OccupancyMap:
+    """Make a coarse map of the pictures in a store, in which a pixel is a square of cells.
+
+    Raises
+    ------
+    UsageError
+        The store has no picture of such squares.
+    MapError
+        Nothing was observed or lies in the box, or the picture cannot be read.
+    """
+    known = sorted(map(int, store.root["classes"].array_keys()))
+    if side not in known:
+        raise UsageError(
+            f"`overview={side}`: there is no picture of squares of {side} x {side} cells",
+            where=store.path,
+            fix=f"there are those of {', '.join(map(str, known))}",
+        )
+    if not store.blocks:
+        raise MapError("no beam of any scan observed a cell, so there is no map")
+    lattice = Lattice(store.manifest.resolution)
+    box = reduce(CellBox.join, (record.reach for record in store.blocks.values()))
+    box = cut_box(box, part, lattice) if part else box
+    (row, col), array = store.offset, store.root[f"classes/{side}"]
+    rows = slice((box.row - row) // side, -(-(box.row_end - row) // side))
+    cols = slice((box.col - col) // side, -(-(box.col_end - col) // side))
+    with refuse_damage(store.path):
+        classes = array[rows, cols]
+    log_odds = CLASS_LOG_ODDS[classes]
+    origin = lattice.to_metres(col + cols.start * side), lattice.to_metres(row + rows.start * side)
+    size = round(lattice.resolution * side, 12)
+    return OccupancyMap(log_odds, classes != CellClass.NEITHER, size, origin)

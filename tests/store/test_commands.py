@@ -5,13 +5,16 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import rasterio
 
 from occmap.batching import Selection
+from occmap.difference.maps import load_map
 from occmap.pipeline import build
 from occmap.store.reading import open_store
 from occmap.types import Update
+from occmap.writers import WriteOptions
 from tests.cli.runner import Result, occmap, read_error
 from tests.evidence.saving import DRIVE, MIDDLE_S, choose
 from tests.samples import write_csv
@@ -258,3 +261,36 @@ def test_an_image_for_a_gis_is_painted_part_by_part(built: Path, tmp_path: Path)
     with one, other:
         assert (one.read() == other.read()).all()
         assert one.transform == other.transform
+
+
+@pytest.mark.parametrize("box", [None, (-3.0, -2.0, 1.0, 4.0)])
+def test_an_overview_is_the_map_made_small(
+    built: Path, tmp_path: Path, box: tuple[float, ...] | None
+) -> None:
+    store = built / "whole.zarr"
+    crop = [] if box is None else ["--crop", ",".join(map(str, box))]
+    assert occmap("render", store, "-o", tmp_path / "all.pgm", *crop).code == 0
+    done = occmap("render", store, "-o", tmp_path / "small.pgm", "--overview", "4", *crop)
+    assert (done.code, done.out.splitlines()[0].split("cells of ")[1][:6]) == (0, "0.08 m")
+    whole, small = (load_map(tmp_path / f"{n}.pgm", WriteOptions()) for n in ("all", "small"))
+    assert whole.place
+    assert small.place
+    low, left = (round(start / FINE) for start in whole.place[2:0:-1])
+    bottom, west = (round(start / FINE) for start in small.place[2:0:-1])
+    for row, col in np.ndindex(small.classes.shape):
+        starts = bottom + 4 * row - low, west + 4 * col - left
+        rows, cols = (slice(max(at, 0), at + 4) for at in starts)
+        square = whole.classes[rows, cols]
+        if square.size == 16:
+            assert small.classes[row, col] == square.max()
+
+
+def test_overviews_that_cannot_be(built: Path, tmp_path: Path) -> None:
+    line = ("-o", tmp_path / "m.pgm", "--overview")
+    for words, expected in {
+        ("whole.npz", "4"): "--overview goes with a store",
+        ("whole.zarr", "5"): "there are those of 1, 4, 16",
+        ("whole.zarr", "4", "--min-passes", "2"): "leave out --overview",
+        ("whole.zarr", "4", "--p-hit", "0.8", "--model", "simple"): "leave out --overview",
+    }.items():
+        assert expected in read_error(occmap("render", built / words[0], *line, *words[1:]), 2)

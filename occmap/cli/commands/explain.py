@@ -62,7 +62,7 @@ poses = option(
 
 
 @click.command("explain", cls=PointCommand, help=HELP, short_help=COMMANDS["explain"])
-@click.argument("path", type=PATH, metavar="NPZ")
+@click.argument("path", type=PATH, metavar="NPZ|ZARR")
 @click.argument("x", type=float)
 @click.argument("y", type=float)
 @join(logs, poses, options.min_passes, options.saved_model, options.thresholds)

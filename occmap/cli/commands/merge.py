@@ -37,7 +37,7 @@ subtracted = option(
 
 
 @click.command("merge", cls=SectionCommand, help=HELP, short_help=COMMANDS["merge"])
-@click.argument("paths", nargs=-1, type=PATH, metavar="NPZ...")
+@click.argument("paths", nargs=-1, type=PATH, metavar="NPZ|ZARR...")
 @join(options.writing, subtracted, options.min_passes, options.max_cells)
 @join(limits.fail_if(SAVED), options.as_json, options.verbosity)
 @click.pass_obj

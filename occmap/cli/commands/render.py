@@ -25,6 +25,7 @@ its --prior and bounds.
   occmap render map.npz -o map.pgm --p-hit 0.8
   occmap render map.npz -o map.pgm -o map.png --model counting --mode scale
   occmap render map.npz -o room.png --crop 0,0,5,4
+  occmap render city.zarr -o city.png --overview 16
 """
 
 CROP_FORM = "write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4"
@@ -54,9 +55,18 @@ part = option(
 )
 
 
+overview = option(
+    options.MAP,
+    "--overview",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Make each pixel N x N cells, at once, from the pictures in a .zarr: 4, 16, 64 ...",
+)
+
+
 @click.command("render", cls=SectionCommand, help=HELP, short_help=COMMANDS["render"])
-@click.argument("path", type=PATH, metavar="NPZ")
-@join(options.writing, part, options.min_passes, options.max_cells, options.saved_model)
+@click.argument("path", type=PATH, metavar="NPZ|ZARR")
+@join(options.writing, part, overview, options.min_passes, options.max_cells, options.saved_model)
 @join(limits.fail_if(SAVED), options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, path: Path, **values: Any) -> None:
