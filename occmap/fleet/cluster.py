@@ -110,7 +110,7 @@ def connect(address: str, processes: int) -> Iterator["Client"]:
         import distributed  # noqa: PLC0415  late: an extra, and it takes half a second
     except ImportError:
         raise UsageError(
-            "--dask needs Dask, which is not installed", fix="install it: pip install '.[dask]'"
+            "`dask` needs a library that is not installed", fix="install it: pip install '.[dask]'"
         ) from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     with ExitStack() as stack:
@@ -131,7 +131,7 @@ def connect(address: str, processes: int) -> Iterator["Client"]:
             raise FleetError(
                 f"no scheduler answers within {PATIENCE_S} s{reason and f' ({reason})'}",
                 where=address,
-                fix="start one with `dask scheduler`, or use --dask local",
+                fix="start one with `dask scheduler`, or build with `dask=local`",
             ) from None
         try:
             client.wait_for_workers(1, timeout=PATIENCE_S)
@@ -183,7 +183,7 @@ def refuse_small(cluster: Cluster) -> None:
         raise FleetError(
             f"a worker may take {cluster.memory >> 20} MiB of memory, and {LEAST_BYTES >> 20} MiB "
             "are the least",
-            fix="start fewer workers, or give them more: dask worker --memory-limit 1GB",
+            fix="start fewer workers, or give each more memory",
         )
 
 
@@ -220,5 +220,5 @@ def explain(error: BaseException, job: Job, memory: int | None) -> BaseException
     return FleetError(
         f"killed its workers {error.allowed_failures + 1} times{limit}",
         where=job.where,
-        fix="give workers more memory, or a smaller --slice",
+        fix="give workers more memory, or build with a smaller `slice`",
     )
