@@ -8,11 +8,11 @@ from typing import Any, TypedDict
 import numpy as np
 
 from occmap.difference.blobs import find_largest_blob
-from occmap.difference.maps import CellClass, ClassMap, Place, load_map
+from occmap.difference.maps import ClassMap, Place, load_map
 from occmap.errors import MapError
 from occmap.grid.tiles import MAX_CELLS
 from occmap.plain import Count, Share, to_plain
-from occmap.types import Box, UInt8
+from occmap.types import Box, CellClass, UInt8
 from occmap.writers import WriteOptions, check_picture, refuse_input
 
 LATTICE_TOLERANCE = 0.05
