@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from occmap.difference.blobs import find_largest_blob
-from occmap.difference.maps import CellClass, ClassMap, Place
+from occmap.difference.maps import ClassMap, Place
 from occmap.errors import MapError
 from occmap.grid.tiles import MAX_CELLS
-from occmap.types import Box, UInt8
+from occmap.types import Box, CellClass, UInt8
 
 LATTICE_TOLERANCE = 0.05
 """In cells: other tools round the origin to millimetres."""
@@ -129,14 +129,14 @@ def align(before: ClassMap, after: ClassMap) -> tuple[Place, tuple[int, int]]:
         raise MapError(
             f"its cells are {b.resolution:g} m, those of {before.path} {a.resolution:g} m",
             where=after.path,
-            fix="build both with one --resolution",
+            fix="build both with one `resolution`",
         )
     row, col = (b.y - a.y) / a.resolution, (b.x - a.x) / a.resolution
     if max(abs(row - round(row)), abs(col - round(col))) > LATTICE_TOLERANCE:
         raise MapError(
             f"lies {col:.3f} columns and {row:.3f} rows from {before.path}: not on one lattice",
             where=after.path,
-            fix="maps that occmap builds with one --resolution share a lattice",
+            fix="maps that occmap builds with one `resolution` share a lattice",
         )
     return a, (round(row), round(col))
 
