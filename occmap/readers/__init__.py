@@ -128,6 +128,22 @@ class StackingScans(Protocol):
         """What `scans` gives, in the same order."""
 
 
+@runtime_checkable
+class Splittable(Protocol):
+    """A log whose scans can be read in parts, each by another process."""
+
+    def split(self, size: int) -> Sequence[Log]:
+        """Cut the log into parts of about so many bytes, in file order; each can be pickled.
+
+        A part gives its own scans and, where these are damaged, notes. None: it cannot be cut.
+        """
+
+
+def split_log(log: Log, size: int) -> Sequence[Log]:
+    """Cut a log into parts of about so many bytes; none where nobody knows how."""
+    return log.split(size) if isinstance(log, Splittable) else ()
+
+
 def read_poses(log: Log) -> Iterator[PoseSample | PoseBatch]:
     """Every pose source of a log, in the way that is quickest for it."""
     return log.stacked_poses() if isinstance(log, StackingPoses) else log.poses()
