@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from occmap.keywords import list_options
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.types import Pose, PoseSample
 
 FLAGS = {

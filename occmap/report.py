@@ -7,19 +7,20 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Lock
 from time import perf_counter
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypedDict, TypeVar
 
 import numpy as np
 
 from occmap.batching import LeftOut, count_wanted
 from occmap.errors import LogError, MapError, PoseError
 from occmap.grid.tiles import TileGrid
+from occmap.plain import Count, ScanCounts, Share, Told, to_plain
 from occmap.posing.options import DropReason
 from occmap.readers import Note
 from occmap.sensor.bounds import Clamped
 from occmap.sensor.models import SensorModel, find_decision
 from occmap.sensor.returns import ReturnCounts
-from occmap.types import Box, OccupancyMap
+from occmap.types import Box, OccupancyMap, Update
 from occmap.wording import write_counts
 from occmap.writers import WriteOptions, list_idle
 
@@ -112,9 +113,76 @@ class Resumed:
     scans_read: int
     scans_used: int
 
-    def to_json(self) -> dict[str, Any]:
-        """As values that JSON has."""
+    def describe(self) -> "PrintedResumed":
+        """Give it in the form that is printed."""
         return {"file": self.file, "read": self.scans_read, "used": self.scans_used}
+
+
+class PrintedResumed(TypedDict):
+    """The evidence that a build was added to."""
+
+    file: str
+    """The evidence file"""
+    read: Count
+    """Scans that its builds read"""
+    used: Count
+    """Scans that its builds used"""
+
+
+class PrintedMap(TypedDict):
+    """The map."""
+
+    update: Update
+    """How scans became observations of cells"""
+    model: str
+    """Sensor model with all its parameters, as `model` takes it"""
+    min_passes: Count | None
+    """On how many visits a cell had to be hit to keep its hits (`min_passes`); null: all keep
+    theirs"""
+    resolution: float
+    """Side of a cell (m)"""
+    columns: Count
+    """Cells from left to right (along x)"""
+    rows: Count
+    """Cells from bottom to top (along y)"""
+    extent: Box
+    """Lowest x and y, highest x and y (m)"""
+    occupied: Share
+    """Share of the map's cells that are occupied, by `occupied_thresh`"""
+    free: Share
+    """Share of the map's cells that are free, by `free_thresh`"""
+    unknown: Share
+    """Share of the map's cells that nothing observed"""
+    undecided: Share
+    """Share of the map's cells that were observed and are neither occupied nor free"""
+    agreement: Share | None
+    """Share of hits that lie in cells called occupied, low where poses are wrong; null where hits
+    are not kept"""
+
+
+class PrintedBuild(Told):
+    """A map and how it came about: what occmap build, render and merge print."""
+
+    logs: list[str]
+    """Logs of the map: as they were given, or, where it is made of evidence, by the names of their
+    files"""
+    scans: ScanCounts
+    """What became of the scans"""
+    builds: Count
+    """How many builds the logs, scans and beams are of: more than one in evidence that was
+    merged"""
+    resumed: PrintedResumed | None
+    """The evidence that the build was added to (`resume`), whose scans and beams are not counted
+    here; null where there is none"""
+    beams: ReturnCounts
+    """What the beams of the used scans were read as (beams)"""
+    map: PrintedMap
+    """The map"""
+    files: list[str]
+    """Files that were written"""
+    seconds: dict[str, float]
+    """Time by stage (s); where threads work at the same time, their times add up; empty where no
+    log was read"""
 
 
 class Shares(NamedTuple):
@@ -170,21 +238,23 @@ class Report:
 
     def to_json(self) -> dict[str, Any]:
         """The report as values that JSON has."""
-        return {
+        printed: PrintedBuild = {
             "logs": list(self.logs),
             "scans": {"read": self.scans_read, "used": self.scans_used, "dropped": self.dropped},
             "builds": self.builds,
-            "resumed": self.resumed and self.resumed.to_json(),
-            "beams": self.beams._asdict(),
+            "resumed": self.resumed.describe() if self.resumed else None,
+            "beams": self.beams,
             "map": {
-                "update": self.update,
+                "update": Update(self.update),
                 "model": self.model,
                 "min_passes": self.min_passes,
                 "resolution": self.resolution,
                 "columns": self.columns,
                 "rows": self.rows,
-                "extent": list(self.extent),
-                **self.shares._asdict(),
+                "extent": self.extent,
+                "occupied": self.shares.occupied,
+                "free": self.shares.free,
+                "unknown": self.shares.unknown,
                 "undecided": self.undecided,
                 "agreement": self.agreement,
             },
@@ -193,6 +263,8 @@ class Report:
             "files": list(self.files),
             "seconds": {stage: round(seconds, 4) for stage, seconds in self.seconds.items()},
         }
+        plain: dict[str, Any] = to_plain(printed)
+        return plain
 
 
 class Noted(Protocol):

@@ -145,7 +145,7 @@ def list_loaded(code: str) -> set[str]:
     """Name the modules that a process has loaded after running some code."""
     script = f"{code}\nimport json, sys; print(json.dumps(sorted(sys.modules)), file=sys.stderr)"
     done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=300
     )
     return set(json.loads(done.stderr.splitlines()[-1]))
 

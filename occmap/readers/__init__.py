@@ -45,9 +45,13 @@ class Stream:
     """One topic of a log (or one kind of line): its name, message type and size."""
 
     topic: str
+    """Name of the topic, or of the kind of line"""
     type: str
+    """Message type"""
     count: int
+    """Messages"""
     role: Role
+    """What it can be used for"""
 
 
 @dataclass(frozen=True)

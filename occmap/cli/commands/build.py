@@ -14,7 +14,6 @@ from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.summary import format_report
 from occmap.cli.values import PATH, parse_size, read_by
 from occmap.errors import LogError, UsageError
-from occmap.gates import judge
 from occmap.gates.measures import BUILD
 from occmap.observing import Observe, observe
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
@@ -100,12 +99,8 @@ def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
         report = made.report
     for note in report.notes:
         console.note(note)
-    failed = judge(values["limits"], report)
-    if values["as_json"]:
-        console.put_json("build", report.to_json() | limits.to_json(failed))
-    else:
-        console.put(format_report(report, perf_counter() - start))
-    limits.tell(console, failed)
+    lines = format_report(report, perf_counter() - start)
+    failed = limits.answer(console, "build", report, lines, values)
     if values["strict"]:
         refuse_damage(report)
     limits.leave(failed)
