@@ -12,7 +12,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
 
 from occmap.errors import OutputError
 from occmap.evidence.manifest import to_plain
@@ -49,6 +51,17 @@ ROOMY_BYTES = 4 << 30
 """What a worker without a limit is taken to have"""
 
 
+class Work(NamedTuple):
+    """What workers found in logs, and where they left what was observed."""
+
+    cluster: Cluster
+    setting: Setting
+    tally: Tally
+    remarks: Remarks
+    blocks: dict[BlockKey, dict[int, list[Piece]]]
+    """Of each block of the map, by the places of logs on the command line"""
+
+
 @dataclass(frozen=True)
 class Fleet:
     """Who does the work of a build, and where they leave what they found."""
@@ -70,7 +83,22 @@ class Fleet:
         OccmapError
             As there, or the workers cannot do it.
         """
-        tally = Tally()
+        with self.work(paths, options, keep_slices, progress) as work, work.tally.time("fold"):
+            pieces = work.cluster.run(reduce_block, list_reductions(work))
+            return gather(work, pieces)
+
+    @contextmanager
+    def work(
+        self, paths: Sequence[Path], options: BuildOptions, keep_slices: bool, progress: Progress
+    ) -> Iterator[Work]:
+        """Find workers, and let them trace all scans; what they found goes when the block ends.
+
+        Raises
+        ------
+        OccmapError
+            As `observe`.
+        """
+        tally, remarks = Tally(), Remarks([str(path) for path in paths])
         with (
             open_cluster(self.address, options.jobs) as cluster,
             open_scratch(self, paths, options, keep_slices) as folder,
@@ -79,15 +107,15 @@ class Fleet:
             setting = self.plan(cluster, options, keep_slices, folder)
             with tally.time("open"):
                 surveys = survey_logs(cluster, setting, paths)
-            logs = trace_logs(cluster, setting, surveys, progress)
-            remarks = Remarks([str(path) for path in paths])
-            for log in logs:
+            blocks: dict[BlockKey, dict[int, list[Piece]]] = {}
+            for log in trace_logs(cluster, setting, surveys, progress):
                 remarks.note(log, log.list_findings())
                 for part in log.parts:
                     tally.add(part.tally)
-            with tally.time("fold"):
-                pieces = reduce_blocks(cluster, setting, logs)
-                return gather(setting, pieces, tally, remarks)
+                    for block, pieces in part.pieces.items():
+                        of_log = blocks.setdefault(block, {}).setdefault(log.survey.log, [])
+                        of_log.extend(pieces)
+            yield Work(cluster, setting, tally, remarks, blocks)
 
     def plan(
         self, cluster: Cluster, options: BuildOptions, keep_slices: bool, folder: Path
@@ -185,21 +213,21 @@ def plan_traces(cluster: Cluster, setting: Setting, surveys: Sequence[Survey]) -
     return [LogTrace(setting, survey, counts[survey.log]) for survey in surveys]
 
 
-def reduce_blocks(cluster: Cluster, setting: Setting, logs: Sequence[LogTrace]) -> list[Piece]:
-    """Add up each block of the map from all that was observed in it."""
-    found: dict[BlockKey, list[Piece]] = {}
-    for part in (part for log in logs for part in log.parts):
-        for block, pieces in part.pieces.items():
-            found.setdefault(block, []).extend(pieces)
-    jobs = [ReduceJob(setting, block, tuple(found[block])) for block in sorted(found)]
-    return cluster.run(reduce_block, jobs)
+def list_reductions(work: Work) -> list[ReduceJob]:
+    """List the blocks that are to be added up, each with all that was observed in it."""
+    return [
+        ReduceJob(work.setting, block, tuple(chain.from_iterable(work.blocks[block].values())))
+        for block in sorted(work.blocks)
+    ]
 
 
-def gather(setting: Setting, pieces: Sequence[Piece], tally: Tally, remarks: Remarks) -> Observed:
+def gather(work: Work, pieces: Sequence[Piece]) -> Observed:
     """Put the map together of its blocks."""
+    setting = work.setting
     grid, layers = make_grid(setting.options), list[Slices]()
     for content in read_pieces(setting.folder, pieces):
         for (row, col), cells in zip(content.tiles.tolist(), content.cells, strict=True):
             grid.tiles[row, col] = cells
         layers += content.slices
-    return Observed(grid, (unite(layers),) if setting.keep_slices else (), tally, remarks)
+    slices = (unite(layers),) if setting.keep_slices else ()
+    return Observed(grid, slices, work.tally, work.remarks)

@@ -275,15 +275,24 @@ def reduce_block(job: ReduceJob) -> Piece:
     if (known := read_stub(folder / f"{name}.sum")) is not None:
         done: Piece = known
         return done
-    grid, layers = make_grid(job.setting.options), list[Slices]()
-    for content in read_pieces(folder, job.pieces):
-        add_stack(grid, content.tiles, content.cells)
-        layers += content.slices
-    slices = (unite(layers),) if job.setting.keep_slices else ()
-    content = Content(*stack_tiles(grid), slices)
-    piece = write_run(folder, f"{name}.run", {job.block: content})[job.block]
+    piece = write_run(folder, f"{name}.run", {job.block: add_up(job)})[job.block]
     write_stub(folder / f"{name}.sum", piece)
     return piece
+
+
+def add_up(job: ReduceJob) -> Content:
+    """Add up all that was observed in a block.
+
+    Raises
+    ------
+    OccmapError
+        A run file cannot be read.
+    """
+    grid, layers = make_grid(job.setting.options), list[Slices]()
+    for content in read_pieces(job.setting.folder, job.pieces):
+        add_stack(grid, content.tiles, content.cells)
+        layers += content.slices
+    return Content(*stack_tiles(grid), (unite(layers),) if job.setting.keep_slices else ())
 
 
 def hash_log(job: SurveyJob) -> list[dict[str, object]]:
