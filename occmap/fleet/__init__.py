@@ -8,7 +8,7 @@ notes alone.
 import hashlib
 import json
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from occmap.errors import OutputError
-from occmap.evidence.manifest import to_plain
+from occmap.evidence.manifest import NO_OPTIONS, to_plain
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
 from occmap.fleet.runs import BlockKey, Piece, read_pieces
 from occmap.fleet.settling import LogTrace
@@ -27,7 +27,6 @@ from occmap.fleet.tasks import (
     Survey,
     SurveyJob,
     Traced,
-    TraceJob,
     count_wanted,
     reduce_block,
     survey_log,
@@ -51,6 +50,10 @@ ROOMY_BYTES = 4 << 30
 """What a worker without a limit is taken to have"""
 
 
+def ignore_text(_text: str) -> None:
+    """Tell nobody."""
+
+
 class Work(NamedTuple):
     """What workers found in logs, and where they left what was observed."""
 
@@ -72,6 +75,8 @@ class Fleet:
     """A folder that all workers share"""
     slice_bytes: int = SLICE_BYTES
     """About so much of a log is one task"""
+    describe: Callable[[str], None] = ignore_text
+    """Told how far the work is"""
 
     def observe(
         self, paths: Sequence[Path], options: BuildOptions, keep_slices: bool, progress: Progress
@@ -84,7 +89,8 @@ class Fleet:
             As there, or the workers cannot do it.
         """
         with self.work(paths, options, keep_slices, progress) as work, work.tally.time("fold"):
-            pieces = work.cluster.run(reduce_block, list_reductions(work))
+            pieces = work.cluster.run("reduce", reduce_block, list_reductions(work))
+            work.remarks.notes += work.cluster.list_losses()
             return gather(work, pieces)
 
     @contextmanager
@@ -100,10 +106,11 @@ class Fleet:
         """
         tally, remarks = Tally(), Remarks([str(path) for path in paths])
         with (
-            open_cluster(self.address, options.jobs) as cluster,
+            open_cluster(self.address, options.jobs, self.describe) as cluster,
             open_scratch(self, paths, options, keep_slices) as folder,
         ):
-            refuse_unseen_files(cluster, [*paths, folder])
+            # What is nowhere is an error like any other.
+            refuse_unseen_files(cluster, [folder, *(path for path in paths if path.exists())])
             setting = self.plan(cluster, options, keep_slices, folder)
             with tally.time("open"):
                 surveys = survey_logs(cluster, setting, paths)
@@ -115,6 +122,7 @@ class Fleet:
                     for block, pieces in part.pieces.items():
                         of_log = blocks.setdefault(block, {}).setdefault(log.survey.log, [])
                         of_log.extend(pieces)
+                remarks.notes += log.list_uncut()
             yield Work(cluster, setting, tally, remarks, blocks)
 
     def plan(
@@ -142,7 +150,7 @@ def open_scratch(
     """
     what = [
         version("occmap"),
-        to_plain(options),
+        {name: value for name, value in to_plain(options).items() if name not in NO_OPTIONS},
         keep_slices,
         fleet.slice_bytes,
         [[str(path), *describe_state(path)] for path in paths],
@@ -174,7 +182,7 @@ def survey_logs(cluster: Cluster, setting: Setting, paths: Sequence[Path]) -> li
         A log cannot be read, or has no scans or no poses.
     """
     jobs = [SurveyJob(setting, place, path) for place, path in enumerate(paths)]
-    surveys = cluster.run(survey_log, jobs)
+    surveys = cluster.run("open", survey_log, jobs)
     for survey in surveys:
         if survey.error is not None:
             raise survey.error
@@ -187,13 +195,15 @@ def trace_logs(
     """Trace the parts of all logs, until each shows what its whole log shows."""
     total = sum(survey.scans for survey in surveys)
 
-    def tell(_job: TraceJob, traced: Traced) -> None:
+    def tell(traced: Traced) -> None:
         progress(traced.tally.scans_read, total)
 
     logs = plan_traces(cluster, setting, surveys)
     while pairs := [(log, job) for log in logs for job in log.list_open()]:
         jobs = [job for _, job in pairs]
-        for (log, job), traced in zip(pairs, cluster.run(trace_part, jobs, tell), strict=True):
+        for (log, job), traced in zip(
+            pairs, cluster.run("trace", trace_part, jobs, tell), strict=True
+        ):
             log.traced[job.name] = traced
     return logs
 
@@ -208,7 +218,7 @@ def plan_traces(cluster: Cluster, setting: Setting, surveys: Sequence[Survey]) -
             for job in LogTrace(setting, survey, counts[survey.log]).jobs
             if survey.parts > 1
         ]
-        for job, wanted in zip(jobs, cluster.run(count_wanted, jobs), strict=True):
+        for job, wanted in zip(jobs, cluster.run("count", count_wanted, jobs), strict=True):
             counts[job.survey.log][job.part or 0] = wanted
     return [LogTrace(setting, survey, counts[survey.log]) for survey in surveys]
 

@@ -114,6 +114,7 @@ def build_store(
             records = write_blocks(work, store, known, paths)
         with tally.time("render"):
             facts = paint_blocks(work, store, records)
+        remarks.notes += work.cluster.list_losses()
         with tally.time("write"):
             finish_store(store, manifest, records, run=skip_painted)
             publish_store(store, follow_links(output))
@@ -133,7 +134,7 @@ def hash_logs(work: Work, paths: Sequence[Path]) -> dict[Path, list[dict[str, An
     """Name, size and SHA-256 of the files of each log."""
     different = list(dict.fromkeys(paths))
     jobs = [SurveyJob(work.setting, place, path) for place, path in enumerate(different)]
-    return dict(zip(different, work.cluster.run(hash_log, jobs), strict=True))
+    return dict(zip(different, work.cluster.run("hash", hash_log, jobs), strict=True))
 
 
 def take_known(known: dict[Path, list[dict[str, Any]]], path: Path) -> Iterable[dict[str, Any]]:
@@ -167,7 +168,7 @@ def write_blocks(
     for job in list_reductions(work):
         logs = work.blocks[job.block]
         jobs.append(StoreJob(job, store, tuple(file for log in logs for file in files[log])))
-    return work.cluster.run(store_block, jobs)
+    return work.cluster.run("reduce", store_block, jobs)
 
 
 def store_block(job: StoreJob) -> BlockRecord:
@@ -199,7 +200,7 @@ def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> Map
         for right in (-1, 0, 1)
     }
     jobs = [PaintJob(work.setting, store, block, block in written) for block in sorted(around)]
-    return sum_up(work.cluster.run(paint_block, jobs), work.setting.options)
+    return sum_up(work.cluster.run("paint", paint_block, jobs), work.setting.options)
 
 
 def paint_block(job: PaintJob) -> Measured:

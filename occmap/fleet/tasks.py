@@ -72,6 +72,7 @@ class Survey(NamedTuple):
     """As the log announces them"""
     parts: int
     """In how many it is traced"""
+    bytes: int
     notes: tuple[Note, ...]
     first_ns: int | None
     """The stamp of the first scan; None where there is none"""
@@ -151,14 +152,29 @@ def survey_log(job: SurveyJob) -> Survey:
     try:
         drive = open_drive(log, options)
     except PoseError as error:
-        return Survey(job.log, job.path, scans, 1, (), None, error)
+        return Survey(job.log, job.path, scans, 1, 0, (), None, error)
     parts = split_log(log, setting.slice_bytes)
     if parts:
         write_stub(stub.with_suffix(".parts"), [drive._replace(log=part) for part in parts])
     first_ns = find_first(drive, options)
-    survey = Survey(job.log, job.path, scans, len(parts) or 1, tuple(log.notes), first_ns, None)
+    survey = Survey(
+        job.log,
+        job.path,
+        scans,
+        len(parts) or 1,
+        measure_size(job.path),
+        tuple(log.notes),
+        first_ns,
+        None,
+    )
     write_stub(stub, survey)
     return survey
+
+
+def measure_size(path: Path) -> int:
+    """Bytes of a file, or of all in a folder."""
+    inner = path.rglob("*") if path.is_dir() else [path]
+    return sum(each.stat().st_size for each in inner)
 
 
 def find_first(drive: Drive, options: BuildOptions) -> int | None:

@@ -9,13 +9,12 @@ import click
 from occmap.cli import COMMANDS, limits, log_options, options
 from occmap.cli.collect import collect_options, split_words
 from occmap.cli.console import Console
-from occmap.cli.progress import show_progress
+from occmap.cli.progress import Bar, show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.summary import format_report
 from occmap.cli.values import PATH, parse_size, read_by
 from occmap.errors import LogError, UsageError
 from occmap.gates.measures import BUILD
-from occmap.observing import Progress
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
 from occmap.report import Report
 
@@ -118,7 +117,7 @@ def collect_request(words: tuple[str, ...], values: dict[str, Any]) -> Request:
     return Request(logs, collect_options(update, values), values["outputs"])
 
 
-def run_build(request: Request, values: dict[str, Any], progress: Progress) -> Report:
+def run_build(request: Request, values: dict[str, Any], progress: Bar) -> Report:
     """Build in this process, or by the workers that --dask names."""
     logs, chosen, outputs = request
     if values["dask"] is None:
@@ -126,7 +125,7 @@ def run_build(request: Request, values: dict[str, Any], progress: Progress) -> R
     from occmap.fleet import Fleet  # noqa: PLC0415  late: few builds need it
 
     scratch = values["scratch"] or outputs[0].with_name(f"{outputs[0].name}.scratch")
-    fleet = Fleet(values["dask"], scratch, values["slice_bytes"])
+    fleet = Fleet(values["dask"], scratch, values["slice_bytes"], progress.describe)
     is_store = [output.suffix.lower() for output in outputs] == [".zarr"]
     if not is_store or chosen.resume or chosen.min_passes:
         return build(logs, chosen, outputs, progress, fleet.observe).report
