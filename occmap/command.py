@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from occmap.keywords import list_options
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.types import Pose, PoseSample
 
 FLAGS = {
@@ -28,7 +28,15 @@ MODEL_PARAMETERS = (
 )
 """Those of sensor models that are flags, too"""
 
-OPTIONS = {*list_options(BuildOptions), *MODEL_PARAMETERS, *FLAGS, "crop", "overview"}
+OPTIONS = {
+    *list_options(BuildOptions),
+    *MODEL_PARAMETERS,
+    *FLAGS,
+    "crop",
+    "overview",
+    "dask",
+    "slice",
+}
 """The names of what can be typed as a flag"""
 
 MARK = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")

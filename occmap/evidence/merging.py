@@ -28,8 +28,8 @@ def open_resumed(path: Path, plan: Manifest) -> Evidence:
     return saved
 
 
-def combine(added: Sequence[Saved], subtracted: Sequence[Saved] = ()) -> Saved:
-    """Add evidence and take some away: at once, or block by block where any of it is in a store.
+def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:
+    """Add saved evidence and take some away, block by block where any of it is in a store.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def combine(added: Sequence[Saved], subtracted: Sequence[Saved] = ()) -> Saved:
             total = subtract(total, other)
         return total
 
-    parts = (*added, *subtracted)
+    parts = list(map(open_saved, (*added, *taken)))
     held = [each for each in parts if isinstance(each, Evidence)]
     if len(held) == len(parts):
         return add_up(held)

@@ -13,7 +13,6 @@ from occmap.cli.values import PATH
 from occmap.errors import UsageError
 from occmap.evidence.merging import combine
 from occmap.gates.measures import SAVED
-from occmap.store.sources import open_saved
 
 HELP = f"""{COMMANDS["merge"]}
 
@@ -46,5 +45,4 @@ def command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> None
     if not paths:
         raise UsageError("no evidence is given", fix="type: occmap merge A.npz B.npz -o AB.npz")
     refuse_no_output(values["outputs"], "merged.npz", [*paths, *values["subtract"]])
-    added, subtracted = (list(map(open_saved, some)) for some in (paths, values["subtract"]))
-    put_out(console, "merge", combine(added, subtracted), values)
+    put_out(console, "merge", combine(paths, values["subtract"]), values)
