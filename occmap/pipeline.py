@@ -18,6 +18,7 @@ from occmap.grid.lattice import Lattice
 from occmap.grid.spec import GridSpec, tabulate
 from occmap.grid.stacks import add_stack
 from occmap.grid.tiles import MAX_CELLS, TileGrid
+from occmap.journey import JourneyRecorder
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
 from occmap.readers import Log, Role, open_log, read_poses, read_scans
@@ -37,7 +38,14 @@ from occmap.sensor.no_return import RangeLimits, settle
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Evidence, OccupancyMap, Rays, Scan, Slices, Update
 from occmap.workers import Workers, count_cores
-from occmap.writers import Product, WriteOptions, check_outputs, want_evidence, write_outputs
+from occmap.writers import (
+    Product,
+    WriteOptions,
+    check_outputs,
+    want_evidence,
+    want_journey,
+    write_outputs,
+)
 from occmap.writers.atomic import hold_alone
 
 if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
@@ -169,6 +177,8 @@ def build_alone(
     remarks = Remarks([str(log.path) for log in logs], describe_resumed(saved) if saved else None)
     remarks.note_request(outputs, options.writing, options.model)
     tally.advance = lambda scans: progress(scans, total)
+    if want_journey(outputs):
+        tally.recorder = JourneyRecorder(total, options.returns)
     tiles, slices = observe_logs(logs, options, outputs, tally, remarks)
     if saved:
         add_stack(tiles, saved.tiles, saved.cells)
@@ -193,8 +203,10 @@ def build_alone(
         remarks.notes += list_repeated(builds)
         return to_evidence(tiles, replace(plan, builds=builds, subtracted=past.subtracted), slices)
 
+    journey = tally.recorder.finish() if tally.recorder else None
+    product = Product(grid, keep_evidence, journey)
     with tally.time("write"):
-        remarks.files += write_outputs(outputs, Product(grid, keep_evidence), options.writing)
+        remarks.files += write_outputs(outputs, product, options.writing)
     report = make_report(grid, options, tally, remarks)
     return Build(grid, report, tiles, keep_evidence() if want_evidence(outputs) else None)
 
@@ -275,6 +287,8 @@ def trace_log(
             with tally.time("pose"):
                 posed, dropped = poser.attach(batch)
             tally.drop(dropped)
+            if tally.recorder:
+                tally.recorder.add(log.path, poser.fixed, batch, (posed, dropped))
             for scans in posed:
                 with tally.time("interpret"):
                     rays, beams = interpret(scans, options.returns)

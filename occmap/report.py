@@ -14,6 +14,7 @@ import numpy as np
 from occmap.batching import count_wanted
 from occmap.errors import LogError, MapError, PoseError
 from occmap.grid.tiles import TileGrid
+from occmap.journey import JourneyRecorder
 from occmap.readers import Log
 from occmap.sensor.bounds import Clamped
 from occmap.sensor.models import SensorModel, find_decision
@@ -36,6 +37,8 @@ class Tally:
         self.seconds: dict[str, float] = {}
         self.advance: Callable[[int], None] = lambda _scans: None
         """Told, now and then, how many scans were read since the last call"""
+        self.recorder: JourneyRecorder | None = None
+        """Told where the scans were taken, where an output wants that"""
         self._lock = Lock()
         self.start_over()
 
@@ -49,6 +52,8 @@ class Tally:
         self.scans_read = self.scans_used = 0
         self.dropped: dict[str, int] = {}
         self.beams = ReturnCounts()
+        if self.recorder:
+            self.recorder.start_over()
 
     def drop(self, reasons: dict[Any, int]) -> None:
         """Count scans that are not used, by reason."""

@@ -19,7 +19,14 @@ from occmap.report import (
 from occmap.sensor.models import SensorModel, describe_model
 from occmap.sensor.returns import ReturnCounts
 from occmap.types import Box, Evidence, Manifest, OccupancyMap
-from occmap.writers import Product, WriteOptions, check_outputs, list_idle, write_outputs
+from occmap.writers import (
+    Product,
+    WriteOptions,
+    check_outputs,
+    list_idle,
+    refuse_journeys,
+    write_outputs,
+)
 
 
 @dataclass(frozen=True)
@@ -54,6 +61,7 @@ def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path])
         As `render_kept`, or an output cannot be written.
     """
     check_outputs(outputs)
+    refuse_journeys(outputs)
     made = render_kept(evidence, options, outputs)
     product = Product(made.map, lambda: made.evidence)
     files = write_outputs(outputs, product, options.writing)
