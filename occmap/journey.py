@@ -81,11 +81,11 @@ class JourneyRecorder:
             return
         some = PosedScans(scans.batch.take(which), scans.position[which], scans.rotation[which])
         rays, _ = interpret(some, self._returns)
-        ends = zip(rays.stamp_ns.tolist(), rays.end.astype(np.float32), rays.kind, strict=True)
-        for stamp_ns, end, kind in ends:
-            hits = end[kind == Kind.HIT]
+        columns = rays.stamp_ns.tolist(), rays.origin[:, 0].tolist(), rays.end, rays.kind
+        for stamp_ns, (x, y), end, kind in zip(*columns, strict=True):
+            hits = end[kind == Kind.HIT].astype(np.float32)
             hits = hits[:: max(-(-len(hits) // SHOWN_HITS), 1)]
-            self._scans.append(ScanHits(stamp_ns, hits[:, 0], hits[:, 1]))
+            self._scans.append(ScanHits(stamp_ns, (x, y), hits[:, 0], hits[:, 1]))
 
     def finish(self) -> Journey:
         """Give what was kept, laser by laser, in the order in which it was recorded."""

@@ -4,7 +4,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from occmap.batching import Batcher, Selection
 from occmap.errors import LogError, MapError, PoseError, UsageError
@@ -204,11 +204,24 @@ def build_alone(
         return to_evidence(tiles, replace(plan, builds=builds, subtracted=past.subtracted), slices)
 
     journey = tally.recorder.finish() if tally.recorder else None
-    product = Product(grid, keep_evidence, journey)
+    product = Product(
+        grid,
+        keep_evidence,
+        journey,
+        lambda: make_report(grid, options, tally, remarks).to_json(),
+        lambda: look_into(paths, options),
+    )
     with tally.time("write"):
         remarks.files += write_outputs(outputs, product, options.writing)
     report = make_report(grid, options, tally, remarks)
     return Build(grid, report, tiles, keep_evidence() if want_evidence(outputs) else None)
+
+
+def look_into(paths: Sequence[Path], options: BuildOptions) -> dict[str, Any]:
+    """Say what `occmap check` finds in logs."""
+    from occmap.inspection import inspect  # noqa: PLC0415  late: few builds want it
+
+    return inspect(paths, options).to_json()
 
 
 def observe_logs(

@@ -304,6 +304,8 @@ class ScanHits(NamedTuple):
     """Where the beams of one scan ended in the map."""
 
     stamp_ns: int
+    origin: tuple[float, float]
+    """Where the laser was (m)"""
     x: Float32
     y: Float32
     """(P,) m, of the beams that hit something"""

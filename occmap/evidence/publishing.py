@@ -63,7 +63,7 @@ def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path])
     check_outputs(outputs)
     refuse_journeys(outputs)
     made = render_kept(evidence, options, outputs)
-    product = Product(made.map, lambda: made.evidence)
+    product = Product(made.map, lambda: made.evidence, report=made.report.to_json)
     files = write_outputs(outputs, product, options.writing)
     return replace(made.report, files=tuple(files))
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Protocol, TypeAlias, cast, runtime_checkable
+from typing import Any, Protocol, TypeAlias, cast, runtime_checkable
 
 from occmap.errors import UsageError
 from occmap.plugins import list_plugins, load_plugin
@@ -136,6 +136,10 @@ class Product:
     """Called where a format wants it: it takes memory, and time to hash the logs"""
     journey: Journey | None = None
     """None: nobody asked for it while the map was built, or the map is of saved evidence"""
+    report: Callable[[], dict[str, Any]] = dict
+    """What there is to say of the map so far, as the JSON of the command has it"""
+    findings: Callable[[], dict[str, Any]] = dict
+    """What `occmap check` finds in the logs, likewise; it reads them once more"""
 
     def take_journey(self, path: Path) -> Journey:
         """Where the robot went, for a file of that.

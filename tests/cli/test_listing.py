@@ -24,9 +24,9 @@ def broken_plugin(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("command", "names"),
     [
-        ("readers", ["carmen", "csv", "mcap", "rosbag"]),
+        ("readers", ["carmen", "csv", "html", "mcap", "rosbag"]),
         ("models", ["counting", "quadratic", "simple"]),
-        ("writers", ["csv", "mcap", "npz", "pgm", "png", "tum"]),
+        ("writers", ["csv", "html", "mcap", "npz", "pgm", "png", "tum"]),
     ],
 )
 def test_all_that_is_installed_is_listed(command: str, names: list[str]) -> None:

@@ -158,7 +158,7 @@ def test_an_undecided_cell_is_not_called_unknown() -> None:
         (
             ["render", "a.npz", "-o", "m.jpg"],
             2,
-            "occmap writes .csv, .mcap, .npz, .pgm, .png, .tum",
+            "occmap writes .csv, .html, .mcap, .npz, .pgm, .png, .tum",
         ),
         (["render", "a.npz", "-o", "m.pgm", "--max-cells", "3"], 1, "more than --max-cells 3"),
         (["render", "a.npz", "-o", "m.pgm", "--crop", "0,0,1"], 2, "3 values where 4 belong"),
