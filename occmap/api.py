@@ -151,7 +151,7 @@ def compare(
     updates, models
         What to combine; without them, all updates and the usual models.
     picture
-        A PNG to draw all maps in, and where they disagree.
+        A PNG to draw all maps in, and where they disagree; or a page (.html).
     options
         Those of `build_map` that concern scans, poses, ranges and the lattice.
 
@@ -246,7 +246,7 @@ def diff(
     before, after
         Maps as PGM with YAML, PNG or evidence (.npz).
     picture
-        A PNG to draw the changes in.
+        A PNG to draw the changes in, or a page (.html).
     thresholds
         occupied_thresh and free_thresh, for formats that hold probabilities.
 
@@ -267,9 +267,7 @@ def diff(
     chosen = read_options(WriteOptions, thresholds, "diff")
     found = difference.compare_maps(*(load_map(path, chosen) for path in paths))
     if picture is not None:
-        from occmap.writers.images import write_colours  # noqa: PLC0415  late: it brings pillow
-
-        write_colours(Path(picture), difference.paint(found))
+        difference.draw(Path(picture), found, (paths[0], paths[1]))
     return found
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from itertools import permutations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from occmap.difference.maps import CellClass, ClassMap, Place
 from occmap.errors import MapError
 from occmap.grid.tiles import MAX_CELLS
 from occmap.types import Box, UInt8
+from occmap.writers import is_page
 
 LATTICE_TOLERANCE = 0.05
 """In cells: other tools round the origin to millimetres."""
@@ -193,3 +195,21 @@ def paint(difference: MapDifference) -> UInt8:
     for (was, now), colour in COLOURS.items():
         table[was, now] = colour
     return table[difference.before, difference.after][::-1]
+
+
+def draw(path: Path, difference: MapDifference, maps: tuple[Path, Path]) -> None:
+    """Draw a difference as a PNG, or lay it out on a page.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    if is_page(path):
+        from occmap.page.difference import write_difference  # noqa: PLC0415  late: it brings Bokeh
+
+        write_difference(path, difference, maps)
+    else:
+        from occmap.writers.images import write_colours  # noqa: PLC0415  late: it brings pillow
+
+        write_colours(path, paint(difference))

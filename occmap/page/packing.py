@@ -24,6 +24,8 @@ class Packed(NamedTuple):
     planes: int
     """Bytes of each number: 1 to 4"""
     largest: int
+    table: tuple[int, ...] = ()
+    """Where it is not empty: what is packed are places in it, each less the one to its left"""
 
     @property
     def text(self) -> str:
@@ -32,7 +34,9 @@ class Packed(NamedTuple):
 
     def to_json(self) -> dict[str, Any]:
         """What the page's script must know to unpack the text."""
-        return {name: getattr(self, name) for name in ("rows", "columns", "planes", "largest")}
+        return {
+            name: getattr(self, name) for name in ("rows", "columns", "planes", "largest", "table")
+        }
 
 
 def pack(array: NDArray[Any]) -> Packed:
@@ -47,3 +51,13 @@ def pack(array: NDArray[Any]) -> Packed:
     )
     rows, columns = array.shape
     return Packed(data + squeeze.flush(), rows, columns, planes, largest)
+
+
+def pack_few(array: NDArray[Any]) -> Packed:
+    """Pack (H, W) numbers of which few differ, as rounded ones do, in two thirds of the bytes."""
+    table = np.unique(array)
+    if len(table) > 256:
+        return pack(array)
+    places = np.searchsorted(table, array).astype(np.uint8)
+    packed = pack(np.diff(places, axis=1, prepend=np.uint8(0)))
+    return packed._replace(largest=int(table[-1]), table=tuple(table.tolist()))

@@ -20,17 +20,27 @@
     if (!unpacked.has(name)) unpacked.set(name, inflate(name, spec));
     return unpacked.get(name);
   }
-  async function inflate(name, {rows, columns, planes}) {
+  async function inflate(name, {rows, columns, planes, table}) {
     const text = atob(find(name).textContent);
     const bytes = new Uint8Array(text.length);
     for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
     const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
     const plain = new Uint8Array(await new Response(stream).arrayBuffer());
     const size = rows * columns;
+    if (table.length) return lookUp(plain, columns, Uint32Array.from(table));
     if (planes === 1) return plain;
     const numbers = planes === 2 ? new Uint16Array(size) : new Uint32Array(size);
     for (let plane = 0; plane < planes; plane++)
       for (let i = 0, at = plane * size; i < size; i++) numbers[i] |= plain[at + i] << (8 * plane);
+    return numbers;
+  }
+
+  function lookUp(steps, columns, table) {
+    const numbers = new Uint32Array(steps.length);
+    for (let i = 0, place = 0; i < steps.length; i++) {
+      place = (i % columns ? place : 0) + steps[i] & 255;
+      numbers[i] = table[place];
+    }
     return numbers;
   }
 
@@ -207,6 +217,7 @@
     if (maps.some(map => !(map.figure.inner_width > 0))) return setTimeout(start, 20);
     fit(maps[0]);
     for (const range of [maps[0].figure.x_range, maps[0].figure.y_range]) range.change.connect(repaint);
+    find("whole").onclick = () => fit(maps[0]);
     for (const layer of DATA.layers) {
       const button = makeElement("button", layer.label);
       button.dataset.key = layer.key;

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from bokeh.models import ColumnDataSource, HoverTool, Range1d, WheelZoomTool
+from bokeh.models import BasicTicker, ColumnDataSource, HoverTool, Range1d, WheelZoomTool
 from bokeh.palettes import Plasma256
 from bokeh.plotting import figure
 from bokeh.transform import linear_cmap
@@ -17,7 +17,6 @@ WAY_COLOURS = Plasma256[20:225]
 MOST_STEPS = 5000
 """Of a way: more are not told apart."""
 SCAN_COLOUR, LOST_COLOUR = "#e8590c", "#c92a2a"
-PLOT_TOOLS = "pan,box_zoom,reset,save"
 
 
 def plot_map(index: int, shared: Any = None) -> Any:
@@ -31,17 +30,21 @@ def plot_map(index: int, shared: Any = None) -> Any:
         name=f"map-{index}",
         x_range=ranges[0],
         y_range=ranges[1],
-        tools=PLOT_TOOLS,
+        tools="pan",
         sizing_mode="stretch_both",
         min_height=200,
         background_fill_color=UNKNOWN_COLOUR,
         x_axis_label="x (m)",
         y_axis_label="y (m)",
-        toolbar_location="right",
+        toolbar_location=None,
     )
     plot.add_tools(wheel := WheelZoomTool())
     plot.toolbar.active_scroll = wheel
-    plot.toolbar.logo = None
+    plot.axis.ticker = BasicTicker(desired_num_ticks=5)
+    plot.axis.minor_tick_line_color = None
+    plot.axis.axis_line_color = None
+    plot.axis.major_tick_line_color = "#9aa5b1"
+    plot.axis.axis_label_text_font_style = "normal"
     plot.grid.visible = False
     plot.outline_line_color = None
     nothing: dict[str, list[Any]] = {name: [] for name in ("image", "x", "y", "dw", "dh")}

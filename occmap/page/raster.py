@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from occmap.grid.slices import count_visits, split_tiles, take, unite, unpack
 from occmap.grid.spec import find_unit
 from occmap.grid.tiles import TILE, EvidenceKind
-from occmap.page.packing import Packed, pack
+from occmap.page.packing import Packed, pack, pack_few
 from occmap.types import Bool, Evidence, Float32, Int64, OccupancyMap, Slices, Update
 
 MOST_CELLS = 4100 * 4100
@@ -75,12 +75,10 @@ def make_raster(
         packed = {name: pack(layer) for name, layer in layers.items()}
         for steps in STEPS:
             if steps:
-                rounded = {
-                    name: pack(round_counts(layers[name], steps)) for name in COUNTS & layers.keys()
-                }
-                packed |= rounded
+                for name in COUNTS & layers.keys():
+                    packed[name] = pack_few(round_counts(layers[name], steps))
             size = sum(len(each.data) for each in packed.values())
-            if size <= most_bytes or step == TILE:
+            if size <= most_bytes or (step, steps) == (TILE, STEPS[-1]):
                 made = Raster(*origin, grid.resolution * step, step, packed, steps and 0.5 / steps)
                 return made if evidence is None else scale(made, evidence)
         step *= 2

@@ -226,18 +226,25 @@ def check_outputs(outputs: Sequence[Path], inputs: Sequence[Path] = ()) -> None:
             )
 
 
-def check_picture(path: Path, inputs: Sequence[Path] = ()) -> None:
-    """Find out before the work starts whether a picture of it could not be written.
+def check_picture(
+    path: Path, inputs: Sequence[Path] = (), suffixes: Sequence[str] = (".png", ".html")
+) -> None:
+    """Find out before the work starts whether a picture or a page of it could not be written.
 
     Raises
     ------
     UsageError, OutputError
-        It is to be no PNG, cannot be made, or is an input.
+        It is to be something else, cannot be made, or is an input.
     """
-    if path.suffix.lower() != ".png":
-        raise UsageError("the picture is a PNG", where=path, fix="give it a name that ends in .png")
-    check_target(path)
-    refuse_input(path, inputs)
+    if path.suffix.lower() not in suffixes:
+        names = " or ".join(suffixes)
+        raise UsageError("is no picture", where=path, fix=f"give it a name that ends in {names}")
+    check_outputs([path], inputs)
+
+
+def is_page(path: Path) -> bool:
+    """Whether a picture is to be a page."""
+    return path.suffix.lower() == ".html"
 
 
 def refuse_input(target: Path, inputs: Sequence[Path]) -> None:

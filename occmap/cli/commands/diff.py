@@ -11,7 +11,7 @@ from occmap.cli.console import Console
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.summary import LABEL
 from occmap.cli.values import PATH, parse_share, read_by
-from occmap.difference import MapDifference, compare_maps, paint
+from occmap.difference import MapDifference, compare_maps, draw
 from occmap.difference.maps import load_map
 from occmap.gates import Limit, judge
 from occmap.gates.measures import DIFF
@@ -48,8 +48,8 @@ picture = option(
     "-o",
     "--output",
     type=PATH,
-    metavar="PNG",
-    help="Write a picture of the changes here.",
+    metavar="FILE",
+    help="Write the changes here: .png is a picture, .html a page.",
 )
 fail_above = option(
     limits.LIMITS,
@@ -75,9 +75,7 @@ def command(console: Console, /, before: Path, after: Path, **values: Any) -> No
     difference = compare_maps(*maps)
     if values["output"]:
         refuse_input(values["output"], [each.image for each in maps if each.image])
-        from occmap.writers.images import write_colours  # noqa: PLC0415  late: it brings pillow
-
-        write_colours(values["output"], paint(difference))
+        draw(values["output"], difference, (before, after))
     above = values["fail_above"]
     failed = judge([*([above] if above else []), *values["limits"]], difference)
     if values["as_json"]:
