@@ -12,7 +12,7 @@ from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Float64, Int64, Journey, Kind, PosedScans, ScanBatch, ScanHits, Trajectory
 
 SHOWN_SCANS = 400
-"""A slider has no more steps than that which a hand can find again."""
+"""Of all logs together: a hand finds no more steps of a slider again."""
 SHOWN_HITS = 400
 """Of one scan: they draw a wall, however many beams a laser has."""
 STATED_FRAME, STATED_LASER = "map", "laser"
@@ -32,19 +32,28 @@ class _Way:
 class JourneyRecorder:
     """Takes the poses of all scans, and the hits of some; one thread at a time may call it."""
 
-    def __init__(self, expected: int, returns: ReturnOptions) -> None:
-        """Prepare for about so many scans, whose ranges mean what `returns` says."""
-        self._every = max(expected // SHOWN_SCANS, 1)
+    def __init__(self, every: int, returns: ReturnOptions) -> None:
+        """Keep the hits of every n-th scan, whose ranges mean what `returns` says."""
+        self._every = every
         self._returns = returns
-        self.start_over()
-
-    def start_over(self) -> None:
-        """Forget everything, as the logs are about to be read."""
         self._ways: dict[tuple[str, str, str], _Way] = {}
         self._scans: list[ScanHits] = []
         self._seen = 0
 
-    def add(
+    def start_over(self) -> "JourneyRecorder":
+        """Make one that has seen nothing yet."""
+        return JourneyRecorder(self._every, self._returns)
+
+    def add(self, other: "JourneyRecorder") -> None:
+        """Take what another one took."""
+        for key, theirs in other._ways.items():
+            way = self._ways.setdefault(key, _Way(theirs.parent))
+            way.stamps += theirs.stamps
+            way.poses += theirs.poses
+            way.dropped += theirs.dropped
+        self._scans += other._scans
+
+    def follow(
         self,
         log: Path,
         parent: str | None,

@@ -19,6 +19,7 @@ from PIL import Image
 
 import occmap
 from occmap.batching import Selection
+from occmap.cli.console import spell_all
 from occmap.errors import MapError, OccmapError, OutputError, UsageError
 from occmap.evidence.publishing import RenderOptions
 from occmap.keywords import list_options, read_options
@@ -404,7 +405,8 @@ def run(*words: str | Path) -> Any:
 
 
 def as_printed(value: dict[str, Any]) -> Any:
-    return json.loads(json.dumps(value))
+    """The same as JSON, in which options are flags."""
+    return json.loads(json.dumps(spell_all(value)))
 
 
 def test_check_gives_what_the_command_prints() -> None:
@@ -524,7 +526,7 @@ def test_diff_gives_what_the_command_prints(halves: Path, tmp_path: Path) -> Non
     assert printed == {**printed, **as_printed(found.to_json())}
     assert found.share > 0
     assert (tmp_path / "mine.png").read_bytes() == (tmp_path / "its.png").read_bytes()
-    with pytest.raises(UsageError, match="the picture is a PNG"):
+    with pytest.raises(UsageError, match="is no picture"):
         occmap.diff(before, after, picture="diff.jpg")
     with pytest.raises(UsageError, match="diff has no option 'occupied'; did you mean 'occupied_"):
         occmap.diff(before, after, occupied=0.6)

@@ -10,6 +10,7 @@ from pathlib import Path
 from platform import python_version
 from typing import Any, Literal, TypeAlias
 
+from occmap.command import spell_flags
 from occmap.errors import UsageError
 from occmap.writers.atomic import open_atomic
 
@@ -115,6 +116,7 @@ def compose(page: Page) -> str:
     environment = Environment(
         loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
+    environment.filters["spell"] = spell_flags
     return environment.get_template("page.html").render(
         page=page,
         maps=divs[:of_stage],

@@ -158,7 +158,7 @@ def list_ranges(ranges: Json) -> Iterator[Sequence[str]]:
         span = f"{ranges['smallest']:.3g} to {ranges['largest']:.4g} m"
         yield span, f"{ranges['measured']:,}", f"{ranges['measured'] / total:.1%}", "measured"
     for each in ranges["specials"]:
-        advice = f"; --no-return {each['no_return']}" if each["no_return"] else "; skipped"
+        advice = f"; `no_return={each['no_return']}`" if each["no_return"] else "; skipped"
         yield each["name"], f"{each['count']:,}", f"{each['share']:.1%}", each["meaning"] + advice
     for each in ranges["repeated"]:
         meaning = "no return, by the limit" if each["is_no_return"] else "may mean no return"

@@ -1,4 +1,4 @@
-"""The page of a map: `-o map.html`."""
+"""The page of a map, which the suffix .html asks for."""
 
 from pathlib import Path
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from occmap.errors import PoseError
 from occmap.posing.chain import REASONS, Chain, Found, Status
-from occmap.posing.leaps import LeapFilter
+from occmap.posing.leaps import Ends, LeapFilter
 from occmap.posing.options import Deskew, DropReason, PosingOptions
 from occmap.posing.resolve import resolve
 from occmap.posing.sources import Sources, gather
@@ -35,7 +35,7 @@ MOMENTS = 33
 """Poses looked up for one de-skewed scan; see `_keep` for how close that is."""
 
 POSES_OF_BODY = (
-    "the poses beside the scans are taken as the robot's, with the laser at --sensor-pose on it; "
+    "the poses beside the scans are taken as the robot's, with the laser at `sensor_pose` on it; "
     "leave that out if they are the laser's own"
 )
 
@@ -138,6 +138,10 @@ class Poser:
         dropped = {why: counts[code] for code, why in REASONS.items() if counts[code]}
         return self._leaps.drop(kept, dropped)
 
+    def find_ends(self) -> dict[str, Ends]:
+        """Where the posed scans so far begin and end, by topic."""
+        return self._leaps.find_ends()
+
     def _look_up(self, batch: ScanBatch) -> Iterator[tuple[ScanBatch, Found]]:
         """Look up the sensor at the stamp of each scan (S), or at K moments of each (S * K).
 
@@ -178,9 +182,8 @@ class Poser:
         else:
             chosen = (duration_s > 0) & (duration_s <= MAX_TURN_S)
             if not chosen.all():
-                some = "some " if chosen.any() else ""
-                found = "state no believable time between beams: not de-skewed"
-                self._note(f"{some}scans of {batch.frame!r} {found}")
+                found = "state no believable time between beams are not de-skewed"
+                self._note(f"scans of {batch.frame!r} that {found}")
         if chosen.any():
             self._note(f"de-skewed: each beam of {batch.frame!r} has a pose of its own")
         return chosen
@@ -196,14 +199,14 @@ def _list_idle(options: PosingOptions) -> Iterator[str]:
     if options.sensor_pose is not None:
         yield POSES_OF_BODY
     given = {
-        "--map-frame": options.map_frame is not None,
-        "--base-frame": options.base_frame is not None,
-        "--time-offset": options.time_offset_s != 0,
-        "--deskew on": options.deskew is Deskew.ON,
+        "`map_frame`": options.map_frame is not None,
+        "`base_frame`": options.base_frame is not None,
+        "`time_offset_s`": options.time_offset_s != 0,
+        "`deskew=on`": options.deskew is Deskew.ON,
     }
-    for flag, is_given in given.items():
+    for option, is_given in given.items():
         if is_given:
-            yield f"{flag} does nothing: the poses stand beside the scans"
+            yield f"{option} does nothing: the poses stand beside the scans"
 
 
 def _read_stated(pose: Float64, mount: Pose | None) -> Found:

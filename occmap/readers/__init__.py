@@ -21,7 +21,7 @@ PROBE_BYTES = 4096
 _MAP = "a map, not a log: `occmap diff` compares maps"
 OTHER_FILES = {
     b"PK\x03\x04": "not a log but an archive: "
-    "evidence in .npz is for `occmap render`, or for --resume",
+    "evidence in .npz is for `occmap render`, or for `resume`",
     b"P5": _MAP,
     b"image:": _MAP,
     b"\x89PNG": "a picture, not a log: `occmap diff` compares maps",
@@ -45,9 +45,13 @@ class Stream:
     """One topic of a log (or one kind of line): its name, message type and size."""
 
     topic: str
+    """Name of the topic, or of the kind of line"""
     type: str
+    """Message type"""
     count: int
+    """Messages"""
     role: Role
+    """What it can be used for"""
 
 
 @dataclass(frozen=True)
@@ -122,6 +126,22 @@ class StackingScans(Protocol):
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """What `scans` gives, in the same order."""
+
+
+@runtime_checkable
+class Splittable(Protocol):
+    """A log whose scans can be read in parts, each by another process."""
+
+    def split(self, size: int) -> Sequence[Log]:
+        """Cut the log into parts of about so many bytes, in file order; each can be pickled.
+
+        A part gives its own scans and, where these are damaged, notes. None: it cannot be cut.
+        """
+
+
+def split_log(log: Log, size: int) -> Sequence[Log]:
+    """Cut a log into parts of about so many bytes; none where nobody knows how."""
+    return log.split(size) if isinstance(log, Splittable) else ()
 
 
 def read_poses(log: Log) -> Iterator[PoseSample | PoseBatch]:

@@ -23,6 +23,7 @@ from occmap.sensor.bounds import (
     check_spread,
     check_weight,
 )
+from occmap.sensor.rules import occupancy, probability, visibility
 from occmap.types import EVEN_ODDS, Decision, Float64, to_log_odds
 
 
@@ -94,7 +95,7 @@ class SimpleModel:
         if not self.p_miss < self.p_hit:
             raise UsageError(
                 f"p_miss {self.p_miss} is not below p_hit {self.p_hit}",
-                fix="a hit must speak more for occupied than a miss: try --p-hit 0.7 --p-miss 0.4",
+                fix="a hit must speak more for occupied than a miss: try `p_hit=0.7` `p_miss=0.4`",
             )
         check_prior(self.prior, ("p_miss", self.p_miss), ("p_hit", self.p_hit))
 
@@ -167,9 +168,9 @@ class QuadraticModel:
         check_probabilities(self)
         check_clamp(self)
         if not 0 <= self.epsilon <= DEEPEST_HIT_M:
-            raise UsageError(f"epsilon {self.epsilon} m is not possible", fix="try --epsilon 0.05")
+            raise UsageError(f"epsilon {self.epsilon} m is not possible", fix="try `epsilon=0.05`")
         if self.p_min >= 0.5:
-            raise UsageError(f"p_min {self.p_min} leaves no evidence", fix="try --p-min 0.4")
+            raise UsageError(f"p_min {self.p_min} leaves no evidence", fix="try `p_min=0.4`")
         check_prior(self.prior, ("p_min", self.p_min), ("1 - p_min", 1 - self.p_min))
 
     def depth(self, resolution: float) -> float:
@@ -177,12 +178,15 @@ class QuadraticModel:
         return self.epsilon or resolution / 2
 
     def free(self, u: Float64) -> Float64:
-        """V = 1 - u, so p = u / 2, within [p_min, 1 - p_min]."""
-        return np.clip(u / 2, self.p_min, 1 - self.p_min)
+        """(1 - V) / 2 in the unit of r - epsilon, within [p_min, 1 - p_min]."""
+        return self._bound(probability(0, visibility(np.sqrt(u), 1, 0)))
 
     def hit(self, w: Float64) -> Float64:
-        """O = 1 - w^2, so p = 1 - w^2 / 2, within [p_min, 1 - p_min]."""
-        return np.clip(1 - w**2 / 2, self.p_min, 1 - self.p_min)
+        """(1 + O) / 2 in the unit of epsilon, within [p_min, 1 - p_min]."""
+        return self._bound(probability(occupancy(w, 0, 1), 0))
+
+    def _bound(self, p: Float64) -> Float64:
+        return np.clip(p, self.p_min, 1 - self.p_min)
 
 
 def find_decision(model: SensorModel) -> Decision:

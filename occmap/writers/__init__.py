@@ -13,10 +13,10 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, cast, runtime_checkable
 
-from occmap.errors import UsageError
+from occmap.errors import OutputError, UsageError
 from occmap.plugins import list_plugins, load_plugin
 from occmap.types import Decision, Evidence, Journey, OccupancyMap
-from occmap.writers.atomic import check_target, follow_links
+from occmap.writers.atomic import check_parent, check_target, follow_links
 
 BAND_CELLS = 1 << 22
 """Cells that are turned into pixels at once, so that a large map needs no second copy in floats."""
@@ -64,12 +64,12 @@ class WriteOptions:
 
     def __post_init__(self) -> None:
         free, occupied = self.thresholds
-        found = f"--occupied-thresh is {occupied}, --free-thresh is {free}"
+        found = f"`occupied_thresh` is {occupied}, `free_thresh` is {free}"
         if not 0 < free < occupied < 1:
             raise UsageError(found, fix="they must satisfy 0 < free < occupied < 1")
         # Two grey levels: else no grey may be left for a cell that is neither free nor occupied.
         if self.mode is MapMode.SCALE and occupied - free < 0.008:
-            raise UsageError(found, fix="with --mode scale they must be at least 0.008 apart")
+            raise UsageError(found, fix="with `mode=scale` they must be at least 0.008 apart")
 
     @property
     def thresholds(self) -> Decision:
@@ -150,11 +150,12 @@ class Product:
             It is not known.
         """
         if self.journey is None:
-            raise UsageError(NO_JOURNEY, where=path, fix=f"type: occmap build LOG -o {path.name}")
+            raise UsageError(
+                "the map does not say where the robot went, only its logs do",
+                where=path,
+                fix="name this file among the outputs of the build",
+            )
         return self.journey
-
-
-NO_JOURNEY = "the map does not say where the robot went, only its logs do"
 
 
 @runtime_checkable
@@ -186,6 +187,14 @@ class ProductWriter(Protocol):
 AnyWriter: TypeAlias = Writer | EvidenceWriter | ProductWriter
 
 
+@runtime_checkable
+class FolderWriter(Protocol):
+    """A format of which the path is a folder with many files."""
+
+    def owns(self, path: Path) -> bool:
+        """Whether an existing folder is one that this writer made, which it may replace."""
+
+
 def find_writer(path: Path) -> AnyWriter:
     """Find the writer for a file name by its suffix, upper or lower case.
 
@@ -215,15 +224,35 @@ def check_outputs(outputs: Sequence[Path], inputs: Sequence[Path] = ()) -> None:
         A suffix that no writer has, two outputs that are one file, a file that cannot be made, or
         one that is an input.
     """
-    targets = [target for path in outputs for target in find_writer(path).targets(path)]
-    files = [follow_links(target) for target in targets]
-    for target, file in zip(targets, files, strict=True):
-        check_target(target)
+    writers = [(writer, path) for path in outputs for writer in [find_writer(path)]]
+    targets = [(target, writer) for writer, path in writers for target in writer.targets(path)]
+    files = [follow_links(target) for target, _ in targets]
+    for (target, writer), file in zip(targets, files, strict=True):
+        if isinstance(writer, FolderWriter):
+            check_folder(target, writer)
+        else:
+            check_target(target)
         refuse_input(target, inputs)
         if files.count(file) > 1:
             raise UsageError(
-                "would be written twice", where=target, fix="give each -o its own name"
+                "would be written twice", where=target, fix="give each output its own name"
             )
+
+
+def check_folder(path: Path, writer: FolderWriter) -> None:
+    """Check that a folder can be made, or replaced, by the writer that made it.
+
+    Raises
+    ------
+    OutputError
+        Something else is there, or the folder that it lies in is missing or cannot be written.
+    """
+    target = follow_links(path)
+    if target.exists() and not (target.is_dir() and writer.owns(target)):
+        raise OutputError(
+            "is there already, and not as occmap writes it", where=path, fix="give another name"
+        )
+    check_parent(path, target.parent)
 
 
 def check_picture(
@@ -258,7 +287,7 @@ def refuse_input(target: Path, inputs: Sequence[Path]) -> None:
     for path in inputs:
         if path.exists() and target.exists() and target.samefile(path):
             raise UsageError(
-                "is an input: it would be overwritten", where=target, fix="give -o another name"
+                "is an input: it would be overwritten", where=target, fix="give another name"
             )
 
 
@@ -287,8 +316,8 @@ def refuse_journeys(outputs: Sequence[Path]) -> None:
     for path in outputs:
         writer = find_writer(path)
         if isinstance(writer, ProductWriter) and writer.needs_journey:
-            found = "evidence does not say where the robot went, only the log does"
-            raise UsageError(found, where=path, fix=f"type: occmap build LOG -o {path.name}")
+            found = "evidence does not say where the robot went, only the logs do"
+            raise UsageError(found, where=path, fix="build it from the logs: `occmap build`")
 
 
 def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
@@ -297,9 +326,9 @@ def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
         return
     suffixes = {path.suffix.lower() for path in outputs}
     if options.mode is not MapMode.TRINARY and suffixes.isdisjoint({".pgm", ".mcap"}):
-        yield f"--mode {options.mode} does nothing: it is for .pgm and .mcap, and no -o ends so"
+        yield f"`mode={options.mode}` does nothing: it is for .pgm and .mcap, and no output ends so"
     if options.shade is not Shade.DARK_OCCUPIED and ".png" not in suffixes:
-        yield "--light-occupied does nothing: it is for a PNG, and no -o ends in .png"
+        yield "`shade` does nothing: it is for a PNG, and no output ends in .png"
 
 
 def write_outputs(outputs: Sequence[Path], product: Product, options: WriteOptions) -> list[str]:

@@ -15,9 +15,9 @@ from occmap.writers.atomic import open_atomic
 
 
 class TumWriter:
-    """`stamp x y z qx qy qz qw`, the stamp in seconds: `evo_traj tum`, `occmap build --poses`."""
+    """`stamp x y z qx qy qz qw`, the stamp in seconds: for `evo_traj tum`, and for `poses`."""
 
-    description = "trajectory in the TUM format, for evo and `--poses`"
+    description = "trajectory in the TUM format, for evo, and to build with"
     needs_evidence, needs_journey = False, True
 
     def targets(self, path: Path) -> tuple[Path, ...]:

@@ -24,9 +24,9 @@ def broken_plugin(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("command", "names"),
     [
-        ("readers", ["carmen", "csv", "html", "mcap", "rosbag"]),
+        ("readers", ["carmen", "csv", "mcap", "rosbag"]),
         ("models", ["counting", "quadratic", "simple"]),
-        ("writers", ["csv", "html", "mcap", "npz", "pgm", "png", "tum"]),
+        ("writers", ["csv", "html", "mcap", "npz", "pgm", "png", "tum", "zarr"]),
     ],
 )
 def test_all_that_is_installed_is_listed(command: str, names: list[str]) -> None:

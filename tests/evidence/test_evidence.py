@@ -140,9 +140,9 @@ def test_every_file_of_a_folder_is_named() -> None:
 @pytest.mark.parametrize(
     ("made_by", "wanted", "found"),
     [
-        ("simple", "quadratic", "holds hits and misses, .*; build it with --model quadratic"),
+        ("simple", "quadratic", "holds hits and misses, .*; build it with `model=quadratic`"),
         ("quadratic", "simple", "the model quadratic:epsilon=0.0,p_min=0.4; no other"),
-        ("quadratic", "quadratic:epsilon=0.1", "no other can read it; leave out --model"),
+        ("quadratic", "quadratic:epsilon=0.1", "no other can read it; leave out `model`"),
     ],
 )
 def test_a_model_that_cannot_read_it_is_refused(
@@ -174,7 +174,7 @@ def test_a_crop_is_the_cells_that_the_box_touches(
 
 def test_a_crop_beside_the_map_is_refused() -> None:
     grid = OccupancyMap(np.zeros((2, 2), np.float32), np.ones((2, 2), np.bool_), 0.5, (0.0, 0.0))
-    with pytest.raises(MapError, match="in --crop; the map's own box is 0, 0, 1, 1"):
+    with pytest.raises(MapError, match="in `crop`; the map's own box is 0, 0, 1, 1"):
         crop(grid, (1.0, 0.0, 2.0, 1.0))
 
 

@@ -62,7 +62,7 @@ def test_saved_evidence_has_none_and_says_so(
     told = capsys.readouterr().err
     assert told.count("\n") == 1
     assert "t.tum: evidence does not say where the robot went" in told
-    assert "occmap build LOG -o t.tum" in told
+    assert "build it from the logs: `occmap build`" in told
     with pytest.raises(UsageError, match="the map does not say where the robot went"):
         made.save(tmp_path / "t.tum")
     assert not (tmp_path / "t.tum").exists()
