@@ -14,7 +14,8 @@ from occmap.evidence.publishing import describe_resumed
 from occmap.evidence.repetition import list_repeated
 from occmap.grid.stacks import add_stack
 from occmap.grid.tiles import TileGrid
-from occmap.observing import Keep, Observe, Observed, Progress, ignore_progress, observe
+from occmap.observing import Keep, Observe, Observed, Progress, ignore_progress
+from occmap.observing import observe as observe_here
 from occmap.opening import choose_topics, count_messages, count_scans, make_poser, take_first
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.report import (
@@ -70,7 +71,7 @@ def build(
     options: BuildOptions,
     outputs: Sequence[Path] = (),
     progress: Progress = ignore_progress,
-    observe: Observe = observe,
+    observe: Observe = observe_here,
 ) -> Build:
     """Build one map from all usable scans of one or more logs, and write it.
 
@@ -87,7 +88,9 @@ def build(
     """
     check_outputs(outputs, list_inputs(paths, options))
     with hold_alone(options.resume, outputs):
-        return build_alone(paths, options, outputs, partial(observe, progress=progress))
+        # Not after a fleet: it would be read once more, here.
+        look = partial(look_into, paths, options) if observe is observe_here else dict
+        return build_alone(paths, options, outputs, partial(observe, progress=progress), look)
 
 
 def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
@@ -101,6 +104,7 @@ def build_alone(
     options: BuildOptions,
     outputs: Sequence[Path],
     observe: Callable[[Sequence[Path], BuildOptions, Keep], Observed],
+    look: Callable[[], dict[str, Any]],
 ) -> Build:
     """Build and write a map, while nobody else adds to the same evidence."""
     plan = plan_manifest(options)
@@ -140,7 +144,7 @@ def build_alone(
         cache(partial(to_evidence, tiles, manifest, slices)),
         tally.recorder.finish() if tally.recorder else None,
         report.to_json,
-        partial(look_into, paths, options),
+        look,
     )
     with tally.time("write"):
         files = write_outputs(outputs, product, options.writing)

@@ -10,7 +10,7 @@ from bokeh.palettes import Category10_10
 from bokeh.plotting import figure
 
 from occmap.evidence.manifest import describe_files
-from occmap.page.document import Block, Page, Section, Stage, describe_maker, write_page
+from occmap.page.document import Block, Page, Section, Stage, describe_maker, name_logs, write_page
 from occmap.page.findings import tell_notes
 from occmap.page.layers import describe_rasters, name_layers
 from occmap.page.plots import plot_map
@@ -34,7 +34,7 @@ def write_comparison(path: Path, comparison: VariantComparison) -> None:
         It cannot be written; then nothing is left behind.
     """
     found = comparison.to_json()
-    names = ", ".join(dict.fromkeys(Path(log).name for log in found["logs"]))
+    names = name_logs(Path(log).name for log in found["logs"])
     scans = found["scans"]
     subtitle = (
         f"{len(comparison.results)} ways to make a map of {scans['used']:,} scans, "

@@ -15,6 +15,8 @@ from occmap.errors import UsageError
 from occmap.writers.atomic import open_atomic
 
 HERE = Path(__file__).parent
+MOST_NAMES = 3
+"""Of logs, in a title"""
 Tone: TypeAlias = Literal["", "warning", "problem"]
 
 
@@ -137,6 +139,13 @@ def to_script(value: Any) -> str:
     """Write JSON that ends no script, whatever names are in it."""
     text = json.dumps(value, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def name_logs(names: Iterable[str]) -> str:
+    """Name logs in a title; of a folder, the inputs are called folder/file."""
+    distinct = list(dict.fromkeys(name.partition("/")[0] for name in names))
+    more = f" and {len(distinct) - MOST_NAMES} more" if len(distinct) > MOST_NAMES else ""
+    return ", ".join(distinct[:MOST_NAMES]) + more
 
 
 def describe_maker(inputs: Iterable[Mapping[str, Any]] = ()) -> Section:

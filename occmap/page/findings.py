@@ -9,6 +9,8 @@ from occmap.page.document import Block, Section, Tone
 from occmap.wording import count, write_box, write_span
 
 Json = Mapping[str, Any]
+MOST_LOGS = 20
+"""With all that is found in them; warnings and problems are those of all logs."""
 
 
 def tell_map(report: Json) -> Section:
@@ -66,8 +68,12 @@ def tell_findings(findings: Json) -> Iterator[Section]:
     if not (findings["problems"] or findings["warnings"]):
         blocks.insert(0, Block("list", texts=["No problems, no warnings."]))
     yield Section("What check finds", blocks, wide=True)
-    for log in findings["logs"]:
+    others = findings["logs"][MOST_LOGS:]
+    for log in findings["logs"][:MOST_LOGS]:
         yield Section(f"In {log['path']}", list(list_log(log)), wide=True)
+    if others:
+        rest = [Block("list", texts=[f"{count(len(others), 'more log')}: see `occmap check`"])]
+        yield Section("And", rest, wide=True)
 
 
 def list_log(log: Json) -> Iterator[Block]:

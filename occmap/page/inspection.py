@@ -4,7 +4,7 @@ from pathlib import Path
 
 from occmap.evidence.manifest import describe_files
 from occmap.inspection import Inspection
-from occmap.page.document import Block, Page, Section, describe_maker, write_page
+from occmap.page.document import Block, Page, Section, describe_maker, name_logs, write_page
 from occmap.page.findings import tell_findings
 from occmap.wording import write_box
 
@@ -19,7 +19,7 @@ def write_inspection(path: Path, inspection: Inspection) -> None:
     """
     found = inspection.to_json()
     logs = [Path(log["path"]) for log in found["logs"]]
-    names = ", ".join(dict.fromkeys(log.name for log in logs))
+    names = name_logs(log.name for log in logs)
     verdict = "can be mapped" if found["buildable"] else "cannot be mapped as it is"
     sections = list(tell_findings(found))
     if found["map"]:

@@ -15,10 +15,11 @@
   }
 
   // Arrays: deflated, the lowest bytes of all numbers first; see packing.py.
-  const unpacked = new Map();
+  const asked_for = new Map(), unpacked = new Map();
   function unpack(name, spec) {
-    if (!unpacked.has(name)) unpacked.set(name, inflate(name, spec));
-    return unpacked.get(name);
+    if (!asked_for.has(name))
+      asked_for.set(name, inflate(name, spec).then(array => (unpacked.set(name, array), array)));
+    return asked_for.get(name);
   }
   async function inflate(name, {rows, columns, planes, table}) {
     const text = atob(find(name).textContent);
@@ -116,8 +117,17 @@
       if (!document.body.dataset.drawn)
         requestAnimationFrame(() => requestAnimationFrame(() => {
           document.body.dataset.drawn = Math.round(performance.now());
+          prepare();
         }));
     });
+  }
+  // What the pointer will ask for is unpacked once the map is there, a layer after the other.
+  async function prepare() {
+    for (const {raster} of maps)
+      for (const spec of Object.values(raster.layers)) {
+        await unpack(spec.id, spec);
+        await new Promise(resolve => setTimeout(resolve));
+      }
   }
   const tables = new Map();
   function tableOf(layer) {
@@ -155,19 +165,21 @@
 
   // The pointer: everything that is known of the cell under it.
   let pointed = 0;
-  async function point(map, {x, y}) {
+  function point(map, {x, y}) {
     const turn = ++pointed, {raster} = map, rows = [["x, y", `${number(x, 3)}, ${number(y, 3)} m`]];
     const column = Math.floor((x - raster.x) / raster.size), row = Math.floor((y - raster.y) / raster.size);
+    const missing = [];
     let known = true;
     for (const layer of DATA.layers) {
-      const spec = raster.layers[layer.key];
+      const spec = raster.layers[layer.key], cells = unpacked.get(spec.id);
       const inside = row >= 0 && row < spec.rows && column >= 0 && column < spec.columns;
-      const value = inside ? (await unpack(spec.id, spec))[row * spec.columns + column] : 0;
+      if (!cells) missing.push(unpack(spec.id, spec));
+      const value = inside && cells ? cells[row * spec.columns + column] : 0;
       if (layer.key === "class") known = value > 0;
-      rows.push([layer.label, known ? describe(layer, value) : layer.kind === "classes" ? layer.names[0] : "\u2013"]);
+      rows.push([layer.label, !cells ? "\u2026" : known || layer.kind === "classes" ? describe(layer, value) : "\u2013"]);
     }
-    if (turn !== pointed) return;
     find("pointer").replaceChildren(...rows.flatMap(([name, text]) => [makeElement("dt", name), makeElement("dd", text)]));
+    if (missing.length) Promise.race(missing).then(() => turn === pointed && point(map, {x, y}));
   }
   function describe(layer, value) {
     if (layer.kind === "classes") return layer.names[value];

@@ -1,12 +1,12 @@
 """The page of one map, as `build` and `render` make it."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from occmap.page.document import Page, Section, Stage, describe_maker
+from occmap.evidence.manifest import list_inputs
+from occmap.page.document import Page, Section, Stage, describe_maker, name_logs
 from occmap.page.findings import tell_findings, tell_map, tell_notes, tell_scans
 from occmap.page.layers import describe_rasters, name_layers
 from occmap.page.packing import Packed, pack
@@ -24,14 +24,16 @@ def describe_product(product: Product, options: WriteOptions) -> Page:
     evidence = product.evidence()
     manifest = evidence.manifest
     inputs = [entry for build in manifest.builds for entry in build["inputs"]]
-    names = ", ".join(dict.fromkeys(Path(entry["name"]).name for entry in inputs))
+    logs = [entry["name"] for build in manifest.builds for entry in list_inputs(build)]
     rows, cols = product.grid.shape
     size = product.grid.resolution
     spread = f"{cols * size:.4g} x {rows * size:.4g} m"
     used = sum(build["scans"]["used"] for build in manifest.builds)
     subtitle = f"{spread}, {cols:,} x {rows:,} cells of {size:g} m, {used:,} scans"
     sections = list_sections(product, inputs)
-    return Page(f"Map of {names}", subtitle, sections, stage_map(product, evidence, options))
+    return Page(
+        f"Map of {name_logs(logs)}", subtitle, sections, stage_map(product, evidence, options)
+    )
 
 
 def list_sections(product: Product, inputs: list[dict[str, Any]]) -> list[Section]:

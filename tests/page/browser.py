@@ -89,7 +89,7 @@ class Shown:
         actions.w3c_actions.pointer_action.move_to_location(round(x), round(y))  # type: ignore[no-untyped-call]
         actions.perform()
         for _ in range(100):
-            if self.text("#pointer") != old:
+            if self.text("#pointer") != old and "…" not in self.text("#pointer"):
                 break
             time.sleep(0.01)
         lines = self.text("#pointer").split("\n")
