@@ -151,7 +151,8 @@ def name_logs(names: Iterable[str]) -> str:
 def describe_maker(inputs: Iterable[Mapping[str, Any]] = ()) -> Section:
     """Say which command made the page, with which versions, of which files."""
     blocks = []
-    if Path(sys.argv[0]).name in {"occmap", "occmap.exe"}:  # else a program of somebody else's
+    program = Path(sys.argv[0])
+    if "occmap" in {program.stem, program.parent.name}:  # else a program of somebody else's
         blocks.append(Block("code", texts=[shlex.join(["occmap", *sys.argv[1:]])]))
     versions = ", ".join(f"{name} {version(name)}" for name in ("occmap", "numpy", "bokeh"))
     blocks.append(Block("facts", rows=[("versions", f"{versions}, Python {python_version()}")]))

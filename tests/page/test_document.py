@@ -1,7 +1,9 @@
 """What pages say, read from their HTML."""
 
+import hashlib
 import json
 import re
+import shlex
 import shutil
 import sys
 from html.parser import HTMLParser
@@ -56,8 +58,7 @@ def test_a_map_says_what_the_json_says(tmp_path: Path, capsys: pytest.CaptureFix
     assert f"{found['scans']['used']:,} of {found['scans']['read']:,} used" in texts
     assert any(text.startswith(f"{grid['occupied']:.1%} occupied") for text in texts)
     assert f"{found['beams']['hit']:,} beams" in texts
-    assert "occmap build sample_logs/drive.csv -o drive.pgm --resolution 0.1" not in texts
-    assert "SHA-256" in texts
+    assert hashlib.sha256(DRIVE.read_bytes()).hexdigest() in texts
     assert found["files"] == [str(path)]
 
 
@@ -146,6 +147,21 @@ def test_nothing_is_fetched(tmp_path: Path) -> None:
     html = (tmp_path / "m.html").read_text(encoding="utf-8")
     assert not re.findall(r"<(?:script|link|img)[^>]*(?:src|href)=", html)
     assert "default-src 'none'" in html
+
+
+def test_the_command_line_is_there_where_there_is_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    line = ["build", str(DRIVE), "--resolution", "0.4", "-o", str(tmp_path / "a b.html")]
+    for program, is_occmap in (
+        ("/bin/occmap", True),
+        ("/x/occmap/__main__.py", True),
+        ("/x", False),
+    ):
+        monkeypatch.setattr(sys, "argv", [program, *line])
+        assert run(line) == 0
+        told = shlex.join(["occmap", *line])
+        assert (told in read(tmp_path / "a b.html").texts) == is_occmap
 
 
 def test_without_bokeh_one_line_says_what_to_type(
