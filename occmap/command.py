@@ -80,6 +80,8 @@ def list_given(options: BuildOptions) -> dict[str, str]:
     flags |= _list_changed(options, BuildOptions(), GRID_FLAGS)
     if options.posing.sensor_pose is not None:
         flags["--sensor-pose"] = format_mount(options.posing.sensor_pose)
+    if options.posing.transform is not None:
+        flags["--transform"] = format_mount(options.posing.transform)
     if options.returns.footprint is not None:
         flags["--footprint"] = _join(options.returns.footprint)
     return flags

@@ -14,6 +14,7 @@ from occmap.evidence.merging import open_saved
 from occmap.evidence.persistence import check_gap, check_passes, render_lasting
 from occmap.evidence.publishing import describe_resumed
 from occmap.evidence.repetition import list_repeated
+from occmap.grid.framing import Framing, frame
 from occmap.grid.lattice import Lattice
 from occmap.grid.spec import GridSpec, tabulate
 from occmap.grid.stacks import add_stack
@@ -73,6 +74,7 @@ class BuildOptions:
     returns: ReturnOptions = field(default_factory=ReturnOptions)
     posing: PosingOptions = field(default_factory=PosingOptions)
     selection: Selection = field(default_factory=Selection)
+    framing: Framing = field(default_factory=Framing)
     writing: WriteOptions = field(default_factory=WriteOptions)
     jump: float = 0.1
     """Neighbouring beams see one surface where ranges differ by at most this (m; not beam)"""
@@ -179,6 +181,7 @@ def build_alone(
         grid, lost = render_lasting(
             tiles, slices, options.min_passes, options.model, options.max_cells
         )
+        grid = frame(grid, options.framing, options.model.prior, options.max_cells)
     remarks.notes += (
         *options.list_idle(),
         *list_lacking(tally, remarks.resumed),

@@ -12,6 +12,8 @@ from occmap.cli.sections import join, option
 from occmap.cli.values import (
     PATH,
     one_of,
+    parse_extent,
+    read_by,
     set_verbosity,
 )
 from occmap.pipeline import BuildOptions
@@ -128,6 +130,18 @@ lattice = join(
         help=f"{Update.POLYGON}: close a surface over so many cells between end cells.",
     ),
     max_cells,
+)
+
+framing = join(
+    option(
+        MAP,
+        "--extent",
+        **read_by(parse_extent),
+        metavar="X_MIN,Y_MIN,X_MAX,Y_MAX",
+        show_default="what was observed",
+        help="Cover exactly this box (m), to whole cells; evidence (.npz) stays whole.",
+    ),
+    metres(MAP, "--margin", default=0.0, help="Add unknown space around what was observed."),
 )
 
 min_passes = option(

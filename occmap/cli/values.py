@@ -38,7 +38,7 @@ def parse_sensor_pose(text: str) -> Pose:
     return Pose.from_xyzrpy((x, y, 0.0), (roll, pitch, yaw))
 
 
-def parse_transform(text: str) -> PoseSample:
+def parse_static(text: str) -> PoseSample:
     """Read a fixed transform.
 
     Raises
@@ -86,6 +86,21 @@ def parse_box(text: str) -> Box:
     form = "write x_min,y_min,x_max,y_max in metres, such as -0.4,-0.3,0.2,0.3"
     x_min, y_min, x_max, y_max = read_list(text, 4, f"--footprint {text}", form)
     return x_min, y_min, x_max, y_max
+
+
+def parse_extent(text: str) -> Box:
+    """Read what a map covers; raises UsageError where there are not four numbers."""
+    form = "write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4"
+    x_min, y_min, x_max, y_max = read_list(text, 4, f"--extent {text}", form)
+    return x_min, y_min, x_max, y_max
+
+
+def parse_transform(text: str) -> Pose:
+    """Read where a log's map frame lies in the map; raises UsageError where that is no pose."""
+    form = "write x,y,yaw in metres and radians, such as 12.5,-3,1.5708"
+    x, y, yaw = read_list(text, 3, f"--transform {text}", form)
+    refuse_degrees((yaw,), f"--transform {text}")
+    return Pose.planar(x, y, yaw)
 
 
 def read_list(text: str, size: int, where: str, form: str) -> list[float]:

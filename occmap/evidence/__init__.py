@@ -17,7 +17,6 @@ from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid, refuse_larg
 from occmap.sensor.bounds import Clamped, Spreading
 from occmap.sensor.models import RadialModel, SensorModel, find_decision, parse_model
 from occmap.types import (
-    Box,
     Evidence,
     Float64,
     Manifest,
@@ -29,8 +28,6 @@ from occmap.types import (
 
 Weigh: TypeAlias = Callable[[Float64, Float64], Float64]
 """Takes hits and misses, or log-odds and observations"""
-CELL_SLACK = 1e-6
-"""In cells: 0.15 m is three cells of 0.05 m, whatever floats say."""
 
 
 def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
@@ -84,27 +81,6 @@ def render_saved(evidence: Evidence, model: SensorModel, max_cells: int) -> Occu
     """
     refuse_other_profile(evidence, model)
     return render(to_grid(evidence), model, max_cells)
-
-
-def crop(grid: OccupancyMap, box: Box) -> OccupancyMap:
-    """Cut out the cells that a box touches; where it reaches beyond the map, the map ends it.
-
-    Raises
-    ------
-    MapError
-        The box touches no cell of the map.
-    """
-    size, (rows, cols) = grid.resolution, grid.shape
-    left, low = (round(edge / size) for edge in grid.origin)
-    first_col, first_row = (math.floor(edge / size + CELL_SLACK) for edge in box[:2])
-    end_col, end_row = (math.ceil(edge / size - CELL_SLACK) for edge in box[2:])
-    row, row_end = max(first_row - low, 0), min(end_row - low, rows)
-    col, col_end = max(first_col - left, 0), min(end_col - left, cols)
-    if row >= row_end or col >= col_end:
-        reach = ", ".join(f"{edge:.6g}" for edge in grid.extent)
-        raise MapError("no cell of the map lies in --crop", fix=f"the map's own box is {reach}")
-    origin = (left + col) * size, (low + row) * size
-    return replace(grid.take(slice(row, row_end), slice(col, col_end)), origin=origin)
 
 
 def read_model(evidence: Evidence) -> SensorModel:

@@ -1,8 +1,10 @@
 """Attachment: scans and poses become posed scans; each scan without a pose is counted."""
 
+import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import reduce
 from typing import Self
 
 import numpy as np
@@ -65,6 +67,7 @@ class Poser:
     def __post_init__(self) -> None:
         self._leaps = LeapFilter(self.options.max_speed, self.notes)
         self._noted = set(self.notes)
+        self._above = _find_above(self.options)
 
     @classmethod
     def build(
@@ -134,7 +137,8 @@ class Poser:
             counts.update(status.tolist())
             posed = status == Status.POSED
             if posed.any():
-                kept.append(_keep(part, posed, found))
+                placed = self._above.then(found) if self._above else found
+                kept.append(_keep(part, posed, placed))
         dropped = {why: counts[code] for code, why in REASONS.items() if counts[code]}
         return self._leaps.drop(kept, dropped)
 
@@ -189,6 +193,14 @@ class Poser:
         new = [each for each in dict.fromkeys(sentences) if each not in self._noted]
         self._noted.update(new)
         self.notes.extend(new)
+
+
+def _find_above(options: PosingOptions) -> Found | None:
+    """Find where the log's map frame lies in the map that is made; None where they are one."""
+    aligned = Pose.planar(0.0, 0.0, math.radians(options.align or 0.0))
+    ways = [pose for pose in (aligned, options.transform) if pose and pose != UNTURNED]
+    founds = [Found.of(track.position, track.quaternion) for track in map(Track.fixed, ways)]
+    return reduce(Found.then, founds) if founds else None
 
 
 def _list_idle(options: PosingOptions) -> Iterator[str]:
