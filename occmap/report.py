@@ -11,9 +11,10 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from occmap.batching import count_wanted
+from occmap.batching import LeftOut, count_wanted
 from occmap.errors import LogError, MapError, PoseError
 from occmap.grid.tiles import TileGrid
+from occmap.posing.options import DropReason
 from occmap.readers import Log
 from occmap.sensor.bounds import Clamped
 from occmap.sensor.models import SensorModel, find_decision
@@ -29,31 +30,40 @@ LEAST_AGREEMENT = 0.55
 of the same logs leaves 0.27 to 0.56."""
 
 
+REASONS = tuple(map(str, (*DropReason, *LeftOut)))
+"""In the order in which they are told"""
+_LOCK = Lock()
+
+
 class Tally:
     """Counts and times that grow while a map is built; any thread may call `time`, one all else."""
 
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self.advance: Callable[[int], None] = lambda _scans: None
+    def __init__(self, advance: Callable[[int], None] = lambda _scans: None) -> None:
+        self.advance = advance
         """Told, now and then, how many scans were read since the last call"""
-        self._lock = Lock()
-        self.start_over()
+        self.seconds: dict[str, float] = {}
+        self.scans_read = self.scans_used = 0
+        self.dropped: dict[str, int] = {}
+        self.beams = ReturnCounts()
 
     @property
     def scans_wanted(self) -> int:
         """Scans that the user asked for."""
         return count_wanted(self.scans_read, self.dropped)
 
-    def start_over(self) -> None:
-        """Count from zero, as the logs are about to be read; times go on."""
-        self.scans_read = self.scans_used = 0
-        self.dropped: dict[str, int] = {}
-        self.beams = ReturnCounts()
+    def add(self, other: "Tally") -> None:
+        """Count what another one counted, too."""
+        self.scans_read += other.scans_read
+        self.drop(other.dropped)
+        self.use(other.scans_used, other.beams)
+        for stage, seconds in other.seconds.items():
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
 
     def drop(self, reasons: dict[Any, int]) -> None:
         """Count scans that are not used, by reason."""
         for reason, scans in reasons.items():
             self.dropped[str(reason)] = self.dropped.get(str(reason), 0) + scans
+        self.dropped = {why: self.dropped[why] for why in REASONS if why in self.dropped}
 
     def use(self, scans: int, beams: ReturnCounts) -> None:
         """Count scans that are used, and what their beams meant."""
@@ -77,7 +87,7 @@ class Tally:
             yield
         finally:
             seconds = perf_counter() - start
-            with self._lock:
+            with _LOCK:
                 self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
 
     def time_each(self, stage: str, items: Iterator[Item]) -> Iterator[Item]:
@@ -183,22 +193,12 @@ class Report:
 
 @dataclass
 class Remarks:
-    """What is said of a build beside its numbers; grows while a map is built."""
+    """What is said of logs beside numbers; grows while they are read."""
 
     logs: list[str]
-    resumed: Resumed | None = None
     notes: list[str] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
-
-    def note_request(
-        self, outputs: Sequence[Path], writing: WriteOptions, model: SensorModel
-    ) -> None:
-        """Say which logs were given more than once, and count as often, and what does nothing."""
-        self.notes += [*list_idle(outputs, writing), *list_unreached(model, writing)]
-        for log, times in Counter(self.logs).items():
-            if times > 1:
-                self.notes.append(f"{log}: given {times} times, and counted as often")
 
     def note(self, log: Log, others: Iterable[str]) -> None:
         """Keep what a log has to say, and what others have to say of it."""
@@ -206,7 +206,18 @@ class Remarks:
         self.damage += [f"{log.path}: {note.text}" for note in log.notes if note.damage]
 
 
-def refuse_unused(logs: Sequence[Log], tally: Tally) -> None:
+def list_requested(
+    logs: Sequence[object], outputs: Sequence[Path], writing: WriteOptions, model: SensorModel
+) -> Iterator[str]:
+    """Say which options do nothing, and which logs were given more than once and count as often."""
+    yield from list_idle(outputs, writing)
+    yield from list_unreached(model, writing)
+    for log, times in Counter(map(str, logs)).items():
+        if times > 1:
+            yield f"{log}: given {times} times, and counted as often"
+
+
+def refuse_unused(logs: Sequence[object], tally: Tally) -> None:
     """Refuse to make a map of nothing.
 
     Raises
@@ -227,7 +238,7 @@ def refuse_unused(logs: Sequence[Log], tally: Tally) -> None:
     raise LogError("holds no laser scan that can be read", where=where)
 
 
-def refuse_unseen(logs: Sequence[Log], tally: Tally, grid: TileGrid) -> None:
+def refuse_unseen(logs: Sequence[object], tally: Tally, grid: TileGrid) -> None:
     """Refuse to make a map in which no cell was observed.
 
     Raises
@@ -245,9 +256,9 @@ def refuse_unseen(logs: Sequence[Log], tally: Tally, grid: TileGrid) -> None:
     )
 
 
-def name_logs(logs: Sequence[Log]) -> str:
-    """Name the logs that an error is about."""
-    return ", ".join(str(log.path) for log in logs)
+def name_logs(logs: Sequence[object]) -> str:
+    """Name the logs, given as paths, that an error is about."""
+    return ", ".join(map(str, logs))
 
 
 def list_lacking(tally: Tally, resumed: Resumed | None) -> Iterator[str]:

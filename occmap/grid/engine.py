@@ -8,7 +8,7 @@ from occmap.errors import MapError
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.projection import Projected, prepare, project
 from occmap.grid.spec import GridSpec
-from occmap.grid.tiles import MAX_CELLS, EvidenceKind, TileGrid, refuse_large
+from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
 from occmap.grid.windows import Window, choose_window
 from occmap.types import Rays, Slices
 
@@ -44,8 +44,7 @@ class GridEngine:
         roomy_cells: int = ROOMY_CELLS,
     ) -> None:
         self.spec = spec
-        kind = EvidenceKind.COUNTS if spec.radial is None else EvidenceKind.LOG_ODDS
-        self.grid = TileGrid(spec.lattice, kind, spec.unit)
+        self.grid = TileGrid(spec.lattice, spec.kind, spec.unit)
         self._window_type = choose_window(spec)
         self._window_cells = window_cells
         self._max_cells = max_cells

@@ -7,7 +7,7 @@ import numpy as np
 
 from occmap.grid.kernels.units import BEAM_WEIGHT
 from occmap.grid.lattice import Lattice
-from occmap.grid.tiles import LOG_ODDS_UNIT
+from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.types import Float64, Int64, Update
 
 COUNT_BITS = 20
@@ -83,3 +83,8 @@ class GridSpec:
     def unit(self) -> int:
         """What one beam, or one scan, weighs in the numbers of a cell."""
         return find_unit(self.update)
+
+    @property
+    def kind(self) -> EvidenceKind:
+        """What the two numbers of a cell are."""
+        return EvidenceKind.COUNTS if self.radial is None else EvidenceKind.LOG_ODDS

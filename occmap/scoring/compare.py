@@ -137,7 +137,7 @@ def compare(
         for log, notes in trace_logs(logs, in_order, partial(trials.begin, workers), tally):
             remarks.note(log, notes)
     hold_out = trials.hold_out
-    refuse_unused(logs, tally)
+    refuse_unused(paths, tally)
     refuse_unscored(remarks.logs, hold_out)
     if hold_out.scans < FEW_SCANS:
         held_out = count(hold_out.scans, "held-out scan")

@@ -62,7 +62,7 @@ def keep_logs(
     """
     most = max(MOST_SCANS // len(logs), 1)
     kept = [keep_log(log, options, most, tally, remarks) for log in logs]
-    refuse_unused(logs, tally)
+    refuse_unused(remarks.logs, tally)
     read, used = sum(log.scans for log in kept), tally.scans_used
     if read < used:
         remarks.notes.append(f"{read:,} of {used:,} scans are tried, spread over the logs")
@@ -71,7 +71,7 @@ def keep_logs(
         raise PoseError(
             f"no scan has a pose both {MOST_OFFSET_S:g} s before its time and {MOST_OFFSET_S:g} s "
             "after it",
-            where=name_logs(logs),
+            where=name_logs(remarks.logs),
             fix="give a longer log",
         )
     return kept
