@@ -28,8 +28,8 @@ class LeftOut(StrEnum):
 
     NO_BEAMS = "no beams"
     BAD_ANGLES = "angles not finite"
-    TIME = "outside --start and --end"
-    STRIDE = "left out by --stride"
+    TIME = "outside `start_s` and `end_s`"
+    STRIDE = "left out by `stride`"
 
 
 NOT_ASKED_FOR = (LeftOut.TIME, LeftOut.STRIDE)
@@ -66,7 +66,7 @@ class Selection:
             raise UsageError(f"a stride of {self.stride} is not possible", fix="give 1 or more")
         if not self.start_s < self.end_s:
             raise UsageError(
-                f"--start {self.start_s} is not before --end {self.end_s}",
+                f"`start_s={self.start_s}` is not before `end_s={self.end_s}`",
                 fix="both are in seconds after the log's first scan",
             )
 

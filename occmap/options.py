@@ -65,9 +65,9 @@ class BuildOptions:
         check_passes(self.min_passes, self.model)
         check_gap(self.pass_gap_s)
         if self.jobs < 1:
-            raise UsageError(f"{self.jobs} jobs are not possible", fix="give --jobs 1 or more")
+            raise UsageError(f"{self.jobs} jobs are not possible", fix="give `jobs=1` or more")
         if not self.jump >= 0:
-            raise UsageError(f"a jump of {self.jump} m is not possible", fix="try --jump 0.1")
+            raise UsageError(f"a jump of {self.jump} m is not possible", fix="try `jump=0.1`")
         if not 0 <= self.hit_offset <= MOST_OFFSET:
             raise UsageError(
                 f"a hit offset of {self.hit_offset} cells is not possible",
@@ -81,6 +81,6 @@ class BuildOptions:
     def list_idle(self) -> Iterator[str]:
         """Say which options do nothing under the update."""
         if self.update is Update.BEAM and self.jump != BuildOptions.jump:
-            yield "--jump does nothing under `occmap build beam`"
+            yield "`jump` does nothing under `occmap build beam`"
         if self.update is not Update.POLYGON and self.border_gap != BuildOptions.border_gap:
-            yield "--border-gap does nothing: it is for `occmap build polygon`"
+            yield "`border_gap` does nothing: it is for `occmap build polygon`"

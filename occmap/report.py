@@ -248,7 +248,7 @@ def refuse_unseen(logs: Sequence[object], tally: Tally, grid: TileGrid) -> None:
     """
     if grid.tiles:
         return
-    clear = ", or try --no-return clear" if tally.beams.no_return else ""
+    clear = ", or try `no_return=clear`" if tally.beams.no_return else ""
     raise MapError(
         f"no beam of any scan observed a cell: {write_counts(tally.beams.by_name)}",
         where=name_logs(logs),
@@ -275,7 +275,7 @@ def list_disagreement(grid: OccupancyMap) -> Iterator[str]:
         yield (
             f"only {agreement:.0%} of the hits lie in cells that the map calls occupied: the "
             "poses do not fit the scans; see `occmap check`, try `occmap tune`, another "
-            "--time-offset or another trajectory"
+            "`time_offset_s` or another trajectory"
         )
 
 

@@ -19,6 +19,7 @@ from PIL import Image
 
 import occmap
 from occmap.batching import Selection
+from occmap.cli.console import spell_all
 from occmap.errors import MapError, OccmapError, OutputError, UsageError
 from occmap.evidence.publishing import RenderOptions
 from occmap.grid.framing import Framing
@@ -425,7 +426,8 @@ def run(*words: str | Path) -> Any:
 
 
 def as_printed(value: dict[str, Any]) -> Any:
-    return json.loads(json.dumps(value))
+    """The same as JSON, in which options are flags."""
+    return json.loads(json.dumps(spell_all(value)))
 
 
 def test_check_gives_what_the_command_prints() -> None:

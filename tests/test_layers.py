@@ -2,6 +2,7 @@
 
 import ast
 import json
+import re
 import subprocess
 import sys
 import tomllib
@@ -83,6 +84,27 @@ def test_values_and_errors_know_nobody_but_errors(name: str) -> None:
 def test_nothing_knows_the_command_line() -> None:
     knowing = {name_module(path) for path in MODULES if "cli" in find_met(path)}
     assert knowing == {"occmap.__main__"}
+
+
+FLAG = re.compile(r"(?<![\w-])(--[a-z]+(-[a-z]+)*|-o)(?![\w>-])")
+
+
+def list_texts(path: Path) -> Iterator[str]:
+    """All texts of a module, docstrings, too."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+
+
+def test_only_the_command_line_spells_flags() -> None:
+    others = [path for path in MODULES if find_layer(name_module(path)) not in {"cli", "command"}]
+    assert not [
+        (name_module(path), text)
+        for path in others
+        for text in list_texts(path)
+        if FLAG.search(text)
+    ]
+    assert any(FLAG.search(text) for text in list_texts(PACKAGE / "cli" / "options.py"))
 
 
 @pytest.mark.parametrize("package", OWNERS)

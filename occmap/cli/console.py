@@ -49,7 +49,7 @@ class Console:
         import json  # noqa: PLC0415  late: most runs print none
 
         self.answered = True
-        named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **value}
+        named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **spell_all(value)}
         text = json.dumps(named, indent=2, allow_nan=False)
         put_line(text.replace("##", r"\u0023#"))  # the same to who reads JSON, and no order
 
@@ -108,8 +108,27 @@ def put_line(text: str) -> None:
         raise OutputError(f"cannot be written ({error.strerror})", where="stdout") from None
 
 
+def spell(text: str) -> str:
+    """Spell the options that a text names as flags."""
+    if "`" not in text:
+        return text
+    from occmap.command import spell_flags  # noqa: PLC0415  late: it brings NumPy
+
+    return spell_flags(text)
+
+
+def spell_all(value: Any) -> Any:
+    """Spell the options that any text of a result names."""
+    if isinstance(value, str):
+        return spell(value)
+    if isinstance(value, dict):
+        return {spell_all(key): spell_all(item) for key, item in value.items()}
+    return list(map(spell_all, value)) if isinstance(value, list | tuple) else value
+
+
 def clean(line: str) -> str:
     """Make one line of text of what logs and paths say: it moves no cursor and orders nothing."""
+    line = spell(line)
     if not line.isprintable():
         line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
     return ORDER.sub(lambda found: f"{found[1] or ''}\\x{ord(found[0][-1]):x}", line)

@@ -167,7 +167,6 @@ def model_option(**default: str) -> Any:
     return option(
         MODEL,
         "--model",
-        "model_text",
         metavar="NAME[:KEY=NUMBER,...]",
         help="How evidence is weighed: see `occmap models`.",
         **default,

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from occmap.cli import limits
-from occmap.cli.collect import SHORTHANDS, collect_model
+from occmap.cli.collect import collect_model
 from occmap.cli.console import Console
 from occmap.cli.summary import (
     LABEL,
@@ -16,6 +16,7 @@ from occmap.cli.summary import (
     format_update,
     label_files,
 )
+from occmap.command import MODEL_PARAMETERS
 from occmap.errors import UsageError
 from occmap.evidence import read_model
 from occmap.evidence.publishing import RenderOptions, publish
@@ -71,7 +72,7 @@ def choose_model(evidence: Evidence, values: dict[str, Any]) -> SensorModel | No
     UsageError
         No such model, or a parameter that it does not have or allow.
     """
-    if all(values.get(name) is None for name in ("model_text", *SHORTHANDS)):
+    if all(values.get(name) is None for name in ("model", *MODEL_PARAMETERS)):
         return None
     return collect_model(values, read_model(evidence))
 

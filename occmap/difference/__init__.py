@@ -129,14 +129,14 @@ def align(before: ClassMap, after: ClassMap) -> tuple[Place, tuple[int, int]]:
         raise MapError(
             f"its cells are {b.resolution:g} m, those of {before.path} {a.resolution:g} m",
             where=after.path,
-            fix="build both with one --resolution",
+            fix="build both with one `resolution`",
         )
     row, col = (b.y - a.y) / a.resolution, (b.x - a.x) / a.resolution
     if max(abs(row - round(row)), abs(col - round(col))) > LATTICE_TOLERANCE:
         raise MapError(
             f"lies {col:.3f} columns and {row:.3f} rows from {before.path}: not on one lattice",
             where=after.path,
-            fix="maps that occmap builds with one --resolution share a lattice",
+            fix="maps that occmap builds with one `resolution` share a lattice",
         )
     return a, (round(row), round(col))
 

@@ -97,7 +97,7 @@ def read_model(evidence: Evidence) -> SensorModel:
         raise MapError(
             f"its model {evidence.manifest.model!r} cannot be made ({error.found})",
             where=evidence.where,
-            fix="give another with --model, or install what has it",
+            fix="give another with `model`, or install what has it",
         ) from None
 
 
@@ -126,10 +126,10 @@ def refuse_other_profile(evidence: Evidence, model: SensorModel) -> None:
     made_for, wanted = evidence.manifest.profile, describe_profile(model)
     if made_for and made_for != wanted:
         found = f"was summed up for the model {made_for}; no other can read it"
-        raise MapError(found, where=evidence.where, fix="leave out --model, or change --prior")
+        raise MapError(found, where=evidence.where, fix="leave out `model`, or change `prior`")
     if wanted and not made_for:
         raise MapError(
             f"holds hits and misses, which {model.name} cannot read",
             where=evidence.where,
-            fix=f"build it with --model {model.name}",
+            fix=f"build it with `model={model.name}`",
         )

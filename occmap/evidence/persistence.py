@@ -49,7 +49,7 @@ def keep_lasting(grid: TileGrid, layers: Sequence[Slices], min_passes: int | Non
     if grid.tiles and not lasting.tiles:
         raise MapError(
             f"no cell was hit on {min_passes} visits, and none was seen free: there is no map",
-            fix="give a smaller --min-passes",
+            fix="give a smaller `min_passes`",
         )
     return lasting
 
@@ -95,9 +95,9 @@ def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:
     lost = were - np.count_nonzero(before.occupied[rows, cols] & after.occupied)
     if lost and lost >= MUCH * were:
         yield (
-            f"--min-passes takes away {100 * lost / were:.0f}% of the occupied cells ({lost:,} of "
+            f"`min_passes` takes away {100 * lost / were:.0f}% of the occupied cells ({lost:,} of "
             f"{were:,}), since they were hit on fewer visits; walls may be among them: leave it "
-            "out, or build with a smaller --pass-gap"
+            "out, or build with a smaller `pass_gap_s`"
         )
 
 
@@ -112,12 +112,12 @@ def check_passes(min_passes: int | None, model: SensorModel) -> None:
     if min_passes is None:
         return
     if min_passes < 1:
-        raise UsageError(f"--min-passes {min_passes} is not possible", fix="give 1 or more")
+        raise UsageError(f"`min_passes={min_passes}` is not possible", fix="give 1 or more")
     if isinstance(model, RadialModel):
         raise UsageError(
-            f"--min-passes counts the visits that hit a cell, while {model.name} sums up log-odds "
+            f"`min_passes` counts the visits that hit a cell, while {model.name} sums up log-odds "
             "and knows no hits",
-            fix="leave it out, or build with --model simple or --model counting",
+            fix="leave it out, or build with `model=simple` or `model=counting`",
         )
 
 
@@ -131,6 +131,6 @@ def check_gap(pass_gap_s: float) -> None:
     """
     if not SHORTEST_GAP_S <= pass_gap_s <= LONGEST_GAP_S:
         raise UsageError(
-            f"--pass-gap {pass_gap_s:g} is not possible",
+            f"`pass_gap_s={pass_gap_s:g}` is not possible",
             fix=f"give {SHORTEST_GAP_S:g} to {LONGEST_GAP_S:g} seconds",
         )

@@ -61,7 +61,7 @@ class Explanation:
     history: CellHistory
     model: str
     cell: OccupancyMap
-    """Of this one cell: nothing is observed where --min-passes leaves nothing"""
+    """Of this one cell: nothing is observed where `min_passes` leaves nothing"""
     builds: tuple[BuildVisits, ...]
     """Those that observed the cell"""
     extent: Box | None
@@ -130,7 +130,7 @@ def explain(
     refuse_other_profile(evidence, model)
     check_passes(question.min_passes, model)
     if question.poses and not question.logs:
-        raise UsageError("--poses goes with a log", fix="add --log LOG, or leave it out")
+        raise UsageError("`poses` goes with a log", fix="add `logs=LOG`, or leave it out")
     history = look_at(evidence, question.x, question.y)
     uses = find_uses(evidence, question.logs, question.poses)
     sightings, scans_used = find_sightings(uses, history, progress)

@@ -126,7 +126,7 @@ def follow(
         raise PoseError(
             f"its poses came from {trajectory['name']}, which is needed again{differs}",
             where=log,
-            fix=f"add --poses {trajectory['name']}",
+            fix=f"add `poses={trajectory['name']}`",
         )
     return replace(options, posing=replace(options.posing, poses=str(path)))
 
@@ -146,7 +146,7 @@ def refuse_stranger(evidence: Evidence, log: Path) -> None:
     raise LogError(
         f"{evidence.where} was not made of it",
         where=log,
-        fix=f"it was made of {shorten(names)}: give --log with one of these",
+        fix=f"it was made of {shorten(names)}: give `logs` with one of these",
     )
 
 

@@ -51,7 +51,7 @@ class Limit:
     """In the unit of the measure, a share from 0 to 1"""
     in_percent: bool = False
     """The bound was written as 5% rather than 0.05"""
-    option: str = "--fail-if"
+    option: str = "`limits`"
     """Where the user set it"""
 
     def is_broken_by(self, value: float) -> bool:
@@ -103,7 +103,7 @@ def parse_limit(text: str, measures: Sequence[Measure[Any]]) -> Limit:
     UsageError
         It is of another form, names none of the measures, or has a number that makes no sense.
     """
-    where = f"--fail-if {text!r}"
+    where = f"`limits` {text!r}"
     found = EXPRESSION.fullmatch(text)
     if found is None or found[2] not in SIGNS:
         first = measures[0]

@@ -178,8 +178,8 @@ def refuse_far_sensors(rays: Rays, lattice: Lattice) -> None:
         raise MapError(
             f"a sensor {farthest:.6g} m from the map's zero is too far away for cells of "
             f"{lattice.resolution} m",
-            fix="if a pose is wrong, leave it out with --start and --end; else use a coarser "
-            "--resolution",
+            fix="if a pose is wrong, leave it out with `start_s` and `end_s`; else use a coarser "
+            "`resolution`",
         )
 
 
@@ -195,5 +195,5 @@ def refuse_long_beams(rays: Rays, resolution: float) -> None:
     if longest / resolution > MOST_CELLS_OF_BEAM:
         raise MapError(
             f"a beam of {longest:.6g} m is too long for cells of {resolution} m",
-            fix="limit ranges with --max-range, or use a coarser --resolution",
+            fix="limit ranges with `max_range`, or use a coarser `resolution`",
         )

@@ -39,7 +39,7 @@ class Framing:
         if self.margin:
             raise UsageError(
                 "a margin goes around what was observed, while the extent says where the map ends",
-                fix="leave out --margin or --extent",
+                fix="leave out `margin` or `extent`",
             )
         x_min, y_min, x_max, y_max = self.extent
         near = max(map(abs, self.extent)) <= FARTHEST_M
@@ -72,7 +72,7 @@ def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) ->
     shared = whole.clip(box)
     if not shared.cells:
         reach = ", ".join(f"{edge:.6g}" for edge in grid.extent)
-        raise MapError("no cell of the map lies in --extent", fix=f"the map's own box is {reach}")
+        raise MapError("no cell of the map lies in `extent`", fix=f"the map's own box is {reach}")
     refuse_large(box, lattice, max_cells)
     log_odds = np.full((box.rows, box.cols), to_log_odds(prior), np.float32)
     observed = np.zeros((box.rows, box.cols), np.bool_)

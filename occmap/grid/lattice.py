@@ -84,7 +84,7 @@ class Lattice:
         if not (math.isfinite(self.resolution) and self.resolution > 0):
             raise UsageError(
                 f"a resolution of {self.resolution} m is not possible",
-                fix="give the side of a cell in metres, such as --resolution 0.05",
+                fix="give the side of a cell in metres, such as `resolution=0.05`",
             )
 
     @property

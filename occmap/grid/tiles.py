@@ -158,7 +158,7 @@ def refuse_large(box: CellBox, lattice: Lattice, max_cells: int) -> None:
         )
         raise MapError(
             f"the map would reach from {low} to {high} m: {box.cols} x {box.rows} cells, more than "
-            f"--max-cells {max_cells}",
-            fix="if a pose is wrong, leave it out with --start and --end; else use a coarser "
-            "--resolution, a shorter --max-range, or raise --max-cells",
+            f"`max_cells={max_cells}`",
+            fix="if a pose is wrong, leave it out with `start_s` and `end_s`; else use a coarser "
+            "`resolution`, a shorter `max_range`, or raise `max_cells`",
         )

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from occmap.command import format_mount
+from occmap.command import format_mount, spell_flag
 from occmap.errors import LogError, OccmapError
 from occmap.inspection.advice import compose_command, list_warnings
 from occmap.inspection.extent import Extent
@@ -54,8 +54,8 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
     problems += _list_pose_problems(logs, options.posing.stamps) or too_large or unseen
     usable = any(_is_usable(topic, options) for log in logs for topic in log.scans)
     command = compose_command(logs, options) if usable and not too_large else ()
-    if unseen and "--no-return" not in command:  # nothing that is known makes anything of it
-        command = ()
+    if unseen and spell_flag("no_return") not in command:
+        command = ()  # nothing that is known makes anything of these logs
     return Inspection(
         logs=tuple(logs),
         map=grid,
@@ -204,14 +204,14 @@ def _bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str
         return ""
     times = topic.times
     if times.suggested_stamps is not stamps:
-        return f"; try --stamps {times.suggested_stamps.value}"
+        return f"; try `stamps={times.suggested_stamps.value}`"
     for source in log.coverage if stamps is Stamps.HEADER else ():
         apart = source.end_ns < times.start_ns or times.end_ns < source.start_ns
         if source.moves and apart:
             offset_ms = -((times.start_ns - source.start_ns) // 10**6)  # up: not before the pose
-            flag = f"--time-offset {offset_ms / 1e3:.12g}"
-            return f"; {flag} would put the first scan at the first pose"
-    return "; compare stamps and sources: --time-offset S or --stamps record"
+            option = f"`time_offset_s={offset_ms / 1e3:.12g}`"
+            return f"; {option} would put the first scan at the first pose"
+    return "; compare stamps and sources: `time_offset_s=S` or `stamps=record`"
 
 
 def _list_unseen(logs: Sequence[LogFindings], grid: MapFindings | None) -> list[str]:
@@ -226,7 +226,7 @@ def _list_size_problems(grid: MapFindings | None, options: BuildOptions) -> list
         return []
     x, y, x_end, y_end = grid.extent
     return [
-        f"the map would have {grid.columns} x {grid.rows} cells, more than --max-cells "
-        f"{options.max_cells}: x from {x:g} to {x_end:g} m, y from {y:g} to {y_end:g} m; "
-        "try a coarser --resolution or a --max-range"
+        f"the map would have {grid.columns} x {grid.rows} cells, more than "
+        f"`max_cells={options.max_cells}`: x from {x:g} to {x_end:g} m, y from "
+        f"{y:g} to {y_end:g} m; try a coarser `resolution` or a `max_range`"
     ]

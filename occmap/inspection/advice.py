@@ -23,18 +23,18 @@ def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple
 
 
 def list_advised(logs: Sequence[LogFindings], options: BuildOptions) -> dict[str, str]:
-    """List the flags that the findings suggest, where the user has not decided."""
+    """List the options that the findings suggest, where the user has not decided."""
     topics = [topic for log in logs for topic in log.scans]
-    flags = {}
+    advised = {}
     for topic in topics:
         if topic.poses.assumed:
-            flags["--sensor-pose"] = topic.poses.assumed
+            advised["sensor_pose"] = topic.poses.assumed
         if not topic.poses.stated and topic.times.suggested_stamps != options.posing.stamps:
-            flags["--stamps"] = topic.times.suggested_stamps
+            advised["stamps"] = topic.times.suggested_stamps
     advice = {special.no_return for topic in topics for special in topic.ranges.specials} - {""}
     if advice == {"clear"}:
-        flags["--no-return"] = "clear"
-    return flags
+        advised["no_return"] = "clear"
+    return advised
 
 
 def list_warnings(log: LogFindings) -> list[str]:

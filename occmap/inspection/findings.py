@@ -40,7 +40,7 @@ class Special:
     """Of all range values"""
     meaning: str
     no_return: str
-    """"clear" or "ignore" where --no-return decides about it; "" where it is skipped anyway"""
+    """"clear" or "ignore" where `no_return` decides about it; "" where it is skipped anyway"""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class TimeFindings:
     all_equal: bool
     all_zero: bool
     suggested_stamps: Stamps
-    """What to give as --stamps"""
+    """What to give as `stamps`"""
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class MountFindings:
     height: float
     """Median z in the map (m)"""
     better_turn: str
-    """The further turn, as --sensor-pose has it, by which the scans would fit each other clearly
+    """The further turn, as `sensor_pose` has it, by which the scans would fit each other clearly
     better; "" where they fit"""
 
 
@@ -123,7 +123,7 @@ class PoseFindings:
     problem: str
     """Why there are none, and what to do; "" where there are"""
     assumed: str
-    """The --sensor-pose that was found to fit and is used below; "" where none is needed"""
+    """The `sensor_pose` that was found to fit and is used below; "" where none is needed"""
     is_guess: bool
     """The assumed mount is no more than a place holder: the scans do not tell it"""
 

@@ -37,7 +37,7 @@ MOMENTS = 33
 """Poses looked up for one de-skewed scan; see `_keep` for how close that is."""
 
 POSES_OF_BODY = (
-    "the poses beside the scans are taken as the robot's, with the laser at --sensor-pose on it; "
+    "the poses beside the scans are taken as the robot's, with the laser at `sensor_pose` on it; "
     "leave that out if they are the laser's own"
 )
 
@@ -208,14 +208,14 @@ def _list_idle(options: PosingOptions) -> Iterator[str]:
     if options.sensor_pose is not None:
         yield POSES_OF_BODY
     given = {
-        "--map-frame": options.map_frame is not None,
-        "--base-frame": options.base_frame is not None,
-        "--time-offset": options.time_offset_s != 0,
-        "--deskew on": options.deskew is Deskew.ON,
+        "`map_frame`": options.map_frame is not None,
+        "`base_frame`": options.base_frame is not None,
+        "`time_offset_s`": options.time_offset_s != 0,
+        "`deskew=on`": options.deskew is Deskew.ON,
     }
-    for flag, is_given in given.items():
+    for option, is_given in given.items():
         if is_given:
-            yield f"{flag} does nothing: the poses stand beside the scans"
+            yield f"{option} does nothing: the poses stand beside the scans"
 
 
 def _read_stated(pose: Float64, mount: Pose | None) -> Found:

@@ -89,6 +89,6 @@ class LeapFilter:
             self._notes.append(
                 f"{scans.batch.topic}: the scan at {stamp_ns[at] / 1e9:.3f} s lies "
                 f"{metres[step]:,.6g} m from its neighbour, {seconds[step]:.3g} s away: it and "
-                "others that leap so are left out; --max-speed inf keeps them"
+                "others that leap so are left out; `max_speed=inf` keeps them"
             )
         return astray

@@ -41,9 +41,9 @@ class DropReason(StrEnum):
 
     BEFORE = "before the first pose"
     AFTER = "after the last pose"
-    GAP = "in a pose gap longer than --max-pose-gap"
+    GAP = "in a pose gap longer than `max_pose_gap_s`"
     NOT_FINITE = "pose not finite"
-    LEAP = "further from their neighbours than --max-speed allows"
+    LEAP = "further from their neighbours than `max_speed` allows"
     NO_TRANSFORM = "no transform to the scan's frame"
 
 

@@ -21,7 +21,7 @@ TF_TOPICS = frozenset({"", "tf", "tf_static"})
 
 INTENTIONS = frozenset({"goal", "initialpose", "plan", "waypoints"})
 """Words in topics of poses that tell where a robot should be, not where it was."""
-USE_TF = "leave out --poses: they are used unasked"
+USE_TF = "leave out `poses`: they are used unasked"
 
 
 class _Key(NamedTuple):

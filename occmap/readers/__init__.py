@@ -21,7 +21,7 @@ PROBE_BYTES = 4096
 _MAP = "a map, not a log: `occmap diff` compares maps"
 OTHER_FILES = {
     b"PK\x03\x04": "not a log but an archive: "
-    "evidence in .npz is for `occmap render`, or for --resume",
+    "evidence in .npz is for `occmap render`, or for `resume`",
     b"P5": _MAP,
     b"image:": _MAP,
     b"\x89PNG": "a picture, not a log: `occmap diff` compares maps",

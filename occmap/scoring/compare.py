@@ -75,8 +75,8 @@ class VariantComparison:
             options = replace(options, border_gap=BuildOptions.border_gap)
         if variant.update is Update.BEAM:  # which knows no surfaces
             options = replace(options, jump=BuildOptions.jump)
-        flags = {"--model": shorten_model(variant.model)}
-        return compose_build(self.remarks.logs, options, flags, variant.update.value)
+        chosen = {"model": shorten_model(variant.model)}
+        return compose_build(self.remarks.logs, options, chosen, variant.update.value)
 
     def to_json(self) -> dict[str, Any]:
         """The comparison as values that JSON has."""

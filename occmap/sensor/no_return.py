@@ -183,12 +183,12 @@ class RangeLimits:
                 share = tell_share(tally.above, tally.total)
                 found = f"{share} are above it, up to {tally.largest:.4g} m"
             if band is not None or tally.above:
-                advice = "taken as no return: --range-max overrides"
+                advice = "taken as no return: `range_max` overrides"
                 yield f"{topic} states {limit}; {found}, {advice}"
             elif unstated:
                 yield (
                     f'{topic} states {limit}; no value stands for "no return", so every range is '
-                    "used as measured: --range-max sets a limit"
+                    "used as measured: `range_max` sets a limit"
                 )
 
 

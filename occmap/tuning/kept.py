@@ -135,7 +135,7 @@ def trace_rays(
 
 
 def find_mount(logs: Sequence[KeptLog], options: PosingOptions) -> Pose | None:
-    """Find the --sensor-pose that leaves every pose of a scan as it is.
+    """Find the `sensor_pose` that leaves every pose of a scan as it is.
 
     Returns
     -------
@@ -159,7 +159,7 @@ def find_mount(logs: Sequence[KeptLog], options: PosingOptions) -> Pose | None:
 def measure_mount(sensor: PosedScans, body: PosedScans) -> Float64:
     """Measure where a sensor sits on its body at each scan: (S, 3, 4), turn and position.
 
-    The height is left out, as it is of --sensor-pose: no map shows it.
+    The height is left out, as it is of `sensor_pose`: no map shows it.
     """
     scans = len(sensor.position)
     turn = sensor.rotation.reshape(scans, -1, 3, 3)[:, 0]

@@ -36,7 +36,7 @@ class Correction(NamedTuple):
         if mount is None or not any(self[1:]):
             return options
         roll, pitch, yaw = to_rpy(mount)
-        # Rounded as --sensor-pose is written.
+        # Rounded as `sensor_pose` is written.
         place = round(mount.x + self.x, 5), round(mount.y + self.y, 5), mount.z
         turned = math.remainder(yaw + self.yaw, math.tau)
         pose = Pose.from_xyzrpy(place, (roll, pitch, round(turned, 5)))

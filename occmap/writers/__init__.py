@@ -63,12 +63,12 @@ class WriteOptions:
 
     def __post_init__(self) -> None:
         free, occupied = self.thresholds
-        found = f"--occupied-thresh is {occupied}, --free-thresh is {free}"
+        found = f"`occupied_thresh` is {occupied}, `free_thresh` is {free}"
         if not 0 < free < occupied < 1:
             raise UsageError(found, fix="they must satisfy 0 < free < occupied < 1")
         # Two grey levels: else no grey may be left for a cell that is neither free nor occupied.
         if self.mode is MapMode.SCALE and occupied - free < 0.008:
-            raise UsageError(found, fix="with --mode scale they must be at least 0.008 apart")
+            raise UsageError(found, fix="with `mode=scale` they must be at least 0.008 apart")
 
     @property
     def thresholds(self) -> Decision:
@@ -162,7 +162,7 @@ def check_outputs(outputs: Sequence[Path], inputs: Sequence[Path] = ()) -> None:
         refuse_input(target, inputs)
         if files.count(file) > 1:
             raise UsageError(
-                "would be written twice", where=target, fix="give each -o its own name"
+                "would be written twice", where=target, fix="give each output its own name"
             )
 
 
@@ -191,7 +191,7 @@ def refuse_input(target: Path, inputs: Sequence[Path]) -> None:
     for path in inputs:
         if path.exists() and target.exists() and target.samefile(path):
             raise UsageError(
-                "is an input: it would be overwritten", where=target, fix="give -o another name"
+                "is an input: it would be overwritten", where=target, fix="give another name"
             )
 
 
@@ -206,9 +206,9 @@ def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
         return
     suffixes = {path.suffix.lower() for path in outputs}
     if options.mode is not MapMode.TRINARY and suffixes <= {".png", ".npz"}:
-        yield f"--mode {options.mode} does nothing: it is for a PGM, and no -o ends in .pgm"
+        yield f"`mode={options.mode}` does nothing: it is for a PGM, and no output ends in .pgm"
     if options.shade is not Shade.DARK_OCCUPIED and suffixes <= {".pgm", ".npz"}:
-        yield "--light-occupied does nothing: it is for a PNG, and no -o ends in .png"
+        yield "`shade` does nothing: it is for a PNG, and no output ends in .png"
 
 
 @dataclass(frozen=True)

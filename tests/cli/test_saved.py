@@ -99,7 +99,7 @@ def test_scan_counts_say_what_they_count() -> None:
     [
         (
             "-o m.png --mode scale",
-            "--mode scale does nothing: it is for a PGM, and no -o ends in .p",
+            "--mode scale does nothing: it is for a PGM, and no output ends in .p",
         ),
         (
             "-o m.pgm -o n.npz --light-occupied",

@@ -140,9 +140,9 @@ def test_every_file_of_a_folder_is_named() -> None:
 @pytest.mark.parametrize(
     ("made_by", "wanted", "found"),
     [
-        ("simple", "quadratic", "holds hits and misses, .*; build it with --model quadratic"),
+        ("simple", "quadratic", "holds hits and misses, .*; build it with `model=quadratic`"),
         ("quadratic", "simple", "the model quadratic:epsilon=0.0,p_min=0.4; no other"),
-        ("quadratic", "quadratic:epsilon=0.1", "no other can read it; leave out --model"),
+        ("quadratic", "quadratic:epsilon=0.1", "no other can read it; leave out `model`"),
     ],
 )
 def test_a_model_that_cannot_read_it_is_refused(

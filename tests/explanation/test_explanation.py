@@ -262,5 +262,5 @@ def test_the_wrong_model_is_refused(tmp_path: Path) -> None:
     evidence = save(tmp_path, log)
     with pytest.raises(MapError, match="which quadratic cannot read"):
         explain(evidence, Question(0, 0, model=QuadraticModel()))
-    with pytest.raises(UsageError, match="--poses goes with a log"):
+    with pytest.raises(UsageError, match="`poses` goes with a log"):
         explain(evidence, Question(0, 0, poses=(log,)))

@@ -58,12 +58,12 @@ def test_without_a_choice_the_map_stays_as_it_is() -> None:
 
 
 def test_an_extent_beside_the_map_is_refused() -> None:
-    with pytest.raises(MapError, match=r"in --extent; the map's own box is 0.05, -0.05, 0.25, 0.1"):
+    with pytest.raises(MapError, match=r"in `extent`; the map's own box is 0.05, -0.05, 0.25, 0.1"):
         show(Framing(extent=(1.0, 0.0, 2.0, 1.0)))
 
 
 def test_a_frame_of_too_many_cells_is_refused() -> None:
-    with pytest.raises(MapError, match="10 x 9 cells, more than --max-cells 89"):
+    with pytest.raises(MapError, match="10 x 9 cells, more than `max_cells=89`"):
         show(Framing(margin=0.15), max_cells=89)
     assert show(Framing(margin=0.15), max_cells=90).shape == (9, 10)
 
@@ -83,5 +83,5 @@ def test_what_is_no_margin_is_refused(margin: float) -> None:
 
 
 def test_a_margin_around_an_extent_is_refused() -> None:
-    with pytest.raises(UsageError, match="leave out --margin or --extent"):
+    with pytest.raises(UsageError, match="leave out `margin` or `extent`"):
         Framing(extent=(0, 0, 1, 1), margin=1.0)

@@ -180,7 +180,7 @@ def test_a_map_that_slices_make_too_large_is_refused() -> None:
     far = one_beam([0, 1000, 2000])
     for s in range(3):
         engine.add(replace(take(far, [s]), origin=np.full((1, 1, 2), 640.5 * s)))
-    with pytest.raises(MapError, match="more than --max-cells 1000"):
+    with pytest.raises(MapError, match="more than `max_cells=1000`"):
         engine.finish()
 
 

@@ -244,8 +244,8 @@ def test_what_was_altered_on_purpose_is_refused(tmp_path: Path) -> None:
         ('{"format": "occmap evidence", "version": 4}', "version 4, while this occmap reads 3"),
         (
             '{"format": "occmap evidence", "version": 2}',
-            "occmap evidence of an older occmap (version 2, now 3); build it again from its logs: "
-            "occmap build LOG... -o m.npz",
+            "occmap evidence of an older occmap (version 2, now 3); build it again from its logs, "
+            "with `outputs=m.npz`",
         ),
         ('{"format": "else", "version": 1}', "holds 'else', and no evidence of occmap"),
     ],
