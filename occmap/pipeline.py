@@ -6,6 +6,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
+from occmap.alignment import settle_align
 from occmap.evidence import to_evidence
 from occmap.evidence.manifest import BuildRecord, describe_build, plan_manifest
 from occmap.evidence.merging import open_saved
@@ -95,8 +96,9 @@ def build_alone(
     paths: Sequence[Path], options: BuildOptions, outputs: Sequence[Path], progress: Progress
 ) -> Build:
     """Build and write a map, while nobody else adds to the same evidence."""
+    saved = open_saved(options.resume, plan_manifest(options)) if options.resume else None
+    options, unaligned = settle_align(paths, adopt_align(options, saved))
     plan = plan_manifest(options)
-    saved = open_saved(options.resume, plan) if options.resume else None
     keep_slices = options.min_passes is not None or want_evidence(outputs)
     tiles, slices, tally, remarks = observe(paths, options, keep_slices, progress)
     if saved:
@@ -119,6 +121,7 @@ def build_alone(
     notes = [
         *list_requested(paths, outputs, options.writing, options.model),
         *remarks.notes,
+        *unaligned,
         *options.list_idle(),
         *list_lacking(tally, resumed),
         *lost,
@@ -128,6 +131,13 @@ def build_alone(
     remarks = replace(remarks, notes=notes, files=files)
     report = replace(make_report(grid, options, tally, remarks), resumed=resumed)
     return Build(grid, report, tiles, keep() if want_evidence(outputs) else None)
+
+
+def adopt_align(options: BuildOptions, saved: Evidence | None) -> BuildOptions:
+    """Turn a map that is added to evidence as that is turned, where the user names no angle."""
+    if saved is None or options.posing.align is not None:
+        return options
+    return replace(options, posing=replace(options.posing, align=saved.manifest.align))
 
 
 def add_build(plan: Manifest, saved: Evidence | None, build: BuildRecord) -> Manifest:
@@ -156,6 +166,7 @@ def make_report(
         columns=cols,
         rows=rows,
         extent=grid.extent,
+        align=options.posing.align or 0.0,
         shares=measure_shares(grid, options.writing),
         agreement=grid.agreement,
         seconds=dict(tally.seconds),

@@ -147,6 +147,8 @@ class Report:
     files: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
     """Those of the notes that tell of damage to a log"""
+    align: float = 0.0
+    """By what the map is turned (degrees, counter-clockwise)"""
     min_passes: int | None = None
     """On how many visits a cell had to be hit to keep its hits; None: nobody asked"""
     builds: int = 1
@@ -180,6 +182,7 @@ class Report:
                 "columns": self.columns,
                 "rows": self.rows,
                 "extent": list(self.extent),
+                "align": self.align,
                 **self.shares._asdict(),
                 "undecided": self.undecided,
                 "agreement": self.agreement,

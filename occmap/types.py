@@ -540,6 +540,8 @@ class Manifest:
     """What was added: inputs and their hashes, options, scans; see `occmap.evidence.manifest`"""
     subtracted: tuple[dict[str, Any], ...] = ()
     """What was taken away that no entry of `builds` stands for"""
+    align: float | None = 0.0
+    """By what the map is turned (degrees); None only in a plan: it is yet to be found"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

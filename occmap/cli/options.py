@@ -8,10 +8,12 @@ from typing import Any
 import click
 
 from occmap.cli.console import Verbosity
-from occmap.cli.sections import join, option
+from occmap.cli.sections import bare_option, join, option
 from occmap.cli.values import (
+    FROM_SCANS,
     PATH,
     one_of,
+    parse_align,
     parse_extent,
     read_by,
     set_verbosity,
@@ -132,6 +134,17 @@ lattice = join(
     max_cells,
 )
 
+align = bare_option(
+    MAP,
+    "--align",
+    **read_by(parse_align),
+    bare=FROM_SCANS,
+    default="0",
+    metavar="[DEG]",
+    show_default="not turned",
+    help="Turn the map by this angle, counter-clockwise; without a number by the smallest one "
+    "that brings its walls along the axes.",
+)
 framing = join(
     option(
         MAP,

@@ -16,6 +16,8 @@ from occmap.wording import count
 
 PATH = click.Path(path_type=Path, readable=False)
 """Where click would look whether it can be read, occmap's own error says more."""
+FROM_SCANS = "auto"
+"""The --align that the scans are to tell."""
 POSE_FORM = "write x,y,yaw or x,y,yaw,roll,pitch in metres and radians, such as 0.1,0,3.14159"
 TRANSFORM_FORM = "write parent,child,x,y,z,roll,pitch,yaw in metres and radians"
 
@@ -101,6 +103,18 @@ def parse_transform(text: str) -> Pose:
     x, y, yaw = read_list(text, 3, f"--transform {text}", form)
     refuse_degrees((yaw,), f"--transform {text}")
     return Pose.planar(x, y, yaw)
+
+
+def parse_align(text: str) -> float | None:
+    """Read an angle in degrees, or the word that leaves it to the scans.
+
+    Raises
+    ------
+    UsageError
+        It is neither.
+    """
+    form = f"write degrees such as 12.5, or {FROM_SCANS}"
+    return None if text == FROM_SCANS else read_numbers([text], f"--align {text}", form)[0]
 
 
 def read_list(text: str, size: int, where: str, form: str) -> list[float]:

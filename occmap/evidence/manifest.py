@@ -104,6 +104,7 @@ def plan_manifest(options: Any) -> Manifest:
         options.hit_offset,
         describe_model(options.model),
         builds=(),
+        align=options.posing.align,
     )
 
 

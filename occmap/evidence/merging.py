@@ -14,6 +14,9 @@ from occmap.grid.tiles import EvidenceKind, TileGrid
 from occmap.types import Evidence, Manifest
 from occmap.writers.npz import read_evidence
 
+COMMON = ("resolution", "update", "kind", "profile", "pass_gap_s", "hit_offset", "align")
+"""What must be the same of all evidence that is combined."""
+
 
 def open_saved(path: Path, plan: Manifest) -> Evidence:
     """Read evidence that a build is to add to.
@@ -24,7 +27,8 @@ def open_saved(path: Path, plan: Manifest) -> Evidence:
         It cannot be read, or does not add up with what the build makes.
     """
     saved = read_evidence(path)
-    refuse_different(plan, saved)
+    mine = saved.manifest.align if plan.align is None else plan.align
+    refuse_different(replace(plan, align=mine), saved)
     return saved
 
 
@@ -109,7 +113,7 @@ def refuse_different(manifest: Manifest, other: Evidence) -> None:
     MapError
         Naming what differs.
     """
-    for name in ("resolution", "update", "kind", "profile", "pass_gap_s", "hit_offset"):
+    for name in COMMON:
         mine, its = getattr(manifest, name), getattr(other.manifest, name)
         if mine != its:
             raise MapError(

@@ -120,6 +120,7 @@ def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> 
         columns=cols,
         rows=rows,
         extent=grid.extent,
+        align=manifest.align or 0.0,
         shares=measure_shares(grid, writing),
         agreement=grid.agreement,
     )

@@ -21,7 +21,7 @@ from occmap.inspection.findings import (
     ScanFindings,
 )
 from occmap.inspection.poses import Posing, prepare, suggest_stamps
-from occmap.inspection.sample import estimate_agreement, measure_crossing
+from occmap.inspection.sample import describe_mount, estimate_agreement, measure_crossing
 from occmap.inspection.survey import Survey, TopicSurvey
 from occmap.pipeline import BuildOptions, choose_topics, count_messages
 from occmap.posing.coverage import list_coverage
@@ -152,7 +152,7 @@ def _sum_up(
         ranges=topic.census.sum_up(crossed),
         times=topic.stamps.sum_up(suggest_stamps(log, posing, topic)),
         poses=_sum_up_poses(topic, posing),
-        mount=topic.sample.describe_mount(options.returns),
+        mount=describe_mount(topic.sample.parts, options.returns),
         agreement=estimate_agreement(topic.sample.parts, options),
     )
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from occmap.errors import PoseError
-from occmap.inspection.sample import UNTURNED, guess_mount
 from occmap.inspection.survey import Survey, TopicSurvey
 from occmap.pipeline import BuildOptions, count_messages, take_first
 from occmap.posing.attach import Poser
@@ -15,6 +14,7 @@ from occmap.posing.options import PosingOptions, Stamps
 from occmap.posing.resolve import resolve
 from occmap.posing.sources import Sources
 from occmap.readers import Log, read_poses, read_scans
+from occmap.sampling import UNTURNED, guess_mount
 from occmap.sensor.no_return import RangeLimits
 from occmap.types import Pose
 

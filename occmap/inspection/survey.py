@@ -1,6 +1,5 @@
 """One pass over the scans of a log: everything about them is counted as they stream by."""
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -18,10 +17,10 @@ from occmap.errors import PoseError
 from occmap.inspection.extent import Extent
 from occmap.inspection.findings import Shape
 from occmap.inspection.ranges import RangeCensus
-from occmap.inspection.sample import Sample
 from occmap.inspection.times import StampLog
 from occmap.posing.attach import Poser
 from occmap.posing.options import DropReason
+from occmap.sampling import Sample, expect_scans
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Scan, ScanBatch, ScanRun
@@ -99,15 +98,10 @@ class Survey:
         return self.topics.get(topic) or self._begin(topic)
 
     def _begin(self, topic: str) -> TopicSurvey:
+        expected = expect_scans(self.expected, self.selection)
         batcher = Batcher(Selection(), self.poser.options.stamps)
-        self.topics[topic] = TopicSurvey(topic, Sample(self._expect()), batcher)
+        self.topics[topic] = TopicSurvey(topic, Sample(expected), batcher)
         return self.topics[topic]
-
-    def _expect(self) -> int:
-        """Estimate how many scans are wanted; of a part of a log, so few that all are taken."""
-        chosen = self.selection
-        part = math.isfinite(chosen.start_s) or math.isfinite(chosen.end_s)
-        return 0 if part else self.expected // chosen.stride
 
     def _attach(self, survey: TopicSurvey, batch: ScanBatch) -> None:
         """See which scans of a batch get a pose, and how far they reach."""

@@ -14,6 +14,7 @@ from occmap.explanation.history import look_at
 from occmap.grid.slices import count_visits, split_tiles, unite
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE
 from occmap.pipeline import BuildOptions, build
+from occmap.posing.options import PosingOptions
 from occmap.types import Evidence, Manifest, Slices, Update
 from occmap.writers.npz import read_evidence
 from tests.evidence.saving import (
@@ -156,6 +157,7 @@ def test_resuming_with_other_options_is_refused_before_the_log_is_read(tmp_path:
         (choose(model="quadratic"), "its kind is log_odds, .* is counts"),
         (replace(choose(), pass_gap_s=5.0), "its pass_gap_s is 5.0, .* is 10.0"),
         (replace(choose(), hit_offset=0.25), "its hit_offset is 0.25, .* is 0.5"),
+        (replace(choose(), posing=PosingOptions(align=2.5)), "its align is 2.5, .* is 0.0"),
     ],
 )
 def test_evidence_that_does_not_add_up_is_refused(
