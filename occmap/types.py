@@ -440,6 +440,15 @@ def to_log_odds(probability: float) -> float:
     return math.log(probability / (1 - probability))
 
 
+class CellClass(IntEnum):
+    """What a cell is."""
+
+    NEITHER = 0
+    """Nothing observed it, or it is undecided: an image may not tell"""
+    FREE = 1
+    OCCUPIED = 2
+
+
 class Decision(NamedTuple):
     """From what probability on a cell is called occupied, and below which free.
 
@@ -490,6 +499,14 @@ class OccupancyMap:
         """(H, W): observed, and less probably occupied than the decision asks for."""
         below: Bool = self.log_odds < np.float32(to_log_odds(self.decision.free_below))
         return self.observed & below
+
+    @property
+    def classes(self) -> UInt8:
+        """(H, W) of CellClass."""
+        classes = np.full(self.shape, CellClass.NEITHER, np.uint8)
+        classes[self.free] = CellClass.FREE
+        classes[self.occupied] = CellClass.OCCUPIED
+        return classes
 
     def take(self, rows: slice, cols: slice) -> Self:
         """A part of the map; its arrays are views."""

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from occmap.difference.blobs import find_largest_blob
-from occmap.difference.maps import CellClass, ClassMap, Place
+from occmap.difference.maps import ClassMap, Place
 from occmap.errors import MapError
 from occmap.grid.tiles import MAX_CELLS
-from occmap.types import Box, UInt8
+from occmap.types import Box, CellClass, UInt8
 
 LATTICE_TOLERANCE = 0.05
 """In cells: other tools round the origin to millimetres."""

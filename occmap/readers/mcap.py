@@ -1,7 +1,8 @@
 """MCAP files with ROS 2 or ROS 1 messages: whole, without index or summary, or cut short.
 
 The file is walked from its start, in the order in which it was written, so that one that ends
-early is no special case. The loop over the messages of a chunk is the one that must be fast.
+early is no special case. Where the indexes behind a chunk name exactly the messages that are in it,
+they say at once where each lies.
 """
 
 import zlib
@@ -18,10 +19,17 @@ from mcap.opcode import Opcode
 from occmap.errors import LogError
 from occmap.readers import DEFAULT_OPTIONS, Note, NoteList, Probe
 from occmap.readers.inflate import Buffer, inflate
+from occmap.readers.mcap_index import (
+    LATEST_NS,
+    Indexes,
+    pick_messages,
+    read_indexes,
+)
 from occmap.readers.mcap_records import (
     CHUNK_START,
     LAST_OPCODE,
     MAGIC,
+    MESSAGE_DATA,
     RECORD,
     RECORD_ERRORS,
     ChannelTable,
@@ -35,22 +43,13 @@ from occmap.readers.mcap_records import (
 )
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_log import RosLog
-from occmap.readers.ros_source import Channel, RawMessage, add_note
+from occmap.readers.ros_source import Channel, RawMessages, add_note, put_together
 
 T = TypeVar("T")
 
 _MESSAGE_HEAD = Struct("<BQHIQ")
 """Opcode, length, channel, sequence number, record time; a second time follows."""
 _NO_HEAD = (0, 0, 0, 0, 0)
-_MESSAGE_DATA = 31
-"""Where a message's own bytes start in its record."""
-_INDEX_HEAD = Struct("<HI")
-"""Of a message index: its channel, and the bytes of the entries that follow."""
-_INDEX_ENTRY = 16
-"""Bytes of a time and an offset."""
-_LATEST_NS = 2**63 - 1
-"""A time beyond this is damage, and is brought into 64 bits with a sign."""
-
 _NEVER_NS = 2**64 - 1
 _LONGEST_PADDING = 64
 """Bytes that a writer may leave behind the fields of a chunk."""
@@ -69,6 +68,7 @@ class _Block(NamedTuple):
     first_ns: int = 0
     last_ns: int = _NEVER_NS
     is_chunk: bool = False
+    indexes: Indexes = Indexes()
 
 
 class McapReader:
@@ -104,7 +104,6 @@ class McapSource:
         self.notes: list[Note] = NoteList()
         self._verified: set[int] = set()
         self._repeated: set[int] = set()
-        self._held = -1, 0
         self._summary = Summary()
         try:
             with path.open("rb") as file:
@@ -128,13 +127,17 @@ class McapSource:
         """Every channel of the file."""
         return list(self._summary.channels.values())
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessages]:
         """Give the messages of some channels, in file order."""
         channels = {key: item for key, item in self._summary.channels.items() if item in wanted}
         table = ChannelTable()
         with self.path.open("rb") as file:
             for block in self._iterate_blocks(file, channels):
-                yield from self._iterate_messages(block, channels.get, table)
+                places = block.indexes.find(block.records, block.first_ns, block.last_ns)
+                if places is not None:
+                    yield from pick_messages(block.records, places, channels)
+                else:
+                    yield from put_together(self._iterate_messages(block, channels.get, table))
         for key, other in table.build({}).items():
             known = self._summary.channels.get(key, other)
             if known.type and known.description != other.description:
@@ -167,21 +170,14 @@ class McapSource:
         self, file: BinaryIO, wanted: Mapping[int, Channel] | None
     ) -> Iterator[_Block]:
         """Give the records that matter, without chunks that cannot hold wanted channels."""
-        chunk, indexed = -1, 0
         chunks = set()
         for opcode, position, length in self._walk(file):
             if opcode == Opcode.CHUNK:
-                self._compare_index(chunk, indexed)
-                chunk, indexed = position, 0
                 chunks.add(position)
                 if self._may_hold(position, wanted):
-                    yield self._inflate_chunk(position, file.read(length))
-            elif opcode == Opcode.MESSAGE_INDEX:
-                _, size = _INDEX_HEAD.unpack(file.read(_INDEX_HEAD.size).ljust(6, b"\0"))
-                indexed += size // _INDEX_ENTRY
+                    yield self._inflate_chunk(position, file.read(length), read_indexes(file))
             elif opcode in _PLAIN_RECORDS:
                 yield _Block(position, RECORD.pack(opcode, length) + file.read(length))
-        self._compare_index(chunk, indexed)
         if lost := self._summary.chunk_channels.keys() - chunks:
             text = f"{len(lost)} chunks of its index are not there, the first at byte {min(lost)}"
             add_note(self.notes, text)
@@ -246,7 +242,7 @@ class McapSource:
             return True
         return not held.isdisjoint(wanted)
 
-    def _inflate_chunk(self, position: int, body: bytes) -> _Block:
+    def _inflate_chunk(self, position: int, body: bytes, indexes: Indexes) -> _Block:
         """Decompress a chunk and verify its checksum when it is first read."""
         try:
             chunk = parse_chunk(body)
@@ -262,7 +258,8 @@ class McapSource:
                 problem = "has a wrong checksum, and is used as far as it can be read"
         if problem:
             self._note(position, problem)
-        return _Block(position, block, chunk.first_ns, chunk.last_ns or _NEVER_NS, True)
+        last_ns = chunk.last_ns or _NEVER_NS
+        return _Block(position, block, chunk.first_ns, last_ns, True, indexes)
 
     def _iterate_messages(
         self, block: _Block, choose: Callable[[int], T | None], table: ChannelTable
@@ -271,7 +268,7 @@ class McapSource:
 
         Schemas and channels go to the table.
         """
-        position, records, first_ns, last_ns, _ = block
+        position, records, first_ns, last_ns, _, indexes = block
         view, size = memoryview(records), len(records)
         unpack = _MESSAGE_HEAD.unpack_from
         start = behind = held = 0
@@ -281,11 +278,11 @@ class McapSource:
             head = unpack(view, start) if start <= last else _NO_HEAD
             opcode, length, channel_id, _, record_ns = head
             end = start + RECORD.size + length
-            if opcode == Opcode.MESSAGE and start + _MESSAGE_DATA <= end <= size:
+            if opcode == Opcode.MESSAGE and start + MESSAGE_DATA <= end <= size:
                 held += 1
                 if (chosen := choose(channel_id)) is not None:
                     is_timely &= first_ns <= record_ns <= last_ns
-                    yield chosen, min(record_ns, _LATEST_NS), view[start + _MESSAGE_DATA : end]
+                    yield chosen, min(record_ns, LATEST_NS), view[start + MESSAGE_DATA : end]
             elif opcode in _DESCRIPTIONS and end <= size:
                 self._describe(table, opcode, position, view[start + RECORD.size : end])
             else:
@@ -295,19 +292,14 @@ class McapSource:
             behind, start = start + RECORD.size, end
         if not is_timely:
             self._note(position, "holds messages from outside the times that it states")
-        self._held = position, held
+        if indexes.messages not in {0, held}:
+            self._note(position, f"holds {held} messages, its index {indexes.messages}")
 
     def _describe(self, table: ChannelTable, opcode: int, position: int, body: memoryview) -> None:
         try:
             table.add(opcode, bytes(body))
         except RECORD_ERRORS:
             self._note(position, "holds a channel that cannot be read")
-
-    def _compare_index(self, position: int, indexed: int) -> None:
-        """Note where a chunk does not hold as many messages as the indexes behind it."""
-        last, held = self._held
-        if position == last and indexed not in {0, held}:
-            self._note(position, f"holds {held} messages, its index {indexed}")
 
     def _note(self, position: int, problem: str) -> None:
         add_note(self.notes, f"the chunk at byte {position} {problem}")

@@ -15,7 +15,7 @@ import apsw
 
 from occmap.errors import LogError
 from occmap.readers import Note, NoteList
-from occmap.readers.ros_source import Channel, Encoding, RawMessage, Syntax, add_note
+from occmap.readers.ros_source import Channel, Encoding, RawMessages, Syntax, add_note, put_together
 from occmap.readers.sqlite_pages import Row, count_lost_frames, find_rows
 
 MAGIC = b"SQLite format 3\x00"
@@ -59,13 +59,15 @@ class SqliteSource:
         """Every topic of the file."""
         return list(self._by_id.values())
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessages]:
         """Give the messages of some topics, in the order in which they were written."""
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
         with closing(self._connect()) as database:
-            for _, topic, record_ns, data in self._read_rows(database, by_id):
-                if topic in by_id and data is not None:
-                    yield by_id[topic], record_ns, memoryview(data)
+            yield from put_together(
+                (by_id[topic], record_ns, memoryview(data))
+                for _, topic, record_ns, data in self._read_rows(database, by_id)
+                if topic in by_id and data is not None
+            )
 
     def _read_rows(self, database: apsw.Connection, topics: Collection[int]) -> Iterator[Row]:
         """Give the rows of some topics; behind damage those of all topics."""
