@@ -10,15 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.batching import Batcher
-from occmap.opening import count_messages
 from occmap.options import BuildOptions
-from occmap.readers import open_log, read_scans
-from occmap.sampling import Sample, expect_scans
-from occmap.sensor.no_return import RangeLimits
+from occmap.readers import open_log
+from occmap.sampling import sample_scans
 from occmap.sensor.returns import interpret
 from occmap.tracing import open_drive
-from occmap.types import Float64, Kind, PosedScans, Rays
+from occmap.types import Float64, Kind, Rays
 
 GAPS = (2, 4, 8, 16, 32)
 """A chord of a wall leads from one beam's end to that of a beam so many further on ..."""
@@ -52,7 +49,8 @@ def settle_align(paths: Sequence[Path], options: BuildOptions) -> tuple[BuildOpt
     chords = [
         list_chords(interpret(part, options.returns)[0])
         for path in paths
-        for part in sample_log(path, options)
+        for log, topics, poser, *_ in [open_drive(open_log(path, options.reading), options)]
+        for part in sample_scans(log, topics, poser, options)
     ]
     turn, share = find_turn(np.concatenate([np.zeros((0, 2)), *chords]))
     notes = []
@@ -63,24 +61,6 @@ def settle_align(paths: Sequence[Path], options: BuildOptions) -> tuple[BuildOpt
             "degrees of one), so the map is not turned; give an angle with `align=DEG`"
         )
     return replace(options, posing=replace(options.posing, align=turn)), notes
-
-
-def sample_log(path: Path, options: BuildOptions) -> list[PosedScans]:
-    """Pose some of the scans that a build uses, spread evenly over a log.
-
-    Raises
-    ------
-    LogError, PoseError
-        As `open_log` and `open_drive`.
-    """
-    log = open_log(path, options.reading)
-    drive = open_drive(log, options)
-    sample = Sample(expect_scans(count_messages(log, drive.topics), options.selection))
-    batcher = Batcher(options.selection, options.posing.stamps, RangeLimits(options.returns))
-    for batch in batcher.stack(read_scans(log, drive.topics)):
-        for posed in drive.poser.attach(batch)[0]:
-            sample.take(posed)
-    return sample.parts
 
 
 def list_chords(rays: Rays) -> Float64:

@@ -16,6 +16,7 @@ from occmap.evidence.repetition import list_repeated
 from occmap.grid.framing import frame
 from occmap.grid.stacks import add_stack
 from occmap.grid.tiles import TileGrid
+from occmap.mounts import list_misfits
 from occmap.observing import Progress, ignore_progress, observe
 from occmap.opening import choose_topics, count_messages, count_scans, make_poser, take_first
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
@@ -23,6 +24,7 @@ from occmap.report import (
     Remarks,
     Report,
     Tally,
+    disagrees,
     list_disagreement,
     list_lacking,
     list_requested,
@@ -126,6 +128,7 @@ def build_alone(
         *list_lacking(tally, resumed),
         *lost,
         *list_disagreement(grid),
+        *(list_misfits(paths, options) if disagrees(grid) else ()),
         *list_repeated(manifest.builds),
     ]
     remarks = replace(remarks, notes=notes, files=files)

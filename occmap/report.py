@@ -271,12 +271,17 @@ def list_lacking(tally: Tally, resumed: Resumed | None) -> Iterator[str]:
         yield f"no beam {lack}: see the ranges in `occmap check`"
 
 
+def disagrees(grid: OccupancyMap) -> bool:
+    """Whether the scans of a map contradict each other."""
+    low = grid.agreement is not None and grid.agreement < LEAST_AGREEMENT
+    return low and bool(grid.occupied.any())
+
+
 def list_disagreement(grid: OccupancyMap) -> Iterator[str]:
     """Say that the scans of a map contradict each other."""
-    agreement = 1.0 if grid.agreement is None else grid.agreement
-    if agreement < LEAST_AGREEMENT and grid.occupied.any():
+    if disagrees(grid):
         yield (
-            f"only {agreement:.0%} of the hits lie in cells that the map calls occupied: the "
+            f"only {grid.agreement:.0%} of the hits lie in cells that the map calls occupied: the "
             "poses do not fit the scans; see `occmap check`, try `occmap tune`, another "
             "`time_offset_s` or another trajectory"
         )

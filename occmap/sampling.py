@@ -1,25 +1,21 @@
 """A few hundred posed scans spread over a log: enough for what no single scan tells."""
 
 import math
+from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from occmap.batching import Selection
-from occmap.posing.rotations import rotate_by
-from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.types import Float64, Int64, Kind, Pose, PosedScans
+from occmap.batching import Batcher, Selection
+from occmap.opening import count_messages
+from occmap.options import BuildOptions
+from occmap.posing.attach import Poser
+from occmap.readers import Log, read_scans
+from occmap.sensor.no_return import RangeLimits
+from occmap.types import Float64, Int64, PosedScans
 
 SAMPLE_SCANS = 300
 MAX_SAMPLE_BEAMS = 1 << 19
-
-MOUNT_CELL_M = 0.1
-MOUNT_YAWS = (0.0, math.pi / 2, math.pi, -math.pi / 2)
-UNTURNED = Pose.planar(0.0, 0.0, 0.0)
-CLEAR_WIN = 0.9
-"""The right mount lays the walls of many scans over each other: it marks fewer cells than this
-share of what any other one marks."""
 
 
 class Sample:
@@ -47,6 +43,21 @@ class Sample:
             self.parts.append(pick_rows(posed, rows))
 
 
+def sample_scans(
+    log: Log, topics: Sequence[str], poser: Poser, options: BuildOptions
+) -> list[PosedScans]:
+    """Pose some of the scans that a build uses, spread evenly over a log."""
+    scans = count_messages(log, topics)
+    samples: defaultdict[str, Sample] = defaultdict(
+        lambda: Sample(expect_scans(scans // len(topics), options.selection))
+    )
+    batcher = Batcher(options.selection, options.posing.stamps, RangeLimits(options.returns))
+    for batch in batcher.stack(read_scans(log, topics)):
+        for posed in poser.attach(batch)[0]:
+            samples[posed.batch.topic].take(posed)
+    return [part for sample in samples.values() for part in sample.parts]
+
+
 def pick_rows(posed: PosedScans, rows: Int64) -> PosedScans:
     """Keep some scans of a batch."""
     return PosedScans(posed.batch.take(rows), posed.position[rows], posed.rotation[rows])
@@ -66,36 +77,3 @@ def encode_cells(points: Float64, cell: float) -> Int64:
     cells = np.rint(np.clip(points / cell, -(2**30), 2**30)).astype(np.int64)
     codes: Int64 = (cells[..., 0] << 32) + cells[..., 1]
     return codes
-
-
-def guess_mount(parts: Sequence[PosedScans], options: ReturnOptions) -> Pose | None:
-    """Guess how a sensor is turned on its body, of the eight ways in which people mount them.
-
-    Parameters
-    ----------
-    parts
-        Scans posed as if the sensor were the body.
-
-    Returns
-    -------
-    Pose or None
-        None where no way of mounting is clearly better than the others.
-    """
-    mounts = [
-        Pose.from_xyzrpy((0.0, 0.0, 0.0), (roll, 0.0, yaw))
-        for roll in (0.0, math.pi)
-        for yaw in MOUNT_YAWS
-    ]
-    marked = [count_marked(parts, mount, options) for mount in mounts]
-    (best, at), (second, _) = sorted(zip(marked, range(len(mounts)), strict=True))[:2]
-    return mounts[at] if 0 < best < CLEAR_WIN * second else None
-
-
-def count_marked(parts: Sequence[PosedScans], mount: Pose, options: ReturnOptions) -> int:
-    """Count the cells that have a hit when the sensor is mounted so."""
-    turn = rotate_by(np.array([mount[3:]]))[0]
-    hits: list[Float64] = []
-    for part in parts:
-        rays, _ = interpret(replace(part, rotation=part.rotation @ turn), options)
-        hits.append(rays.end[rays.kind == Kind.HIT])
-    return len(np.unique(encode_cells(np.concatenate(hits or [np.zeros((0, 2))]), MOUNT_CELL_M)))

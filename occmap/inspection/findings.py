@@ -105,9 +105,9 @@ class MountFindings:
     """Median angle between the scan plane and the map's (rad)"""
     height: float
     """Median z in the map (m)"""
-    better_turn: str
-    """The further turn, as `sensor_pose` has it, by which the scans would fit each other clearly
-    better; "" where they fit"""
+    better: str
+    """The option, with its value, that mounts it so that the scans fit each other clearly better;
+    "" where they fit"""
 
 
 @dataclass(frozen=True)

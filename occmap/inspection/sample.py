@@ -5,12 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from occmap.command import format_mount
 from occmap.errors import MapError
 from occmap.evidence import render
-from occmap.inspection.findings import MountFindings
 from occmap.pipeline import BuildOptions, make_engine
-from occmap.sampling import UNTURNED, encode_cells, guess_mount
+from occmap.sampling import encode_cells
 from occmap.sensor.models import CountingModel
 from occmap.sensor.returns import NoReturn, ReturnOptions, interpret
 from occmap.types import Bool, Float64, Int64, Kind, PosedScans, as_float32
@@ -21,22 +19,6 @@ MAX_CROSSING_BEAMS = 2000
 MIN_CROSSING_BEAMS = 50
 
 MOST_CELLS = 10**8
-
-
-def describe_mount(parts: Sequence[PosedScans], options: ReturnOptions) -> MountFindings | None:
-    """Say how a sensor sits; None where no scan has a pose."""
-    if not parts:
-        return None
-    upward = np.concatenate([part.rotation[..., 2, 2].ravel() for part in parts])
-    height = np.concatenate([part.position[..., 2].ravel() for part in parts])
-    tilt = float(np.median(np.arccos(np.clip(np.abs(upward), 0, 1))))
-    turn = guess_mount(parts, options) or UNTURNED
-    return MountFindings(
-        upside_down=bool(np.median(upward) < 0),
-        tilt=tilt,
-        height=float(np.median(height)),
-        better_turn="" if turn == UNTURNED else format_mount(turn),
-    )
 
 
 def measure_crossing(parts: Sequence[PosedScans], options: ReturnOptions) -> float | None:

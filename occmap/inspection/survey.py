@@ -70,6 +70,8 @@ class Survey:
     limits: RangeLimits
     extent: Extent = field(default_factory=Extent)
     topics: dict[str, TopicSurvey] = field(default_factory=dict)
+    first_ns: int = 0
+    """The stamp of the log's first scan"""
 
     def read(self, scans: Iterable[Scan | ScanRun]) -> None:
         """Read all scans, holding no more than a batch of each topic."""
@@ -93,6 +95,7 @@ class Survey:
                 yield some
             else:
                 survey.left_out[reason] += 1
+        self.first_ns = selector.seam.first_ns or 0
 
     def _find(self, topic: str) -> TopicSurvey:
         return self.topics.get(topic) or self._begin(topic)

@@ -1,7 +1,7 @@
 """Attachment: scans and poses become posed scans; each scan without a pose is counted."""
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import reduce
@@ -11,6 +11,9 @@ import numpy as np
 
 from occmap.errors import PoseError
 from occmap.posing.chain import REASONS, Chain, Found, Status
+from occmap.posing.concerns import Concern
+from occmap.posing.course import Course
+from occmap.posing.jumps import JumpWatch
 from occmap.posing.leaps import LeapFilter
 from occmap.posing.options import Deskew, DropReason, PosingOptions
 from occmap.posing.resolve import resolve
@@ -63,10 +66,15 @@ class Poser:
     """What was decided or left out and its user should know; grows, each sentence once."""
     chains: dict[str, Chain | None] = field(default_factory=dict)
     """By scan frame; None where there is no way to it."""
+    courses: defaultdict[str, Course] = field(
+        default_factory=lambda: defaultdict(Course), init=False
+    )
+    """By topic: how its sensor sat, and where it went."""
 
     def __post_init__(self) -> None:
         self._leaps = LeapFilter(self.options.max_speed, self.notes)
         self._noted = set(self.notes)
+        self._watches: dict[str, JumpWatch] = {}
         self._above = _find_above(self.options)
 
     @classmethod
@@ -140,7 +148,39 @@ class Poser:
                 placed = self._above.then(found) if self._above else found
                 kept.append(_keep(part, posed, placed))
         dropped = {why: counts[code] for code, why in REASONS.items() if counts[code]}
-        return self._leaps.drop(kept, dropped)
+        kept, dropped = self._leaps.drop(kept, dropped)
+        for scans in kept:
+            self._watch(scans)
+        return kept, dropped
+
+    def _watch(self, scans: PosedScans) -> None:
+        """Take note of where the sensor was."""
+        frame = scans.batch.frame
+        self.courses[scans.batch.topic].see(scans)
+        chain = self.chains.get(frame)
+        if chain is not None:
+            if frame not in self._watches:
+                self._watches[frame] = JumpWatch(chain)
+            self._watches[frame].see(scans.batch.stamp_ns + self._offset_ns)
+
+    def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
+        """Say what of the poses that were given so far spoils a map, and of which topic.
+
+        Parameters
+        ----------
+        first_ns
+            Stamp of the first scan of the log.
+        max_range
+            Beams are used up to here (m).
+        """
+        jumped = False
+        for topic, course in sorted(self.courses.items()):
+            yield from ((topic, concern) for concern in course.list_concerns(max_range))
+            watch = self._watches.get(course.frame)
+            if watch and not jumped:  # of several sensors on one robot, one tells it
+                for concern in watch.list_concerns(first_ns + self._offset_ns):
+                    jumped = True
+                    yield topic, concern
 
     def _look_up(self, batch: ScanBatch) -> Iterator[tuple[ScanBatch, Found]]:
         """Look up the sensor at the stamp of each scan (S), or at K moments of each (S * K).
@@ -159,13 +199,18 @@ class Poser:
             yield batch, Found(np.empty(0), np.empty(0), nowhere)
             return
         stamp_ns = np.clip(batch.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS)
-        stamp_ns = stamp_ns + round(self.options.time_offset_s * 1e9)  # by the clock of the poses
+        stamp_ns = stamp_ns + self._offset_ns
         deskewed = self._choose_deskewed(batch, chain)
         if deskewed.any():
             part = _take(batch, deskewed)
             yield part, chain.at((stamp_ns[deskewed, None] + _spread_moments(part)).ravel())
         if not deskewed.all():
             yield _take(batch, ~deskewed), chain.at(stamp_ns[~deskewed])
+
+    @property
+    def _offset_ns(self) -> int:
+        """From the clock of the scans to that of the poses."""
+        return round(self.options.time_offset_s * 1e9)
 
     def _choose_deskewed(self, batch: ScanBatch, chain: Chain) -> Bool:
         """Choose the scans (S) whose beams get poses of their own.
