@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from occmap import difference, inspection, tuning
-from occmap.difference.maps import load_map
 from occmap.errors import UsageError
 from occmap.evidence import merging, publishing, to_grid
 from occmap.keywords import list_options, read_option, read_options
@@ -15,8 +14,7 @@ from occmap.readers import Log, open_log
 from occmap.scoring import compare as scoring
 from occmap.scoring.variants import combine
 from occmap.sensor.models import SensorModel
-from occmap.writers import WriteOptions, check_picture
-from occmap.writers.npz import read_evidence
+from occmap.writers import WriteOptions
 
 AnyPath = str | Path
 OF_ONE_MAP = (
@@ -229,9 +227,7 @@ def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> 
         raise UsageError("no evidence is given", fix='try merge("a.npz", "b.npz")')
     added, taken = list_paths(paths), list_paths(subtract)
     chosen = read_options(publishing.RenderOptions, options, "merge")
-    total = merging.merge([read_evidence(path) for path in added])
-    for path in taken:
-        total = merging.subtract(total, read_evidence(path))
+    total = merging.combine(added, taken)
     made = publishing.render_kept(total, chosen)
     return Map.wrap(
         made.map,
@@ -268,16 +264,9 @@ def diff(
     OccmapError
         A map cannot be read, they do not lie on one lattice, or the picture cannot be written.
     """
-    paths = list_paths([before, after])
-    if picture is not None:
-        check_picture(Path(picture), paths)
+    one, other = list_paths([before, after])
     chosen = read_options(WriteOptions, thresholds, "diff")
-    found = difference.compare_maps(*(load_map(path, chosen) for path in paths))
-    if picture is not None:
-        from occmap.writers.images import write_colours  # noqa: PLC0415  late: it brings pillow
-
-        write_colours(Path(picture), difference.paint(found))
-    return found
+    return difference.compare_files(one, other, chosen, None if picture is None else Path(picture))
 
 
 def read_log(path: AnyPath) -> Log:

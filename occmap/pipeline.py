@@ -1,6 +1,6 @@
 """The whole tool on one page: logs in, an occupancy map and a report out."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from occmap.grid.framing import frame
 from occmap.grid.stacks import add_stack
 from occmap.grid.tiles import TileGrid
 from occmap.mounts import list_misfits
-from occmap.observing import Progress, ignore_progress, observe
+from occmap.observing import Observe, Observed, Progress, ignore_progress, observe
 from occmap.opening import choose_topics, count_messages, count_scans, make_poser, take_first
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.report import (
@@ -74,8 +74,14 @@ def build(
     options: BuildOptions,
     outputs: Sequence[Path] = (),
     progress: Progress = ignore_progress,
+    observe: Observe = observe,
 ) -> Build:
     """Build one map from all usable scans of one or more logs, and write it.
+
+    Parameters
+    ----------
+    observe
+        Who traces the scans: this process, or the workers of an `occmap.fleet.Fleet`.
 
     Raises
     ------
@@ -85,7 +91,7 @@ def build(
     """
     check_outputs(outputs, list_inputs(paths, options))
     with hold_alone(options.resume, outputs):
-        return build_alone(paths, options, outputs, progress)
+        return build_alone(paths, options, outputs, partial(observe, progress=progress))
 
 
 def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
@@ -95,14 +101,17 @@ def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
 
 
 def build_alone(
-    paths: Sequence[Path], options: BuildOptions, outputs: Sequence[Path], progress: Progress
+    paths: Sequence[Path],
+    options: BuildOptions,
+    outputs: Sequence[Path],
+    observe: Callable[[Sequence[Path], BuildOptions, bool], Observed],
 ) -> Build:
     """Build and write a map, while nobody else adds to the same evidence."""
     saved = open_saved(options.resume, plan_manifest(options)) if options.resume else None
     options, unaligned = settle_align(paths, adopt_align(options, saved))
     plan = plan_manifest(options)
     keep_slices = options.min_passes is not None or want_evidence(outputs)
-    tiles, slices, tally, remarks = observe(paths, options, keep_slices, progress)
+    tiles, slices, tally, remarks = observe(paths, options, keep_slices)
     if saved:
         add_stack(tiles, saved.tiles, saved.cells)
         slices = saved.slices + slices

@@ -217,7 +217,10 @@ def test_a_wrong_mount_is_suspected(tmp_path: Path) -> None:
     found = look(write_bag(tmp_path / "room.bag", Drive(math.pi), mount=[(0.0, 0.0)]))
 
     assert topic(found).mount is not None
-    assert any("yaw[,roll,pitch] = 0,0,3.14159" in text for text in found.warnings)
+    misfit, disagreement = found.warnings
+    assert misfit.endswith("the scans would fit each other better with `sensor_pose=0,0,3.14159`")
+    assert "the poses do not fit the scans" in disagreement
+    assert found.command[3:-2] == ("--sensor-pose", "0,0,3.14159")
 
 
 def test_an_upside_down_laser_is_told(tmp_path: Path) -> None:

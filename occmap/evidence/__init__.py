@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
@@ -83,7 +83,19 @@ def render_saved(evidence: Evidence, model: SensorModel, max_cells: int) -> Occu
     return render(to_grid(evidence), model, max_cells)
 
 
-def read_model(evidence: Evidence) -> SensorModel:
+class Described(Protocol):
+    """Evidence, as far as its manifest goes."""
+
+    @property
+    def manifest(self) -> Manifest:
+        """What it is."""
+
+    @property
+    def where(self) -> str:
+        """What it was read from."""
+
+
+def read_model(evidence: Described) -> SensorModel:
     """Make the model that evidence was built with.
 
     Raises
@@ -115,7 +127,7 @@ def to_grid(evidence: Evidence) -> TileGrid:
     return grid
 
 
-def refuse_other_profile(evidence: Evidence, model: SensorModel) -> None:
+def refuse_other_profile(evidence: Described, model: SensorModel) -> None:
     """Refuse a model that cannot read this evidence.
 
     Raises

@@ -32,6 +32,14 @@ def open_saved(path: Path, plan: Manifest) -> Evidence:
     return saved
 
 
+def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Evidence:
+    """Read evidence, add it up, and take some of it away; raises as `merge` and `subtract`."""
+    total = merge([read_evidence(path) for path in added])
+    for path in taken:
+        total = subtract(total, read_evidence(path))
+    return total
+
+
 def merge(evidences: Sequence[Evidence]) -> Evidence:
     """Add evidence: the same cells as if all logs were built together.
 

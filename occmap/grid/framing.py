@@ -68,12 +68,9 @@ def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) ->
     lattice = Lattice(grid.resolution)
     (row, col), (rows, cols) = grid.place.tolist(), grid.shape
     whole = CellBox(row, col, row + rows, col + cols)
-    box = choose_box(whole, framing, grid.resolution)
-    shared = whole.clip(box)
-    if not shared.cells:
-        reach = ", ".join(f"{edge:.6g}" for edge in grid.extent)
-        raise MapError("no cell of the map lies in `extent`", fix=f"the map's own box is {reach}")
+    box = choose_box(whole, framing, lattice)
     refuse_large(box, lattice, max_cells)
+    shared = whole.clip(box)
     log_odds = np.full((box.rows, box.cols), to_log_odds(prior), np.float32)
     observed = np.zeros((box.rows, box.cols), np.bool_)
     inside, own = place(shared, box), place(shared, whole)
@@ -82,16 +79,28 @@ def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) ->
     return replace(grid, log_odds=log_odds, observed=observed, origin=origin)
 
 
-def choose_box(whole: CellBox, framing: Framing, resolution: float) -> CellBox:
-    """Choose the cells that a map covers, of which `whole` was observed."""
+def choose_box(whole: CellBox, framing: Framing, lattice: Lattice) -> CellBox:
+    """Choose the cells that a map covers, of which `whole` was observed.
+
+    Raises
+    ------
+    MapError
+        The extent touches none of those.
+    """
+    size = lattice.resolution
     if framing.extent is None:
-        more = math.ceil(framing.margin / resolution - CELL_SLACK)
+        more = math.ceil(framing.margin / size - CELL_SLACK)
         row, col, row_end, col_end = whole
         return CellBox(row - more, col - more, row_end + more, col_end + more)
-    x_min, y_min, x_max, y_max = (edge / resolution for edge in framing.extent)
+    x_min, y_min, x_max, y_max = (edge / size for edge in framing.extent)
     row, col = math.floor(y_min + CELL_SLACK), math.floor(x_min + CELL_SLACK)
     row_end, col_end = math.ceil(y_max - CELL_SLACK), math.ceil(x_max - CELL_SLACK)
-    return CellBox(row, col, max(row_end, row + 1), max(col_end, col + 1))
+    box = CellBox(row, col, max(row_end, row + 1), max(col_end, col + 1))
+    if not whole.clip(box).cells:
+        edges = (whole.col, whole.row, whole.col_end, whole.row_end)
+        reach = ", ".join(f"{lattice.to_metres(edge):.6g}" for edge in edges)
+        raise MapError("no cell of the map lies in `extent`", fix=f"the map's own box is {reach}")
+    return box
 
 
 def place(inner: CellBox, outer: CellBox) -> tuple[slice, slice]:

@@ -114,6 +114,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
         _sum_up(log, types[topic.topic], topic, posing, options) for topic in seen if topic.shapes
     )
     notes, damage = _list_notes(log)
+    spoilers = list(posing.poser.list_concerns(survey.first_ns, options.returns.max_range))
     findings = LogFindings(
         path=str(log.path),
         streams=tuple(log.streams),
@@ -123,7 +124,6 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
         damage=damage,
         problem=problem or ("" if scans else f"{log.path}: {_explain_nothing(seen)}"),
     )
-    spoilers = list(posing.poser.list_concerns(survey.first_ns, options.returns.max_range))
     return findings, list_concerns(findings, spoilers)
 
 

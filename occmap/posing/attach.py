@@ -12,9 +12,9 @@ import numpy as np
 from occmap.errors import PoseError
 from occmap.posing.chain import REASONS, Chain, Found, Status
 from occmap.posing.concerns import Concern
-from occmap.posing.course import Course
+from occmap.posing.course import STANDS, Course, list_tilts
 from occmap.posing.jumps import JumpWatch
-from occmap.posing.leaps import LeapFilter
+from occmap.posing.leaps import Ends, LeapFilter
 from occmap.posing.options import Deskew, DropReason, PosingOptions
 from occmap.posing.resolve import resolve
 from occmap.posing.sources import Sources, gather
@@ -166,6 +166,8 @@ class Poser:
     def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
         """Say what of the poses that were given so far spoils a map, and of which topic.
 
+        That a sensor never moved is a note: it may have stood.
+
         Parameters
         ----------
         first_ns
@@ -175,12 +177,24 @@ class Poser:
         """
         jumped = False
         for topic, course in sorted(self.courses.items()):
-            yield from ((topic, concern) for concern in course.list_concerns(max_range))
+            if course.stands:
+                self._note(f"{topic}: {STANDS}")
+            if course.stance:
+                yield from ((topic, tilt) for tilt in list_tilts(course.stance, max_range))
             watch = self._watches.get(course.frame)
             if watch and not jumped:  # of several sensors on one robot, one tells it
                 for concern in watch.list_concerns(first_ns + self._offset_ns):
                     jumped = True
                     yield topic, concern
+
+    @property
+    def jumps(self) -> bool:
+        """Whether a correction of odometry takes the robot elsewhere at once."""
+        return any(watch.edges_ns.size for watch in self._watches.values())
+
+    def find_ends(self) -> dict[str, Ends]:
+        """Where the posed scans so far begin and end, by topic."""
+        return self._leaps.find_ends()
 
     def _look_up(self, batch: ScanBatch) -> Iterator[tuple[ScanBatch, Found]]:
         """Look up the sensor at the stamp of each scan (S), or at K moments of each (S * K).
@@ -227,9 +241,8 @@ class Poser:
         else:
             chosen = (duration_s > 0) & (duration_s <= MAX_TURN_S)
             if not chosen.all():
-                some = "some " if chosen.any() else ""
-                found = "state no believable time between beams: not de-skewed"
-                self._note(f"{some}scans of {batch.frame!r} {found}")
+                found = "state no believable time between beams are not de-skewed"
+                self._note(f"scans of {batch.frame!r} that {found}")
         if chosen.any():
             self._note(f"de-skewed: each beam of {batch.frame!r} has a pose of its own")
         return chosen

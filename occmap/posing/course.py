@@ -19,6 +19,10 @@ STILL_M, STILL_RAD = 0.02, math.radians(1)
 """What moves less than this in a whole drive stands; poses have noise even then."""
 STILL_SCANS = 20
 """Fewer scans are no drive."""
+STANDS = (
+    "the laser never moves, so the map is what it sees from one place; if the robot drove, its "
+    "poses are missing: give them with `poses`"
+)
 
 
 class Stance(NamedTuple):
@@ -79,20 +83,17 @@ class Course:
             ahead=float(np.arcsin(np.clip(np.median(ahead), -1, 1))),
         )
 
-    def list_concerns(self, max_range: float) -> Iterator[Concern]:
-        """Say what of it spoils a map whose beams are used up to a range (m)."""
-        stance = self.stance
-        if stance is not None and stance.tilt >= TILTED_RAD:
-            yield from list_tilts(stance, max_range)
-        if self.stands:
-            yield Concern(
-                "the laser never moves, so the map is what it sees from one place; if the robot "
-                "drove, its poses are missing: give them with `poses`"
-            )
-
 
 def list_tilts(stance: Stance, max_range: float) -> Iterator[Concern]:
-    """Say how far the scan plane of a sensor is tilted, and what it looks at."""
+    """Say how far the scan plane of a sensor is tilted, and what it looks at.
+
+    Parameters
+    ----------
+    max_range
+        Beams are used up to here (m).
+    """
+    if stance.tilt < TILTED_RAD:
+        return
     found = f"the scan plane is tilted by {math.degrees(stance.tilt):.1f} deg"
     if abs(stance.ahead) >= TILTED_RAD / 2:
         side = "down" if stance.ahead < 0 else "up"

@@ -57,12 +57,13 @@ class JumpWatch:
     def __init__(self, chain: Chain) -> None:
         self._frames = " -> ".join(chain.frames[:2])
         self._jumps = list(find_jumps(chain))
-        self._edges: Int64 = np.array([jump.stamp_ns for jump in self._jumps], np.int64)
-        self._scans = np.zeros(len(self._edges) + 1, np.int64)
+        self.edges_ns: Int64 = np.array([jump.stamp_ns for jump in self._jumps], np.int64)
+        """When the sensor jumps, by the clock of the poses"""
+        self._scans = np.zeros(len(self.edges_ns) + 1, np.int64)
 
     def see(self, stamp_ns: Int64) -> None:
         """Take note of scans that have poses, by the clock of those."""
-        parts = np.searchsorted(self._edges, stamp_ns, side="right")
+        parts = np.searchsorted(self.edges_ns, stamp_ns, side="right")
         self._scans += np.bincount(parts, minlength=len(self._scans))
 
     def list_concerns(self, first_ns: int) -> Iterator[Concern]:
@@ -80,9 +81,9 @@ class JumpWatch:
         longest = int(self._scans.argmax())
         remedy = {}
         if longest > used[0]:  # rounded so that no scan of another part is kept
-            remedy["start_s"] = write_ms(-(-(int(self._edges[longest - 1]) - first_ns) // MS_NS))
+            remedy["start_s"] = write_ms(-(-(int(self.edges_ns[longest - 1]) - first_ns) // MS_NS))
         if longest < used[-1]:
-            remedy["end_s"] = write_ms((int(self._edges[longest]) - first_ns) // MS_NS)
+            remedy["end_s"] = write_ms((int(self.edges_ns[longest]) - first_ns) // MS_NS)
         keep = " and ".join(f"`{name}={value}`" for name, value in remedy.items())
         share = self._scans[longest] / self._scans.sum()
         yield Concern(

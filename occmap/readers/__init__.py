@@ -45,9 +45,13 @@ class Stream:
     """One topic of a log (or one kind of line): its name, message type and size."""
 
     topic: str
+    """Name of the topic, or of the kind of line"""
     type: str
+    """Message type"""
     count: int
+    """Messages"""
     role: Role
+    """What it can be used for"""
 
 
 @dataclass(frozen=True)
@@ -122,6 +126,22 @@ class StackingScans(Protocol):
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """What `scans` gives, in the same order."""
+
+
+@runtime_checkable
+class Splittable(Protocol):
+    """A log whose scans can be read in parts, each by another process."""
+
+    def split(self, size: int) -> Sequence[Log]:
+        """Cut the log into parts of about so many bytes, in file order; each can be pickled.
+
+        A part gives its own scans and, where these are damaged, notes. None: it cannot be cut.
+        """
+
+
+def split_log(log: Log, size: int) -> Sequence[Log]:
+    """Cut a log into parts of about so many bytes; none where nobody knows how."""
+    return log.split(size) if isinstance(log, Splittable) else ()
 
 
 def read_poses(log: Log) -> Iterator[PoseSample | PoseBatch]:
