@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from occmap.alignment import settle_align
 from occmap.evidence import to_evidence
-from occmap.evidence.manifest import BuildRecord, describe_build, plan_manifest
+from occmap.evidence.manifest import BuildRecord, describe_build, list_mixed, plan_manifest
 from occmap.evidence.merging import open_saved
 from occmap.evidence.persistence import render_lasting
 from occmap.evidence.publishing import describe_resumed
@@ -139,6 +139,7 @@ def build_alone(
         *list_disagreement(grid),
         *(list_misfits(paths, options) if disagrees(grid) else ()),
         *list_repeated(manifest.builds),
+        *list_mixed(manifest),
     ]
     remarks = replace(remarks, notes=notes, files=files)
     report = replace(make_report(grid, options, tally, remarks), resumed=resumed)

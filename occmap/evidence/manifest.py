@@ -13,7 +13,7 @@ from occmap.errors import LogError
 from occmap.grid.tiles import EvidenceKind
 from occmap.sensor.bounds import NO_CLAMP
 from occmap.sensor.models import RadialModel, SensorModel, describe_model
-from occmap.types import Manifest
+from occmap.types import Manifest, Update
 
 NO_OPTIONS = ("framing", "jobs", "resume")
 """Fields of options that change nothing about what is observed."""
@@ -106,6 +106,15 @@ def plan_manifest(options: Any) -> Manifest:
         builds=(),
         align=options.posing.align,
     )
+
+
+def list_mixed(manifest: Manifest) -> Iterator[str]:
+    """Say which options shaped what builds observed, and are not the same in all of them."""
+    names = {Update.BEAM: (), Update.SURFACE: ("jump",), Update.POLYGON: ("jump", "border_gap")}
+    for name in names[Update(manifest.update)]:
+        values = {str(b["options"][name]) for b in manifest.builds if name in b["options"]}
+        if len(values) > 1:
+            yield f"its builds differ in `{name}` ({', '.join(sorted(values))})"
 
 
 def describe_profile(model: SensorModel) -> str:

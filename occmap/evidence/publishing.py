@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from occmap.evidence import read_model, refuse_other_profile, to_grid
+from occmap.evidence.manifest import list_mixed
 from occmap.evidence.persistence import check_passes, render_lasting
 from occmap.evidence.repetition import list_repeated
 from occmap.grid.framing import Framing, frame
@@ -94,6 +95,7 @@ def render_kept(
 def list_notes(manifest: Manifest) -> Iterator[str]:
     """Say what a reader of evidence should know of it."""
     yield from list_repeated(manifest.builds)
+    yield from list_mixed(manifest)
     if manifest.subtracted:
         yield "something else than a whole build was subtracted: visits are bounds"
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from occmap.command import format_mount, spell_flag
 from occmap.errors import LogError, OccmapError
+from occmap.grid.lattice import MOST_CELLS_OF_BEAM
 from occmap.inspection.advice import compose_command, list_concerns
 from occmap.inspection.extent import Extent
 from occmap.inspection.findings import (
@@ -21,7 +22,7 @@ from occmap.inspection.findings import (
     PoseFindings,
     ScanFindings,
 )
-from occmap.inspection.poses import Posing, prepare, suggest_stamps
+from occmap.inspection.poses import Posing, find_moving_stamp, prepare, suggest_stamps
 from occmap.inspection.sample import estimate_agreement, measure_crossing
 from occmap.inspection.survey import Survey, TopicSurvey
 from occmap.mounts import find_better
@@ -55,7 +56,7 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
     concerns = [concern for _, found in looks for concern in found]
     grid = extent.sum_up(options.resolution)
     problems = [log.problem for log in logs if log.problem]
-    too_large = _list_size_problems(grid, options)
+    too_large = _list_size_problems(grid, options) or _list_beam_problems(extent, options)
     unseen = _list_unseen(logs, grid)
     problems += _list_pose_problems(logs, options.posing.stamps) or too_large or unseen
     usable = any(_is_usable(topic, options) for log in logs for topic in log.scans)
@@ -163,7 +164,9 @@ def _sum_up(
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
         ranges=topic.census.sum_up(crossed),
-        times=topic.stamps.sum_up(suggest_stamps(log, posing, topic)),
+        times=topic.stamps.sum_up(
+            suggest_stamps(log, posing, topic), find_moving_stamp(posing.poser)
+        ),
         poses=_sum_up_poses(topic, posing),
         mount=_describe_mount(topic, posing.poser, options),
         agreement=estimate_agreement(topic.sample.parts, options),
@@ -243,6 +246,15 @@ def _list_unseen(logs: Sequence[LogFindings], grid: MapFindings | None) -> list[
     if grid is not None or not any(topic.poses.posed for log in logs for topic in log.scans):
         return []
     return ["no beam of any scan observes a cell: see the ranges"]
+
+
+def _list_beam_problems(extent: Extent, options: BuildOptions) -> list[str]:
+    if extent.longest / options.resolution <= MOST_CELLS_OF_BEAM:
+        return []
+    return [
+        f"a beam of {extent.longest:.6g} m is too long for cells of {options.resolution} m; limit "
+        "ranges with `max_range`, or use a coarser `resolution`"
+    ]
 
 
 def _list_size_problems(grid: MapFindings | None, options: BuildOptions) -> list[str]:

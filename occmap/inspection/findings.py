@@ -113,6 +113,8 @@ class TimeFindings:
     """All stamps are one"""
     all_zero: bool
     """All stamps are 0"""
+    simulated: bool
+    """They are of a simulation's clock, which keeps its own pace: the drift is 0"""
     suggested_stamps: Stamps
     """What to give as `stamps`"""
 

@@ -91,6 +91,12 @@ def name_found(fault: PoseError, mount: Pose) -> PoseError:
     return fault.named(format_mount(mount)) if isinstance(fault, MountError) else fault
 
 
+def find_moving_stamp(poser: Poser) -> int | None:
+    """Find the latest stamp of what moves in the transforms of a log; None where nothing does."""
+    tracks = [edge.track for edge in poser.sources.tree.edges if edge.track.moves]
+    return max((int(track.stamp_ns[-1]) for track in tracks), default=None)
+
+
 def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> Stamps:
     """Say which of the two times of messages gives more scans a pose."""
     chosen = posing.poser.options.stamps

@@ -1,5 +1,6 @@
 """Evidence added up and taken apart: parts make the whole, cell by cell, and come out again."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -170,6 +171,27 @@ def test_evidence_that_does_not_add_up_is_refused(
         merge([first, second])
     with pytest.raises(MapError, match=refused):
         subtract(first, second)
+
+
+@pytest.mark.parametrize(
+    ("update", "changed", "notes"),
+    [
+        (Update.BEAM, {"jump": 0.5}, []),
+        (Update.SURFACE, {"jump": 0.5, "border_gap": 3}, ["jump` (0.1, 0.5)"]),
+        (Update.POLYGON, {"border_gap": 3}, ["border_gap` (3, 8)"]),
+        (Update.POLYGON, {"jump": math.inf}, ["jump` (0.1, inf)"]),
+    ],
+)
+def test_options_that_differ_between_builds_are_noted(
+    tmp_path: Path, update: Update, changed: dict[str, float], notes: list[str]
+) -> None:
+    first, second = halve(choose(update))
+    one = save(tmp_path / "a.npz", first)
+    other = save(tmp_path / "b.npz", replace(second, **changed))  # type: ignore[arg-type]
+    mine = [f"its builds differ in `{text}" for text in notes]
+    assert publish(merge([one, other]), RenderOptions(), []).notes == tuple(mine)
+    added = build([DRIVE], replace(first, resume=tmp_path / "b.npz"), [tmp_path / "c.npz"])
+    assert [note for note in added.report.notes if "differ" in note] == mine
 
 
 def test_radial_evidence_of_two_depths_is_refused(tmp_path: Path) -> None:
