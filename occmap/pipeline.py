@@ -21,14 +21,14 @@ from occmap.observing import Observe, Observed, Progress, ignore_progress, obser
 from occmap.opening import choose_topics, count_messages, count_scans, make_poser, take_first
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.report import (
+    MapFacts,
     Remarks,
     Report,
     Tally,
-    disagrees,
+    describe_map,
     list_disagreement,
     list_lacking,
     list_requested,
-    measure_shares,
     refuse_unseen,
     refuse_unused,
 )
@@ -116,7 +116,7 @@ def build_alone(
         add_stack(tiles, saved.tiles, saved.cells)
         slices = saved.slices + slices
     refuse_unused(paths, tally)
-    refuse_unseen(paths, tally, tiles)
+    refuse_unseen(paths, tally, tiles.keys)
     with tally.time("render"):
         grid, lost = render_lasting(
             tiles, slices, options.min_passes, options.model, options.max_cells
@@ -129,6 +129,7 @@ def build_alone(
         keep = cache(partial(to_evidence, tiles, manifest, slices))
         files = write_outputs(outputs, Product(grid, keep), options.writing)
     resumed = describe_resumed(saved) if saved else None
+    disagreement = list(list_disagreement(grid))
     notes = [
         *list_requested(paths, outputs, options.writing, options.model),
         *remarks.notes,
@@ -136,13 +137,13 @@ def build_alone(
         *options.list_idle(),
         *list_lacking(tally, resumed),
         *lost,
-        *list_disagreement(grid),
-        *(list_misfits(paths, options) if disagrees(grid) else ()),
+        *disagreement,
+        *(list_misfits(paths, options) if disagreement else ()),
         *list_repeated(manifest.builds),
         *list_mixed(manifest),
     ]
-    remarks = replace(remarks, notes=notes, files=files)
-    report = replace(make_report(grid, options, tally, remarks), resumed=resumed)
+    facts, remarks = describe_map(grid, options.writing), replace(remarks, notes=notes, files=files)
+    report = replace(make_report(facts, options, tally, remarks), resumed=resumed)
     return Build(grid, report, tiles, keep() if want_evidence(outputs) else None)
 
 
@@ -159,11 +160,9 @@ def add_build(plan: Manifest, saved: Evidence | None, build: BuildRecord) -> Man
     return replace(plan, builds=(*past.builds, build), subtracted=past.subtracted)
 
 
-def make_report(
-    grid: OccupancyMap, options: BuildOptions, tally: Tally, remarks: Remarks
-) -> Report:
+def make_report(facts: MapFacts, options: BuildOptions, tally: Tally, remarks: Remarks) -> Report:
     """Sum up what was done."""
-    rows, cols = grid.shape
+    rows, cols = facts.shape
     return Report(
         logs=tuple(remarks.logs),
         scans_read=tally.scans_read,
@@ -178,10 +177,10 @@ def make_report(
         resolution=options.resolution,
         columns=cols,
         rows=rows,
-        extent=grid.extent,
+        extent=facts.extent,
         align=options.posing.align or 0.0,
-        shares=measure_shares(grid, options.writing),
-        agreement=grid.agreement,
+        shares=facts.shares,
+        agreement=facts.agreement,
         seconds=dict(tally.seconds),
         files=tuple(remarks.files),
     )

@@ -138,7 +138,7 @@ def make_engine(options: BuildOptions, window_cells: int = WINDOW_CELLS) -> "Gri
     """Make the grid engine for an update and a model."""
     from occmap.grid.engine import GridEngine  # noqa: PLC0415  late: numba takes a third of a second
 
-    return GridEngine(plan_grid(options), window_cells, options.max_cells)
+    return GridEngine(plan_grid(options), window_cells=window_cells, max_cells=options.max_cells)
 
 
 def make_grid(options: BuildOptions) -> TileGrid:
