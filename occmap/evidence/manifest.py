@@ -20,7 +20,7 @@ NO_OPTIONS = ("framing", "jobs", "resume")
 BuildRecord = dict[str, Any]
 """An entry of `Manifest.builds`, as `describe_build` makes it"""
 OF_MAPS = ("prior", "cut", *NO_CLAMP)
-"""Parameters of models that change nothing about the evidence, only what a map makes of it."""
+"""Parameters of models that change how evidence is rendered, not the evidence itself."""
 
 
 def describe_build(
@@ -29,7 +29,7 @@ def describe_build(
     scans: dict[str, Any],
     describe: Callable[[Path], Iterable[dict[str, Any]]] | None = None,
 ) -> BuildRecord:
-    """Say what one build used, as values that JSON has.
+    """Describe what one build used, in values that JSON has.
 
     Another may `describe` the files of a path than `describe_files`.
 
@@ -126,7 +126,7 @@ def list_mixed(manifest: Manifest) -> Iterator[str]:
 
 
 def describe_profile(model: SensorModel) -> str:
-    """What evidence in log-odds depends on: a radial model but prior and bounds; else nothing."""
+    """Name the radial model that log-odds are summed by, without prior and bounds; else ""."""
     if not isinstance(model, RadialModel):
         return ""
     name, _, pairs = describe_model(model).partition(":")

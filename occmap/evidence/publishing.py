@@ -97,7 +97,7 @@ def list_notes(manifest: Manifest) -> Iterator[str]:
     yield from list_repeated(manifest.builds)
     yield from list_mixed(manifest)
     if manifest.subtracted:
-        yield "something else than a whole build was subtracted: visits are bounds"
+        yield "what was subtracted was not a whole build, so numbers of visits are upper bounds"
 
 
 def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> Report:

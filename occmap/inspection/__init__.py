@@ -41,7 +41,7 @@ MAX_LISTED_SHAPES = 5
 
 
 def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
-    """Look into logs; what a build would raise is among the findings.
+    """Look into logs. What would make a build fail is among the findings, and is not raised.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def _list_notes(log: Log) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def _place(error: OccmapError, path: Path) -> str:
-    """Write an error's sentence with its place, which is the log where the error names none."""
+    """Write an error with its place; that is the log where the error names none."""
     return str(error.placed(path))
 
 
@@ -201,7 +201,7 @@ def _sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
 
 
 def _list_pose_problems(logs: Sequence[LogFindings], stamps: Stamps) -> list[str]:
-    """Say why no scan of a log has a pose; a build wants at least one scan of all logs together."""
+    """Say why no scan has a pose, of each log or of all: a build needs at least one."""
     found = []
     for log in logs:
         faults = dict.fromkeys(topic.poses.problem for topic in log.scans if topic.poses.problem)
@@ -226,7 +226,7 @@ def _explain(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
 
 
 def _bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
-    """Say what brings scans and poses together that were made at different times."""
+    """Suggest an option for scans and poses whose times do not overlap."""
     if not topic.poses.dropped.keys() & {DropReason.BEFORE.value, DropReason.AFTER.value}:
         return ""
     times = topic.times
@@ -242,7 +242,7 @@ def _bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str
 
 
 def _list_unseen(logs: Sequence[LogFindings], grid: MapFindings | None) -> list[str]:
-    """Say of logs whose scans have poses that nothing is to be seen in them."""
+    """Say where scans have poses, and yet observe no cell."""
     if grid is not None or not any(topic.poses.posed for log in logs for topic in log.scans):
         return []
     return ["no beam of any scan observes a cell: see the ranges"]

@@ -16,7 +16,7 @@ BYTES_PER_CELL = 4 + 1 + 8
 class Extent:
     """Grows with the rays that it is shown.
 
-    Hits lie `behind` what was measured, and speak for the cells `around` them (m).
+    Hits lie so far `behind` what was measured, and count for what is so near `around` them (m).
     """
 
     def __init__(self, behind: float = 0.0, around: float = 0.0) -> None:

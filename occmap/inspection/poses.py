@@ -33,7 +33,7 @@ class Posing:
     assumed: Pose | None = None
     """The mount that the poser uses though the user did not give it"""
     is_guess: bool = False
-    """The assumed mount is no more than a place holder"""
+    """The assumed mount is a place holder, since the scans do not tell the right one"""
 
 
 def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:

@@ -56,7 +56,7 @@ def is_lost(part: PosedScans, options: ReturnOptions) -> Bool:
 
 
 def walk(origin: Float64, direction: Float64, reach: Float64) -> Int64:
-    """Number the cells (N, K) that beams (N) pass before their reach, the last one repeated."""
+    """Number the cells (N, K) that beams (N,) pass; short beams repeat their last one."""
     far = np.minimum(reach, MAX_REACH_M)
     steps = np.minimum(np.arange(HIT_CELL_M, MAX_REACH_M, HIT_CELL_M), far[:, None] - HIT_CELL_M)
     return encode_cells(origin[:, None] + steps[..., None] * direction[:, None], HIT_CELL_M)

@@ -83,7 +83,7 @@ class Survey:
                 self._attach(survey, batch)
 
     def _select(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
-        """Give the scans that a build would use; of those not asked for nothing else is told."""
+        """Give the scans that a build would use; scans that nobody asked for are only counted."""
         selector = Selector(self.selection, self.poser.options.stamps)
         for some, reason in selector.judge(scans):
             survey = self._find(some.first.topic)

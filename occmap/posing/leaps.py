@@ -16,8 +16,8 @@ SPARSE_S = 10.0
 FASTEST = 50.0
 """What is told of where all scans are kept (m/s): cars reach it."""
 RARE = 10
-"""Among so many steps one at most may be a leap; where more are, stamps or poses mean another
-thing than they say, and no step is called one."""
+"""At most one step in so many may be a leap. Where there are more, stamps or poses do not mean what
+they seem to, and no scan is left out."""
 
 
 class Ends(NamedTuple):
@@ -106,9 +106,9 @@ class LeapFilter:
         return kept, dropped
 
     def _find_astray(self, scans: PosedScans) -> Bool:
-        """(S,) which scans fit neither neighbour: leaps lead to and from them.
+        """Tell which scans (S,) are a leap away from both of their neighbours.
 
-        At an end of the path, or beside a long pause, it is one leap from a scan that fits another.
+        At an end of the path, or beside a long pause, the only neighbour must fit another scan.
         """
         path = self._paths[scans.batch.topic]
         old = len(path.stamp_ns)

@@ -108,7 +108,7 @@ def test_what_was_no_build_leaves_visits_that_are_bounds(tmp_path: Path) -> None
         assert np.array_equal(count_visits(of_tile)[1] > 0, seen)
     assert 0 < len(after.numbers) <= len(before.numbers)
     assert rest.manifest.builds == whole.manifest.builds
-    note = "something else than a whole build was subtracted: visits are bounds"
+    note = "what was subtracted was not a whole build, so numbers of visits are upper bounds"
     assert note in publish(rest, RenderOptions(), [tmp_path / "m.pgm"]).notes
     assert publish(whole, RenderOptions(), [tmp_path / "m.pgm"]).notes == ()
 
