@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from occmap.alignment import settle_align
 from occmap.evidence import choose_tiles, weigh
 from occmap.evidence.manifest import describe_build, describe_files, plan_manifest
 from occmap.evidence.repetition import list_repeated
@@ -101,6 +102,7 @@ def build_store(
         As `occmap.pipeline.build`, or the workers cannot do it.
     """
     check_outputs([output], list_inputs(paths, options))
+    options, unaligned = settle_align(paths, options)
     with fleet.work(paths, options, keep_slices=True, progress=progress) as work:
         tally, remarks = work.tally, work.remarks
         refuse_unused(paths, tally)
@@ -121,6 +123,7 @@ def build_store(
     notes = [
         *list_requested(paths, [output], options.writing, options.model),
         *remarks.notes,
+        *unaligned,
         *options.list_idle(),
         *list_lacking(tally, None),
         *tell_disagreement(facts.agreement, facts.has_walls),
