@@ -6,14 +6,17 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from occmap.alignment import settle_align
 from occmap.evidence import to_evidence
-from occmap.evidence.manifest import BuildRecord, describe_build, plan_manifest
+from occmap.evidence.manifest import BuildRecord, describe_build, list_mixed, plan_manifest
 from occmap.evidence.merging import open_saved
 from occmap.evidence.persistence import render_lasting
 from occmap.evidence.publishing import describe_resumed
 from occmap.evidence.repetition import list_repeated
+from occmap.grid.framing import frame
 from occmap.grid.stacks import add_stack
 from occmap.grid.tiles import TileGrid
+from occmap.mounts import list_misfits
 from occmap.observing import Keep, Observe, Observed, Progress, ignore_progress
 from occmap.observing import observe as observe_here
 from occmap.opening import choose_topics, count_messages, count_scans, make_poser, take_first
@@ -108,8 +111,9 @@ def build_alone(
     look: Callable[[], dict[str, Any]],
 ) -> Build:
     """Build and write a map, while nobody else adds to the same evidence."""
+    saved = open_saved(options.resume, plan_manifest(options)) if options.resume else None
+    options, unaligned = settle_align(paths, adopt_align(options, saved))
     plan = plan_manifest(options)
-    saved = open_saved(options.resume, plan) if options.resume else None
     keep = Keep(
         slices=options.min_passes is not None or want_evidence(outputs),
         journey=want_journey(outputs),
@@ -124,19 +128,24 @@ def build_alone(
         grid, lost = render_lasting(
             tiles, slices, options.min_passes, options.model, options.max_cells
         )
+        grid = frame(grid, options.framing, options.model.prior, options.max_cells)
     manifest = plan
     if want_evidence(outputs):  # only then: it takes time to hash the logs
         with tally.time("write"):
             manifest = add_build(plan, saved, describe_build(paths, options, tally.to_json()))
     resumed = describe_resumed(saved) if saved else None
+    disagreement = list(list_disagreement(grid))
     notes = [
         *list_requested(paths, outputs, options.writing, options.model),
         *remarks.notes,
+        *unaligned,
         *options.list_idle(),
         *list_lacking(tally, resumed),
         *lost,
-        *list_disagreement(grid),
+        *disagreement,
+        *(list_misfits(paths, options) if disagreement else ()),
         *list_repeated(manifest.builds),
+        *list_mixed(manifest),
     ]
     facts, remarks = describe_map(grid, options.writing), replace(remarks, notes=notes)
     report = replace(make_report(facts, options, tally, remarks), resumed=resumed)
@@ -158,6 +167,13 @@ def look_into(paths: Sequence[Path], options: BuildOptions) -> dict[str, Any]:
     from occmap.inspection import inspect  # noqa: PLC0415  late: few builds want it
 
     return inspect(paths, options).to_json()
+
+
+def adopt_align(options: BuildOptions, saved: Evidence | None) -> BuildOptions:
+    """Turn a map that is added to evidence as that is turned, where the user names no angle."""
+    if saved is None or options.posing.align is not None:
+        return options
+    return replace(options, posing=replace(options.posing, align=saved.manifest.align))
 
 
 def add_build(plan: Manifest, saved: Evidence | None, build: BuildRecord) -> Manifest:
@@ -184,6 +200,7 @@ def make_report(facts: MapFacts, options: BuildOptions, tally: Tally, remarks: R
         columns=cols,
         rows=rows,
         extent=facts.extent,
+        align=options.posing.align or 0.0,
         shares=facts.shares,
         agreement=facts.agreement,
         seconds=dict(tally.seconds),
