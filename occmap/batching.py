@@ -28,8 +28,8 @@ class LeftOut(StrEnum):
 
     NO_BEAMS = "no beams"
     BAD_ANGLES = "angles not finite"
-    TIME = "outside --start and --end"
-    STRIDE = "left out by --stride"
+    TIME = "outside `start_s` and `end_s`"
+    STRIDE = "left out by `stride`"
 
 
 NOT_ASKED_FOR = (LeftOut.TIME, LeftOut.STRIDE)
@@ -66,7 +66,7 @@ class Selection:
             raise UsageError(f"a stride of {self.stride} is not possible", fix="give 1 or more")
         if not self.start_s < self.end_s:
             raise UsageError(
-                f"--start {self.start_s} is not before --end {self.end_s}",
+                f"`start_s={self.start_s}` is not before `end_s={self.end_s}`",
                 fix="both are in seconds after the log's first scan",
             )
 
@@ -125,15 +125,31 @@ def find_flaw(scan: Scan) -> LeftOut | None:
     return None
 
 
+class Seam(NamedTuple):
+    """What the selection of scans in a part of a log depends on in the parts before it."""
+
+    first_ns: int | None = None
+    """The stamp of the log's first scan; None: it is in this part"""
+    wanted: int = 0
+    """How many scans before lie in the time window"""
+
+
+FROM_THE_START = Seam()
+
+
 class Selector:
     """Says of the scans of one log, one after the other, which are not used, and why."""
 
-    def __init__(self, selection: Selection, stamps: Stamps) -> None:
+    def __init__(self, selection: Selection, stamps: Stamps, seam: Seam = FROM_THE_START) -> None:
         self.selection = selection
         self._stamps = stamps
         self._wants_all = replace(selection, topics=()) == Selection()
-        self._first_ns: int | None = None
-        self._wanted = 0
+        self._first_ns, self._wanted = seam
+
+    @property
+    def seam(self) -> Seam:
+        """What the selection of the scans to come depends on."""
+        return Seam(self._first_ns, self._wanted)
 
     def judge(
         self, scans: Iterable[Scan | ScanRun]
@@ -181,12 +197,18 @@ class Batcher:
         selection: Selection,
         stamps: Stamps = Stamps.HEADER,
         limits: RangeLimits | None = None,
+        seam: Seam = FROM_THE_START,
     ) -> None:
         self.read = 0
         self.left_out: dict[LeftOut, int] = {}
         self.notes: list[str] = []
-        self._selector = Selector(selection, stamps)
+        self._selector = Selector(selection, stamps, seam)
         self._limits = limits
+
+    @property
+    def first_ns(self) -> int:
+        """The stamp of the log's first scan; 0 where none was read."""
+        return self._selector.seam.first_ns or 0
 
     def stack(self, scans: Iterable[Scan | ScanRun]) -> Iterator[ScanBatch]:
         """Stack scans, holding no more than a batch at a time; a run is a batch as it is."""

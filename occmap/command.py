@@ -1,53 +1,65 @@
-"""The `occmap build` line that makes a map: options as the flags that a user would type."""
+"""The `occmap build` line that makes a map, and the flag by which each option is typed."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
-from occmap.batching import Selection
-from occmap.pipeline import BuildOptions
-from occmap.posing.options import PosingOptions
-from occmap.readers.options import ReaderOptions
-from occmap.sensor.returns import ReturnOptions
-from occmap.types import Pose
+from occmap.keywords import list_options
+from occmap.options import BuildOptions
+from occmap.types import Pose, PoseSample
 
-Group = TypeVar("Group", BuildOptions, PosingOptions, ReaderOptions, ReturnOptions, Selection)
+FLAGS = {
+    "ignore_sectors": "--ignore-sector",
+    "limits": "--fail-if",
+    "logs": "--log",
+    "outputs": "-o",
+    "shade": "--light-occupied",
+    "static_transforms": "--static-tf",
+    "topics": "--scan-topic",
+}
+"""Of the options whose flag is another word than their name."""
 
-LATTICE_FLAGS = {"resolution": "--resolution"}
-GRID_FLAGS = {
-    "jump": "--jump",
-    "hit_offset": "--hit-offset",
-    "border_gap": "--border-gap",
-    "max_cells": "--max-cells",
-}
-SELECTION_FLAGS = {"start_s": "--start", "end_s": "--end", "stride": "--stride"}
-POSING_FLAGS = {
-    "map_frame": "--map-frame",
-    "base_frame": "--base-frame",
-    "poses": "--poses",
-    "max_pose_gap_s": "--max-pose-gap",
-    "max_speed": "--max-speed",
-    "time_offset_s": "--time-offset",
-    "deskew": "--deskew",
-    "stamps": "--stamps",
-}
-READER_FLAGS = {
-    "echo": "--echo",
-    "min_height": "--min-height",
-    "max_height": "--max-height",
-}
-RETURN_FLAGS = {
-    "min_range": "--min-range",
-    "max_range": "--max-range",
-    "range_max": "--range-max",
-    "no_return": "--no-return",
-}
+MODEL_PARAMETERS = (
+    *("p_hit", "p_miss", "epsilon", "p_min"),
+    *("prior", "cut", "spread", "clamp_min", "clamp_max"),
+)
+"""Those of sensor models that are flags, too"""
+
+OPTIONS = {*list_options(BuildOptions), *MODEL_PARAMETERS, *FLAGS, "dask", "slice"}
+"""The names of what can be typed as a flag"""
+
+MARK = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
+"""How texts outside of the command line name an option, and what to give it"""
+
+NOT_WRITTEN = ("jobs", "min_passes", "model", "pass_gap_s", "resume", "update", "writing")
+"""Options that say nothing of how logs are read, or that a caller names by itself."""
+
+
+LEVEL_RAD = 5e-6
+"""A smaller angle is written as 0."""
+
+
+def spell_flag(option: str) -> str:
+    """Spell an option as it is typed: `max_pose_gap_s` as --max-pose-gap."""
+    return FLAGS.get(option) or "--" + option.removesuffix("_s").replace("_", "-")
+
+
+def spell_flags(text: str) -> str:
+    """Spell the options that a text names as `max_range` or `max_range=6` as they are typed."""
+
+    def spell(mark: re.Match[str]) -> str:
+        if mark[1] not in OPTIONS:
+            return mark[0]
+        return spell_flag(mark[1]) if mark[2] is None else f"{spell_flag(mark[1])} {mark[2]}"
+
+    return MARK.sub(spell, text)
 
 
 def compose_build(
-    logs: Sequence[str], options: BuildOptions, flags: Mapping[str, str], update: str = ""
+    logs: Sequence[str], options: BuildOptions, changes: Mapping[str, str], update: str = ""
 ) -> tuple[str, ...]:
     """Compose the words of an `occmap build`.
 
@@ -55,13 +67,22 @@ def compose_build(
     ----------
     options
         Those that differ from their defaults are written; not so update, model and outputs.
-    flags
-        More, which override those of the options.
+    changes
+        Values of options by name, which go before those of `options`.
     """
-    words = [word for pair in {**list_given(options), **flags}.items() for word in pair]
-    words += list_repeatable(options)
+    given = {name: list_texts(value) for name, value in list_changed(options, BuildOptions())}
+    for name, text in changes.items():
+        given[name] = [*list_beside(name, given.get(name, []), text), text]
+    words = [w for name, texts in given.items() for text in texts for w in (spell_flag(name), text)]
     start = ("occmap", "build", update) if update else ("occmap", "build")
     return (*start, *logs, *words, "-o", f"{name_map(logs[0])}.pgm")
+
+
+def list_beside(name: str, texts: Sequence[str], text: str) -> list[str]:
+    """List the given values of an option that a new one leaves: transforms to other frames."""
+    if name != "static_transforms":
+        return []
+    return [each for each in texts if each.split(",")[1] != text.split(",")[1]]
 
 
 def name_map(path: str) -> str:
@@ -70,37 +91,38 @@ def name_map(path: str) -> str:
     return Path(name).stem or "map"
 
 
-def list_given(options: BuildOptions) -> dict[str, str]:
-    """List the options that differ from their defaults and may be given once, as flags."""
-    flags = _list_changed(options, BuildOptions(), LATTICE_FLAGS)
-    flags |= _list_changed(options.reading, ReaderOptions(), READER_FLAGS)
-    flags |= _list_changed(options.posing, PosingOptions(), POSING_FLAGS)
-    flags |= _list_changed(options.returns, ReturnOptions(), RETURN_FLAGS)
-    flags |= _list_changed(options.selection, Selection(), SELECTION_FLAGS)
-    flags |= _list_changed(options, BuildOptions(), GRID_FLAGS)
-    if options.posing.sensor_pose is not None:
-        flags["--sensor-pose"] = format_mount(options.posing.sensor_pose)
-    if options.returns.footprint is not None:
-        flags["--footprint"] = _join(options.returns.footprint)
-    return flags
+def list_changed(given: Any, usual: Any) -> Iterator[tuple[str, Any]]:
+    """Give each option that differs from its default, those in groups, too."""
+    for name in (each.name for each in fields(given) if each.name not in NOT_WRITTEN):
+        value, default = getattr(given, name), getattr(usual, name)
+        if is_dataclass(default):
+            yield from list_changed(value, default)
+        elif value != default:
+            yield name, value
 
 
-def list_repeatable(options: BuildOptions) -> list[str]:
-    """List the words of the options that may be given more than once."""
-    words = []
-    for sample in options.posing.static_transforms:
-        words += ["--static-tf", format_static(sample.parent, sample.child, sample.pose)]
-    for sector in options.returns.ignore_sectors:
-        words += ["--ignore-sector", _join(sector)]
-    for topic in options.selection.topics:
-        words += ["--scan-topic", topic]
-    return words
+def list_texts(value: Any) -> list[str]:
+    """Write the value of an option as it is typed; some options are typed once for each item."""
+    if isinstance(value, Pose):
+        return [format_mount(value)]
+    if isinstance(value, tuple) and not isinstance(value[0], float):
+        return [text for item in value for text in list_item(item)]
+    return list_item(value)
+
+
+def list_item(value: Any) -> list[str]:
+    """Write a value that is typed at once."""
+    if isinstance(value, PoseSample):
+        return [format_static(value.parent, value.child, value.pose)]
+    if isinstance(value, tuple):
+        return [_join(value)]
+    return [f"{value:.12g}" if isinstance(value, float) else str(value)]
 
 
 def format_mount(pose: Pose) -> str:
     """Write a pose as --sensor-pose takes it: x,y,yaw, and roll,pitch where it is not level."""
     roll, pitch, yaw = to_rpy(pose)
-    level = abs(roll) < 1e-6 and abs(pitch) < 1e-6
+    level = abs(roll) < LEVEL_RAD and abs(pitch) < LEVEL_RAD
     return _join([pose.x, pose.y, yaw] if level else [pose.x, pose.y, yaw, roll, pitch])
 
 
@@ -121,16 +143,3 @@ def to_rpy(pose: Pose) -> tuple[float, float, float]:
 def _join(numbers: Sequence[float]) -> str:
     """Join numbers, to hundredths of a millimetre and without a negative zero."""
     return ",".join(f"{round(number, 5) + 0.0:.12g}" for number in numbers)
-
-
-def _list_changed(
-    given: Group,
-    default: Group,
-    flags: dict[str, str],
-) -> dict[str, str]:
-    changed = {}
-    for name in (item.name for item in fields(given) if item.name in flags):
-        value = getattr(given, name)
-        if value != getattr(default, name):
-            changed[flags[name]] = f"{value:.12g}" if isinstance(value, float) else str(value)
-    return changed

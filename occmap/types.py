@@ -63,6 +63,28 @@ class Pose(NamedTuple):
         """Build from a pose in the plane (m, m, rad); the heading may be unwrapped."""
         return cls(x, y, 0.0, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
 
+    def then(self, below: Self) -> Self:
+        """Go on to a pose that is measured in this one."""
+        x, y, z, w = self[3:]
+        bx, by, bz, bw = below[3:]
+        # v + 2 w (q x v) + 2 q x (q x v), the rotation of a vector v by a unit quaternion (q, w)
+        cx, cy, cz = y * below.z - z * below.y, z * below.x - x * below.z, x * below.y - y * below.x
+        return type(self)(
+            self.x + below.x + 2 * (w * cx + y * cz - z * cy),
+            self.y + below.y + 2 * (w * cy + z * cx - x * cz),
+            self.z + below.z + 2 * (w * cz + x * cy - y * cx),
+            w * bx + x * bw + y * bz - z * by,
+            w * by - x * bz + y * bw + z * bx,
+            w * bz + x * by - y * bx + z * bw,
+            w * bw - x * bx - y * by - z * bz,
+        )
+
+    def invert(self) -> Self:
+        """Where the frame that it is measured in lies in this one."""
+        back = type(self)(0.0, 0.0, 0.0, -self.qx, -self.qy, -self.qz, self.qw)
+        x, y, z, *_ = back.then(type(self)(-self.x, -self.y, -self.z, 0.0, 0.0, 0.0, 1.0))
+        return back._replace(x=x, y=y, z=z)
+
 
 UNKNOWN_POSE = Pose(*[math.nan] * 7)
 """Stands beside a scan whose pose nobody knew, in a log that states poses beside its scans."""
@@ -440,6 +462,15 @@ def to_log_odds(probability: float) -> float:
     return math.log(probability / (1 - probability))
 
 
+class CellClass(IntEnum):
+    """What a cell is."""
+
+    NEITHER = 0
+    """Nothing observed it, or it is undecided: an image may not tell"""
+    FREE = 1
+    OCCUPIED = 2
+
+
 class Decision(NamedTuple):
     """From what probability on a cell is called occupied, and below which free.
 
@@ -491,6 +522,14 @@ class OccupancyMap:
         below: Bool = self.log_odds < np.float32(to_log_odds(self.decision.free_below))
         return self.observed & below
 
+    @property
+    def classes(self) -> UInt8:
+        """(H, W) of CellClass."""
+        classes = np.full(self.shape, CellClass.NEITHER, np.uint8)
+        classes[self.free] = CellClass.FREE
+        classes[self.occupied] = CellClass.OCCUPIED
+        return classes
+
     def take(self, rows: slice, cols: slice) -> Self:
         """A part of the map; its arrays are views."""
         x, y = self.origin
@@ -540,6 +579,8 @@ class Manifest:
     """What was added: inputs and their hashes, options, scans; see `occmap.evidence.manifest`"""
     subtracted: tuple[dict[str, Any], ...] = ()
     """What was taken away that no entry of `builds` stands for"""
+    align: float | None = 0.0
+    """By what the map is turned (degrees); None only in a plan: it is yet to be found"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -562,6 +603,11 @@ class Slices:
     """(R,) a bit for each of the 8 bytes of those R rows: whether it differs"""
     changes: UInt8
     """(C,) those C bytes, exclusive or the ones of the row before; in the order of `np.packbits`"""
+
+    @property
+    def nbytes(self) -> int:
+        """What they take in memory."""
+        return sum(getattr(self, name).nbytes for name in self.__dataclass_fields__)
 
     @classmethod
     def join(cls, parts: Iterable[Self]) -> Self:

@@ -131,7 +131,7 @@ def test_a_range_limit_that_none_can_be_is_none_and_told(
     assert (batch.range_min, batch.range_max) == (0.0, math.inf)
     assert list(limits.list_notes()) == [
         f"/scan states {told} as its range limit, which is none; no value stands for "
-        '"no return", so every range is used as measured: --range-max sets a limit'
+        '"no return", so every range is used as measured: `range_max` sets a limit'
     ]
 
 

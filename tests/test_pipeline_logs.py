@@ -73,7 +73,7 @@ def test_start_end_and_stride_choose_scans(tmp_path: Path) -> None:
     report = build([log], choose(Selection(start_s=2, end_s=7, stride=2))).report
     # Of the seconds 2, 3, 4, 5 and 6 every second one.
     assert (report.scans_read, report.scans_used) == (10, 3)
-    assert report.dropped == {"outside --start and --end": 5, "left out by --stride": 2}
+    assert report.dropped == {"outside `start_s` and `end_s`": 5, "left out by `stride`": 2}
     assert (report.columns, report.rows) == (41, 4)
 
 
@@ -96,14 +96,14 @@ def test_a_wild_pose_costs_no_memory_and_is_refused_by_its_extent(tmp_path: Path
     finally:
         tracemalloc.stop()
     assert "to (1e+07, 1e+07) m: " in str(caught.value)
-    assert "more than --max-cells 1000000000; if a pose is wrong" in str(caught.value)
+    assert "more than `max_cells=1000000000`; if a pose is wrong" in str(caught.value)
     assert peak < 200e6  # the world between would be 10^16 cells
 
 
 @pytest.mark.parametrize("update", Update)
 def test_a_wild_range_is_refused_at_once(tmp_path: Path, update: Update) -> None:
     log = write_csv(tmp_path / "log.csv", STILL * 3, [1e5, 1e5], 0.1)
-    with pytest.raises(MapError, match=r"cells, more than --max-cells 1000000000; .*--max-range"):
+    with pytest.raises(MapError, match=r"cells, more than `max_cells=1000000000`; .*`max_range`"):
         build([log], BuildOptions(update=update, jobs=1))
 
 
@@ -116,7 +116,7 @@ def test_without_the_wild_scan_the_map_is_made(tmp_path: Path) -> None:
 def test_max_cells_is_a_limit_that_may_be_met(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", STILL, [0.3])
     assert build([log], replace(BEAM, max_cells=4)).map.shape == (1, 4)
-    with pytest.raises(MapError, match="4 x 1 cells, more than --max-cells 3"):
+    with pytest.raises(MapError, match="4 x 1 cells, more than `max_cells=3`"):
         build([log], replace(BEAM, max_cells=3))
 
 
@@ -128,7 +128,9 @@ def test_nothing_seen_is_no_map(tmp_path: Path) -> None:
 
 def test_no_usable_scan_says_why(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", STILL, [0.3])
-    with pytest.raises(PoseError, match="none of 1 scans can be used: 1 outside --start and --end"):
+    with pytest.raises(
+        PoseError, match="none of 1 scans can be used: 1 outside `start_s` and `end_s`"
+    ):
         build([log], choose(Selection(start_s=5)))
 
 

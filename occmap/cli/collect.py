@@ -1,11 +1,12 @@
 """From the values of a command line to the options of the pipeline, group by group."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from occmap.command import MODEL_PARAMETERS, spell_flag
 from occmap.errors import UsageError
 from occmap.keywords import take
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, choose_model
@@ -14,12 +15,6 @@ from occmap.types import Update
 
 Values = Mapping[str, Any]
 """What click read, by the names of the options."""
-
-SHORTHANDS = (
-    *("p_hit", "p_miss", "epsilon", "p_min"),
-    *("prior", "cut", "spread", "clamp_min", "clamp_max"),
-)
-"""Parameters of sensor models that are flags, too."""
 
 
 def collect_options(update: Update, values: Values) -> BuildOptions:
@@ -30,11 +25,8 @@ def collect_options(update: Update, values: Values) -> BuildOptions:
     UsageError
         A value is out of its range, or does not fit another.
     """
-    return replace(
-        take(BuildOptions, values),
-        update=update,
-        model=collect_model(values, choose_model(update)),
-    )
+    model = collect_model(values, choose_model(update))
+    return take(BuildOptions, {**values, "update": update, "model": model})
 
 
 def collect_model(values: Values, usual: SensorModel) -> SensorModel:
@@ -47,24 +39,19 @@ def collect_model(values: Values, usual: SensorModel) -> SensorModel:
     UsageError
         No such model, or a parameter that it does not have or allow.
     """
-    text = values["model_text"] or describe_model(usual)
+    text = values["model"] or describe_model(usual)
     name = text.partition(":")[0]
-    given = {key: values[key] for key in SHORTHANDS if values[key] is not None}
+    given = {key: values[key] for key in MODEL_PARAMETERS if values[key] is not None}
     known = [field.name for field in fields(parse_model(name))]  # type: ignore[arg-type]  # as above
+    flags = ", ".join(spell_flag(key) for key in MODEL_PARAMETERS if key in known)
     for key in given:
         if key not in known:
             raise UsageError(
-                f"{list_flags([key])} does not go with the model {name}",
-                fix=f"it has {list_flags([key for key in SHORTHANDS if key in known])}; see "
-                "`occmap models` for --model",
+                f"{spell_flag(key)} does not go with the model {name}",
+                fix=f"it has {flags}; see `occmap models` for --model",
             )
     pairs = [text.partition(":")[2], *(f"{key}={value!r}" for key, value in given.items())]
     return parse_model(f"{name}:{','.join(filter(None, pairs))}")
-
-
-def list_flags(names: Sequence[str]) -> str:
-    """Spell parameters as the flags that set them."""
-    return ", ".join("--" + name.replace("_", "-") for name in names)
 
 
 def split_words(words: Sequence[str]) -> tuple[Update, list[Path]]:

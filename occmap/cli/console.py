@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, TypedDict
 
 import click
 
@@ -27,6 +27,27 @@ class Verbosity(IntEnum):
     NORMAL = 1
     VERBOSE = 2
     """Also what helps to find a fault in occmap itself."""
+
+
+class ErrorParts(TypedDict):
+    """What went wrong; the same is on stderr, in one line."""
+
+    exit_code: int
+    """That of the process: 1 the log or the data failed, 2 wrong usage, from 128 on interrupted"""
+    where: str
+    """The file with line or byte, the option or the topic; empty where the command line as a whole
+    is wrong"""
+    found: str
+    """What is wrong"""
+    fix: str
+    """What to do or type next; empty where nobody knows"""
+
+
+class PrintedError(TypedDict):
+    """Why there is no result: what a command prints with --json that fails before it has one."""
+
+    error: ErrorParts
+    """What went wrong"""
 
 
 @dataclass
@@ -49,7 +70,7 @@ class Console:
         import json  # noqa: PLC0415  late: most runs print none
 
         self.answered = True
-        named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **value}
+        named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **spell_all(value)}
         text = json.dumps(named, indent=2, allow_nan=False)
         put_line(text.replace("##", r"\u0023#"))  # the same to who reads JSON, and no order
 
@@ -62,9 +83,14 @@ class Console:
         """Print an error, for a program that still waits as JSON, too; return its exit code."""
         tell(f"error: {error}")
         if self.as_json and not self.answered:
-            parts = {"where": error.where, "found": " ".join(error.found.split()), "fix": error.fix}
+            parts: ErrorParts = {
+                "exit_code": code,
+                "where": error.where,
+                "found": " ".join(error.found.split()),
+                "fix": error.fix,
+            }
             with suppress(OutputError):
-                self.put_json("error", {"error": {"exit_code": code, **parts}})
+                self.put_json("error", {"error": parts})
         return code
 
     def fail_unexpectedly(self, error: BaseException) -> int:
@@ -108,8 +134,27 @@ def put_line(text: str) -> None:
         raise OutputError(f"cannot be written ({error.strerror})", where="stdout") from None
 
 
+def spell(text: str) -> str:
+    """Spell the options that a text names as flags."""
+    if "`" not in text:
+        return text
+    from occmap.command import spell_flags  # noqa: PLC0415  late: it brings NumPy
+
+    return spell_flags(text)
+
+
+def spell_all(value: Any) -> Any:
+    """Spell the options that any text of a result names."""
+    if isinstance(value, str):
+        return spell(value)
+    if isinstance(value, dict):
+        return {spell_all(key): spell_all(item) for key, item in value.items()}
+    return list(map(spell_all, value)) if isinstance(value, list | tuple) else value
+
+
 def clean(line: str) -> str:
     """Make one line of text of what logs and paths say: it moves no cursor and orders nothing."""
+    line = spell(line)
     if not line.isprintable():
         line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
     return ORDER.sub(lambda found: f"{found[1] or ''}\\x{ord(found[0][-1]):x}", line)

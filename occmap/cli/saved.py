@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from occmap.cli import limits
-from occmap.cli.collect import SHORTHANDS, collect_model
+from occmap.cli.collect import collect_model
 from occmap.cli.console import Console
 from occmap.cli.summary import (
     LABEL,
@@ -16,10 +16,11 @@ from occmap.cli.summary import (
     format_update,
     label_files,
 )
+from occmap.command import MODEL_PARAMETERS
 from occmap.errors import UsageError
 from occmap.evidence import read_model
 from occmap.evidence.publishing import RenderOptions, publish
-from occmap.gates import judge
+from occmap.grid.framing import Framing
 from occmap.keywords import take
 from occmap.report import Report
 from occmap.sensor.models import SensorModel
@@ -34,19 +35,13 @@ def put_out(console: Console, command: str, evidence: Evidence, values: dict[str
         choose_model(evidence, values),
         take(WriteOptions, values),
         values["max_cells"],
-        values.get("crop"),
+        take(Framing, values),
         values["min_passes"],
     )
     report = publish(evidence, options, values["outputs"])
     for note in report.notes:
         console.note(note)
-    failed = judge(values["limits"], report)
-    if values["as_json"]:
-        console.put_json(command, report.to_json() | limits.to_json(failed))
-    else:
-        console.put(format_saved(report))
-    limits.tell(console, failed)
-    limits.leave(failed)
+    limits.leave(limits.answer(console, command, report, format_saved(report), values))
 
 
 def refuse_no_output(outputs: tuple[Path, ...], example: str, inputs: Sequence[Path]) -> None:
@@ -70,7 +65,7 @@ def choose_model(evidence: Evidence, values: dict[str, Any]) -> SensorModel | No
     UsageError
         No such model, or a parameter that it does not have or allow.
     """
-    if all(values.get(name) is None for name in ("model_text", *SHORTHANDS)):
+    if all(values.get(name) is None for name in ("model", *MODEL_PARAMETERS)):
         return None
     return collect_model(values, read_model(evidence))
 

@@ -9,7 +9,6 @@ import reprlib
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +17,7 @@ import numpy as np
 from occmap.errors import MapError, UsageError
 from occmap.evidence import read_model, render_saved
 from occmap.grid.tiles import MAX_CELLS
-from occmap.types import Bool, Int64, UInt8
+from occmap.types import Bool, CellClass, Int64, UInt8
 from occmap.writers import MapMode, WriteOptions
 from occmap.writers.npz import read_evidence
 
@@ -28,15 +27,6 @@ FARTHEST_M = 1e15
 """Further out, and for larger cells, a float does not tell one cell from the next."""
 BYTES = {0xDC80 + byte: 0xE080 + byte for byte in range(128)}
 """Stands for bytes that are no UTF-8, as names of files may have them: YAML takes no surrogates."""
-
-
-class CellClass(IntEnum):
-    """What a cell is."""
-
-    NEITHER = 0
-    """Nothing observed it, or it is undecided: an image may not tell"""
-    FREE = 1
-    OCCUPIED = 2
 
 
 class Place(NamedTuple):
@@ -143,10 +133,7 @@ def load_evidence(path: Path, thresholds: WriteOptions) -> ClassMap:
     evidence = read_evidence(path)
     grid = render_saved(evidence, read_model(evidence), MAX_CELLS)
     grid = replace(grid, decision=thresholds.decide(grid.decision))
-    classes = np.full(grid.shape, CellClass.NEITHER, np.uint8)
-    classes[grid.free] = CellClass.FREE
-    classes[grid.occupied] = CellClass.OCCUPIED
-    return ClassMap(path, classes, Place(grid.resolution, *grid.origin))
+    return ClassMap(path, grid.classes, Place(grid.resolution, *grid.origin))
 
 
 LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {

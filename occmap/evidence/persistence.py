@@ -1,6 +1,7 @@
 """What lasts: hits that came on several visits stay, people who walked through once do not."""
 
 from collections.abc import Iterator, Sequence
+from typing import NoReturn
 
 import numpy as np
 
@@ -40,17 +41,28 @@ def keep_lasting(grid: TileGrid, layers: Sequence[Slices], min_passes: int | Non
     """
     if min_passes is None:
         return grid
+    lasting = drop_passing(grid, layers, min_passes)
+    if grid.tiles and not lasting.tiles:
+        refuse_nothing_left(min_passes)
+    return lasting
+
+
+def refuse_nothing_left(min_passes: int) -> NoReturn:
+    """Say that no cell lasts; raises MapError."""
+    raise MapError(
+        f"no cell was hit on {min_passes} visits, and none was seen free: there is no map",
+        fix="give a smaller `min_passes`",
+    )
+
+
+def drop_passing(grid: TileGrid, layers: Sequence[Slices], min_passes: int) -> TileGrid:
+    """As `keep_lasting`, where maybe nothing is left."""
     lasting = TileGrid(grid.lattice, grid.kind, grid.unit)
     for key, slices in split_tiles(unite(layers)):
         if key in grid.tiles:
             visits = count_visits(slices)
             lasting.tiles[key] = weigh_visits(grid.tiles[key], visits, min_passes)
     drop_empty(lasting)
-    if grid.tiles and not lasting.tiles:
-        raise MapError(
-            f"no cell was hit on {min_passes} visits, and none was seen free: there is no map",
-            fix="give a smaller --min-passes",
-        )
     return lasting
 
 
@@ -69,7 +81,7 @@ def render_lasting(
     model: SensorModel,
     max_cells: int,
 ) -> tuple[OccupancyMap, list[str]]:
-    """Make a map of what lasts; a note says where that is much less than what was observed.
+    """Make a map of what lasts; a note says where much of the map does not.
 
     Raises
     ------
@@ -84,7 +96,7 @@ def render_lasting(
 
 
 def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:
-    """Say where much of what was occupied before is not so after hits and misses were forgotten."""
+    """Say where many cells are no longer occupied after hits and misses were forgotten."""
     if after is before:
         return
     rows, cols = (
@@ -95,14 +107,14 @@ def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:
     lost = were - np.count_nonzero(before.occupied[rows, cols] & after.occupied)
     if lost and lost >= MUCH * were:
         yield (
-            f"--min-passes takes away {100 * lost / were:.0f}% of the occupied cells ({lost:,} of "
+            f"`min_passes` takes away {100 * lost / were:.0f}% of the occupied cells ({lost:,} of "
             f"{were:,}), since they were hit on fewer visits; walls may be among them: leave it "
-            "out, or build with a smaller --pass-gap"
+            "out, or build with a smaller `pass_gap_s`"
         )
 
 
 def check_passes(min_passes: int | None, model: SensorModel) -> None:
-    """Refuse a number of visits that no model can be asked for, or not this one.
+    """Refuse a number of visits below 1, or any number for a model that counts no hits.
 
     Raises
     ------
@@ -112,17 +124,17 @@ def check_passes(min_passes: int | None, model: SensorModel) -> None:
     if min_passes is None:
         return
     if min_passes < 1:
-        raise UsageError(f"--min-passes {min_passes} is not possible", fix="give 1 or more")
+        raise UsageError(f"`min_passes={min_passes}` is not possible", fix="give 1 or more")
     if isinstance(model, RadialModel):
         raise UsageError(
-            f"--min-passes counts the visits that hit a cell, while {model.name} sums up log-odds "
+            f"`min_passes` counts the visits that hit a cell, while {model.name} sums up log-odds "
             "and knows no hits",
-            fix="leave it out, or build with --model simple or --model counting",
+            fix="leave it out, or build with `model=simple` or `model=counting`",
         )
 
 
 def check_gap(pass_gap_s: float) -> None:
-    """Refuse slices of time that tell no visits apart.
+    """Refuse slices of time by which visits cannot be told apart.
 
     Raises
     ------
@@ -131,6 +143,6 @@ def check_gap(pass_gap_s: float) -> None:
     """
     if not SHORTEST_GAP_S <= pass_gap_s <= LONGEST_GAP_S:
         raise UsageError(
-            f"--pass-gap {pass_gap_s:g} is not possible",
+            f"`pass_gap_s={pass_gap_s:g}` is not possible",
             fix=f"give {SHORTEST_GAP_S:g} to {LONGEST_GAP_S:g} seconds",
         )

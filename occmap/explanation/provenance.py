@@ -61,7 +61,7 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Sequence[Path]) -
 
 
 def list_distinct(logs: Iterable[Path]) -> Iterator[tuple[Path, Counter[str]]]:
-    """List logs with their hashes; of copies, only the first: to a build they are one.
+    """List logs with their hashes; of several copies only the first, as a build cannot tell.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def follow(
         raise PoseError(
             f"its poses came from {trajectory['name']}, which is needed again{differs}",
             where=log,
-            fix=f"add --poses {trajectory['name']}",
+            fix=f"add `poses={trajectory['name']}`",
         )
     return replace(options, posing=replace(options.posing, poses=str(path)))
 
@@ -146,12 +146,12 @@ def refuse_stranger(evidence: Evidence, log: Path) -> None:
     raise LogError(
         f"{evidence.where} was not made of it",
         where=log,
-        fix=f"it was made of {shorten(names)}: give --log with one of these",
+        fix=f"it was made of {shorten(names)}: give `logs` with one of these",
     )
 
 
 def refuse_idle(poses: Sequence[Path]) -> None:
-    """Refuse a trajectory that nothing would be done with.
+    """Refuse a trajectory that none of the builds used.
 
     Raises
     ------

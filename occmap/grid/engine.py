@@ -6,15 +6,13 @@ import numpy as np
 
 from occmap.errors import MapError
 from occmap.grid.kernels.units import TILE
-from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid.lattice import MOST_CELLS_OF_BEAM, CellBox, Lattice
 from occmap.grid.projection import Projected, prepare, project
-from occmap.grid.spec import GridSpec
-from occmap.grid.tiles import MAX_CELLS, EvidenceKind, TileGrid, refuse_large
+from occmap.grid.spec import WINDOW_CELLS, GridSpec
+from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
 from occmap.grid.windows import Window, choose_window, count_observations, find_most
 from occmap.types import Rays, Slices
 
-WINDOW_CELLS = 1 << 24
-"""The largest window; scans that need more are traced part by part."""
 ROOMY_CELLS = 1 << 22
 """A window is not made larger than this only for scans that may come."""
 MOST_PARTS = 64
@@ -24,8 +22,6 @@ MARGIN = 4
 and a smaller one when it is known what was observed."""
 FARTHEST_UNIT = 1 << 52
 """Beyond this a float cannot tell lattice units apart."""
-MOST_CELLS_OF_BEAM = 1 << 22
-"""More cells, from a sensor half as far from the anchor, and an int32 cannot hold the end."""
 
 
 class GridEngine:
@@ -45,8 +41,7 @@ class GridEngine:
         roomy_cells: int = ROOMY_CELLS,
     ) -> None:
         self.spec = spec
-        kind = EvidenceKind.COUNTS if spec.radial is None else EvidenceKind.LOG_ODDS
-        self.grid = TileGrid(spec.lattice, kind, spec.unit)
+        self.grid = TileGrid(spec.lattice, spec.kind, spec.unit)
         self._window_cells = window_cells
         self._max_cells = max_cells
         self._roomy_cells = min(roomy_cells, window_cells)
@@ -117,6 +112,11 @@ class GridEngine:
             self.grid.add(tiles, window.bound)
             self.grid.refuse_outgrown(self._max_cells)
 
+    @property
+    def bytes_held(self) -> int:
+        """What the tiles take in memory, without those of scans that windows still hold."""
+        return self.grid.nbytes
+
     def finish(self) -> TileGrid:
         """Empty all windows and give the evidence; more may be added later."""
         while self._idle:
@@ -181,8 +181,8 @@ def refuse_far_sensors(rays: Rays, lattice: Lattice) -> None:
         raise MapError(
             f"a sensor {farthest:.6g} m from the map's zero is too far away for cells of "
             f"{lattice.resolution} m",
-            fix="if a pose is wrong, leave it out with --start and --end; else use a coarser "
-            "--resolution",
+            fix="if a pose is wrong, leave it out with `start_s` and `end_s`; else use a coarser "
+            "`resolution`",
         )
 
 
@@ -198,5 +198,5 @@ def refuse_long_beams(rays: Rays, resolution: float) -> None:
     if longest / resolution > MOST_CELLS_OF_BEAM:
         raise MapError(
             f"a beam of {longest:.6g} m is too long for cells of {resolution} m",
-            fix="limit ranges with --max-range, or use a coarser --resolution",
+            fix="limit ranges with `max_range`, or use a coarser `resolution`",
         )

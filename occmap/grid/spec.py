@@ -7,9 +7,11 @@ import numpy as np
 
 from occmap.grid.kernels.units import BEAM_WEIGHT
 from occmap.grid.lattice import Lattice
-from occmap.grid.tiles import LOG_ODDS_UNIT
+from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.types import Float64, Int64, Update
 
+WINDOW_CELLS = 1 << 24
+"""The largest window; scans that need more are traced part by part."""
 SUM_BITS = 20
 """A window cell counts fewer than 2^20 observations of log-odds before it must be emptied ..."""
 COUNT_BITS = 31
@@ -101,3 +103,8 @@ class GridSpec:
     def unit(self) -> int:
         """What one beam, or one scan, weighs in the numbers of a cell."""
         return find_unit(self.update)
+
+    @property
+    def kind(self) -> EvidenceKind:
+        """What the two numbers of a cell are."""
+        return EvidenceKind.COUNTS if self.radial is None else EvidenceKind.LOG_ODDS

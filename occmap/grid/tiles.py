@@ -86,6 +86,11 @@ class TileGrid:
             mine = self.tiles[key] = mine.astype(np.int64, copy=False)
         mine += tile
 
+    @property
+    def nbytes(self) -> int:
+        """What the tiles take in memory, where none is 64 bits wide."""
+        return len(self.tiles) * 2 * TILE * TILE * 4
+
     def refuse_outgrown(self, max_cells: int) -> None:
         """Refuse what is too large a map already, before more is added to it.
 
@@ -134,7 +139,7 @@ def refuse_large(box: CellBox, lattice: Lattice, max_cells: int) -> None:
         )
         raise MapError(
             f"the map would reach from {low} to {high} m: {box.cols} x {box.rows} cells, more than "
-            f"--max-cells {max_cells}",
-            fix="if a pose is wrong, leave it out with --start and --end; else use a coarser "
-            "--resolution, a shorter --max-range, or raise --max-cells",
+            f"`max_cells={max_cells}`",
+            fix="if a pose is wrong, leave it out with `start_s` and `end_s`; else use a coarser "
+            "`resolution`, a shorter `max_range`, or raise `max_cells`",
         )

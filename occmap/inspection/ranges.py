@@ -18,7 +18,7 @@ NEIGHBOURHOOD_M = 0.1
 """A value is suspicious if one finite range in a hundred has it, ten times as many as any other
 within this distance: walls, even seen by a robot that stands still, spread by their noise."""
 COMMON_SHARE = REPEATED_SHARE / 10
-"""What is rarer than this among the ranges sorted at once adds nothing to the share of a value."""
+"""A value that is rarer than this among the ranges sorted at once is not counted there."""
 MIN_VALUES = 16
 """Fewer different ranges tell nothing: a room drawn by hand may be all of 5 m."""
 MAX_REPEATED = 8
@@ -37,7 +37,7 @@ MEANINGS = {
     "< range_min": "too close to trust",
 }
 NO_RETURNS = ("+inf", "= range_max", "> range_max")
-"""The kinds that --no-return decides about; all others are skipped."""
+"""The kinds that `no_return` decides about; all others are skipped."""
 
 
 class RangeCensus:
@@ -144,7 +144,7 @@ MOSTLY_OPEN = 0.05
 
 
 def suggest_no_return(census: RangeCensus, crossed: float | None) -> str:
-    """Suggest what --no-return is to be.
+    """Suggest what `no_return` is to be.
 
     Space is called free only where there is a distance up to which, the value is no error code,
     and the log itself does not object: hardly a beam without return leads through a wall.

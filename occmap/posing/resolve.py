@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 from typing import NoReturn
 
-from occmap.errors import PoseError
+from occmap.errors import MountError, PoseError
 from occmap.posing.chain import Chain, find_driven, make_chain
 from occmap.posing.conventions import (
     FIXED_NAMES,
@@ -59,7 +59,7 @@ def resolve(
     if fixed is not None and name != fixed:
         raise PoseError(
             f"{frame!r} maps in {name!r} while other scans map in {fixed!r}",
-            fix=f"join the two: --static-tf {fixed},{name},X,Y,Z,ROLL,PITCH,YAW",
+            fix=f"join the two: `static_transforms={fixed},{name},X,Y,Z,ROLL,PITCH,YAW`",
         )
     return Resolved(name, make_chain(steps, options.max_pose_gap_s), tuple(search.notes))
 
@@ -132,7 +132,7 @@ class _Search:
             if wanted not in self.tree:
                 known = join_names(self.tree.frames)
                 raise PoseError(
-                    f"no frame {wanted!r} in the log", fix=f"--base-frame takes {known}"
+                    f"no frame {wanted!r} in the log", fix=f"`base_frame` takes {known}"
                 )
             return wanted
         bases = list_bases(self.tree, self.frame)
@@ -140,7 +140,7 @@ class _Search:
             return bases[0]
         raise PoseError(
             f"which frame the laser is mounted on is not clear (known: {self._list_known()})",
-            fix=f"name it: --base-frame {bases[0] if bases else 'FRAME'}",
+            fix=f"name it: `base_frame={bases[0] if bases else 'FRAME'}`",
         )
 
     def _mount_on(self, anchor: str) -> list[Step]:
@@ -162,7 +162,7 @@ class _Search:
             raise PoseError(f"no frame {upper!r} in the log (known: {self._list_known()})")
         raise PoseError(
             f"no transform from {upper!r} to {lower!r} (known: {self._list_known()})",
-            fix=f"give it: --static-tf {upper},{lower},X,Y,Z,ROLL,PITCH,YAW",
+            fix=f"give it: `static_transforms={upper},{lower},X,Y,Z,ROLL,PITCH,YAW`",
         )
 
     def _note_odometry(self, steps: list[Step]) -> None:
@@ -177,16 +177,14 @@ class _Search:
     def _fail_without_mount(self) -> NoReturn:
         bases = list_bases(self.tree, self.frame)
         base = bases[0] if len(bases) == 1 else ""
+        found = f"no transform to the laser's frame {self.frame!r} (known: {self._list_known()})"
         if not self.alone:  # a sensor pose would be that of every laser
-            fix = f"give its mount: --static-tf {base or 'BASE'},{self.frame},X,Y,Z,ROLL,PITCH,YAW"
-        elif base:
-            fix = f"give its mount on {base}: --sensor-pose x,y,yaw"
-        else:
-            fix = "give its mount: --sensor-pose x,y,yaw --base-frame FRAME"
-        raise PoseError(
-            f"no transform to the laser's frame {self.frame!r} (known: {self._list_known()})",
-            fix=fix,
-        )
+            given = f"{base or 'BASE'},{self.frame},X,Y,Z,ROLL,PITCH,YAW"
+            raise PoseError(found, fix=f"give its mount: `static_transforms={given}`")
+        mount = f"`sensor_pose={MountError.UNKNOWN}`"
+        if not base:
+            raise PoseError(found, fix=f"give its mount: {mount} `base_frame=FRAME`")
+        raise MountError(found, fix=f"give its mount on {base}: {mount}")
 
     def _fail_without_motion(self, root: str) -> NoReturn:
         bodies = self.tree.bodies
@@ -194,16 +192,16 @@ class _Search:
             raise PoseError(
                 f"the laser's frame {self.frame!r} hangs on {root!r}, which is not connected to "
                 f"what moves: {join_names(bodies)}",
-                fix=f"join them: --static-tf {bodies[0]},{root},0,0,0,0,0,0",
+                fix=f"join them: `static_transforms={bodies[0]},{root},0,0,0,0,0,0`",
             )
         raise PoseError(
             f"the scans have no poses: tf only says where {self.frame!r} sits on {root!r}, and "
             "the log has no odometry and no topic of poses",
-            fix="give a trajectory: --poses FILE",
+            fix="give a trajectory: `poses=FILE`",
         )
 
     def _fail_without_sources(self) -> NoReturn:
         raise PoseError(
             "the scans have no poses: looked for tf, odometry and topics of poses in the log",
-            fix="give a trajectory: --poses FILE",
+            fix="give a trajectory: `poses=FILE`",
         )

@@ -168,7 +168,7 @@ def _find_fault(names: list[str], given: set[str]) -> tuple[str, str] | None:
     beams = sum(1 for name in names if BEAM.fullmatch(name))
     for name in (f"r{beam}" for beam in range(max(beams, 1))):
         if name not in given:
-            hint = "" if beams else "; a file of poses alone is given with --poses"
+            hint = "" if beams else "; a file of poses alone is given with `poses`"
             return f"no column {name}", f"the beams are r0, r1, ... without a gap{hint}"
     return None
 

@@ -1,14 +1,17 @@
 """MCAP files with ROS 2 or ROS 1 messages: whole, without index or summary, or cut short.
 
 The file is walked from its start, in the order in which it was written, so that one that ends
-early is no special case. The loop over the messages of a chunk is the one that must be fast.
+early is no special case. Where the indexes behind a chunk name exactly the messages that are in it,
+they say at once where each lies.
 """
 
 import zlib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from struct import Struct
 from typing import BinaryIO, NamedTuple, TypeVar
@@ -16,12 +19,19 @@ from typing import BinaryIO, NamedTuple, TypeVar
 from mcap.opcode import Opcode
 
 from occmap.errors import LogError
-from occmap.readers import DEFAULT_OPTIONS, Note, NoteList, Probe
+from occmap.readers import DEFAULT_OPTIONS, Note, NoteList, Probe, Role, Span
 from occmap.readers.inflate import Buffer, inflate
+from occmap.readers.mcap_index import (
+    LATEST_NS,
+    Indexes,
+    pick_messages,
+    read_indexes,
+)
 from occmap.readers.mcap_records import (
     CHUNK_START,
     LAST_OPCODE,
     MAGIC,
+    MESSAGE_DATA,
     RECORD,
     RECORD_ERRORS,
     ChannelTable,
@@ -35,26 +45,18 @@ from occmap.readers.mcap_records import (
 )
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_log import RosLog
-from occmap.readers.ros_source import Channel, RawMessage, add_note
+from occmap.readers.ros_source import Channel, RawMessages, add_note, put_together
 
 T = TypeVar("T")
 
 _MESSAGE_HEAD = Struct("<BQHIQ")
 """Opcode, length, channel, sequence number, record time; a second time follows."""
 _NO_HEAD = (0, 0, 0, 0, 0)
-_MESSAGE_DATA = 31
-"""Where a message's own bytes start in its record."""
-_INDEX_HEAD = Struct("<HI")
-"""Of a message index: its channel, and the bytes of the entries that follow."""
-_INDEX_ENTRY = 16
-"""Bytes of a time and an offset."""
-_LATEST_NS = 2**63 - 1
-"""A time beyond this is damage, and is brought into 64 bits with a sign."""
-
 _NEVER_NS = 2**64 - 1
 _LONGEST_PADDING = 64
 """Bytes that a writer may leave behind the fields of a chunk."""
 
+SCANS = frozenset({Role.SCAN, Role.CLOUD})
 _DESCRIPTIONS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
 _PLAIN_RECORDS = _DESCRIPTIONS | {Opcode.MESSAGE}
 _LAST_RECORDS = frozenset({Opcode.DATA_END, Opcode.FOOTER})
@@ -69,6 +71,7 @@ class _Block(NamedTuple):
     first_ns: int = 0
     last_ns: int = _NEVER_NS
     is_chunk: bool = False
+    indexes: Indexes = Indexes()
 
 
 class McapReader:
@@ -104,11 +107,11 @@ class McapSource:
         self.notes: list[Note] = NoteList()
         self._verified: set[int] = set()
         self._repeated: set[int] = set()
-        self._held = -1, 0
         self._summary = Summary()
         try:
             with path.open("rb") as file:
                 self._size = file.seek(0, 2)
+                self._span = Span(len(MAGIC), self._size)
                 self._summary, problem = read_summary(file, self._size)
                 if not self._summary.is_complete:
                     self._summary = replace(self._summary, channels=self._survey(file))
@@ -128,17 +131,41 @@ class McapSource:
         """Every channel of the file."""
         return list(self._summary.channels.values())
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessages]:
         """Give the messages of some channels, in file order."""
         channels = {key: item for key, item in self._summary.channels.items() if item in wanted}
         table = ChannelTable()
         with self.path.open("rb") as file:
             for block in self._iterate_blocks(file, channels):
-                yield from self._iterate_messages(block, channels.get, table)
+                places = block.indexes.find(block.records, block.first_ns, block.last_ns)
+                if places is not None:
+                    yield from pick_messages(block.records, places, channels)
+                else:
+                    yield from put_together(self._iterate_messages(block, channels.get, table))
         for key, other in table.build({}).items():
             known = self._summary.channels.get(key, other)
             if known.type and known.description != other.description:
                 add_note(self.notes, f"channel {key} is described in two ways: {known.topic}")
+
+    def split(self, size: int) -> Sequence["McapSource"]:
+        """Cut the file between chunks, by its index; those without scans do not count."""
+        held = self._summary.chunk_channels
+        if self.notes or not (self._summary.is_complete and self._summary.is_checked):
+            return [self]
+        scans = {key for key, item in self._summary.channels.items() if item.role in SCANS}
+        starts = sorted(held)
+        cuts, gathered = [self._span.start], 0
+        for start, end in pairwise(starts):
+            gathered += 0 if held[start].isdisjoint(scans) else end - start
+            if gathered >= size:
+                cuts.append(end)
+                gathered = 0
+        return [self._take(Span(*ends)) for ends in pairwise([*cuts, self._span.end])]
+
+    def _take(self, span: Span) -> "McapSource":
+        part = copy(self)
+        part._span, part.notes = span, self.notes.copy()
+        return part
 
     def _survey(self, file: BinaryIO) -> dict[int, Channel]:
         """Find the channels and count their messages by reading the whole file."""
@@ -167,22 +194,17 @@ class McapSource:
         self, file: BinaryIO, wanted: Mapping[int, Channel] | None
     ) -> Iterator[_Block]:
         """Give the records that matter, without chunks that cannot hold wanted channels."""
-        chunk, indexed = -1, 0
         chunks = set()
         for opcode, position, length in self._walk(file):
             if opcode == Opcode.CHUNK:
-                self._compare_index(chunk, indexed)
-                chunk, indexed = position, 0
                 chunks.add(position)
                 if self._may_hold(position, wanted):
-                    yield self._inflate_chunk(position, file.read(length))
-            elif opcode == Opcode.MESSAGE_INDEX:
-                _, size = _INDEX_HEAD.unpack(file.read(_INDEX_HEAD.size).ljust(6, b"\0"))
-                indexed += size // _INDEX_ENTRY
+                    yield self._inflate_chunk(position, file.read(length), read_indexes(file))
             elif opcode in _PLAIN_RECORDS:
                 yield _Block(position, RECORD.pack(opcode, length) + file.read(length))
-        self._compare_index(chunk, indexed)
-        if lost := self._summary.chunk_channels.keys() - chunks:
+        start, end = self._span
+        announced = {at for at in self._summary.chunk_channels if start <= at < end}
+        if lost := announced - chunks:
             text = f"{len(lost)} chunks of its index are not there, the first at byte {min(lost)}"
             add_note(self.notes, text)
 
@@ -191,9 +213,9 @@ class McapSource:
 
         Behind damage it goes on with the next records that follow one another.
         """
-        position = behind = len(MAGIC)
+        position = behind = self._span.start
         chunk_end = 0
-        while position < self._size:
+        while position < self._span.end:
             opcode, length = self._read_head(file, position)
             start = position + RECORD.size
             if is_plausible(opcode, length, self._size - start) or (
@@ -214,6 +236,8 @@ class McapSource:
                     file.seek(start)
                     yield opcode, position, self._size - start
                 break
+        if position == self._span.end < self._size:
+            return
         lost = self._size - position
         rest = f"{lost} bytes before its end" if lost else "where more belongs"
         add_note(self.notes, f"the file breaks off at byte {position}, {rest}")
@@ -246,7 +270,7 @@ class McapSource:
             return True
         return not held.isdisjoint(wanted)
 
-    def _inflate_chunk(self, position: int, body: bytes) -> _Block:
+    def _inflate_chunk(self, position: int, body: bytes, indexes: Indexes) -> _Block:
         """Decompress a chunk and verify its checksum when it is first read."""
         try:
             chunk = parse_chunk(body)
@@ -262,7 +286,8 @@ class McapSource:
                 problem = "has a wrong checksum, and is used as far as it can be read"
         if problem:
             self._note(position, problem)
-        return _Block(position, block, chunk.first_ns, chunk.last_ns or _NEVER_NS, True)
+        last_ns = chunk.last_ns or _NEVER_NS
+        return _Block(position, block, chunk.first_ns, last_ns, True, indexes)
 
     def _iterate_messages(
         self, block: _Block, choose: Callable[[int], T | None], table: ChannelTable
@@ -271,7 +296,7 @@ class McapSource:
 
         Schemas and channels go to the table.
         """
-        position, records, first_ns, last_ns, _ = block
+        position, records, first_ns, last_ns, _, indexes = block
         view, size = memoryview(records), len(records)
         unpack = _MESSAGE_HEAD.unpack_from
         start = behind = held = 0
@@ -281,11 +306,11 @@ class McapSource:
             head = unpack(view, start) if start <= last else _NO_HEAD
             opcode, length, channel_id, _, record_ns = head
             end = start + RECORD.size + length
-            if opcode == Opcode.MESSAGE and start + _MESSAGE_DATA <= end <= size:
+            if opcode == Opcode.MESSAGE and start + MESSAGE_DATA <= end <= size:
                 held += 1
                 if (chosen := choose(channel_id)) is not None:
                     is_timely &= first_ns <= record_ns <= last_ns
-                    yield chosen, min(record_ns, _LATEST_NS), view[start + _MESSAGE_DATA : end]
+                    yield chosen, min(record_ns, LATEST_NS), view[start + MESSAGE_DATA : end]
             elif opcode in _DESCRIPTIONS and end <= size:
                 self._describe(table, opcode, position, view[start + RECORD.size : end])
             else:
@@ -295,19 +320,14 @@ class McapSource:
             behind, start = start + RECORD.size, end
         if not is_timely:
             self._note(position, "holds messages from outside the times that it states")
-        self._held = position, held
+        if indexes.messages not in {0, held}:
+            self._note(position, f"holds {held} messages, its index {indexes.messages}")
 
     def _describe(self, table: ChannelTable, opcode: int, position: int, body: memoryview) -> None:
         try:
             table.add(opcode, bytes(body))
         except RECORD_ERRORS:
             self._note(position, "holds a channel that cannot be read")
-
-    def _compare_index(self, position: int, indexed: int) -> None:
-        """Note where a chunk does not hold as many messages as the indexes behind it."""
-        last, held = self._held
-        if position == last and indexed not in {0, held}:
-            self._note(position, f"holds {held} messages, its index {indexed}")
 
     def _note(self, position: int, problem: str) -> None:
         add_note(self.notes, f"the chunk at byte {position} {problem}")

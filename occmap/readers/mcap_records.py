@@ -19,6 +19,8 @@ from occmap.readers.ros_source import Channel, Encoding, Syntax
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
 """What every record starts with: opcode and length of the body."""
+MESSAGE_DATA = 31
+"""Where a message's own bytes start in its record."""
 
 # What the mcap library raises on records that are not well formed.
 RECORD_ERRORS = (McapError, struct.error, ArithmeticError, LookupError, MemoryError, ValueError)

@@ -35,5 +35,5 @@ class ReaderOptions:
         if not self.min_height < self.max_height:
             raise UsageError(
                 f"no point lies above {self.min_height} m and below {self.max_height} m",
-                fix="give a --min-height below the --max-height",
+                fix="give a `min_height` below the `max_height`",
             )

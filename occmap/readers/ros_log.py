@@ -18,7 +18,7 @@ from occmap.readers.ros_decode import (
     make_scan_reader,
 )
 from occmap.readers.ros_scan import RawRun
-from occmap.readers.ros_source import Channel, RawMessage, Source, add_note
+from occmap.readers.ros_source import Channel, RawMessages, Source, SplittableSource, add_note
 from occmap.readers.ros_tf import RawTransforms, read_alike
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
@@ -43,6 +43,16 @@ class RosLog:
         self._options = options
         self.notes = source.notes
         self._source = source
+        self._is_whole = True
+
+    def split(self, size: int) -> Sequence["RosLog"]:
+        """Cut the log into parts of about so many bytes, as `occmap.readers.Splittable` has it."""
+        if not isinstance(self._source, SplittableSource):
+            return ()
+        parts = [RosLog(part, self._options) for part in self._source.split(size)]
+        for part in parts:
+            part._is_whole = len(parts) == 1
+        return parts
 
     @property
     def streams(self) -> Sequence[Stream]:
@@ -63,16 +73,17 @@ class RosLog:
         wanted = [channel for channel in self._source.channels if channel.has_poses]
         readers = self._make_readers(wanted, make_pose_reader)
         stacks: dict[tuple[Channel, int], list[RawTransforms]] = {}
-        for channel, record_ns, data in self._messages(readers):
-            key = channel, len(data)
-            known = key in stacks or len(stacks) < MOST_STACKS
-            if not (known and readers[channel].plain):
-                yield from readers[channel].read(data, record_ns) or ()
+        for some in self._alike(readers):
+            reader, length = readers[some.channel], len(some.data[0])
+            key = some.channel, length
+            if not (reader.plain and (key in stacks or len(stacks) < MOST_STACKS)):
+                for samples in reader.read_all(some):
+                    yield from samples
                 continue
             stack = stacks.setdefault(key, [])
-            stack.append((bytes(data), record_ns))
-            if len(stack) * len(data) >= STACK_BYTES:
-                yield from _unstack(stacks.pop(key), channel, readers[channel])
+            stack += zip(map(bytes, some.data), some.record_ns, strict=True)
+            if len(stack) * length >= STACK_BYTES:
+                yield from _unstack(stacks.pop(key), some.channel, reader)
         for (channel, _), stack in stacks.items():
             yield from _unstack(stack, channel, readers[channel])
         self._note_damage(readers)
@@ -85,16 +96,15 @@ class RosLog:
         """The same; those of one laser that follow one another, many messages at a stroke."""
         readers = self._make_scan_readers(topics)
         run: RawRun | None = None
-        for channel, record_ns, data in self._messages(readers):
-            if run is not None and not run.takes(channel, data):
+        for some in self._alike(readers):
+            if run is not None and not run.takes(some):
                 yield from _read_run(run, readers[run.channel])
                 run = None
-            if run is None and not readers[channel].plain:
-                if (scan := readers[channel].read(data, record_ns)) is not None:
-                    yield scan
+            if not readers[some.channel].plain:
+                yield from readers[some.channel].read_all(some)
                 continue
-            run = run or RawRun(channel, len(data))
-            run.add(data, record_ns)
+            run = run or RawRun(some.channel, len(some.data[0]))
+            run.add(some)
         if run is not None:
             yield from _read_run(run, readers[run.channel])
         self._note_damage(readers)
@@ -124,10 +134,8 @@ class RosLog:
 
     def _read(self, readers: Mapping[Channel, "_ChannelReader[T]"]) -> Iterator[T]:
         """Read messages, passing over those that are damaged."""
-        for channel, record_ns, data in self._messages(readers):
-            item = readers[channel].read(data, record_ns)
-            if item is not None:
-                yield item
+        for some in self._messages(readers):
+            yield from readers[some.channel].read_all(some)
         self._note_damage(readers)
 
     def _note_damage(self, readers: Mapping[Channel, "_ChannelReader[T]"]) -> None:
@@ -135,7 +143,12 @@ class RosLog:
             for text in reader.list_damage():
                 add_note(self.notes, text)
 
-    def _messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+    def _alike(self, wanted: Collection[Channel]) -> Iterator[RawMessages]:
+        """Give raw messages in parts that are of one channel and one length each."""
+        for some in self._messages(wanted):
+            yield from some.split_by_length()
+
+    def _messages(self, wanted: Collection[Channel]) -> Iterator[RawMessages]:
         """Give raw messages, and see that they are as many as the log announces.
 
         A disk that fails is an error with the log's name.
@@ -144,13 +157,13 @@ class RosLog:
             return
         counts = dict.fromkeys(wanted, 0)
         try:
-            for message in self._source.messages(wanted):
-                counts[message[0]] += 1
-                yield message
+            for some in self._source.messages(wanted):
+                counts[some.channel] += len(some.data)
+                yield some
         except OSError as error:
             raise LogError(f"cannot be read ({error.strerror})", where=self.path) from None
         for channel, count in counts.items():
-            if count != channel.count:
+            if self._is_whole and count != channel.count:
                 add_note(
                     self.notes,
                     f"{count} messages are read on {channel.topic},"
@@ -178,6 +191,11 @@ class _ChannelReader(Generic[T]):
             if self._decided or (standard := self._make_standard()) is None:
                 raise
             self.decode, self._decided, self._uses_standard = standard, True, True
+
+    def read_all(self, some: RawMessages) -> Iterator[T]:
+        """Read messages one by one, passing over those that are damaged."""
+        items = map(self.read, some.data, some.record_ns)
+        return (item for item in items if item is not None)
 
     def read(self, data: memoryview, record_ns: int) -> T | None:
         """Read a message; None where it is damaged, which is counted."""
@@ -220,12 +238,13 @@ class _ChannelReader(Generic[T]):
 def _read_run(run: RawRun, reader: _ChannelReader[Scan]) -> Iterator[Scan | ScanRun]:
     """Read messages at a stroke; singly where they are few, or not all alike."""
     messages = run.split()
-    first = reader.read(*messages[0])
-    if first is not None and len(messages) >= SHORTEST_RUN and (scans := run.read(first)):
-        yield scans
-        return
-    others = (reader.read(data, record_ns) for data, record_ns in messages[1:])
-    yield from (scan for scan in (first, *others) if scan is not None)
+    first = reader.read(messages.data[0], messages.record_ns[0])
+    if first is not None:
+        if len(messages.data) >= SHORTEST_RUN and (scans := run.read(first)):
+            yield scans
+            return
+        yield first
+    yield from reader.read_all(messages.take(1))
 
 
 def _unstack(

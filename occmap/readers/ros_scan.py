@@ -14,7 +14,7 @@ from occmap.readers.ros_columns import (
     read_columns,
     read_stamps,
 )
-from occmap.readers.ros_source import Channel
+from occmap.readers.ros_source import Channel, RawMessages
 from occmap.types import Scan, ScanRun
 
 MOST_BYTES = 1 << 20
@@ -36,24 +36,21 @@ class RawRun:
         self._bytes = bytearray()
         self._record_ns: list[int] = []
 
-    def takes(self, channel: Channel, data: memoryview) -> bool:
-        """Whether a message belongs to the run, and there is room for it."""
-        return (
-            channel is self.channel and len(data) == self._length and len(self._bytes) < MOST_BYTES
-        )
+    def takes(self, some: RawMessages) -> bool:
+        """Whether messages of one length belong to the run, and there is room."""
+        is_alike = some.channel is self.channel and len(some.data[0]) == self._length
+        return is_alike and len(self._bytes) < MOST_BYTES
 
-    def add(self, data: memoryview, record_ns: int) -> None:
-        """Copy a message: it is valid only until the next one."""
-        self._bytes += data
-        self._record_ns.append(record_ns)
+    def add(self, some: RawMessages) -> None:
+        """Copy messages: they are valid only until the next ones."""
+        self._bytes += b"".join(some.data)
+        self._record_ns += some.record_ns
 
-    def split(self) -> list[tuple[memoryview, int]]:
-        """The messages and when they were recorded (ns)."""
+    def split(self) -> RawMessages:
+        """Give the messages one by one."""
         view, length = memoryview(self._bytes), self._length
-        return [
-            (view[i * length : (i + 1) * length], record_ns)
-            for i, record_ns in enumerate(self._record_ns)
-        ]
+        data = [view[i * length : (i + 1) * length] for i in range(len(self._record_ns))]
+        return RawMessages(self.channel, self._record_ns, data)
 
     def read(self, first: Scan) -> ScanRun | None:
         """Read all messages, given the scan of the first; None where they are not all alike.

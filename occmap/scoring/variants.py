@@ -31,7 +31,7 @@ class Variant:
 
 
 def shorten_model(model: SensorModel) -> str:
-    """Write a model as --model takes it, without the parameters that are at their defaults."""
+    """Write a model as `model` takes it, without the parameters that are at their defaults."""
     default = make_model(model.name, {})
     changed = [
         f"{field.name}={getattr(model, field.name):g}"

@@ -66,10 +66,9 @@ def check_probabilities(model: Any) -> None:
         value = getattr(model, field.name)
         is_probability = field.name in ("prior", "cut") or field.name.startswith("p_")
         if is_probability and not 0 < value < 1:
-            flag = "--" + field.name.replace("_", "-")
             raise UsageError(
                 f"{field.name} {value} is not a probability between 0 and 1",
-                fix=f"give a value such as {flag} {field.default}",
+                fix=f"give a value such as `{field.name}={field.default}`",
             )
 
 
@@ -106,7 +105,7 @@ def check_clamp(model: Clamped) -> None:
     if not 0 <= low < 0.5 < high <= 1:
         raise UsageError(
             f"clamp_min {low} and clamp_max {high} do not lie on either side of 0.5, from 0 to 1",
-            fix="try --clamp-max 0.97, or leave them out",
+            fix="try `clamp_max=0.97`, or leave them out",
         )
 
 
@@ -121,5 +120,5 @@ def check_weight(name: str, weight: float) -> None:
     if not LEAST_WEIGHT <= weight <= MOST_WEIGHT:
         raise UsageError(
             f"{name} {weight} is not possible",
-            fix=f"give {LEAST_WEIGHT:g} to {MOST_WEIGHT:g}, such as --model counting:{name}=1",
+            fix=f"give {LEAST_WEIGHT:g} to {MOST_WEIGHT:g}, such as `model=counting:{name}=1`",
         )

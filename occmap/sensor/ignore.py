@@ -27,7 +27,7 @@ def check_sector(sector: Sector) -> None:
     if not (math.isfinite(start) and math.isfinite(end)) or start == end:
         raise UsageError(
             f"from {start} to {end} rad is no sector",
-            fix="give two bearings, counter-clockwise, such as --ignore-sector 2.5,-2.5",
+            fix="give two bearings, counter-clockwise, such as `ignore_sectors=2.5,-2.5`",
         )
 
 

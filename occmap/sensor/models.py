@@ -95,7 +95,7 @@ class SimpleModel:
         if not self.p_miss < self.p_hit:
             raise UsageError(
                 f"p_miss {self.p_miss} is not below p_hit {self.p_hit}",
-                fix="a hit must speak more for occupied than a miss: try --p-hit 0.7 --p-miss 0.4",
+                fix="a hit must speak more for occupied than a miss: try `p_hit=0.7` `p_miss=0.4`",
             )
         check_prior(self.prior, ("p_miss", self.p_miss), ("p_hit", self.p_hit))
 
@@ -168,9 +168,9 @@ class QuadraticModel:
         check_probabilities(self)
         check_clamp(self)
         if not 0 <= self.epsilon <= DEEPEST_HIT_M:
-            raise UsageError(f"epsilon {self.epsilon} m is not possible", fix="try --epsilon 0.05")
+            raise UsageError(f"epsilon {self.epsilon} m is not possible", fix="try `epsilon=0.05`")
         if self.p_min >= 0.5:
-            raise UsageError(f"p_min {self.p_min} leaves no evidence", fix="try --p-min 0.4")
+            raise UsageError(f"p_min {self.p_min} leaves no evidence", fix="try `p_min=0.4`")
         check_prior(self.prior, ("p_min", self.p_min), ("1 - p_min", 1 - self.p_min))
 
     def depth(self, resolution: float) -> float:

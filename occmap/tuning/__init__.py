@@ -121,8 +121,8 @@ def list_unsearched(logs: Sequence[KeptLog], mount: Pose | None, motion: Motion)
         yield "the poses stand beside the scans: there is no time offset to search"
     if mount is None:
         yield (
-            "the mount is not searched: no single --sensor-pose says where the lasers sit; name "
-            "one laser by --scan-topic, or its body by --base-frame"
+            "the mount is not searched: no single `sensor_pose` says where the lasers sit; name "
+            "one laser by `topics`, or its body by `base_frame`"
         )
     elif not motion.shows_yaw:
         yield f"the yaw of the mount is not searched: it takes more than {TRAVEL_M:g} m of travel"
@@ -139,4 +139,4 @@ def list_doubts(tuning: Tuning) -> Iterator[str]:
         yield f"{count(half, 'held-out scan')} in each half: too few to tell; give a longer log"
     if abs(tuning.correction.time_s) > TIME.reach - TIME.steps[-1]:
         offset = tuning.options.posing.time_offset_s + tuning.correction.time_s
-        yield f"no larger time offset is tried: see also `occmap tune --time-offset {offset:g}`"
+        yield f"no larger time offset is tried: tune again with `time_offset_s={offset:g}`"

@@ -62,7 +62,7 @@ def keep_logs(
     """
     most = max(MOST_SCANS // len(logs), 1)
     kept = [keep_log(log, options, most, tally, remarks) for log in logs]
-    refuse_unused(logs, tally)
+    refuse_unused(remarks.logs, tally)
     read, used = sum(log.scans for log in kept), tally.scans_used
     if read < used:
         remarks.notes.append(f"{read:,} of {used:,} scans are tried, spread over the logs")
@@ -71,7 +71,7 @@ def keep_logs(
         raise PoseError(
             f"no scan has a pose both {MOST_OFFSET_S:g} s before its time and {MOST_OFFSET_S:g} s "
             "after it",
-            where=name_logs(logs),
+            where=name_logs(remarks.logs),
             fix="give a longer log",
         )
     return kept
@@ -135,7 +135,7 @@ def trace_rays(
 
 
 def find_mount(logs: Sequence[KeptLog], options: PosingOptions) -> Pose | None:
-    """Find the --sensor-pose that leaves every pose of a scan as it is.
+    """Find the `sensor_pose` that leaves every pose of a scan as it is.
 
     Returns
     -------
@@ -159,7 +159,7 @@ def find_mount(logs: Sequence[KeptLog], options: PosingOptions) -> Pose | None:
 def measure_mount(sensor: PosedScans, body: PosedScans) -> Float64:
     """Measure where a sensor sits on its body at each scan: (S, 3, 4), turn and position.
 
-    The height is left out, as it is of --sensor-pose: no map shows it.
+    The height is left out, as it is of `sensor_pose`: no map shows it.
     """
     scans = len(sensor.position)
     turn = sensor.rotation.reshape(scans, -1, 3, 3)[:, 0]

@@ -20,11 +20,13 @@ class Correction(NamedTuple):
     """What is added to the stamps of scans, and to the laser's place on its body."""
 
     time_s: float = 0.0
+    """Added to the stamps of scans (s)"""
     yaw: float = 0.0
-    """rad"""
+    """Added to the laser's yaw on its body (rad)"""
     x: float = 0.0
-    """Along the body's axes, as y (m)"""
+    """Added to its x on the body (m)"""
     y: float = 0.0
+    """Added to its y on the body (m)"""
 
     def move(self, name: str, step: float) -> "Correction":
         """Change one number."""
@@ -36,7 +38,7 @@ class Correction(NamedTuple):
         if mount is None or not any(self[1:]):
             return options
         roll, pitch, yaw = to_rpy(mount)
-        # Rounded as --sensor-pose is written.
+        # Rounded as `sensor_pose` is written.
         place = round(mount.x + self.x, 5), round(mount.y + self.y, 5), mount.z
         turned = math.remainder(yaw + self.yaw, math.tau)
         pose = Pose.from_xyzrpy(place, (roll, pitch, round(turned, 5)))

@@ -12,10 +12,10 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Protocol, cast, runtime_checkable
 
-from occmap.errors import UsageError
+from occmap.errors import OutputError, UsageError
 from occmap.plugins import list_plugins, load_plugin
 from occmap.types import Decision, Evidence, OccupancyMap
-from occmap.writers.atomic import check_target, follow_links
+from occmap.writers.atomic import check_parent, check_target, follow_links
 
 BAND_CELLS = 1 << 22
 """Cells that are turned into pixels at once, so that a large map needs no second copy in floats."""
@@ -63,12 +63,12 @@ class WriteOptions:
 
     def __post_init__(self) -> None:
         free, occupied = self.thresholds
-        found = f"--occupied-thresh is {occupied}, --free-thresh is {free}"
+        found = f"`occupied_thresh` is {occupied}, `free_thresh` is {free}"
         if not 0 < free < occupied < 1:
             raise UsageError(found, fix="they must satisfy 0 < free < occupied < 1")
         # Two grey levels: else no grey may be left for a cell that is neither free nor occupied.
         if self.mode is MapMode.SCALE and occupied - free < 0.008:
-            raise UsageError(found, fix="with --mode scale they must be at least 0.008 apart")
+            raise UsageError(found, fix="with `mode=scale` they must be at least 0.008 apart")
 
     @property
     def thresholds(self) -> Decision:
@@ -126,6 +126,14 @@ class EvidenceWriter(Protocol):
         """
 
 
+@runtime_checkable
+class FolderWriter(Protocol):
+    """A format of which the path is a folder with many files."""
+
+    def owns(self, path: Path) -> bool:
+        """Whether an existing folder is one that this writer made, which it may replace."""
+
+
 def find_writer(path: Path) -> Writer | EvidenceWriter:
     """Find the writer for a file name by its suffix, upper or lower case.
 
@@ -155,15 +163,35 @@ def check_outputs(outputs: Sequence[Path], inputs: Sequence[Path] = ()) -> None:
         A suffix that no writer has, two outputs that are one file, a file that cannot be made, or
         one that is an input.
     """
-    targets = [target for path in outputs for target in find_writer(path).targets(path)]
-    files = [follow_links(target) for target in targets]
-    for target, file in zip(targets, files, strict=True):
-        check_target(target)
+    writers = [(writer, path) for path in outputs for writer in [find_writer(path)]]
+    targets = [(target, writer) for writer, path in writers for target in writer.targets(path)]
+    files = [follow_links(target) for target, _ in targets]
+    for (target, writer), file in zip(targets, files, strict=True):
+        if isinstance(writer, FolderWriter):
+            check_folder(target, writer)
+        else:
+            check_target(target)
         refuse_input(target, inputs)
         if files.count(file) > 1:
             raise UsageError(
-                "would be written twice", where=target, fix="give each -o its own name"
+                "would be written twice", where=target, fix="give each output its own name"
             )
+
+
+def check_folder(path: Path, writer: FolderWriter) -> None:
+    """Check that a folder can be made, or replaced, by the writer that made it.
+
+    Raises
+    ------
+    OutputError
+        Something else is there, or the folder that it lies in is missing or cannot be written.
+    """
+    target = follow_links(path)
+    if target.exists() and not (target.is_dir() and writer.owns(target)):
+        raise OutputError(
+            "is there already, and not as occmap writes it", where=path, fix="give another name"
+        )
+    check_parent(path, target.parent)
 
 
 def check_picture(path: Path, inputs: Sequence[Path] = ()) -> None:
@@ -191,7 +219,7 @@ def refuse_input(target: Path, inputs: Sequence[Path]) -> None:
     for path in inputs:
         if path.exists() and target.exists() and target.samefile(path):
             raise UsageError(
-                "is an input: it would be overwritten", where=target, fix="give -o another name"
+                "is an input: it would be overwritten", where=target, fix="give another name"
             )
 
 
@@ -206,9 +234,9 @@ def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
         return
     suffixes = {path.suffix.lower() for path in outputs}
     if options.mode is not MapMode.TRINARY and suffixes <= {".png", ".npz"}:
-        yield f"--mode {options.mode} does nothing: it is for a PGM, and no -o ends in .pgm"
+        yield f"`mode={options.mode}` does nothing: it is for a PGM, and no output ends in .pgm"
     if options.shade is not Shade.DARK_OCCUPIED and suffixes <= {".pgm", ".npz"}:
-        yield "--light-occupied does nothing: it is for a PNG, and no -o ends in .png"
+        yield "`shade` does nothing: it is for a PNG, and no output ends in .png"
 
 
 @dataclass(frozen=True)

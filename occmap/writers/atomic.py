@@ -46,6 +46,17 @@ def check_target(path: Path) -> None:
         raise OutputError("is a folder, not a file", where=path, fix="give a file name")
     if not stat.S_ISREG(mode):
         raise OutputError("is a device or a pipe, not a file", where=path, fix="give a file name")
+    check_parent(path, folder)
+
+
+def check_parent(path: Path, folder: Path) -> None:
+    """Check that something can be made in the folder that a path lies in.
+
+    Raises
+    ------
+    OutputError
+        The folder is missing or cannot be written.
+    """
     if not folder.exists():
         raise OutputError(
             f"the folder {folder} does not exist", where=path, fix=f"create it: mkdir -p {folder}"

@@ -53,7 +53,7 @@ from occmap.writers.atomic import open_atomic
 from occmap.writers.compact import SLICE_ARRAYS, Arrays, narrow, pack_slices, unpack_slices
 from occmap.writers.soundness import find_fault
 
-FORMAT, VERSION = "occmap evidence", 3
+FORMAT, VERSION = "occmap evidence", 4
 SIDE = 64
 """Cells along the side of a tile."""
 MAGIC = b"PK\x03\x04"
@@ -68,7 +68,7 @@ DAMAGE = (
 class NpzWriter:
     """What was observed, to be rendered, merged and resumed."""
 
-    description = "evidence, not yet a map: for `occmap render`, `merge` and `build --resume`"
+    description = "evidence, not yet a map: to render, merge and resume"
 
     def targets(self, path: Path) -> tuple[Path, ...]:
         """Return the file."""
@@ -135,7 +135,9 @@ def read_evidence(path: Path) -> Evidence:
     try:
         with path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
-                raise MapError("is no evidence file", where=path, fix="build one with -o map.npz")
+                raise MapError(
+                    "is no evidence file", where=path, fix="build one with `outputs=map.npz`"
+                )
             return unpack(path, *load(path, file.seek(0) or file))
     except FileNotFoundError:
         raise MapError("no such file", where=path, fix="check the path") from None
@@ -170,7 +172,7 @@ def load(path: Path, file: Any) -> tuple[dict[str, Any], Arrays]:
             raise MapError(
                 f"{FORMAT} of an older occmap (version {head['version']}, now {VERSION})",
                 where=path,
-                fix=f"build it again from its logs: occmap build LOG... -o {path.name}",
+                fix=f"build it again from its logs, with `outputs={path.name}`",
             )
         return head, {name: read_array(archive, name) for name in ARRAYS}
 

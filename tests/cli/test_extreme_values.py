@@ -82,7 +82,7 @@ def test_a_picture_of_changes_spares_the_image_that_a_yaml_names(folder: Path) -
     named = change_yaml("image", "m.png")
     for maps in ([named, "m.pgm"], ["m.pgm", named]):
         error = read_error(occmap("diff", *maps, "-o", "m.png"), 2)
-        assert error == "m.png: is an input: it would be overwritten; give -o another name"
+        assert error == "m.png: is an input: it would be overwritten; give another name"
         assert Path("m.png").read_bytes() == image
     assert occmap("diff", named, "m.pgm", "-o", "changes.png").code == 0
     assert (folder / "changes.png").exists()

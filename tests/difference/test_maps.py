@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from occmap.difference.maps import CellClass, Place, load_map
+from occmap.difference.maps import Place, load_map
 from occmap.errors import MapError, UsageError
-from occmap.types import UInt8
+from occmap.types import CellClass, UInt8
 from occmap.writers import MapMode, WriteOptions, Writer
 from occmap.writers.pgm import PgmWriter
 from occmap.writers.png import PngWriter

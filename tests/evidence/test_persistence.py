@@ -99,9 +99,9 @@ def test_a_quarter_of_the_occupied_cells_is_not_lost_without_a_word(
     model = parse_model("simple:spread=0")
     before, after = (render(each, model, 10**9) for each in (grid, keep_lasting(grid, [slices], 2)))
     found = [
-        f"--min-passes takes away {share}% of the occupied cells ({lost} of 20), since they were "
+        f"`min_passes` takes away {share}% of the occupied cells ({lost} of 20), since they were "
         "hit on fewer visits; walls may be among them: leave it out, or build with a smaller "
-        "--pass-gap"
+        "`pass_gap_s`"
     ]
     assert list(list_lost(before, after)) == (found if share else [])
     assert list(list_lost(before, before)) == []
@@ -204,17 +204,17 @@ def test_slices_of_all_builds_count_once() -> None:
 
 def test_nothing_left_is_no_map() -> None:
     grid, slices = observe([(9, 0, 1, 1)])
-    with pytest.raises(MapError, match=r"no cell was hit on 2 visits, .*; give a smaller --min-"):
+    with pytest.raises(MapError, match=r"no cell was hit on 2 visits, .*; give a smaller `min_p"):
         keep_lasting(grid, [slices], 2)
 
 
 @pytest.mark.parametrize(
     ("words", "found"),
     [
-        ({"min_passes": 0}, "--min-passes 0 is not possible; give 1 or more"),
-        ({"pass_gap_s": 0.0}, "--pass-gap 0 is not possible; give 0.001 to 1e+09 seconds"),
-        ({"pass_gap_s": math.nan}, "--pass-gap nan is not possible"),
-        ({"pass_gap_s": math.inf}, "--pass-gap inf is not possible"),
+        ({"min_passes": 0}, "`min_passes=0` is not possible; give 1 or more"),
+        ({"pass_gap_s": 0.0}, "`pass_gap_s=0` is not possible; give 0.001 to 1e+09 seconds"),
+        ({"pass_gap_s": math.nan}, "`pass_gap_s=nan` is not possible"),
+        ({"pass_gap_s": math.inf}, "`pass_gap_s=inf` is not possible"),
     ],
 )
 def test_impossible_options_are_refused(words: dict[str, float], found: str) -> None:

@@ -93,7 +93,7 @@ def test_a_strange_log_is_refused_with_what_to_type() -> None:
     with pytest.raises(LogError) as caught:
         find(save("a.csv"), "b.csv")
     assert str(caught.value) == (
-        "b.csv: m.npz was not made of it; it was made of a.csv: give --log with one of these"
+        "b.csv: m.npz was not made of it; it was made of a.csv: give `logs` with one of these"
     )
 
 
@@ -134,8 +134,8 @@ def test_each_build_gets_its_own_trajectory() -> None:
 @pytest.mark.parametrize(
     ("log", "poses", "found"),
     [
-        ("bare.csv", [], "bare.csv: its poses came from path.txt, which is needed again; add --po"),
-        ("bare.csv", ["a.csv"], "needed again (the SHA-256 of a.csv is another); add --poses path"),
+        ("bare.csv", [], "bare.csv: its poses came from path.txt, which is needed again; add `po"),
+        ("bare.csv", ["a.csv"], "needed again (the SHA-256 of a.csv is another); add `poses=path"),
         ("bare.csv", ["path.txt", "a.csv"], "a.csv: is no trajectory that these logs were built"),
         ("a.csv", ["path.txt"], "path.txt: is no trajectory that these logs were built with; leav"),
     ],

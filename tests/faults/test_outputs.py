@@ -113,7 +113,7 @@ def test_two_spellings_of_one_output_are_refused(folder: Path, other: str) -> No
     Path("link").symlink_to(folder)
     Path("linked.png").symlink_to("m.png")
     error = read_error(occmap("build", "a.csv", "-o", "m.png", "-o", other), 2)
-    assert error == "m.png: would be written twice; give each -o its own name"
+    assert error == "m.png: would be written twice; give each output its own name"
     assert not Path("m.png").exists()
 
 
@@ -143,7 +143,7 @@ def test_an_input_is_never_overwritten(folder: Path, line: str) -> None:
     os.link("m.npz", "hard.npz")
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     error = read_error(occmap(*line.split()), 2)
-    assert error.endswith(": is an input: it would be overwritten; give -o another name")
+    assert error.endswith(": is an input: it would be overwritten; give another name")
     assert before == {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 

@@ -44,15 +44,15 @@ def test_a_share_is_a_part_or_a_percentage(text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "result", "sentence"),
     [
-        ("lost > 5%", {"lost": 0.072}, "lost is 7.2%, and --fail-if says > 5%"),
-        ("lost > 0.05", {"lost": 0.072}, "lost is 0.072, and --fail-if says > 0.05"),
-        ("lost > 5%", {"lost": 0.0500012}, "lost is 5.00012%, and --fail-if says > 5%"),
-        ("lost>=0%", {"lost": 0.0}, "lost is 0%, and --fail-if says >= 0%"),
-        ("lost > 7%", {"lost": 1 / 3}, "lost is 33.3%, and --fail-if says > 7%"),
-        ("scans < 1234568", {"scans": 1234567}, "scans is 1234567, and --fail-if says < 1234568"),
-        ("gap > 2", {"gap": 2.25}, "gap is 2.25, and --fail-if says > 2"),
-        ("gap > -1.5", {"gap": -1.25}, "gap is -1.25, and --fail-if says > -1.5"),
-        ("gap != 1", {"gap": 1 + 2**-50}, "gap is 1.0000000000000009, and --fail-if says != 1"),
+        ("lost > 5%", {"lost": 0.072}, "lost is 7.2%, and `limits` says > 5%"),
+        ("lost > 0.05", {"lost": 0.072}, "lost is 0.072, and `limits` says > 0.05"),
+        ("lost > 5%", {"lost": 0.0500012}, "lost is 5.00012%, and `limits` says > 5%"),
+        ("lost>=0%", {"lost": 0.0}, "lost is 0%, and `limits` says >= 0%"),
+        ("lost > 7%", {"lost": 1 / 3}, "lost is 33.3%, and `limits` says > 7%"),
+        ("scans < 1234568", {"scans": 1234567}, "scans is 1234567, and `limits` says < 1234568"),
+        ("gap > 2", {"gap": 2.25}, "gap is 2.25, and `limits` says > 2"),
+        ("gap > -1.5", {"gap": -1.25}, "gap is -1.25, and `limits` says > -1.5"),
+        ("gap != 1", {"gap": 1 + 2**-50}, "gap is 1.0000000000000009, and `limits` says != 1"),
     ],
 )
 def test_the_sentence_tells_the_value_from_the_bound(
@@ -66,7 +66,7 @@ def test_all_limits_are_held_and_each_that_fails_is_listed() -> None:
     failed = judge(
         [parse_limit(text, MEASURES) for text in texts], {"scans": 4, "lost": 0, "gap": 3}
     )
-    assert [each.to_json() for each in failed] == [
+    assert [each.describe() for each in failed] == [
         {"name": "scans", "value": 4, "limit": "scans < 5"},
         {"name": "gap", "value": 3, "limit": "gap > 1"},
     ]
@@ -99,7 +99,7 @@ def test_a_limit_is_written_as_it_is_read(text: str) -> None:
 def test_what_is_no_limit_is_refused(text: str, found: str) -> None:
     with pytest.raises(UsageError) as caught:
         parse_limit(text, MEASURES)
-    assert str(caught.value).startswith(f"--fail-if {text!r}: ")
+    assert str(caught.value).startswith(f"`limits` {text!r}: ")
     assert found in str(caught.value)
 
 

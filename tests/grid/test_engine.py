@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from occmap.errors import MapError
-from occmap.grid.engine import WINDOW_CELLS, GridEngine
+from occmap.grid.engine import GridEngine
 from occmap.grid.lattice import Lattice
 from occmap.grid.projection import join_viewpoints, project
-from occmap.grid.spec import GridSpec, tabulate
+from occmap.grid.spec import WINDOW_CELLS, GridSpec, tabulate
 from occmap.grid.tiles import TILE
 from occmap.grid.windows import Window, choose_window
 from occmap.sensor.models import QuadraticModel
@@ -285,8 +285,8 @@ def test_a_beam_that_is_too_long_is_refused_with_what_to_do() -> None:
     with pytest.raises(MapError) as caught:
         make_engine().add(rays)
     assert str(caught.value) == (
-        "a beam of 3e+06 m is too long for cells of 0.05 m; limit ranges with --max-range, or use "
-        "a coarser --resolution"
+        "a beam of 3e+06 m is too long for cells of 0.05 m; limit ranges with `max_range`, or use "
+        "a coarser `resolution`"
     )
 
 
@@ -309,7 +309,7 @@ def test_a_sensor_that_is_too_far_away_is_refused(update: Update, metres: float)
 def test_cells_that_are_too_small_are_refused() -> None:
     rays = one_scan([3.0, 3.0], [Kind.HIT] * 2)
     for resolution in (1e-9, 1e-300, 5e-324):
-        with pytest.raises(MapError, match="use a coarser --resolution"):
+        with pytest.raises(MapError, match="use a coarser `resolution`"):
             make_engine(resolution=resolution).add(rays)
 
 

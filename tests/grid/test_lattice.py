@@ -67,7 +67,7 @@ def test_the_corner_of_a_cell_is_in_it() -> None:
 
 @pytest.mark.parametrize("resolution", [0.0, -0.05, math.nan, math.inf])
 def test_a_resolution_that_makes_no_cells_is_refused(resolution: float) -> None:
-    with pytest.raises(UsageError, match=r"--resolution 0\.05"):
+    with pytest.raises(UsageError, match=r"`resolution=0\.05`"):
         Lattice(resolution)
 
 

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from occmap.errors import MapError
-from occmap.grid.engine import WINDOW_CELLS, GridEngine
+from occmap.grid.engine import GridEngine
 from occmap.grid.sliced import SlicedEngine
 from occmap.grid.slices import count_visits, split_tiles, unpack
-from occmap.grid.spec import GridSpec
+from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import TILE
 from occmap.types import Kind, Rays, Slices
 from tests.grid.reference import Cell
@@ -180,7 +180,7 @@ def test_a_map_that_slices_make_too_large_is_refused() -> None:
     far = one_beam([0, 1000, 2000])
     for s in range(3):
         engine.add(replace(take(far, [s]), origin=np.full((1, 1, 2), 640.5 * s)))
-    with pytest.raises(MapError, match="more than --max-cells 1000"):
+    with pytest.raises(MapError, match="more than `max_cells=1000`"):
         engine.finish()
 
 

@@ -122,8 +122,8 @@ def test_a_map_as_large_as_allowed_is_made_and_a_larger_one_refused() -> None:
         refuse_large(box, grid.lattice, 199)
     assert str(caught.value) == (
         "the map would reach from (-1.25, -0.75) to (3.75, 1.75) m: 20 x 10 cells, more than "
-        "--max-cells 199; if a pose is wrong, leave it out with --start and --end; else use a "
-        "coarser --resolution, a shorter --max-range, or raise --max-cells"
+        "`max_cells=199`; if a pose is wrong, leave it out with `start_s` and `end_s`; else use a "
+        "coarser `resolution`, a shorter `max_range`, or raise `max_cells`"
     )
 
 
@@ -143,7 +143,7 @@ def test_what_is_surely_too_large_is_refused_while_it_grows(
     for row, col in cells:
         add_cell(grid, row, col, 1, 0)
     grid.refuse_outgrown(most)
-    with pytest.raises(MapError, match="more than --max-cells"):
+    with pytest.raises(MapError, match="more than `max_cells="):
         grid.refuse_outgrown(most - 1)
 
 

@@ -127,8 +127,8 @@ def test_what_means_nothing_to_stated_poses_is_told() -> None:
     poser = build(map_frame="m", deskew=Deskew.ON)
     poser.attach(stated(turned(0)))
     assert poser.notes == [
-        "--map-frame does nothing: the poses stand beside the scans",
-        "--deskew on does nothing: the poses stand beside the scans",
+        "`map_frame` does nothing: the poses stand beside the scans",
+        "`deskew=on` does nothing: the poses stand beside the scans",
     ]
 
 
@@ -137,7 +137,7 @@ def test_whose_stated_poses_are_is_said_once_and_only_where_it_was_decided() -> 
     for poser in (mounted, mounted, plain):
         poser.attach(stated(turned(90, x=1)))
     assert mounted.notes == [
-        "the poses beside the scans are taken as the robot's, with the laser at --sensor-pose on "
+        "the poses beside the scans are taken as the robot's, with the laser at `sensor_pose` on "
         "it; leave that out if they are the laser's own"
     ]
     assert plain.notes == []
@@ -235,7 +235,9 @@ def test_where_nothing_can_be_deskewed_it_is_said() -> None:
     asked, unasked = build(*spin(), deskew=Deskew.ON), build(*spin(), deskew=Deskew.AUTO)
     for poser in (asked, unasked):
         poser.attach(batch_at([0.5], beams=10))
-    assert asked.notes == ["scans of 'laser' state no believable time between beams: not de-skewed"]
+    assert asked.notes == [
+        "scans of 'laser' that state no believable time between beams are not de-skewed"
+    ]
     assert unasked.notes == []
 
 
@@ -253,8 +255,8 @@ def test_the_mount_of_one_laser_of_two_is_given_by_a_transform() -> None:
     poser.resolve(["bumper", "laser"])  # in any order
     (note,) = poser.notes
     assert "no transform to the laser's frame 'bumper'" in note
-    assert note.endswith("--static-tf base_link,bumper,X,Y,Z,ROLL,PITCH,YAW")
-    with pytest.raises(PoseError, match="--sensor-pose x,y,yaw"):
+    assert note.endswith("`static_transforms=base_link,bumper,X,Y,Z,ROLL,PITCH,YAW`")
+    with pytest.raises(PoseError, match="`sensor_pose=x,y,yaw`"):
         build(*drive("odom", "base_link"), MOUNT).resolve(["bumper"])
 
 
@@ -270,7 +272,7 @@ def test_scans_of_one_batch_are_deskewed_each_by_its_own_time(deskew: Deskew) ->
     np.testing.assert_allclose(turning.position[:, -1, 0], [0.6, 1.2])
     assert turning.batch.time_increment.tolist() == [0.001, 0.002]
     if deskew is Deskew.ON:
-        assert poser.notes[0].startswith("some scans of 'laser' state no believable time")
+        assert poser.notes[0].startswith("scans of 'laser' that state no believable time")
 
 
 @pytest.mark.filterwarnings("error")

@@ -15,7 +15,7 @@ from tests.posing.scenes import build as make_poser
 from tests.samples import REAL_LOGS, Planar, write_csv
 
 DRIVE: list[Planar] = [(second / 2, 0.0, 0.0) for second in range(40)]
-LEAP = "further from their neighbours than --max-speed allows"
+LEAP = "further from their neighbours than `max_speed` allows"
 
 
 def flip(value: float, bit: int) -> float:
@@ -35,7 +35,7 @@ def test_a_scan_that_leaps_is_left_out_and_told(tmp_path: Path, scan: int, x: fl
     report = map_drive(tmp_path, [*DRIVE[:scan], (x, 0.0, 0.0), *DRIVE[scan + 1 :]]).report
     assert report.dropped == {LEAP: 1}
     assert (report.scans_read, report.scans_used) == (40, 39)
-    (note,) = (note for note in report.notes if "--max-speed" in note)
+    (note,) = (note for note in report.notes if "`max_speed=inf`" in note)
     assert f"the scan at {scan}.000 s lies" in note
     assert report.columns < 600
 
@@ -45,6 +45,8 @@ def test_all_is_kept_on_request(tmp_path: Path) -> None:
     report = map_drive(tmp_path, poses, max_speed=math.inf).report
     assert not report.dropped
     assert report.columns > 1000 / 0.05
+    (note,) = (note for note in report.notes if "max_speed" in note)
+    assert "the scan at 7.000 s lies 997 m from its neighbour, 1 s away: the map reaches" in note
 
 
 @pytest.mark.parametrize(
@@ -60,7 +62,7 @@ def test_all_is_kept_on_request(tmp_path: Path) -> None:
 def test_what_may_be_so_is_kept(tmp_path: Path, poses: list[Planar]) -> None:
     report = map_drive(tmp_path, poses).report
     assert report.scans_used == len(poses)
-    assert not any("--max-speed" in note for note in report.notes)
+    assert not any("`max_speed=inf`" in note for note in report.notes)
 
 
 def test_a_transform_that_leaps_takes_its_scans_along() -> None:

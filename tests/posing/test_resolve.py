@@ -81,7 +81,7 @@ def test_leading_slashes_mean_nothing() -> None:
 def test_a_missing_mount_is_named_with_the_flag_that_gives_it() -> None:
     assert refusal(build(*drive("odom", "base_link"))) == (
         "no transform to the laser's frame 'laser' (known: base_link, odom); "
-        "give its mount on base_link: --sensor-pose x,y,yaw"
+        "give its mount on base_link: `sensor_pose=x,y,yaw`"
     )
 
 
@@ -113,10 +113,10 @@ def test_an_unclear_base_is_asked_for() -> None:
     message = refusal(build(*log, sensor_pose=AHEAD))
     assert message == (
         "which frame the laser is mounted on is not clear (known: hull, mast, odom); "
-        "name it: --base-frame hull"
+        "name it: `base_frame=hull`"
     )
     assert place(build(*log, sensor_pose=AHEAD, base_frame="mast")) == [4.5, 0, 0]
-    assert "--base-frame takes hull, mast, odom" in refusal(
+    assert "`base_frame` takes hull, mast, odom" in refusal(
         build(*log, sensor_pose=AHEAD, base_frame="moon")
     )
 
@@ -243,20 +243,20 @@ def test_the_topic_with_most_poses_is_taken_and_then_the_first_by_name() -> None
 def test_a_log_without_any_poses_says_what_was_looked_for() -> None:
     assert refusal(build()) == (
         "the scans have no poses: looked for tf, odometry and topics of poses in the log; "
-        "give a trajectory: --poses FILE"
+        "give a trajectory: `poses=FILE`"
     )
 
 
 def test_a_tree_in_which_nothing_moves_is_refused() -> None:
     message = refusal(build(MOUNT))
     assert message.startswith("the scans have no poses: tf only says where 'laser' sits on")
-    assert message.endswith("give a trajectory: --poses FILE")
+    assert message.endswith("give a trajectory: `poses=FILE`")
 
 
 def test_what_moves_elsewhere_is_named_with_what_would_join_it() -> None:
     message = refusal(build(*drive("odom", "base_footprint"), MOUNT))
     assert "not connected to what moves: base_footprint" in message
-    assert "--static-tf base_footprint,base_link,0,0,0,0,0,0" in message
+    assert "`static_transforms=base_footprint,base_link,0,0,0,0,0,0`" in message
 
 
 def test_a_robot_bolted_to_its_map_stands_there_at_all_times() -> None:
@@ -304,7 +304,7 @@ def test_a_trajectory_file_alone_is_the_lasers_own_or_its_bodys(tmp_path: Path) 
     file = write_tum(tmp_path)
     assert place(build(poses=file)) == [4, 20, 0]
     assert place(build(poses=file, sensor_pose=AHEAD)) == [4.5, 20, 0]
-    assert "--sensor-pose" in refusal(build(poses=file, base_frame="base_link"))
+    assert "`sensor_pose=" in refusal(build(poses=file, base_frame="base_link"))
 
 
 def test_a_trajectory_of_a_named_base_reaches_the_laser_from_there(tmp_path: Path) -> None:

@@ -162,7 +162,7 @@ def test_a_missing_column_is_named_with_the_header_line(tmp_path: Path, column: 
 
 
 def test_a_file_of_poses_alone_is_sent_to_its_option(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"no column r0; .*--poses"):
+    with pytest.raises(LogError, match=r"no column r0; .*`poses`"):
         open_text(tmp_path, f"{CONSTANTS}stamp,x,y,yaw\n1,2,3,0\n")
 
 

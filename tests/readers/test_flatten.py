@@ -134,7 +134,7 @@ def test_an_organised_cloud_with_padded_rows() -> None:
 
 
 def test_heights_in_the_wrong_order_are_refused() -> None:
-    with pytest.raises(UsageError, match="--min-height below the --max-height"):
+    with pytest.raises(UsageError, match="`min_height` below the `max_height`"):
         ReaderOptions(min_height=1.0, max_height=1.0)
 
 

@@ -95,7 +95,7 @@ def test_a_slanted_beam_leaves_the_box_at_its_corner() -> None:
 
 @pytest.mark.parametrize("sector", [(1.0, 1.0), (math.nan, 1.0), (0.0, math.inf)])
 def test_an_empty_sector_is_refused(sector: Sector) -> None:
-    with pytest.raises(UsageError, match="--ignore-sector"):
+    with pytest.raises(UsageError, match="`ignore_sectors="):
         ReturnOptions(ignore_sectors=(sector,))
 
 

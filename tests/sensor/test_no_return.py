@@ -249,7 +249,7 @@ def test_the_users_limit_is_asked_for_nothing() -> None:
             math.inf,
             [
                 "scan states no range limit; 500 of 2,500 ranges (20.0%) read 51.14 m to 51.15 m, "
-                "taken as no return: --range-max overrides"
+                "taken as no return: `range_max` overrides"
             ],
         ),
         (
@@ -257,7 +257,7 @@ def test_the_users_limit_is_asked_for_nothing() -> None:
             60.0,
             [
                 "scan states 60 m as its range limit; 500 of 2,500 ranges (20.0%) read 51.15 m, "
-                "taken as no return: --range-max overrides"
+                "taken as no return: `range_max` overrides"
             ],
         ),
         (
@@ -265,7 +265,7 @@ def test_the_users_limit_is_asked_for_nothing() -> None:
             50.0,
             [
                 "scan states 50 m as its range limit; 500 of 2,500 ranges (20.0%) are above it, up "
-                "to 51.15 m, taken as no return: --range-max overrides"
+                "to 51.15 m, taken as no return: `range_max` overrides"
             ],
         ),
         (
@@ -273,7 +273,7 @@ def test_the_users_limit_is_asked_for_nothing() -> None:
             math.inf,
             [
                 'scan states no range limit; no value stands for "no return", so every range is '
-                "used as measured: --range-max sets a limit"
+                "used as measured: `range_max` sets a limit"
             ],
         ),
         ([*MEASURED, 50.0, math.inf], 50.0, []),

@@ -179,7 +179,7 @@ def test_lasers_at_different_places_have_no_one_mount() -> None:
     tuning = tune([SAMPLE_LOGS / "drive.bag", SAMPLE_LOGS / "drive.csv"], BuildOptions())
     assert tuning.sensor_pose is None
     assert tuning.mount.verdict is Verdict.UNSEEN
-    assert any("no single --sensor-pose" in text for text in tuning.remarks.notes)
+    assert any("no single `sensor_pose`" in text for text in tuning.remarks.notes)
 
 
 def test_scans_without_a_pose_at_some_offset_are_in_no_map(tmp_path: Path) -> None:

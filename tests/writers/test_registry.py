@@ -41,8 +41,8 @@ def test_a_writer_that_does_not_load_is_named(monkeypatch: pytest.MonkeyPatch) -
     ("occupied", "free"),
     [(0.2, 0.6), (0.5, 0.5), (1.0, 0.2), (0.65, 0.0), (float("nan"), 0.2), (0.65, -1.0)],
 )
-def test_thresholds_out_of_order_name_the_flags(occupied: float, free: float) -> None:
-    with pytest.raises(UsageError, match=r"--occupied-thresh.*--free-thresh.*0 < free < occ"):
+def test_thresholds_out_of_order_name_the_options(occupied: float, free: float) -> None:
+    with pytest.raises(UsageError, match=r"`occupied_thresh`.*`free_thresh`.*0 < free < occ"):
         WriteOptions(occupied_thresh=occupied, free_thresh=free)
 
 

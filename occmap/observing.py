@@ -1,0 +1,102 @@
+"""What all logs of a build show together: on this machine log by log, each by several threads."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
+
+from occmap.errors import MapError
+from occmap.grid.slices import unite
+from occmap.grid.tiles import TileGrid
+from occmap.opening import count_scans
+from occmap.options import BuildOptions
+from occmap.readers import Log, open_log
+from occmap.report import Remarks, Tally
+from occmap.tracing import choose_engine, make_grid, trace_logs
+from occmap.types import Rays, Slices
+
+if TYPE_CHECKING:  # as in tracing
+    from occmap.grid.engine import GridEngine
+    from occmap.grid.sliced import SlicedEngine
+
+Progress: TypeAlias = Callable[[int, int], None]
+"""Told, now and then, how many scans were read since the last call and how many there are."""
+
+
+def ignore_progress(_scans: int, _total: int) -> None:
+    """Tell nobody."""
+
+
+class Observed(NamedTuple):
+    """What logs showed, and what there is to say of them."""
+
+    tiles: TileGrid
+    slices: tuple[Slices, ...]
+    """In which slices of time; none where they are not kept"""
+    tally: Tally
+    remarks: Remarks
+
+
+class Observe(Protocol):
+    """Traces all usable scans of logs: here, or by many workers."""
+
+    def __call__(
+        self, paths: Sequence[Path], options: BuildOptions, keep_slices: bool, progress: Progress
+    ) -> Observed:
+        """As `observe`."""
+
+
+def observe(
+    paths: Sequence[Path], options: BuildOptions, keep_slices: bool, progress: Progress
+) -> Observed:
+    """Trace all usable scans of logs.
+
+    Raises
+    ------
+    OccmapError
+        A log cannot be read, has no scans or no poses, or the map would be too large.
+    """
+    tally = Tally()
+    with tally.time("open"):
+        logs = [open_log(path, options.reading) for path in paths]
+    total = sum(count_scans(log, options.selection.topics) for log in logs)
+    tally.advance = lambda scans: progress(scans, total)
+    remarks = Remarks([str(log.path) for log in logs])
+    tiles, slices = make_grid(options), list[Slices]()
+    for log in logs:
+        engine, notes = observe_log(log, options, keep_slices, tally)
+        remarks.note(log, notes)
+        with tally.time("fold"):
+            add_log(tiles, engine.finish(), options.max_cells, log.path)
+            slices += engine.read_slices()
+    with tally.time("fold"):
+        return Observed(tiles, (unite(slices),) if keep_slices else (), tally, remarks)
+
+
+def observe_log(
+    log: Log, options: BuildOptions, keep_slices: bool, tally: Tally
+) -> tuple["GridEngine | SlicedEngine", list[str]]:
+    """Trace a log in an engine of its own; give that, and what there is to say of the log."""
+    engine = choose_engine(options, keep_slices)
+
+    def begin() -> Callable[[Rays], None]:
+        nonlocal engine
+        engine = choose_engine(options, keep_slices)
+        return engine.add
+
+    ((_, notes),) = trace_logs([log], options, begin, tally)
+    return engine, notes
+
+
+def add_log(tiles: TileGrid, others: TileGrid, max_cells: int, path: Path) -> None:
+    """Add what a log showed to what others did.
+
+    Raises
+    ------
+    MapError
+        The map would be too large.
+    """
+    tiles.merge(others)
+    try:
+        tiles.refuse_outgrown(max_cells)
+    except MapError as error:
+        raise error.placed(path) from None

@@ -1,0 +1,84 @@
+"""What there is to know of a log before its scans are read: its topics, and where it drove."""
+
+from collections.abc import Generator, Sequence
+
+from occmap.errors import LogError, PoseError
+from occmap.posing.attach import Poser
+from occmap.posing.options import PosingOptions
+from occmap.readers import Log, Role, read_poses
+from occmap.types import Scan
+
+
+def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
+    """Choose the scan topics of a log: those that the user names, else all.
+
+    Clouds of points are taken where there are no scans, or where the user names them.
+
+    Raises
+    ------
+    LogError
+        The log has no scans, or not on a wanted topic.
+    """
+    scans = [s.topic for s in log.streams if s.role is Role.SCAN and s.count]
+    clouds = [s.topic for s in log.streams if s.role is Role.CLOUD and s.count]
+    there = scans + clouds if wanted else scans or clouds
+    if not there:
+        held = ", ".join(f"{s.topic} ({s.type}, {s.count})" for s in log.streams if s.count)
+        raise LogError(f"holds no laser scans; it holds {held or 'nothing'}", where=log.path)
+    missing = sorted(set(wanted) - set(there))
+    if missing:
+        raise LogError(
+            f"has no scans on the topic {missing[0]}",
+            where=log.path,
+            fix=f"it has scans on {', '.join(there)}",
+        )
+    return [topic for topic in there if topic in wanted or not wanted]
+
+
+def count_scans(log: Log, wanted: Sequence[str]) -> int:
+    """Count the scans that will be read.
+
+    Raises
+    ------
+    LogError
+        As `choose_topics`.
+    """
+    return count_messages(log, choose_topics(log, wanted))
+
+
+def count_messages(log: Log, topics: Sequence[str]) -> int:
+    """Count the messages of some topics, as the reader has it."""
+    wanted = set(topics)
+    return sum(stream.count for stream in log.streams if stream.topic in wanted)
+
+
+def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser:
+    """Read the poses of a log, unless it states them beside its scans.
+
+    Raises
+    ------
+    PoseError
+        No scan frame has a chain of transforms to a map frame.
+    """
+    first = take_first(log, topics)
+    stated = options.poses is None and all(scan.pose is not None for scan in first)
+    poser = Poser.build([] if stated else read_poses(log), options)
+    if not stated:
+        try:
+            poser.resolve({scan.frame for scan in first})
+        except PoseError as error:
+            raise error.placed(log.path) from None
+    return poser
+
+
+def take_first(log: Log, topics: Sequence[str]) -> list[Scan]:
+    """The first scan of each topic, read in one go, as there may be very many; then closed."""
+    first: dict[str, Scan] = {}
+    scans = log.scans(set(topics))
+    for scan in scans:
+        first.setdefault(scan.topic, scan)
+        if len(first) == len(topics):
+            break
+    if isinstance(scans, Generator):
+        scans.close()
+    return list(first.values())

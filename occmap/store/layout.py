@@ -1,0 +1,115 @@
+"""Where things lie in the folder of a store, and how they are compressed; the owner of zarr.
+
+| in the folder | holds |
+|---|---|
+| `zarr.json` | the manifest, and what makes the store whole: it is written last |
+| `hits`, `misses` | or `log_odds`, `observations`: (H, W) int64, the two numbers of each cell |
+| `y`, `x` | (H,) and (W,) float64, the middle of each row and column (m) |
+| `slices/R.C` | of block (R, C), when its cells were observed: arrays of bytes end to end |
+| `classes/N` | uint8, 0 unknown, 1 free, 2 occupied, for squares of N x N cells |
+| `blocks` | the table of blocks |
+"""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from occmap.errors import MapError, OutputError, UsageError
+from occmap.grid.tiles import EvidenceKind
+from occmap.store.blocks import BLOCK, Block
+from occmap.types import Manifest
+
+FORMAT, VERSION = "occmap store", 1
+CHUNK = 256
+"""Cells along the side of what is read at once: of 64, it takes seven times the time"""
+LAYERS = {
+    EvidenceKind.COUNTS: ("hits", "misses"),
+    EvidenceKind.LOG_ODDS: ("log_odds", "observations"),
+}
+"""Names of the two arrays of numbers"""
+FINE_LEVELS = (1, 4, 16)
+"""Sides of the squares of cells in the pictures that a block is a whole shard of"""
+LEVEL_CELLS = 1024
+"""The coarsest picture has no side that is longer"""
+DAMAGE = (OSError, LookupError, ValueError, TypeError, RuntimeError, OverflowError, MemoryError)
+"""What zarr, its codecs, json and NumPy raise on damaged files"""
+
+
+def import_zarr() -> Any:
+    """Load zarr, late: it is an extra, and takes 0.4 s.
+
+    Raises
+    ------
+    UsageError
+        It is not installed.
+    """
+    try:
+        import zarr  # noqa: PLC0415  as above
+    except ImportError:
+        raise UsageError(
+            "a store needs zarr, which is not installed", fix="install it: pip install '.[dask]'"
+        ) from None
+    return zarr
+
+
+@contextmanager
+def refuse_unwritable(path: Path) -> Iterator[None]:
+    """Say in one line what keeps a store from being written.
+
+    Raises
+    ------
+    OutputError
+        Whatever the system says.
+    """
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise OutputError(f"cannot be written ({reason})", where=path) from None
+
+
+@contextmanager
+def refuse_damage(path: Path) -> Iterator[None]:
+    """Say in one line that a part of a store cannot be read.
+
+    Raises
+    ------
+    MapError
+        Naming what is missing, cut or altered.
+    """
+    try:
+        yield
+    except DAMAGE as error:
+        reason = getattr(error, "strerror", None) or "it is cut or altered"
+        raise MapError(f"cannot be read: {reason}", where=path, fix="build it again") from None
+
+
+def make_head(manifest: Manifest, offset: tuple[int, int]) -> dict[str, Any]:
+    """Make what the attributes of a store say of it."""
+    head = {"format": FORMAT, "version": VERSION, "block": BLOCK, "offset": list(offset)}
+    plain: dict[str, Any] = json.loads(json.dumps({**head, **asdict(manifest)}, allow_nan=False))
+    return plain
+
+
+def read_manifest(head: dict[str, Any]) -> Manifest:
+    """Make the manifest of what the attributes say."""
+    fields = {name: head[name] for name in Manifest.__dataclass_fields__}
+    lists = {name: tuple(head[name]) for name in ("builds", "subtracted")}
+    return Manifest(**{**fields, **lists})
+
+
+def compute_checksum(head: dict[str, Any]) -> str:
+    """SHA-256 over all that the attributes say, but the checksum itself."""
+    said = {name: value for name, value in head.items() if name != "checksum"}
+    return sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+
+
+def find_place(block: Block, offset: tuple[int, int], side: int = 1) -> tuple[slice, slice]:
+    """Rows and columns of a block in an array, of which an item is a square of so many cells."""
+    starts = [(at * BLOCK - first) // side for at, first in zip(block, offset, strict=True)]
+    row, col = (slice(start, start + BLOCK // side) for start in starts)
+    return row, col

@@ -1,0 +1,160 @@
+"""How a store is read: what it is, one block, or all of it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from occmap.errors import MapError
+from occmap.grid.lattice import CellBox
+from occmap.grid.tiles import EvidenceKind
+from occmap.store.blocks import (
+    SIDE,
+    TABLE,
+    Block,
+    BlockContent,
+    BlockRecord,
+    gather_tiles,
+    hash_content,
+    hash_table,
+    join_contents,
+    narrow_cells,
+    read_table,
+    unpack_layers,
+)
+from occmap.store.layout import (
+    FORMAT,
+    LAYERS,
+    VERSION,
+    compute_checksum,
+    find_place,
+    import_zarr,
+    read_manifest,
+    refuse_damage,
+)
+from occmap.types import Evidence, Manifest
+from occmap.writers.soundness import find_fault, list_manifest_faults
+
+
+@dataclass(frozen=True, eq=False)
+class Store:
+    """A store that is whole, as its attributes and its table say; blocks are checked when read."""
+
+    path: Path
+    manifest: Manifest
+    digest: str
+    """SHA-256 of all that was observed"""
+    blocks: dict[Block, BlockRecord]
+    """In ascending order"""
+    offset: tuple[int, int]
+    """Row and column of the lattice that its arrays begin with"""
+    root: Any
+    """The group of Zarr"""
+
+    @property
+    def where(self) -> str:
+        """The folder."""
+        return str(self.path)
+
+    def find_reach(self, block: Block) -> CellBox:
+        """The smallest box around the cells of a block that were observed."""
+        return self.blocks[block].reach
+
+    def read_block(self, block: Block) -> BlockContent:
+        """Read what was observed in one of its blocks.
+
+        Raises
+        ------
+        MapError
+            It is not as it was written, or not what occmap writes.
+        """
+        record, place = self.blocks[block], find_place(block, self.offset)
+        with refuse_damage(self.path):
+            names = LAYERS[EvidenceKind(self.manifest.kind)]
+            cells = np.stack([self.root[name][place] for name in names])
+            tiles, numbers = gather_tiles(cells, block.row * SIDE, block.col * SIDE)
+            array = self.root[f"slices/{block.row}.{block.col}"]
+            builds = len(self.manifest.builds)
+            slices = unpack_layers(array[:], array.attrs["arrays"], builds)
+            content = BlockContent(tiles, narrow_cells(numbers), slices, record.logs)
+        if hash_content(content) != record.sha256:
+            raise MapError(
+                f"its block ({block.row}, {block.col}) was altered or a file of it is missing",
+                where=self.path,
+                fix="build it again",
+            )
+        fault = find_fault(Evidence(self.manifest, tiles, numbers, slices))
+        if fault:
+            raise MapError(
+                f"is not what occmap writes: {fault}", where=self.path, fix="build it again"
+            )
+        return content
+
+    def read_evidence(self) -> Evidence:
+        """Read all of it, as an .npz would give it.
+
+        Raises
+        ------
+        MapError
+            As `read_block`.
+        """
+        return join_contents(map(self.read_block, self.blocks), self.manifest, self.where)
+
+
+def open_store(path: Path) -> Store:
+    """Open a store, and check what is read of all of it.
+
+    Raises
+    ------
+    UsageError
+        zarr is not installed.
+    MapError
+        It is missing, no store, of another format, not complete, or not as it was written.
+    """
+    if not path.exists():
+        raise MapError("no such folder", where=path, fix="check the path")
+    if not (path / "zarr.json").is_file():
+        raise MapError(
+            "is no store of evidence", where=path, fix="build one with `outputs=map.zarr`"
+        )
+    zarr = import_zarr()
+    with refuse_damage(path):
+        root = zarr.open_group(path, mode="r", zarr_format=3)
+        head = root.attrs.get("occmap", {})
+        refuse_other_format(path, head)
+        if head["checksum"] != compute_checksum(head):
+            raise MapError("its attributes were altered", where=path, fix="build it again")
+        manifest = read_manifest(head)
+        for fault in list_manifest_faults(manifest):
+            raise MapError(f"is not what occmap writes: {fault}", where=path, fix="build it again")
+        table = {name: root[f"blocks/{name}"][...] for name in TABLE}
+        if head["table"] != hash_table(table):
+            raise MapError("its table of blocks was altered", where=path, fix="build it again")
+        blocks = {record.block: record for record in read_table(table)}
+        row, col = head["offset"]
+    return Store(path, manifest, head["digest"], blocks, (row, col), root)
+
+
+def refuse_other_format(path: Path, head: dict[str, Any]) -> None:
+    """Refuse a folder that holds no evidence, or not as this occmap knows it, or not all of it.
+
+    Raises
+    ------
+    MapError
+        Saying what it is.
+    """
+    if head.get("format") != FORMAT:
+        raise MapError("a Zarr folder, but no evidence of occmap", where=path)
+    if head["version"] > VERSION:
+        raise MapError(
+            f"{FORMAT} of version {head['version']}, while this occmap reads {VERSION}",
+            where=path,
+            fix="use a newer occmap",
+        )
+    if not head.get("complete"):
+        raise MapError(
+            "is not complete: what wrote it did not come to its end",
+            where=path,
+            fix="build it again",
+        )

@@ -1,0 +1,236 @@
+"""How a store is made: created, written block by block by whoever has one, and finished."""
+
+import os
+import shutil
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from occmap.errors import OutputError
+from occmap.grid.spec import find_unit
+from occmap.grid.tiles import EvidenceKind
+from occmap.store.blocks import (
+    BLOCK,
+    Block,
+    BlockContent,
+    BlockRecord,
+    compute_digest,
+    describe_block,
+    hash_table,
+    make_table,
+    pack_layers,
+    spread_cells,
+)
+from occmap.store.layout import (
+    CHUNK,
+    FINE_LEVELS,
+    LAYERS,
+    LEVEL_CELLS,
+    compute_checksum,
+    find_place,
+    import_zarr,
+    make_head,
+    refuse_unwritable,
+)
+from occmap.store.pictures import classify_block, reduce_classes
+from occmap.types import Manifest, Update
+from occmap.writers.atomic import sync_folder
+
+Run = Callable[[Callable[[Block], None], Sequence[Block]], Iterable[None]]
+"""Calls a function for each block, as `map` does: in this process, or in others"""
+
+
+def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
+    """Create a store that nothing was written to yet; nobody opens it before it is finished.
+
+    Parameters
+    ----------
+    path
+        A folder that does not exist.
+    plan
+        What the evidence is; its `builds` may be told later.
+    blocks
+        Around all that will be written.
+
+    Raises
+    ------
+    OutputError
+        The folder exists, or it cannot be written.
+    """
+    zarr = import_zarr()
+    if path.exists():
+        raise OutputError("exists already", where=path, fix="give another name, or remove it")
+    corners = np.array([Block(0, 0)] if not (known := list(blocks)) else known)
+    low, high = corners.min(axis=0) * BLOCK, (corners.max(axis=0) + 1) * BLOCK
+    shape = tuple((high - low).tolist())
+    unit = find_unit(Update(plan.update))
+    with refuse_unwritable(path):
+        root = zarr.create_group(path, attributes={"occmap": make_head(plan, low.tolist())})
+        for name in LAYERS[EvidenceKind(plan.kind)]:
+            meaning = {"of_one_observation": unit}
+            add_picture(root, name, shape, BLOCK, dtype=np.int64, attributes=meaning)
+        for name, first, size in zip("yx", low.tolist(), shape, strict=True):
+            middle = (first + np.arange(size) + 0.5) * plan.resolution
+            add_list(root, name, np.round(middle, 12), {"units": "m"})
+        root.create_group("slices")
+        classes = root.create_group("classes")
+        for side in FINE_LEVELS:
+            add_level(classes, side, shape, BLOCK // side)
+
+
+def add_picture(group: Any, name: str, shape: tuple[int, ...], side: int, **others: Any) -> Any:
+    """Add an array of squares, each a whole shard, with so many cells along the side."""
+    from zarr.codecs import BloscCodec  # noqa: PLC0415  late: an extra
+
+    return group.create_array(
+        name,
+        shape=shape,
+        chunks=(min(CHUNK, side),) * 2,
+        shards=(side,) * 2,
+        compressors=BloscCodec(cname="zstd", clevel=5, shuffle="shuffle"),
+        fill_value=0,
+        dimension_names=("y", "x"),
+        **others,
+    )
+
+
+def add_level(classes: Any, side: int, shape: tuple[int, ...], shard: int) -> Any:
+    """Add a picture of a store of this shape, in which each pixel is a square of cells."""
+    meaning = {"cells": side, "flag_values": [0, 1, 2], "flag_meanings": "unknown free occupied"}
+    size = tuple(-(-length // side) for length in shape)
+    return add_picture(classes, str(side), size, shard, dtype=np.uint8, attributes=meaning)
+
+
+def add_list(group: Any, name: str, values: Any, attributes: dict[str, Any]) -> None:
+    """Add an array that is written at once; if it was begun before, by a task that died, go on."""
+    from zarr.codecs import BloscCodec  # noqa: PLC0415  late: an extra
+
+    array = group.require_array(
+        name,
+        shape=values.shape,
+        dtype=values.dtype,
+        chunks=tuple(max(1, min(length, 1 << 20)) for length in values.shape),
+        compressors=BloscCodec(cname="zstd", clevel=5, shuffle="shuffle"),
+        dimension_names=[name] if name in ("y", "x") else None,
+        attributes=attributes,
+    )
+    array[...] = values
+
+
+def write_block(path: Path, block: Block, content: BlockContent) -> BlockRecord:
+    """Write all that was observed in a block, which nobody else writes at the same time.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    zarr = import_zarr()
+    data, layout = pack_layers(content)
+    with refuse_unwritable(path):
+        root = zarr.open_group(path, mode="r+")
+        head = root.attrs["occmap"]
+        place = find_place(block, head["offset"])
+        names = LAYERS[EvidenceKind(head["kind"])]
+        for name, numbers in zip(names, spread_cells(block, content), strict=True):
+            root[name][place] = numbers
+        add_list(root["slices"], f"{block.row}.{block.col}", data, {"arrays": layout})
+    return describe_block(block, content)
+
+
+def write_overview(path: Path, block: Block) -> None:
+    """Paint the pictures of a block, as soon as it and those around it are written.
+
+    Raises
+    ------
+    OutputError
+        They cannot be written.
+    """
+    zarr = import_zarr()
+    with refuse_unwritable(path):
+        root = zarr.open_group(path, mode="r+")
+        head = root.attrs["occmap"]
+        classes = classify_block(root, head, block)
+        for side in FINE_LEVELS:
+            place = find_place(block, head["offset"], side)
+            root["classes"][str(side)][place] = reduce_classes(classes, side)
+
+
+def finish_store(
+    path: Path, manifest: Manifest, records: Iterable[BlockRecord], run: Run = map
+) -> str:
+    """Paint the overview, write the table and, last, what makes the store whole; give its digest.
+
+    Parameters
+    ----------
+    manifest
+        With all builds.
+    records
+        What `write_block` said of each block.
+    run
+        Calls a function for each block; another may do so in many processes.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    zarr = import_zarr()
+    known = sorted(records)
+    for _ in run(partial(write_overview, path), [record.block for record in known]):
+        pass
+    table = make_table(known)
+    with refuse_unwritable(path):
+        root = zarr.open_group(path, mode="r+")
+        head = make_head(manifest, root.attrs["occmap"]["offset"])
+        add_coarse_levels(root, [find_place(record.block, head["offset"]) for record in known])
+        blocks = root.create_group("blocks")
+        for name, values in table.items():
+            add_list(blocks, name, values, {})
+        digests = {record.block: record.sha256 for record in known}
+        head |= {"digest": compute_digest(manifest, digests), "table": hash_table(table)}
+        head["complete"] = True
+        root.attrs["occmap"] = {**head, "checksum": compute_checksum(head)}
+    return str(head["digest"])
+
+
+def add_coarse_levels(root: Any, places: Sequence[tuple[slice, slice]]) -> None:
+    """Paint the pictures that several blocks share, each from the one before."""
+    side, classes = FINE_LEVELS[-1], root["classes"]
+    shape = classes[str(FINE_LEVELS[0])].shape
+    while max(shape) > side * LEVEL_CELLS:
+        finer, side = classes[str(side)], side * 4
+        level = add_level(classes, side, shape, LEVEL_CELLS)
+        reach = LEVEL_CELLS * side
+        for row, col in sorted({(y.start // reach, x.start // reach) for y, x in places}):
+            pixels = finer[square(row, 4 * LEVEL_CELLS), square(col, 4 * LEVEL_CELLS)]
+            level[square(row, LEVEL_CELLS), square(col, LEVEL_CELLS)] = reduce_classes(pixels, 4)
+
+
+def square(place: int, side: int) -> slice:
+    """Rows, or columns, of one of the squares that an array is cut into."""
+    return slice(place * side, (place + 1) * side)
+
+
+def publish_store(temporary: Path, path: Path) -> None:
+    """Put a finished store in its place; one that was there before is removed.
+
+    Raises
+    ------
+    OutputError
+        It cannot be put there; then the one before stays.
+    """
+    with refuse_unwritable(path):
+        for file in temporary.rglob("*"):
+            if file.is_file():
+                with file.open("rb") as opened:
+                    os.fsync(opened.fileno())
+        past = path.with_name(f"{temporary.name}.past")
+        if path.exists():
+            path.rename(past)
+        temporary.rename(path)
+        sync_folder(path.parent)
+        shutil.rmtree(past, ignore_errors=True)

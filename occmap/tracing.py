@@ -1,0 +1,164 @@
+"""From the scans of a log to what they observe: read, posed, interpreted, traced as a stream."""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+from occmap.batching import FROM_THE_START, Batcher, Seam
+from occmap.errors import MapError, MountError
+from occmap.grid.lattice import Lattice
+from occmap.grid.spec import WINDOW_CELLS, GridSpec, tabulate
+from occmap.grid.tiles import TileGrid
+from occmap.mounts import name_mount
+from occmap.opening import choose_topics, make_poser
+from occmap.options import BuildOptions
+from occmap.posing.attach import Poser
+from occmap.readers import Log, read_scans
+from occmap.report import Tally
+from occmap.sensor.models import RadialModel
+from occmap.sensor.no_return import RangeLimits, settle
+from occmap.sensor.returns import interpret
+from occmap.types import Rays
+from occmap.workers import Workers
+
+if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
+    from occmap.grid.engine import GridEngine
+    from occmap.grid.sliced import SlicedEngine
+
+Observe = Callable[[Rays], None]
+"""What takes the rays of a trace; any number of threads may call it."""
+
+
+class Drive(NamedTuple):
+    """A log, or a part of one, and all that its scans need of the rest of it."""
+
+    log: Log
+    topics: Sequence[str]
+    """Those whose scans are used"""
+    poser: Poser
+    seam: Seam = FROM_THE_START
+    """What came before"""
+
+
+def open_drive(log: Log, options: BuildOptions) -> Drive:
+    """Choose the scans of a log, and read its poses, which are few beside them.
+
+    Raises
+    ------
+    LogError, PoseError
+        As `choose_topics` and `make_poser`.
+    """
+    topics = choose_topics(log, options.selection.topics)
+    try:
+        return Drive(log, topics, make_poser(log, topics, options.posing))
+    except MountError as error:
+        raise name_mount(log, topics, options, error) from None
+
+
+def trace_logs(
+    logs: Sequence[Log],
+    options: BuildOptions,
+    begin: Callable[[], Observe],
+    tally: Tally,
+) -> Iterator[tuple[Log, list[str]]]:
+    """Read logs and trace their scans; give each log with what there is to say of it.
+
+    What stands for "no return" is known for sure only when a log was read to its end. Where its
+    first scans did not show that, all of these logs are read once more.
+
+    Parameters
+    ----------
+    begin
+        Called before the logs are read; gives what is to observe the rays.
+    """
+    limits = [RangeLimits(options.returns) for _ in logs]
+    for _ in range(2):
+        counts, observe = Tally(tally.advance), begin()
+        notes = []
+        for log, limit in zip(logs, limits, strict=True):
+            with counts.time("poses"):
+                drive = open_drive(log, options)
+            odd = trace(drive, options, observe, limit, counts)
+            notes.append([*drive.poser.notes, *odd, *limit.list_notes()])
+        if settle(limits):
+            break
+    tally.add(counts)
+    yield from zip(logs, notes, strict=True)
+
+
+def trace(
+    drive: Drive, options: BuildOptions, observe: Observe, limits: RangeLimits, tally: Tally
+) -> list[str]:
+    """Trace the scans of a log, or of a part of one, as a stream; say what is odd about them.
+
+    Parameters
+    ----------
+    limits, tally
+        Grow by what the scans show, and by what became of them; so do the notes of the poser.
+    """
+    batcher = Batcher(options.selection, options.posing.stamps, limits, drive.seam)
+
+    def work(rays: Rays) -> None:
+        with tally.time("trace"):
+            try:
+                observe(rays)
+            except MapError as error:
+                raise error.placed(drive.log.path) from None
+
+    with Workers(work, options.jobs) as workers:
+        for batch in tally.time_each("read", batcher.stack(read_scans(drive.log, drive.topics))):
+            # Here, not in a worker: each of many short NumPy calls would wait for the GIL.
+            with tally.time("pose"):
+                posed, dropped = drive.poser.attach(batch)
+            tally.drop(dropped)
+            for scans in posed:
+                with tally.time("interpret"):
+                    rays, beams = interpret(scans, options.returns)
+                tally.use(len(rays.kind), beams)
+                workers.give(rays)
+            tally.advance(len(batch.stamp_ns))
+    tally.scans_read += batcher.read
+    tally.drop(dict(batcher.left_out))
+    concerns = drive.poser.list_concerns(batcher.first_ns, options.returns.max_range)
+    return [*batcher.notes, *(f"{topic}: {concern.text}" for topic, concern in concerns)]
+
+
+def choose_engine(
+    options: BuildOptions, keep_slices: bool, window_cells: int = WINDOW_CELLS
+) -> "GridEngine | SlicedEngine":
+    """Make an engine, one that keeps slices of time only where they are asked for."""
+    if not keep_slices:
+        return make_engine(options, window_cells)
+    from occmap.grid.sliced import SlicedEngine  # noqa: PLC0415  late: as below
+
+    slice_ns = round(options.pass_gap_s * 1e9)
+    return SlicedEngine(plan_grid(options), slice_ns, window_cells, options.max_cells)
+
+
+def make_engine(options: BuildOptions, window_cells: int = WINDOW_CELLS) -> "GridEngine":
+    """Make the grid engine for an update and a model."""
+    from occmap.grid.engine import GridEngine  # noqa: PLC0415  late: numba takes a third of a second
+
+    return GridEngine(plan_grid(options), window_cells=window_cells, max_cells=options.max_cells)
+
+
+def make_grid(options: BuildOptions) -> TileGrid:
+    """Make a grid with no observations yet."""
+    spec = plan_grid(options)
+    return TileGrid(spec.lattice, spec.kind, spec.unit)
+
+
+def plan_grid(options: BuildOptions) -> GridSpec:
+    """Say how an engine is to turn rays into evidence."""
+    lattice = Lattice(options.resolution)
+    model = options.model
+    radial = None
+    if isinstance(model, RadialModel):
+        radial = tabulate(model.free, model.hit, model.depth(options.resolution))
+    return GridSpec(
+        options.update,
+        lattice,
+        options.jump,
+        options.border_gap,
+        options.hit_offset,
+        radial,
+    )

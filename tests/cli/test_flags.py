@@ -1,0 +1,61 @@
+"""Texts from below the command line name options by their fields; here they become flags."""
+
+from importlib import import_module
+
+import click
+import pytest
+
+from occmap.cli import COMMANDS
+from occmap.cli.console import Console
+from occmap.command import OPTIONS, spell_flag, spell_flags
+from occmap.errors import UsageError
+
+
+@pytest.mark.parametrize(
+    ("text", "spelled"),
+    [
+        ("limit ranges with `max_range`", "limit ranges with --max-range"),
+        ("try `no_return=clear`, or wait", "try --no-return clear, or wait"),
+        ("longer than `max_pose_gap_s`", "longer than --max-pose-gap"),
+        ("`start_s=3.0` is not before `end_s=2.0`", "--start 3.0 is not before --end 2.0"),
+        ("`static_transforms=a,b,X`; `topics`", "--static-tf a,b,X; --scan-topic"),
+        (
+            "`sensor_pose=x,y` `base_frame=F`",
+            "--sensor-pose x,y --base-frame F",
+        ),
+        ("see `occmap check`, `merge` and `x=1`", "see `occmap check`, `merge` and `x=1`"),
+        ("a frame `map_frame", "a frame `map_frame"),
+    ],
+)
+def test_a_named_option_becomes_its_flag(text: str, spelled: str) -> None:
+    assert spell_flags(text) == spelled
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_flag_is_what_the_rule_says(name: str) -> None:
+    command: click.Command = import_module(f"occmap.cli.commands.{name}").command
+    options = [each for each in command.params if isinstance(each, click.Option)]
+    flags = {each.name: each.opts for each in options if each.name in OPTIONS}
+    assert all(spell_flag(option) in flags[option] for option in flags)
+
+
+def test_every_option_can_be_typed() -> None:
+    names = ("build", "explain", "render")
+    commands = [import_module(f"occmap.cli.commands.{name}").command for name in names]
+    typed = {option for command in commands for each in command.params for option in each.opts}
+    positional = {"update"}  # the first word of a build
+    assert {spell_flag(name) for name in OPTIONS - positional} <= typed
+
+
+def test_whatever_is_printed_is_spelled(capsys: pytest.CaptureFixture[str]) -> None:
+    console = Console(as_json=True)
+    console.note("try `max_range=6`")
+    console.put(["left out by `stride`"])
+    console.put_json("x", {"left out by `stride`": ["try `stride=2`", 1, None, ("`min_range`",)]})
+    console.answered = False
+    console.fail(UsageError("`jobs` is 0", where="`limits` 'x'", fix="give `jobs=1`"), 2)
+    out, err = capsys.readouterr()
+    assert err == "note: try --max-range 6\nerror: --fail-if 'x': --jobs is 0; give --jobs 1\n"
+    for spelled in ("left out by --stride", "try --stride 2", "--min-range", "give --jobs 1"):
+        assert f'"{spelled}"' in out
+    assert "`" not in out

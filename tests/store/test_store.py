@@ -1,0 +1,264 @@
+"""Stores: what is read is what was written, whoever wrote which block, and nothing else is read."""
+
+import json
+import shutil
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from itertools import repeat
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zarr
+
+from occmap.errors import MapError, OutputError
+from occmap.evidence import render_saved
+from occmap.grid.slices import pack
+from occmap.grid.tiles import TILE
+from occmap.store.blocks import BLOCK, Block, digest_evidence, split_evidence
+from occmap.store.layout import compute_checksum
+from occmap.store.reading import open_store
+from occmap.store.writer import ZarrWriter
+from occmap.store.writing import create_store, finish_store, write_block, write_overview
+from occmap.types import CellClass, Evidence, Manifest, UInt8, Update
+from tests.evidence.saving import choose, each_combination, save, write_bytes
+
+FINE = 0.02
+"""Metres: the drive then reaches over four blocks, on both sides of zero"""
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Evidence:
+    options = replace(choose(Update.SURFACE, "counting"), resolution=FINE)
+    return save(tmp_path_factory.mktemp("drive") / "m.npz", options)
+
+
+@pytest.fixture(scope="module")
+def kept(drive: Evidence, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("kept") / "m.zarr"
+    ZarrWriter().write_evidence(path, drive)
+    return path
+
+
+def open_group(path: Path) -> Any:
+    """Open it as others do."""
+    return zarr.open_group(path, mode="r")
+
+
+@pytest.fixture
+def path(kept: Path, tmp_path: Path) -> Path:
+    """A store that may be damaged."""
+    copy = tmp_path / "m.zarr"
+    shutil.copytree(kept, copy)
+    return copy
+
+
+def test_the_drive_reaches_over_blocks_on_both_sides_of_zero(kept: Path) -> None:
+    blocks = list(open_store(kept).blocks)
+    assert blocks == [(-1, -1), (-1, 0), (0, -1), (0, 0)]
+
+
+@each_combination
+def test_an_npz_that_is_written_from_a_store_is_that_of_the_build(
+    tmp_path: Path, update: Update, model: str
+) -> None:
+    evidence = save(tmp_path / "m.npz", replace(choose(update, model), resolution=FINE))
+    ZarrWriter().write_evidence(tmp_path / "m.zarr", evidence)
+    store = open_store(tmp_path / "m.zarr")
+    assert write_bytes(tmp_path, store.read_evidence()) == (tmp_path / "m.npz").read_bytes()
+    assert store.digest == digest_evidence(evidence)
+
+
+def test_zarr_alone_reads_numbers_at_their_places(kept: Path, drive: Evidence) -> None:
+    root = open_group(kept)
+    assert [root[name].metadata.dimension_names for name in ("hits", "x")] == [("y", "x"), ("x",)]
+    row, col = root.attrs["occmap"]["offset"]
+    assert row < 0
+    assert root["y"][0] == pytest.approx((row + 0.5) * FINE)
+    for place in (0, len(drive.tiles) // 2, -1):
+        tile = (drive.tiles[place] * TILE - (row, col)).tolist()
+        rows, cols = (slice(at, at + TILE) for at in tile)
+        assert np.array_equal(root["hits"][rows, cols], drive.cells[place, 0])
+        assert np.array_equal(root["misses"][rows, cols], drive.cells[place, 1])
+    assert root["hits"][:].sum() == drive.cells[:, 0].sum()
+
+
+def test_the_pictures_show_the_map(kept: Path, drive: Evidence) -> None:
+    store, classes = open_store(kept), open_group(kept / "classes")
+    shown = render_saved(drive, choose(model="counting").model, 10**9)
+    (row, col), (rows, cols) = (shown.place - store.offset).tolist(), shown.shape
+    whole = np.zeros(classes["1"].shape, np.uint8)
+    whole[row : row + rows, col : col + cols] = shown.classes
+    assert np.array_equal(classes["1"][:], whole)
+    assert set(np.unique(whole)) == set(CellClass)
+    for side in (4, 16):
+        assert np.array_equal(classes[str(side)][:], shrink(whole, side))
+
+
+def shrink(classes: UInt8, side: int) -> UInt8:
+    height, width = (-(-length // side) for length in classes.shape)
+    small = np.zeros((height, width), np.uint8)
+    for row, col in np.ndindex(small.shape):
+        square = classes[row * side : (row + 1) * side, col * side : (col + 1) * side]
+        small[row, col] = square.max()
+    return small
+
+
+def test_coarse_pictures_of_a_store_of_blocks_far_apart(tmp_path: Path, drive: Evidence) -> None:
+    path, far = tmp_path / "m.zarr", round(100_000 / 0.05 / BLOCK)
+    one = drive.cells[:1]
+    blocks = [Block(-far, -far), Block(far, far - 3)]
+    tiles = np.array([[block.row * 16 + 5, block.col * 16 + 9] for block in blocks])
+    cells = np.repeat(one, 2, axis=0)
+    bits = np.packbits(cells != 0, axis=-1)
+    bits[:, 1] |= bits[:, 0]
+    slices = pack(tiles, np.array([3, 4]), bits)
+    evidence = replace(drive, tiles=tiles, cells=cells, slices=(slices,))
+    contents = dict(split_evidence(evidence))
+    assert list(contents) == blocks
+    create_store(path, drive.manifest, contents)
+    finish_store(path, drive.manifest, [write_block(path, *each) for each in contents.items()])
+    classes, store = open_group(path / "classes"), open_store(path)
+    assert sorted(classes.array_keys(), key=int) == ["1", "4", "16", "64", "256", "1024", "4096"]
+    coarse = classes["4096"]
+    rows, cols = np.nonzero(coarse[:])
+    expected = {tuple((np.array(t) * TILE - store.offset) // 4096) for t in tiles.tolist()}
+    assert set(zip(rows.tolist(), cols.tolist(), strict=True)) == expected
+    assert np.array_equal(store.read_evidence().tiles, tiles)
+
+
+def test_the_table_says_what_is_where_and_who_saw_it(tmp_path: Path, drive: Evidence) -> None:
+    contents = dict(split_evidence(drive))
+    path = tmp_path / "m.zarr"
+    create_store(path, drive.manifest, contents)
+    given = [
+        write_block(path, block, replace(content, logs=(place, 9)))
+        for place, (block, content) in enumerate(contents.items())
+    ]
+    finish_store(path, drive.manifest, given)
+    assert list(open_store(path).blocks.values()) == given
+    for record in given:
+        seen = (contents[record.block].cells != 0).any(axis=1)
+        assert record.cells == np.count_nonzero(seen)
+        places = np.argwhere(seen)
+        tiles = contents[record.block].tiles
+        rows = tiles[places[:, 0], 0] * TILE + places[:, 1]
+        cols = tiles[places[:, 0], 1] * TILE + places[:, 2]
+        assert record.reach == (rows.min(), cols.min(), rows.max() + 1, cols.max() + 1)
+
+
+def test_processes_write_blocks_at_once_and_a_task_may_run_twice(
+    tmp_path: Path, drive: Evidence, kept: Path
+) -> None:
+    path, contents = tmp_path / "m.zarr", dict(split_evidence(drive))
+    create_store(path, replace(drive.manifest, builds=()), contents)
+    twice = [*contents, *contents]
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        done = pool.map(write_block, repeat(path), twice, [contents[each] for each in twice])
+        records = set(done)
+        assert len(records) == len(contents)
+
+        digest = finish_store(path, drive.manifest, records, pool.map)
+    assert digest == open_store(kept).digest
+    assert write_bytes(tmp_path, open_store(path).read_evidence()) == write_bytes(tmp_path, drive)
+
+
+def test_a_store_that_is_not_finished_is_refused(tmp_path: Path, drive: Evidence) -> None:
+    path, contents = tmp_path / "m.zarr", dict(split_evidence(drive))
+    create_store(path, drive.manifest, contents)
+    for each in contents.items():
+        write_block(path, *each)
+        assert "is not complete" in refuse(path)
+    for block in contents:
+        write_overview(path, block)
+    assert "is not complete" in refuse(path)
+    with pytest.raises(OutputError, match="exists already"):
+        create_store(path, drive.manifest, contents)
+
+
+def refuse(path: Path) -> str:
+    """Return the one line that a store is refused with."""
+    with pytest.raises(MapError) as caught:
+        open_store(path).read_evidence()
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_what_is_no_store_is_refused(tmp_path: Path) -> None:
+    assert "no such folder" in refuse(tmp_path / "m.zarr")
+    assert "is no store" in refuse(tmp_path)
+    zarr.create_group(tmp_path / "other.zarr", attributes={"a": 1})
+    assert "no evidence of occmap" in refuse(tmp_path / "other.zarr")
+
+
+def list_files(path: Path) -> list[Path]:
+    """Files that evidence is read from: one shard, one list, and the table with its metadata."""
+    blocks = sorted(each for each in (path / "blocks" / "sha256").rglob("*") if each.is_file())
+    hits = next(each for each in (path / "hits" / "c").rglob("*") if each.is_file())
+    slices = path / "slices" / "-1.0"
+    return [hits, path / "hits" / "zarr.json", slices / "c" / "0", slices / "zarr.json", *blocks]
+
+
+def test_every_file_that_is_missing_or_cut_is_refused(path: Path) -> None:
+    for file in list_files(path):
+        whole = file.read_bytes()
+        file.unlink()
+        refuse(path)
+        for part in (0, 0.5, 0.99):
+            file.write_bytes(whole[: int(part * len(whole))])
+            refuse(path)
+        file.write_bytes(whole)
+    open_store(path).read_evidence()
+
+
+def test_every_list_and_shard_with_a_byte_altered_is_refused(path: Path) -> None:
+    for file in list_files(path):
+        if file.name != "zarr.json":
+            whole = file.read_bytes()
+            altered = bytearray(whole)
+            altered[len(whole) // 3] ^= 0x40
+            file.write_bytes(altered)
+            refuse(path)
+            file.write_bytes(whole)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("resolution", 0.05, "its attributes were altered"),
+        ("offset", [0, 0], "its attributes were altered"),
+        ("digest", "0" * 64, "its attributes were altered"),
+        ("version", 2, "of version 2"),
+        ("format", "other", "no evidence of occmap"),
+        ("complete", False, "is not complete"),
+        ("model", None, "its attributes were altered"),
+    ],
+)
+def test_altered_attributes_are_refused(
+    path: Path, name: str, value: object, expected: str
+) -> None:
+    attributes = json.loads((path / "zarr.json").read_text())
+    attributes["attributes"]["occmap"][name] = value
+    (path / "zarr.json").write_text(json.dumps(attributes))
+    assert expected in refuse(path)
+
+
+def test_attributes_that_somebody_else_wrote_are_looked_at(path: Path) -> None:
+    attributes = json.loads((path / "zarr.json").read_text())
+    head = attributes["attributes"]["occmap"]
+    head["update"] = "none"
+    head["checksum"] = compute_checksum(head)
+    (path / "zarr.json").write_text(json.dumps(attributes))
+    assert "its update is 'none'" in refuse(path)
+
+
+def test_evidence_of_nothing(tmp_path: Path) -> None:
+    manifest = Manifest(0.05, "beam", "counts", "", 10.0, 0.0, "simple", ())
+    nothing = np.zeros((0, 2), np.int64), np.zeros((0, 2, TILE, TILE), np.int64)
+    evidence = Evidence(manifest, *nothing)
+    ZarrWriter().write_evidence(tmp_path / "m.zarr", evidence)
+    store = open_store(tmp_path / "m.zarr")
+    assert (store.blocks, len(store.read_evidence().tiles)) == ({}, 0)
