@@ -18,6 +18,7 @@ from occmap.fleet.runs import read_stub, write_stub
 from occmap.fleet.tasks import ReduceJob, Setting, SurveyJob, add_up, hash_log
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing, paint
+from occmap.mounts import list_misfits
 from occmap.observing import Keep, Progress
 from occmap.options import BuildOptions
 from occmap.pipeline import list_inputs, make_report
@@ -120,13 +121,15 @@ def build_store(
         with tally.time("write"):
             finish_store(store, manifest, records, run=skip_painted)
             publish_store(store, follow_links(output))
+    disagreement = list(tell_disagreement(facts.agreement, facts.has_walls))
     notes = [
         *list_requested(paths, [output], options.writing, options.model),
         *remarks.notes,
         *unaligned,
         *options.list_idle(),
         *list_lacking(tally, None),
-        *tell_disagreement(facts.agreement, facts.has_walls),
+        *disagreement,
+        *(list_misfits(paths, options) if disagreement else ()),
         *list_repeated(manifest.builds),
     ]
     remarks = replace(remarks, notes=notes, files=[str(output)])

@@ -31,7 +31,7 @@ from occmap.readers import Note, open_log, read_scans, split_log
 from occmap.report import Tally
 from occmap.sensor.no_return import RangeLimits
 from occmap.tracing import Drive, choose_engine, make_grid, open_drive, trace
-from occmap.types import Rays, Slices
+from occmap.types import Float64, Rays, Slices
 
 
 @dataclass(frozen=True)
@@ -118,9 +118,12 @@ class Traced:
     log_notes: tuple[Note, ...] = ()
     """Of the reader"""
     depends: bool = False
-    """Whether it would be another in the whole log: it is damaged, or a frame is seen first"""
+    """Whether it may be another in the whole log: it is damaged, a frame is seen first, or the
+    map frame jumps"""
     ends: dict[str, Ends] = field(default_factory=dict)
     """Where the scans of each topic begin and end"""
+    bounds: dict[str, Float64] = field(default_factory=dict)
+    """(2, 3) around the sensor of each topic (m)"""
     pieces: Mapping[BlockKey, tuple[Piece, ...]] = field(default_factory=dict)
 
 
@@ -242,14 +245,15 @@ def trace_drive(job: TraceJob) -> Traced:
             return Traced(Tally(), limits, depends=True)
         raise
     sink.flush()
-    notes = tuple(drive.log.notes)
+    poser, notes = drive.poser, tuple(drive.log.notes)
     return Traced(
         tally,
         limits,
-        notes=(*drive.poser.notes, *odd),
+        notes=(*poser.notes, *odd),
         log_notes=notes,
-        depends=notes != job.survey.notes or set(drive.poser.chains) != frames or drive.poser.jumps,
-        ends=drive.poser.find_ends(),
+        depends=notes != job.survey.notes or set(poser.chains) != frames or poser.jumps,
+        ends=poser.find_ends(),
+        bounds={topic: course.bounds for topic, course in poser.courses.items()},
         pieces={key: tuple(pieces) for key, pieces in sink.pieces.items()},
     )
 

@@ -25,7 +25,7 @@ from tests.bench.processes import OCCMAP, run
 from tests.bench.tables import draw_rows
 from tests.bench.workloads import Sensor, make_office
 
-LOGS, SCANS, BEAMS = 20, 1500, 541
+LOGS, SCANS, BEAMS = 10, 1500, 541
 SENSOR = Sensor.spanning(BEAMS, 270, 30.0)
 APART = np.array([60.0, 0.0, 0.0])
 """Metres between two offices that lie beside each other"""
