@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.units import BETWEEN, CELL_SHIFT, HIT, SKIP
+from occmap.jit import kernel
 from occmap.types import Int32, Int64, UInt8
 
 FRACTION_BITS = 36

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.grid.kernels.beam import Changes, add_line
-from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.units import BETWEEN, CELL_SHIFT, HALF_CELL, HIT, SKIP, UNITS_PER_CELL
+from occmap.jit import kernel
 from occmap.types import Float32, Float64, Int32, Int64, UInt8
 
 FARTHEST_CENTRE = 1.25
