@@ -233,7 +233,8 @@ def parse_stamp(text: str) -> int:
         else:
             nanoseconds = Decimal(text).scaleb(9)
         if abs(nanoseconds) < 2**63:
-            return int(round(nanoseconds))
+            whole: int = round(nanoseconds)
+            return whole
     raise ValueError(f"{shorten(text)} is no time in seconds")
 
 
