@@ -43,6 +43,10 @@ class RosLog:
         self._options = options
         self.notes = source.notes
         self._source = source
+        for channel in source.channels:
+            if channel.count and (oddity := channel.oddity):
+                found = f"{channel.count} messages on {channel.topic} are of {channel.type!r}"
+                add_note(self.notes, f"{found}, {oddity}: they are not used")
 
     @property
     def streams(self) -> Sequence[Stream]:
