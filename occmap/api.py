@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from occmap import difference, inspection, tuning
-from occmap.difference.maps import load_map
 from occmap.errors import UsageError
 from occmap.evidence import merging, publishing, to_grid
 from occmap.keywords import list_options, read_option, read_options
@@ -15,11 +14,12 @@ from occmap.readers import Log, open_log
 from occmap.scoring import compare as scoring
 from occmap.scoring.variants import combine
 from occmap.sensor.models import SensorModel
-from occmap.writers import WriteOptions, check_picture
-from occmap.writers.npz import read_evidence
+from occmap.writers import WriteOptions
 
 AnyPath = str | Path
-OF_ONE_MAP = ("update", "model", "min_passes", "pass_gap_s", "resume")
+OF_ONE_MAP = (
+    *("update", "model", "min_passes", "pass_gap_s", "resume", "extent", "margin", "align"),
+)
 """Options that say nothing to what looks at logs, or makes several maps of them"""
 
 
@@ -46,6 +46,9 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
         max_cells = 1_000_000_000 (cells): a larger map is refused
         min_passes = None (visits): cells that were hit on fewer lose their hits
         pass_gap_s = 10.0 (s): two visits lie at least so far apart
+        extent = None (m): (x_min, y_min, x_max, y_max) that the map covers, to whole cells; the
+            default is what was observed
+        margin = 0.0 (m): so much unknown space is added around what was observed
         resume = None (path): an .npz; its observations are added to those of the logs
         jobs = None (threads): the default is one for each core
 
@@ -78,6 +81,9 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
         static_transforms = () (m, rad): [(parent, child, x, y, z, roll, pitch, yaw), ...] that the
             log lacks
         map_frame = None (name): the default is map, else odom, else the root of the laser's tree
+        transform = None (m, rad): (x, y, yaw) of the frame that the logs are mapped in, seen from
+            the frame of the map
+        align = 0.0 (degrees): the map is turned by this; None: so that walls run along the axes
         base_frame = None (name): the moving body that sensor_pose is on
         max_pose_gap_s = 2.0 (s): no pose is interpolated across a longer gap; None: across any
         max_speed = 50.0 (m/s): scans that leap away and back faster are left out; inf: none
@@ -209,8 +215,7 @@ def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> 
         Evidence to take away from the sum.
     options
         Of `build_map`: model (the default is what the evidence was built with), min_passes,
-        max_cells, mode, occupied_thresh, free_thresh and shade; and crop: the part of the map to
-        show, (x_min, y_min, x_max, y_max) in metres.
+        max_cells, extent, margin, mode, occupied_thresh, free_thresh and shade.
 
     Raises
     ------
@@ -222,9 +227,7 @@ def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> 
         raise UsageError("no evidence is given", fix='try merge("a.npz", "b.npz")')
     added, taken = list_paths(paths), list_paths(subtract)
     chosen = read_options(publishing.RenderOptions, options, "merge")
-    total = merging.merge([read_evidence(path) for path in added])
-    for path in taken:
-        total = merging.subtract(total, read_evidence(path))
+    total = merging.combine(added, taken)
     made = publishing.render_kept(total, chosen)
     return Map.wrap(
         made.map,
@@ -261,16 +264,9 @@ def diff(
     OccmapError
         A map cannot be read, they do not lie on one lattice, or the picture cannot be written.
     """
-    paths = list_paths([before, after])
-    if picture is not None:
-        check_picture(Path(picture), paths)
+    one, other = list_paths([before, after])
     chosen = read_options(WriteOptions, thresholds, "diff")
-    found = difference.compare_maps(*(load_map(path, chosen) for path in paths))
-    if picture is not None:
-        from occmap.writers.images import write_colours  # noqa: PLC0415  late: it brings pillow
-
-        write_colours(Path(picture), difference.paint(found))
-    return found
+    return difference.compare_files(one, other, chosen, None if picture is None else Path(picture))
 
 
 def read_log(path: AnyPath) -> Log:

@@ -1,30 +1,34 @@
 """The whole tool on one page: logs in, an occupancy map and a report out."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
+from occmap.alignment import settle_align
 from occmap.evidence import to_evidence
-from occmap.evidence.manifest import BuildRecord, describe_build, plan_manifest
+from occmap.evidence.manifest import BuildRecord, describe_build, list_mixed, plan_manifest
 from occmap.evidence.merging import open_saved
 from occmap.evidence.persistence import render_lasting
 from occmap.evidence.publishing import describe_resumed
 from occmap.evidence.repetition import list_repeated
+from occmap.grid.framing import frame
 from occmap.grid.stacks import add_stack
 from occmap.grid.tiles import TileGrid
-from occmap.observing import Progress, ignore_progress, observe
+from occmap.mounts import list_misfits
+from occmap.observing import Observe, Observed, Progress, ignore_progress, observe
 from occmap.opening import choose_topics, count_messages, count_scans, make_poser, take_first
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.report import (
+    MapFacts,
     Remarks,
     Report,
     Tally,
+    describe_map,
     list_disagreement,
     list_lacking,
     list_requested,
-    measure_shares,
     refuse_unseen,
     refuse_unused,
 )
@@ -70,8 +74,14 @@ def build(
     options: BuildOptions,
     outputs: Sequence[Path] = (),
     progress: Progress = ignore_progress,
+    observe: Observe = observe,
 ) -> Build:
     """Build one map from all usable scans of one or more logs, and write it.
+
+    Parameters
+    ----------
+    observe
+        Who traces the scans: this process, or the workers of an `occmap.fleet.Fleet`.
 
     Raises
     ------
@@ -81,7 +91,7 @@ def build(
     """
     check_outputs(outputs, list_inputs(paths, options))
     with hold_alone(options.resume, outputs):
-        return build_alone(paths, options, outputs, progress)
+        return build_alone(paths, options, outputs, partial(observe, progress=progress))
 
 
 def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
@@ -91,22 +101,27 @@ def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
 
 
 def build_alone(
-    paths: Sequence[Path], options: BuildOptions, outputs: Sequence[Path], progress: Progress
+    paths: Sequence[Path],
+    options: BuildOptions,
+    outputs: Sequence[Path],
+    observe: Callable[[Sequence[Path], BuildOptions, bool], Observed],
 ) -> Build:
     """Build and write a map, while nobody else adds to the same evidence."""
+    saved = open_saved(options.resume, plan_manifest(options)) if options.resume else None
+    options, unaligned = settle_align(paths, adopt_align(options, saved))
     plan = plan_manifest(options)
-    saved = open_saved(options.resume, plan) if options.resume else None
     keep_slices = options.min_passes is not None or want_evidence(outputs)
-    tiles, slices, tally, remarks = observe(paths, options, keep_slices, progress)
+    tiles, slices, tally, remarks = observe(paths, options, keep_slices)
     if saved:
         add_stack(tiles, saved.tiles, saved.cells)
         slices = saved.slices + slices
     refuse_unused(paths, tally)
-    refuse_unseen(paths, tally, tiles)
+    refuse_unseen(paths, tally, tiles.keys)
     with tally.time("render"):
         grid, lost = render_lasting(
             tiles, slices, options.min_passes, options.model, options.max_cells
         )
+        grid = frame(grid, options.framing, options.model.prior, options.max_cells)
     with tally.time("write"):
         manifest = plan
         if want_evidence(outputs):  # only then: it takes time to hash the logs
@@ -114,18 +129,29 @@ def build_alone(
         keep = cache(partial(to_evidence, tiles, manifest, slices))
         files = write_outputs(outputs, Product(grid, keep), options.writing)
     resumed = describe_resumed(saved) if saved else None
+    disagreement = list(list_disagreement(grid))
     notes = [
         *list_requested(paths, outputs, options.writing, options.model),
         *remarks.notes,
+        *unaligned,
         *options.list_idle(),
         *list_lacking(tally, resumed),
         *lost,
-        *list_disagreement(grid),
+        *disagreement,
+        *(list_misfits(paths, options) if disagreement else ()),
         *list_repeated(manifest.builds),
+        *list_mixed(manifest),
     ]
-    remarks = replace(remarks, notes=notes, files=files)
-    report = replace(make_report(grid, options, tally, remarks), resumed=resumed)
+    facts, remarks = describe_map(grid, options.writing), replace(remarks, notes=notes, files=files)
+    report = replace(make_report(facts, options, tally, remarks), resumed=resumed)
     return Build(grid, report, tiles, keep() if want_evidence(outputs) else None)
+
+
+def adopt_align(options: BuildOptions, saved: Evidence | None) -> BuildOptions:
+    """Turn a map that is added to evidence as that is turned, where the user names no angle."""
+    if saved is None or options.posing.align is not None:
+        return options
+    return replace(options, posing=replace(options.posing, align=saved.manifest.align))
 
 
 def add_build(plan: Manifest, saved: Evidence | None, build: BuildRecord) -> Manifest:
@@ -134,11 +160,9 @@ def add_build(plan: Manifest, saved: Evidence | None, build: BuildRecord) -> Man
     return replace(plan, builds=(*past.builds, build), subtracted=past.subtracted)
 
 
-def make_report(
-    grid: OccupancyMap, options: BuildOptions, tally: Tally, remarks: Remarks
-) -> Report:
+def make_report(facts: MapFacts, options: BuildOptions, tally: Tally, remarks: Remarks) -> Report:
     """Sum up what was done."""
-    rows, cols = grid.shape
+    rows, cols = facts.shape
     return Report(
         logs=tuple(remarks.logs),
         scans_read=tally.scans_read,
@@ -153,9 +177,10 @@ def make_report(
         resolution=options.resolution,
         columns=cols,
         rows=rows,
-        extent=grid.extent,
-        shares=measure_shares(grid, options.writing),
-        agreement=grid.agreement,
+        extent=facts.extent,
+        align=options.posing.align or 0.0,
+        shares=facts.shares,
+        agreement=facts.agreement,
         seconds=dict(tally.seconds),
         files=tuple(remarks.files),
     )

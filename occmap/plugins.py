@@ -14,7 +14,9 @@ class Broken:
     """A plugin that did not import: named and skipped, never fatal."""
 
     name: str
+    """Its name"""
     reason: str
+    """Why it does not"""
 
 
 @cache

@@ -1,25 +1,25 @@
 """What a build did: numbers for people and for programs."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Lock
 from time import perf_counter
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, Protocol, TypedDict, TypeVar
 
 import numpy as np
 
 from occmap.batching import LeftOut, count_wanted
 from occmap.errors import LogError, MapError, PoseError
-from occmap.grid.tiles import TileGrid
+from occmap.plain import Count, ScanCounts, Share, Told, to_plain
 from occmap.posing.options import DropReason
-from occmap.readers import Log
+from occmap.readers import Note
 from occmap.sensor.bounds import Clamped
 from occmap.sensor.models import SensorModel, find_decision
 from occmap.sensor.returns import ReturnCounts
-from occmap.types import Box, OccupancyMap
+from occmap.types import Box, OccupancyMap, Update
 from occmap.wording import write_counts
 from occmap.writers import WriteOptions, list_idle
 
@@ -35,10 +35,14 @@ REASONS = tuple(map(str, (*DropReason, *LeftOut)))
 _LOCK = Lock()
 
 
+def ignore_advance(_scans: int) -> None:
+    """Tell nobody."""
+
+
 class Tally:
     """Counts and times that grow while a map is built; any thread may call `time`, one all else."""
 
-    def __init__(self, advance: Callable[[int], None] = lambda _scans: None) -> None:
+    def __init__(self, advance: Callable[[int], None] = ignore_advance) -> None:
         self.advance = advance
         """Told, now and then, how many scans were read since the last call"""
         self.seconds: dict[str, float] = {}
@@ -108,9 +112,78 @@ class Resumed:
     scans_read: int
     scans_used: int
 
-    def to_json(self) -> dict[str, Any]:
-        """As values that JSON has."""
+    def describe(self) -> "PrintedResumed":
+        """Give it in the form that is printed."""
         return {"file": self.file, "read": self.scans_read, "used": self.scans_used}
+
+
+class PrintedResumed(TypedDict):
+    """The evidence that a build was added to."""
+
+    file: str
+    """The evidence file"""
+    read: Count
+    """Scans that its builds read"""
+    used: Count
+    """Scans that its builds used"""
+
+
+class PrintedMap(TypedDict):
+    """The map."""
+
+    update: Update
+    """How scans became observations of cells"""
+    model: str
+    """Sensor model with all its parameters, as `model` takes it"""
+    min_passes: Count | None
+    """On how many visits a cell had to be hit to keep its hits (`min_passes`); null: all keep
+    theirs"""
+    resolution: float
+    """Side of a cell (m)"""
+    columns: Count
+    """Cells from left to right (along x)"""
+    rows: Count
+    """Cells from bottom to top (along y)"""
+    extent: Box
+    """Lowest x and y, highest x and y (m)"""
+    align: float
+    """By what the map is turned against the frame of its poses, counter-clockwise (degrees)"""
+    occupied: Share
+    """Share of the map's cells that are occupied, by `occupied_thresh`"""
+    free: Share
+    """Share of the map's cells that are free, by `free_thresh`"""
+    unknown: Share
+    """Share of the map's cells that nothing observed"""
+    undecided: Share
+    """Share of the map's cells that were observed and are neither occupied nor free"""
+    agreement: Share | None
+    """Share of hits that lie in cells called occupied, low where poses are wrong; null where hits
+    are not kept"""
+
+
+class PrintedBuild(Told):
+    """A map and how it came about: what occmap build, render and merge print."""
+
+    logs: list[str]
+    """Logs of the map: as they were given, or, where it is made of evidence, by the names of their
+    files"""
+    scans: ScanCounts
+    """What became of the scans"""
+    builds: Count
+    """How many builds the logs, scans and beams are of: more than one in evidence that was
+    merged"""
+    resumed: PrintedResumed | None
+    """The evidence that the build was added to (`resume`), whose scans and beams are not counted
+    here; null where there is none"""
+    beams: ReturnCounts
+    """What the beams of the used scans were read as (beams)"""
+    map: PrintedMap
+    """The map"""
+    files: list[str]
+    """Files that were written"""
+    seconds: dict[str, float]
+    """Time by stage (s); where threads work at the same time, their times add up; empty where no
+    log was read"""
 
 
 class Shares(NamedTuple):
@@ -119,6 +192,18 @@ class Shares(NamedTuple):
     occupied: float
     free: float
     unknown: float
+
+
+class MapFacts(NamedTuple):
+    """What there is to tell of a map."""
+
+    shape: tuple[int, int]
+    """Rows and columns"""
+    extent: Box
+    shares: Shares
+    agreement: float | None
+    has_walls: bool
+    """Whether it calls any cell occupied"""
 
 
 @dataclass(frozen=True)
@@ -147,6 +232,8 @@ class Report:
     files: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
     """Those of the notes that tell of damage to a log"""
+    align: float = 0.0
+    """By what the map is turned (degrees, counter-clockwise)"""
     min_passes: int | None = None
     """On how many visits a cell had to be hit to keep its hits; None: nobody asked"""
     builds: int = 1
@@ -166,21 +253,24 @@ class Report:
 
     def to_json(self) -> dict[str, Any]:
         """The report as values that JSON has."""
-        return {
+        printed: PrintedBuild = {
             "logs": list(self.logs),
             "scans": {"read": self.scans_read, "used": self.scans_used, "dropped": self.dropped},
             "builds": self.builds,
-            "resumed": self.resumed and self.resumed.to_json(),
-            "beams": self.beams._asdict(),
+            "resumed": self.resumed.describe() if self.resumed else None,
+            "beams": self.beams,
             "map": {
-                "update": self.update,
+                "update": Update(self.update),
                 "model": self.model,
                 "min_passes": self.min_passes,
                 "resolution": self.resolution,
                 "columns": self.columns,
                 "rows": self.rows,
-                "extent": list(self.extent),
-                **self.shares._asdict(),
+                "extent": self.extent,
+                "align": self.align,
+                "occupied": self.shares.occupied,
+                "free": self.shares.free,
+                "unknown": self.shares.unknown,
                 "undecided": self.undecided,
                 "agreement": self.agreement,
             },
@@ -189,6 +279,20 @@ class Report:
             "files": list(self.files),
             "seconds": {stage: round(seconds, 4) for stage, seconds in self.seconds.items()},
         }
+        plain: dict[str, Any] = to_plain(printed)
+        return plain
+
+
+class Noted(Protocol):
+    """A log, or what stands for one that another process read."""
+
+    @property
+    def path(self) -> Path:
+        """Where it is."""
+
+    @property
+    def notes(self) -> Sequence[Note]:
+        """What its reader has to say."""
 
 
 @dataclass
@@ -200,7 +304,7 @@ class Remarks:
     damage: list[str] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
 
-    def note(self, log: Log, others: Iterable[str]) -> None:
+    def note(self, log: Noted, others: Iterable[str]) -> None:
         """Keep what a log has to say, and what others have to say of it."""
         self.notes += [f"{log.path}: {text}" for text in (*others, *(n.text for n in log.notes))]
         self.damage += [f"{log.path}: {note.text}" for note in log.notes if note.damage]
@@ -238,15 +342,15 @@ def refuse_unused(logs: Sequence[object], tally: Tally) -> None:
     raise LogError("holds no laser scan that can be read", where=where)
 
 
-def refuse_unseen(logs: Sequence[object], tally: Tally, grid: TileGrid) -> None:
-    """Refuse to make a map in which no cell was observed.
+def refuse_unseen(logs: Sequence[object], tally: Tally, seen: Collection[object]) -> None:
+    """Refuse to make a map in which no tile, or block of tiles, was seen.
 
     Raises
     ------
     MapError
         Saying what the beams of all scans were read as.
     """
-    if grid.tiles:
+    if seen:
         return
     clear = ", or try `no_return=clear`" if tally.beams.no_return else ""
     raise MapError(
@@ -270,8 +374,12 @@ def list_lacking(tally: Tally, resumed: Resumed | None) -> Iterator[str]:
 
 def list_disagreement(grid: OccupancyMap) -> Iterator[str]:
     """Say that the scans of a map contradict each other."""
-    agreement = 1.0 if grid.agreement is None else grid.agreement
-    if agreement < LEAST_AGREEMENT and grid.occupied.any():
+    yield from tell_disagreement(grid.agreement, bool(grid.occupied.any()))
+
+
+def tell_disagreement(agreement: float | None, has_walls: bool) -> Iterator[str]:
+    """As `list_disagreement`, of a map that is not at hand."""
+    if agreement is not None and agreement < LEAST_AGREEMENT and has_walls:
         yield (
             f"only {agreement:.0%} of the hits lie in cells that the map calls occupied: the "
             "poses do not fit the scans; see `occmap check`, try `occmap tune`, another "
@@ -284,6 +392,12 @@ def measure_shares(grid: OccupancyMap, writing: WriteOptions) -> Shares:
     written = replace(grid, decision=writing.decide(grid.decision))
     masks = written.occupied, written.free, ~written.observed
     return Shares(*(int(np.count_nonzero(mask)) / mask.size for mask in masks))
+
+
+def describe_map(grid: OccupancyMap, writing: WriteOptions) -> MapFacts:
+    """Measure a map, as it is written."""
+    shares, has_walls = measure_shares(grid, writing), bool(grid.occupied.any())
+    return MapFacts(grid.shape, grid.extent, shares, grid.agreement, has_walls)
 
 
 def list_unreached(model: SensorModel, writing: WriteOptions) -> Iterator[str]:

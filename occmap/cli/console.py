@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, TypedDict
 
 import click
 
@@ -27,6 +27,27 @@ class Verbosity(IntEnum):
     NORMAL = 1
     VERBOSE = 2
     """Also what helps to find a fault in occmap itself."""
+
+
+class ErrorParts(TypedDict):
+    """What went wrong; the same is on stderr, in one line."""
+
+    exit_code: int
+    """That of the process: 1 the log or the data failed, 2 wrong usage, from 128 on interrupted"""
+    where: str
+    """The file with line or byte, the option or the topic; empty where the command line as a whole
+    is wrong"""
+    found: str
+    """What is wrong"""
+    fix: str
+    """What to do or type next; empty where nobody knows"""
+
+
+class PrintedError(TypedDict):
+    """Why there is no result: what a command prints with --json that fails before it has one."""
+
+    error: ErrorParts
+    """What went wrong"""
 
 
 @dataclass
@@ -62,9 +83,14 @@ class Console:
         """Print an error, for a program that still waits as JSON, too; return its exit code."""
         tell(f"error: {error}")
         if self.as_json and not self.answered:
-            parts = {"where": error.where, "found": " ".join(error.found.split()), "fix": error.fix}
+            parts: ErrorParts = {
+                "exit_code": code,
+                "where": error.where,
+                "found": " ".join(error.found.split()),
+                "fix": error.fix,
+            }
             with suppress(OutputError):
-                self.put_json("error", {"error": {"exit_code": code, **parts}})
+                self.put_json("error", {"error": parts})
         return code
 
     def fail_unexpectedly(self, error: BaseException) -> int:

@@ -1,7 +1,7 @@
 """Limits as options, and what becomes of them: one line on stderr each, and exit code 3."""
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Protocol
 
 import click
 
@@ -9,8 +9,16 @@ from occmap.cli.console import Console
 from occmap.cli.sections import Command, option
 from occmap.cli.values import read_by
 from occmap.errors import OccmapError
-from occmap.gates import SHARE, Failed, parse_limit
+from occmap.gates import SHARE, Failed, judge, parse_limit
 from occmap.gates.measures import Measures
+
+
+class Result(Protocol):
+    """What a command found out."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Give it as values that JSON has."""
+
 
 LIMITS = "Limits"
 LIMIT_BROKEN = 3
@@ -37,15 +45,19 @@ def suggest_limit(measures: Measures) -> str:
     return f"{name} > 5%"
 
 
-def tell(console: Console, failed: Sequence[Failed]) -> None:
-    """Print a line for each limit that is not kept."""
+def answer(
+    console: Console, command: str, result: Result, lines: Iterable[str], values: dict[str, Any]
+) -> list[Failed]:
+    """Print a result as JSON or as text, and a line for each limit that it does not keep to."""
+    failed = judge(values["limits"], result)
+    if values["as_json"]:
+        broken = {"failed": [each.describe() for each in failed]}
+        console.put_json(command, result.to_json() | broken)
+    else:
+        console.put(lines)
     for each in failed:
         console.fail(OccmapError(each.sentence), LIMIT_BROKEN)
-
-
-def to_json(failed: Sequence[Failed]) -> dict[str, Any]:
-    """The limits that are not kept, as a field of a result."""
-    return {"failed": [each.to_json() for each in failed]}
+    return failed
 
 
 def leave(failed: Sequence[Failed]) -> None:

@@ -2,9 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypedDict
 
 from occmap.cli.console import Console
+from occmap.plain import to_plain
 from occmap.plugins import Broken, Group, load_plugins
 
 
@@ -13,9 +14,11 @@ class Listed:
     """One plugin that works."""
 
     name: str
+    """Its name"""
     description: str
-    parameters: dict[str, Any] = field(default_factory=dict)
-    """With their defaults"""
+    """What it does"""
+    parameters: dict[str, float | str | None] = field(default_factory=dict)
+    """Those of a sensor model with their defaults; empty for readers and writers"""
 
 
 @dataclass(frozen=True)
@@ -26,13 +29,6 @@ class Listing:
     """In the plural."""
     working: Sequence[Listed]
     broken: Sequence[Broken]
-
-    def to_json(self) -> dict[str, Any]:
-        """The listing as values that JSON has."""
-        return {
-            self.kind: [vars(plugin) for plugin in self.working],
-            "broken": [vars(plugin) for plugin in self.broken],
-        }
 
     def list_lines(self) -> Iterator[str]:
         """One line a plugin, aligned; parameters and faults below."""
@@ -46,6 +42,33 @@ class Listing:
             yield f"{fault.name} is installed but does not load: {' '.join(fault.reason.split())}"
 
 
+class PrintedReaders(TypedDict):
+    """Log formats: what occmap readers prints."""
+
+    readers: list[Listed]
+    """Log formats"""
+    broken: list[Broken]
+    """Plugins that do not load"""
+
+
+class PrintedModels(TypedDict):
+    """Sensor models: what occmap models prints."""
+
+    models: list[Listed]
+    """Sensor models"""
+    broken: list[Broken]
+    """Plugins that do not load"""
+
+
+class PrintedWriters(TypedDict):
+    """Map formats: what occmap writers prints."""
+
+    writers: list[Listed]
+    """Map formats"""
+    broken: list[Broken]
+    """Plugins that do not load"""
+
+
 def list_group(kind: str, group: Group) -> Listing:
     """List a group whose plugins have only a description."""
     loaded, broken = load_plugins(group)
@@ -56,6 +79,7 @@ def list_group(kind: str, group: Group) -> Listing:
 def show(console: Console, listing: Listing, values: dict[str, Any]) -> None:
     """Print a listing in the form that was asked for."""
     if values["as_json"]:
-        console.put_json(listing.kind, listing.to_json())
+        found = {listing.kind: listing.working, "broken": listing.broken}
+        console.put_json(listing.kind, to_plain(found))
     else:
         console.put(listing.list_lines())

@@ -20,7 +20,7 @@ from occmap.command import MODEL_PARAMETERS
 from occmap.errors import UsageError
 from occmap.evidence import read_model
 from occmap.evidence.publishing import RenderOptions, publish
-from occmap.gates import judge
+from occmap.grid.framing import Framing
 from occmap.keywords import take
 from occmap.report import Report
 from occmap.sensor.models import SensorModel
@@ -35,19 +35,13 @@ def put_out(console: Console, command: str, evidence: Evidence, values: dict[str
         choose_model(evidence, values),
         take(WriteOptions, values),
         values["max_cells"],
-        values.get("crop"),
+        take(Framing, values),
         values["min_passes"],
     )
     report = publish(evidence, options, values["outputs"])
     for note in report.notes:
         console.note(note)
-    failed = judge(values["limits"], report)
-    if values["as_json"]:
-        console.put_json(command, report.to_json() | limits.to_json(failed))
-    else:
-        console.put(format_saved(report))
-    limits.tell(console, failed)
-    limits.leave(failed)
+    limits.leave(limits.answer(console, command, report, format_saved(report), values))
 
 
 def refuse_no_output(outputs: tuple[Path, ...], example: str, inputs: Sequence[Path]) -> None:

@@ -2,15 +2,18 @@
 
 from dataclasses import dataclass
 from itertools import permutations
-from typing import Any
+from pathlib import Path
+from typing import Any, TypedDict
 
 import numpy as np
 
 from occmap.difference.blobs import find_largest_blob
-from occmap.difference.maps import ClassMap, Place
+from occmap.difference.maps import ClassMap, Place, load_map
 from occmap.errors import MapError
 from occmap.grid.tiles import MAX_CELLS
+from occmap.plain import Count, Share, to_plain
 from occmap.types import Box, CellClass, UInt8
+from occmap.writers import WriteOptions, check_picture, refuse_input
 
 LATTICE_TOLERANCE = 0.05
 """In cells: other tools round the origin to millimetres."""
@@ -38,8 +41,28 @@ class ChangedBlob:
     """Connected cells that changed."""
 
     cells: int
+    """Cells that are connected over their edges or corners"""
     extent: Box
     """Lowest x and y, highest x and y (m; cells where the maps are bare images)"""
+
+
+class PrintedDifference(TypedDict):
+    """What changed between two maps: what occmap diff prints."""
+
+    share: Share
+    """Share of the known cells that changed"""
+    known: Count
+    """Cells that are occupied or free in either map"""
+    changed: Count
+    """Cells that changed"""
+    by_class: dict[str, Count]
+    """Cells that changed, by what they were and are, such as free to occupied"""
+    largest_blob: ChangedBlob | None
+    """The largest connected change; null where nothing changed"""
+    columns: Count
+    """Cells of both maps together from left to right (along x)"""
+    rows: Count
+    """Cells of both maps together from bottom to top (along y)"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,16 +88,46 @@ class MapDifference:
 
     def to_json(self) -> dict[str, Any]:
         """The difference as values that JSON has."""
-        return {
+        printed: PrintedDifference = {
             "share": self.share,
             "known": self.known,
             "changed": sum(self.changed.values()),
             "by_class": self.changed,
-            "largest_blob": self.largest
-            and {"cells": self.largest.cells, "extent": list(self.largest.extent)},
+            "largest_blob": self.largest,
             "columns": self.before.shape[1],
             "rows": self.before.shape[0],
         }
+        plain: dict[str, Any] = to_plain(printed)
+        return plain
+
+
+def compare_files(
+    before: Path, after: Path, thresholds: WriteOptions, picture: Path | None = None
+) -> MapDifference:
+    """Load two maps, compare them, and draw what changed where a picture is wanted.
+
+    Parameters
+    ----------
+    thresholds
+        For formats that hold probabilities.
+    picture
+        A PNG to write.
+
+    Raises
+    ------
+    OccmapError
+        A map cannot be read, they do not lie on one lattice, or the picture cannot be written.
+    """
+    if picture is not None:
+        check_picture(picture, [before, after])
+    maps = [load_map(path, thresholds) for path in (before, after)]
+    found = compare_maps(*maps)
+    if picture is not None:
+        refuse_input(picture, [each.image for each in maps if each.image])
+        from occmap.writers.images import write_colours  # noqa: PLC0415  late: it brings pillow
+
+        write_colours(picture, paint(found))
+    return found
 
 
 def compare_maps(before: ClassMap, after: ClassMap) -> MapDifference:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid, refuse_larg
 from occmap.sensor.bounds import Clamped, Spreading
 from occmap.sensor.models import RadialModel, SensorModel, find_decision, parse_model
 from occmap.types import (
-    Box,
     Evidence,
     Float64,
     Manifest,
@@ -29,8 +28,6 @@ from occmap.types import (
 
 Weigh: TypeAlias = Callable[[Float64, Float64], Float64]
 """Takes hits and misses, or log-odds and observations"""
-CELL_SLACK = 1e-6
-"""In cells: 0.15 m is three cells of 0.05 m, whatever floats say."""
 
 
 def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
@@ -86,28 +83,19 @@ def render_saved(evidence: Evidence, model: SensorModel, max_cells: int) -> Occu
     return render(to_grid(evidence), model, max_cells)
 
 
-def crop(grid: OccupancyMap, box: Box) -> OccupancyMap:
-    """Cut out the cells that a box touches; where it reaches beyond the map, the map ends it.
+class Described(Protocol):
+    """Evidence, as far as its manifest goes."""
 
-    Raises
-    ------
-    MapError
-        The box touches no cell of the map.
-    """
-    size, (rows, cols) = grid.resolution, grid.shape
-    left, low = (round(edge / size) for edge in grid.origin)
-    first_col, first_row = (math.floor(edge / size + CELL_SLACK) for edge in box[:2])
-    end_col, end_row = (math.ceil(edge / size - CELL_SLACK) for edge in box[2:])
-    row, row_end = max(first_row - low, 0), min(end_row - low, rows)
-    col, col_end = max(first_col - left, 0), min(end_col - left, cols)
-    if row >= row_end or col >= col_end:
-        reach = ", ".join(f"{edge:.6g}" for edge in grid.extent)
-        raise MapError("no cell of the map lies in `crop`", fix=f"the map's own box is {reach}")
-    origin = (left + col) * size, (low + row) * size
-    return replace(grid.take(slice(row, row_end), slice(col, col_end)), origin=origin)
+    @property
+    def manifest(self) -> Manifest:
+        """What it is."""
+
+    @property
+    def where(self) -> str:
+        """What it was read from."""
 
 
-def read_model(evidence: Evidence) -> SensorModel:
+def read_model(evidence: Described) -> SensorModel:
     """Make the model that evidence was built with.
 
     Raises
@@ -139,7 +127,7 @@ def to_grid(evidence: Evidence) -> TileGrid:
     return grid
 
 
-def refuse_other_profile(evidence: Evidence, model: SensorModel) -> None:
+def refuse_other_profile(evidence: Described, model: SensorModel) -> None:
     """Refuse a model that cannot read this evidence.
 
     Raises

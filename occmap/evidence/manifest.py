@@ -2,7 +2,7 @@
 
 import hashlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from importlib.metadata import version
@@ -13,18 +13,25 @@ from occmap.errors import LogError
 from occmap.grid.tiles import EvidenceKind
 from occmap.sensor.bounds import NO_CLAMP
 from occmap.sensor.models import RadialModel, SensorModel, describe_model
-from occmap.types import Manifest
+from occmap.types import Manifest, Update
 
-NO_OPTIONS = ("jobs", "resume")
+NO_OPTIONS = ("framing", "jobs", "resume")
 """Fields of options that change nothing about what is observed."""
 BuildRecord = dict[str, Any]
 """An entry of `Manifest.builds`, as `describe_build` makes it"""
 OF_MAPS = ("prior", "cut", *NO_CLAMP)
-"""Parameters of models that change nothing about the evidence, only what a map makes of it."""
+"""Parameters of models that change how evidence is rendered, not the evidence itself."""
 
 
-def describe_build(paths: Sequence[Path], options: Any, scans: dict[str, Any]) -> BuildRecord:
-    """Say what one build used, as values that JSON has.
+def describe_build(
+    paths: Sequence[Path],
+    options: Any,
+    scans: dict[str, Any],
+    describe: Callable[[Path], Iterable[dict[str, Any]]] | None = None,
+) -> BuildRecord:
+    """Describe what one build used, in values that JSON has.
+
+    Another may `describe` the files of a path than `describe_files`.
 
     Names of files are without their folders: the hashes say which files they are, and the same
     build makes the same bytes on every machine.
@@ -39,9 +46,10 @@ def describe_build(paths: Sequence[Path], options: Any, scans: dict[str, Any]) -
     trajectory = [Path(poses)] if poses and Path(poses).is_file() else []
     if trajectory:
         chosen["posing"]["poses"] = trajectory[0].name
+    files, look = (*paths, *trajectory), describe or describe_files
     return {
         "occmap": version("occmap"),
-        "inputs": [entry for path in (*paths, *trajectory) for entry in describe_files(path)],
+        "inputs": [entry for path in files for entry in look(path)],
         "options": {**chosen, "model": describe_model(options.model)},
         "scans": scans,
     }
@@ -104,11 +112,21 @@ def plan_manifest(options: Any) -> Manifest:
         options.hit_offset,
         describe_model(options.model),
         builds=(),
+        align=options.posing.align,
     )
 
 
+def list_mixed(manifest: Manifest) -> Iterator[str]:
+    """Say which options shaped what builds observed, and are not the same in all of them."""
+    names = {Update.BEAM: (), Update.SURFACE: ("jump",), Update.POLYGON: ("jump", "border_gap")}
+    for name in names[Update(manifest.update)]:
+        values = {str(b["options"][name]) for b in manifest.builds if name in b["options"]}
+        if len(values) > 1:
+            yield f"its builds differ in `{name}` ({', '.join(sorted(values))})"
+
+
 def describe_profile(model: SensorModel) -> str:
-    """What evidence in log-odds depends on: a radial model but prior and bounds; else nothing."""
+    """Name the radial model that log-odds are summed by, without prior and bounds; else ""."""
     if not isinstance(model, RadialModel):
         return ""
     name, _, pairs = describe_model(model).partition(":")

@@ -1,6 +1,7 @@
 """What lasts: hits that came on several visits stay, people who walked through once do not."""
 
 from collections.abc import Iterator, Sequence
+from typing import NoReturn
 
 import numpy as np
 
@@ -40,17 +41,28 @@ def keep_lasting(grid: TileGrid, layers: Sequence[Slices], min_passes: int | Non
     """
     if min_passes is None:
         return grid
+    lasting = drop_passing(grid, layers, min_passes)
+    if grid.tiles and not lasting.tiles:
+        refuse_nothing_left(min_passes)
+    return lasting
+
+
+def refuse_nothing_left(min_passes: int) -> NoReturn:
+    """Say that no cell lasts; raises MapError."""
+    raise MapError(
+        f"no cell was hit on {min_passes} visits, and none was seen free: there is no map",
+        fix="give a smaller `min_passes`",
+    )
+
+
+def drop_passing(grid: TileGrid, layers: Sequence[Slices], min_passes: int) -> TileGrid:
+    """As `keep_lasting`, where maybe nothing is left."""
     lasting = TileGrid(grid.lattice, grid.kind, grid.unit)
     for key, slices in split_tiles(unite(layers)):
         if key in grid.tiles:
             visits = count_visits(slices)
             lasting.tiles[key] = weigh_visits(grid.tiles[key], visits, min_passes)
     drop_empty(lasting)
-    if grid.tiles and not lasting.tiles:
-        raise MapError(
-            f"no cell was hit on {min_passes} visits, and none was seen free: there is no map",
-            fix="give a smaller `min_passes`",
-        )
     return lasting
 
 
@@ -69,7 +81,7 @@ def render_lasting(
     model: SensorModel,
     max_cells: int,
 ) -> tuple[OccupancyMap, list[str]]:
-    """Make a map of what lasts; a note says where that is much less than what was observed.
+    """Make a map of what lasts; a note says where much of the map does not.
 
     Raises
     ------
@@ -84,7 +96,7 @@ def render_lasting(
 
 
 def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:
-    """Say where much of what was occupied before is not so after hits and misses were forgotten."""
+    """Say where many cells are no longer occupied after hits and misses were forgotten."""
     if after is before:
         return
     rows, cols = (
@@ -102,7 +114,7 @@ def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:
 
 
 def check_passes(min_passes: int | None, model: SensorModel) -> None:
-    """Refuse a number of visits that no model can be asked for, or not this one.
+    """Refuse a number of visits below 1, or any number for a model that counts no hits.
 
     Raises
     ------
@@ -122,7 +134,7 @@ def check_passes(min_passes: int | None, model: SensorModel) -> None:
 
 
 def check_gap(pass_gap_s: float) -> None:
-    """Refuse slices of time that tell no visits apart.
+    """Refuse slices of time by which visits cannot be told apart.
 
     Raises
     ------

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -12,11 +12,18 @@ from occmap.evidence import choose_tiles, read_model, refuse_other_profile, to_g
 from occmap.evidence.persistence import check_passes, keep_lasting
 from occmap.evidence.publishing import list_notes
 from occmap.explanation.history import CellHistory, Visits, look_at
+from occmap.explanation.printed import (
+    PrintedExplanation,
+    describe_seen,
+    describe_sighting,
+    describe_visits,
+)
 from occmap.explanation.provenance import Use, find_uses, list_logs, list_missing, shorten
 from occmap.explanation.sightings import Numbers, Sighting, add_up, find_sightings
 from occmap.grid.rendering import find_bounds
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
 from occmap.pipeline import Progress, ignore_progress
+from occmap.plain import to_plain
 from occmap.sensor.models import SensorModel, describe_model, find_decision
 from occmap.types import Box, Evidence, OccupancyMap, to_log_odds
 from occmap.wording import count
@@ -78,7 +85,7 @@ class Explanation:
         return float(self.cell.probability[0, 0])
 
     @property
-    def verdict(self) -> str:
+    def verdict(self) -> Literal["occupied", "free", "undecided", "unknown"]:
         """Occupied, free, undecided, or unknown."""
         if not self.cell.observed.all():
             return "unknown"
@@ -92,27 +99,29 @@ class Explanation:
         """The explanation as values that JSON has."""
         history, kind = self.history, self.history.kind
         rows = history.around.tolist()
-        around = [[numbers_to_json((a, b), kind) for a, b in row] for row in rows]
-        return {
-            "point": [self.question.x, self.question.y],
-            "cell": {"row": history.row, "column": history.col, "extent": list(history.extent)},
-            "map_extent": self.extent and list(self.extent),
-            "class": self.verdict,
+        around = [[describe_seen((a, b), kind) for a, b in row] for row in rows]
+        printed: PrintedExplanation = {
+            "point": (self.question.x, self.question.y),
+            "cell": {"row": history.row, "column": history.col, "extent": history.extent},
+            "map_extent": self.extent,
+            "class_": self.verdict,
             "probability": self.probability,
             "model": self.model,
             "unit": history.unit,
-            "seen": numbers_to_json((history.first, history.second), kind),
+            "seen": describe_seen((history.first, history.second), kind),
             "around": around[::-1],
             "min_passes": self.question.min_passes,
-            "visits": history.visits and visits_to_json(history.visits, kind),
+            "visits": describe_visits(history.visits, kind) if history.visits else None,
             "builds": [
-                {"build": b.build, "logs": list(b.logs), **visits_to_json(b.visits, kind)}
+                {"build": b.build, "logs": list(b.logs), **describe_visits(b.visits, kind)}
                 for b in self.builds
             ],
             "scans_used": self.scans_used,
-            "scans": [sighting_to_json(each, kind) for each in self.sightings],
+            "scans": [describe_sighting(each, kind) for each in self.sightings],
             "notes": list(self.notes),
         }
+        plain: dict[str, Any] = to_plain(printed)
+        return plain
 
 
 def explain(
@@ -212,33 +221,3 @@ def describe_numbers(numbers: Numbers, kind: EvidenceKind) -> str:
     if kind is EvidenceKind.LOG_ODDS:
         return f"log-odds {first * LOG_ODDS_UNIT:.3f} of {count(second, 'observation')}"
     return f"{count(first, 'hit')} and {count(second, 'miss')}"
-
-
-def numbers_to_json(numbers: Numbers, kind: EvidenceKind) -> dict[str, Any]:
-    """The two numbers of a cell by name; None for what evidence of this kind does not hold."""
-    first, second = numbers
-    if kind is EvidenceKind.LOG_ODDS:
-        odds = {"log_odds": first * LOG_ODDS_UNIT, "observations": second}
-        return {"hits": None, "misses": None, **odds}
-    return {"hits": first, "misses": second, "log_odds": None, "observations": first + second}
-
-
-def sighting_to_json(sighting: Sighting, kind: EvidenceKind) -> dict[str, Any]:
-    """One scan as values that JSON has."""
-    x, y = sighting.sensor
-    return {
-        "stamp_ns": sighting.stamp_ns,
-        "log": sighting.log,
-        "build": sighting.build,
-        "topic": sighting.topic,
-        "seen": numbers_to_json(sighting.numbers, kind),
-        "x": x,
-        "y": y,
-        "distance": sighting.distance,
-    }
-
-
-def visits_to_json(visits: Visits, kind: EvidenceKind) -> dict[str, int | None]:
-    """When a cell was observed, as values that JSON has."""
-    known = visits._asdict()
-    return {**known, "hit_visits": None} if kind is EvidenceKind.LOG_ODDS else known

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypedDict, TypeVar
 
 from occmap.errors import UsageError
 
@@ -76,6 +76,17 @@ class Limit:
         return f"{100 * value:.{digits}g}%" if self.in_percent else f"{value:.{digits}g}"
 
 
+class PrintedFailed(TypedDict):
+    """A limit that the result does not keep to."""
+
+    name: str
+    """What was measured, as `limits` names it"""
+    value: float
+    """What was measured; a share from 0 to 1, else in the unit of the measure"""
+    limit: str
+    """The limit, such as dropped_scans > 5%"""
+
+
 @dataclass(frozen=True)
 class Failed:
     """A limit that a result does not keep to."""
@@ -90,8 +101,8 @@ class Failed:
         bound = limit.text.removeprefix(f"{limit.measure.name} ")
         return f"{limit.measure.name} is {value}, and {limit.option} says {bound}"
 
-    def to_json(self) -> dict[str, Any]:
-        """The failure as values that JSON has."""
+    def describe(self) -> PrintedFailed:
+        """Give it in the form that is printed."""
         return {"name": self.limit.measure.name, "value": self.value, "limit": self.limit.text}
 
 

@@ -1,11 +1,10 @@
 """What an inspection finds, as frozen values that know their JSON form."""
 
-import math
-from dataclasses import asdict, dataclass, is_dataclass
-from enum import Enum
+from dataclasses import dataclass
 from typing import Any
 
 from occmap.batching import count_wanted
+from occmap.plain import Finite, Share, to_plain
 from occmap.posing.coverage import Coverage
 from occmap.posing.options import Stamps
 from occmap.readers import Stream
@@ -17,12 +16,17 @@ class Shape:
     """Beams and limits that scans share."""
 
     beams: int
-    angle_min: float
-    angle_increment: float
+    """Beams of a scan"""
+    angle_min: Finite
+    """Bearing of the first beam (rad); null where it is none"""
+    angle_increment: Finite
+    """Angle from one beam to the next (rad); null where it is none"""
     range_min: float
-    range_max: float
-    """inf where the log states none"""
+    """Nearest range that the sensor measures (m)"""
+    range_max: Finite
+    """The sensor's limit (m); null where the log states none"""
     scans: int
+    """Scans of this shape"""
 
     @property
     def field_of_view(self) -> float:
@@ -35,12 +39,15 @@ class Special:
     """Range values of one kind that are no plain measurement."""
 
     name: str
+    """The kind of value"""
     count: int
-    share: float
-    """Of all range values"""
+    """Values of the kind"""
+    share: Share
+    """Share of all range values"""
     meaning: str
+    """What drivers mean by it"""
     no_return: str
-    """"clear" or "ignore" where `no_return` decides about it; "" where it is skipped anyway"""
+    """The `no_return` that suits; empty where the value is skipped anyway"""
 
 
 @dataclass(frozen=True)
@@ -48,10 +55,11 @@ class Repeated:
     """One finite range that occurs far more often than any near it."""
 
     value: float
-    share: float
-    """Of all finite ranges of the topic"""
+    """The range (m)"""
+    share: Share
+    """Share of the finite ranges, in the part of the log where it stood out"""
     is_no_return: bool
-    """At or beyond the limit that the scans state, so that it is read as no return"""
+    """It is at or beyond the limit that the scans state, so that it is read as no return"""
 
 
 @dataclass(frozen=True)
@@ -59,15 +67,20 @@ class RangeFindings:
     """What the range values of a topic are."""
 
     total: int
+    """Range values"""
     measured: int
-    smallest: float
-    """Of the measured ones (m); nan where there is none"""
-    largest: float
+    """Range values that are a plain measurement"""
+    smallest: Finite
+    """Smallest measured range (m); null where there is none"""
+    largest: Finite
+    """Largest measured range (m); null where there is none"""
     specials: tuple[Special, ...]
+    """Values that are no plain measurement, by kind"""
     repeated: tuple[Repeated, ...]
-    crossed: float | None
-    """Share of the beams without return whose way, were it called free, leads through what
-    others hit; None where too few are known"""
+    """Finite ranges that repeat suspiciously often"""
+    crossed: Share | None
+    """Share of the beams without return whose way leads through what others hit; null where too
+    few are known"""
 
 
 @dataclass(frozen=True)
@@ -75,23 +88,33 @@ class TimeFindings:
     """The stamps of a topic, beside the times at which it was recorded."""
 
     start_ns: int
+    """Earliest stamp (ns)"""
     end_ns: int
+    """Latest stamp (ns)"""
     duration_s: float
+    """From the earliest to the latest stamp (s)"""
     rate_hz: float
-    """Scans a second over the whole duration; 0 where that is 0"""
+    """Scans a second over the whole duration (1/s); 0 where that is 0"""
     largest_gap_s: float
+    """Longest time from one scan to the next (s)"""
     offset_s: float
-    """Median of stamp - record time"""
+    """Median of stamp minus record time (s)"""
     drift_s: float
-    """How much the offset grew from the first tenth of the scans to the last"""
+    """Growth of that from the first tenth of the scans to the last (s)"""
     jumps_back: int
+    """Stamps earlier than the one before"""
     largest_jump_back_s: float
+    """The largest of these jumps (s)"""
     duplicates: int
     """Scans with the stamp of the scan before"""
     time_increment_s: float
-    """Median time from one beam to the next; 0 where the log states none"""
+    """Median time from one beam to the next (s); 0 where the log states none"""
     all_equal: bool
+    """All stamps are one"""
     all_zero: bool
+    """All stamps are 0"""
+    simulated: bool
+    """They are of a simulation's clock, which keeps its own pace: the drift is 0"""
     suggested_stamps: Stamps
     """What to give as `stamps`"""
 
@@ -101,13 +124,14 @@ class MountFindings:
     """How a sensor sits, seen from the map."""
 
     upside_down: bool
+    """The sensor hangs upside down"""
     tilt: float
     """Median angle between the scan plane and the map's (rad)"""
     height: float
-    """Median z in the map (m)"""
-    better_turn: str
-    """The further turn, as `sensor_pose` has it, by which the scans would fit each other clearly
-    better; "" where they fit"""
+    """Median height in the map (m)"""
+    better: str
+    """The option, with its value, that mounts it so that the scans fit each other better; empty
+    where they fit"""
 
 
 @dataclass(frozen=True)
@@ -119,13 +143,15 @@ class PoseFindings:
     chain: tuple[str, ...]
     """Frames from the map to the sensor; empty where poses are stated or missing"""
     posed: int
+    """Scans with a pose"""
     dropped: dict[str, int]
+    """Scans without a pose, by reason"""
     problem: str
-    """Why there are none, and what to do; "" where there are"""
+    """Why there are none, and what to do; empty where there are"""
     assumed: str
-    """The `sensor_pose` that was found to fit and is used below; "" where none is needed"""
+    """The `sensor_pose` that was found to fit, and is assumed; empty where none is needed"""
     is_guess: bool
-    """The assumed mount is no more than a place holder: the scans do not tell it"""
+    """The assumed mount is a place holder: the scans do not tell it"""
 
 
 @dataclass(frozen=True)
@@ -133,19 +159,30 @@ class ScanFindings:
     """All about one topic of scans."""
 
     topic: str
+    """Name of the topic"""
     type: str
+    """Message type"""
     frames: tuple[str, ...]
+    """Frames that the scans are in"""
     scans: int
+    """Scans of the topic"""
     left_out: dict[str, int]
+    """Scans that are left out whatever their poses, by reason"""
     shapes: tuple[Shape, ...]
-    """The most frequent first"""
+    """The most frequent shapes, with the most frequent first"""
     shape_count: int
+    """Shapes, listed or not"""
     ranges: RangeFindings
+    """What the range values are"""
     times: TimeFindings
+    """How the stamps run"""
     poses: PoseFindings
+    """Where the poses come from"""
     mount: MountFindings | None
-    agreement: float | None
-    """Share of the hits of a sample of scans that lie in cells which their map calls occupied"""
+    """How the sensor sits; null where no scan has a pose"""
+    agreement: Share | None
+    """Share of the hits of a sample of scans that lie in cells which their map calls occupied;
+    null where they make no map"""
 
     @property
     def wanted(self) -> int:
@@ -163,14 +200,17 @@ class MapFindings:
     """The map that the logs would make."""
 
     resolution: float
+    """Side of a cell (m)"""
     extent: Box
     """Lowest x and y, highest x and y (m)"""
     columns: int
+    """Cells from left to right (along x)"""
     rows: int
+    """Cells from bottom to top (along y)"""
     file_bytes: int
-    """Of the PGM"""
+    """Size of the map as PGM (bytes)"""
     memory_bytes: int
-    """Of the whole map in memory: log-odds, observed, and the evidence behind them"""
+    """Memory that the map and its evidence take at most (bytes)"""
 
 
 @dataclass(frozen=True)
@@ -178,14 +218,19 @@ class LogFindings:
     """All about one log."""
 
     path: str
+    """The log, as it was given"""
     streams: tuple[Stream, ...]
+    """Topics of the log, also those that no map needs"""
     scans: tuple[ScanFindings, ...]
+    """Topics with scans"""
     coverage: tuple[Coverage, ...]
+    """Sources of poses"""
     notes: tuple[str, ...]
+    """What a user should know, one sentence each, as on stderr"""
     damage: tuple[str, ...]
     """Those of the notes that tell of damage to a log"""
     problem: str
-    """Why the log gives no scans for a map; "" where it does"""
+    """Why the log gives no scans for a map; empty where it does"""
 
 
 @dataclass(frozen=True)
@@ -193,12 +238,15 @@ class Inspection:
     """What a build of these logs would meet."""
 
     logs: tuple[LogFindings, ...]
+    """The logs, one by one"""
     map: MapFindings | None
+    """The map that they would make; null where no scan has a pose"""
     problems: tuple[str, ...]
-    """Why `occmap build` with the options given would fail; empty where it would not"""
+    """Why occmap build with the options given would fail; any of them makes the exit code 1"""
     warnings: tuple[str, ...]
+    """What will spoil the map, or surprise its maker"""
     command: tuple[str, ...]
-    """The recommended command line; empty where nothing helps"""
+    """The recommended command line, word by word; empty where nothing helps"""
 
     @property
     def buildable(self) -> bool:
@@ -207,18 +255,5 @@ class Inspection:
 
     def to_json(self) -> dict[str, Any]:
         """The findings as values that JSON has; what is not finite becomes null."""
-        plain: dict[str, Any] = _make_plain(asdict(self))
+        plain: dict[str, Any] = to_plain(self)
         return plain | {"buildable": self.buildable}
-
-
-def _make_plain(value: Any) -> Any:
-    """Turn nested values into what JSON has."""
-    if isinstance(value, dict):
-        return {str(key): _make_plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_make_plain(item) for item in value]
-    if isinstance(value, Enum):
-        return value.name.lower()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value

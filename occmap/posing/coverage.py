@@ -11,20 +11,29 @@ class Coverage:
     """One edge of the transform tree, or one topic of poses."""
 
     parent: str
+    """Frame that the poses are in"""
     child: str
-    """"" where the source does not name what moved."""
+    """Frame whose poses these are; empty where the log does not say"""
     source: Source
+    """Kind of source"""
     topic: str
+    """Topic, or name of the trajectory file"""
     samples: int
+    """Poses"""
     static: bool
-    """It is stated to hold at all times; the stamps mean nothing."""
+    """It holds for all times"""
     moves: bool
+    """The poses differ"""
     start_ns: int
+    """Earliest stamp (ns)"""
     end_ns: int
+    """Latest stamp (ns)"""
     largest_gap_s: float
+    """Longest time from one pose to the next (s)"""
     largest_step_m: float
-    """Between neighbouring samples: a jump shows here."""
+    """Longest way from one pose to the next (m)"""
     largest_step_rad: float
+    """Largest turn from one pose to the next (rad)"""
 
 
 def list_coverage(sources: Sources) -> list[Coverage]:

@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from dataclasses import dataclass, field
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -12,9 +13,36 @@ SLACK_M = 1.0
 """A shorter step is no leap, however short the time: stamps are rounded, odometry corrected."""
 SPARSE_S = 10.0
 """Between scans that are further apart in time a robot may have been carried."""
+FASTEST = 50.0
+"""What is told of where all scans are kept (m/s): cars reach it."""
 RARE = 10
-"""Among so many steps one at most may be a leap; where more are, stamps or poses mean another
-thing than they say, and no step is called one."""
+"""At most one step in so many may be a leap. Where there are more, stamps or poses do not mean what
+they seem to, and no scan is left out."""
+
+
+class Ends(NamedTuple):
+    """Where the scans of one topic begin and end."""
+
+    stamp_ns: Int64
+    """(2,)"""
+    place: Float64
+    """(2, 3) m"""
+    leaps: int
+    """Leaps between scans, whether or not any scan is left out for it"""
+
+    def leads_to(self, other: Self, max_speed: float) -> bool:
+        """Whether no leap lies between these scans and others that follow them."""
+        stamp_ns = np.array([self.stamp_ns[1], other.stamp_ns[0]])
+        _, leaps = find_leaps(stamp_ns, np.stack([self.place[1], other.place[0]]), max_speed)
+        return not leaps.any()
+
+
+def find_leaps(stamp_ns: Int64, place: Float64, max_speed: float) -> tuple[Bool, Bool]:
+    """Which steps between scans (S,) at places (S, 3) are short in time, and which of them leap."""
+    seconds = np.diff(stamp_ns) / 1e9
+    metres = np.linalg.norm(np.diff(place, axis=0), axis=1)
+    near: Bool = (seconds > 0) & (seconds <= SPARSE_S)
+    return near, near & (metres > np.maximum(SLACK_M, max_speed * seconds))
 
 
 @dataclass
@@ -25,6 +53,8 @@ class _Path:
     """(2,) of the last two scans, fewer in the beginning ..."""
     place: Float64 = field(default_factory=lambda: np.zeros((0, 3)))
     """(2, 3) ... and where they were (m)"""
+    begin: tuple[Int64, Float64] | None = None
+    """(1,) and (1, 3) of the first scan"""
     steps: int = 0
     leaps: int = 0
     is_noted: bool = False
@@ -34,21 +64,38 @@ class LeapFilter:
     """Leaves out scans that lie too far from both neighbours, for the time between."""
 
     def __init__(self, max_speed: float, notes: list[str]) -> None:
-        self._max_speed = max_speed
+        self._keeps_all = max_speed == np.inf
+        self._max_speed = FASTEST if self._keeps_all else max_speed
         self._notes = notes
         """Grows by what the first scan of each topic that is left out did"""
         self._paths: defaultdict[str, _Path] = defaultdict(_Path)
+
+    @property
+    def _outcome(self) -> str:
+        if self._keeps_all:
+            return "the map reaches there, as `max_speed=inf` keeps such scans"
+        return "it and others that leap so are left out; `max_speed=inf` keeps them"
+
+    def find_ends(self) -> dict[str, Ends]:
+        """Where the scans that were seen begin and end, by topic."""
+        return {
+            topic: Ends(
+                np.append(path.begin[0], path.stamp_ns[-1:]),
+                np.concatenate([path.begin[1], path.place[-1:]]),
+                path.leaps,
+            )
+            for topic, path in self._paths.items()
+            if path.begin is not None
+        }
 
     def drop(
         self, posed: list[PosedScans], dropped: dict[DropReason, int]
     ) -> tuple[list[PosedScans], dict[DropReason, int]]:
         """Leave out the scans that leap, and count them among those without a usable pose."""
-        if self._max_speed == np.inf:
-            return posed, dropped
         kept = []
         for scans in posed:
             astray = self._find_astray(scans)
-            if not astray.any():
+            if self._keeps_all or not astray.any():
                 kept.append(scans)
                 continue
             leaps = int(np.count_nonzero(astray))
@@ -59,9 +106,9 @@ class LeapFilter:
         return kept, dropped
 
     def _find_astray(self, scans: PosedScans) -> Bool:
-        """(S,) which scans fit neither neighbour: leaps lead to and from them.
+        """Tell which scans (S,) are a leap away from both of their neighbours.
 
-        At an end of the path, or beside a long pause, it is one leap from a scan that fits another.
+        At an end of the path, or beside a long pause, the only neighbour must fit another scan.
         """
         path = self._paths[scans.batch.topic]
         old = len(path.stamp_ns)
@@ -69,11 +116,9 @@ class LeapFilter:
         stamp_ns = np.concatenate([path.stamp_ns, scans.batch.stamp_ns])
         place = np.concatenate([path.place, place])
         path.stamp_ns, path.place = stamp_ns[-2:], place[-2:]
+        path.begin = path.begin or (stamp_ns[:1], place[:1])
 
-        seconds = np.diff(stamp_ns) / 1e9
-        metres = np.linalg.norm(np.diff(place, axis=0), axis=1)
-        near = (seconds > 0) & (seconds <= SPARSE_S)
-        leaps = near & (metres > np.maximum(SLACK_M, self._max_speed * seconds))
+        near, leaps = find_leaps(stamp_ns, place, self._max_speed)
         path.steps += int(np.count_nonzero(near[max(old - 1, 0) :]))
         path.leaps += int(np.count_nonzero(leaps[max(old - 1, 0) :]))
         if path.leaps * RARE > path.steps:
@@ -86,9 +131,10 @@ class LeapFilter:
             path.is_noted = True
             at = int(np.flatnonzero(astray)[0]) + old
             step = at - 1 if to[at] else at
+            metres = np.linalg.norm(place[step + 1] - place[step])
+            seconds = (stamp_ns[step + 1] - stamp_ns[step]) / 1e9
             self._notes.append(
                 f"{scans.batch.topic}: the scan at {stamp_ns[at] / 1e9:.3f} s lies "
-                f"{metres[step]:,.6g} m from its neighbour, {seconds[step]:.3g} s away: it and "
-                "others that leap so are left out; `max_speed=inf` keeps them"
+                f"{metres:,.6g} m from its neighbour, {seconds:.3g} s away: {self._outcome}"
             )
         return astray

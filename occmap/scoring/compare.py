@@ -1,11 +1,10 @@
 """Several ways to map the same logs, in one read: which of them predicts scans best."""
 
-import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from occmap.command import compose_build
 from occmap.errors import LogError
@@ -17,8 +16,10 @@ from occmap.pipeline import (
     ignore_progress,
     trace_logs,
 )
+from occmap.plain import Count, Finite, ScanCounts, Share, Told, to_plain
 from occmap.readers import open_log
 from occmap.report import Remarks, Tally, refuse_unused
+from occmap.scoring.score import ReliabilityBin
 from occmap.scoring.trials import SMALL, HoldOut, Result, Trials
 from occmap.scoring.variants import Variant, shorten_model
 from occmap.types import Update
@@ -27,6 +28,87 @@ from occmap.writers import check_picture
 
 FEW_SCANS = 10
 """Fewer draws do not tell how far the next one may lie from them."""
+
+
+class HeldOutScans(ScanCounts):
+    """What became of the scans."""
+
+    held_out: Count
+    """Scans that the maps are scored on and not made of"""
+
+
+class Scored(Told):
+    """What is printed of a run that scores maps on held-out scans."""
+
+    logs: list[str]
+    """Logs, as they were given"""
+    scans: HeldOutScans
+    """What became of the scans"""
+    resolution: float
+    """Side of a cell (m)"""
+
+
+class PrintedVariant(TypedDict):
+    """One way to make the map, and how well that map predicts the held-out scans."""
+
+    name: str
+    """The update, the model, and its parameters that are not at their defaults"""
+    update: Update
+    """How scans became observations of cells"""
+    model: str
+    """Sensor model, as `model` takes it"""
+    beams: Count
+    """Held-out beams that measured a range"""
+    share: Share
+    """Share of these whose first occupied cell is within two cells of the range"""
+    share_error: Finite
+    """Standard error of the share, the held-out scans taken as independent draws; null where
+    one scan is all there is"""
+    behind: Share
+    """How much lower the share is than the best one"""
+    behind_error: Finite
+    """Standard error of that, from the differences scan by scan; null where one scan is all
+    there is"""
+    as_good: bool
+    """The share is behind the best one by at most two standard errors, or half a percent"""
+    log_likelihood: float
+    """Mean log-likelihood of the measured ranges (nat)"""
+    occupied_cost: float
+    """Mean cross-entropy of the cells that beams ended in (nat)"""
+    free_cost: float
+    """Mean cross-entropy of the cells that beams crossed before (nat)"""
+    cross_entropy: float
+    """Mean of both (nat)"""
+    reliability: tuple[ReliabilityBin, ...]
+    """What the map says of cells beside what beams found in them: a bin for each tenth of
+    probability, without those that nothing was in; unknown cells do not count"""
+    columns: Count
+    """Cells of the map from left to right (along x)"""
+    rows: Count
+    """Cells of the map from bottom to top (along y)"""
+    seconds: float
+    """Processor time to trace and render (s)"""
+    bytes: Count
+    """Size of the evidence in memory (bytes)"""
+
+
+class PrintedComparison(Scored):
+    """Updates and sensor models, scored on held-out scans: what occmap compare prints."""
+
+    variants: list[PrintedVariant]
+    """What was compared, the best share first"""
+    best: str
+    """Name of the variant to use: of those with as good a share as the best, the default, else
+    that of the best log-likelihood"""
+    command: list[str]
+    """The command line that builds its map from all scans, word by word"""
+    likeliest: str
+    """Name of the variant to use where probabilities matter: of those with as good a share as
+    the best, that of the best log-likelihood"""
+    likeliest_command: list[str]
+    """The command line that builds its map from all scans, word by word"""
+    files: list[str]
+    """Files that were written"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,25 +162,17 @@ class VariantComparison:
 
     def to_json(self) -> dict[str, Any]:
         """The comparison as values that JSON has."""
-        tally = self.tally
-        return {
-            "logs": self.remarks.logs,
-            "scans": {
-                "read": tally.scans_read,
-                "used": tally.scans_used,
-                "held_out": self.held_out,
-                "dropped": tally.dropped,
-            },
-            "resolution": self.options.resolution,
-            "variants": [result_to_json(result) for result in self.results],
+        printed: PrintedComparison = {
+            **describe_run(self.options, self.remarks, self.tally, self.held_out),
+            "variants": [describe_result(result) for result in self.results],
             "best": self.recommended.variant.name,
             "command": list(self.build_command(self.recommended)),
             "likeliest": self.likeliest.variant.name,
             "likeliest_command": list(self.build_command(self.likeliest)),
-            "notes": self.remarks.notes,
-            "damage": self.remarks.damage,
             "files": self.remarks.files,
         }
+        plain: dict[str, Any] = to_plain(printed)
+        return plain
 
 
 def compare(
@@ -167,26 +241,43 @@ def refuse_unscored(logs: Sequence[str], hold_out: HoldOut) -> None:
         )
 
 
-def result_to_json(result: Result) -> dict[str, Any]:
-    """One variant as values that JSON has."""
+def describe_run(options: BuildOptions, remarks: Remarks, tally: Tally, held_out: int) -> Scored:
+    """Say what maps were scored on, in the form that is printed."""
+    return {
+        "logs": remarks.logs,
+        "scans": {
+            "read": tally.scans_read,
+            "used": tally.scans_used,
+            "held_out": held_out,
+            "dropped": tally.dropped,
+        },
+        "resolution": options.resolution,
+        "notes": remarks.notes,
+        "damage": remarks.damage,
+    }
+
+
+def describe_result(result: Result) -> PrintedVariant:
+    """Give one variant in the form that is printed."""
+    score = result.score
     cols, rows = reversed(result.map.shape)
     return {
         "name": result.variant.name,
-        "update": result.variant.update.value,
+        "update": result.variant.update,
         "model": shorten_model(result.variant.model),
-        **asdict(result.score),
-        "share_error": drop_infinite(result.score.share_error),
+        "beams": score.beams,
+        "share": score.share,
+        "share_error": score.share_error,
         "behind": result.behind,
-        "behind_error": drop_infinite(result.behind_error),
+        "behind_error": result.behind_error,
         "as_good": result.as_good,
-        "cross_entropy": result.score.cross_entropy,
+        "log_likelihood": score.log_likelihood,
+        "occupied_cost": score.occupied_cost,
+        "free_cost": score.free_cost,
+        "cross_entropy": score.cross_entropy,
+        "reliability": score.reliability,
         "columns": cols,
         "rows": rows,
         "seconds": round(result.seconds, 4),
         "bytes": result.bytes,
     }
-
-
-def drop_infinite(value: float) -> float | None:
-    """What JSON has of a number: nothing where it is not finite."""
-    return value if math.isfinite(value) else None

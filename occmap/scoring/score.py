@@ -22,7 +22,7 @@ class ReliabilityBin:
     looks: int
     """How often a beam crossed or ended in such a cell"""
     predicted: float
-    """Mean probability of being occupied"""
+    """Mean probability of being occupied, a share from 0 to 1"""
     observed: float
     """Share of the looks that found the cell occupied: the beam ended in it"""
 

@@ -90,15 +90,17 @@ class ReturnCounts(NamedTuple):
     """How many beams were read as what."""
 
     hit: int = 0
+    """Beams that measured a range"""
     beyond_max_range: int = 0
-    """Finite, beyond `max_range`: free up to `max_range`."""
+    """Beams with a range beyond `max_range`: free up to there"""
     no_return: int = 0
-    """+inf, or at or above the sensor's limit."""
+    """Beams that nothing came back to: +inf, or at or beyond the sensor's limit"""
     too_close: int = 0
-    """Zero, negative, -inf, or below the nearest range that counts."""
+    """Beams with a range of zero, below zero, or below the nearest that counts"""
     nan: int = 0
+    """Beams that were not measured"""
     own_robot: int = 0
-    """In one of the `ignore_sectors`, or with a hit in the `footprint`."""
+    """Beams in one of the `ignore_sectors`, or with a hit in the `footprint`"""
 
     @property
     def by_name(self) -> dict[str, int]:

@@ -1,16 +1,102 @@
 """What was tuned, as values for people and for programs."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypedDict
 
 from occmap.command import compose_build
 from occmap.pipeline import BuildOptions
+from occmap.plain import Count, Finite, Share, Told, to_plain
 from occmap.report import Remarks, Tally
-from occmap.scoring.compare import drop_infinite
+from occmap.scoring.compare import HeldOutScans, describe_run
 from occmap.scoring.score import Trial
 from occmap.tuning.search import Correction
-from occmap.tuning.verdict import Finding, Gain
+from occmap.tuning.verdict import Finding, Gain, Verdict
 from occmap.types import Pose
+
+
+class PrintedGain(TypedDict):
+    """How much larger a share is than another, by the same scans."""
+
+    gain: float
+    """How much larger the share is"""
+    gain_error: Finite
+    """Standard error of the gain, from the differences scan by scan; null where one scan is all
+    there is"""
+
+
+class KeptScans(HeldOutScans):
+    """What became of the scans."""
+
+    kept: Count
+    """Scans that the maps were made of and scored on: spread over the logs, and with a pose at
+    every time offset"""
+
+
+class PrintedHalf(PrintedGain):
+    """What half of the held-out scans gain."""
+
+    correction: Correction
+    """By what: by the best for all, or, where halves disagree, by the best for this one"""
+
+
+class PrintedFinding(PrintedGain):
+    """What came of a search."""
+
+    verdict: Verdict
+    """found: a gain that is more than noise, and that both halves show; nothing: there is none;
+    disagree: what gains in one half does not in the other; unseen: not searched, see the
+    notes"""
+    correction: Correction
+    """What was found, with what was found before; else what the search began with"""
+    halves: list[PrintedHalf]
+    """The first half of the held-out scans and the second; none where nothing was searched"""
+
+
+class PrintedTrial(TypedDict):
+    """A correction that was tried."""
+
+    time_s: float
+    """Added to the stamps of scans (s)"""
+    yaw: float
+    """Added to the laser's yaw on its body (rad)"""
+    x: float
+    """Added to its x on the body (m)"""
+    y: float
+    """Added to its y on the body (m)"""
+    share: Share
+    """Share of held-out beams that the map predicts"""
+
+
+class PrintedTuning(Told, PrintedGain):
+    """What is wrong with time and mount, by held-out beams: what occmap tune prints."""
+
+    logs: list[str]
+    """Logs, as they were given"""
+    scans: KeptScans
+    """What became of the scans"""
+    resolution: float
+    """Side of a cell (m)"""
+    beams: Count
+    """Held-out beams that measured a range"""
+    share_before: Share
+    """Share of these whose first occupied cell is within two cells of the range, with the
+    options given"""
+    share: Share
+    """That share with what is recommended"""
+    correction: Correction
+    """All that is recommended; zeros where nothing is"""
+    time: PrintedFinding
+    """What came of the search for a time offset"""
+    mount: PrintedFinding
+    """What came of the search for the laser's yaw, x and y on its body, after that for a time
+    offset"""
+    together: PrintedFinding
+    """What came of the search for both once more, where a mount was found"""
+    tried: list[PrintedTrial]
+    """All corrections that were tried, in the order of the search"""
+    command: list[str]
+    """The command line that builds the better map, word by word; empty where nothing is
+    recommended"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,46 +143,44 @@ class Tuning:
 
     def to_json(self) -> dict[str, Any]:
         """The result as values that JSON has."""
-        tally = self.tally
-        return {
-            "logs": self.remarks.logs,
-            "scans": {
-                "read": tally.scans_read,
-                "used": tally.scans_used,
-                "kept": self.kept,
-                "held_out": self.held_out,
-                "dropped": tally.dropped,
-            },
-            "resolution": self.options.resolution,
+        run = describe_run(self.options, self.remarks, self.tally, self.held_out)
+        printed: PrintedTuning = {
+            **run,
+            "scans": {**run["scans"], "kept": self.kept},
             "beams": self.before.score.beams,
             "share_before": self.before.score.share,
             "share": self.after.score.share,
-            **gain_to_json(self.gain),
-            "correction": self.correction._asdict(),
-            "time": finding_to_json(self.time),
-            "mount": finding_to_json(self.mount),
-            "together": finding_to_json(self.together),
+            **describe_gain(self.gain),
+            "correction": self.correction,
+            "time": describe_finding(self.time),
+            "mount": describe_finding(self.mount),
+            "together": describe_finding(self.together),
             "tried": [
-                {**each._asdict(), "share": trial.score.share} for each, trial in self.tried.items()
+                {
+                    "time_s": each.time_s,
+                    "yaw": each.yaw,
+                    "x": each.x,
+                    "y": each.y,
+                    "share": trial.score.share,
+                }
+                for each, trial in self.tried.items()
             ],
             "command": list(self.command),
-            "notes": self.remarks.notes,
-            "damage": self.remarks.damage,
         }
+        plain: dict[str, Any] = to_plain(printed)
+        return plain
 
 
-def finding_to_json(finding: Finding) -> dict[str, Any]:
-    """What came of a search as values that JSON has."""
+def describe_finding(finding: Finding) -> PrintedFinding:
+    """Say what came of a search, in the form that is printed."""
     return {
-        "verdict": finding.verdict.value,
-        "correction": finding.correction._asdict(),
-        **gain_to_json(finding.gain),
-        "halves": [
-            {"correction": best._asdict(), **gain_to_json(gain)} for best, gain in finding.halves
-        ],
+        "verdict": finding.verdict,
+        "correction": finding.correction,
+        **describe_gain(finding.gain),
+        "halves": [{"correction": best, **describe_gain(gain)} for best, gain in finding.halves],
     }
 
 
-def gain_to_json(gain: Gain) -> dict[str, Any]:
-    """A gain as values that JSON has."""
-    return {"gain": gain.share, "gain_error": drop_infinite(gain.error)}
+def describe_gain(gain: Gain) -> PrintedGain:
+    """Give a gain in the form that is printed."""
+    return {"gain": gain.share, "gain_error": gain.error}

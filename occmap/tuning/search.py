@@ -20,11 +20,13 @@ class Correction(NamedTuple):
     """What is added to the stamps of scans, and to the laser's place on its body."""
 
     time_s: float = 0.0
+    """Added to the stamps of scans (s)"""
     yaw: float = 0.0
-    """rad"""
+    """Added to the laser's yaw on its body (rad)"""
     x: float = 0.0
-    """Along the body's axes, as y (m)"""
+    """Added to its x on the body (m)"""
     y: float = 0.0
+    """Added to its y on the body (m)"""
 
     def move(self, name: str, step: float) -> "Correction":
         """Change one number."""

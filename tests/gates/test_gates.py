@@ -66,7 +66,7 @@ def test_all_limits_are_held_and_each_that_fails_is_listed() -> None:
     failed = judge(
         [parse_limit(text, MEASURES) for text in texts], {"scans": 4, "lost": 0, "gap": 3}
     )
-    assert [each.to_json() for each in failed] == [
+    assert [each.describe() for each in failed] == [
         {"name": "scans", "value": 4, "limit": "scans < 5"},
         {"name": "gap", "value": 3, "limit": "gap > 1"},
     ]

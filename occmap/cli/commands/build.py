@@ -9,12 +9,11 @@ import click
 from occmap.cli import COMMANDS, limits, log_options, options
 from occmap.cli.collect import collect_options, split_words
 from occmap.cli.console import Console
-from occmap.cli.progress import show_progress
+from occmap.cli.progress import Bar, show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.summary import format_report
-from occmap.cli.values import PATH
+from occmap.cli.values import PATH, parse_size, read_by
 from occmap.errors import LogError, UsageError
-from occmap.gates import judge
 from occmap.gates.measures import BUILD
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
 from occmap.report import Report
@@ -44,6 +43,35 @@ resume = option(
     help="Add to the evidence in this file, which -o may name again.",
 )
 
+fleet = join(
+    option(
+        options.RUN,
+        "--dask",
+        metavar="local|ADDRESS",
+        help="Build by processes on this machine, as many as --jobs, or by the workers of a Dask "
+        "scheduler, such as tcp://HOST:8786.",
+    ),
+    option(
+        options.RUN,
+        "--scratch",
+        type=PATH,
+        metavar="DIR",
+        show_default="beside the first output",
+        help="With --dask: where all workers leave what they find. A build that is killed and run "
+        "again goes on where it was.",
+    ),
+    option(
+        options.RUN,
+        "--slice",
+        "slice_bytes",
+        **read_by(parse_size),
+        metavar="SIZE",
+        default="256MB",
+        show_default=True,
+        help="With --dask: how much of a log is one task.",
+    ),
+)
+
 
 class Request(NamedTuple):
     """What a command line asks for."""
@@ -55,25 +83,22 @@ class Request(NamedTuple):
 
 @click.command("build", cls=SectionCommand, help=HELP, short_help=COMMANDS["build"])
 @click.argument("words", nargs=-1, metavar="[beam|polygon|surface] LOG...")
-@join(options.writing, resume, options.lattice, options.min_passes, options.pass_gap)
+@join(options.writing, resume, options.lattice, options.align)
+@join(options.framing, options.min_passes, options.pass_gap)
 @join(log_options.ranges, options.model)
 @join(log_options.selection, log_options.posing)
-@join(limits.fail_if(BUILD), options.jobs, strict, options.as_json, options.verbosity)
+@join(limits.fail_if(BUILD), options.jobs, fleet, strict, options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
     """Build a map, write it, and say how it came about."""
     request = collect_request(words, values)
     start = perf_counter()
     with show_progress(console) as progress:
-        report = build(request.logs, request.options, request.outputs, progress).report
+        report = run_build(request, values, progress)
     for note in report.notes:
         console.note(note)
-    failed = judge(values["limits"], report)
-    if values["as_json"]:
-        console.put_json("build", report.to_json() | limits.to_json(failed))
-    else:
-        console.put(format_report(report, perf_counter() - start))
-    limits.tell(console, failed)
+    lines = format_report(report, perf_counter() - start)
+    failed = limits.answer(console, "build", report, lines, values)
     if values["strict"]:
         refuse_damage(report)
     limits.leave(failed)
@@ -91,6 +116,23 @@ def collect_request(words: tuple[str, ...], values: dict[str, Any]) -> Request:
     if not values["outputs"]:
         raise UsageError("where to write the map is not given", fix="add -o map.pgm")
     return Request(logs, collect_options(update, values), values["outputs"])
+
+
+def run_build(request: Request, values: dict[str, Any], progress: Bar) -> Report:
+    """Build in this process, or by the workers that --dask names."""
+    logs, chosen, outputs = request
+    if values["dask"] is None:
+        return build(logs, chosen, outputs, progress).report
+    from occmap.fleet import Fleet  # noqa: PLC0415  late: few builds need it
+
+    scratch = values["scratch"] or outputs[0].with_name(f"{outputs[0].name}.scratch")
+    fleet = Fleet(values["dask"], scratch, values["slice_bytes"], progress.describe)
+    is_store = [output.suffix.lower() for output in outputs] == [".zarr"]
+    if not is_store or chosen.resume or chosen.min_passes:
+        return build(logs, chosen, outputs, progress, fleet.observe).report
+    from occmap.fleet.storing import build_store  # noqa: PLC0415  late: it brings zarr
+
+    return build_store(fleet, logs, chosen, outputs[0], progress)
 
 
 def refuse_damage(report: Report) -> None:

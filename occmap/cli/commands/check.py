@@ -11,7 +11,6 @@ from occmap.cli.findings import format_inspection
 from occmap.cli.sections import SectionCommand, join
 from occmap.cli.values import PATH
 from occmap.errors import UsageError
-from occmap.gates import judge
 from occmap.gates.measures import CHECK
 from occmap.inspection import inspect
 from occmap.keywords import take
@@ -41,12 +40,7 @@ def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> Non
         raise UsageError("no log is given", fix="type: occmap check LOG")
     inspection = inspect(logs, take(BuildOptions, values))
     console = ctx.ensure_object(Console)
-    failed = judge(values["limits"], inspection)
-    if values["as_json"]:
-        console.put_json("check", inspection.to_json() | limits.to_json(failed))
-    else:
-        console.put(format_inspection(inspection))
-    limits.tell(console, failed)
+    failed = limits.answer(console, "check", inspection, format_inspection(inspection), values)
     if not inspection.buildable:
         ctx.exit(1)
     limits.leave(failed)

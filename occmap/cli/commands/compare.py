@@ -14,7 +14,6 @@ from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.values import PATH
 from occmap.errors import UsageError
-from occmap.gates import judge
 from occmap.gates.measures import COMPARE
 from occmap.keywords import take
 from occmap.pipeline import BuildOptions
@@ -91,13 +90,8 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
         comparison = compare(logs, chosen, common, values["picture"], progress)
     for note in comparison.remarks.notes:
         console.note(note)
-    failed = judge(values["limits"], comparison)
-    if values["as_json"]:
-        console.put_json("compare", comparison.to_json() | limits.to_json(failed))
-    else:
-        console.put(format_comparison(comparison))
-    limits.tell(console, failed)
-    limits.leave(failed)
+    lines = format_comparison(comparison)
+    limits.leave(limits.answer(console, "compare", comparison, lines, values))
 
 
 def collect_variants(values: dict[str, Any]) -> list[Variant]:

@@ -11,13 +11,12 @@ from occmap.cli.console import Console
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.summary import LABEL
 from occmap.cli.values import PATH, parse_share, read_by
-from occmap.difference import MapDifference, compare_maps, paint
-from occmap.difference.maps import load_map
-from occmap.gates import Limit, judge
+from occmap.difference import MapDifference, compare_files
+from occmap.gates import Limit
 from occmap.gates.measures import DIFF
 from occmap.keywords import take
 from occmap.wording import count
-from occmap.writers import WriteOptions, check_picture, refuse_input
+from occmap.writers import WriteOptions
 
 HELP = f"""{COMMANDS["diff"]}
 
@@ -68,24 +67,11 @@ fail_above = option(
 @click.pass_obj
 def command(console: Console, /, before: Path, after: Path, **values: Any) -> None:
     """Compare two maps, paint the changes, and hold the limit."""
-    if values["output"] is not None:
-        check_picture(values["output"], [before, after])
-    thresholds = take(WriteOptions, values)
-    maps = [load_map(path, thresholds) for path in (before, after)]
-    difference = compare_maps(*maps)
-    if values["output"]:
-        refuse_input(values["output"], [each.image for each in maps if each.image])
-        from occmap.writers.images import write_colours  # noqa: PLC0415  late: it brings pillow
-
-        write_colours(values["output"], paint(difference))
-    above = values["fail_above"]
-    failed = judge([*([above] if above else []), *values["limits"]], difference)
-    if values["as_json"]:
-        console.put_json("diff", difference.to_json() | limits.to_json(failed))
-    else:
-        console.put(format_comparison(difference))
-    limits.tell(console, failed)
-    limits.leave(failed)
+    difference = compare_files(before, after, take(WriteOptions, values), values["output"])
+    if values["fail_above"]:
+        values["limits"] = (values["fail_above"], *values["limits"])
+    lines = format_comparison(difference)
+    limits.leave(limits.answer(console, "diff", difference, lines, values))
 
 
 def format_comparison(difference: MapDifference) -> Iterator[str]:

@@ -11,9 +11,8 @@ from occmap.cli.saved import put_out, refuse_no_output
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.values import PATH
 from occmap.errors import UsageError
-from occmap.evidence.merging import merge, subtract
+from occmap.evidence.merging import combine
 from occmap.gates.measures import SAVED
-from occmap.writers.npz import read_evidence
 
 HELP = f"""{COMMANDS["merge"]}
 
@@ -46,7 +45,4 @@ def command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> None
     if not paths:
         raise UsageError("no evidence is given", fix="type: occmap merge A.npz B.npz -o AB.npz")
     refuse_no_output(values["outputs"], "merged.npz", [*paths, *values["subtract"]])
-    evidence = merge([read_evidence(path) for path in paths])
-    for path in values["subtract"]:
-        evidence = subtract(evidence, read_evidence(path))
-    put_out(console, "merge", evidence, values)
+    put_out(console, "merge", combine(paths, values["subtract"]), values)

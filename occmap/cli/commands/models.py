@@ -28,4 +28,5 @@ def list_models() -> Listing:
 
 def describe(name: str, model: Any) -> Listed:
     """Describe one model."""
-    return Listed(name, model.description, {f.name: f.default for f in fields(model)})
+    parameters: dict[str, Any] = {each.name: each.default for each in fields(model)}
+    return Listed(name, model.description, parameters)

@@ -1,28 +1,37 @@
 """`occmap schema`: what programs may rely on in the JSON of a command."""
 
-from importlib.resources import files
+import json
+from importlib import import_module
+from typing import Any
 
 import click
 
 from occmap.cli import COMMANDS, options
-from occmap.cli.console import put_line
+from occmap.cli.console import RESULT_VERSION, put_line, spell_all
+from occmap.cli.schemas import make_schema
+from occmap.gates import PrintedFailed
 
 SCHEMAS = {
-    "build": "build",
-    "check": "check",
-    "compare": "compare",
-    "diff": "diff",
-    "explain": "explain",
-    "merge": "build",
-    "models": "models",
-    "readers": "readers",
-    "render": "build",
-    "tune": "tune",
-    "writers": "writers",
-    "error": "error",
+    "build": "occmap.report:PrintedBuild",
+    "check": "occmap.inspection.findings:Inspection",
+    "compare": "occmap.scoring.compare:PrintedComparison",
+    "diff": "occmap.difference:PrintedDifference",
+    "explain": "occmap.explanation.printed:PrintedExplanation",
+    "merge": "occmap.report:PrintedBuild",
+    "models": "occmap.cli.listing:PrintedModels",
+    "readers": "occmap.cli.listing:PrintedReaders",
+    "render": "occmap.report:PrintedBuild",
+    "tune": "occmap.tuning.result:PrintedTuning",
+    "writers": "occmap.cli.listing:PrintedWriters",
+    "error": "occmap.cli.console:PrintedError",
 }
-"""The file in occmap/schemas that describes what a command prints; `error` is what any of them
-prints where it fails."""
+"""The type of what a command prints; `error` is what any of them prints where it fails."""
+
+WITHOUT_LIMITS = ("explain", "models", "readers", "writers", "error")
+
+FAILED = (
+    "The limits of `limits` that the result does not keep to; any of them makes the exit code 3"
+)
 
 HELP = f"""{COMMANDS["schema"]}
 
@@ -40,11 +49,22 @@ fails before it has a result.
 @click.argument("name", type=click.Choice(list(SCHEMAS)), metavar="COMMAND")
 @options.verbosity
 def command(name: str) -> None:
-    """Print a schema as it is installed."""
-    put_line(read_schema(name).rstrip())
+    """Print the schema of what a command prints."""
+    schema = json.dumps(spell_all(describe_printed(name)), indent=2)
+    put_line(schema)
 
 
-def read_schema(name: str) -> str:
-    """Read the schema of what a command prints."""
-    file = files("occmap") / "schemas" / f"{SCHEMAS[name]}.json"
-    return file.read_text(encoding="utf-8")
+def describe_printed(name: str) -> dict[str, Any]:
+    """Make the schema of what a command prints."""
+    module, _, kind = SCHEMAS[name].partition(":")
+    version = {
+        "description": "What this is, and the version of its schema",
+        "const": f"occmap/{name}/{RESULT_VERSION}",
+    }
+    more: dict[str, Any] = {}
+    if name == "check":
+        more["buildable"] = bool, "Whether occmap build with the options given makes a map"
+    if name not in WITHOUT_LIMITS:
+        more["failed"] = list[PrintedFailed], FAILED
+    printed = getattr(import_module(module), kind)
+    return make_schema(f"occmap {name} --json", printed, {"schema": version}, more)

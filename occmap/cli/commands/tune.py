@@ -14,7 +14,6 @@ from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join
 from occmap.cli.values import PATH
 from occmap.errors import UsageError
-from occmap.gates import judge
 from occmap.gates.measures import TUNE
 from occmap.keywords import take
 from occmap.pipeline import BuildOptions
@@ -55,13 +54,7 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
         tuning = tune(logs, common, progress)
     for note in tuning.remarks.notes:
         console.note(note)
-    failed = judge(values["limits"], tuning)
-    if values["as_json"]:
-        console.put_json("tune", tuning.to_json() | limits.to_json(failed))
-    else:
-        console.put(format_tuning(tuning))
-    limits.tell(console, failed)
-    limits.leave(failed)
+    limits.leave(limits.answer(console, "tune", tuning, format_tuning(tuning), values))
 
 
 def format_tuning(tuning: Tuning) -> Iterator[str]:

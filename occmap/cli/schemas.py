@@ -1,0 +1,125 @@
+"""JSON Schemas worked out from the types of what is printed, with their texts as descriptions."""
+
+import ast
+import inspect
+import re
+import sys
+import textwrap
+from collections.abc import Callable
+from enum import Enum
+from types import NoneType, UnionType
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+    is_typeddict,
+)
+
+Schema = dict[str, Any]
+
+PLAIN: dict[Any, Schema] = {
+    str: {"type": "string"},
+    bool: {"type": "boolean"},
+    int: {"type": "integer"},
+    float: {"type": "number"},
+    NoneType: {"type": "null"},
+    Any: {},
+}
+
+
+def make_schema(title: str, kind: Any, first: Schema, more: dict[str, Any]) -> Schema:
+    """Make the schema of a result.
+
+    Parameters
+    ----------
+    kind
+        A dataclass, NamedTuple or TypedDict.
+    first
+        Schemas of fields that go before those of the type.
+    more
+        Types and descriptions of fields that follow them.
+    """
+    defs: dict[str, Schema] = {}
+    whole = describe_fields(kind, defs)
+    properties = first | whole["properties"]
+    for name, (hint, text) in more.items():
+        properties[name] = make_part(hint, defs) | {"description": text}
+    whole |= {"properties": properties, "required": list(properties)}
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title, **whole}
+    return schema | ({"$defs": defs} if defs else {})
+
+
+def make_part(hint: Any, defs: dict[str, Schema]) -> Schema:
+    """Make the schema of a type; what has fields goes to `defs`, and is referred to."""
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin in MAKERS:
+        return MAKERS[origin](parts, defs)
+    if hint in PLAIN:
+        return PLAIN[hint]
+    if issubclass(hint, Enum):
+        return {"enum": [member.name.lower() for member in hint]}
+    name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", hint.__name__.removeprefix("Printed")).lower()
+    if name not in defs:
+        defs[name] = {}  # its place, ahead of what it holds
+        defs[name] = describe_fields(hint, defs)
+    return {"$ref": f"#/$defs/{name}"}
+
+
+def make_list(parts: tuple[Any, ...], defs: dict[str, Schema]) -> Schema:
+    """Make the schema of a list, or of a tuple of so many items of one type."""
+    items = {"type": "array", "items": make_part(parts[0], defs)}
+    if len(parts) > 1 and parts[1] is not Ellipsis:
+        return items | {"minItems": len(parts), "maxItems": len(parts)}
+    return items
+
+
+def make_union(parts: tuple[Any, ...], defs: dict[str, Schema]) -> Schema:
+    """Make the schema of one type or another."""
+    return {"anyOf": [make_part(part, defs) for part in parts]}
+
+
+MAKERS: dict[Any, Callable[[tuple[Any, ...], dict[str, Schema]], Schema]] = {
+    Annotated: lambda parts, defs: make_part(parts[0], defs) | dict(parts[1:]),
+    Literal: lambda parts, _defs: {"enum": list(parts)},
+    UnionType: make_union,
+    Union: make_union,
+    dict: lambda parts, defs: {"type": "object", "additionalProperties": make_part(parts[1], defs)},
+    list: make_list,
+    tuple: make_list,
+}
+"""How the schema of a type with parts is made."""
+
+
+def describe_fields(kind: Any, defs: dict[str, Schema]) -> Schema:
+    """Make the schema of a type with fields; all are there, and no others."""
+    texts = read_texts(kind)
+    properties = {
+        name.removesuffix("_"): make_part(hint, defs) | {"description": texts.get(name, "")}
+        for name, hint in get_type_hints(kind, include_extras=True).items()
+    }
+    return {
+        "type": "object",
+        "description": (inspect.getdoc(kind) or "").partition("\n\n")[0].replace("\n", " "),
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }
+
+
+def read_texts(kind: Any) -> dict[str, str]:
+    """Read the text below each field of a type and of those that it extends."""
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+    assert isinstance(tree, ast.ClassDef)
+    known = vars(sys.modules[kind.__module__])
+    texts: dict[str, str] = {}
+    for base in (known.get(ast.unparse(base)) for base in tree.bases):
+        if is_typeddict(base):  # which forgets what it extends
+            texts |= read_texts(base)
+    for field, text in zip(tree.body, tree.body[1:], strict=False):
+        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
+            texts[ast.unparse(field.target)] = " ".join(ast.literal_eval(text.value).split())
+    return texts

@@ -1,0 +1,243 @@
+"""A build by many workers, on this machine or on a cluster: the tasks of a build, and their order.
+
+Evidence adds up in any order, so parts of logs are traced anywhere, and blocks of the map are added
+up anywhere. What they say goes through files that all workers share; the driver hears counts and
+notes alone.
+"""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from importlib.metadata import version
+from itertools import chain
+from pathlib import Path
+from typing import NamedTuple
+
+from occmap.errors import OutputError
+from occmap.evidence.manifest import NO_OPTIONS, to_plain
+from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
+from occmap.fleet.runs import BlockKey, Piece, read_pieces
+from occmap.fleet.settling import LogTrace
+from occmap.fleet.tasks import (
+    ReduceJob,
+    Setting,
+    Survey,
+    SurveyJob,
+    Traced,
+    count_wanted,
+    reduce_block,
+    survey_log,
+    trace_part,
+)
+from occmap.grid.slices import unite
+from occmap.observing import Observed, Progress
+from occmap.options import BuildOptions
+from occmap.report import Remarks, Tally
+from occmap.tracing import make_grid
+from occmap.types import Slices
+
+SLICE_BYTES = 256 << 20
+"""Small enough for any worker, and large enough that the same tiles are seldom touched again"""
+BASE_BYTES = 300 << 20
+"""What a worker takes before it observes anything"""
+WINDOW_CELL_BYTES = 20
+"""What a cell takes in a window"""
+LARGEST_WINDOW = 1 << 24
+ROOMY_BYTES = 4 << 30
+"""What a worker without a limit is taken to have"""
+
+
+def ignore_text(_text: str) -> None:
+    """Tell nobody."""
+
+
+class Work(NamedTuple):
+    """What workers found in logs, and where they left what was observed."""
+
+    cluster: Cluster
+    setting: Setting
+    tally: Tally
+    remarks: Remarks
+    blocks: dict[BlockKey, dict[int, list[Piece]]]
+    """Of each block of the map, by the places of logs on the command line"""
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """Who does the work of a build, and where they leave what they found."""
+
+    address: str
+    """Of a Dask scheduler, or `local`"""
+    scratch: Path
+    """A folder that all workers share"""
+    slice_bytes: int = SLICE_BYTES
+    """About so much of a log is one task"""
+    describe: Callable[[str], None] = ignore_text
+    """Told how far the work is"""
+
+    def observe(
+        self, paths: Sequence[Path], options: BuildOptions, keep_slices: bool, progress: Progress
+    ) -> Observed:
+        """Trace all usable scans of logs, as `occmap.observing.observe` does, by many workers.
+
+        Raises
+        ------
+        OccmapError
+            As there, or the workers cannot do it.
+        """
+        with self.work(paths, options, keep_slices, progress) as work, work.tally.time("fold"):
+            pieces = work.cluster.run("reduce", reduce_block, list_reductions(work))
+            work.remarks.notes += work.cluster.list_losses()
+            return gather(work, pieces)
+
+    @contextmanager
+    def work(
+        self, paths: Sequence[Path], options: BuildOptions, keep_slices: bool, progress: Progress
+    ) -> Iterator[Work]:
+        """Find workers, and let them trace all scans; what they found goes when the block ends.
+
+        Raises
+        ------
+        OccmapError
+            As `observe`.
+        """
+        tally, remarks = Tally(), Remarks([str(path) for path in paths])
+        with (
+            open_cluster(self.address, options.jobs, self.describe) as cluster,
+            open_scratch(self, paths, options, keep_slices) as folder,
+        ):
+            # What is nowhere is an error like any other.
+            refuse_unseen_files(cluster, [folder, *(path for path in paths if path.exists())])
+            setting = self.plan(cluster, options, keep_slices, folder)
+            with tally.time("open"):
+                surveys = survey_logs(cluster, setting, paths)
+            blocks: dict[BlockKey, dict[int, list[Piece]]] = {}
+            for log in trace_logs(cluster, setting, surveys, progress):
+                remarks.note(log, log.list_findings())
+                for part in log.parts:
+                    tally.add(part.tally)
+                    for block, pieces in part.pieces.items():
+                        of_log = blocks.setdefault(block, {}).setdefault(log.survey.log, [])
+                        of_log.extend(pieces)
+                remarks.notes += log.list_uncut()
+            yield Work(cluster, setting, tally, remarks, blocks)
+
+    def plan(
+        self, cluster: Cluster, options: BuildOptions, keep_slices: bool, folder: Path
+    ) -> Setting:
+        """Fit the work to the memory of the smallest worker."""
+        spare = ((cluster.memory or ROOMY_BYTES) - BASE_BYTES) // 4
+        cells = min(1 << (spare // WINDOW_CELL_BYTES).bit_length() - 1, LARGEST_WINDOW)
+        return Setting(options, keep_slices, folder, self.slice_bytes, cells, most_bytes=spare)
+
+
+@contextmanager
+def open_scratch(
+    fleet: Fleet, paths: Sequence[Path], options: BuildOptions, keep_slices: bool
+) -> Iterator[Path]:
+    """Make, or find again, the folder where the tasks of this very build leave what they found.
+
+    It goes away when the build is done. Where the build fails or is killed, it stays, and the same
+    build goes on where it was.
+
+    Raises
+    ------
+    OutputError
+        The folder cannot be made.
+    """
+    what = [
+        version("occmap"),
+        {name: value for name, value in to_plain(options).items() if name not in NO_OPTIONS},
+        keep_slices,
+        fleet.slice_bytes,
+        [[str(path), *describe_state(path)] for path in paths],
+    ]
+    digest = hashlib.sha256(json.dumps(what).encode()).hexdigest()[:16]
+    folder = fleet.scratch.absolute() / f"build-{digest}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot be made ({error.strerror})", where=fleet.scratch) from None
+    yield folder
+    shutil.rmtree(folder, ignore_errors=True)
+    with suppress(OSError):  # another build may have something in it
+        fleet.scratch.rmdir()
+
+
+def describe_state(path: Path) -> list[int]:
+    """Sizes and times of change (ns) of the files of a log; nothing of one that is not there."""
+    inner = sorted(path.rglob("*")) if path.is_dir() else [path] if path.exists() else []
+    return [number for each in inner for number in (each.stat().st_size, each.stat().st_mtime_ns)]
+
+
+def survey_logs(cluster: Cluster, setting: Setting, paths: Sequence[Path]) -> list[Survey]:
+    """Open all logs.
+
+    Raises
+    ------
+    OccmapError
+        A log cannot be read, or has no scans or no poses.
+    """
+    jobs = [SurveyJob(setting, place, path) for place, path in enumerate(paths)]
+    surveys = cluster.run("open", survey_log, jobs)
+    for survey in surveys:
+        if survey.error is not None:
+            raise survey.error
+    return surveys
+
+
+def trace_logs(
+    cluster: Cluster, setting: Setting, surveys: Sequence[Survey], progress: Progress
+) -> list[LogTrace]:
+    """Trace the parts of all logs, until each shows what its whole log shows."""
+    total = sum(survey.scans for survey in surveys)
+
+    def tell(traced: Traced) -> None:
+        progress(traced.tally.scans_read, total)
+
+    logs = plan_traces(cluster, setting, surveys)
+    while pairs := [(log, job) for log in logs for job in log.list_open()]:
+        jobs = [job for _, job in pairs]
+        for (log, job), traced in zip(
+            pairs, cluster.run("trace", trace_part, jobs, tell), strict=True
+        ):
+            log.traced[job.name] = traced
+    return logs
+
+
+def plan_traces(cluster: Cluster, setting: Setting, surveys: Sequence[Survey]) -> list[LogTrace]:
+    """Plan the parts of all logs; for a stride, the wanted scans of each are counted first."""
+    counts = {survey.log: [0] * survey.parts for survey in surveys}
+    if setting.options.selection.stride > 1:
+        jobs = [
+            job
+            for survey in surveys
+            for job in LogTrace(setting, survey, counts[survey.log]).jobs
+            if survey.parts > 1
+        ]
+        for job, wanted in zip(jobs, cluster.run("count", count_wanted, jobs), strict=True):
+            counts[job.survey.log][job.part or 0] = wanted
+    return [LogTrace(setting, survey, counts[survey.log]) for survey in surveys]
+
+
+def list_reductions(work: Work) -> list[ReduceJob]:
+    """List the blocks that are to be added up, each with all that was observed in it."""
+    return [
+        ReduceJob(work.setting, block, tuple(chain.from_iterable(work.blocks[block].values())))
+        for block in sorted(work.blocks)
+    ]
+
+
+def gather(work: Work, pieces: Sequence[Piece]) -> Observed:
+    """Put the map together of its blocks."""
+    setting = work.setting
+    grid, layers = make_grid(setting.options), list[Slices]()
+    for content in read_pieces(setting.folder, pieces):
+        for (row, col), cells in zip(content.tiles.tolist(), content.cells, strict=True):
+            grid.tiles[row, col] = cells
+        layers += content.slices
+    slices = (unite(layers),) if setting.keep_slices else ()
+    return Observed(grid, slices, work.tally, work.remarks)

@@ -1,0 +1,259 @@
+"""The workers of a build, by Dask: found, looked at, and given tasks; the owner of distributed."""
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+from occmap.errors import FleetError, OccmapError, UsageError
+from occmap.wording import count
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+
+class Job(Protocol):
+    """What a task is given."""
+
+    @property
+    def where(self) -> str:
+        """What an error is about."""
+
+
+AnyJob = TypeVar("AnyJob", bound=Job)
+Result = TypeVar("Result")
+
+LOCAL = "local"
+"""Stands for processes on this machine"""
+PATIENCE_S = 5
+"""A scheduler that is there answers within milliseconds"""
+LEAST_BYTES = 512 << 20
+"""Of memory for a worker: a third of it is gone before the first scan"""
+MUST_EQUAL = ("occmap", "numpy", "numba")
+"""What would make other cells in another version"""
+
+
+class Cluster:
+    """Workers that are alike, and fit for the work."""
+
+    def __init__(self, client: "Client", describe: Callable[[str], None]) -> None:
+        self._client = client
+        self._describe = describe
+        workers = client.scheduler_info(n_workers=-1)["workers"]
+        limits = [each["memory_limit"] for each in workers.values() if each["memory_limit"]]
+        self.workers = len(workers)
+        self.memory = min(limits, default=None)
+        """What the smallest worker may take (bytes); None: no limit"""
+        self._keys: set[str] = set()
+
+    def run(
+        self,
+        phase: str,
+        task: Callable[[AnyJob], Result],
+        jobs: Sequence[AnyJob],
+        tell: Callable[[Result], None] = lambda _result: None,
+    ) -> list[Result]:
+        """Do jobs, each by one worker; where one fails, the first of them says why.
+
+        Parameters
+        ----------
+        phase
+            What the user is told about it.
+        tell
+            Called with each result, in whatever order they come.
+
+        Raises
+        ------
+        OccmapError
+            Of the first job that failed, or its workers died.
+        """
+        from distributed import as_completed  # noqa: PLC0415  late: an extra
+
+        # Not pure: Dask takes equal calls for one, and a log that is given twice counts twice.
+        futures = self._client.map(task, jobs, pure=False, retries=0)
+        self._keys.update(str(future.key) for future in futures)
+        places = {future: place for place, future in enumerate(futures)}
+        results: dict[int, Result] = {}
+        failed: dict[int, BaseException] = {}
+        for done, future in enumerate(as_completed(futures), start=1):
+            place = places[future]
+            if future.status == "finished":
+                results[place] = future.result()
+                tell(results[place])
+            elif future.status == "error":
+                failed[place] = future.exception()
+                # What comes later does not matter any more; what comes earlier may fail, too.
+                self._client.cancel([each for each in futures[place + 1 :] if not each.done()])
+            future.release()
+            self._show(f"{phase} {done}/{len(jobs)}")
+        if failed:
+            place = min(failed)
+            raise explain(failed[place], jobs[place], self.memory)
+        return [results[place] for place in range(len(jobs))]
+
+    def _show(self, text: str) -> None:
+        link = self._client.dashboard_link
+        self._describe(f"{text}, {count(self.workers, 'worker')}{link and f', {link}'}")
+
+    def list_losses(self) -> Iterator[str]:
+        """Say how often a worker was lost, and how many tasks ran again for it."""
+        events = [event for _, event in self._client.get_events("all")]
+        lost = [each for each in events if each["action"] == "remove-worker"]
+        tasks = [
+            key
+            for each in lost
+            for key in {*each["processing-tasks"], *each["lost-computed-tasks"]} & self._keys
+        ]
+        if tasks:
+            yield f"{count(len(tasks), 'task')} ran again, since workers were lost"
+
+    def ask(self, question: Callable[..., Any], *args: Any) -> list[Any]:
+        """Ask every worker; an error is an answer."""
+        return list(self._client.run(question, *args, on_error="return").values())
+
+
+@contextmanager
+def open_cluster(
+    address: str, processes: int, describe: Callable[[str], None]
+) -> Iterator[Cluster]:
+    """Find the workers at an address, or start as many as asked for on this machine.
+
+    Parameters
+    ----------
+    describe
+        Told how far the work is.
+
+    Raises
+    ------
+    UsageError, FleetError
+        Dask is not installed, nobody answers, or the workers are not fit for the work.
+    """
+    with ExitStack() as stack:
+        client = stack.enter_context(connect(address, processes))
+        cluster = Cluster(client, describe)
+        refuse_unequal(cluster)
+        refuse_small(cluster)
+        yield cluster
+
+
+@contextmanager
+def connect(address: str, processes: int) -> Iterator["Client"]:
+    """Connect to a scheduler, or start one; what they log is not for the user of a map."""
+    try:
+        import distributed  # noqa: PLC0415  late: an extra, and it takes half a second
+    except ImportError:
+        raise UsageError(
+            "`dask` needs a library that is not installed", fix="install it: pip install '.[dask]'"
+        ) from None
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    with ExitStack() as stack:
+        place: Any = address
+        if address == LOCAL:
+            place = stack.enter_context(
+                distributed.LocalCluster(
+                    n_workers=processes,
+                    threads_per_worker=1,
+                    dashboard_address=":0",
+                    silence_logs=logging.CRITICAL,
+                )
+            )
+        try:
+            client = stack.enter_context(distributed.Client(place, timeout=PATIENCE_S))
+        except (OSError, ValueError) as error:
+            reason = str(error).splitlines()[0] if isinstance(error, ValueError) else ""
+            raise FleetError(
+                f"no scheduler answers within {PATIENCE_S} s{reason and f' ({reason})'}",
+                where=address,
+                fix="start one with `dask scheduler`, or build with `dask=local`",
+            ) from None
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE_S)
+        except TimeoutError:
+            raise FleetError(
+                "the scheduler has no workers",
+                where=address,
+                fix=f"start some: dask worker {address}",
+            ) from None
+        yield client
+
+
+def refuse_unequal(cluster: Cluster) -> None:
+    """Refuse workers on which the same tasks might make other cells.
+
+    Raises
+    ------
+    FleetError
+        Saying how many there are, and what they run.
+    """
+    mine = list_versions()
+    theirs = cluster.ask(list_versions)
+    other = [each for each in theirs if each != mine]
+    if other:
+        runs = other[0] if isinstance(other[0], dict) else {}
+        found = [f"{name} {runs.get(name)}" for name in mine if runs.get(name) != mine[name]]
+        here = [f"{name} {mine[name]}" for name in mine if runs.get(name) != mine[name]]
+        raise FleetError(
+            f"{len(other)} of {count(len(theirs), 'worker')} run {', '.join(found)}, "
+            f"where {', '.join(here)} runs here",
+            fix="install the same versions everywhere",
+        )
+
+
+def list_versions() -> dict[str, str]:
+    """Versions of what decides which cells a scan observes."""
+    return {name: version(name) for name in MUST_EQUAL}
+
+
+def refuse_small(cluster: Cluster) -> None:
+    """Refuse workers that would wait for memory for ever.
+
+    Raises
+    ------
+    FleetError
+        Saying how much the smallest has.
+    """
+    if cluster.memory is not None and cluster.memory < LEAST_BYTES:
+        raise FleetError(
+            f"a worker may take {cluster.memory >> 20} MiB of memory, and {LEAST_BYTES >> 20} MiB "
+            "are the least",
+            fix="start fewer workers, or give each more memory",
+        )
+
+
+def refuse_unseen_files(cluster: Cluster, paths: Sequence[Path]) -> None:
+    """Refuse to begin where not every worker sees the same files.
+
+    Raises
+    ------
+    FleetError
+        Naming the first that some of them do not see.
+    """
+    answers = cluster.ask(list_missing, paths)
+    missing = [each for each in answers if isinstance(each, list) and each]
+    if missing:
+        raise FleetError(
+            f"is not there on {len(missing)} of {count(len(answers), 'worker')}",
+            where=missing[0][0],
+            fix="give a path that all of them share",
+        )
+
+
+def list_missing(paths: Sequence[Path]) -> list[Path]:
+    """List the paths that are not there."""
+    return [path for path in paths if not path.exists()]
+
+
+def explain(error: BaseException, job: Job, memory: int | None) -> BaseException:
+    """Say what to do where a task killed its workers; any other error speaks for itself."""
+    from distributed import KilledWorker  # noqa: PLC0415  late: an extra
+
+    if isinstance(error, OccmapError) or not isinstance(error, KilledWorker):
+        return error
+    limit = "" if memory is None else f", which had {memory >> 20} MiB of memory"
+    return FleetError(
+        f"killed its workers {error.allowed_failures + 1} times{limit}",
+        where=job.where,
+        fix="give workers more memory, or build with a smaller `slice`",
+    )
