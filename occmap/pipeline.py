@@ -1,6 +1,6 @@
 """The whole tool on one page: logs in, an occupancy map and a report out."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -21,6 +21,7 @@ from occmap.report import (
     Remarks,
     Report,
     Tally,
+    list_dates,
     list_disagreement,
     list_lacking,
     list_requested,
@@ -80,7 +81,7 @@ def build(
         cannot be written.
     """
     check_outputs(outputs, list_inputs(paths, options))
-    with hold_alone(options.resume, outputs):
+    with hold_alone(options.resume or options.resume_if_there, outputs):
         return build_alone(paths, options, outputs, progress)
 
 
@@ -95,7 +96,7 @@ def build_alone(
 ) -> Build:
     """Build and write a map, while nobody else adds to the same evidence."""
     plan = plan_manifest(options)
-    saved = open_saved(options.resume, plan) if options.resume else None
+    saved = open_past(options, plan)
     keep_slices = options.min_passes is not None or want_evidence(outputs)
     tiles, slices, tally, remarks = observe(paths, options, keep_slices, progress)
     if saved:
@@ -117,7 +118,9 @@ def build_alone(
     notes = [
         *list_requested(paths, outputs, options.writing, options.model),
         *remarks.notes,
+        *list_new(options, saved),
         *options.list_idle(),
+        *list_dates(options.selection, tally),
         *list_lacking(tally, resumed),
         *lost,
         *list_disagreement(grid),
@@ -126,6 +129,20 @@ def build_alone(
     remarks = replace(remarks, notes=notes, files=files)
     report = replace(make_report(grid, options, tally, remarks), resumed=resumed)
     return Build(grid, report, tiles, keep() if want_evidence(outputs) else None)
+
+
+def open_past(options: BuildOptions, plan: Manifest) -> Evidence | None:
+    """Read the evidence that a build is to be added to, if there is any."""
+    if options.resume:
+        return open_saved(options.resume, plan)
+    there = options.resume_if_there
+    return open_saved(there, plan) if there and there.exists() else None
+
+
+def list_new(options: BuildOptions, saved: Evidence | None) -> Iterator[str]:
+    """Say that a build that was to be added to others is the first of them."""
+    if options.resume_if_there and not saved:
+        yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
 
 
 def add_build(plan: Manifest, saved: Evidence | None, build: BuildRecord) -> Manifest:

@@ -68,7 +68,14 @@ def trace_logs(
     """
     limits = [RangeLimits(options.returns) for _ in logs]
     for _ in range(2):
-        counts, observe = Tally(tally.advance), begin()
+        read = 0
+
+        def advance(scans: int) -> None:
+            nonlocal read
+            read += scans
+            tally.advance(scans)
+
+        counts, observe = Tally(advance), begin()
         notes = []
         for log, limit in zip(logs, limits, strict=True):
             with counts.time("poses"):
@@ -77,6 +84,7 @@ def trace_logs(
             notes.append([*drive.poser.notes, *odd, *limit.list_notes()])
         if settle(limits):
             break
+        tally.advance(-read)  # the same scans are read once more
     tally.add(counts)
     yield from zip(logs, notes, strict=True)
 

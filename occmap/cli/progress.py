@@ -3,9 +3,13 @@
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from threading import Event, Thread
 
 from occmap.cli.console import Console, Verbosity
 from occmap.pipeline import Progress, ignore_progress
+
+REDRAW_S = 0.5
+"""The clock of the bar runs on while a long step reports nothing."""
 
 
 @contextmanager
@@ -19,7 +23,18 @@ def show_progress(console: Console) -> Iterator[Progress]:
     with tqdm(unit=" scans", leave=False, dynamic_ncols=True) as bar:
 
         def advance(scans: int, total: int) -> None:
-            bar.total = total
+            bar.total = max(total, bar.n + scans)  # a log may hold more than its index says
             bar.update(scans)
 
-        yield advance
+        def redraw() -> None:
+            while not done.wait(REDRAW_S):
+                bar.refresh()
+
+        done = Event()
+        clock = Thread(target=redraw, daemon=True)
+        clock.start()
+        try:
+            yield advance
+        finally:
+            done.set()
+            clock.join()

@@ -11,6 +11,7 @@ from occmap.cli.collect import collect_options, split_words
 from occmap.cli.console import Console
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join, option
+from occmap.cli.streams import gather_logs, hide_caught, place_outputs
 from occmap.cli.summary import format_report
 from occmap.cli.values import PATH
 from occmap.errors import LogError, UsageError
@@ -35,12 +36,21 @@ strict = option(
     options.RUN, "--strict", is_flag=True, help="Exit with 1 where a log is damaged; map it first."
 )
 
-resume = option(
-    options.FILES,
-    "--resume",
-    type=PATH,
-    metavar="NPZ",
-    help="Add to the evidence in this file, which -o may name again.",
+resume = join(
+    option(
+        options.FILES,
+        "--resume",
+        type=PATH,
+        metavar="NPZ",
+        help="Add to the evidence in this file, which -o may name again.",
+    ),
+    option(
+        options.FILES,
+        "--resume-if-there",
+        type=PATH,
+        metavar="NPZ",
+        help="The same, and start anew where there is no such file.",
+    ),
 )
 
 
@@ -57,14 +67,17 @@ class Request(NamedTuple):
 @join(options.writing, resume, options.lattice, options.min_passes, options.pass_gap)
 @join(log_options.ranges, options.model)
 @join(log_options.selection, log_options.posing)
-@join(limits.fail_if(BUILD), options.jobs, strict, options.as_json, options.verbosity)
+@join(limits.fail_if(BUILD), options.jobs, strict, options.config)
+@join(options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
     """Build a map, write it, and say how it came about."""
     request = collect_request(words, values)
+    logs = gather_logs(console, request.logs, request.options, request.outputs)
+    outputs = place_outputs(console, request.outputs, logs[0])
     start = perf_counter()
     with show_progress(console) as progress:
-        report = build(request.logs, request.options, request.outputs, progress).report
+        report = hide_caught(build(logs, request.options, outputs, progress).report)
     for note in report.notes:
         console.note(note)
     lines = format_report(report, perf_counter() - start)

@@ -7,7 +7,7 @@ import click
 
 from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console
-from occmap.cli.saved import put_out, refuse_no_output
+from occmap.cli.saved import choose_outputs, put_out
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.values import PATH, read_by, read_list
 from occmap.errors import UsageError
@@ -61,5 +61,5 @@ part = option(
 @click.pass_obj
 def command(console: Console, /, path: Path, **values: Any) -> None:
     """Read evidence, and write a map of it."""
-    refuse_no_output(values["outputs"], "map.pgm", [path])
+    values["outputs"] = choose_outputs(console, values["outputs"], "map.pgm", [path])
     put_out(console, "render", read_evidence(path), values)
