@@ -39,11 +39,11 @@ def find_config(command: click.Command, typed: Mapping[str, Any]) -> Config | No
     UsageError
         It cannot be read, an option is unknown, or there is one in each of several folders.
     """
-    named = typed.get("config")
-    if named:
+    if isinstance(named := typed.get("config"), str):
         return read_config(Path(named), command)
-    sources = [word for source in SOURCES for word in typed.get(source) or ()]
-    there = dict.fromkeys(beside for word in sources for beside in list_beside(Path(word)))
+    words = (typed.get(source) for source in SOURCES)  # no tuple where there are none
+    sources = [Path(word) for some in words if isinstance(some, tuple) for word in some]
+    there = dict.fromkeys(beside for source in sources for beside in list_beside(source))
     if len(there) > 1:
         found = f"the logs have several files of options: {', '.join(map(str, there))}"
         raise UsageError(found, fix="name one with --config")
