@@ -28,7 +28,7 @@ MODEL_PARAMETERS = (
 )
 """Those of sensor models that are flags, too"""
 
-OPTIONS = {*list_options(BuildOptions), *MODEL_PARAMETERS, *FLAGS, "crop"}
+OPTIONS = {*list_options(BuildOptions), *MODEL_PARAMETERS, *FLAGS, "crop", "dask", "slice"}
 """The names of what can be typed as a flag"""
 
 MARK = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")

@@ -1,6 +1,6 @@
 """The errors that occmap raises: each writes its own sentence and knows its exit code."""
 
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 
 class OccmapError(Exception):
@@ -24,6 +24,10 @@ class OccmapError(Exception):
         self.where = str(where)
         self.fix = fix
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Survive pickling: what is wrong, where and the fix are more than one argument."""
+        return _revive, (type(self), self.found, self.where, self.fix)
+
     def placed(self, where: object) -> Self:
         """The same error at a place, where it names none itself."""
         return type(self)(self.found, where=self.where or where, fix=self.fix)
@@ -33,6 +37,11 @@ class OccmapError(Exception):
         if self.fix:
             sentence = f"{sentence}; {self.fix}"
         return " ".join(sentence.split())
+
+
+def _revive(kind: type[OccmapError], found: str, where: str, fix: str) -> OccmapError:
+    """Make an error that another process raised."""
+    return kind(found, where=where, fix=fix)
 
 
 class LogError(OccmapError):
@@ -59,3 +68,7 @@ class UsageError(OccmapError):
     """An option or a name that occmap does not know, or a value out of its range."""
 
     exit_code = 2
+
+
+class FleetError(OccmapError):
+    """The workers that a build was to run on cannot do it."""

@@ -1,6 +1,7 @@
 """Which recordings a user means by a path: a log, a folder of several, a pattern, or stdin."""
 
 import glob
+import os
 import shutil
 import sys
 import tempfile
@@ -42,10 +43,12 @@ def find_inputs(
     """
     logs: list[Path] = []
     notes: list[str] = []
-    known = {other.resolve() for other in others}
+    known = set(map(os.path.realpath, others))
     for path in paths:
         entries = list_entries(path)
-        kept = [each for each in entries if each.resolve() not in known and is_recording(each)]
+        kept = [
+            each for each in entries if os.path.realpath(each) not in known and is_recording(each)
+        ]
         if not kept:
             logs.append(path)
             continue

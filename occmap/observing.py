@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
 from occmap.errors import MapError
 from occmap.grid.slices import unite
@@ -34,6 +34,15 @@ class Observed(NamedTuple):
     """In which slices of time; none where they are not kept"""
     tally: Tally
     remarks: Remarks
+
+
+class Observe(Protocol):
+    """Traces all usable scans of logs: here, or by many workers."""
+
+    def __call__(
+        self, paths: Sequence[Path], options: BuildOptions, keep_slices: bool, progress: Progress
+    ) -> Observed:
+        """As `observe`."""
 
 
 def observe(

@@ -1,6 +1,6 @@
 """The whole tool on one page: logs in, an occupancy map and a report out."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -14,7 +14,7 @@ from occmap.evidence.publishing import describe_resumed
 from occmap.evidence.repetition import list_repeated
 from occmap.grid.stacks import add_stack
 from occmap.grid.tiles import TileGrid
-from occmap.observing import Progress, ignore_progress, observe
+from occmap.observing import Observe, Observed, Progress, ignore_progress, observe
 from occmap.opening import choose_topics, count_messages, count_scans, make_poser, take_first
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.report import (
@@ -71,8 +71,14 @@ def build(
     options: BuildOptions,
     outputs: Sequence[Path] = (),
     progress: Progress = ignore_progress,
+    observe: Observe = observe,
 ) -> Build:
     """Build one map from all usable scans of one or more logs, and write it.
+
+    Parameters
+    ----------
+    observe
+        Who traces the scans: this process, or the workers of an `occmap.fleet.Fleet`.
 
     Raises
     ------
@@ -82,7 +88,7 @@ def build(
     """
     check_outputs(outputs, list_inputs(paths, options))
     with hold_alone(options.resume or options.resume_if_there, outputs):
-        return build_alone(paths, options, outputs, progress)
+        return build_alone(paths, options, outputs, partial(observe, progress=progress))
 
 
 def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
@@ -92,13 +98,16 @@ def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
 
 
 def build_alone(
-    paths: Sequence[Path], options: BuildOptions, outputs: Sequence[Path], progress: Progress
+    paths: Sequence[Path],
+    options: BuildOptions,
+    outputs: Sequence[Path],
+    observe: Callable[[Sequence[Path], BuildOptions, bool], Observed],
 ) -> Build:
     """Build and write a map, while nobody else adds to the same evidence."""
     plan = plan_manifest(options)
     saved = open_past(options, plan)
     keep_slices = options.min_passes is not None or want_evidence(outputs)
-    tiles, slices, tally, remarks = observe(paths, options, keep_slices, progress)
+    tiles, slices, tally, remarks = observe(paths, options, keep_slices)
     if saved:
         add_stack(tiles, saved.tiles, saved.cells)
         slices = saved.slices + slices

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Lock
 from time import perf_counter
-from typing import Any, NamedTuple, TypedDict, TypeVar
+from typing import Any, NamedTuple, Protocol, TypedDict, TypeVar
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from occmap.errors import LogError, MapError, PoseError
 from occmap.grid.tiles import TileGrid
 from occmap.plain import Count, ScanCounts, Share, Told, to_plain
 from occmap.posing.options import DropReason
-from occmap.readers import Log
+from occmap.readers import Note
 from occmap.sensor.bounds import Clamped
 from occmap.sensor.models import SensorModel, find_decision
 from occmap.sensor.returns import ReturnCounts
@@ -39,10 +39,14 @@ REASONS = tuple(map(str, (*DropReason, *LeftOut)))
 _LOCK = Lock()
 
 
+def ignore_advance(_scans: int) -> None:
+    """Tell nobody."""
+
+
 class Tally:
     """Counts and times that grow while a map is built; any thread may call `time`, one all else."""
 
-    def __init__(self, advance: Callable[[int], None] = lambda _scans: None) -> None:
+    def __init__(self, advance: Callable[[int], None] = ignore_advance) -> None:
         self.advance = advance
         """Told, now and then, how many scans were read since the last call"""
         self.seconds: dict[str, float] = {}
@@ -266,6 +270,18 @@ class Report:
         return plain
 
 
+class Noted(Protocol):
+    """A log, or what stands for one that another process read."""
+
+    @property
+    def path(self) -> Path:
+        """Where it is."""
+
+    @property
+    def notes(self) -> Sequence[Note]:
+        """What its reader has to say."""
+
+
 @dataclass
 class Remarks:
     """What is said of logs beside numbers; grows while they are read."""
@@ -275,7 +291,7 @@ class Remarks:
     damage: list[str] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
 
-    def note(self, log: Log, others: Iterable[str]) -> None:
+    def note(self, log: Noted, others: Iterable[str]) -> None:
         """Keep what a log has to say, and what others have to say of it."""
         self.notes += [f"{log.path}: {text}" for text in (*others, *(n.text for n in log.notes))]
         self.damage += [f"{log.path}: {note.text}" for note in log.notes if note.damage]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from occmap.batching import FROM_THE_START, Batcher, Seam
 from occmap.errors import MapError
 from occmap.grid.lattice import Lattice
-from occmap.grid.spec import GridSpec, tabulate
+from occmap.grid.spec import WINDOW_CELLS, GridSpec, tabulate
 from occmap.grid.tiles import TileGrid
 from occmap.opening import choose_topics, make_poser
 from occmap.options import BuildOptions
@@ -125,21 +125,23 @@ def trace(
     return batcher.notes
 
 
-def choose_engine(options: BuildOptions, keep_slices: bool) -> "GridEngine | SlicedEngine":
+def choose_engine(
+    options: BuildOptions, keep_slices: bool, window_cells: int = WINDOW_CELLS
+) -> "GridEngine | SlicedEngine":
     """Make an engine, one that keeps slices of time only where they are asked for."""
     if not keep_slices:
-        return make_engine(options)
+        return make_engine(options, window_cells)
     from occmap.grid.sliced import SlicedEngine  # noqa: PLC0415  late: as below
 
     slice_ns = round(options.pass_gap_s * 1e9)
-    return SlicedEngine(plan_grid(options), slice_ns, max_cells=options.max_cells)
+    return SlicedEngine(plan_grid(options), slice_ns, window_cells, options.max_cells)
 
 
-def make_engine(options: BuildOptions) -> "GridEngine":
+def make_engine(options: BuildOptions, window_cells: int = WINDOW_CELLS) -> "GridEngine":
     """Make the grid engine for an update and a model."""
     from occmap.grid.engine import GridEngine  # noqa: PLC0415  late: numba takes a third of a second
 
-    return GridEngine(plan_grid(options), max_cells=options.max_cells)
+    return GridEngine(plan_grid(options), window_cells=window_cells, max_cells=options.max_cells)
 
 
 def make_grid(options: BuildOptions) -> TileGrid:

@@ -580,6 +580,11 @@ class Slices:
     changes: UInt8
     """(C,) those C bytes, exclusive or the ones of the row before; in the order of `np.packbits`"""
 
+    @property
+    def nbytes(self) -> int:
+        """What they take in memory."""
+        return sum(getattr(self, name).nbytes for name in self.__dataclass_fields__)
+
     @classmethod
     def join(cls, parts: Iterable[Self]) -> Self:
         """Lay slices, if any, end to end."""

@@ -27,11 +27,12 @@ OWNERS = {
     "PIL": "writers",
     "numba": "grid",
     "zarr": "store",
+    "distributed": "fleet",
 }
 """Who alone may import a package."""
 
 HEAVY = {
-    *("numpy", "numba", "llvmlite", "rosbags", "mcap", "PIL", "tqdm", "zarr"),
+    *("numpy", "numba", "llvmlite", "rosbags", "mcap", "PIL", "tqdm", "zarr", "distributed"),
     "importlib.metadata",
 }
 
@@ -125,7 +126,6 @@ def test_what_is_imported_is_named_as_a_dependency_and_nothing_else() -> None:
     project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
     lines = [*project["dependencies"], *extras["foxglove"], *extras["dask"]]
-    lines.remove("distributed>=2025.1")  # which zarr alone does not need
     named = {line.partition(">=")[0] for line in lines}
     imported = {name.split(".")[0] for path in MODULES for name in list_imports(path)}
     foreign = imported - sys.stdlib_module_names - {"occmap", "_typeshed"}

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap import batching
-from occmap.grid import engine
+from occmap import batching, observing, tracing
 from occmap.pipeline import BuildOptions, build, choose_model
 from occmap.sensor.models import parse_model
 from occmap.sensor.returns import NoReturn, ReturnOptions
@@ -133,6 +132,6 @@ def test_the_size_of_windows_changes_nothing(
     tmp_path: Path, reference: Reference, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     update, model, expected = reference
-    small = partial(engine.GridEngine, window_cells=20_000)
-    monkeypatch.setattr(engine, "GridEngine", small)
+    small = partial(tracing.choose_engine, window_cells=20_000)
+    monkeypatch.setattr(observing, "choose_engine", small)
     assert write_map(tmp_path, DRIVES[:2], choose(update, model)) == expected

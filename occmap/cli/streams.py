@@ -1,5 +1,6 @@
 """Where a command reads and writes: folders, patterns, stdin and stdout beside plain paths."""
 
+import os
 import shutil
 import sys
 import tempfile
@@ -47,7 +48,7 @@ def place_outputs(console: Console, outputs: Sequence[Path], first: Path) -> tup
         The first input, after which a map in a folder is called.
     """
     placed = tuple(
-        path / f"{name_map(str(first))}.pgm" if path.is_dir() and not path.suffix else path
+        path / f"{name_map(str(first))}.pgm" if os.path.isdir(path) and not path.suffix else path  # noqa: PTH112  a name may be too long
         for path in outputs
     )
     if all(path.stem != STDOUT for path in placed):

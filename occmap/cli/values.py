@@ -16,6 +16,7 @@ from occmap.wording import count
 
 PATH = click.Path(path_type=Path, readable=False)
 """Where click would look whether it can be read, occmap's own error says more."""
+SIZES = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 POSE_FORM = "write x,y,yaw or x,y,yaw,roll,pitch in metres and radians, such as 0.1,0,3.14159"
 TRANSFORM_FORM = "write parent,child,x,y,z,roll,pitch,yaw in metres and radians"
 
@@ -70,6 +71,17 @@ def parse_share(text: str) -> float:
     if not 0 <= share <= 1:
         raise UsageError("is no share of a whole", where=where, fix=form)
     return share
+
+
+def parse_size(text: str) -> int:
+    """Read a number of bytes such as 256MB; raises UsageError where it is none of at least 1 kB."""
+    where, form = f"--slice {text}", "write a size such as 256MB or 1GB"
+    number = text.upper().rstrip("KMGTB")
+    unit = text.upper().removeprefix(number).removesuffix("B")
+    (size,) = read_numbers([number], where, form)
+    if unit not in SIZES or not size * SIZES[unit] >= 1000:
+        raise UsageError("is no size of a part of a log", where=where, fix=form)
+    return round(size * SIZES[unit])
 
 
 def parse_sector(text: str) -> tuple[float, float]:

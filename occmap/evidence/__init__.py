@@ -3,13 +3,13 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
 from occmap.errors import MapError, OccmapError
 from occmap.evidence.manifest import describe_profile
-from occmap.grid.lattice import Lattice
+from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import SpreadHits, TileSource, find_bounds, measure_agreement, paint
 from occmap.grid.spec import find_unit
 from occmap.grid.stacks import add_stack, stack_tiles
@@ -94,20 +94,47 @@ def crop(grid: OccupancyMap, box: Box) -> OccupancyMap:
     MapError
         The box touches no cell of the map.
     """
-    size, (rows, cols) = grid.resolution, grid.shape
-    left, low = (round(edge / size) for edge in grid.origin)
+    (row, col), (rows, cols) = grid.place.tolist(), grid.shape
+    whole, lattice = CellBox(row, col, row + rows, col + cols), Lattice(grid.resolution)
+    part = cut_box(whole, box, lattice)
+    origin = part.col * grid.resolution, part.row * grid.resolution
+    rows_kept = slice(part.row - row, part.row_end - row)
+    cols_kept = slice(part.col - col, part.col_end - col)
+    return replace(grid.take(rows_kept, cols_kept), origin=origin)
+
+
+def cut_box(whole: CellBox, box: Box, lattice: Lattice) -> CellBox:
+    """Find the cells of a map that a box (m) touches.
+
+    Raises
+    ------
+    MapError
+        There are none.
+    """
+    size = lattice.resolution
     first_col, first_row = (math.floor(edge / size + CELL_SLACK) for edge in box[:2])
     end_col, end_row = (math.ceil(edge / size - CELL_SLACK) for edge in box[2:])
-    row, row_end = max(first_row - low, 0), min(end_row - low, rows)
-    col, col_end = max(first_col - left, 0), min(end_col - left, cols)
-    if row >= row_end or col >= col_end:
-        reach = ", ".join(f"{edge:.6g}" for edge in grid.extent)
+    part = whole.clip(CellBox(first_row, first_col, end_row, end_col))
+    if part.row >= part.row_end or part.col >= part.col_end:
+        edges = (whole.col, whole.row, whole.col_end, whole.row_end)
+        reach = ", ".join(f"{lattice.to_metres(edge):.6g}" for edge in edges)
         raise MapError("no cell of the map lies in `crop`", fix=f"the map's own box is {reach}")
-    origin = (left + col) * size, (low + row) * size
-    return replace(grid.take(slice(row, row_end), slice(col, col_end)), origin=origin)
+    return part
 
 
-def read_model(evidence: Evidence) -> SensorModel:
+class Described(Protocol):
+    """Evidence, as far as its manifest goes."""
+
+    @property
+    def manifest(self) -> Manifest:
+        """What it is."""
+
+    @property
+    def where(self) -> str:
+        """What it was read from."""
+
+
+def read_model(evidence: Described) -> SensorModel:
     """Make the model that evidence was built with.
 
     Raises
@@ -139,7 +166,7 @@ def to_grid(evidence: Evidence) -> TileGrid:
     return grid
 
 
-def refuse_other_profile(evidence: Evidence, model: SensorModel) -> None:
+def refuse_other_profile(evidence: Described, model: SensorModel) -> None:
     """Refuse a model that cannot read this evidence.
 
     Raises

@@ -1,6 +1,7 @@
 """What lasts: hits that came on several visits stay, people who walked through once do not."""
 
 from collections.abc import Iterator, Sequence
+from typing import NoReturn
 
 import numpy as np
 
@@ -40,17 +41,28 @@ def keep_lasting(grid: TileGrid, layers: Sequence[Slices], min_passes: int | Non
     """
     if min_passes is None:
         return grid
+    lasting = drop_passing(grid, layers, min_passes)
+    if grid.tiles and not lasting.tiles:
+        refuse_nothing_left(min_passes)
+    return lasting
+
+
+def refuse_nothing_left(min_passes: int) -> NoReturn:
+    """Say that no cell lasts; raises MapError."""
+    raise MapError(
+        f"no cell was hit on {min_passes} visits, and none was seen free: there is no map",
+        fix="give a smaller `min_passes`",
+    )
+
+
+def drop_passing(grid: TileGrid, layers: Sequence[Slices], min_passes: int) -> TileGrid:
+    """As `keep_lasting`, where maybe nothing is left."""
     lasting = TileGrid(grid.lattice, grid.kind, grid.unit)
     for key, slices in split_tiles(unite(layers)):
         if key in grid.tiles:
             visits = count_visits(slices)
             lasting.tiles[key] = weigh_visits(grid.tiles[key], visits, min_passes)
     drop_empty(lasting)
-    if grid.tiles and not lasting.tiles:
-        raise MapError(
-            f"no cell was hit on {min_passes} visits, and none was seen free: there is no map",
-            fix="give a smaller `min_passes`",
-        )
     return lasting
 
 

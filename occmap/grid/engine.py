@@ -7,13 +7,11 @@ import numpy as np
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.projection import Projected, prepare, project
-from occmap.grid.spec import GridSpec
+from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
 from occmap.grid.windows import Window, choose_window
 from occmap.types import Rays, Slices
 
-WINDOW_CELLS = 1 << 24
-"""The largest window; scans that need more are traced part by part."""
 ROOMY_CELLS = 1 << 22
 """A window is not made larger than this only for scans that may come."""
 MOST_PARTS = 64
@@ -113,6 +111,11 @@ class GridEngine:
         with self._lock:
             self.grid.add(box, first, second, window.bound)
             self.grid.refuse_outgrown(self._max_cells)
+
+    @property
+    def bytes_held(self) -> int:
+        """What the tiles take in memory, without those of scans that windows still hold."""
+        return self.grid.nbytes
 
     def finish(self) -> TileGrid:
         """Empty all windows and give the evidence; more may be added later."""

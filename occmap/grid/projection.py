@@ -4,12 +4,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from occmap.grid.kernels.beams import Beams
 from occmap.grid.kernels.neighbours import link_neighbours
-from occmap.grid.kernels.project import project_ends
+from occmap.grid.kernels.project import measure_ranges, project_ends
 from occmap.grid.kernels.units import CELL_SHIFT
 from occmap.grid.lattice import CellBox
 from occmap.grid.spec import GridSpec
-from occmap.types import Int32, Int64, Kind, Rays, UInt8, Update
+from occmap.types import Int64, Kind, Rays, Update
 
 
 @dataclass(frozen=True)
@@ -19,16 +20,8 @@ class Projected:
     rays: Rays
     anchor: Int64
     """(2,) x and y of a corner of a cell near them (lattice units)"""
-    origins: Int64
-    """(S, K, 2) x and y (lattice units from the anchor)"""
-    ends_x: Int32
-    """(S, B) (lattice units from the anchor)"""
-    ends_y: Int32
-    """(S, B) (lattice units from the anchor)"""
-    weights: UInt8
-    """(S, B) what each beam counts"""
-    between: UInt8
-    """(S, B) how many beams are drawn between each and the next"""
+    beams: Beams
+    """In lattice units from the anchor"""
     box: CellBox
     """Around all cells that these rays may touch"""
 
@@ -89,13 +82,16 @@ def project(rays: Rays, spec: GridSpec) -> Projected:
         to_row + top + 1 + margin,
         to_col + right + 1 + margin,
     )
+    ranges = np.empty(rays.kind.shape if spec.radial else (0, 0))
+    measure_ranges(rays.turn, rays.bearing, rays.distance, spec.lattice.units_per_metre, ranges)
     weights, between = np.ones_like(rays.kind), np.zeros_like(rays.kind)
     if spec.update is Update.SURFACE:
         link_neighbours(
             *(rays.distance, rays.kind, ends_x, ends_y, rays.full_circle, spec.jump),
             *(weights, between),
         )
-    return Projected(rays, anchor, origins, ends_x, ends_y, weights, between, box)
+    beams = Beams(origins, ends_x, ends_y, rays.kind, ranges, weights, between)
+    return Projected(rays, anchor, beams, box)
 
 
 def _reach_beside(rays: Rays, spec: GridSpec) -> int:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
+from functools import reduce
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -95,13 +96,15 @@ def find_bounds(tiles: TileSource) -> CellBox:
     MapError
         Nothing was observed.
     """
-    edges = list(_list_edges(tiles))
-    if not edges:
+    box = measure_bounds(tiles)
+    if box is None:
         raise MapError("no beam of any scan observed a cell, so there is no map")
-    box = edges[0]
-    for other in edges[1:]:
-        box = box.join(other)
     return box
+
+
+def measure_bounds(tiles: TileSource) -> CellBox | None:
+    """The smallest box around all observed cells; None: there are none."""
+    return reduce(CellBox.join, edges) if (edges := list(_list_edges(tiles))) else None
 
 
 def _list_edges(tiles: TileSource) -> Iterator[CellBox]:
@@ -185,11 +188,17 @@ def measure_agreement(grid: TileGrid, occupied: Bool, box: CellBox) -> float | N
     float or None
         None where the evidence keeps no hits, or has none.
     """
+    agreed, total = count_agreeing(grid, occupied, box)
+    return agreed / total if total else None
+
+
+def count_agreeing(grid: TileGrid, occupied: Bool, box: CellBox) -> tuple[int, int]:
+    """Hits in the cells of a box that are called occupied, and in all of them."""
     if grid.kind is not EvidenceKind.COUNTS:
-        return None
+        return 0, 0
     total = agreed = 0
     for key, (hits, _) in grid.tiles.items():
         inner, outer = _overlap(key, box)
-        total += int(hits.sum())
+        total += int(hits[inner].sum())
         agreed += int(hits[inner][occupied[outer]].sum())
-    return agreed / total if total else None
+    return agreed, total

@@ -5,9 +5,9 @@ from threading import Lock
 
 import numpy as np
 
-from occmap.grid.engine import WINDOW_CELLS, GridEngine
+from occmap.grid.engine import GridEngine
 from occmap.grid.slices import mark_observed, unite
-from occmap.grid.spec import GridSpec
+from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import MAX_CELLS, TileGrid
 from occmap.types import Rays, Slices
 
@@ -75,6 +75,11 @@ class SlicedEngine:
             self._grid.merge(grid)
             self._slices.append(observed)
             self._grid.refuse_outgrown(self._max_cells)
+
+    @property
+    def bytes_held(self) -> int:
+        """What tiles and slices take in memory, without those that are not over."""
+        return self._grid.nbytes + sum(slices.nbytes for slices in self._slices)
 
     def finish(self) -> TileGrid:
         """Fold all slices and give the evidence; more may be added later."""

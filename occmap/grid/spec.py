@@ -10,6 +10,8 @@ from occmap.grid.lattice import Lattice
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.types import Float64, Int64, Update
 
+WINDOW_CELLS = 1 << 24
+"""The largest window; scans that need more are traced part by part."""
 COUNT_BITS = 20
 """A window cell counts fewer than 2^20 observations before it must be emptied."""
 

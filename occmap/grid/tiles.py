@@ -110,6 +110,11 @@ class TileGrid:
             mine = self._widen(key, other._bounds.get(key, INT32_LIMIT + 1))
             mine += tile
 
+    @property
+    def nbytes(self) -> int:
+        """What the tiles take in memory, where none is 64 bits wide."""
+        return len(self.tiles) * 2 * TILE * TILE * 4
+
     def refuse_outgrown(self, max_cells: int) -> None:
         """Refuse what is too large a map already, before more is added to it.
 

@@ -10,10 +10,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.grid.kernels.beam import Changes, sum_beams, trace_beams
+from occmap.grid.kernels.beams import Cells, Changes, Profile, sum_beams, trace_beams
 from occmap.grid.kernels.outline import Surfaces
 from occmap.grid.kernels.polygon import MOST_SCANS, read_border, sum_runs, trace_polygons
-from occmap.grid.kernels.radial_beam import Profile, trace_radial_beams
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.kernels.units import UNITS_PER_CELL
 from occmap.grid.lattice import CellBox
@@ -100,6 +99,17 @@ def allocate_changes(rows: int, cols: int) -> Changes:
     )
 
 
+COUNTS = Profile(0.0, np.ones(1, np.int64), np.ones(1, np.int64), 1.0)
+"""A beam tells each cell before its end of a miss, and its end of a hit."""
+
+
+def list_cells(numbers: NDArray[Any]) -> Cells:
+    """A window of one block."""
+    rows, cols = numbers.shape
+    table, used = np.zeros((1, 1), np.int32), np.ones(1, np.int64)
+    return Cells(rows, cols, 62, cols, 0, numbers.size, table, used, numbers.ravel())
+
+
 class BeamWindow(Window):
     """Hits and misses, beam by beam, with those drawn between where the update asks for them."""
 
@@ -108,17 +118,8 @@ class BeamWindow(Window):
         self.changes = allocate_changes(rows, cols)
 
     def trace(self, projected: Projected) -> None:
-        trace_beams(
-            projected.origins,
-            projected.ends_x,
-            projected.ends_y,
-            projected.rays.kind,
-            projected.weights,
-            projected.between,
-            self.corner - projected.anchor,
-            self.hits,
-            self.changes,
-        )
+        corner = self.corner - projected.anchor
+        trace_beams(projected.beams, COUNTS, corner, list_cells(self.hits), self.changes)
 
     def read_from(self, row: int, col: int, shape: tuple[int, int]) -> CellNumbers:
         misses = np.empty(shape, np.int32)
@@ -165,8 +166,8 @@ class PolygonWindow(Window):
             rays.turn,
             rays.bearing,
             rays.distance,
-            projected.ends_x,
-            projected.ends_y,
+            projected.beams.ends_x,
+            projected.beams.ends_y,
             rays.kind,
             surfaces,
             self.border,
@@ -201,24 +202,12 @@ class RadialWindow(Window):
 
     def trace_lines(self, projected: Projected, constant: int, changes: Changes) -> None:
         """Trace beam by beam; the first `constant` entries of the free table go to `changes`."""
-        rays, tables = projected.rays, self.tables
-        units_per_metre = self.spec.lattice.units_per_metre
-        trace_radial_beams(
-            projected.origins,
-            projected.ends_x,
-            projected.ends_y,
-            rays.turn,
-            rays.bearing,
-            rays.distance,
-            rays.kind,
-            projected.weights,
-            projected.between,
-            self.corner - projected.anchor,
-            units_per_metre,
-            Profile(tables.depth * units_per_metre, tables.free, tables.hit, constant),
-            self.cells,
-            changes,
-        )
+        tables = self.tables
+        depth = tables.depth * self.spec.lattice.units_per_metre
+        plain = float(np.sqrt(constant / (len(tables.free) - 1)))
+        profile = Profile(depth, tables.free, tables.hit, plain)
+        corner = self.corner - projected.anchor
+        trace_beams(projected.beams, profile, corner, list_cells(self.cells), changes)
 
     @abstractmethod
     def sum_plain(self, row: int, col: int, plain: Int32) -> None:

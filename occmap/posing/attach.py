@@ -9,7 +9,7 @@ import numpy as np
 
 from occmap.errors import PoseError
 from occmap.posing.chain import REASONS, Chain, Found, Status
-from occmap.posing.leaps import LeapFilter
+from occmap.posing.leaps import Ends, LeapFilter
 from occmap.posing.options import Deskew, DropReason, PosingOptions
 from occmap.posing.resolve import resolve
 from occmap.posing.sources import Sources, gather
@@ -138,6 +138,10 @@ class Poser:
         dropped = {why: counts[code] for code, why in REASONS.items() if counts[code]}
         return self._leaps.drop(kept, dropped)
 
+    def find_ends(self) -> dict[str, Ends]:
+        """Where the posed scans so far begin and end, by topic."""
+        return self._leaps.find_ends()
+
     def _look_up(self, batch: ScanBatch) -> Iterator[tuple[ScanBatch, Found]]:
         """Look up the sensor at the stamp of each scan (S), or at K moments of each (S * K).
 
@@ -178,9 +182,8 @@ class Poser:
         else:
             chosen = (duration_s > 0) & (duration_s <= MAX_TURN_S)
             if not chosen.all():
-                some = "some " if chosen.any() else ""
-                found = "state no believable time between beams: not de-skewed"
-                self._note(f"{some}scans of {batch.frame!r} {found}")
+                found = "state no believable time between beams are not de-skewed"
+                self._note(f"scans of {batch.frame!r} that {found}")
         if chosen.any():
             self._note(f"de-skewed: each beam of {batch.frame!r} has a pose of its own")
         return chosen

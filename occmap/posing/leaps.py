@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from dataclasses import dataclass, field
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -17,6 +18,31 @@ RARE = 10
 thing than they say, and no step is called one."""
 
 
+class Ends(NamedTuple):
+    """Where the scans of one topic begin and end."""
+
+    stamp_ns: Int64
+    """(2,)"""
+    place: Float64
+    """(2, 3) m"""
+    leaps: int
+    """Leaps between scans, whether or not any scan is left out for it"""
+
+    def leads_to(self, other: Self, max_speed: float) -> bool:
+        """Whether no leap lies between these scans and others that follow them."""
+        stamp_ns = np.array([self.stamp_ns[1], other.stamp_ns[0]])
+        _, leaps = find_leaps(stamp_ns, np.stack([self.place[1], other.place[0]]), max_speed)
+        return not leaps.any()
+
+
+def find_leaps(stamp_ns: Int64, place: Float64, max_speed: float) -> tuple[Bool, Bool]:
+    """Which steps between scans (S,) at places (S, 3) are short in time, and which of them leap."""
+    seconds = np.diff(stamp_ns) / 1e9
+    metres = np.linalg.norm(np.diff(place, axis=0), axis=1)
+    near: Bool = (seconds > 0) & (seconds <= SPARSE_S)
+    return near, near & (metres > np.maximum(SLACK_M, max_speed * seconds))
+
+
 @dataclass
 class _Path:
     """Where the scans of one topic led so far."""
@@ -25,6 +51,8 @@ class _Path:
     """(2,) of the last two scans, fewer in the beginning ..."""
     place: Float64 = field(default_factory=lambda: np.zeros((0, 3)))
     """(2, 3) ... and where they were (m)"""
+    begin: tuple[Int64, Float64] | None = None
+    """(1,) and (1, 3) of the first scan"""
     steps: int = 0
     leaps: int = 0
     is_noted: bool = False
@@ -38,6 +66,18 @@ class LeapFilter:
         self._notes = notes
         """Grows by what the first scan of each topic that is left out did"""
         self._paths: defaultdict[str, _Path] = defaultdict(_Path)
+
+    def find_ends(self) -> dict[str, Ends]:
+        """Where the scans that were seen begin and end, by topic."""
+        return {
+            topic: Ends(
+                np.append(path.begin[0], path.stamp_ns[-1:]),
+                np.concatenate([path.begin[1], path.place[-1:]]),
+                path.leaps,
+            )
+            for topic, path in self._paths.items()
+            if path.begin is not None
+        }
 
     def drop(
         self, posed: list[PosedScans], dropped: dict[DropReason, int]
@@ -69,11 +109,9 @@ class LeapFilter:
         stamp_ns = np.concatenate([path.stamp_ns, scans.batch.stamp_ns])
         place = np.concatenate([path.place, place])
         path.stamp_ns, path.place = stamp_ns[-2:], place[-2:]
+        path.begin = path.begin or (stamp_ns[:1], place[:1])
 
-        seconds = np.diff(stamp_ns) / 1e9
-        metres = np.linalg.norm(np.diff(place, axis=0), axis=1)
-        near = (seconds > 0) & (seconds <= SPARSE_S)
-        leaps = near & (metres > np.maximum(SLACK_M, self._max_speed * seconds))
+        near, leaps = find_leaps(stamp_ns, place, self._max_speed)
         path.steps += int(np.count_nonzero(near[max(old - 1, 0) :]))
         path.leaps += int(np.count_nonzero(leaps[max(old - 1, 0) :]))
         if path.leaps * RARE > path.steps:
@@ -86,9 +124,11 @@ class LeapFilter:
             path.is_noted = True
             at = int(np.flatnonzero(astray)[0]) + old
             step = at - 1 if to[at] else at
+            metres = np.linalg.norm(place[step + 1] - place[step])
+            seconds = (stamp_ns[step + 1] - stamp_ns[step]) / 1e9
             self._notes.append(
                 f"{scans.batch.topic}: the scan at {stamp_ns[at] / 1e9:.3f} s lies "
-                f"{metres[step]:,.6g} m from its neighbour, {seconds[step]:.3g} s away: it and "
+                f"{metres:,.6g} m from its neighbour, {seconds:.3g} s away: it and "
                 "others that leap so are left out; `max_speed=inf` keeps them"
             )
         return astray

@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from occmap.errors import LogError
 from occmap.plugins import list_plugins, load_plugin
@@ -90,6 +90,27 @@ class NoteList(list[Note]):
         super().append(note)
         self._known.add(note)
 
+    def copy(self) -> "NoteList":
+        """The same notes, to which others are added."""
+        notes = NoteList()
+        for note in self:
+            notes.append(note)
+        return notes
+
+
+class Span(NamedTuple):
+    """From which byte or row of a log to which one a part of it reaches; the end is outside."""
+
+    start: int
+    end: int
+
+
+def cut_evenly(whole: Span, parts: int) -> list[Span]:
+    """Cut a span into at most so many of about one length."""
+    step = max(-(-(whole.end - whole.start) // max(parts, 1)), 1)
+    starts = range(whole.start, whole.end, step)
+    return [Span(start, min(start + step, whole.end)) for start in starts]
+
 
 class Log(Protocol):
     """An opened log. Both iterators may be called more than once and start at the beginning."""
@@ -126,6 +147,23 @@ class StackingScans(Protocol):
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """What `scans` gives, in the same order."""
+
+
+@runtime_checkable
+class Splittable(Protocol):
+    """A log whose scans can be read in parts, each by another process."""
+
+    def split(self, size: int) -> Sequence[Log]:
+        """Cut the log into parts of about so many bytes, in file order; each can be pickled.
+
+        A part gives its own scans and, where these are damaged, notes. A log that cannot be cut is
+        one part; where even that cannot be pickled, there is none.
+        """
+
+
+def split_log(log: Log, size: int) -> Sequence[Log]:
+    """Cut a log into parts of about so many bytes; none where nobody knows how."""
+    return log.split(size) if isinstance(log, Splittable) else ()
 
 
 def read_poses(log: Log) -> Iterator[PoseSample | PoseBatch]:

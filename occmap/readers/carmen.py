@@ -5,6 +5,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
+from copy import copy
 from itertools import islice
 from pathlib import Path
 from typing import TypeAlias, TypeVar
@@ -26,6 +27,7 @@ from occmap.readers.carmen_lines import (
     parse_scans,
 )
 from occmap.readers.text import (
+    ALL,
     Line,
     LineTally,
     add_note,
@@ -34,6 +36,7 @@ from occmap.readers.text import (
     probe_lines,
     read_lines,
     shorten,
+    split_lines,
 )
 from occmap.types import Pose, PoseSample, Scan, ScanRun
 
@@ -99,6 +102,7 @@ class CarmenLog:
         self._words: Counter[str] = Counter()
         self._front_offset: float | None = None
         self._size = 0
+        self._span = ALL
         self._kept: list[Scan | ScanRun] | None = []
         self._split: Split | None = None
         self._stamps: set[int] = set()
@@ -135,9 +139,21 @@ class CarmenLog:
             if some.first.topic in topics:
                 yield some
 
+    def split(self, size: int) -> Sequence["CarmenLog"]:
+        """Cut the log into parts of about so many bytes, as `occmap.readers.Splittable` has it."""
+        spans = [ALL] if any(note.damage for note in self.notes) else split_lines(self.path, size)
+        if len(spans) == 1:
+            return [self]
+        parts = []
+        for span in spans:
+            part = copy(self)
+            part._span, part.notes, part._kept = span, self.notes.copy(), None
+            parts.append(part)
+        return parts
+
     def _walk(self, notes: list[Note]) -> Iterator[_KindOfLine]:
         """Yield every line that is not blank with its keyword; every comment has `#`."""
-        for line in read_lines(self.path, notes):
+        for line in read_lines(self.path, notes, self._span):
             head = line.text.split(None, 1)
             if head:
                 yield ("#" if head[0].startswith("#") else head[0]), line

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Collection, Iterator, Sequence
+from copy import copy
 from operator import attrgetter
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from occmap.readers.csv_layout import (
     split_names,
 )
 from occmap.readers.text import (
+    ALL,
     Line,
     LineTally,
     add_note,
@@ -32,6 +34,7 @@ from occmap.readers.text import (
     probe_lines,
     read_lines,
     round_limit,
+    split_lines,
 )
 from occmap.types import UNKNOWN_POSE, Float32, Pose, PoseSample, Scan, ScanRun, as_float32
 
@@ -86,6 +89,7 @@ class CsvLog:
         self._rows = 0
         self._last: Line | None = None
         self._judged = False
+        self._span = ALL
         self._layout = self._survey()
         self._check_last()
         if self._layout.unused:
@@ -124,14 +128,27 @@ class CsvLog:
             else:
                 yield run
 
+    def split(self, size: int) -> Sequence["CsvLog"]:
+        """Cut the log into parts of about so many bytes, as `occmap.readers.Splittable` has it."""
+        damaged = any(note.damage for note in self.notes)
+        spans = [ALL] if damaged else split_lines(self.path, size, _is_heading)
+        parts = []
+        for span in spans:
+            part = copy(self)
+            part._span, part.notes = span, self.notes.copy()
+            parts.append(part)
+        return parts
+
     def _walk(self) -> Iterator[Line]:
         """Yield every line that is not blank."""
-        return (line for line in read_lines(self.path, self.notes) if line.text.strip())
+        lines = read_lines(self.path, self.notes, self._span)
+        return (line for line in lines if line.text.strip())
 
     def _walk_rows(self) -> Iterator[Line]:
         """Yield the rows, without the header."""
         rows = (line for line in self._walk() if not _is_comment(line))
-        next(rows, None)
+        if self._span.start == 0:
+            next(rows, None)
         return rows
 
     def _survey(self) -> Layout:
@@ -192,6 +209,12 @@ class CsvLog:
         tally.judge(self.path, self.notes, "correct or delete this row")
         self._rows -= tally.malformed
         self._judged = True
+
+
+def _is_heading(raw: bytes) -> bool:
+    """Whether a line can stand before the header."""
+    text = raw.removeprefix(b"\xef\xbb\xbf").strip()
+    return not text or text.startswith(b"#")
 
 
 def _is_comment(line: Line) -> bool:

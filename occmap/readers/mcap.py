@@ -8,8 +8,10 @@ they say at once where each lies.
 import zlib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from struct import Struct
 from typing import BinaryIO, NamedTuple, TypeVar
@@ -17,7 +19,7 @@ from typing import BinaryIO, NamedTuple, TypeVar
 from mcap.opcode import Opcode
 
 from occmap.errors import LogError
-from occmap.readers import DEFAULT_OPTIONS, Note, NoteList, Probe
+from occmap.readers import DEFAULT_OPTIONS, Note, NoteList, Probe, Role, Span
 from occmap.readers.inflate import Buffer, inflate
 from occmap.readers.mcap_index import (
     LATEST_NS,
@@ -54,6 +56,7 @@ _NEVER_NS = 2**64 - 1
 _LONGEST_PADDING = 64
 """Bytes that a writer may leave behind the fields of a chunk."""
 
+SCANS = frozenset({Role.SCAN, Role.CLOUD})
 _DESCRIPTIONS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
 _PLAIN_RECORDS = _DESCRIPTIONS | {Opcode.MESSAGE}
 _LAST_RECORDS = frozenset({Opcode.DATA_END, Opcode.FOOTER})
@@ -108,6 +111,7 @@ class McapSource:
         try:
             with path.open("rb") as file:
                 self._size = file.seek(0, 2)
+                self._span = Span(len(MAGIC), self._size)
                 self._summary, problem = read_summary(file, self._size)
                 if not self._summary.is_complete:
                     self._summary = replace(self._summary, channels=self._survey(file))
@@ -142,6 +146,26 @@ class McapSource:
             known = self._summary.channels.get(key, other)
             if known.type and known.description != other.description:
                 add_note(self.notes, f"channel {key} is described in two ways: {known.topic}")
+
+    def split(self, size: int) -> Sequence["McapSource"]:
+        """Cut the file between chunks, by its index; those without scans do not count."""
+        held = self._summary.chunk_channels
+        if self.notes or not (self._summary.is_complete and self._summary.is_checked):
+            return [self]
+        scans = {key for key, item in self._summary.channels.items() if item.role in SCANS}
+        starts = sorted(held)
+        cuts, gathered = [self._span.start], 0
+        for start, end in pairwise(starts):
+            gathered += 0 if held[start].isdisjoint(scans) else end - start
+            if gathered >= size:
+                cuts.append(end)
+                gathered = 0
+        return [self._take(Span(*ends)) for ends in pairwise([*cuts, self._span.end])]
+
+    def _take(self, span: Span) -> "McapSource":
+        part = copy(self)
+        part._span, part.notes = span, self.notes.copy()
+        return part
 
     def _survey(self, file: BinaryIO) -> dict[int, Channel]:
         """Find the channels and count their messages by reading the whole file."""
@@ -178,7 +202,9 @@ class McapSource:
                     yield self._inflate_chunk(position, file.read(length), read_indexes(file))
             elif opcode in _PLAIN_RECORDS:
                 yield _Block(position, RECORD.pack(opcode, length) + file.read(length))
-        if lost := self._summary.chunk_channels.keys() - chunks:
+        start, end = self._span
+        announced = {at for at in self._summary.chunk_channels if start <= at < end}
+        if lost := announced - chunks:
             text = f"{len(lost)} chunks of its index are not there, the first at byte {min(lost)}"
             add_note(self.notes, text)
 
@@ -187,9 +213,9 @@ class McapSource:
 
         Behind damage it goes on with the next records that follow one another.
         """
-        position = behind = len(MAGIC)
+        position = behind = self._span.start
         chunk_end = 0
-        while position < self._size:
+        while position < self._span.end:
             opcode, length = self._read_head(file, position)
             start = position + RECORD.size
             if is_plausible(opcode, length, self._size - start) or (
@@ -210,6 +236,8 @@ class McapSource:
                     file.seek(start)
                     yield opcode, position, self._size - start
                 break
+        if position == self._span.end < self._size:
+            return
         lost = self._size - position
         rest = f"{lost} bytes before its end" if lost else "where more belongs"
         add_note(self.notes, f"the file breaks off at byte {position}, {rest}")

@@ -18,7 +18,7 @@ from occmap.readers.ros_decode import (
     make_scan_reader,
 )
 from occmap.readers.ros_scan import RawRun
-from occmap.readers.ros_source import Channel, RawMessages, Source, add_note
+from occmap.readers.ros_source import Channel, RawMessages, Source, SplittableSource, add_note
 from occmap.readers.ros_tf import RawTransforms, read_alike
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
@@ -43,6 +43,16 @@ class RosLog:
         self._options = options
         self.notes = source.notes
         self._source = source
+        self._is_whole = True
+
+    def split(self, size: int) -> Sequence["RosLog"]:
+        """Cut the log into parts of about so many bytes, as `occmap.readers.Splittable` has it."""
+        if not isinstance(self._source, SplittableSource):
+            return ()
+        parts = [RosLog(part, self._options) for part in self._source.split(size)]
+        for part in parts:
+            part._is_whole = len(parts) == 1
+        return parts
 
     @property
     def streams(self) -> Sequence[Stream]:
@@ -153,7 +163,7 @@ class RosLog:
         except OSError as error:
             raise LogError(f"cannot be read ({error.strerror})", where=self.path) from None
         for channel, count in counts.items():
-            if count != channel.count:
+            if self._is_whole and count != channel.count:
                 add_note(
                     self.notes,
                     f"{count} messages are read on {channel.topic},"

@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Literal, NamedTuple, Protocol, Self, TypeAlias
+from typing import Literal, NamedTuple, Protocol, Self, TypeAlias, runtime_checkable
 
 from occmap.readers import Note, Role
 from occmap.readers.foxglove import find_foxglove_role, states_origins
@@ -111,6 +111,14 @@ class Source(Protocol):
 
     def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessages]:
         """Give the messages of some channels, in file order."""
+
+
+@runtime_checkable
+class SplittableSource(Protocol):
+    """A container that can be read in parts."""
+
+    def split(self, size: int) -> Sequence[Source]:
+        """Cut it into parts of about so many bytes, as `occmap.readers.Splittable` has it."""
 
 
 def add_note(notes: list[Note], text: str) -> None:

@@ -7,6 +7,7 @@ import struct
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
+from copy import copy
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -14,7 +15,7 @@ from pathlib import Path
 import apsw
 
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList
+from occmap.readers import Note, NoteList, Span, cut_evenly
 from occmap.readers.ros_source import Channel, Encoding, RawMessages, Syntax, add_note, put_together
 from occmap.readers.sqlite_pages import Row, count_lost_frames, find_rows
 
@@ -27,7 +28,9 @@ _ERRORS = (apsw.Error, UnicodeDecodeError)
 _MOST_BYTES = 1 << 30
 """Of a value; no message is near it."""
 _FIRST = -(2**63)
-"""No id is below this one."""
+"""No id is below this one ..."""
+_LAST = 2**63 - 1
+"""... and none above this one."""
 
 
 class SqliteSource:
@@ -40,6 +43,8 @@ class SqliteSource:
         # A recorder that died leaves its last rows in a log beside the file.
         self._has_log = self._log.is_file() and self._log.stat().st_size > 0
         self._is_sound = True
+        self._rows = _FIRST, _LAST
+        """Ids of the first row and the last that are read"""
         try:
             with closing(self._connect()) as database:
                 _refuse_imitations(database)
@@ -69,17 +74,32 @@ class SqliteSource:
                 if topic in by_id and data is not None
             )
 
+    def split(self, size: int) -> Sequence["SqliteSource"]:
+        """Cut the rows into runs of as many ids, of about so many bytes on the whole."""
+        if self.notes or self._has_log:
+            return [self]
+        with closing(self._connect()) as database:
+            ((first, last),) = database.execute("SELECT min(rowid), max(rowid) FROM messages")
+        rows = Span(first or 0, (last or 0) + 1)
+        parts = []
+        for start, end in cut_evenly(rows, self.path.stat().st_size // size):
+            part = copy(self)
+            part._rows, part.notes = (start, end - 1), self.notes.copy()
+            parts.append(part)
+        return parts
+
     def _read_rows(self, database: apsw.Connection, topics: Collection[int]) -> Iterator[Row]:
         """Give the rows of some topics; behind damage those of all topics."""
         query = (
             "SELECT rowid, topic_id, timestamp, data FROM messages NOT INDEXED"
             f" WHERE topic_id IN ({','.join('?' * len(topics))})"
-            " AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob' ORDER BY rowid"
+            " AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
+            " AND rowid BETWEEN ? AND ? ORDER BY rowid"
         )
         last = _FIRST
         if self._is_sound:
             try:
-                for row in database.execute(query, tuple(topics)):
+                for row in database.execute(query, (*topics, *self._rows)):
                     yield row
                     last = row[0]
                 return

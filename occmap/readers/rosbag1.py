@@ -7,12 +7,14 @@ A walk over the records needs no index, so sound and damaged bags are read the s
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO
 
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList
+from occmap.readers import Note, NoteList, Span
 from occmap.readers.inflate import Buffer, inflate
 from occmap.readers.ros_source import Channel, RawMessages, add_note, put_together
 from occmap.readers.rosbag1_records import (
@@ -88,9 +90,12 @@ class Bag1Source:
         self.notes: list[Note] = NoteList()
         self._odd_index = False
         self._has_doubles = False
+        self._chunks: list[int] = []
+        """Where chunks begin, in a bag whose index is whole"""
         try:
             with path.open("rb") as file:
                 self._size = file.seek(0, 2)
+                self._span = Span(len(MAGIC), self._size)
                 self._by_id = self._survey_index(file) or self._survey_chunks(file)
         except OSError as error:
             raise LogError(f"cannot be read ({error.strerror})", where=path) from None
@@ -115,10 +120,26 @@ class Bag1Source:
                 )
                 self._note_damage(position, findings)
 
+    def split(self, size: int) -> Sequence["Bag1Source"]:
+        """Cut the bag between chunks, into parts of about so many bytes."""
+        if self.notes or self._has_doubles:
+            return [self]
+        cuts = [self._span.start]
+        cuts += [at for before, at in pairwise(self._chunks) if at // size > before // size]
+        parts = []
+        for ends in pairwise([*cuts, self._span.end]):
+            part = copy(self)
+            part._span, part.notes = Span(*ends), self.notes.copy()
+            parts.append(part)
+        return parts
+
     def _survey_index(self, file: BinaryIO) -> dict[int, Channel]:
         """Find the connections and their counts in the index; none where it is not whole."""
         index = _Index()
-        for header, _, length in self._walk(file):
+        chunk_starts = []
+        for header, position, length in self._walk(file):
+            if header.opcode == CHUNK:
+                chunk_starts.append(position)
             data = file.read(length) if header.opcode in {CHUNK_INFO, CONNECTION} else b""
             with suppress(*RECORD_ERRORS):
                 index.add(header, data)
@@ -134,6 +155,7 @@ class Bag1Source:
             add_note(self.notes, f"{chunks} chunks are in it, its index has {infos}")
         if +index.entries != +index.counts:
             add_note(self.notes, "the indexes of its chunks and the one at its end differ")
+        self._chunks = chunk_starts
         return _with_counts(index.connections, index.counts)
 
     def _refuse_encrypted(self, bag: Header) -> None:
@@ -177,9 +199,9 @@ class Bag1Source:
 
         Behind damage it goes on with the next record that is sound.
         """
-        position = behind = file.seek(len(MAGIC))
+        position = behind = self._span.start
         chunk_end = 0
-        while position < self._size:
+        while position < self._span.end:
             file.seek(position)
             header = read_header(file)
             start = position + len(header.raw) if header else position
@@ -196,7 +218,7 @@ class Bag1Source:
                 position, behind = found, found + 1
             else:
                 break
-        if position < self._size:
+        if position < self._span.end:
             lost = self._size - position
             add_note(
                 self.notes, f"the bag breaks off at byte {position}, {lost} bytes before its end"

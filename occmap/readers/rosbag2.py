@@ -9,6 +9,7 @@ import tempfile
 import weakref
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -98,6 +99,20 @@ class Bag2Source:
                     yield some._replace(channel=outer[some.channel])
             self._gather_notes()
 
+    def split(self, size: int) -> Sequence["Bag2Source"]:
+        """Cut each storage file; none where one was unpacked into a folder that goes away."""
+        if self._scratch is not None:
+            return ()
+        if self.notes:
+            return [self]
+        parts = []
+        for source, outer in zip(self._parts, self._by_part, strict=True):
+            for inner in source.split(size):
+                part = copy(self)
+                part._parts, part._by_part, part.notes = [inner], [outer], self.notes.copy()
+                parts.append(part)
+        return parts
+
     def _find_files(self, metadata: _Metadata) -> list[Path]:
         """Find the storage files that the metadata names, or those that are there."""
         present = list_storage(self.path)
@@ -112,9 +127,9 @@ class Bag2Source:
             refuse_mixed(self.path, present)
         return there or present
 
-    def _open_parts(self, files: Sequence[Path]) -> list[Source]:
+    def _open_parts(self, files: Sequence[Path]) -> list[McapSource | SqliteSource]:
         """Open storage files; one that cannot be read is noted, unless there is no other."""
-        parts: list[Source] = []
+        parts: list[McapSource | SqliteSource] = []
         for file in files:
             try:
                 parts.append(self._open_part(file))
@@ -126,7 +141,7 @@ class Bag2Source:
             raise LogError("no storage file in it can be read", where=self.path)
         return parts
 
-    def _open_part(self, file: Path) -> Source:
+    def _open_part(self, file: Path) -> McapSource | SqliteSource:
         """Open a storage file, by content rather than by name."""
         start = _read_start(file)
         if start.startswith(ZSTD_MAGIC):

@@ -1,15 +1,17 @@
 """What the text formats share: lines of a plain or gzip file, exact times, notes on damage."""
 
 import io
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from decimal import Decimal
+from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
 
 from occmap.errors import LogError
-from occmap.readers import Note, Probe
+from occmap.readers import Note, Probe, Span
 from occmap.readers.gunzip import GUNZIP_ERRORS, MAGIC, GunzipStream
 from occmap.types import Float64, as_float32
 
@@ -34,6 +36,8 @@ BLOCK_BYTES = 1 << 20
 LINE_BYTES = 200
 """What a `Line` takes in memory beside its text."""
 
+ALL = Span(0, sys.maxsize)
+"""Of any file"""
 NO_LOG = "this is no text log; check what the file is"
 
 
@@ -81,8 +85,40 @@ class LineTally:
         add_note(notes, Note(f"{count}, the first is line {number}: {fault}", damage=True))
 
 
-def read_lines(path: Path, notes: list[Note]) -> Iterator[Line]:
-    """Yield the lines of a UTF-8 text file, plain or gzip, one at a time.
+def split_lines(
+    path: Path, size: int, is_heading: Callable[[bytes], bool] = lambda _line: False
+) -> list[Span]:
+    """Cut a text file into spans of whole lines, of about so many bytes; gzip cannot be cut.
+
+    Parameters
+    ----------
+    is_heading
+        Whether a line may stand before the first that counts, which is in the first span.
+
+    Raises
+    ------
+    LogError
+        The file cannot be read.
+    """
+    try:
+        with _open_bytes(path) as file:
+            if not isinstance(file.raw, io.FileIO):
+                return [ALL]
+            while is_heading(file.readline(MAX_LINE_BYTES)):
+                pass
+            heading, length = file.tell(), file.seek(0, 2)
+            cuts = [0]
+            for start in range(max(size, heading), length, size):
+                file.seek(start - 1)
+                file.readline(MAX_LINE_BYTES)
+                cuts += [file.tell()] if cuts[-1] < file.tell() < length else []
+    except OSError as error:
+        raise LogError(f"cannot be read ({error.strerror})", where=path) from None
+    return [Span(*ends) for ends in pairwise([*cuts, length])]
+
+
+def read_lines(path: Path, notes: list[Note], span: Span = ALL) -> Iterator[Line]:
+    """Yield the lines of a UTF-8 text file, plain or gzip, or of a part of it, one at a time.
 
     Bytes that are no UTF-8 become U+FFFD, for whoever reads the line to reject. Where gzip data
     is cut or corrupt, every complete line before the damage is given and a note says the rest.
@@ -95,7 +131,9 @@ def read_lines(path: Path, notes: list[Note]) -> Iterator[Line]:
     number = 0
     try:
         with _open_bytes(path) as file:
-            for number, raw in enumerate(_split_lines(file, path), start=1):
+            if span.start:
+                file.seek(span.start)
+            for number, raw in enumerate(_split_lines(file, path, span), start=1):
                 text = raw.decode("utf-8", "replace").rstrip("\r\n")
                 yield Line(number, _strip_mark(text, number), raw.endswith(b"\n"))
     except GUNZIP_ERRORS as error:
@@ -135,14 +173,14 @@ def parse_table(texts: list[str], characters: bytes, delimiter: str | None = Non
     return np.loadtxt(texts, delimiter=delimiter, comments=None, ndmin=2)
 
 
-def _open_bytes(path: Path) -> BinaryIO:
+def _open_bytes(path: Path) -> io.BufferedReader:
     file = path.open("rb")
     if not file.peek(2).startswith(MAGIC):
         return file
     return io.BufferedReader(GunzipStream(file))
 
 
-def _split_lines(file: BinaryIO, path: Path) -> Iterator[bytes]:
+def _split_lines(file: BinaryIO, path: Path, span: Span) -> Iterator[bytes]:
     """Read line by line within bounds, as a bomb may hide in one line or in many."""
     size = path.stat().st_size
     limit, most_lines = max(FREE_EXPANSION_BYTES, MAX_EXPANSION * size), max(FREE_LINES, size)
@@ -155,6 +193,8 @@ def _split_lines(file: BinaryIO, path: Path) -> Iterator[bytes]:
         if total > limit or lines > most_lines:
             raise LogError(f"grows more than {MAX_EXPANSION}-fold", where=path, fix=NO_LOG)
         yield raw
+        if span.start + total >= span.end:
+            return
 
 
 def _strip_mark(text: str, number: int) -> str:

@@ -23,6 +23,7 @@ from occmap.sensor.bounds import (
     check_spread,
     check_weight,
 )
+from occmap.sensor.rules import occupancy, probability, visibility
 from occmap.types import EVEN_ODDS, Decision, Float64, to_log_odds
 
 
@@ -177,12 +178,15 @@ class QuadraticModel:
         return self.epsilon or resolution / 2
 
     def free(self, u: Float64) -> Float64:
-        """V = 1 - u, so p = u / 2, within [p_min, 1 - p_min]."""
-        return np.clip(u / 2, self.p_min, 1 - self.p_min)
+        """(1 - V) / 2 in the unit of r - epsilon, within [p_min, 1 - p_min]."""
+        return self._bound(probability(0, visibility(np.sqrt(u), 1, 0)))
 
     def hit(self, w: Float64) -> Float64:
-        """O = 1 - w^2, so p = 1 - w^2 / 2, within [p_min, 1 - p_min]."""
-        return np.clip(1 - w**2 / 2, self.p_min, 1 - self.p_min)
+        """(1 + O) / 2 in the unit of epsilon, within [p_min, 1 - p_min]."""
+        return self._bound(probability(occupancy(w, 0, 1), 0))
+
+    def _bound(self, p: Float64) -> Float64:
+        return np.clip(p, self.p_min, 1 - self.p_min)
 
 
 def find_decision(model: SensorModel) -> Decision:

@@ -8,11 +8,12 @@ ranges, far more of them than of the ranges just below.
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
 from occmap.sensor.returns import ReturnOptions, read_limits
-from occmap.types import Float32, Scan, ScanBatch, ScanRun, as_float32
+from occmap.types import Float32, Int64, Scan, ScanBatch, ScanRun, as_float32
 
 BAND = 0.025
 """The part of the largest range that a band takes up, and the part below it that is nearly empty"""
@@ -85,13 +86,25 @@ class RangeTally:
 
     def _count(self, far: Float32) -> None:
         """Count ranges (N,), and forget those that no band can reach down to any more."""
-        values, counts = np.unique(round_down(far), return_counts=True)
+        self._keep(*np.unique(round_down(far), return_counts=True))
+
+    def merge(self, other: Self) -> None:
+        """Count what another tally counted, as if this one had seen it, too."""
+        self.total += other.total
+        self.stated = max(self.stated, other.stated)
+        self.above += other.above
+        self.largest = max(self.largest, other.largest)
+        self._different |= other._different
+        self._keep(other._values, other._counts)
+
+    def _keep(self, values: Float32, counts: Int64) -> None:
+        """Add to the counts of values, each of which is there once."""
         every = np.concatenate([self._counts, counts])
         values, places = np.unique(np.concatenate([self._values, values]), return_inverse=True)
         counts = np.bincount(places, weights=every).astype(np.int64)
         at_or_above = np.cumsum(counts[::-1])[::-1]
         # Any band has so many readings at or above its top.
-        if at_or_above[0] >= MIN_READINGS:
+        if at_or_above.size and at_or_above[0] >= MIN_READINGS:
             top = values[at_or_above >= MIN_READINGS][-1]
             self._floor = round_down(as_float32((1 - 2 * BAND) * float(top)))
         kept = values >= self._floor
@@ -159,10 +172,20 @@ class RangeLimits:
 
     def settle(self) -> bool:
         """Whether what was applied is what the whole log shows; from now on the latter is."""
-        right = all(limit == self._find(topic) for topic, limit in self._applied.items())
+        right = self.agrees_with(self)
         self._settled = True
         self._applied.clear()
         return right
+
+    def merge(self, other: Self) -> None:
+        """Count what was seen of a later part of the same log."""
+        for topic, tally in other._tallies.items():
+            self._tallies.setdefault(topic, RangeTally()).merge(tally)
+        self._senseless = {**other._senseless, **self._senseless}
+
+    def agrees_with(self, whole: Self) -> bool:
+        """Whether what was applied is what others show, of which these scans are a part."""
+        return all(limit == whole._find(topic) for topic, limit in self._applied.items())
 
     def _find(self, topic: str) -> float:
         tally = self._tallies.get(topic)  # of this topic alone: there may be very many

@@ -4,14 +4,17 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from occmap.evidence.manifest import list_inputs
 from occmap.grid.lattice import CellBox
-from occmap.grid.slices import take
+from occmap.grid.slices import take, unite
 from occmap.grid.tiles import INT32_LIMIT, TILE
 from occmap.types import Evidence, Int64, Manifest, Slices, UInt8
+from occmap.writers.compact import pack_slices, unpack_slices
 
 BLOCK = 1024
 """Cells along the side of a block"""
@@ -55,6 +58,11 @@ class BlockContent:
     """Which logs observed something: places among the logs of all builds, one after the other"""
 
 
+NO_CONTENT = BlockContent(
+    np.zeros((0, 2), np.int64), np.zeros((0, 2, TILE, TILE), np.int32), (), ()
+)
+
+
 class BlockRecord(NamedTuple):
     """What the table of a store says of a block."""
 
@@ -90,14 +98,38 @@ def hash_content(content: BlockContent) -> str:
         np.packbits(seen, axis=-1),
         *(content.cells[:, part][seen].astype("<i8") for part in (0, 1)),
     ]
-    for slices in content.slices:
-        arrays += [slices.tiles.astype("<i8"), slices.numbers.astype("<i8")]
+    for build, slices in list_layers(content):
+        arrays += [np.array([build], "<i8"), slices.tiles.astype("<i8")]
+        arrays += [slices.numbers.astype("<i8")]
         arrays += [slices.rows, slices.parts, slices.changes]
     digest = hashlib.sha256()
     for array in arrays:
         digest.update(f"{array.shape}".encode())
         digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()
+
+
+def list_layers(content: BlockContent) -> list[tuple[int, Slices]]:
+    """Those of the builds that observed something, so that another build changes no other block."""
+    return [(place, each) for place, each in enumerate(content.slices) if len(each.numbers)]
+
+
+def pack_layers(content: BlockContent) -> tuple[UInt8, list[dict[str, Any]]]:
+    """Lay the slices of a block end to end as bytes, and say how to take them apart."""
+    layers = list_layers(content)
+    arrays = pack_slices([slices for _, slices in layers])
+    return pack_arrays({"builds": np.array([build for build, _ in layers], "<i8"), **arrays})
+
+
+def unpack_layers(
+    data: UInt8, layout: Iterable[Mapping[str, Any]], builds: int
+) -> tuple[Slices, ...]:
+    """Take the slices of a block apart again: one for each of so many builds."""
+    arrays = unpack_arrays(data, layout)
+    layers = [Slices.join([])] * builds
+    for build, slices in zip(arrays["builds"].tolist(), unpack_slices(arrays), strict=True):
+        layers[build] = slices
+    return tuple(layers)
 
 
 def compute_digest(manifest: Manifest, blocks: Mapping[Block, str]) -> str:
@@ -115,7 +147,7 @@ def compute_digest(manifest: Manifest, blocks: Mapping[Block, str]) -> str:
 
 def digest_evidence(evidence: Evidence) -> str:
     """The digest that a store of this evidence has."""
-    contents = split_evidence(evidence, ())
+    contents = split_evidence(evidence)
     return compute_digest(evidence.manifest, {key: hash_content(each) for key, each in contents})
 
 
@@ -207,10 +239,8 @@ def gather_tiles(cells: Int64, row: int, col: int) -> tuple[Int64, Int64]:
     return places + np.array([row, col]), tiles[*places.T]
 
 
-def split_evidence(
-    evidence: Evidence, logs: tuple[int, ...]
-) -> Iterator[tuple[Block, BlockContent]]:
-    """Cut evidence into blocks, in ascending order; whoever made it is said to be in each."""
+def split_evidence(evidence: Evidence) -> Iterator[tuple[Block, BlockContent]]:
+    """Cut evidence into blocks, in ascending order."""
     layers = [group_by_block(layer.tiles) for layer in evidence.slices]
     of_tiles = group_by_block(evidence.tiles)
     nothing = np.zeros(0, np.int64)
@@ -220,7 +250,20 @@ def split_evidence(
             take(layer, which.get(block, nothing))
             for layer, which in zip(evidence.slices, layers, strict=True)
         )
+        logs = name_logs(evidence.manifest, slices)
         yield block, BlockContent(evidence.tiles[places], evidence.cells[places], slices, logs)
+
+
+def name_logs(manifest: Manifest, slices: Sequence[Slices]) -> tuple[int, ...]:
+    """The logs of all builds that observed something, since nobody knows which of them did."""
+    counts = [len(list_inputs(build)) for build in manifest.builds]
+    starts = accumulate(counts, initial=0)
+    return tuple(
+        log
+        for start, count, layer in zip(starts, counts, slices, strict=False)
+        if len(layer.numbers)
+        for log in range(start, start + count)
+    )
 
 
 def group_by_block(tiles: Int64) -> dict[Block, Int64]:
@@ -232,16 +275,17 @@ def group_by_block(tiles: Int64) -> dict[Block, Int64]:
     return dict(zip(keys, np.split(order, ends[:-1]), strict=False))
 
 
-def join_blocks(contents: Iterable[BlockContent]) -> tuple[Int64, Int64]:
-    """Row and column of all tiles (T, 2), in ascending order, and their cells (T, 2, 64, 64).
-
-    These are 64 bits wide only where a number needs it.
-    """
-    parts = [(each.tiles, narrow_cells(each.cells)) for each in contents]
-    tiles = np.concatenate([np.zeros((0, 2), np.int64), *(part for part, _ in parts)])
-    cells = np.concatenate([np.zeros((0, 2, TILE, TILE), np.int32), *(part for _, part in parts)])
+def join_contents(contents: Iterable[BlockContent], manifest: Manifest, where: str) -> Evidence:
+    """Make evidence of some blocks."""
+    known = [NO_CONTENT, *contents]
+    tiles = np.concatenate([each.tiles for each in known])
+    cells = np.concatenate([each.cells for each in known])
     order = np.lexsort(tiles.T[::-1])
-    return tiles[order], cells[order]
+    slices = tuple(
+        unite(each.slices[build] for each in known if each.slices)
+        for build in range(len(manifest.builds))
+    )
+    return Evidence(manifest, tiles[order], cells[order], slices, where)
 
 
 def narrow_cells(cells: Int64) -> Int64:

@@ -1,6 +1,5 @@
 """How a store is read: what it is, one block, or all of it."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from occmap.errors import MapError
-from occmap.grid.slices import unite
+from occmap.grid.lattice import CellBox
 from occmap.grid.tiles import EvidenceKind
 from occmap.store.blocks import (
     SIDE,
@@ -19,9 +18,10 @@ from occmap.store.blocks import (
     gather_tiles,
     hash_content,
     hash_table,
-    join_blocks,
+    join_contents,
+    narrow_cells,
     read_table,
-    unpack_arrays,
+    unpack_layers,
 )
 from occmap.store.layout import (
     FORMAT,
@@ -34,7 +34,6 @@ from occmap.store.layout import (
     refuse_damage,
 )
 from occmap.types import Evidence, Manifest
-from occmap.writers.compact import unpack_slices
 from occmap.writers.soundness import find_fault, list_manifest_faults
 
 
@@ -53,27 +52,42 @@ class Store:
     root: Any
     """The group of Zarr"""
 
+    @property
+    def where(self) -> str:
+        """The folder."""
+        return str(self.path)
+
+    def find_reach(self, block: Block) -> CellBox:
+        """The smallest box around the cells of a block that were observed."""
+        return self.blocks[block].reach
+
     def read_block(self, block: Block) -> BlockContent:
         """Read what was observed in one of its blocks.
 
         Raises
         ------
         MapError
-            It is not as it was written.
+            It is not as it was written, or not what occmap writes.
         """
         record, place = self.blocks[block], find_place(block, self.offset)
         with refuse_damage(self.path):
             names = LAYERS[EvidenceKind(self.manifest.kind)]
             cells = np.stack([self.root[name][place] for name in names])
-            tiles = gather_tiles(cells, block.row * SIDE, block.col * SIDE)
+            tiles, numbers = gather_tiles(cells, block.row * SIDE, block.col * SIDE)
             array = self.root[f"slices/{block.row}.{block.col}"]
-            slices = unpack_slices(unpack_arrays(array[:], array.attrs["arrays"]))
-            content = BlockContent(*tiles, slices, record.logs)
+            builds = len(self.manifest.builds)
+            slices = unpack_layers(array[:], array.attrs["arrays"], builds)
+            content = BlockContent(tiles, narrow_cells(numbers), slices, record.logs)
         if hash_content(content) != record.sha256:
             raise MapError(
                 f"its block ({block.row}, {block.col}) was altered or a file of it is missing",
                 where=self.path,
                 fix="build it again",
+            )
+        fault = find_fault(Evidence(self.manifest, tiles, numbers, slices))
+        if fault:
+            raise MapError(
+                f"is not what occmap writes: {fault}", where=self.path, fix="build it again"
             )
         return content
 
@@ -83,28 +97,9 @@ class Store:
         Raises
         ------
         MapError
-            It is not as it was written, or not what occmap writes.
-        """
-        evidence = self.read_blocks(self.blocks)
-        fault = find_fault(evidence)
-        if fault:
-            raise MapError(
-                f"is not what occmap writes: {fault}", where=self.path, fix="build it again"
-            )
-        return evidence
-
-    def read_blocks(self, blocks: Iterable[Block]) -> Evidence:
-        """Read some of its blocks.
-
-        Raises
-        ------
-        MapError
             As `read_block`.
         """
-        contents = [self.read_block(block) for block in blocks]
-        layers = zip(*(each.slices for each in contents), strict=True)
-        slices = tuple(map(unite, layers)) or tuple(unite(()) for _ in self.manifest.builds)
-        return Evidence(self.manifest, *join_blocks(contents), slices, str(self.path))
+        return join_contents(map(self.read_block, self.blocks), self.manifest, self.where)
 
 
 def open_store(path: Path) -> Store:

@@ -4,11 +4,10 @@ import secrets
 import shutil
 from pathlib import Path
 
-from occmap.evidence.manifest import list_inputs
-from occmap.store.blocks import split_evidence
 from occmap.store.layout import import_zarr
+from occmap.store.sources import Blocks, Held
 from occmap.store.writing import create_store, finish_store, publish_store, write_block
-from occmap.types import Evidence
+from occmap.types import Evidence, Manifest
 from occmap.writers.atomic import follow_links
 
 
@@ -34,14 +33,25 @@ class ZarrWriter:
         OutputError
             It cannot be written; then nothing is left behind.
         """
-        logs = tuple(range(sum(len(list_inputs(each)) for each in evidence.manifest.builds)))
-        contents = dict(split_evidence(evidence, logs))
-        temporary = follow_links(path).with_name(f".occmap-{secrets.token_hex(8)}.tmp")
+        return self.write_blocks(path, Held(evidence), evidence.manifest)
+
+    def write_blocks(self, path: Path, source: Blocks, manifest: Manifest) -> tuple[Path, ...]:
+        """Write evidence block by block; the manifest may name another model.
+
+        Raises
+        ------
+        OccmapError
+            As `write_evidence`, or a block cannot be read.
+        """
+        target = follow_links(path)
+        temporary = target.with_name(f".occmap-{secrets.token_hex(8)}.tmp")
         try:
-            create_store(temporary, evidence.manifest, contents)
-            records = [write_block(temporary, *each) for each in contents.items()]
-            finish_store(temporary, evidence.manifest, records)
-            publish_store(temporary, follow_links(path))
+            create_store(temporary, manifest, source.blocks)
+            records = [
+                write_block(temporary, block, source.read_block(block)) for block in source.blocks
+            ]
+            finish_store(temporary, manifest, records)
+            publish_store(temporary, target)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
         return (path,)

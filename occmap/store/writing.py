@@ -21,7 +21,7 @@ from occmap.store.blocks import (
     describe_block,
     hash_table,
     make_table,
-    pack_arrays,
+    pack_layers,
     spread_cells,
 )
 from occmap.store.layout import (
@@ -38,7 +38,6 @@ from occmap.store.layout import (
 from occmap.store.pictures import classify_block, reduce_classes
 from occmap.types import Manifest, Update
 from occmap.writers.atomic import sync_folder
-from occmap.writers.compact import pack_slices
 
 Run = Callable[[Callable[[Block], None], Sequence[Block]], Iterable[None]]
 """Calls a function for each block, as `map` does: in this process, or in others"""
@@ -130,7 +129,7 @@ def write_block(path: Path, block: Block, content: BlockContent) -> BlockRecord:
         It cannot be written.
     """
     zarr = import_zarr()
-    data, layout = pack_arrays(pack_slices(content.slices))
+    data, layout = pack_layers(content)
     with refuse_unwritable(path):
         root = zarr.open_group(path, mode="r+")
         head = root.attrs["occmap"]

@@ -1,15 +1,17 @@
 """The updates for models that look at distances, the slow way: one cell at a time, in floats.
 
-Elfes' quadratic model, for a cell whose centre is at distance d from the sensor on a beam of range
-r: p = (1 + O - V) / 2 with V = 1 - (d / (r - depth))^2 for 0 <= d < r - depth and, where the beam
-hit something, O = 1 - ((d - r) / depth)^2 for |d - r| <= depth; each is 0 elsewhere, and where both
-are, nothing is observed. p is clipped to [p_min, 1 - p_min].
+O, V and p are `occmap.sensor.rules`, of a cell whose centre is at distance d from the sensor on a
+beam of range r. Where neither O nor V speaks of a cell, nothing is observed. p is clipped to
+[p_min, 1 - p_min].
 """
 
 import math
 from collections import defaultdict
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from occmap.sensor.rules import occupancy, probability, visibility
 from occmap.types import Kind, Rays
 from tests.grid.reference import Cell, Point, all_beams, bresenham, cell_of, list_beams, point
 
@@ -30,13 +32,11 @@ class Quadratic:
 
     def observe(self, d: float, r: float, kind: Kind) -> float | None:
         """The probability of a cell, None where the beam says nothing about it."""
-        if d < r - self.depth:
-            v = 1 - (d / (r - self.depth)) ** 2
-            return self.clip((1 - v) / 2)
-        if kind == Kind.HIT and abs(d - r) <= self.depth:
-            o = 1 - ((d - r) / self.depth) ** 2
-            return self.clip((1 + o) / 2)
-        return None
+        at = np.array(d)
+        about = kind == Kind.HIT and abs(d - r) <= self.depth
+        o = occupancy(at, r, self.depth) if about else 0.0
+        v = visibility(at, r, self.depth)
+        return self.clip(float(probability(o, v))) if about or d < r - self.depth else None
 
     def clip(self, p: float) -> float:
         return min(max(p, self.p_min), 1 - self.p_min)

@@ -10,8 +10,8 @@ import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from occmap.grid.engine import WINDOW_CELLS, GridEngine
-from occmap.grid.spec import GridSpec
+from occmap.grid.engine import GridEngine
+from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import TILE, TileGrid
 from occmap.types import Float64, Kind, Rays, UInt8
 from tests.grid.reference import Cell

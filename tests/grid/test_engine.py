@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from occmap.errors import MapError
-from occmap.grid.engine import WINDOW_CELLS, GridEngine
+from occmap.grid.engine import GridEngine
 from occmap.grid.lattice import Lattice
 from occmap.grid.projection import join_viewpoints
-from occmap.grid.spec import GridSpec, tabulate
+from occmap.grid.spec import WINDOW_CELLS, GridSpec, tabulate
 from occmap.grid.tiles import TILE
 from occmap.sensor.models import QuadraticModel
 from occmap.types import Kind, Rays, Update

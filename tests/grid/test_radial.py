@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from occmap.grid.engine import WINDOW_CELLS
 from occmap.grid.lattice import Lattice
 from occmap.grid.projection import join_viewpoints
-from occmap.grid.spec import TABLE_STEPS, GridSpec, tabulate
+from occmap.grid.spec import TABLE_STEPS, WINDOW_CELLS, GridSpec, tabulate
 from occmap.grid.tiles import LOG_ODDS_UNIT
 from occmap.sensor.models import QuadraticModel
 from occmap.types import Kind, Rays, Update

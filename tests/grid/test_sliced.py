@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from occmap.errors import MapError
-from occmap.grid.engine import WINDOW_CELLS, GridEngine
+from occmap.grid.engine import GridEngine
 from occmap.grid.sliced import SlicedEngine
 from occmap.grid.slices import count_visits, split_tiles, unpack
-from occmap.grid.spec import GridSpec
+from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import TILE
 from occmap.types import Kind, Rays, Slices
 from tests.grid.reference import Cell

@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 
 from occmap.grid.kernels import jit
-from occmap.grid.kernels.beam import sum_beams, trace_beams
+from occmap.grid.kernels.beams import sum_beams, trace_beams
 from occmap.grid.kernels.polygon import sum_runs, trace_polygons
 from occmap.grid.kernels.project import project_ends
-from occmap.grid.kernels.radial_beam import trace_radial_beams
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.warm import compile_kernels
 from occmap.pipeline import BuildOptions, build
@@ -23,7 +22,6 @@ KERNELS: list[Any] = [
     project_ends,
     trace_beams,
     trace_polygons,
-    trace_radial_beams,
     trace_radial_polygons,
     sum_beams,
     sum_runs,

@@ -235,7 +235,9 @@ def test_where_nothing_can_be_deskewed_it_is_said() -> None:
     asked, unasked = build(*spin(), deskew=Deskew.ON), build(*spin(), deskew=Deskew.AUTO)
     for poser in (asked, unasked):
         poser.attach(batch_at([0.5], beams=10))
-    assert asked.notes == ["scans of 'laser' state no believable time between beams: not de-skewed"]
+    assert asked.notes == [
+        "scans of 'laser' that state no believable time between beams are not de-skewed"
+    ]
     assert unasked.notes == []
 
 
@@ -270,7 +272,7 @@ def test_scans_of_one_batch_are_deskewed_each_by_its_own_time(deskew: Deskew) ->
     np.testing.assert_allclose(turning.position[:, -1, 0], [0.6, 1.2])
     assert turning.batch.time_increment.tolist() == [0.001, 0.002]
     if deskew is Deskew.ON:
-        assert poser.notes[0].startswith("some scans of 'laser' state no believable time")
+        assert poser.notes[0].startswith("scans of 'laser' that state no believable time")
 
 
 @pytest.mark.filterwarnings("error")

@@ -15,13 +15,14 @@ import zarr
 
 from occmap.errors import MapError, OutputError
 from occmap.evidence import render_saved
+from occmap.grid.slices import pack
 from occmap.grid.tiles import TILE
 from occmap.store.blocks import BLOCK, Block, digest_evidence, split_evidence
 from occmap.store.layout import compute_checksum
 from occmap.store.reading import open_store
 from occmap.store.writer import ZarrWriter
 from occmap.store.writing import create_store, finish_store, write_block, write_overview
-from occmap.types import CellClass, Evidence, Manifest, Slices, UInt8, Update
+from occmap.types import CellClass, Evidence, Manifest, UInt8, Update
 from tests.evidence.saving import choose, each_combination, save, write_bytes
 
 FINE = 0.02
@@ -110,10 +111,12 @@ def test_coarse_pictures_of_a_store_of_blocks_far_apart(tmp_path: Path, drive: E
     one = drive.cells[:1]
     blocks = [Block(-far, -far), Block(far, far - 3)]
     tiles = np.array([[block.row * 16 + 5, block.col * 16 + 9] for block in blocks])
-    evidence = replace(
-        drive, tiles=tiles, cells=np.repeat(one, 2, axis=0), slices=(Slices.join([]),)
-    )
-    contents = dict(split_evidence(evidence, (0,)))
+    cells = np.repeat(one, 2, axis=0)
+    bits = np.packbits(cells != 0, axis=-1)
+    bits[:, 1] |= bits[:, 0]
+    slices = pack(tiles, np.array([3, 4]), bits)
+    evidence = replace(drive, tiles=tiles, cells=cells, slices=(slices,))
+    contents = dict(split_evidence(evidence))
     assert list(contents) == blocks
     create_store(path, drive.manifest, contents)
     finish_store(path, drive.manifest, [write_block(path, *each) for each in contents.items()])
@@ -123,11 +126,11 @@ def test_coarse_pictures_of_a_store_of_blocks_far_apart(tmp_path: Path, drive: E
     rows, cols = np.nonzero(coarse[:])
     expected = {tuple((np.array(t) * TILE - store.offset) // 4096) for t in tiles.tolist()}
     assert set(zip(rows.tolist(), cols.tolist(), strict=True)) == expected
-    assert np.array_equal(store.read_blocks(contents).tiles, tiles)
+    assert np.array_equal(store.read_evidence().tiles, tiles)
 
 
 def test_the_table_says_what_is_where_and_who_saw_it(tmp_path: Path, drive: Evidence) -> None:
-    contents = dict(split_evidence(drive, ()))
+    contents = dict(split_evidence(drive))
     path = tmp_path / "m.zarr"
     create_store(path, drive.manifest, contents)
     given = [
@@ -149,7 +152,7 @@ def test_the_table_says_what_is_where_and_who_saw_it(tmp_path: Path, drive: Evid
 def test_processes_write_blocks_at_once_and_a_task_may_run_twice(
     tmp_path: Path, drive: Evidence, kept: Path
 ) -> None:
-    path, contents = tmp_path / "m.zarr", dict(split_evidence(drive, (0,)))
+    path, contents = tmp_path / "m.zarr", dict(split_evidence(drive))
     create_store(path, replace(drive.manifest, builds=()), contents)
     twice = [*contents, *contents]
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
@@ -163,7 +166,7 @@ def test_processes_write_blocks_at_once_and_a_task_may_run_twice(
 
 
 def test_a_store_that_is_not_finished_is_refused(tmp_path: Path, drive: Evidence) -> None:
-    path, contents = tmp_path / "m.zarr", dict(split_evidence(drive, (0,)))
+    path, contents = tmp_path / "m.zarr", dict(split_evidence(drive))
     create_store(path, drive.manifest, contents)
     for each in contents.items():
         write_block(path, *each)

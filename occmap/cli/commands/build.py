@@ -13,9 +13,10 @@ from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.streams import gather_logs, hide_caught, place_outputs
 from occmap.cli.summary import format_report
-from occmap.cli.values import PATH
+from occmap.cli.values import PATH, parse_size, read_by
 from occmap.errors import LogError, UsageError
 from occmap.gates.measures import BUILD
+from occmap.observing import Observe, observe
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
 from occmap.report import Report
 
@@ -53,6 +54,35 @@ resume = join(
     ),
 )
 
+fleet = join(
+    option(
+        options.RUN,
+        "--dask",
+        metavar="local|ADDRESS",
+        help="Build by processes on this machine, as many as --jobs, or by the workers of a Dask "
+        "scheduler, such as tcp://HOST:8786.",
+    ),
+    option(
+        options.RUN,
+        "--scratch",
+        type=PATH,
+        metavar="DIR",
+        show_default="beside the first output",
+        help="With --dask: where all workers leave what they find. A build that is killed and run "
+        "again goes on where it was.",
+    ),
+    option(
+        options.RUN,
+        "--slice",
+        "slice_bytes",
+        **read_by(parse_size),
+        metavar="SIZE",
+        default="256MB",
+        show_default=True,
+        help="With --dask: how much of a log is one task.",
+    ),
+)
+
 
 class Request(NamedTuple):
     """What a command line asks for."""
@@ -67,7 +97,7 @@ class Request(NamedTuple):
 @join(options.writing, resume, options.lattice, options.min_passes, options.pass_gap)
 @join(log_options.ranges, options.model)
 @join(log_options.selection, log_options.posing)
-@join(limits.fail_if(BUILD), options.jobs, strict, options.config)
+@join(limits.fail_if(BUILD), options.jobs, fleet, strict, options.config)
 @join(options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
@@ -77,7 +107,9 @@ def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
     outputs = place_outputs(console, request.outputs, logs[0])
     start = perf_counter()
     with show_progress(console) as progress:
-        report = hide_caught(build(logs, request.options, outputs, progress).report)
+        observe = choose_observer(values, outputs[0])
+        made = build(logs, request.options, outputs, progress, observe)
+        report = hide_caught(made.report)
     for note in report.notes:
         console.note(note)
     lines = format_report(report, perf_counter() - start)
@@ -99,6 +131,16 @@ def collect_request(words: tuple[str, ...], values: dict[str, Any]) -> Request:
     if not values["outputs"]:
         raise UsageError("where to write the map is not given", fix="add -o map.pgm")
     return Request(logs, collect_options(update, values), values["outputs"])
+
+
+def choose_observer(values: dict[str, Any], output: Path) -> Observe:
+    """Choose who traces the scans: this process, or the workers that --dask names."""
+    if values["dask"] is None:
+        return observe
+    from occmap.fleet import Fleet  # noqa: PLC0415  late: few builds need it
+
+    scratch = values["scratch"] or output.with_name(f"{output.name}.scratch")
+    return Fleet(values["dask"], scratch, values["slice_bytes"]).observe
 
 
 def refuse_damage(report: Report) -> None:

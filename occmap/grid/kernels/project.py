@@ -77,3 +77,17 @@ def _reach(distance: float, kind: int, depth: float, along_x: float, along_y: fl
     """
     beyond = depth / max(np.sqrt(along_x * along_x + along_y * along_y), 1e-300)
     return np.float64(distance) + (beyond if kind == HIT else 0.0)
+
+
+@kernel
+def measure_ranges(
+    turn: Float64, bearing: Float64, distance: Float32, units_per_metre: float, ranges: Float64
+) -> None:
+    """Write how far each beam reached on the map (lattice units); `ranges` may have no scan."""
+    for s in range(ranges.shape[0]):
+        for b in range(ranges.shape[1]):
+            t = min(b, turn.shape[1] - 1)
+            along_x = turn[s, t, 0, 0] * bearing[0, b] + turn[s, t, 0, 1] * bearing[1, b]
+            along_y = turn[s, t, 1, 0] * bearing[0, b] + turn[s, t, 1, 1] * bearing[1, b]
+            length = np.sqrt(along_x * along_x + along_y * along_y)
+            ranges[s, b] = distance[s, b] * length * units_per_metre

@@ -1,0 +1,149 @@
+"""Run files: what one task observed, block by block, for the tasks that add up blocks.
+
+A run file holds the parts of its blocks end to end, and beside it lies a stub that says where. Both
+are renamed into place, the stub last: where it is there, the task is done for good.
+"""
+
+import pickle
+from collections.abc import Iterable, Mapping, Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import zstandard
+
+from occmap.errors import MapError
+from occmap.grid.slices import take
+from occmap.grid.stacks import stack_tiles
+from occmap.grid.tiles import TileGrid
+from occmap.types import Int64, Slices
+from occmap.writers.atomic import open_atomic
+
+BLOCK_TILES = 16
+"""Tiles along the side of a block"""
+
+BlockKey: TypeAlias = tuple[int, int]
+"""Row and column of a block in the lattice of blocks."""
+
+
+class Piece(NamedTuple):
+    """Where the part of a block lies."""
+
+    file: str
+    """In the folder of all run files"""
+    offset: int
+    size: int
+
+
+class Content(NamedTuple):
+    """What was observed in a block."""
+
+    tiles: Int64
+    """(T, 2), as in `Evidence`, ..."""
+    cells: Int64
+    """(T, 2, 64, 64) ... and so are these"""
+    slices: tuple[Slices, ...]
+    """One where slices of time are kept, in order; else none"""
+
+
+def split_blocks(grid: TileGrid, slices: Sequence[Slices]) -> dict[BlockKey, Content]:
+    """Cut evidence into blocks."""
+    tiles, cells = stack_tiles(grid)
+    places = group_tiles(tiles)
+    layers = [(layer, group_tiles(layer.tiles)) for layer in slices]
+    nothing = np.zeros(0, np.int64)
+    return {
+        key: Content(
+            tiles[which],
+            cells[which],
+            tuple(take(layer, of_block.get(key, nothing)) for layer, of_block in layers),
+        )
+        for key, which in places.items()
+    }
+
+
+def group_tiles(tiles: Int64) -> dict[BlockKey, Int64]:
+    """Which of the tiles (T, 2) lie in each block, in their order."""
+    blocks, which = np.unique(tiles // BLOCK_TILES, axis=0, return_inverse=True)
+    return {
+        (row, col): np.flatnonzero(which == place)
+        for place, (row, col) in enumerate(blocks.tolist())
+    }
+
+
+def write_run(folder: Path, name: str, parts: Mapping[BlockKey, Content]) -> dict[BlockKey, Piece]:
+    """Write a run file; say where each block lies in it.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    pieces, offset = {}, 0
+    with open_atomic(folder / name) as (file,):
+        for key, content in parts.items():
+            data = pack_content(content)
+            file.write(data)
+            pieces[key] = Piece(name, offset, len(data))
+            offset += len(data)
+    return pieces
+
+
+def read_pieces(folder: Path, pieces: Iterable[Piece]) -> Iterable[Content]:
+    """Read parts of blocks, one after the other.
+
+    Raises
+    ------
+    MapError
+        A run file is not there any more, or is not as it was written.
+    """
+    for name, offset, size in pieces:
+        try:
+            with (folder / name).open("rb") as file:
+                file.seek(offset)
+                yield unpack_content(file.read(size))
+        except (OSError, ValueError, LookupError, zstandard.ZstdError) as error:
+            raise MapError(
+                f"cannot be read ({error})", where=folder / name, fix="remove it, and build again"
+            ) from None
+
+
+def pack_content(content: Content) -> bytes:
+    """Make bytes of a part of a block."""
+    names = Slices.__dataclass_fields__
+    arrays = {
+        f"{n}.{name}": getattr(s, name) for n, s in enumerate(content.slices) for name in names
+    }
+    buffer = BytesIO()
+    np.savez(buffer, tiles=content.tiles, cells=content.cells, **arrays)
+    return zstandard.compress(buffer.getbuffer())
+
+
+def unpack_content(data: bytes) -> Content:
+    """Make a part of a block of bytes."""
+    with np.load(BytesIO(zstandard.decompress(data)), allow_pickle=False) as arrays:
+        layers = sorted({name.partition(".")[0] for name in arrays.files if "." in name})
+        names = Slices.__dataclass_fields__
+        slices = tuple(Slices(*(arrays[f"{n}.{name}"] for name in names)) for n in layers)
+        return Content(arrays["tiles"], arrays["cells"], slices)
+
+
+def write_stub(path: Path, value: Any) -> None:
+    """Keep the result of a task: from now on it is done.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    with open_atomic(path) as (file,):
+        pickle.dump(value, file)
+
+
+def read_stub(path: Path) -> Any:
+    """The result of a task that is done; None where it is not."""
+    try:
+        return pickle.loads(path.read_bytes())
+    except FileNotFoundError:
+        return None

@@ -1,0 +1,93 @@
+"""From the parts of a log to what the whole log shows: exactly what one process would find."""
+
+from collections.abc import Iterator, Sequence
+from itertools import accumulate
+from pathlib import Path
+
+from occmap.batching import FROM_THE_START, Seam
+from occmap.fleet.tasks import Setting, Survey, Traced, TraceJob
+from occmap.posing.leaps import Ends
+from occmap.readers import Note
+from occmap.sensor.no_return import RangeLimits
+
+
+class LogTrace:
+    """The parts of one log, until all of them are traced by what the whole log shows.
+
+    A part is traced as if nothing in it depended on the rest of its log. Where something does, the
+    log is traced once more as a whole: where it is damaged, where scans leap, where a frame turns
+    up late. Where only the limit of "no return" was another, parts are traced once more with the
+    one that the whole log shows.
+    """
+
+    def __init__(self, setting: Setting, survey: Survey, wanted: Sequence[int]) -> None:
+        self.survey = survey
+        self.jobs = [
+            TraceJob(setting, survey, part, Seam(survey.first_ns if part else None, before))
+            for part, before in enumerate(accumulate(wanted[:-1], initial=0))
+        ]
+        self.traced: dict[str, Traced] = {}
+        """By the names of jobs"""
+        self.limits: RangeLimits | None = None
+        """Those of the whole log, once they are known"""
+
+    @property
+    def parts(self) -> list[Traced]:
+        """What the parts showed, in order, once all of them are traced."""
+        return [self.traced[job.name] for job in self.jobs]
+
+    @property
+    def path(self) -> Path:
+        """The log."""
+        return self.survey.path
+
+    @property
+    def notes(self) -> Sequence[Note]:
+        """What its reader has to say of it."""
+        return self.parts[0].log_notes
+
+    def list_findings(self) -> list[str]:
+        """List what there is to say of its poses, scans and ranges."""
+        ranges = self.limits.list_notes() if self.limits else ()
+        return [*self.parts[0].notes, *ranges]
+
+    def list_open(self) -> Iterator[TraceJob]:
+        """List what is to be traced next; nothing where the log is done."""
+        if self.limits is None and all(job.name in self.traced for job in self.jobs):
+            self._settle()
+        yield from (job for job in self.jobs if job.name not in self.traced)
+
+    def _settle(self) -> None:
+        """Find what the whole log shows, and what has to be traced once more by that."""
+        if len(self.jobs) > 1 and not self._is_sum_of_parts():
+            self.jobs = [self.jobs[0]._replace(part=None, seam=FROM_THE_START)]
+            return
+        self.limits = RangeLimits(self.jobs[0].setting.options.returns)
+        for part in self.parts:
+            self.limits.merge(part.limits)
+        self.limits.settle()
+        self.jobs = [
+            job if part.limits.agrees_with(self.limits) else job._replace(limits=self.limits)
+            for job, part in zip(self.jobs, self.parts, strict=True)
+        ]
+
+    def _is_sum_of_parts(self) -> bool:
+        """Whether no part depends on the others, so that together they are the log."""
+        parts, max_speed = self.parts, self.jobs[0].setting.options.posing.max_speed
+        return (
+            sum(part.tally.scans_read for part in parts) == self.survey.scans
+            and len({part.notes for part in parts}) == 1
+            and not any(part.depends for part in parts)
+            and not leap([part.ends for part in parts], max_speed)
+        )
+
+
+def leap(parts: Sequence[dict[str, Ends]], max_speed: float) -> bool:
+    """Whether there is a leap in any of the parts of a log, or between two of them."""
+    before: dict[str, Ends] = {}
+    for part in parts:
+        for topic, ends in part.items():
+            if ends.leaps or (topic in before and not before[topic].leads_to(ends, max_speed)):
+                return True
+        before |= part
+    return False

@@ -1,0 +1,297 @@
+"""What workers do: plain functions of plain values, which may run anywhere and again.
+
+Each leaves its result in the scratch folder and gives it at once where it is there already.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NamedTuple
+
+from occmap.batching import Seam, Selector
+from occmap.errors import LogError, PoseError
+from occmap.evidence.manifest import describe_files
+from occmap.fleet.runs import (
+    BlockKey,
+    Content,
+    Piece,
+    read_pieces,
+    read_stub,
+    split_blocks,
+    write_run,
+    write_stub,
+)
+from occmap.grid.slices import unite
+from occmap.grid.stacks import add_stack, stack_tiles
+from occmap.opening import count_scans
+from occmap.options import BuildOptions
+from occmap.posing.leaps import Ends
+from occmap.readers import Note, open_log, read_scans, split_log
+from occmap.report import Tally
+from occmap.sensor.no_return import RangeLimits
+from occmap.tracing import Drive, choose_engine, make_grid, open_drive, trace
+from occmap.types import Rays, Slices
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What all tasks of a build share."""
+
+    options: BuildOptions
+    keep_slices: bool
+    folder: Path
+    """Where results go"""
+    slice_bytes: int
+    """About so much of a log is one task"""
+    window_cells: int
+    """The largest window of an engine"""
+    most_bytes: int
+    """So much evidence is kept in memory before it goes to a run file"""
+
+
+class SurveyJob(NamedTuple):
+    """A log to be opened."""
+
+    setting: Setting
+    log: int
+    """Its place on the command line: a log that is given twice is two"""
+    path: Path
+
+    @property
+    def where(self) -> str:
+        """What an error is about."""
+        return str(self.path)
+
+
+class Survey(NamedTuple):
+    """What there is to know of a log before its scans are traced."""
+
+    log: int
+    path: Path
+    scans: int
+    """As the log announces them"""
+    parts: int
+    """In how many it is traced"""
+    notes: tuple[Note, ...]
+    first_ns: int | None
+    """The stamp of the first scan; None where there is none"""
+    error: PoseError | None
+    """Why its scans have no poses"""
+
+
+class TraceJob(NamedTuple):
+    """A part of a log to be traced."""
+
+    setting: Setting
+    survey: Survey
+    part: int | None
+    """None: all of it"""
+    seam: Seam
+    limits: RangeLimits | None = None
+    """Where they are known: those of the whole log"""
+
+    @property
+    def where(self) -> str:
+        """What an error is about."""
+        return str(self.survey.path)
+
+    @property
+    def name(self) -> str:
+        """What its files are called."""
+        part = "whole" if self.part is None else f"{self.part:05}"
+        return f"log{self.survey.log:05}-{part}-{'first' if self.limits is None else 'again'}"
+
+
+@dataclass(frozen=True, eq=False)
+class Traced:
+    """What a part of a log showed."""
+
+    tally: Tally
+    limits: RangeLimits
+    """By what its ranges were read"""
+    notes: tuple[str, ...] = ()
+    """Of its poses and scans"""
+    log_notes: tuple[Note, ...] = ()
+    """Of the reader"""
+    depends: bool = False
+    """Whether it would be another in the whole log: it is damaged, or a frame is seen first"""
+    ends: dict[str, Ends] = field(default_factory=dict)
+    """Where the scans of each topic begin and end"""
+    pieces: Mapping[BlockKey, tuple[Piece, ...]] = field(default_factory=dict)
+
+
+class ReduceJob(NamedTuple):
+    """A block to be added up."""
+
+    setting: Setting
+    block: BlockKey
+    pieces: tuple[Piece, ...]
+
+    @property
+    def where(self) -> str:
+        """What an error is about."""
+        return f"block {self.block}"
+
+
+def survey_log(job: SurveyJob) -> Survey:
+    """Open a log, read its poses, and cut it into parts.
+
+    Raises
+    ------
+    LogError
+        It cannot be read, or has no scans.
+    """
+    setting, options = job.setting, job.setting.options
+    stub = setting.folder / f"log{job.log:05}.survey"
+    if (known := read_stub(stub)) is not None:
+        survey: Survey = known
+        return survey
+    log = open_log(job.path, options.reading)
+    scans = count_scans(log, options.selection.topics)
+    try:
+        drive = open_drive(log, options)
+    except PoseError as error:
+        return Survey(job.log, job.path, scans, 1, (), None, error)
+    parts = split_log(log, setting.slice_bytes)
+    if parts:
+        write_stub(stub.with_suffix(".parts"), [drive._replace(log=part) for part in parts])
+    first_ns = find_first(drive, options)
+    survey = Survey(job.log, job.path, scans, len(parts) or 1, tuple(log.notes), first_ns, None)
+    write_stub(stub, survey)
+    return survey
+
+
+def find_first(drive: Drive, options: BuildOptions) -> int | None:
+    """The stamp of the first scan of a log; None where there is none."""
+    first = next(iter(read_scans(drive.log, drive.topics)), None)
+    clock = Selector(options.selection, options.posing.stamps)
+    return None if first is None else clock.stamp(first.first)
+
+
+def open_part(job: TraceJob) -> Drive:
+    """Open a part of a log as the survey left it, or all of it."""
+    setting, options = job.setting, job.setting.options
+    parts: Sequence[Drive] | None = None
+    if job.part is not None:
+        parts = read_stub(setting.folder / f"log{job.survey.log:05}.parts")
+    if parts is None:
+        return open_drive(open_log(job.survey.path, options.reading), options)
+    return parts[job.part or 0]._replace(seam=job.seam)
+
+
+def count_wanted(job: TraceJob) -> int:
+    """Count the scans of a part that lie in the time window: what a stride goes by."""
+    drive, options = open_part(job), job.setting.options
+    selector = Selector(options.selection, options.posing.stamps, drive.seam)
+    for _ in selector.judge(read_scans(drive.log, drive.topics)):
+        pass
+    return selector.seam.wanted
+
+
+def trace_part(job: TraceJob) -> Traced:
+    """Trace a log or a part of one, and leave what it observed in run files.
+
+    A part that depends on the rest of its log says so.
+
+    Raises
+    ------
+    OccmapError
+        As `trace`, or the scratch folder cannot be written.
+    """
+    stub = job.setting.folder / f"{job.name}.trace"
+    if (known := read_stub(stub)) is not None:
+        done: Traced = known
+        return done
+    traced = trace_drive(job)
+    write_stub(stub, traced)
+    return traced
+
+
+def trace_drive(job: TraceJob) -> Traced:
+    """As `trace_part`, which keeps it."""
+    drive, options = open_part(job), replace(job.setting.options, jobs=1)
+    is_part = job.part is not None and job.survey.parts > 1
+    frames = set(drive.poser.chains)
+    limits = job.limits or RangeLimits(options.returns)
+    sink, tally = RunWriter(job), Tally()
+    try:
+        odd = trace(drive, options, sink.add, limits, tally)
+    except LogError:
+        if is_part:  # it may be damage for which the log as a whole is no log
+            return Traced(Tally(), limits, depends=True)
+        raise
+    sink.flush()
+    notes = tuple(drive.log.notes)
+    return Traced(
+        tally,
+        limits,
+        notes=(*drive.poser.notes, *odd),
+        log_notes=notes,
+        depends=notes != job.survey.notes or set(drive.poser.chains) != frames,
+        ends=drive.poser.find_ends(),
+        pieces={key: tuple(pieces) for key, pieces in sink.pieces.items()},
+    )
+
+
+class RunWriter:
+    """Observes rays, and writes a run file whenever memory holds enough tiles."""
+
+    def __init__(self, job: TraceJob) -> None:
+        self._job = job
+        self._runs = 0
+        self.pieces: dict[BlockKey, list[Piece]] = {}
+        self._begin()
+
+    def _begin(self) -> None:
+        setting = self._job.setting
+        self._engine = choose_engine(setting.options, setting.keep_slices, setting.window_cells)
+
+    def add(self, rays: Rays) -> None:
+        """Observe rays."""
+        self._engine.add(rays)
+        if self._engine.bytes_held > self._job.setting.most_bytes:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what memory holds."""
+        parts = split_blocks(self._engine.finish(), self._engine.read_slices())
+        name = f"{self._job.name}-{self._runs}.run"
+        for key, piece in write_run(self._job.setting.folder, name, parts).items():
+            self.pieces.setdefault(key, []).append(piece)
+        self._runs += 1
+        self._begin()
+
+
+def reduce_block(job: ReduceJob) -> Piece:
+    """Add up all that was observed in a block, and leave it in a run file of its own.
+
+    Raises
+    ------
+    OccmapError
+        A run file cannot be read, or the scratch folder cannot be written.
+    """
+    folder, (row, col) = job.setting.folder, job.block
+    name = f"block{row}_{col}"
+    if (known := read_stub(folder / f"{name}.sum")) is not None:
+        done: Piece = known
+        return done
+    grid, layers = make_grid(job.setting.options), list[Slices]()
+    for content in read_pieces(folder, job.pieces):
+        add_stack(grid, content.tiles, content.cells)
+        layers += content.slices
+    slices = (unite(layers),) if job.setting.keep_slices else ()
+    content = Content(*stack_tiles(grid), slices)
+    piece = write_run(folder, f"{name}.run", {job.block: content})[job.block]
+    write_stub(folder / f"{name}.sum", piece)
+    return piece
+
+
+def hash_log(job: SurveyJob) -> list[dict[str, object]]:
+    """Name, size and SHA-256 of the files of a log.
+
+    Raises
+    ------
+    LogError
+        A file cannot be read.
+    """
+    return list(describe_files(job.path))

@@ -1,0 +1,221 @@
+"""What is read block by block: a store, evidence in memory, sums and differences of both."""
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import accumulate
+from pathlib import Path
+from typing import Protocol, TypeAlias
+
+import numpy as np
+
+from occmap.evidence.manifest import list_inputs
+from occmap.grid.lattice import CellBox
+from occmap.grid.slices import take
+from occmap.grid.tiles import TILE
+from occmap.store.blocks import (
+    NO_CONTENT,
+    Block,
+    BlockContent,
+    join_contents,
+    name_logs,
+    split_evidence,
+)
+from occmap.store.reading import Store, open_store
+from occmap.types import Evidence, Int64, Manifest
+from occmap.writers.npz import read_evidence
+
+KEPT_BLOCKS = 18
+"""How many blocks are kept that were read last, up to 8 MiB each"""
+
+
+class Blocks(Protocol):
+    """Evidence that is read block by block."""
+
+    @property
+    def manifest(self) -> Manifest:
+        """What it is."""
+
+    @property
+    def where(self) -> str:
+        """What it was read from."""
+
+    @property
+    def blocks(self) -> Collection[Block]:
+        """All blocks that anything was observed in."""
+
+    def find_reach(self, block: Block) -> CellBox:
+        """A box around the cells of a block that were observed; it may be too large."""
+
+    def read_block(self, block: Block) -> BlockContent:
+        """What was observed in one of the blocks."""
+
+
+Saved: TypeAlias = Evidence | Blocks
+
+
+def open_saved(path: Path) -> Evidence | Store:
+    """Read an evidence file, or open a store.
+
+    Raises
+    ------
+    UsageError
+        It is a store, and zarr is not installed.
+    MapError
+        It is missing, damaged, or no evidence.
+    """
+    if path.is_dir() or path.suffix.lower() == ".zarr":
+        return open_store(path)
+    return read_evidence(path)
+
+
+def as_blocks(saved: Saved) -> Blocks:
+    """Cut evidence into blocks, where it is not yet."""
+    return Held(saved) if isinstance(saved, Evidence) else saved
+
+
+def read_all(saved: Saved) -> Evidence:
+    """Read all blocks at once."""
+    if isinstance(saved, Evidence):
+        return saved
+    contents = map(saved.read_block, saved.blocks)
+    return join_contents(contents, saved.manifest, saved.where)
+
+
+def read_part(saved: Saved, box: CellBox) -> Evidence:
+    """Read the tiles that lie in a box of cells or beside it; of evidence in memory, all."""
+    if isinstance(saved, Evidence):
+        return saved
+    low = np.array([box.row, box.col]) // TILE - 1
+    high = np.array([box.row_end - 1, box.col_end - 1]) // TILE + 2
+    first, last = Block.of_tile(*low.tolist()), Block.of_tile(*(high - 1).tolist())
+    touched = (
+        Block(row, col)
+        for row in range(first.row, last.row + 1)
+        for col in range(first.col, last.col + 1)
+    )
+    contents = [saved.read_block(block) for block in touched if block in saved.blocks]
+    cut = (cut_content(content, low, high) for content in contents)
+    return join_contents(cut, saved.manifest, saved.where)
+
+
+def cut_content(content: BlockContent, low: Int64, high: Int64) -> BlockContent:
+    """Keep the tiles from one row and column (2,) on to another, which is left out."""
+
+    def find(tiles: Int64) -> Int64:
+        return np.flatnonzero(((tiles >= low) & (tiles < high)).all(axis=1))
+
+    which = find(content.tiles)
+    slices = tuple(take(layer, find(layer.tiles)) for layer in content.slices)
+    return BlockContent(content.tiles[which], content.cells[which], slices, content.logs)
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Evidence in memory; the logs of a build are said to have touched all that it observed."""
+
+    evidence: Evidence
+
+    @property
+    def manifest(self) -> Manifest:
+        """What it is."""
+        return self.evidence.manifest
+
+    @property
+    def where(self) -> str:
+        """What it was read from."""
+        return self.evidence.where
+
+    @cached_property
+    def blocks(self) -> dict[Block, BlockContent]:
+        """All of it."""
+        return dict(split_evidence(self.evidence))
+
+    def find_reach(self, block: Block) -> CellBox:
+        """All cells of the block."""
+        return block.box
+
+    def read_block(self, block: Block) -> BlockContent:
+        """What was observed in a block."""
+        return self.blocks[block]
+
+
+@dataclass(frozen=True, eq=False)
+class Combined:
+    """Evidence added up or taken apart, a block only when it is read."""
+
+    parts: tuple[Blocks, ...]
+    combine: Callable[[Sequence[Evidence]], Evidence]
+    """What makes one evidence of that of all parts: of nothing, too"""
+    where: str = ""
+
+    @cached_property
+    def manifest(self) -> Manifest:
+        """What it is."""
+        nothing = [join_contents((), each.manifest, each.where) for each in self.parts]
+        return self.combine(nothing).manifest
+
+    @cached_property
+    def blocks(self) -> Collection[Block]:
+        """Those of all parts."""
+        known: set[Block] = set().union(*(each.blocks for each in self.parts))
+        return dict.fromkeys(sorted(known))
+
+    def find_reach(self, block: Block) -> CellBox:
+        """All cells of the block."""
+        return block.box
+
+    def read_block(self, block: Block) -> BlockContent:
+        """What is in a block of the sum or the difference."""
+        contents = [
+            part.read_block(block) if block in part.blocks else NO_CONTENT for part in self.parts
+        ]
+        made = self.combine(
+            [
+                join_contents([content], part.manifest, part.where)
+                for part, content in zip(self.parts, contents, strict=True)
+            ]
+        )
+        if len(self.manifest.builds) < sum(len(each.manifest.builds) for each in self.parts):
+            logs = name_logs(self.manifest, made.slices)
+        else:
+            starts = accumulate((count_logs(each.manifest) for each in self.parts), initial=0)
+            pairs = zip(starts, contents, strict=False)
+            logs = tuple(start + log for start, content in pairs for log in content.logs)
+        return BlockContent(made.tiles, made.cells, made.slices, logs)
+
+
+def count_logs(manifest: Manifest) -> int:
+    """How many logs all builds have."""
+    return sum(len(list_inputs(build)) for build in manifest.builds)
+
+
+@dataclass(frozen=True, eq=False)
+class Recent:
+    """Blocks of which those are kept that were read last."""
+
+    source: Blocks
+
+    @property
+    def manifest(self) -> Manifest:
+        """What it is."""
+        return self.source.manifest
+
+    @property
+    def where(self) -> str:
+        """What it was read from."""
+        return self.source.where
+
+    @property
+    def blocks(self) -> Collection[Block]:
+        """Those of the source."""
+        return self.source.blocks
+
+    def find_reach(self, block: Block) -> CellBox:
+        """As the source has it."""
+        return self.source.find_reach(block)
+
+    @cached_property
+    def read_block(self) -> Callable[[Block], BlockContent]:
+        """Read a block, unless it is kept."""
+        return lru_cache(KEPT_BLOCKS)(self.source.read_block)

@@ -1,0 +1,60 @@
+"""Many workers make what one process makes, byte for byte."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from distributed import LocalCluster
+
+from occmap.batching import Selection
+from occmap.fleet import Fleet
+from occmap.pipeline import Build, BuildOptions, build
+from tests.samples import DRIVES
+
+LOGS = [*DRIVES, DRIVES[0]]
+"""One of them twice"""
+
+
+@pytest.fixture(scope="module", params=[1, 2])
+def address(request: pytest.FixtureRequest) -> Iterator[str]:
+    """Processes on this machine, one or two."""
+    with LocalCluster(
+        n_workers=request.param, threads_per_worker=1, dashboard_address=":0"
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+def build_both(
+    logs: list[Path], options: BuildOptions, address: str, slice_bytes: int, folder: Path
+) -> tuple[Build, Build]:
+    """Build with one process and by workers, and hold all that was written equal."""
+    alone = build(logs, options, [folder / "alone.npz", folder / "alone.pgm"])
+    fleet = Fleet(address, folder / "scratch", slice_bytes)
+    outputs = [folder / "fleet.npz", folder / "fleet.pgm"]
+    together = build(logs, options, outputs, observe=fleet.observe)
+    for suffix in ("npz", "pgm"):
+        written = [(folder / f"{who}.{suffix}").read_bytes() for who in ("alone", "fleet")]
+        assert written[0] == written[1]
+    said = [replace(made.report, seconds={}, files=()) for made in (alone, together)]
+    assert said[0] == said[1]
+    assert not fleet.scratch.exists()
+    return alone, together
+
+
+@pytest.mark.parametrize("slice_bytes", [50_000, 400_000, 1 << 30])
+def test_the_files_and_the_report_are_those_of_one_process(
+    address: str, tmp_path: Path, slice_bytes: int
+) -> None:
+    build_both(LOGS, BuildOptions(jobs=1), address, slice_bytes, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "selection",
+    [Selection(stride=7), Selection(start_s=3.3, end_s=21.7), Selection(start_s=5.0, stride=4)],
+)
+def test_a_part_of_the_scans_is_the_same_part(
+    address: str, tmp_path: Path, selection: Selection
+) -> None:
+    options = BuildOptions(jobs=1, selection=selection, min_passes=2, pass_gap_s=1.0)
+    build_both(LOGS, options, address, 60_000, tmp_path)
