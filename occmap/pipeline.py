@@ -18,14 +18,15 @@ from occmap.observing import Observe, Observed, Progress, ignore_progress, obser
 from occmap.opening import choose_topics, count_messages, count_scans, make_poser, take_first
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.report import (
+    MapFacts,
     Remarks,
     Report,
     Tally,
+    describe_map,
     list_dates,
     list_disagreement,
     list_lacking,
     list_requested,
-    measure_shares,
     refuse_unseen,
     refuse_unused,
 )
@@ -112,7 +113,7 @@ def build_alone(
         add_stack(tiles, saved.tiles, saved.cells)
         slices = saved.slices + slices
     refuse_unused(paths, tally)
-    refuse_unseen(paths, tally, tiles)
+    refuse_unseen(paths, tally, tiles.keys)
     with tally.time("render"):
         grid, lost = render_lasting(
             tiles, slices, options.min_passes, options.model, options.max_cells
@@ -135,8 +136,8 @@ def build_alone(
         *list_disagreement(grid),
         *list_repeated(manifest.builds),
     ]
-    remarks = replace(remarks, notes=notes, files=files)
-    report = replace(make_report(grid, options, tally, remarks), resumed=resumed)
+    facts, remarks = describe_map(grid, options.writing), replace(remarks, notes=notes, files=files)
+    report = replace(make_report(facts, options, tally, remarks), resumed=resumed)
     return Build(grid, report, tiles, keep() if want_evidence(outputs) else None)
 
 
@@ -160,11 +161,9 @@ def add_build(plan: Manifest, saved: Evidence | None, build: BuildRecord) -> Man
     return replace(plan, builds=(*past.builds, build), subtracted=past.subtracted)
 
 
-def make_report(
-    grid: OccupancyMap, options: BuildOptions, tally: Tally, remarks: Remarks
-) -> Report:
+def make_report(facts: MapFacts, options: BuildOptions, tally: Tally, remarks: Remarks) -> Report:
     """Sum up what was done."""
-    rows, cols = grid.shape
+    rows, cols = facts.shape
     return Report(
         logs=tuple(remarks.logs),
         scans_read=tally.scans_read,
@@ -179,9 +178,9 @@ def make_report(
         resolution=options.resolution,
         columns=cols,
         rows=rows,
-        extent=grid.extent,
-        shares=measure_shares(grid, options.writing),
-        agreement=grid.agreement,
+        extent=facts.extent,
+        shares=facts.shares,
+        agreement=facts.agreement,
         seconds=dict(tally.seconds),
         files=tuple(remarks.files),
     )

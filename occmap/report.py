@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,7 +14,6 @@ import numpy as np
 
 from occmap.batching import LeftOut, Selection, count_wanted
 from occmap.errors import LogError, MapError, PoseError
-from occmap.grid.tiles import TileGrid
 from occmap.plain import Count, ScanCounts, Share, Told, to_plain
 from occmap.posing.options import DropReason
 from occmap.readers import Note
@@ -196,6 +195,18 @@ class Shares(NamedTuple):
     unknown: float
 
 
+class MapFacts(NamedTuple):
+    """What there is to tell of a map."""
+
+    shape: tuple[int, int]
+    """Rows and columns"""
+    extent: Box
+    shares: Shares
+    agreement: float | None
+    has_walls: bool
+    """Whether it calls any cell occupied"""
+
+
 @dataclass(frozen=True)
 class Report:
     """What a build read, used, dropped and made."""
@@ -329,15 +340,15 @@ def refuse_unused(logs: Sequence[object], tally: Tally) -> None:
     raise LogError("holds no laser scan that can be read", where=where)
 
 
-def refuse_unseen(logs: Sequence[object], tally: Tally, grid: TileGrid) -> None:
-    """Refuse to make a map in which no cell was observed.
+def refuse_unseen(logs: Sequence[object], tally: Tally, seen: Collection[object]) -> None:
+    """Refuse to make a map in which no tile, or block of tiles, was seen.
 
     Raises
     ------
     MapError
         Saying what the beams of all scans were read as.
     """
-    if grid.tiles:
+    if seen:
         return
     clear = ", or try `no_return=clear`" if tally.beams.no_return else ""
     raise MapError(
@@ -368,8 +379,12 @@ def list_dates(selection: Selection, tally: Tally) -> Iterator[str]:
 
 def list_disagreement(grid: OccupancyMap) -> Iterator[str]:
     """Say that the scans of a map contradict each other."""
-    agreement = 1.0 if grid.agreement is None else grid.agreement
-    if agreement < LEAST_AGREEMENT and grid.occupied.any():
+    yield from tell_disagreement(grid.agreement, bool(grid.occupied.any()))
+
+
+def tell_disagreement(agreement: float | None, has_walls: bool) -> Iterator[str]:
+    """As `list_disagreement`, of a map that is not at hand."""
+    if agreement is not None and agreement < LEAST_AGREEMENT and has_walls:
         yield (
             f"only {agreement:.0%} of the hits lie in cells that the map calls occupied: the "
             "poses do not fit the scans; see `occmap check`, try `occmap tune`, another "
@@ -382,6 +397,12 @@ def measure_shares(grid: OccupancyMap, writing: WriteOptions) -> Shares:
     written = replace(grid, decision=writing.decide(grid.decision))
     masks = written.occupied, written.free, ~written.observed
     return Shares(*(int(np.count_nonzero(mask)) / mask.size for mask in masks))
+
+
+def describe_map(grid: OccupancyMap, writing: WriteOptions) -> MapFacts:
+    """Measure a map, as it is written."""
+    shares, has_walls = measure_shares(grid, writing), bool(grid.occupied.any())
+    return MapFacts(grid.shape, grid.extent, shares, grid.agreement, has_walls)
 
 
 def list_unreached(model: SensorModel, writing: WriteOptions) -> Iterator[str]:

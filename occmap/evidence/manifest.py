@@ -2,7 +2,7 @@
 
 import hashlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from importlib.metadata import version
@@ -23,8 +23,15 @@ OF_MAPS = ("prior", "cut", *NO_CLAMP)
 """Parameters of models that change nothing about the evidence, only what a map makes of it."""
 
 
-def describe_build(paths: Sequence[Path], options: Any, scans: dict[str, Any]) -> BuildRecord:
+def describe_build(
+    paths: Sequence[Path],
+    options: Any,
+    scans: dict[str, Any],
+    describe: Callable[[Path], Iterable[dict[str, Any]]] | None = None,
+) -> BuildRecord:
     """Say what one build used, as values that JSON has.
+
+    Another may `describe` the files of a path than `describe_files`.
 
     Names of files are without their folders: the hashes say which files they are, and the same
     build makes the same bytes on every machine.
@@ -39,9 +46,10 @@ def describe_build(paths: Sequence[Path], options: Any, scans: dict[str, Any]) -
     trajectory = [Path(poses)] if poses and Path(poses).is_file() else []
     if trajectory:
         chosen["posing"]["poses"] = trajectory[0].name
+    files, look = (*paths, *trajectory), describe or describe_files
     return {
         "occmap": version("occmap"),
-        "inputs": [entry for path in (*paths, *trajectory) for entry in describe_files(path)],
+        "inputs": [entry for path in files for entry in look(path)],
         "options": {**chosen, "model": describe_model(options.model)},
         "scans": scans,
     }

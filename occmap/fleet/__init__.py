@@ -8,14 +8,16 @@ notes alone.
 import hashlib
 import json
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
 
 from occmap.errors import OutputError
-from occmap.evidence.manifest import to_plain
+from occmap.evidence.manifest import NO_OPTIONS, to_plain
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
 from occmap.fleet.runs import BlockKey, Piece, read_pieces
 from occmap.fleet.settling import LogTrace
@@ -25,7 +27,6 @@ from occmap.fleet.tasks import (
     Survey,
     SurveyJob,
     Traced,
-    TraceJob,
     count_wanted,
     reduce_block,
     survey_log,
@@ -49,6 +50,21 @@ ROOMY_BYTES = 4 << 30
 """What a worker without a limit is taken to have"""
 
 
+def ignore_text(_text: str) -> None:
+    """Tell nobody."""
+
+
+class Work(NamedTuple):
+    """What workers found in logs, and where they left what was observed."""
+
+    cluster: Cluster
+    setting: Setting
+    tally: Tally
+    remarks: Remarks
+    blocks: dict[BlockKey, dict[int, list[Piece]]]
+    """Of each block of the map, by the places of logs on the command line"""
+
+
 @dataclass(frozen=True)
 class Fleet:
     """Who does the work of a build, and where they leave what they found."""
@@ -59,6 +75,8 @@ class Fleet:
     """A folder that all workers share"""
     slice_bytes: int = SLICE_BYTES
     """About so much of a log is one task"""
+    describe: Callable[[str], None] = ignore_text
+    """Told how far the work is"""
 
     def observe(
         self, paths: Sequence[Path], options: BuildOptions, keep_slices: bool, progress: Progress
@@ -70,24 +88,42 @@ class Fleet:
         OccmapError
             As there, or the workers cannot do it.
         """
-        tally = Tally()
+        with self.work(paths, options, keep_slices, progress) as work, work.tally.time("fold"):
+            pieces = work.cluster.run("reduce", reduce_block, list_reductions(work))
+            work.remarks.notes += work.cluster.list_losses()
+            return gather(work, pieces)
+
+    @contextmanager
+    def work(
+        self, paths: Sequence[Path], options: BuildOptions, keep_slices: bool, progress: Progress
+    ) -> Iterator[Work]:
+        """Find workers, and let them trace all scans; what they found goes when the block ends.
+
+        Raises
+        ------
+        OccmapError
+            As `observe`.
+        """
+        tally, remarks = Tally(), Remarks([str(path) for path in paths])
         with (
-            open_cluster(self.address, options.jobs) as cluster,
+            open_cluster(self.address, options.jobs, self.describe) as cluster,
             open_scratch(self, paths, options, keep_slices) as folder,
         ):
-            refuse_unseen_files(cluster, [*paths, folder])
+            # What is nowhere is an error like any other.
+            refuse_unseen_files(cluster, [folder, *(path for path in paths if path.exists())])
             setting = self.plan(cluster, options, keep_slices, folder)
             with tally.time("open"):
                 surveys = survey_logs(cluster, setting, paths)
-            logs = trace_logs(cluster, setting, surveys, progress)
-            remarks = Remarks([str(path) for path in paths])
-            for log in logs:
+            blocks: dict[BlockKey, dict[int, list[Piece]]] = {}
+            for log in trace_logs(cluster, setting, surveys, progress):
                 remarks.note(log, log.list_findings())
                 for part in log.parts:
                     tally.add(part.tally)
-            with tally.time("fold"):
-                pieces = reduce_blocks(cluster, setting, logs)
-                return gather(setting, pieces, tally, remarks)
+                    for block, pieces in part.pieces.items():
+                        of_log = blocks.setdefault(block, {}).setdefault(log.survey.log, [])
+                        of_log.extend(pieces)
+                remarks.notes += log.list_uncut()
+            yield Work(cluster, setting, tally, remarks, blocks)
 
     def plan(
         self, cluster: Cluster, options: BuildOptions, keep_slices: bool, folder: Path
@@ -114,7 +150,7 @@ def open_scratch(
     """
     what = [
         version("occmap"),
-        to_plain(options),
+        {name: value for name, value in to_plain(options).items() if name not in NO_OPTIONS},
         keep_slices,
         fleet.slice_bytes,
         [[str(path), *describe_state(path)] for path in paths],
@@ -146,7 +182,7 @@ def survey_logs(cluster: Cluster, setting: Setting, paths: Sequence[Path]) -> li
         A log cannot be read, or has no scans or no poses.
     """
     jobs = [SurveyJob(setting, place, path) for place, path in enumerate(paths)]
-    surveys = cluster.run(survey_log, jobs)
+    surveys = cluster.run("open", survey_log, jobs)
     for survey in surveys:
         if survey.error is not None:
             raise survey.error
@@ -159,13 +195,15 @@ def trace_logs(
     """Trace the parts of all logs, until each shows what its whole log shows."""
     total = sum(survey.scans for survey in surveys)
 
-    def tell(_job: TraceJob, traced: Traced) -> None:
+    def tell(traced: Traced) -> None:
         progress(traced.tally.scans_read, total)
 
     logs = plan_traces(cluster, setting, surveys)
     while pairs := [(log, job) for log in logs for job in log.list_open()]:
         jobs = [job for _, job in pairs]
-        for (log, job), traced in zip(pairs, cluster.run(trace_part, jobs, tell), strict=True):
+        for (log, job), traced in zip(
+            pairs, cluster.run("trace", trace_part, jobs, tell), strict=True
+        ):
             log.traced[job.name] = traced
     return logs
 
@@ -180,26 +218,26 @@ def plan_traces(cluster: Cluster, setting: Setting, surveys: Sequence[Survey]) -
             for job in LogTrace(setting, survey, counts[survey.log]).jobs
             if survey.parts > 1
         ]
-        for job, wanted in zip(jobs, cluster.run(count_wanted, jobs), strict=True):
+        for job, wanted in zip(jobs, cluster.run("count", count_wanted, jobs), strict=True):
             counts[job.survey.log][job.part or 0] = wanted
     return [LogTrace(setting, survey, counts[survey.log]) for survey in surveys]
 
 
-def reduce_blocks(cluster: Cluster, setting: Setting, logs: Sequence[LogTrace]) -> list[Piece]:
-    """Add up each block of the map from all that was observed in it."""
-    found: dict[BlockKey, list[Piece]] = {}
-    for part in (part for log in logs for part in log.parts):
-        for block, pieces in part.pieces.items():
-            found.setdefault(block, []).extend(pieces)
-    jobs = [ReduceJob(setting, block, tuple(found[block])) for block in sorted(found)]
-    return cluster.run(reduce_block, jobs)
+def list_reductions(work: Work) -> list[ReduceJob]:
+    """List the blocks that are to be added up, each with all that was observed in it."""
+    return [
+        ReduceJob(work.setting, block, tuple(chain.from_iterable(work.blocks[block].values())))
+        for block in sorted(work.blocks)
+    ]
 
 
-def gather(setting: Setting, pieces: Sequence[Piece], tally: Tally, remarks: Remarks) -> Observed:
+def gather(work: Work, pieces: Sequence[Piece]) -> Observed:
     """Put the map together of its blocks."""
+    setting = work.setting
     grid, layers = make_grid(setting.options), list[Slices]()
     for content in read_pieces(setting.folder, pieces):
         for (row, col), cells in zip(content.tiles.tolist(), content.cells, strict=True):
             grid.tiles[row, col] = cells
         layers += content.slices
-    return Observed(grid, (unite(layers),) if setting.keep_slices else (), tally, remarks)
+    slices = (unite(layers),) if setting.keep_slices else ()
+    return Observed(grid, slices, work.tally, work.remarks)

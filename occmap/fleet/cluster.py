@@ -27,7 +27,7 @@ Result = TypeVar("Result")
 
 LOCAL = "local"
 """Stands for processes on this machine"""
-PATIENCE_S = 10
+PATIENCE_S = 5
 """A scheduler that is there answers within milliseconds"""
 LEAST_BYTES = 512 << 20
 """Of memory for a worker: a third of it is gone before the first scan"""
@@ -38,21 +38,31 @@ MUST_EQUAL = ("occmap", "numpy", "numba")
 class Cluster:
     """Workers that are alike, and fit for the work."""
 
-    def __init__(self, client: "Client") -> None:
+    def __init__(self, client: "Client", describe: Callable[[str], None]) -> None:
         self._client = client
+        self._describe = describe
         workers = client.scheduler_info(n_workers=-1)["workers"]
         limits = [each["memory_limit"] for each in workers.values() if each["memory_limit"]]
         self.workers = len(workers)
         self.memory = min(limits, default=None)
         """What the smallest worker may take (bytes); None: no limit"""
+        self._keys: set[str] = set()
 
     def run(
         self,
+        phase: str,
         task: Callable[[AnyJob], Result],
         jobs: Sequence[AnyJob],
-        tell: Callable[[AnyJob, Result], None] = lambda _job, _result: None,
+        tell: Callable[[Result], None] = lambda _result: None,
     ) -> list[Result]:
         """Do jobs, each by one worker; where one fails, the first of them says why.
+
+        Parameters
+        ----------
+        phase
+            What the user is told about it.
+        tell
+            Called with each result, in whatever order they come.
 
         Raises
         ------
@@ -63,23 +73,41 @@ class Cluster:
 
         # Not pure: Dask takes equal calls for one, and a log that is given twice counts twice.
         futures = self._client.map(task, jobs, pure=False, retries=0)
+        self._keys.update(str(future.key) for future in futures)
         places = {future: place for place, future in enumerate(futures)}
         results: dict[int, Result] = {}
         failed: dict[int, BaseException] = {}
-        for future in as_completed(futures):
+        for done, future in enumerate(as_completed(futures), start=1):
             place = places[future]
             if future.status == "finished":
                 results[place] = future.result()
-                tell(jobs[place], results[place])
+                tell(results[place])
             elif future.status == "error":
                 failed[place] = future.exception()
                 # What comes later does not matter any more; what comes earlier may fail, too.
                 self._client.cancel([each for each in futures[place + 1 :] if not each.done()])
             future.release()
+            self._show(f"{phase} {done}/{len(jobs)}")
         if failed:
             place = min(failed)
             raise explain(failed[place], jobs[place], self.memory)
         return [results[place] for place in range(len(jobs))]
+
+    def _show(self, text: str) -> None:
+        link = self._client.dashboard_link
+        self._describe(f"{text}, {count(self.workers, 'worker')}{link and f', {link}'}")
+
+    def list_losses(self) -> Iterator[str]:
+        """Say how often a worker was lost, and how many tasks ran again for it."""
+        events = [event for _, event in self._client.get_events("all")]
+        lost = [each for each in events if each["action"] == "remove-worker"]
+        tasks = [
+            key
+            for each in lost
+            for key in {*each["processing-tasks"], *each["lost-computed-tasks"]} & self._keys
+        ]
+        if tasks:
+            yield f"{count(len(tasks), 'task')} ran again, since workers were lost"
 
     def ask(self, question: Callable[..., Any], *args: Any) -> list[Any]:
         """Ask every worker; an error is an answer."""
@@ -87,8 +115,15 @@ class Cluster:
 
 
 @contextmanager
-def open_cluster(address: str, processes: int) -> Iterator[Cluster]:
+def open_cluster(
+    address: str, processes: int, describe: Callable[[str], None]
+) -> Iterator[Cluster]:
     """Find the workers at an address, or start as many as asked for on this machine.
+
+    Parameters
+    ----------
+    describe
+        Told how far the work is.
 
     Raises
     ------
@@ -97,7 +132,7 @@ def open_cluster(address: str, processes: int) -> Iterator[Cluster]:
     """
     with ExitStack() as stack:
         client = stack.enter_context(connect(address, processes))
-        cluster = Cluster(client)
+        cluster = Cluster(client, describe)
         refuse_unequal(cluster)
         refuse_small(cluster)
         yield cluster

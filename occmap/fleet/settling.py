@@ -51,6 +51,14 @@ class LogTrace:
         ranges = self.limits.list_notes() if self.limits else ()
         return [*self.parts[0].notes, *ranges]
 
+    def list_uncut(self) -> Iterator[str]:
+        """Say that the log is one task, though a larger one than asked for."""
+        if self.survey.parts == 1 and self.survey.bytes > self.jobs[0].setting.slice_bytes:
+            yield (
+                f"{self.path}: is traced by one worker, since it cannot be cut: it is packed, its "
+                "index is missing, or another's reader reads it"
+            )
+
     def list_open(self) -> Iterator[TraceJob]:
         """List what is to be traced next; nothing where the log is done."""
         if self.limits is None and all(job.name in self.traced for job in self.jobs):

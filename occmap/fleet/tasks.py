@@ -72,6 +72,7 @@ class Survey(NamedTuple):
     """As the log announces them"""
     parts: int
     """In how many it is traced"""
+    bytes: int
     notes: tuple[Note, ...]
     first_ns: int | None
     """The stamp of the first scan; None where there is none"""
@@ -151,14 +152,29 @@ def survey_log(job: SurveyJob) -> Survey:
     try:
         drive = open_drive(log, options)
     except PoseError as error:
-        return Survey(job.log, job.path, scans, 1, (), None, error)
+        return Survey(job.log, job.path, scans, 1, 0, (), None, error)
     parts = split_log(log, setting.slice_bytes)
     if parts:
         write_stub(stub.with_suffix(".parts"), [drive._replace(log=part) for part in parts])
     first_ns = find_first(drive, options)
-    survey = Survey(job.log, job.path, scans, len(parts) or 1, tuple(log.notes), first_ns, None)
+    survey = Survey(
+        job.log,
+        job.path,
+        scans,
+        len(parts) or 1,
+        measure_size(job.path),
+        tuple(log.notes),
+        first_ns,
+        None,
+    )
     write_stub(stub, survey)
     return survey
+
+
+def measure_size(path: Path) -> int:
+    """Bytes of a file, or of all in a folder."""
+    inner = path.rglob("*") if path.is_dir() else [path]
+    return sum(each.stat().st_size for each in inner)
 
 
 def find_first(drive: Drive, options: BuildOptions) -> int | None:
@@ -275,15 +291,24 @@ def reduce_block(job: ReduceJob) -> Piece:
     if (known := read_stub(folder / f"{name}.sum")) is not None:
         done: Piece = known
         return done
-    grid, layers = make_grid(job.setting.options), list[Slices]()
-    for content in read_pieces(folder, job.pieces):
-        add_stack(grid, content.tiles, content.cells)
-        layers += content.slices
-    slices = (unite(layers),) if job.setting.keep_slices else ()
-    content = Content(*stack_tiles(grid), slices)
-    piece = write_run(folder, f"{name}.run", {job.block: content})[job.block]
+    piece = write_run(folder, f"{name}.run", {job.block: add_up(job)})[job.block]
     write_stub(folder / f"{name}.sum", piece)
     return piece
+
+
+def add_up(job: ReduceJob) -> Content:
+    """Add up all that was observed in a block.
+
+    Raises
+    ------
+    OccmapError
+        A run file cannot be read.
+    """
+    grid, layers = make_grid(job.setting.options), list[Slices]()
+    for content in read_pieces(job.setting.folder, job.pieces):
+        add_stack(grid, content.tiles, content.cells)
+        layers += content.slices
+    return Content(*stack_tiles(grid), (unite(layers),) if job.setting.keep_slices else ())
 
 
 def hash_log(job: SurveyJob) -> list[dict[str, object]]:

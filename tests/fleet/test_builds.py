@@ -1,11 +1,9 @@
 """Many workers make what one process makes, byte for byte."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from distributed import LocalCluster
 
 from occmap.batching import Selection
 from occmap.fleet import Fleet
@@ -14,15 +12,6 @@ from tests.samples import DRIVES
 
 LOGS = [*DRIVES, DRIVES[0]]
 """One of them twice"""
-
-
-@pytest.fixture(scope="module", params=[1, 2])
-def address(request: pytest.FixtureRequest) -> Iterator[str]:
-    """Processes on this machine, one or two."""
-    with LocalCluster(
-        n_workers=request.param, threads_per_worker=1, dashboard_address=":0"
-    ) as cluster:
-        yield cluster.scheduler_address
 
 
 def build_both(

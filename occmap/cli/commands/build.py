@@ -9,14 +9,13 @@ import click
 from occmap.cli import COMMANDS, limits, log_options, options
 from occmap.cli.collect import collect_options, split_words
 from occmap.cli.console import Console
-from occmap.cli.progress import show_progress
+from occmap.cli.progress import Bar, show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.streams import gather_logs, hide_caught, place_outputs
 from occmap.cli.summary import format_report
 from occmap.cli.values import PATH, parse_size, read_by
 from occmap.errors import LogError, UsageError
 from occmap.gates.measures import BUILD
-from occmap.observing import Observe, observe
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
 from occmap.report import Report
 
@@ -105,11 +104,10 @@ def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
     request = collect_request(words, values)
     logs = gather_logs(console, request.logs, request.options, request.outputs)
     outputs = place_outputs(console, request.outputs, logs[0])
+    request = request._replace(logs=logs, outputs=outputs)
     start = perf_counter()
     with show_progress(console) as progress:
-        observe = choose_observer(values, outputs[0])
-        made = build(logs, request.options, outputs, progress, observe)
-        report = hide_caught(made.report)
+        report = hide_caught(run_build(request, values, progress))
     for note in report.notes:
         console.note(note)
     lines = format_report(report, perf_counter() - start)
@@ -133,14 +131,21 @@ def collect_request(words: tuple[str, ...], values: dict[str, Any]) -> Request:
     return Request(logs, collect_options(update, values), values["outputs"])
 
 
-def choose_observer(values: dict[str, Any], output: Path) -> Observe:
-    """Choose who traces the scans: this process, or the workers that --dask names."""
+def run_build(request: Request, values: dict[str, Any], progress: Bar) -> Report:
+    """Build in this process, or by the workers that --dask names."""
+    logs, chosen, outputs = request
     if values["dask"] is None:
-        return observe
+        return build(logs, chosen, outputs, progress).report
     from occmap.fleet import Fleet  # noqa: PLC0415  late: few builds need it
 
-    scratch = values["scratch"] or output.with_name(f"{output.name}.scratch")
-    return Fleet(values["dask"], scratch, values["slice_bytes"]).observe
+    scratch = values["scratch"] or outputs[0].with_name(f"{outputs[0].name}.scratch")
+    fleet = Fleet(values["dask"], scratch, values["slice_bytes"], progress.describe)
+    is_store = [output.suffix.lower() for output in outputs] == [".zarr"]
+    if not is_store or chosen.resume or chosen.resume_if_there or chosen.min_passes:
+        return build(logs, chosen, outputs, progress, fleet.observe).report
+    from occmap.fleet.storing import build_store  # noqa: PLC0415  late: it brings zarr
+
+    return build_store(fleet, logs, chosen, outputs[0], progress)
 
 
 def refuse_damage(report: Report) -> None:

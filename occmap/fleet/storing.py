@@ -1,0 +1,250 @@
+"""A store that the workers write themselves, block by block: the driver never holds the map."""
+
+import shutil
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from functools import partial, reduce
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from occmap.evidence import choose_tiles, weigh
+from occmap.evidence.manifest import describe_build, describe_files, plan_manifest
+from occmap.evidence.repetition import list_repeated
+from occmap.fleet import Fleet, Work, list_reductions
+from occmap.fleet.runs import read_stub, write_stub
+from occmap.fleet.tasks import ReduceJob, Setting, SurveyJob, add_up, hash_log
+from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid.rendering import count_agreeing, paint
+from occmap.observing import Progress
+from occmap.options import BuildOptions
+from occmap.pipeline import list_inputs, make_report
+from occmap.report import (
+    MapFacts,
+    Report,
+    Shares,
+    list_lacking,
+    list_requested,
+    refuse_unseen,
+    refuse_unused,
+    tell_disagreement,
+)
+from occmap.sensor.models import find_decision
+from occmap.store.blocks import Block, BlockContent, BlockRecord
+from occmap.store.layout import import_zarr
+from occmap.store.pictures import read_around
+from occmap.store.writing import (
+    create_store,
+    finish_store,
+    publish_store,
+    write_block,
+    write_overview,
+)
+from occmap.types import Manifest, OccupancyMap, to_log_odds
+from occmap.writers import check_outputs
+from occmap.writers.atomic import follow_links
+
+
+class StoreJob(NamedTuple):
+    """A block to be added up and written."""
+
+    block: ReduceJob
+    store: Path
+    logs: tuple[int, ...]
+    """Which files of logs observed something in it"""
+
+    @property
+    def where(self) -> str:
+        """What an error is about."""
+        return self.block.where
+
+
+class PaintJob(NamedTuple):
+    """A block of a store to be painted and measured."""
+
+    setting: Setting
+    store: Path
+    block: Block
+    is_written: bool
+    """Else it lies beside one that is, where hits speak for the cells around them"""
+
+    @property
+    def where(self) -> str:
+        """What an error is about."""
+        return f"block {tuple(self.block)}"
+
+
+class Measured(NamedTuple):
+    """What the report tells of a block, in cells."""
+
+    reach: CellBox | None
+    """Around those that are observed; None: there is none"""
+    observed: int
+    occupied: int
+    free: int
+    walls: int
+    """Those that the model calls occupied, whatever the thresholds of a picture are"""
+    agreeing: int
+    hits: int
+    """Hits in these, and all hits"""
+
+
+def build_store(
+    fleet: Fleet, paths: Sequence[Path], options: BuildOptions, output: Path, progress: Progress
+) -> Report:
+    """Build a store from all usable scans of logs, block by block.
+
+    Raises
+    ------
+    OccmapError
+        As `occmap.pipeline.build`, or the workers cannot do it.
+    """
+    check_outputs([output], list_inputs(paths, options))
+    with fleet.work(paths, options, keep_slices=True, progress=progress) as work:
+        tally, remarks = work.tally, work.remarks
+        refuse_unused(paths, tally)
+        refuse_unseen(paths, tally, work.blocks)
+        with tally.time("fold"):
+            known = hash_logs(work, paths)
+            describe = partial(take_known, known)
+            build = describe_build(paths, options, tally.to_json(), describe)
+            manifest = replace(plan_manifest(options), builds=(build,))
+            store = open_target(work.setting, output, manifest, work.blocks)
+            records = write_blocks(work, store, known, paths)
+        with tally.time("render"):
+            facts = paint_blocks(work, store, records)
+        remarks.notes += work.cluster.list_losses()
+        with tally.time("write"):
+            finish_store(store, manifest, records, run=skip_painted)
+            publish_store(store, follow_links(output))
+    notes = [
+        *list_requested(paths, [output], options.writing, options.model),
+        *remarks.notes,
+        *options.list_idle(),
+        *list_lacking(tally, None),
+        *tell_disagreement(facts.agreement, facts.has_walls),
+        *list_repeated(manifest.builds),
+    ]
+    remarks = replace(remarks, notes=notes, files=[str(output)])
+    return make_report(facts, options, tally, remarks)
+
+
+def hash_logs(work: Work, paths: Sequence[Path]) -> dict[Path, list[dict[str, Any]]]:
+    """Name, size and SHA-256 of the files of each log."""
+    different = list(dict.fromkeys(paths))
+    jobs = [SurveyJob(work.setting, place, path) for place, path in enumerate(different)]
+    return dict(zip(different, work.cluster.run("hash", hash_log, jobs), strict=True))
+
+
+def take_known(known: dict[Path, list[dict[str, Any]]], path: Path) -> Iterable[dict[str, Any]]:
+    """What is known of the files of a log; a trajectory is looked at now."""
+    return known[path] if path in known else describe_files(path)
+
+
+def open_target(
+    setting: Setting, output: Path, manifest: Manifest, blocks: Iterable[tuple[int, int]]
+) -> Path:
+    """Create a store where only a rename is missing, or find the one that was begun."""
+    target, stub = follow_links(output), setting.folder / "store.stub"
+    is_near = setting.folder.stat().st_dev == target.parent.stat().st_dev
+    store = (setting.folder if is_near else target.parent) / f".occmap-{setting.folder.name}.tmp"
+    if read_stub(stub) is None or not store.exists():
+        shutil.rmtree(store, ignore_errors=True)
+        for done in setting.folder.glob("*.stored"):
+            done.unlink()
+        create_store(store, manifest, (Block(*block) for block in blocks))
+        write_stub(stub, True)
+    return store
+
+
+def write_blocks(
+    work: Work, store: Path, known: dict[Path, list[dict[str, Any]]], paths: Sequence[Path]
+) -> list[BlockRecord]:
+    """Write all blocks of a store."""
+    ends = np.cumsum([len(known[path]) for path in paths])
+    files = [range(end - len(known[path]), end) for end, path in zip(ends, paths, strict=True)]
+    jobs = []
+    for job in list_reductions(work):
+        logs = work.blocks[job.block]
+        jobs.append(StoreJob(job, store, tuple(file for log in logs for file in files[log])))
+    return work.cluster.run("reduce", store_block, jobs)
+
+
+def store_block(job: StoreJob) -> BlockRecord:
+    """Add up a block and write it.
+
+    Raises
+    ------
+    OccmapError
+        A run file cannot be read, or the store cannot be written.
+    """
+    row, col = job.block.block
+    stub = job.block.setting.folder / f"block{row}_{col}.stored"
+    if (known := read_stub(stub)) is not None:
+        done: BlockRecord = known
+        return done
+    tiles, cells, slices = add_up(job.block)
+    record = write_block(job.store, Block(row, col), BlockContent(tiles, cells, slices, job.logs))
+    write_stub(stub, record)
+    return record
+
+
+def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> MapFacts:
+    """Paint the pictures of all blocks, and sum up what the report tells of them."""
+    written = {record.block for record in records}
+    around = {
+        Block(block.row + up, block.col + right)
+        for block in written
+        for up in (-1, 0, 1)
+        for right in (-1, 0, 1)
+    }
+    jobs = [PaintJob(work.setting, store, block, block in written) for block in sorted(around)]
+    return sum_up(work.cluster.run("paint", paint_block, jobs), work.setting.options)
+
+
+def paint_block(job: PaintJob) -> Measured:
+    """Paint the pictures of a block, and measure it."""
+    if job.is_written:
+        write_overview(job.store, job.block)
+    model, box = job.setting.options.model, job.block.box
+    root = import_zarr().open_group(job.store, mode="r")
+    grid = read_around(root, root.attrs["occmap"], box)
+    painted = paint(choose_tiles(grid, model), weigh(model), to_log_odds(model.prior), box)
+    made = OccupancyMap(*painted, grid.lattice.resolution, (0.0, 0.0), find_decision(model))
+    written = replace(made, decision=job.setting.options.writing.decide(made.decision))
+    rows, cols = (np.flatnonzero(made.observed.any(axis=axis)) for axis in (1, 0))
+    reach = None
+    if rows.size:
+        reach = CellBox(
+            box.row + int(rows[0]),
+            box.col + int(cols[0]),
+            box.row + int(rows[-1]) + 1,
+            box.col + int(cols[-1]) + 1,
+        )
+    masks = made.observed, written.occupied, written.free, made.occupied
+    observed, occupied, free, walls = (int(np.count_nonzero(mask)) for mask in masks)
+    agreeing, hits = count_agreeing(grid, made.occupied, box)
+    return Measured(reach, observed, occupied, free, walls, agreeing, hits)
+
+
+def sum_up(measured: Sequence[Measured], options: BuildOptions) -> MapFacts:
+    """Make of the blocks what is told of their map."""
+    box = reduce(CellBox.join, (each.reach for each in measured if each.reach))
+    columns = zip(*(each[1:] for each in measured), strict=True)
+    observed, occupied, free, walls, agreeing, hits = map(sum, columns)
+    lattice = Lattice(options.resolution)
+    x, y, right, top = map(lattice.to_metres, (box.col, box.row, box.col_end, box.row_end))
+    cells = box.cells
+    return MapFacts(
+        (box.rows, box.cols),
+        (x, y, right, top),
+        Shares(occupied / cells, free / cells, (cells - observed) / cells),
+        agreeing / hits if hits else None,
+        walls > 0,
+    )
+
+
+def skip_painted(_paint: Callable[[Block], None], _blocks: Sequence[Block]) -> Iterable[None]:
+    """Paint nothing: the workers did."""
+    return ()

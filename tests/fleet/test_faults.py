@@ -1,0 +1,187 @@
+"""Workers and drivers die, disks fill: the same map comes out, or one line and no file."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from threading import Thread
+from typing import NamedTuple
+
+import pytest
+from distributed import Client, LocalCluster
+
+from occmap.errors import FleetError, LogError, UsageError
+from occmap.fleet import Fleet, cluster
+from occmap.fleet.cluster import open_cluster
+from occmap.pipeline import BuildOptions, build
+from tests.samples import DRIVES
+
+resource = pytest.importorskip("resource", reason="Windows has neither SIGKILL nor such limits")
+OPTIONS = BuildOptions(jobs=1)
+SLICE = 60_000
+PATIENCE_S = 60
+
+
+@pytest.fixture(scope="module")
+def workers() -> Iterator[LocalCluster]:
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("alone") / "map.npz"
+    build(DRIVES, OPTIONS, [path])
+    return path.read_bytes()
+
+
+def wait_for(scratch: Path, pattern: str) -> list[Path]:
+    """Wait until some result of a kind lies in the scratch folder."""
+    end = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end:
+        if found := list(scratch.glob(f"*/{pattern}")):
+            return found
+        time.sleep(0.002)
+    raise TimeoutError(pattern)
+
+
+@pytest.mark.parametrize("phase", ["*.survey", "*.trace", "*.sum"])
+def test_a_worker_is_killed(
+    workers: LocalCluster, tmp_path: Path, expected: bytes, phase: str
+) -> None:
+    with Client(workers) as client:
+        victim = next(iter(client.run(os.getpid).values()))
+    scratch = tmp_path / "scratch"
+
+    def kill() -> None:
+        wait_for(scratch, phase)
+        os.kill(victim, signal.SIGKILL)
+
+    killer = Thread(target=kill)
+    killer.start()
+    observe = Fleet(workers.scheduler_address, scratch, SLICE).observe
+    build(DRIVES, OPTIONS, [tmp_path / "map.npz"], observe=observe)
+    killer.join()
+    assert (tmp_path / "map.npz").read_bytes() == expected
+
+
+@pytest.mark.parametrize("phase", ["*.survey", "*.trace", "*.sum"])
+def test_a_build_whose_driver_was_killed_goes_on_where_it_was(
+    workers: LocalCluster,
+    tmp_path: Path,
+    expected: bytes,
+    phase: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scratch, output = tmp_path / "scratch", tmp_path / "map.npz"
+    line = [sys.executable, "-m", "occmap", "build", *map(str, DRIVES), "-o", str(output)]
+    line += ["--dask", workers.scheduler_address, "--scratch", str(scratch), "--slice", "60kB"]
+    with subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as first:
+        done = {path: path.stat().st_mtime_ns for path in wait_for(scratch, phase)}
+        first.kill()
+    assert not output.exists()
+    monkeypatch.setattr("occmap.fleet.shutil.rmtree", lambda *_, **__: None)
+    observe = Fleet(workers.scheduler_address, scratch, SLICE).observe
+    build(DRIVES, OPTIONS, [output], observe=observe)
+    assert output.read_bytes() == expected
+    assert {path: path.stat().st_mtime_ns for path in done} == done
+
+
+def limit_files() -> None:
+    """Let no file grow beyond 16 kB, as on a disk that is full."""
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (16_000, 16_000))
+
+
+def test_a_full_disk_is_one_line_and_nothing_is_published(tmp_path: Path) -> None:
+    output = tmp_path / "map.npz"
+    line = [sys.executable, "-m", "occmap", "build", str(DRIVES[0]), "-o", str(output)]
+    done = subprocess.run(
+        [*line, "--dask", "local", "--jobs", "1"],
+        capture_output=True,
+        text=True,
+        preexec_fn=limit_files,
+        check=False,
+        timeout=PATIENCE_S,
+    )
+    assert done.returncode == 1
+    (told,) = done.stderr.splitlines()
+    assert "cannot be written (File too large)" in told
+    assert [path.name for path in tmp_path.iterdir()] == ["map.npz.scratch"]
+
+
+class Deadly(NamedTuple):
+    """A task that its worker does not survive."""
+
+    where: str = "drive.mcap"
+
+    def __call__(self, _job: object) -> int:
+        os.kill(os.getpid(), signal.SIGKILL)
+        return 0
+
+
+def test_a_task_that_kills_its_workers_is_named(workers: LocalCluster) -> None:
+    deadly = Deadly()
+    task: Callable[[Deadly], int] = deadly
+    with (
+        open_cluster(workers.scheduler_address, 2, lambda _: None) as found,
+        pytest.raises(FleetError, match=r"drive.mcap: killed its workers 4 times, which had \d+ M"),
+    ):
+        found.run("trace", task, [deadly])
+
+
+def test_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "PATIENCE_S", 0.5)
+    observe = Fleet("tcp://127.0.0.1:9", tmp_path / "scratch").observe
+    with pytest.raises(FleetError, match="no scheduler answers"):
+        build(DRIVES[:1], OPTIONS, [tmp_path / "map.pgm"], observe=observe)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_workers_run_other_versions(workers: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "version", lambda name: "0.9" if name == "numba" else "1")
+    found = r"2 of 2 workers run occmap .*, numba .*, where occmap 1, numpy 1, numba 0.9 runs here"
+    with (
+        pytest.raises(FleetError, match=found),
+        open_cluster(workers.scheduler_address, 2, lambda _: None),
+    ):
+        pass
+
+
+def test_a_worker_with_little_memory_is_refused(
+    workers: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster, "LEAST_BYTES", 1 << 50)
+    with (
+        pytest.raises(FleetError, match=r"a worker may take \d+ MiB of memory"),
+        open_cluster(workers.scheduler_address, 2, lambda _: None),
+    ):
+        pass
+
+
+def test_a_log_that_only_some_see(workers: LocalCluster, tmp_path: Path) -> None:
+    with open_cluster(workers.scheduler_address, 2, lambda _: None) as found:
+        cluster.refuse_unseen_files(found, [tmp_path])
+        with pytest.raises(FleetError, match="is not there on 2 of 2 workers"):
+            cluster.refuse_unseen_files(found, [tmp_path, tmp_path / "a.mcap"])
+
+
+def test_the_first_log_that_fails_is_named(workers: LocalCluster, tmp_path: Path) -> None:
+    logs = [DRIVES[0], tmp_path / "missing.mcap", tmp_path / "gone.mcap"]
+    observe = Fleet(workers.scheduler_address, tmp_path / "scratch").observe
+    with pytest.raises(LogError, match=r"missing\.mcap: no such file or directory"):
+        build(logs, OPTIONS, [tmp_path / "map.pgm"], observe=observe)
+
+
+def test_dask_is_not_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(UsageError, match=r"install it: pip install '.\[dask\]'"):
+        build(
+            DRIVES[:1],
+            OPTIONS,
+            [tmp_path / "map.pgm"],
+            observe=Fleet("local", tmp_path / "scratch").observe,
+        )
