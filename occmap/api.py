@@ -19,7 +19,10 @@ from occmap.sensor.models import SensorModel
 from occmap.writers import WriteOptions
 
 AnyPath = str | Path
-OF_ONE_MAP = ("update", "model", "min_passes", "pass_gap_s", "resume", "resume_if_there")
+OF_ONE_MAP = (
+    *("update", "model", "min_passes", "pass_gap_s", "resume", "resume_if_there"),
+    *("extent", "margin", "align"),
+)
 """Options that say nothing to what looks at logs, or makes several maps of them"""
 
 
@@ -47,6 +50,9 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
         max_cells = 1_000_000_000 (cells): a larger map is refused
         min_passes = None (visits): cells that were hit on fewer lose their hits
         pass_gap_s = 10.0 (s): two visits lie at least so far apart
+        extent = None (m): (x_min, y_min, x_max, y_max) that the map covers, to whole cells; the
+            default is what was observed
+        margin = 0.0 (m): so much unknown space is added around what was observed
         resume = None (path): an .npz; its observations are added to those of the logs
         resume_if_there = None (path): the same, where there is such a file
         jobs = None (threads): the default is one for each core
@@ -80,6 +86,9 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
         static_transforms = () (m, rad): [(parent, child, x, y, z, roll, pitch, yaw), ...] that the
             log lacks
         map_frame = None (name): the default is map, else odom, else the root of the laser's tree
+        transform = None (m, rad): (x, y, yaw) of the frame that the logs are mapped in, seen from
+            the frame of the map
+        align = 0.0 (degrees): the map is turned by this; None: so that walls run along the axes
         base_frame = None (name): the moving body that sensor_pose is on
         max_pose_gap_s = 2.0 (s): no pose is interpolated across a longer gap; None: across any
         max_speed = 50.0 (m/s): scans that leap away and back faster are left out; inf: none
@@ -213,8 +222,7 @@ def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> 
         Evidence to take away from the sum.
     options
         Of `build_map`: model (the default is what the evidence was built with), min_passes,
-        max_cells, mode, occupied_thresh, free_thresh and shade; and crop: the part of the map to
-        show, (x_min, y_min, x_max, y_max) in metres.
+        max_cells, extent, margin, mode, occupied_thresh, free_thresh and shade.
 
     Raises
     ------

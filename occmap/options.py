@@ -7,6 +7,7 @@ from pathlib import Path
 from occmap.batching import Selection
 from occmap.errors import UsageError
 from occmap.evidence.persistence import check_gap, check_passes
+from occmap.grid.framing import Framing
 from occmap.grid.tiles import MAX_CELLS
 from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions
@@ -41,6 +42,7 @@ class BuildOptions:
     returns: ReturnOptions = field(default_factory=ReturnOptions)
     posing: PosingOptions = field(default_factory=PosingOptions)
     selection: Selection = field(default_factory=Selection)
+    framing: Framing = field(default_factory=Framing)
     writing: WriteOptions = field(default_factory=WriteOptions)
     jump: float = 0.1
     """Neighbouring beams see one surface where ranges differ by at most this (m; not beam)"""

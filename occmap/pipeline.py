@@ -6,14 +6,17 @@ from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
+from occmap.alignment import settle_align
 from occmap.evidence import to_evidence
-from occmap.evidence.manifest import BuildRecord, describe_build, plan_manifest
+from occmap.evidence.manifest import BuildRecord, describe_build, list_mixed, plan_manifest
 from occmap.evidence.merging import open_saved
 from occmap.evidence.persistence import render_lasting
 from occmap.evidence.publishing import describe_resumed
 from occmap.evidence.repetition import list_repeated
+from occmap.grid.framing import frame
 from occmap.grid.stacks import add_stack
 from occmap.grid.tiles import TileGrid
+from occmap.mounts import list_misfits
 from occmap.observing import Observe, Observed, Progress, ignore_progress, observe
 from occmap.opening import choose_topics, count_messages, count_scans, make_poser, take_first
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
@@ -105,8 +108,9 @@ def build_alone(
     observe: Callable[[Sequence[Path], BuildOptions, bool], Observed],
 ) -> Build:
     """Build and write a map, while nobody else adds to the same evidence."""
+    saved = open_past(options, plan_manifest(options))
+    options, unaligned = settle_align(paths, adopt_align(options, saved))
     plan = plan_manifest(options)
-    saved = open_past(options, plan)
     keep_slices = options.min_passes is not None or want_evidence(outputs)
     tiles, slices, tally, remarks = observe(paths, options, keep_slices)
     if saved:
@@ -118,6 +122,7 @@ def build_alone(
         grid, lost = render_lasting(
             tiles, slices, options.min_passes, options.model, options.max_cells
         )
+        grid = frame(grid, options.framing, options.model.prior, options.max_cells)
     with tally.time("write"):
         manifest = plan
         if want_evidence(outputs):  # only then: it takes time to hash the logs
@@ -125,16 +130,20 @@ def build_alone(
         keep = cache(partial(to_evidence, tiles, manifest, slices))
         files = write_outputs(outputs, Product(grid, keep), options.writing)
     resumed = describe_resumed(saved) if saved else None
+    disagreement = list(list_disagreement(grid))
     notes = [
         *list_requested(paths, outputs, options.writing, options.model),
         *remarks.notes,
         *list_new(options, saved),
+        *unaligned,
         *options.list_idle(),
         *list_dates(options.selection, tally),
         *list_lacking(tally, resumed),
         *lost,
-        *list_disagreement(grid),
+        *disagreement,
+        *(list_misfits(paths, options) if disagreement else ()),
         *list_repeated(manifest.builds),
+        *list_mixed(manifest),
     ]
     facts, remarks = describe_map(grid, options.writing), replace(remarks, notes=notes, files=files)
     report = replace(make_report(facts, options, tally, remarks), resumed=resumed)
@@ -153,6 +162,13 @@ def list_new(options: BuildOptions, saved: Evidence | None) -> Iterator[str]:
     """Say that a build that was to be added to others is the first of them."""
     if options.resume_if_there and not saved:
         yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
+
+
+def adopt_align(options: BuildOptions, saved: Evidence | None) -> BuildOptions:
+    """Turn a map that is added to evidence as that is turned, where the user names no angle."""
+    if saved is None or options.posing.align is not None:
+        return options
+    return replace(options, posing=replace(options.posing, align=saved.manifest.align))
 
 
 def add_build(plan: Manifest, saved: Evidence | None, build: BuildRecord) -> Manifest:
@@ -179,6 +195,7 @@ def make_report(facts: MapFacts, options: BuildOptions, tally: Tally, remarks: R
         columns=cols,
         rows=rows,
         extent=facts.extent,
+        align=options.posing.align or 0.0,
         shares=facts.shares,
         agreement=facts.agreement,
         seconds=dict(tally.seconds),

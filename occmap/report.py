@@ -149,6 +149,8 @@ class PrintedMap(TypedDict):
     """Cells from bottom to top (along y)"""
     extent: Box
     """Lowest x and y, highest x and y (m)"""
+    align: float
+    """By what the map is turned against the frame of its poses, counter-clockwise (degrees)"""
     occupied: Share
     """Share of the map's cells that are occupied, by `occupied_thresh`"""
     free: Share
@@ -233,6 +235,8 @@ class Report:
     files: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
     """Those of the notes that tell of damage to a log"""
+    align: float = 0.0
+    """By what the map is turned (degrees, counter-clockwise)"""
     min_passes: int | None = None
     """On how many visits a cell had to be hit to keep its hits; None: nobody asked"""
     builds: int = 1
@@ -266,6 +270,7 @@ class Report:
                 "columns": self.columns,
                 "rows": self.rows,
                 "extent": self.extent,
+                "align": self.align,
                 "occupied": self.shares.occupied,
                 "free": self.shares.free,
                 "unknown": self.shares.unknown,

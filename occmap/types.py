@@ -63,6 +63,28 @@ class Pose(NamedTuple):
         """Build from a pose in the plane (m, m, rad); the heading may be unwrapped."""
         return cls(x, y, 0.0, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
 
+    def then(self, below: Self) -> Self:
+        """Go on to a pose that is measured in this one."""
+        x, y, z, w = self[3:]
+        bx, by, bz, bw = below[3:]
+        # v + 2 w (q x v) + 2 q x (q x v), the rotation of a vector v by a unit quaternion (q, w)
+        cx, cy, cz = y * below.z - z * below.y, z * below.x - x * below.z, x * below.y - y * below.x
+        return type(self)(
+            self.x + below.x + 2 * (w * cx + y * cz - z * cy),
+            self.y + below.y + 2 * (w * cy + z * cx - x * cz),
+            self.z + below.z + 2 * (w * cz + x * cy - y * cx),
+            w * bx + x * bw + y * bz - z * by,
+            w * by - x * bz + y * bw + z * bx,
+            w * bz + x * by - y * bx + z * bw,
+            w * bw - x * bx - y * by - z * bz,
+        )
+
+    def invert(self) -> Self:
+        """Where the frame that it is measured in lies in this one."""
+        back = type(self)(0.0, 0.0, 0.0, -self.qx, -self.qy, -self.qz, self.qw)
+        x, y, z, *_ = back.then(type(self)(-self.x, -self.y, -self.z, 0.0, 0.0, 0.0, 1.0))
+        return back._replace(x=x, y=y, z=z)
+
 
 UNKNOWN_POSE = Pose(*[math.nan] * 7)
 """Stands beside a scan whose pose nobody knew, in a log that states poses beside its scans."""
@@ -557,6 +579,8 @@ class Manifest:
     """What was added: inputs and their hashes, options, scans; see `occmap.evidence.manifest`"""
     subtracted: tuple[dict[str, Any], ...] = ()
     """What was taken away that no entry of `builds` stands for"""
+    align: float | None = 0.0
+    """By what the map is turned (degrees); None only in a plan: it is yet to be found"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -120,6 +120,8 @@ def list_ranges(ranges: RangeFindings) -> Iterator[Row]:
 def format_times(times: TimeFindings) -> str:
     """Say how the stamps run, beside the record times."""
     parts = [f"{times.offset_s:.3g} s from the record times, drift {times.drift_s:.2g} s"]
+    if times.simulated:
+        parts = ["simulated time"]
     parts += [f"largest gap {times.largest_gap_s:.3g} s"]
     if times.time_increment_s:
         parts.append(f"{1e3 * times.time_increment_s:.3g} ms between beams")

@@ -8,10 +8,14 @@ from typing import Any
 import click
 
 from occmap.cli.console import Verbosity
-from occmap.cli.sections import join, option
+from occmap.cli.sections import bare_option, join, option
 from occmap.cli.values import (
+    FROM_SCANS,
     PATH,
     one_of,
+    parse_align,
+    parse_extent,
+    read_by,
     set_verbosity,
 )
 from occmap.pipeline import BuildOptions
@@ -128,6 +132,29 @@ lattice = join(
         help=f"{Update.POLYGON}: close a surface over so many cells between end cells.",
     ),
     max_cells,
+)
+
+align = bare_option(
+    MAP,
+    "--align",
+    **read_by(parse_align),
+    bare=FROM_SCANS,
+    default="0",
+    metavar="[DEG]",
+    show_default="not turned",
+    help="Turn the map by this angle, counter-clockwise; without a number by the smallest one "
+    "that brings its walls along the axes.",
+)
+framing = join(
+    option(
+        MAP,
+        "--extent",
+        **read_by(parse_extent),
+        metavar="X_MIN,Y_MIN,X_MAX,Y_MAX",
+        show_default="what was observed",
+        help="Cover exactly this box (m), to whole cells; evidence (.npz) stays whole.",
+    ),
+    metres(MAP, "--margin", default=0.0, help="Add unknown space around what was observed."),
 )
 
 min_passes = option(

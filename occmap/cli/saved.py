@@ -21,6 +21,7 @@ from occmap.command import MODEL_PARAMETERS
 from occmap.errors import UsageError
 from occmap.evidence import read_model
 from occmap.evidence.publishing import RenderOptions, publish
+from occmap.grid.framing import Framing
 from occmap.keywords import take
 from occmap.report import Report
 from occmap.sensor.models import SensorModel
@@ -35,7 +36,7 @@ def put_out(console: Console, command: str, evidence: Evidence, values: dict[str
         choose_model(evidence, values),
         take(WriteOptions, values),
         values["max_cells"],
-        values.get("crop"),
+        take(Framing, values),
         values["min_passes"],
     )
     report = hide_caught(publish(evidence, options, values["outputs"]))

@@ -1,6 +1,7 @@
 """Options under headings: what makes the --help of a command with many options readable."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import zip_longest
 from typing import Any, TypeVar
 
 import click
@@ -19,6 +20,26 @@ class SectionOption(click.Option):
         self.section = section
 
 
+class BareOption(SectionOption):
+    """An option of numbers whose value may be left out, and then is a word that it states.
+
+    click has the like, but would take a log that follows for the value, and no negative number.
+    """
+
+    def __init__(self, *args: Any, bare: str, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.bare = bare
+
+    def fill_in(self, words: Sequence[str]) -> list[str]:
+        """Put the word where neither a number nor the word itself follows."""
+        filled = []
+        for word, following in zip_longest(words, words[1:], fillvalue=""):
+            filled.append(word)
+            if word in self.opts and following != self.bare and not is_number(following):
+                filled.append(self.bare)
+        return filled
+
+
 class SectionCommand(click.Command):
     """A command whose --help lists its options by section, in the order of their declaration."""
 
@@ -27,6 +48,9 @@ class SectionCommand(click.Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Take what is not typed from a file of options, where there is one."""
+        for param in self.get_params(ctx):
+            if isinstance(param, BareOption):
+                args = param.fill_in(args)
         if ctx.resilient_parsing or all(param.name != "config" for param in self.params):
             return super().parse_args(ctx, args)
         from occmap.cli.config import find_config  # noqa: PLC0415  late: for few commands
@@ -61,6 +85,20 @@ class SectionCommand(click.Command):
 def option(section: str, *names: str, **settings: Any) -> Callable[[Command], Command]:
     """Declare an option under a heading."""
     return click.option(*names, cls=SectionOption, section=section, **settings)
+
+
+def bare_option(section: str, *names: str, **settings: Any) -> Callable[[Command], Command]:
+    """Declare an option whose value may be left out under a heading."""
+    return click.option(*names, cls=BareOption, section=section, **settings)
+
+
+def is_number(word: str) -> bool:
+    """Whether a word of a command line is a decimal number."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def join(*options: Callable[[Command], Command]) -> Callable[[Command], Command]:

@@ -5,9 +5,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
-from occmap.evidence import crop, read_model, refuse_other_profile, to_grid
+from occmap.evidence import read_model, refuse_other_profile, to_grid
+from occmap.evidence.manifest import list_mixed
 from occmap.evidence.persistence import check_passes, render_lasting
 from occmap.evidence.repetition import list_repeated
+from occmap.grid.framing import Framing, frame
 from occmap.grid.tiles import MAX_CELLS
 from occmap.report import (
     Report,
@@ -18,7 +20,7 @@ from occmap.report import (
 )
 from occmap.sensor.models import SensorModel, describe_model
 from occmap.sensor.returns import ReturnCounts
-from occmap.types import Box, Evidence, Manifest, OccupancyMap
+from occmap.types import Evidence, Manifest, OccupancyMap
 from occmap.writers import Product, WriteOptions, check_outputs, list_idle, write_outputs
 
 
@@ -31,8 +33,7 @@ class RenderOptions:
     writing: WriteOptions = field(default_factory=WriteOptions)
     max_cells: int = MAX_CELLS
     """A map with more cells is refused"""
-    crop: Box | None = None
-    """Only this part of the map, to whole cells; evidence is never cropped"""
+    framing: Framing = field(default_factory=Framing)
     min_passes: int | None = None
     """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
 
@@ -77,7 +78,7 @@ def render_kept(
     grid, lost = render_lasting(
         to_grid(evidence), evidence.slices, options.min_passes, model, options.max_cells
     )
-    shown = crop(grid, options.crop) if options.crop else grid
+    shown = frame(grid, options.framing, model.prior, options.max_cells)
     manifest = replace(evidence.manifest, model=describe_model(model))
     report = summarise(manifest, shown, options.writing)
     notes = (
@@ -94,8 +95,9 @@ def render_kept(
 def list_notes(manifest: Manifest) -> Iterator[str]:
     """Say what a reader of evidence should know of it."""
     yield from list_repeated(manifest.builds)
+    yield from list_mixed(manifest)
     if manifest.subtracted:
-        yield "something else than a whole build was subtracted: visits are bounds"
+        yield "what was subtracted was not a whole build, so numbers of visits are upper bounds"
 
 
 def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> Report:
@@ -120,6 +122,7 @@ def summarise(manifest: Manifest, grid: OccupancyMap, writing: WriteOptions) -> 
         columns=cols,
         rows=rows,
         extent=grid.extent,
+        align=manifest.align or 0.0,
         shares=measure_shares(grid, writing),
         agreement=grid.agreement,
     )

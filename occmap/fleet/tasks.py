@@ -243,7 +243,7 @@ def trace_drive(job: TraceJob) -> Traced:
         limits,
         notes=(*drive.poser.notes, *odd),
         log_notes=notes,
-        depends=notes != job.survey.notes or set(drive.poser.chains) != frames,
+        depends=notes != job.survey.notes or set(drive.poser.chains) != frames or drive.poser.jumps,
         ends=drive.poser.find_ends(),
         pieces={key: tuple(pieces) for key, pieces in sink.pieces.items()},
     )

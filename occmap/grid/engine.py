@@ -5,7 +5,7 @@ from threading import Lock
 import numpy as np
 
 from occmap.errors import MapError
-from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid.lattice import MOST_CELLS_OF_BEAM, CellBox, Lattice
 from occmap.grid.projection import Projected, prepare, project
 from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
@@ -21,8 +21,6 @@ MARGIN = 4
 and a smaller one when it is known what was observed."""
 FARTHEST_UNIT = 1 << 52
 """Beyond this a float cannot tell lattice units apart."""
-MOST_CELLS_OF_BEAM = 1 << 22
-"""More cells, from a sensor half as far from the anchor, and an int32 cannot hold the end."""
 
 
 class GridEngine:

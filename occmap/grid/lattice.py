@@ -16,6 +16,9 @@ from occmap.errors import UsageError
 from occmap.grid.kernels.units import CELL_SHIFT, UNITS_PER_CELL
 from occmap.types import Float64, Int64
 
+MOST_CELLS_OF_BEAM = 1 << 22
+"""More cells, from a sensor half as far from the anchor, and an int32 cannot hold the end."""
+
 
 class CellBox(NamedTuple):
     """A rectangle of cells; the ends are not part of it."""

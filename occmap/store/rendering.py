@@ -7,8 +7,9 @@ from functools import cached_property
 import numpy as np
 
 from occmap.errors import MapError
-from occmap.evidence import choose_tiles, cut_box, to_grid, weigh
+from occmap.evidence import choose_tiles, to_grid, weigh
 from occmap.evidence.persistence import drop_passing, list_lost, refuse_nothing_left
+from occmap.grid.framing import Framing, choose_box
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing, measure_bounds, paint
 from occmap.grid.tiles import TileGrid, refuse_large
@@ -79,7 +80,7 @@ def paint_part(view: View, max_cells: int, part: Box | None) -> OccupancyMap:
     """Paint a map, or the part of it that a box touches; raises MapError as `render_blocks`."""
     box = find_bounds(view)
     if part:
-        box = cut_box(box, part, view.lattice)
+        box = choose_box(box, Framing(extent=part), view.lattice)
     refuse_large(box, view.lattice, max_cells)
     log_odds = np.full((box.rows, box.cols), to_log_odds(view.model.prior), np.float32)
     observed = np.zeros((box.rows, box.cols), np.bool_)

@@ -93,7 +93,8 @@ class Request(NamedTuple):
 
 @click.command("build", cls=SectionCommand, help=HELP, short_help=COMMANDS["build"])
 @click.argument("words", nargs=-1, metavar="[beam|polygon|surface] LOG...")
-@join(options.writing, resume, options.lattice, options.min_passes, options.pass_gap)
+@join(options.writing, resume, options.lattice, options.align)
+@join(options.framing, options.min_passes, options.pass_gap)
 @join(log_options.ranges, options.model)
 @join(log_options.selection, log_options.posing)
 @join(limits.fail_if(BUILD), options.jobs, fleet, strict, options.config)
