@@ -1,12 +1,14 @@
 """What a notebook or a program calls: the commands as functions that return what they found."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from occmap import difference, inspection, tuning
 from occmap.errors import UsageError
 from occmap.evidence import merging, publishing, to_grid
+from occmap.inputs import find_inputs
 from occmap.keywords import list_options, read_option, read_options
 from occmap.maps import Map
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build, choose_model, list_inputs
@@ -18,7 +20,8 @@ from occmap.writers import WriteOptions
 
 AnyPath = str | Path
 OF_ONE_MAP = (
-    *("update", "model", "min_passes", "pass_gap_s", "resume", "extent", "margin", "align"),
+    *("update", "model", "min_passes", "pass_gap_s", "resume", "resume_if_there"),
+    *("extent", "margin", "align"),
 )
 """Options that say nothing to what looks at logs, or makes several maps of them"""
 
@@ -29,7 +32,8 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
     Parameters
     ----------
     logs
-        Paths to recordings of any installed format.
+        Paths to recordings of any installed format; a folder or a pattern such as "day/*.bag"
+        stands for all recordings in it.
     outputs
         Files to write at once; the suffix picks the format. Only a map that was built with an .npz
         among them can be saved as one later: it keeps when its cells were seen, which takes time.
@@ -50,6 +54,7 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
             default is what was observed
         margin = 0.0 (m): so much unknown space is added around what was observed
         resume = None (path): an .npz; its observations are added to those of the logs
+        resume_if_there = None (path): the same, where there is such a file
         jobs = None (threads): the default is one for each core
 
         What a range means:
@@ -104,12 +109,14 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
         A log cannot be read, has no scans or no poses, an option is unknown or out of its range,
         the map would be too large, or an output cannot be written.
     """
-    paths = list_logs(logs, "build_map")
     chosen = read_build(options)
-    made = build(paths, chosen, list_paths([outputs] if isinstance(outputs, AnyPath) else outputs))
+    files = list_paths([outputs] if isinstance(outputs, AnyPath) else outputs)
+    others = [*files, Path(chosen.posing.poses or "")]
+    paths, notes = find_inputs(list_logs(logs, "build_map"), chosen.reading, others)
+    made = build(paths, chosen, files)
     return Map.wrap(
         made.map,
-        report=made.report,
+        report=replace(made.report, notes=(*notes, *made.report.notes)),
         writing=chosen.writing,
         inputs=tuple(list_inputs(paths, chosen)),
         tiles=made.observed,
@@ -138,7 +145,7 @@ def check(*logs: AnyPath, **options: Any) -> inspection.Inspection:
     UsageError
         No log is given, or an option is unknown or out of its range.
     """
-    return inspection.inspect(list_logs(logs, "check"), read_common(options, "check"))
+    return inspection.inspect(*read_request(logs, options, "check"))
 
 
 def compare(
@@ -172,7 +179,7 @@ def compare(
     OccmapError
         As `build_map`, or no held-out beam measured a range.
     """
-    paths, common = list_logs(logs, "compare"), read_common(options, "compare")
+    paths, common = read_request(logs, options, "compare")
     hints = list_options(BuildOptions)
     variants = combine(
         [read_option("update", hints["update"], each) for each in updates],
@@ -201,7 +208,7 @@ def tune(*logs: AnyPath, **options: Any) -> tuning.Tuning:
     OccmapError
         As `compare`.
     """
-    return tuning.tune(list_logs(logs, "tune"), read_common(options, "tune"))
+    return tuning.tune(*read_request(logs, options, "tune"))
 
 
 def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> Map:
@@ -294,6 +301,14 @@ def read_build(options: Mapping[str, Any], call: str = "build_map") -> BuildOpti
         update = given.get("update") or DEFAULT_UPDATE
         given["model"] = choose_model(read_option("update", hints["update"], update))
     return read_options(BuildOptions, given, call)
+
+
+def read_request(
+    logs: Sequence[AnyPath], options: Mapping[str, Any], call: str
+) -> tuple[list[Path], BuildOptions]:
+    """Find the recordings that a caller means, and make the options that do not concern one map."""
+    paths, common = list_logs(logs, call), read_common(options, call)
+    return find_inputs(paths, common.reading).logs, common
 
 
 def read_common(options: Mapping[str, Any], call: str) -> BuildOptions:

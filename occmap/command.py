@@ -34,7 +34,16 @@ OPTIONS = {*list_options(BuildOptions), *MODEL_PARAMETERS, *FLAGS, "dask", "slic
 MARK = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
 """How texts outside of the command line name an option, and what to give it"""
 
-NOT_WRITTEN = ("jobs", "min_passes", "model", "pass_gap_s", "resume", "update", "writing")
+NOT_WRITTEN = (
+    "jobs",
+    "min_passes",
+    "model",
+    "pass_gap_s",
+    "resume",
+    "resume_if_there",
+    "update",
+    "writing",
+)
 """Options that say nothing of how logs are read, or that a caller names by itself."""
 
 

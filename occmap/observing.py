@@ -77,12 +77,12 @@ def observe(
     with tally.time("open"):
         logs = [open_log(path, options.reading) for path in paths]
     total = sum(count_scans(log, options.selection.topics) for log in logs)
-    tally.advance = lambda scans: progress(scans, total)
+    tally.tell = lambda scans: progress(scans, total)
     remarks = Remarks([str(log.path) for log in logs])
     tiles, slices = make_grid(options), list[Slices]()
     for log in logs:
         scans = count_scans(log, options.selection.topics)
-        counts = Tally(tally.advance, keep.make_recorder(scans, len(logs), options.returns))
+        counts = Tally(tally.tell, keep.make_recorder(scans, len(logs), options.returns))
         engine, notes = observe_log(log, options, keep.slices, counts)
         tally.add(counts)
         remarks.note(log, notes)

@@ -60,10 +60,14 @@ class BuildOptions:
     """Threads"""
     resume: Path | None = None
     """An evidence file: its observations are added to those of the logs"""
+    resume_if_there: Path | None = None
+    """The same, where there is such a file; else the build starts anew"""
 
     def __post_init__(self) -> None:
         check_passes(self.min_passes, self.model)
         check_gap(self.pass_gap_s)
+        if self.resume and self.resume_if_there:
+            raise UsageError("`resume` and `resume_if_there` are both given", fix="leave one out")
         if self.jobs < 1:
             raise UsageError(f"{self.jobs} jobs are not possible", fix="give `jobs=1` or more")
         if not self.jump >= 0:

@@ -1,6 +1,6 @@
 """The whole tool on one page: logs in, an occupancy map and a report out."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -27,6 +27,7 @@ from occmap.report import (
     Report,
     Tally,
     describe_map,
+    list_dates,
     list_disagreement,
     list_lacking,
     list_requested,
@@ -91,7 +92,7 @@ def build(
         cannot be written.
     """
     check_outputs(outputs, list_inputs(paths, options))
-    with hold_alone(options.resume, outputs):
+    with hold_alone(options.resume or options.resume_if_there, outputs):
         # Not after a fleet: it would be read once more, here.
         look = partial(look_into, paths, options) if observe is observe_here else dict
         return build_alone(paths, options, outputs, partial(observe, progress=progress), look)
@@ -111,7 +112,7 @@ def build_alone(
     look: Callable[[], dict[str, Any]],
 ) -> Build:
     """Build and write a map, while nobody else adds to the same evidence."""
-    saved = open_saved(options.resume, plan_manifest(options)) if options.resume else None
+    saved = open_past(options, plan_manifest(options))
     options, unaligned = settle_align(paths, adopt_align(options, saved))
     plan = plan_manifest(options)
     keep = Keep(
@@ -138,8 +139,10 @@ def build_alone(
     notes = [
         *list_requested(paths, outputs, options.writing, options.model),
         *remarks.notes,
+        *list_new(options, saved),
         *unaligned,
         *options.list_idle(),
+        *list_dates(options.selection, tally),
         *list_lacking(tally, resumed),
         *lost,
         *disagreement,
@@ -167,6 +170,20 @@ def look_into(paths: Sequence[Path], options: BuildOptions) -> dict[str, Any]:
     from occmap.inspection import inspect  # noqa: PLC0415  late: few builds want it
 
     return inspect(paths, options).to_json()
+
+
+def open_past(options: BuildOptions, plan: Manifest) -> Evidence | None:
+    """Read the evidence that a build is to be added to, if there is any."""
+    if options.resume:
+        return open_saved(options.resume, plan)
+    there = options.resume_if_there
+    return open_saved(there, plan) if there and there.exists() else None
+
+
+def list_new(options: BuildOptions, saved: Evidence | None) -> Iterator[str]:
+    """Say that a build that was to be added to others is the first of them."""
+    if options.resume_if_there and not saved:
+        yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
 
 
 def adopt_align(options: BuildOptions, saved: Evidence | None) -> BuildOptions:

@@ -1,5 +1,6 @@
 """What a build did: numbers for people and for programs."""
 
+import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -11,7 +12,7 @@ from typing import Any, NamedTuple, Protocol, TypedDict, TypeVar
 
 import numpy as np
 
-from occmap.batching import LeftOut, count_wanted
+from occmap.batching import LeftOut, Selection, count_wanted
 from occmap.errors import LogError, MapError, PoseError
 from occmap.journey import JourneyRecorder
 from occmap.plain import Count, ScanCounts, Share, Told, to_plain
@@ -26,6 +27,8 @@ from occmap.writers import WriteOptions, list_idle
 
 Item = TypeVar("Item")
 
+LONGEST_LOG_S = 1e8
+"""Three years: a time that is later is a date."""
 LEAST_AGREEMENT = 0.55
 """At 5 cm, logs with sound poses reach 0.68 to 0.94, raw odometry 0.72; noise of 10 cm in the poses
 of the same logs leaves 0.27 to 0.56."""
@@ -45,11 +48,12 @@ class Tally:
 
     def __init__(
         self,
-        advance: Callable[[int], None] = ignore_advance,
+        tell: Callable[[int], None] = ignore_advance,
         recorder: JourneyRecorder | None = None,
     ) -> None:
-        self.advance = advance
+        self.tell = tell
         """Told, now and then, how many scans were read since the last call"""
+        self.told = 0
         self.recorder = recorder
         """Told where the scans were taken, where an output wants that"""
         self.seconds: dict[str, float] = {}
@@ -64,7 +68,12 @@ class Tally:
 
     def start_over(self) -> "Tally":
         """Make one that has counted nothing yet, to read logs with once more."""
-        return Tally(self.advance, self.recorder and self.recorder.start_over())
+        return Tally(self.tell, self.recorder and self.recorder.start_over())
+
+    def advance(self, scans: int) -> None:
+        """Tell that so many more scans were read; fewer, where they are read once more."""
+        self.told += scans
+        self.tell(scans)
 
     def add(self, other: "Tally") -> None:
         """Count what another one counted, too."""
@@ -383,6 +392,13 @@ def list_lacking(tally: Tally, resumed: Resumed | None) -> Iterator[str]:
     if not tally.beams.hit:
         lack = "of the logs hit anything" if resumed else "hit anything, so the map has no walls"
         yield f"no beam {lack}: see the ranges in `occmap check`"
+
+
+def list_dates(selection: Selection, tally: Tally) -> Iterator[str]:
+    """Say that the end of the part that is wanted leaves nothing out: it may be meant as a date."""
+    end_s = selection.end_s
+    if end_s < math.inf and (end_s > LONGEST_LOG_S or str(LeftOut.TIME) not in tally.dropped):
+        yield f"`end_s={end_s:.12g}` leaves nothing out: it is in seconds after the first scan"
 
 
 def list_disagreement(grid: OccupancyMap) -> Iterator[str]:

@@ -55,6 +55,7 @@ PLAIN: list[tuple[str, Any, BuildOptions]] = [
     ("max_cells", 1000, BuildOptions(max_cells=1000)),
     ("min_passes", 2, BuildOptions(min_passes=2)),
     ("pass_gap_s", 30, BuildOptions(pass_gap_s=30.0)),
+    ("resume_if_there", "a.npz", BuildOptions(resume_if_there=Path("a.npz"))),
     ("resume", "a.npz", BuildOptions(resume=Path("a.npz"))),
     ("jobs", 1, BuildOptions(jobs=1)),
     ("min_range", 0.5, BuildOptions(returns=ReturnOptions(min_range=0.5))),

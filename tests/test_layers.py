@@ -42,8 +42,8 @@ HEAVY = {
 BUILD_COMMAND = {
     f"occmap.cli.{name}"
     for name in [
-        *("commands", "commands.build", "collect", "console", "limits", "log_options"),
-        *("options", "progress", "sections", "signals", "summary", "values"),
+        *("commands", "commands.build", "collect", "config", "console", "limits", "log_options"),
+        *("options", "progress", "sections", "signals", "streams", "summary", "values"),
     ]
 }
 

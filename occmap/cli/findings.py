@@ -1,9 +1,9 @@
 """Findings of an inspection as text: aligned lines for people; programs read the JSON."""
 
 import math
-import shlex
 from collections.abc import Iterator
 
+from occmap.cli.console import write_command
 from occmap.inspection.findings import (
     Inspection,
     LogFindings,
@@ -33,7 +33,7 @@ def format_inspection(inspection: Inspection) -> list[str]:
     lines += [label("warning", text) for text in inspection.warnings]
     lines += [label("problem", text) for text in inspection.problems]
     if inspection.command:
-        lines += ["", shlex.join(inspection.command)]
+        lines += ["", write_command(inspection.command)]
     return lines
 
 

@@ -116,7 +116,8 @@ posing = join(
         POSES,
         "--poses",
         metavar="FILE|TOPIC",
-        help="Take the poses from a file (TUM or CSV: stamp,x,y,yaw) or from this topic.",
+        help="Take the poses from a file (TUM, EuRoC, KITTI or CSV: stamp,x,y,yaw) or from this "
+        "topic.",
     ),
     option(
         POSES,

@@ -30,9 +30,9 @@ MAP, MODEL, RANGES = "Map", "Sensor model", "What a range means"
 SCANS, POSES, FILES, RUN = "Which scans", "Where the scans were taken", "Files", "Run"
 
 
-def metres(section: str, name: str, **settings: Any) -> Any:
+def metres(section: str, *names: str, **settings: Any) -> Any:
     """Declare an option that is a length."""
-    return option(section, name, type=float, metavar="M", **{"show_default": True} | settings)
+    return option(section, *names, type=float, metavar="M", **{"show_default": True} | settings)
 
 
 def seconds(section: str, *names: str, **settings: Any) -> Any:
@@ -96,7 +96,7 @@ writing = join(
     ),
 )
 
-resolution = metres(MAP, "--resolution", default=DEFAULTS.resolution, help="Side of a cell.")
+resolution = metres(MAP, "-r", "--resolution", default=DEFAULTS.resolution, help="Side of a cell.")
 max_cells = option(
     MAP,
     "--max-cells",
@@ -218,6 +218,15 @@ jobs = option(
     default=DEFAULTS.jobs,
     show_default="one for each core",
     help="Threads.",
+)
+config = option(
+    RUN,
+    "--config",
+    type=PATH,
+    metavar="FILE",
+    expose_value=False,
+    help="Options by their long names (TOML), for what is not typed; else occmap.toml beside the "
+    "logs.",
 )
 as_json = option(RUN, "--json", "as_json", is_flag=True, help="Print the result as JSON.")
 verbosity = join(

@@ -6,6 +6,9 @@ from typing import Any, TypeVar
 
 import click
 
+from occmap.cli.console import Console
+from occmap.errors import UsageError
+
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
@@ -44,11 +47,27 @@ class SectionCommand(click.Command):
     """Where --help itself is listed."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Fill in the values that may be left out."""
+        """Take what is not typed from a file of options, where there is one."""
         for param in self.get_params(ctx):
             if isinstance(param, BareOption):
                 args = param.fill_in(args)
-        return super().parse_args(ctx, args)
+        if ctx.resilient_parsing or all(param.name != "config" for param in self.params):
+            return super().parse_args(ctx, args)
+        from occmap.cli.config import find_config  # noqa: PLC0415  late: for few commands
+
+        typed, _, _ = self.make_parser(ctx).parse_args(list(args))
+        config = find_config(self, typed)
+        if config is None:
+            return super().parse_args(ctx, args)
+        ctx.default_map = config.values
+        try:
+            rest = super().parse_args(ctx, args)
+        except click.BadParameter as error:
+            if error.param and error.param.name in config.values.keys() - typed.keys():
+                raise UsageError(error.format_message(), where=config.path) from None
+            raise
+        ctx.ensure_object(Console).announce([config.note])
+        return rest
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write one list for each section."""

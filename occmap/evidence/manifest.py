@@ -15,7 +15,7 @@ from occmap.sensor.bounds import NO_CLAMP
 from occmap.sensor.models import RadialModel, SensorModel, describe_model
 from occmap.types import Manifest, Update
 
-NO_OPTIONS = ("framing", "jobs", "resume")
+NO_OPTIONS = ("framing", "jobs", "resume", "resume_if_there")
 """Fields of options that change nothing about what is observed."""
 BuildRecord = dict[str, Any]
 """An entry of `Manifest.builds`, as `describe_build` makes it"""

@@ -21,8 +21,9 @@ Every `parse_` function takes a whole line and raises ValueError where it is mal
 """
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -59,9 +60,13 @@ class _Message(NamedTuple):
     record_ns: int
 
 
-def parse_scan(text: str) -> Scan:
+Split: TypeAlias = Callable[[str], _Message]
+"""Tells the numbers of a line from its time; raises ValueError where they are too few."""
+
+
+def parse_scan(text: str, split: Split | None = None) -> Scan:
     """Parse a line whose keyword is one of `FRAMES`."""
-    return _make_scan(_parse_message(text))
+    return _make_scan((split or split_timed)(text))
 
 
 def parse_scans(lines: Sequence[bytes]) -> ScanRun:
@@ -91,7 +96,7 @@ def parse_scans(lines: Sequence[bytes]) -> ScanRun:
 
 def parse_odometry(text: str) -> PoseSample:
     """Parse an ODOM line."""
-    message = _parse_message(text)
+    message = split_timed(text)
     _check_rest(message.values, 0, 6)
     pose = _make_pose(message.values[:3])
     if pose is UNKNOWN_POSE:
@@ -119,7 +124,30 @@ def imply_increment(beams: int) -> float:
     return math.pi / max(beams - beams % 2, 1)
 
 
-def _parse_message(text: str) -> _Message:
+def find_split(text: str) -> Split:
+    """Say whether lines like this one state a time, by a line whose keyword is one of `FRAMES`."""
+    with suppress(ValueError):
+        parse_scan(text, split_timed)
+        return split_timed
+    with suppress(ValueError):
+        parse_scan(text, split_untimed)
+        return split_untimed
+    return split_timed
+
+
+def split_untimed(text: str) -> _Message:
+    """Split a FLASER or RLASER line behind its poses, whatever stands there in place of a time."""
+    word, *numbers = text.split()
+    if word not in PLAIN_FRAMES or not numbers or not numbers[0].isdecimal():
+        raise ValueError("it is no line of a laser with its pose")
+    size = 1 + int(numbers[0]) + 6
+    if not size <= len(numbers) <= size + 3:
+        raise ValueError(f"{len(numbers)} words where {size} numbers belong")
+    return _Message(word, _parse_numbers(" ".join(numbers[:size])), 0, 0)
+
+
+def split_timed(text: str) -> _Message:
+    """Split a line before the time that it ends in."""
     head, *tail = text.rsplit(None, 3)
     words = head.split(None, 1)
     if len(tail) < 3 or len(words) < 2:

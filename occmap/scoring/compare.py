@@ -204,7 +204,7 @@ def compare(
     logs = [open_log(path, options.reading) for path in paths]
     total = sum(count_scans(log, options.selection.topics) for log in logs)
     remarks = Remarks([str(log.path) for log in logs])
-    tally.advance = lambda scans: progress(scans, total)
+    tally.tell = lambda scans: progress(scans, total)
     trials = Trials(variants, options)
     in_order = replace(options, jobs=1)  # which scans are held out must not be chance
     with trials.tracing() as workers:

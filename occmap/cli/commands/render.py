@@ -7,7 +7,7 @@ import click
 
 from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console
-from occmap.cli.saved import put_out, refuse_no_output
+from occmap.cli.saved import choose_outputs, put_out
 from occmap.cli.sections import SectionCommand, join
 from occmap.cli.values import PATH
 from occmap.gates.measures import SAVED
@@ -33,5 +33,5 @@ its --prior and bounds.
 @click.pass_obj
 def command(console: Console, /, path: Path, **values: Any) -> None:
     """Read evidence, and write a map of it."""
-    refuse_no_output(values["outputs"], "map.pgm", [path])
+    values["outputs"] = choose_outputs(console, values["outputs"], "map.pgm", [path])
     put_out(console, "render", read_evidence(path), values)
