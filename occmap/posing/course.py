@@ -64,10 +64,15 @@ class Course:
         self._turned = max(self._turned, float(np.arccos(np.clip(cosine.min(), -1, 1))))
 
     @property
+    def bounds(self) -> Float64:
+        """(2, 3) the lowest and the highest x, y and z (m)."""
+        return np.stack([self._low, self._high])
+
+    @property
     def stands(self) -> bool:
         """Whether it never moved, though there were scans enough to see it move."""
         scans = sum(tilts.shape[1] for tilts in self._tilts)
-        far = float((self._high - self._low).max())
+        far = float(np.diff(self.bounds, axis=0).max())
         return scans >= STILL_SCANS and far < STILL_M and self._turned < STILL_RAD
 
     @property

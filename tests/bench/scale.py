@@ -70,6 +70,7 @@ def start_workers(number: int) -> Iterator[tuple[Client, str]]:
             threads_per_worker=1,
             memory_limit=MEMORY,
             dashboard_address=":0",
+            config={"distributed.worker.profile.enabled": False},
         ) as cluster,
         Client(cluster) as client,
     ):
@@ -80,7 +81,7 @@ def build_by(workers: int, logs: Sequence[Path], output: Path) -> Cost:
     """Build a store by new workers, and say what it cost."""
     with start_workers(workers) as (client, address):
         fleet = Fleet(address, output.with_suffix(".scratch"), SLICE)
-        build_store(fleet, logs[:1], OPTIONS, output.with_suffix(".warm.zarr"), ignore_progress)
+        build_store(fleet, logs[:4], OPTIONS, output.with_suffix(".warm.zarr"), ignore_progress)
         before = sum(seconds for seconds, _ in client.run(measure_process).values())
         start, own = perf_counter(), measure_process()[0]
         build_store(fleet, logs, OPTIONS, output, ignore_progress)
@@ -98,7 +99,7 @@ def measure_size(path: Path) -> int:
 
 def measure(folder: Path) -> list[Row]:
     """Measure all that has a limit."""
-    small, large = write_fleet(folder, 1), write_fleet(folder, LOGS)
+    small, large = write_fleet(folder, 1), write_fleet(folder, 10)
     flags = ["--jobs", "1", "-q"]
     alone = run([OCCMAP, "build", *large, "-o", folder / "alone.zarr", *flags])
     archive = folder / "alone.npz"

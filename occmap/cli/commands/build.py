@@ -15,6 +15,7 @@ from occmap.cli.summary import format_report
 from occmap.cli.values import PATH, parse_size, read_by
 from occmap.errors import LogError, UsageError
 from occmap.gates.measures import BUILD
+from occmap.grid.framing import Framing
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
 from occmap.report import Report
 
@@ -128,7 +129,7 @@ def run_build(request: Request, values: dict[str, Any], progress: Bar) -> Report
     scratch = values["scratch"] or outputs[0].with_name(f"{outputs[0].name}.scratch")
     fleet = Fleet(values["dask"], scratch, values["slice_bytes"], progress.describe)
     is_store = [output.suffix.lower() for output in outputs] == [".zarr"]
-    if not is_store or chosen.resume or chosen.min_passes:
+    if not is_store or chosen.resume or chosen.min_passes or chosen.framing != Framing():
         return build(logs, chosen, outputs, progress, fleet.observe).report
     from occmap.fleet.storing import build_store  # noqa: PLC0415  late: it brings zarr
 
