@@ -56,7 +56,7 @@ class Beams(NamedTuple):
 
 
 class Profile(NamedTuple):
-    """What a cell is told, tabulated: see `RadialTables`."""
+    """What a cell is told, tabulated: see `occmap.grid.spec.Tables`."""
 
     depth: float
     """How far about the range a hit reaches (lattice units)"""
