@@ -157,7 +157,7 @@ def compare(
     updates, models
         What to combine; without them, all updates and the usual models.
     picture
-        A PNG to draw all maps in, and where they disagree.
+        A PNG to draw all maps in, and where they disagree; or a page (.html).
     options
         Those of `build_map` that concern scans, poses, ranges and the lattice.
 
@@ -249,7 +249,7 @@ def diff(
     before, after
         Maps as PGM with YAML, PNG or evidence (.npz).
     picture
-        A PNG to draw the changes in.
+        A PNG to draw the changes in, or a page (.html).
     thresholds
         occupied_thresh and free_thresh, for formats that hold probabilities.
 

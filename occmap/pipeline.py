@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from occmap.alignment import settle_align
 from occmap.evidence import to_evidence
@@ -17,7 +17,8 @@ from occmap.grid.framing import frame
 from occmap.grid.stacks import add_stack
 from occmap.grid.tiles import TileGrid
 from occmap.mounts import list_misfits
-from occmap.observing import Observe, Observed, Progress, ignore_progress, observe
+from occmap.observing import Keep, Observe, Observed, Progress, ignore_progress
+from occmap.observing import observe as observe_here
 from occmap.opening import choose_topics, count_messages, count_scans, make_poser, take_first
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.report import (
@@ -35,7 +36,7 @@ from occmap.report import (
 from occmap.sensor.models import describe_model
 from occmap.tracing import make_engine, plan_grid, trace_logs
 from occmap.types import Evidence, Manifest, OccupancyMap
-from occmap.writers import Product, check_outputs, want_evidence, write_outputs
+from occmap.writers import Product, check_outputs, want_evidence, want_journey, write_outputs
 from occmap.writers.atomic import hold_alone
 
 __all__ = [
@@ -74,7 +75,7 @@ def build(
     options: BuildOptions,
     outputs: Sequence[Path] = (),
     progress: Progress = ignore_progress,
-    observe: Observe = observe,
+    observe: Observe = observe_here,
 ) -> Build:
     """Build one map from all usable scans of one or more logs, and write it.
 
@@ -91,7 +92,9 @@ def build(
     """
     check_outputs(outputs, list_inputs(paths, options))
     with hold_alone(options.resume, outputs):
-        return build_alone(paths, options, outputs, partial(observe, progress=progress))
+        # Not after a fleet: it would be read once more, here.
+        look = partial(look_into, paths, options) if observe is observe_here else dict
+        return build_alone(paths, options, outputs, partial(observe, progress=progress), look)
 
 
 def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
@@ -104,14 +107,18 @@ def build_alone(
     paths: Sequence[Path],
     options: BuildOptions,
     outputs: Sequence[Path],
-    observe: Callable[[Sequence[Path], BuildOptions, bool], Observed],
+    observe: Callable[[Sequence[Path], BuildOptions, Keep], Observed],
+    look: Callable[[], dict[str, Any]],
 ) -> Build:
     """Build and write a map, while nobody else adds to the same evidence."""
     saved = open_saved(options.resume, plan_manifest(options)) if options.resume else None
     options, unaligned = settle_align(paths, adopt_align(options, saved))
     plan = plan_manifest(options)
-    keep_slices = options.min_passes is not None or want_evidence(outputs)
-    tiles, slices, tally, remarks = observe(paths, options, keep_slices)
+    keep = Keep(
+        slices=options.min_passes is not None or want_evidence(outputs),
+        journey=want_journey(outputs),
+    )
+    tiles, slices, tally, remarks = observe(paths, options, keep)
     if saved:
         add_stack(tiles, saved.tiles, saved.cells)
         slices = saved.slices + slices
@@ -122,12 +129,10 @@ def build_alone(
             tiles, slices, options.min_passes, options.model, options.max_cells
         )
         grid = frame(grid, options.framing, options.model.prior, options.max_cells)
-    with tally.time("write"):
-        manifest = plan
-        if want_evidence(outputs):  # only then: it takes time to hash the logs
+    manifest = plan
+    if want_evidence(outputs):  # only then: it takes time to hash the logs
+        with tally.time("write"):
             manifest = add_build(plan, saved, describe_build(paths, options, tally.to_json()))
-        keep = cache(partial(to_evidence, tiles, manifest, slices))
-        files = write_outputs(outputs, Product(grid, keep), options.writing)
     resumed = describe_resumed(saved) if saved else None
     disagreement = list(list_disagreement(grid))
     notes = [
@@ -142,9 +147,26 @@ def build_alone(
         *list_repeated(manifest.builds),
         *list_mixed(manifest),
     ]
-    facts, remarks = describe_map(grid, options.writing), replace(remarks, notes=notes, files=files)
+    facts, remarks = describe_map(grid, options.writing), replace(remarks, notes=notes)
     report = replace(make_report(facts, options, tally, remarks), resumed=resumed)
-    return Build(grid, report, tiles, keep() if want_evidence(outputs) else None)
+    product = Product(
+        grid,
+        cache(partial(to_evidence, tiles, manifest, slices)),
+        tally.recorder.finish() if tally.recorder else None,
+        report.to_json,
+        look,
+    )
+    with tally.time("write"):
+        files = write_outputs(outputs, product, options.writing)
+    report = replace(report, files=tuple(files), seconds=dict(tally.seconds))
+    return Build(grid, report, tiles, product.evidence() if want_evidence(outputs) else None)
+
+
+def look_into(paths: Sequence[Path], options: BuildOptions) -> dict[str, Any]:
+    """Say what `occmap check` finds in logs."""
+    from occmap.inspection import inspect  # noqa: PLC0415  late: few builds want it
+
+    return inspect(paths, options).to_json()
 
 
 def adopt_align(options: BuildOptions, saved: Evidence | None) -> BuildOptions:

@@ -13,6 +13,7 @@ import numpy as np
 
 from occmap.batching import LeftOut, count_wanted
 from occmap.errors import LogError, MapError, PoseError
+from occmap.journey import JourneyRecorder
 from occmap.plain import Count, ScanCounts, Share, Told, to_plain
 from occmap.posing.options import DropReason
 from occmap.readers import Note
@@ -42,9 +43,15 @@ def ignore_advance(_scans: int) -> None:
 class Tally:
     """Counts and times that grow while a map is built; any thread may call `time`, one all else."""
 
-    def __init__(self, advance: Callable[[int], None] = ignore_advance) -> None:
+    def __init__(
+        self,
+        advance: Callable[[int], None] = ignore_advance,
+        recorder: JourneyRecorder | None = None,
+    ) -> None:
         self.advance = advance
         """Told, now and then, how many scans were read since the last call"""
+        self.recorder = recorder
+        """Told where the scans were taken, where an output wants that"""
         self.seconds: dict[str, float] = {}
         self.scans_read = self.scans_used = 0
         self.dropped: dict[str, int] = {}
@@ -55,8 +62,14 @@ class Tally:
         """Scans that the user asked for."""
         return count_wanted(self.scans_read, self.dropped)
 
+    def start_over(self) -> "Tally":
+        """Make one that has counted nothing yet, to read logs with once more."""
+        return Tally(self.advance, self.recorder and self.recorder.start_over())
+
     def add(self, other: "Tally") -> None:
         """Count what another one counted, too."""
+        if self.recorder and other.recorder:
+            self.recorder.add(other.recorder)
         self.scans_read += other.scans_read
         self.drop(other.dropped)
         self.use(other.scans_used, other.beams)

@@ -72,7 +72,7 @@ def trace_logs(
     """
     limits = [RangeLimits(options.returns) for _ in logs]
     for _ in range(2):
-        counts, observe = Tally(tally.advance), begin()
+        counts, observe = tally.start_over(), begin()
         notes = []
         for log, limit in zip(logs, limits, strict=True):
             with counts.time("poses"):
@@ -110,6 +110,8 @@ def trace(
             with tally.time("pose"):
                 posed, dropped = drive.poser.attach(batch)
             tally.drop(dropped)
+            if tally.recorder:
+                tally.recorder.follow(drive.log.path, drive.poser.fixed, batch, (posed, dropped))
             for scans in posed:
                 with tally.time("interpret"):
                     rays, beams = interpret(scans, options.returns)

@@ -304,6 +304,44 @@ class PosedScans:
     """(S, 3, 3) from the sensor to the map frame, or (S, B, 3, 3)."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Where one laser of one log was at the scans that went into a map, as they were recorded."""
+
+    log: str
+    topic: str
+    parent: str
+    """The frame of the map"""
+    frame: str
+    """That of the laser"""
+    stamp_ns: Int64
+    """(N,)"""
+    pose: Float64
+    """(N, 7) x y z qx qy qz qw of the laser in the map; of a de-skewed scan, at its first beam"""
+    dropped: tuple[tuple[int, str], ...] = ()
+    """Stamp of each scan that has no usable pose (ns), and why"""
+
+
+class ScanHits(NamedTuple):
+    """Where the beams of one scan ended in the map."""
+
+    stamp_ns: int
+    origin: tuple[float, float]
+    """Where the laser was (m)"""
+    x: Float32
+    y: Float32
+    """(P,) m, of the beams that hit something"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Journey:
+    """How a map was recorded: what is drawn over it, and what other tools want beside it."""
+
+    trajectories: tuple[Trajectory, ...]
+    scans: tuple[ScanHits, ...]
+    """A sample of the scans, spread evenly over all of them"""
+
+
 class Kind(IntEnum):
     """What a range value means for the map."""
 

@@ -53,7 +53,8 @@ output = option(
     type=PATH,
     multiple=True,
     metavar="FILE",
-    help="Write the map here; the suffix picks the format: .pgm, .png, or .npz for what can be "
+    help="Write the map here; the suffix picks the format: .pgm, .png, .html for a page, .mcap for "
+    "Foxglove and RViz, .tum or .csv for the trajectory, or .npz for what can be "
     "rendered, merged and resumed. May repeat.",
 )
 thresholds = join(

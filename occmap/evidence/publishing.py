@@ -21,7 +21,14 @@ from occmap.report import (
 from occmap.sensor.models import SensorModel, describe_model
 from occmap.sensor.returns import ReturnCounts
 from occmap.types import Evidence, Manifest, OccupancyMap
-from occmap.writers import Product, WriteOptions, check_outputs, list_idle, write_outputs
+from occmap.writers import (
+    Product,
+    WriteOptions,
+    check_outputs,
+    list_idle,
+    refuse_journeys,
+    write_outputs,
+)
 
 
 @dataclass(frozen=True)
@@ -55,8 +62,9 @@ def publish(evidence: Evidence, options: RenderOptions, outputs: Sequence[Path])
         As `render_kept`, or an output cannot be written.
     """
     check_outputs(outputs)
+    refuse_journeys(outputs)
     made = render_kept(evidence, options, outputs)
-    product = Product(made.map, lambda: made.evidence)
+    product = Product(made.map, lambda: made.evidence, report=made.report.to_json)
     files = write_outputs(outputs, product, options.writing)
     return replace(made.report, files=tuple(files))
 

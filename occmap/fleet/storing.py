@@ -19,7 +19,7 @@ from occmap.fleet.tasks import ReduceJob, Setting, SurveyJob, add_up, hash_log
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing, paint
 from occmap.mounts import list_misfits
-from occmap.observing import Progress
+from occmap.observing import Keep, Progress
 from occmap.options import BuildOptions
 from occmap.pipeline import list_inputs, make_report
 from occmap.report import (
@@ -104,7 +104,7 @@ def build_store(
     """
     check_outputs([output], list_inputs(paths, options))
     options, unaligned = settle_align(paths, options)
-    with fleet.work(paths, options, keep_slices=True, progress=progress) as work:
+    with fleet.work(paths, options, keep=Keep(slices=True), progress=progress) as work:
         tally, remarks = work.tally, work.remarks
         refuse_unused(paths, tally)
         refuse_unseen(paths, tally, work.blocks)

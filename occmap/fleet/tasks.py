@@ -23,6 +23,7 @@ from occmap.fleet.runs import (
 )
 from occmap.grid.slices import unite
 from occmap.grid.stacks import add_stack, stack_tiles
+from occmap.observing import Keep
 from occmap.opening import count_scans
 from occmap.options import BuildOptions
 from occmap.posing.leaps import Ends
@@ -38,7 +39,7 @@ class Setting:
     """What all tasks of a build share."""
 
     options: BuildOptions
-    keep_slices: bool
+    keep: Keep
     folder: Path
     """Where results go"""
     slice_bytes: int
@@ -47,6 +48,8 @@ class Setting:
     """The largest window of an engine"""
     most_bytes: int
     """So much evidence is kept in memory before it goes to a run file"""
+    logs: int = 1
+    """How many there are"""
 
 
 class SurveyJob(NamedTuple):
@@ -232,7 +235,9 @@ def trace_drive(job: TraceJob) -> Traced:
     is_part = job.part is not None and job.survey.parts > 1
     frames = set(drive.poser.chains)
     limits = job.limits or RangeLimits(options.returns)
-    sink, tally = RunWriter(job), Tally()
+    setting = job.setting
+    recorder = setting.keep.make_recorder(job.survey.scans, setting.logs, options.returns)
+    sink, tally = RunWriter(job), Tally(recorder=recorder)
     try:
         odd = trace(drive, options, sink.add, limits, tally)
     except LogError:
@@ -264,7 +269,7 @@ class RunWriter:
 
     def _begin(self) -> None:
         setting = self._job.setting
-        self._engine = choose_engine(setting.options, setting.keep_slices, setting.window_cells)
+        self._engine = choose_engine(setting.options, setting.keep.slices, setting.window_cells)
 
     def add(self, rays: Rays) -> None:
         """Observe rays."""
@@ -312,7 +317,7 @@ def add_up(job: ReduceJob) -> Content:
     for content in read_pieces(job.setting.folder, job.pieces):
         add_stack(grid, content.tiles, content.cells)
         layers += content.slices
-    return Content(*stack_tiles(grid), (unite(layers),) if job.setting.keep_slices else ())
+    return Content(*stack_tiles(grid), (unite(layers),) if job.setting.keep.slices else ())
 
 
 def hash_log(job: SurveyJob) -> list[dict[str, object]]:

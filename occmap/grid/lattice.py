@@ -61,6 +61,15 @@ class CellBox(NamedTuple):
             max(min(other.col_end, self.col_end), self.col),
         )
 
+    def align(self, side: int) -> Self:
+        """The smallest box around this one that is made of squares of so many cells a side."""
+        ends = (-(-edge // side) * side for edge in (self.row_end, self.col_end))
+        return type(self)(self.row // side * side, self.col // side * side, *ends)
+
+    def shrink(self, side: int) -> Self:
+        """The same in squares of so many cells a side, which it is made of."""
+        return type(self)(*(edge // side for edge in self))
+
     def join(self, other: Self) -> Self:
         """The smallest box around both."""
         return type(self)(

@@ -130,7 +130,7 @@ def test_json_is_one_object_and_nothing_else(tmp_path: Path) -> None:
 
 def write_cut(folder: Path) -> Path:
     """Write a log whose gzip data ends early."""
-    whole = write_csv(folder / "log.csv", [(0.0, 0.0, 0.0)] * 3000, [0.3])
+    whole = write_csv(folder / "log.csv", [(n / 1e4, 0.0, 0.0) for n in range(3000)], [0.3])
     cut = folder / "cut.csv.gz"
     cut.write_bytes(gzip.compress(whole.read_bytes())[:-1000])
     return cut

@@ -99,7 +99,7 @@ def test_scan_counts_say_what_they_count() -> None:
     [
         (
             "-o m.png --mode scale",
-            "--mode scale does nothing: it is for a PGM, and no output ends in .p",
+            "--mode scale does nothing: it is for .pgm and .mcap",
         ),
         (
             "-o m.pgm -o n.npz --light-occupied",
@@ -155,7 +155,7 @@ def test_an_undecided_cell_is_not_called_unknown() -> None:
         (["render", "a.npz"], 2, "where to write is not given; add -o map.pgm"),
         (["render", "x.npz", "-o", "m.pgm"], 1, "x.npz: no such file"),
         (["render", "a.csv", "-o", "m.pgm"], 1, "a.csv: is no evidence file; build one with -o"),
-        (["render", "a.npz", "-o", "m.jpg"], 2, "occmap writes .npz, .pgm, .png"),
+        (["render", "a.npz", "-o", "m.jpg"], 2, "occmap writes .csv, .html, .mcap"),
         (["render", "a.npz", "-o", "m.pgm", "--max-cells", "3"], 1, "more than --max-cells 3"),
         (["render", "a.npz", "-o", "m.pgm", "--extent", "0,0,1"], 2, "3 values where 4 belong"),
         (["render", "a.npz", "-o", "m.pgm", "--extent", "0,0,0,1"], 2, "is no box"),

@@ -9,10 +9,11 @@ from typing import Any
 import pytest
 
 from occmap.grid.kernels import jit
-from occmap.grid.kernels.beams import sum_beams, trace_beams
-from occmap.grid.kernels.polygon import sum_runs, trace_polygons
+from occmap.grid.kernels.beams import trace_beams
+from occmap.grid.kernels.polygon import trace_polygons
 from occmap.grid.kernels.project import project_ends
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
+from occmap.grid.kernels.sums import read_tiles
 from occmap.grid.warm import compile_kernels
 from occmap.pipeline import BuildOptions, build
 from occmap.sensor.models import parse_model
@@ -23,8 +24,7 @@ KERNELS: list[Any] = [
     trace_beams,
     trace_polygons,
     trace_radial_polygons,
-    sum_beams,
-    sum_runs,
+    read_tiles,
 ]
 SAMPLE = Path(__file__).parents[2] / "sample_logs" / "drive.mcap"
 NOWHERE_TO_KEEP = """

@@ -70,8 +70,8 @@ picture = option(
     "--output",
     "picture",
     type=PATH,
-    metavar="FILE.png",
-    help="Write a picture of all maps, and of where they disagree.",
+    metavar="FILE",
+    help="Write all maps here: .png is a picture with where they disagree, .html a page.",
 )
 
 
