@@ -29,6 +29,7 @@ from occmap.readers.text import (
     LineTally,
     add_note,
     cut_blocks,
+    is_worthwhile,
     note_cut_line,
     probe_lines,
     read_lines,
@@ -147,14 +148,14 @@ class CarmenLog:
     def _walk(self, notes: list[Note]) -> Iterator[_KindOfLine]:
         """Yield every line that is not blank with its keyword; every comment has `#`."""
         for line in read_lines(self.path, notes, self._span):
-            head = line.text.split(None, 1)
-            if head:
-                yield ("#" if head[0].startswith("#") else head[0]), line
+            if head := line.raw.split(None, 1):
+                word = head[0].decode("utf-8", "replace")
+                yield ("#" if word[0] == "#" else word), line
 
     def _walk_scans(self, tally: LineTally, see_other: _SeeOther) -> Iterator[Scan | ScanRun]:
         """Yield the scans, passing over damaged ones; other lines are handed to `see_other`."""
         notes_at_end: list[Note] = []  # of a damaged file: they must follow those on its lines
-        for block in cut_blocks(self._walk(notes_at_end), _get_text):
+        for block in cut_blocks(self._walk(notes_at_end), _get_raw):
             runs = _parse_together(block)
             items = {
                 word: iter([run] if len(runs) == 1 else run.split())
@@ -254,8 +255,8 @@ class CarmenLog:
             add_note(self.notes, Note(text + (", ..." if len(others) > 5 else "")))
 
 
-def _get_text(item: _KindOfLine) -> str:
-    return item[1].text
+def _get_raw(item: _KindOfLine) -> bytes:
+    return item[1].raw
 
 
 def _parse_together(block: list[_KindOfLine]) -> dict[str, ScanRun | None]:
@@ -263,8 +264,10 @@ def _parse_together(block: list[_KindOfLine]) -> dict[str, ScanRun | None]:
     runs: dict[str, ScanRun | None] = {}
     for kind in {word for word, _ in block}.intersection(FRAMES):
         runs[kind] = None
+        lines = [line.raw for word, line in block if word == kind]
         with suppress(ValueError):
-            runs[kind] = parse_scans([line.text for word, line in block if word == kind])
+            if is_worthwhile(lines):
+                runs[kind] = parse_scans(lines)
     return runs
 
 

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.readers.text import parse_stamp, parse_table, round_limit, shorten
+from occmap.readers.text import parse_stamp, parse_table, round_limit, shorten, stack_planar
 from occmap.types import UNKNOWN_POSE, Float64, Pose, PoseSample, Scan, ScanRun, as_float32
 
 FRONT, REAR = "front_laser", "rear_laser"
@@ -39,16 +39,6 @@ IMPLIED_INCREMENTS = {beams: math.radians(1.0) for beams in (180, 181)} | {
     beams: math.radians(0.5) for beams in (360, 361)
 }
 FRONT_OFFSET = "robot_frontlaser_offset"
-NUMBER_CHARACTERS = b"+-.0123456789Ee "
-"""What a logger writes; `np.loadtxt` and `np.fromstring` differ in Unicode's blanks, and nan."""
-
-
-class _Words(NamedTuple):
-    word: str
-    numbers: str
-    """All between the keyword and the time"""
-    stamp_ns: int
-    record_ns: int
 
 
 class _Layout(NamedTuple):
@@ -74,26 +64,28 @@ def parse_scan(text: str) -> Scan:
     return _make_scan(_parse_message(text))
 
 
-def parse_scans(texts: Sequence[str]) -> ScanRun:
-    """Parse lines that differ in times, ranges and poses alone, which takes half the time.
+def parse_scans(lines: Sequence[bytes]) -> ScanRun:
+    """Parse lines of one keyword that differ in times, ranges and poses alone.
 
     Raises ValueError where one is malformed or unlike the others: `parse_scan` tells which.
     """
-    lines = [_split_message(text) for text in texts]
-    table = parse_table([line.numbers for line in lines], NUMBER_CHARACTERS)
-    word, _, stamp_ns, record_ns = lines[0]
-    layout = _lay_out(word, table[0])
-    fixed = table[:, layout.fixed]
-    if any(line.word != word for line in lines) or (fixed != fixed[0]).any():
+    words = lines[0].split(None, 1)[0]
+    table = parse_table(lines, b" ", 1, len(lines[0].split()) - 4)
+    ends = table.places[:, 1].tolist()
+    times = [_parse_times(line[end:].split()) for line, end in zip(lines, ends, strict=True)]
+    first = _Message(words.decode(), table.values[0], *times[0])
+    layout = _lay_out(first.word, first.values)
+    fixed = table.values[:, layout.fixed]
+    if (fixed != fixed[0]).any():
         raise ValueError("the lines differ in more than numbers that are measured")
-    poses = [_make_pose(row) for row in table[:, layout.pose]] if layout.pose else None
+    stamp_ns, record_ns = np.array(times, np.int64).T
     return ScanRun(
-        _make_scan(_Message(word, table[0], stamp_ns, record_ns)),
-        np.array([line.stamp_ns for line in lines], np.int64),
-        np.array([line.record_ns for line in lines], np.int64),
-        as_float32(table[:, layout.ranges]),
+        _make_scan(first),
+        stamp_ns,
+        record_ns,
+        as_float32(table.values[:, layout.ranges]),
         np.zeros(len(lines)),
-        None if poses is None else np.array(poses, np.float64),
+        stack_planar(*table.values[:, layout.pose].T) if layout.pose else None,
     )
 
 
@@ -128,20 +120,22 @@ def imply_increment(beams: int) -> float:
 
 
 def _parse_message(text: str) -> _Message:
-    word, numbers, stamp_ns, record_ns = _split_message(text)
-    return _Message(word, _parse_numbers(numbers), stamp_ns, record_ns)
-
-
-def _split_message(text: str) -> _Words:
     head, *tail = text.rsplit(None, 3)
     words = head.split(None, 1)
     if len(tail) < 3 or len(words) < 2:
         raise ValueError("it is too short")
-    stamp, _, logged = tail
-    stamp_ns = parse_stamp(stamp)
-    record_ns = stamp_ns if logged == stamp else parse_stamp(logged)
+    times = _parse_times([word.encode() for word in tail])
+    return _Message(words[0], _parse_numbers(words[1]), *times)
+
+
+def _parse_times(words: Sequence[bytes]) -> tuple[int, int]:
+    """Parse the end of a line, a time, a host and a time; give both times (ns)."""
+    if len(words) != 3:
+        raise ValueError(f"{len(words)} words behind the numbers where 3 belong")
+    stamp, _, logged = words
+    stamp_ns = parse_stamp(stamp.decode())
     # Converters write 0 where they know no second time.
-    return _Words(words[0], words[1], stamp_ns, record_ns or stamp_ns)
+    return stamp_ns, (stamp_ns if logged == stamp else parse_stamp(logged.decode())) or stamp_ns
 
 
 def _parse_numbers(text: str) -> Float64:

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.lines import clip_line, count_steps, draw_line, note_line
 from occmap.grid.kernels.sums import Changes
 from occmap.grid.kernels.units import (
@@ -25,6 +24,7 @@ from occmap.grid.kernels.units import (
     SKIP,
     UNITS_PER_CELL,
 )
+from occmap.jit import kernel
 from occmap.types import Float64, Int32, Int64, UInt8
 
 FRACTION_BITS = 50

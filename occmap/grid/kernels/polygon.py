@@ -9,9 +9,9 @@ a span of its own scan, and that is taken off in the end.
 import numpy as np
 
 from occmap.grid.kernels.fill import fill_outline
-from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.outline import Beams, Surfaces, link_beams, list_border, outline_scan
 from occmap.grid.kernels.units import PAD
+from occmap.jit import kernel
 from occmap.types import Bool, Float32, Float64, Int32, Int64, UInt8
 
 BORDER_BITS = 22

@@ -8,7 +8,6 @@ import numpy as np
 
 from occmap.grid.kernels.beams import Profile
 from occmap.grid.kernels.fill import fill_outline, find_rows
-from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.project import round_to_units
 from occmap.grid.kernels.sectors import (
     BEARINGS,
@@ -18,6 +17,7 @@ from occmap.grid.kernels.sectors import (
     outline_sectors,
 )
 from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT, PAD
+from occmap.jit import kernel
 from occmap.types import Bool, Float32, Float64, Int32, Int64, UInt8
 
 NEAR, FAR, SCALE, RANGE = range(4)

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.units import PAD, TILE
+from occmap.jit import kernel
 from occmap.types import Int32, Int64
 
 
