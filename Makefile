@@ -7,10 +7,10 @@ DEMO = build/demo
 MAPS = build/maps
 LOGS = drive.csv drive.log drive.bag drive_ros2 drive.mcap
 
-.PHONY: help demo maps test bench fuzz clean
+.PHONY: help demo maps test bench bench-scale fuzz clean
 
 help: ## Show this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s  %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s  %s\n", $$1, $$2 }' Makefile
 
 demo: $(STAMP) ## Build a map of a simulated drive
 	@mkdir -p $(DEMO)
@@ -33,6 +33,9 @@ test: $(STAMP) ## Check style and types, and run all tests
 
 bench: $(STAMP) ## Measure how fast maps are built
 	@$(BIN)/python -m tests.bench
+
+bench-scale: $(STAMP) ## Measure what a build by many workers costs
+	@$(BIN)/python -m tests.bench.scale
 
 fuzz: $(STAMP) ## Feed the readers damaged logs, a minute each
 	@$(BIN)/python -m tests.fuzz

@@ -1,12 +1,14 @@
 """What a notebook or a program calls: the commands as functions that return what they found."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from occmap import difference, inspection, tuning
 from occmap.errors import UsageError
 from occmap.evidence import merging, publishing, to_grid
+from occmap.inputs import find_inputs
 from occmap.keywords import list_options, read_option, read_options
 from occmap.maps import Map
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build, choose_model, list_inputs
@@ -18,7 +20,10 @@ from occmap.store.sources import read_all
 from occmap.writers import WriteOptions
 
 AnyPath = str | Path
-OF_ONE_MAP = ("update", "model", "min_passes", "pass_gap_s", "resume")
+OF_ONE_MAP = (
+    *("update", "model", "min_passes", "pass_gap_s", "resume", "resume_if_there"),
+    *("extent", "margin", "align"),
+)
 """Options that say nothing to what looks at logs, or makes several maps of them"""
 
 
@@ -28,7 +33,8 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
     Parameters
     ----------
     logs
-        Paths to recordings of any installed format.
+        Paths to recordings of any installed format; a folder or a pattern such as "day/*.bag"
+        stands for all recordings in it.
     outputs
         Files to write at once; the suffix picks the format. Only a map that was built with an .npz
         among them can be saved as one later: it keeps when its cells were seen, which takes time.
@@ -45,7 +51,11 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
         max_cells = 1_000_000_000 (cells): a larger map is refused
         min_passes = None (visits): cells that were hit on fewer lose their hits
         pass_gap_s = 10.0 (s): two visits lie at least so far apart
+        extent = None (m): (x_min, y_min, x_max, y_max) that the map covers, to whole cells; the
+            default is what was observed
+        margin = 0.0 (m): so much unknown space is added around what was observed
         resume = None (path): an .npz; its observations are added to those of the logs
+        resume_if_there = None (path): the same, where there is such a file
         jobs = None (threads): the default is one for each core
 
         What a range means:
@@ -77,6 +87,9 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
         static_transforms = () (m, rad): [(parent, child, x, y, z, roll, pitch, yaw), ...] that the
             log lacks
         map_frame = None (name): the default is map, else odom, else the root of the laser's tree
+        transform = None (m, rad): (x, y, yaw) of the frame that the logs are mapped in, seen from
+            the frame of the map
+        align = 0.0 (degrees): the map is turned by this; None: so that walls run along the axes
         base_frame = None (name): the moving body that sensor_pose is on
         max_pose_gap_s = 2.0 (s): no pose is interpolated across a longer gap; None: across any
         max_speed = 50.0 (m/s): scans that leap away and back faster are left out; inf: none
@@ -97,12 +110,14 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
         A log cannot be read, has no scans or no poses, an option is unknown or out of its range,
         the map would be too large, or an output cannot be written.
     """
-    paths = list_logs(logs, "build_map")
     chosen = read_build(options)
-    made = build(paths, chosen, list_paths([outputs] if isinstance(outputs, AnyPath) else outputs))
+    files = list_paths([outputs] if isinstance(outputs, AnyPath) else outputs)
+    others = [*files, Path(chosen.posing.poses or "")]
+    paths, notes = find_inputs(list_logs(logs, "build_map"), chosen.reading, others)
+    made = build(paths, chosen, files)
     return Map.wrap(
         made.map,
-        report=made.report,
+        report=replace(made.report, notes=(*notes, *made.report.notes)),
         writing=chosen.writing,
         inputs=tuple(list_inputs(paths, chosen)),
         tiles=made.observed,
@@ -131,7 +146,7 @@ def check(*logs: AnyPath, **options: Any) -> inspection.Inspection:
     UsageError
         No log is given, or an option is unknown or out of its range.
     """
-    return inspection.inspect(list_logs(logs, "check"), read_common(options, "check"))
+    return inspection.inspect(*read_request(logs, options, "check"))
 
 
 def compare(
@@ -150,7 +165,7 @@ def compare(
     updates, models
         What to combine; without them, all updates and the usual models.
     picture
-        A PNG to draw all maps in, and where they disagree.
+        A PNG to draw all maps in, and where they disagree; or a page (.html).
     options
         Those of `build_map` that concern scans, poses, ranges and the lattice.
 
@@ -165,7 +180,7 @@ def compare(
     OccmapError
         As `build_map`, or no held-out beam measured a range.
     """
-    paths, common = list_logs(logs, "compare"), read_common(options, "compare")
+    paths, common = read_request(logs, options, "compare")
     hints = list_options(BuildOptions)
     variants = combine(
         [read_option("update", hints["update"], each) for each in updates],
@@ -194,7 +209,7 @@ def tune(*logs: AnyPath, **options: Any) -> tuning.Tuning:
     OccmapError
         As `compare`.
     """
-    return tuning.tune(list_logs(logs, "tune"), read_common(options, "tune"))
+    return tuning.tune(*read_request(logs, options, "tune"))
 
 
 def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> Map:
@@ -208,8 +223,7 @@ def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> 
         Evidence to take away from the sum.
     options
         Of `build_map`: model (the default is what the evidence was built with), min_passes,
-        max_cells, mode, occupied_thresh, free_thresh and shade; and crop: the part of the map to
-        show, (x_min, y_min, x_max, y_max) in metres.
+        max_cells, extent, margin, mode, occupied_thresh, free_thresh and shade.
 
     Raises
     ------
@@ -243,7 +257,7 @@ def diff(
     before, after
         Maps as PGM with YAML, PNG or evidence (.npz).
     picture
-        A PNG to draw the changes in.
+        A PNG to draw the changes in, or a page (.html).
     thresholds
         occupied_thresh and free_thresh, for formats that hold probabilities.
 
@@ -288,6 +302,14 @@ def read_build(options: Mapping[str, Any], call: str = "build_map") -> BuildOpti
         update = given.get("update") or DEFAULT_UPDATE
         given["model"] = choose_model(read_option("update", hints["update"], update))
     return read_options(BuildOptions, given, call)
+
+
+def read_request(
+    logs: Sequence[AnyPath], options: Mapping[str, Any], call: str
+) -> tuple[list[Path], BuildOptions]:
+    """Find the recordings that a caller means, and make the options that do not concern one map."""
+    paths, common = list_logs(logs, call), read_common(options, call)
+    return find_inputs(paths, common.reading).logs, common
 
 
 def read_common(options: Mapping[str, Any], call: str) -> BuildOptions:

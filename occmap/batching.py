@@ -205,6 +205,11 @@ class Batcher:
         self._selector = Selector(selection, stamps, seam)
         self._limits = limits
 
+    @property
+    def first_ns(self) -> int:
+        """The stamp of the log's first scan; 0 where none was read."""
+        return self._selector.seam.first_ns or 0
+
     def stack(self, scans: Iterable[Scan | ScanRun]) -> Iterator[ScanBatch]:
         """Stack scans, holding no more than a batch at a time; a run is a batch as it is."""
         held: dict[Geometry, list[Scan]] = {}

@@ -28,22 +28,27 @@ MODEL_PARAMETERS = (
 )
 """Those of sensor models that are flags, too"""
 
-OPTIONS = {
-    *list_options(BuildOptions),
-    *MODEL_PARAMETERS,
-    *FLAGS,
-    "crop",
-    "overview",
-    "dask",
-    "slice",
-}
+OPTIONS = {*list_options(BuildOptions), *MODEL_PARAMETERS, *FLAGS, "overview", "dask", "slice"}
 """The names of what can be typed as a flag"""
 
 MARK = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
 """How texts outside of the command line name an option, and what to give it"""
 
-NOT_WRITTEN = ("jobs", "min_passes", "model", "pass_gap_s", "resume", "update", "writing")
+NOT_WRITTEN = (
+    "jobs",
+    "min_passes",
+    "model",
+    "pass_gap_s",
+    "resume",
+    "resume_if_there",
+    "update",
+    "writing",
+)
 """Options that say nothing of how logs are read, or that a caller names by itself."""
+
+
+LEVEL_RAD = 5e-6
+"""A smaller angle is written as 0."""
 
 
 def spell_flag(option: str) -> str:
@@ -75,10 +80,18 @@ def compose_build(
         Values of options by name, which go before those of `options`.
     """
     given = {name: list_texts(value) for name, value in list_changed(options, BuildOptions())}
-    given |= {name: [text] for name, text in changes.items()}
+    for name, text in changes.items():
+        given[name] = [*list_beside(name, given.get(name, []), text), text]
     words = [w for name, texts in given.items() for text in texts for w in (spell_flag(name), text)]
     start = ("occmap", "build", update) if update else ("occmap", "build")
     return (*start, *logs, *words, "-o", f"{name_map(logs[0])}.pgm")
+
+
+def list_beside(name: str, texts: Sequence[str], text: str) -> list[str]:
+    """List the given values of an option that a new one leaves: transforms to other frames."""
+    if name != "static_transforms":
+        return []
+    return [each for each in texts if each.split(",")[1] != text.split(",")[1]]
 
 
 def name_map(path: str) -> str:
@@ -118,7 +131,7 @@ def list_item(value: Any) -> list[str]:
 def format_mount(pose: Pose) -> str:
     """Write a pose as --sensor-pose takes it: x,y,yaw, and roll,pitch where it is not level."""
     roll, pitch, yaw = to_rpy(pose)
-    level = abs(roll) < 1e-6 and abs(pitch) < 1e-6
+    level = abs(roll) < LEVEL_RAD and abs(pitch) < LEVEL_RAD
     return _join([pose.x, pose.y, yaw] if level else [pose.x, pose.y, yaw, roll, pitch])
 
 

@@ -56,6 +56,18 @@ class PoseError(OccmapError):
     """Scans have no pose in the map frame."""
 
 
+class MountError(PoseError):
+    """Scans have no pose since nobody says where their laser sits on the robot."""
+
+    UNKNOWN = "x,y,yaw"
+    """Stands in `fix` for the mount that is to be given"""
+
+    def named(self, mount: str) -> Self:
+        """The same error with a mount that suits the scans."""
+        fix = f"{self.fix.replace(self.UNKNOWN, mount)}, which suits the scans; measure x and y"
+        return type(self)(self.found, where=self.where, fix=fix)
+
+
 class MapError(OccmapError):
     """A map cannot be made from what was observed: nothing there, or too large."""
 

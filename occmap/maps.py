@@ -57,7 +57,7 @@ class Map(OccupancyMap):
         return misses
 
     def save(self, path: str | Path) -> tuple[Path, ...]:
-        """Write the map; the suffix picks the format: .pgm (with its YAML), .png or .npz.
+        """Write the map; the suffix picks the format, such as .pgm (with its YAML).
 
         Returns
         -------
@@ -72,7 +72,7 @@ class Map(OccupancyMap):
         """
         outputs = [Path(path)]
         check_outputs(outputs, self.inputs)
-        product = Product(self, self._take_evidence)
+        product = Product(self, self._take_evidence, report=self.report.to_json)
         return tuple(map(Path, write_outputs(outputs, product, self.writing)))
 
     def __repr__(self) -> str:

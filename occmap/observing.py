@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 from occmap.errors import MapError
 from occmap.grid.slices import unite
 from occmap.grid.tiles import TileGrid
+from occmap.journey import SHOWN_SCANS, JourneyRecorder
 from occmap.opening import count_scans
 from occmap.options import BuildOptions
 from occmap.readers import Log, open_log
 from occmap.report import Remarks, Tally
+from occmap.sensor.returns import ReturnOptions
 from occmap.tracing import choose_engine, make_grid, trace_logs
 from occmap.types import Rays, Slices
 
@@ -24,6 +26,22 @@ Progress: TypeAlias = Callable[[int, int], None]
 
 def ignore_progress(_scans: int, _total: int) -> None:
     """Tell nobody."""
+
+
+class Keep(NamedTuple):
+    """What is kept of the scans beside what all of them observe together."""
+
+    slices: bool = False
+    """In which slices of time cells were observed"""
+    journey: bool = False
+    """Where the robot went"""
+
+    def make_recorder(
+        self, scans: int, logs: int, returns: ReturnOptions
+    ) -> JourneyRecorder | None:
+        """Make what keeps the journey of one of some logs, which has so many scans."""
+        every = max(scans * logs // SHOWN_SCANS, 1)
+        return JourneyRecorder(every, returns) if self.journey else None
 
 
 class Observed(NamedTuple):
@@ -40,13 +58,13 @@ class Observe(Protocol):
     """Traces all usable scans of logs: here, or by many workers."""
 
     def __call__(
-        self, paths: Sequence[Path], options: BuildOptions, keep_slices: bool, progress: Progress
+        self, paths: Sequence[Path], options: BuildOptions, keep: Keep, progress: Progress
     ) -> Observed:
         """As `observe`."""
 
 
 def observe(
-    paths: Sequence[Path], options: BuildOptions, keep_slices: bool, progress: Progress
+    paths: Sequence[Path], options: BuildOptions, keep: Keep, progress: Progress
 ) -> Observed:
     """Trace all usable scans of logs.
 
@@ -55,21 +73,24 @@ def observe(
     OccmapError
         A log cannot be read, has no scans or no poses, or the map would be too large.
     """
-    tally = Tally()
+    tally = Tally(recorder=keep.make_recorder(0, 1, options.returns))
     with tally.time("open"):
         logs = [open_log(path, options.reading) for path in paths]
     total = sum(count_scans(log, options.selection.topics) for log in logs)
-    tally.advance = lambda scans: progress(scans, total)
+    tally.tell = lambda scans: progress(scans, total)
     remarks = Remarks([str(log.path) for log in logs])
     tiles, slices = make_grid(options), list[Slices]()
     for log in logs:
-        engine, notes = observe_log(log, options, keep_slices, tally)
+        scans = count_scans(log, options.selection.topics)
+        counts = Tally(tally.tell, keep.make_recorder(scans, len(logs), options.returns))
+        engine, notes = observe_log(log, options, keep.slices, counts)
+        tally.add(counts)
         remarks.note(log, notes)
         with tally.time("fold"):
             add_log(tiles, engine.finish(), options.max_cells, log.path)
             slices += engine.read_slices()
     with tally.time("fold"):
-        return Observed(tiles, (unite(slices),) if keep_slices else (), tally, remarks)
+        return Observed(tiles, (unite(slices),) if keep.slices else (), tally, remarks)
 
 
 def observe_log(

@@ -7,6 +7,7 @@ from pathlib import Path
 from occmap.batching import Selection
 from occmap.errors import UsageError
 from occmap.evidence.persistence import check_gap, check_passes
+from occmap.grid.framing import Framing
 from occmap.grid.tiles import MAX_CELLS
 from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions
@@ -41,6 +42,7 @@ class BuildOptions:
     returns: ReturnOptions = field(default_factory=ReturnOptions)
     posing: PosingOptions = field(default_factory=PosingOptions)
     selection: Selection = field(default_factory=Selection)
+    framing: Framing = field(default_factory=Framing)
     writing: WriteOptions = field(default_factory=WriteOptions)
     jump: float = 0.1
     """Neighbouring beams see one surface where ranges differ by at most this (m; not beam)"""
@@ -58,10 +60,14 @@ class BuildOptions:
     """Threads"""
     resume: Path | None = None
     """An evidence file: its observations are added to those of the logs"""
+    resume_if_there: Path | None = None
+    """The same, where there is such a file; else the build starts anew"""
 
     def __post_init__(self) -> None:
         check_passes(self.min_passes, self.model)
         check_gap(self.pass_gap_s)
+        if self.resume and self.resume_if_there:
+            raise UsageError("`resume` and `resume_if_there` are both given", fix="leave one out")
         if self.jobs < 1:
             raise UsageError(f"{self.jobs} jobs are not possible", fix="give `jobs=1` or more")
         if not self.jump >= 0:

@@ -1,20 +1,24 @@
 """The whole tool on one page: logs in, an occupancy map and a report out."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from occmap.alignment import settle_align
 from occmap.evidence import to_evidence
-from occmap.evidence.manifest import BuildRecord, describe_build, plan_manifest
+from occmap.evidence.manifest import BuildRecord, describe_build, list_mixed, plan_manifest
 from occmap.evidence.merging import open_resumed
 from occmap.evidence.persistence import render_lasting
 from occmap.evidence.publishing import describe_resumed
 from occmap.evidence.repetition import list_repeated
+from occmap.grid.framing import frame
 from occmap.grid.stacks import add_stack
 from occmap.grid.tiles import TileGrid
-from occmap.observing import Observe, Observed, Progress, ignore_progress, observe
+from occmap.mounts import list_misfits
+from occmap.observing import Keep, Observe, Observed, Progress, ignore_progress
+from occmap.observing import observe as observe_here
 from occmap.opening import choose_topics, count_messages, count_scans, make_poser, take_first
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.report import (
@@ -23,6 +27,7 @@ from occmap.report import (
     Report,
     Tally,
     describe_map,
+    list_dates,
     list_disagreement,
     list_lacking,
     list_requested,
@@ -32,7 +37,7 @@ from occmap.report import (
 from occmap.sensor.models import describe_model
 from occmap.tracing import make_engine, plan_grid, trace_logs
 from occmap.types import Evidence, Manifest, OccupancyMap
-from occmap.writers import Product, check_outputs, want_evidence, write_outputs
+from occmap.writers import Product, check_outputs, want_evidence, want_journey, write_outputs
 from occmap.writers.atomic import hold_alone
 
 __all__ = [
@@ -71,7 +76,7 @@ def build(
     options: BuildOptions,
     outputs: Sequence[Path] = (),
     progress: Progress = ignore_progress,
-    observe: Observe = observe,
+    observe: Observe = observe_here,
 ) -> Build:
     """Build one map from all usable scans of one or more logs, and write it.
 
@@ -87,8 +92,10 @@ def build(
         cannot be written.
     """
     check_outputs(outputs, list_inputs(paths, options))
-    with hold_alone(options.resume, outputs):
-        return build_alone(paths, options, outputs, partial(observe, progress=progress))
+    with hold_alone(options.resume or options.resume_if_there, outputs):
+        # Not after a fleet: it would be read once more, here.
+        look = partial(look_into, paths, options) if observe is observe_here else dict
+        return build_alone(paths, options, outputs, partial(observe, progress=progress), look)
 
 
 def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
@@ -101,13 +108,18 @@ def build_alone(
     paths: Sequence[Path],
     options: BuildOptions,
     outputs: Sequence[Path],
-    observe: Callable[[Sequence[Path], BuildOptions, bool], Observed],
+    observe: Callable[[Sequence[Path], BuildOptions, Keep], Observed],
+    look: Callable[[], dict[str, Any]],
 ) -> Build:
     """Build and write a map, while nobody else adds to the same evidence."""
+    saved = open_past(options, plan_manifest(options))
+    options, unaligned = settle_align(paths, adopt_align(options, saved))
     plan = plan_manifest(options)
-    saved = open_resumed(options.resume, plan) if options.resume else None
-    keep_slices = options.min_passes is not None or want_evidence(outputs)
-    tiles, slices, tally, remarks = observe(paths, options, keep_slices)
+    keep = Keep(
+        slices=options.min_passes is not None or want_evidence(outputs),
+        journey=want_journey(outputs),
+    )
+    tiles, slices, tally, remarks = observe(paths, options, keep)
     if saved:
         add_stack(tiles, saved.tiles, saved.cells)
         slices = saved.slices + slices
@@ -117,26 +129,68 @@ def build_alone(
         grid, lost = render_lasting(
             tiles, slices, options.min_passes, options.model, options.max_cells
         )
-    with tally.time("write"):
-        manifest = plan
-        if want_evidence(outputs):  # only then: it takes time to hash the logs
+        grid = frame(grid, options.framing, options.model.prior, options.max_cells)
+    manifest = plan
+    if want_evidence(outputs):  # only then: it takes time to hash the logs
+        with tally.time("write"):
             manifest = add_build(plan, saved, describe_build(paths, options, tally.to_json()))
-        where = saved.where if saved else ""
-        keep = cache(partial(to_evidence, tiles, manifest, slices, where))
-        files = write_outputs(outputs, Product(grid, keep), options.writing)
     resumed = describe_resumed(saved) if saved else None
+    disagreement = list(list_disagreement(grid))
     notes = [
         *list_requested(paths, outputs, options.writing, options.model),
         *remarks.notes,
+        *list_new(options, saved),
+        *unaligned,
         *options.list_idle(),
+        *list_dates(options.selection, tally),
         *list_lacking(tally, resumed),
         *lost,
-        *list_disagreement(grid),
+        *disagreement,
+        *(list_misfits(paths, options) if disagreement else ()),
         *list_repeated(manifest.builds),
+        *list_mixed(manifest),
     ]
-    facts, remarks = describe_map(grid, options.writing), replace(remarks, notes=notes, files=files)
+    facts, remarks = describe_map(grid, options.writing), replace(remarks, notes=notes)
     report = replace(make_report(facts, options, tally, remarks), resumed=resumed)
-    return Build(grid, report, tiles, keep() if want_evidence(outputs) else None)
+    product = Product(
+        grid,
+        cache(partial(to_evidence, tiles, manifest, slices, saved.where if saved else "")),
+        tally.recorder.finish() if tally.recorder else None,
+        report.to_json,
+        look,
+    )
+    with tally.time("write"):
+        files = write_outputs(outputs, product, options.writing)
+    report = replace(report, files=tuple(files), seconds=dict(tally.seconds))
+    return Build(grid, report, tiles, product.evidence() if want_evidence(outputs) else None)
+
+
+def look_into(paths: Sequence[Path], options: BuildOptions) -> dict[str, Any]:
+    """Say what `occmap check` finds in logs."""
+    from occmap.inspection import inspect  # noqa: PLC0415  late: few builds want it
+
+    return inspect(paths, options).to_json()
+
+
+def open_past(options: BuildOptions, plan: Manifest) -> Evidence | None:
+    """Read the evidence that a build is to be added to, if there is any."""
+    if options.resume:
+        return open_resumed(options.resume, plan)
+    there = options.resume_if_there
+    return open_resumed(there, plan) if there and there.exists() else None
+
+
+def list_new(options: BuildOptions, saved: Evidence | None) -> Iterator[str]:
+    """Say that a build that was to be added to others is the first of them."""
+    if options.resume_if_there and not saved:
+        yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
+
+
+def adopt_align(options: BuildOptions, saved: Evidence | None) -> BuildOptions:
+    """Turn a map that is added to evidence as that is turned, where the user names no angle."""
+    if saved is None or options.posing.align is not None:
+        return options
+    return replace(options, posing=replace(options.posing, align=saved.manifest.align))
 
 
 def add_build(plan: Manifest, saved: Evidence | None, build: BuildRecord) -> Manifest:
@@ -163,6 +217,7 @@ def make_report(facts: MapFacts, options: BuildOptions, tally: Tally, remarks: R
         columns=cols,
         rows=rows,
         extent=facts.extent,
+        align=options.posing.align or 0.0,
         shares=facts.shares,
         agreement=facts.agreement,
         seconds=dict(tally.seconds),

@@ -1,5 +1,6 @@
 """What a build did: numbers for people and for programs."""
 
+import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -11,8 +12,9 @@ from typing import Any, NamedTuple, Protocol, TypedDict, TypeVar
 
 import numpy as np
 
-from occmap.batching import LeftOut, count_wanted
+from occmap.batching import LeftOut, Selection, count_wanted
 from occmap.errors import LogError, MapError, PoseError
+from occmap.journey import JourneyRecorder
 from occmap.plain import Count, ScanCounts, Share, Told, to_plain
 from occmap.posing.options import DropReason
 from occmap.readers import Note
@@ -25,6 +27,8 @@ from occmap.writers import WriteOptions, list_idle
 
 Item = TypeVar("Item")
 
+LONGEST_LOG_S = 1e8
+"""Three years: a time that is later is a date."""
 LEAST_AGREEMENT = 0.55
 """At 5 cm, logs with sound poses reach 0.68 to 0.94, raw odometry 0.72; noise of 10 cm in the poses
 of the same logs leaves 0.27 to 0.56."""
@@ -42,9 +46,16 @@ def ignore_advance(_scans: int) -> None:
 class Tally:
     """Counts and times that grow while a map is built; any thread may call `time`, one all else."""
 
-    def __init__(self, advance: Callable[[int], None] = ignore_advance) -> None:
-        self.advance = advance
+    def __init__(
+        self,
+        tell: Callable[[int], None] = ignore_advance,
+        recorder: JourneyRecorder | None = None,
+    ) -> None:
+        self.tell = tell
         """Told, now and then, how many scans were read since the last call"""
+        self.told = 0
+        self.recorder = recorder
+        """Told where the scans were taken, where an output wants that"""
         self.seconds: dict[str, float] = {}
         self.scans_read = self.scans_used = 0
         self.dropped: dict[str, int] = {}
@@ -55,8 +66,19 @@ class Tally:
         """Scans that the user asked for."""
         return count_wanted(self.scans_read, self.dropped)
 
+    def start_over(self) -> "Tally":
+        """Make one that has counted nothing yet, to read logs with once more."""
+        return Tally(self.tell, self.recorder and self.recorder.start_over())
+
+    def advance(self, scans: int) -> None:
+        """Tell that so many more scans were read; fewer, where they are read once more."""
+        self.told += scans
+        self.tell(scans)
+
     def add(self, other: "Tally") -> None:
         """Count what another one counted, too."""
+        if self.recorder and other.recorder:
+            self.recorder.add(other.recorder)
         self.scans_read += other.scans_read
         self.drop(other.dropped)
         self.use(other.scans_used, other.beams)
@@ -146,6 +168,8 @@ class PrintedMap(TypedDict):
     """Cells from bottom to top (along y)"""
     extent: Box
     """Lowest x and y, highest x and y (m)"""
+    align: float
+    """By what the map is turned against the frame of its poses, counter-clockwise (degrees)"""
     occupied: Share
     """Share of the map's cells that are occupied, by `occupied_thresh`"""
     free: Share
@@ -230,6 +254,8 @@ class Report:
     files: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
     """Those of the notes that tell of damage to a log"""
+    align: float = 0.0
+    """By what the map is turned (degrees, counter-clockwise)"""
     min_passes: int | None = None
     """On how many visits a cell had to be hit to keep its hits; None: nobody asked"""
     builds: int = 1
@@ -263,6 +289,7 @@ class Report:
                 "columns": self.columns,
                 "rows": self.rows,
                 "extent": self.extent,
+                "align": self.align,
                 "occupied": self.shares.occupied,
                 "free": self.shares.free,
                 "unknown": self.shares.unknown,
@@ -365,6 +392,13 @@ def list_lacking(tally: Tally, resumed: Resumed | None) -> Iterator[str]:
     if not tally.beams.hit:
         lack = "of the logs hit anything" if resumed else "hit anything, so the map has no walls"
         yield f"no beam {lack}: see the ranges in `occmap check`"
+
+
+def list_dates(selection: Selection, tally: Tally) -> Iterator[str]:
+    """Say that the end of the part that is wanted leaves nothing out: it may be meant as a date."""
+    end_s = selection.end_s
+    if end_s < math.inf and (end_s > LONGEST_LOG_S or str(LeftOut.TIME) not in tally.dropped):
+        yield f"`end_s={end_s:.12g}` leaves nothing out: it is in seconds after the first scan"
 
 
 def list_disagreement(grid: OccupancyMap) -> Iterator[str]:

@@ -4,10 +4,11 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from occmap.batching import FROM_THE_START, Batcher, Seam
-from occmap.errors import MapError
+from occmap.errors import MapError, MountError
 from occmap.grid.lattice import Lattice
 from occmap.grid.spec import WINDOW_CELLS, GridSpec, tabulate
 from occmap.grid.tiles import TileGrid
+from occmap.mounts import name_mount
 from occmap.opening import choose_topics, make_poser
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
@@ -47,7 +48,10 @@ def open_drive(log: Log, options: BuildOptions) -> Drive:
         As `choose_topics` and `make_poser`.
     """
     topics = choose_topics(log, options.selection.topics)
-    return Drive(log, topics, make_poser(log, topics, options.posing))
+    try:
+        return Drive(log, topics, make_poser(log, topics, options.posing))
+    except MountError as error:
+        raise name_mount(log, topics, options, error) from None
 
 
 def trace_logs(
@@ -68,7 +72,7 @@ def trace_logs(
     """
     limits = [RangeLimits(options.returns) for _ in logs]
     for _ in range(2):
-        counts, observe = Tally(tally.advance), begin()
+        counts, observe = tally.start_over(), begin()
         notes = []
         for log, limit in zip(logs, limits, strict=True):
             with counts.time("poses"):
@@ -77,6 +81,7 @@ def trace_logs(
             notes.append([*drive.poser.notes, *odd, *limit.list_notes()])
         if settle(limits):
             break
+        counts.advance(-counts.told)  # the same scans are read once more
     tally.add(counts)
     yield from zip(logs, notes, strict=True)
 
@@ -106,6 +111,8 @@ def trace(
             with tally.time("pose"):
                 posed, dropped = drive.poser.attach(batch)
             tally.drop(dropped)
+            if tally.recorder:
+                tally.recorder.follow(drive.log.path, drive.poser.fixed, batch, (posed, dropped))
             for scans in posed:
                 with tally.time("interpret"):
                     rays, beams = interpret(scans, options.returns)
@@ -114,7 +121,8 @@ def trace(
             tally.advance(len(batch.stamp_ns))
     tally.scans_read += batcher.read
     tally.drop(dict(batcher.left_out))
-    return batcher.notes
+    concerns = drive.poser.list_concerns(batcher.first_ns, options.returns.max_range)
+    return [*batcher.notes, *(f"{topic}: {concern.text}" for topic, concern in concerns)]
 
 
 def choose_engine(

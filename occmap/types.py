@@ -24,6 +24,7 @@ Float64: TypeAlias = NDArray[np.float64]
 Int32: TypeAlias = NDArray[np.int32]
 Int64: TypeAlias = NDArray[np.int64]
 UInt8: TypeAlias = NDArray[np.uint8]
+UInt64: TypeAlias = NDArray[np.uint64]
 Bool: TypeAlias = NDArray[np.bool_]
 
 
@@ -62,6 +63,28 @@ class Pose(NamedTuple):
     def planar(cls, x: float, y: float, yaw: float) -> Self:
         """Build from a pose in the plane (m, m, rad); the heading may be unwrapped."""
         return cls(x, y, 0.0, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+
+    def then(self, below: Self) -> Self:
+        """Go on to a pose that is measured in this one."""
+        x, y, z, w = self[3:]
+        bx, by, bz, bw = below[3:]
+        # v + 2 w (q x v) + 2 q x (q x v), the rotation of a vector v by a unit quaternion (q, w)
+        cx, cy, cz = y * below.z - z * below.y, z * below.x - x * below.z, x * below.y - y * below.x
+        return type(self)(
+            self.x + below.x + 2 * (w * cx + y * cz - z * cy),
+            self.y + below.y + 2 * (w * cy + z * cx - x * cz),
+            self.z + below.z + 2 * (w * cz + x * cy - y * cx),
+            w * bx + x * bw + y * bz - z * by,
+            w * by - x * bz + y * bw + z * bx,
+            w * bz + x * by - y * bx + z * bw,
+            w * bw - x * bx - y * by - z * bz,
+        )
+
+    def invert(self) -> Self:
+        """Where the frame that it is measured in lies in this one."""
+        back = type(self)(0.0, 0.0, 0.0, -self.qx, -self.qy, -self.qz, self.qw)
+        x, y, z, *_ = back.then(type(self)(-self.x, -self.y, -self.z, 0.0, 0.0, 0.0, 1.0))
+        return back._replace(x=x, y=y, z=z)
 
 
 UNKNOWN_POSE = Pose(*[math.nan] * 7)
@@ -280,6 +303,44 @@ class PosedScans:
     """(S, 3) m in the map frame, or (S, B, 3) with a pose for each beam (de-skewed)."""
     rotation: Float64
     """(S, 3, 3) from the sensor to the map frame, or (S, B, 3, 3)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Where one laser of one log was at the scans that went into a map, as they were recorded."""
+
+    log: str
+    topic: str
+    parent: str
+    """The frame of the map"""
+    frame: str
+    """That of the laser"""
+    stamp_ns: Int64
+    """(N,)"""
+    pose: Float64
+    """(N, 7) x y z qx qy qz qw of the laser in the map; of a de-skewed scan, at its first beam"""
+    dropped: tuple[tuple[int, str], ...] = ()
+    """Stamp of each scan that has no usable pose (ns), and why"""
+
+
+class ScanHits(NamedTuple):
+    """Where the beams of one scan ended in the map."""
+
+    stamp_ns: int
+    origin: tuple[float, float]
+    """Where the laser was (m)"""
+    x: Float32
+    y: Float32
+    """(P,) m, of the beams that hit something"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Journey:
+    """How a map was recorded: what is drawn over it, and what other tools want beside it."""
+
+    trajectories: tuple[Trajectory, ...]
+    scans: tuple[ScanHits, ...]
+    """A sample of the scans, spread evenly over all of them"""
 
 
 class Kind(IntEnum):
@@ -557,6 +618,8 @@ class Manifest:
     """What was added: inputs and their hashes, options, scans; see `occmap.evidence.manifest`"""
     subtracted: tuple[dict[str, Any], ...] = ()
     """What was taken away that no entry of `builds` stands for"""
+    align: float | None = 0.0
+    """By what the map is turned (degrees); None only in a plan: it is yet to be found"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -67,10 +67,11 @@ def write_bag(
     mount: Sequence[tuple[float, float]] = (),
     scan_stamp: Callable[[int], int] = lambda stamp: stamp,
     topics: Sequence[str] = ("/scan",),
+    correct: Callable[[int], tuple[float, float, float]] | None = None,
 ) -> Path:
     """Write the drive as a ROS 1 bag: odometry on /tf, perhaps the mount (roll, yaw), /scan.
 
-    The scans are on the topics in turn.
+    The scans are on the topics in turn; a correction says where `odom` is in `map` at each scan.
     """
     log = [
         Written("/tf_static", 0, _transform(0, "base_link", "laser", (0, 0, 0), *turn))
@@ -82,6 +83,10 @@ def write_bag(
         log.append(
             Written("/tf", stamp, _transform(stamp, "odom", "base_link", (x, y, 0), 0.0, yaw))
         )
+        if correct is not None:
+            right, up, turn = correct(index)
+            moved = _transform(stamp, "map", "odom", (right, up, 0), 0.0, turn)
+            log.append(Written("/tf", stamp, moved))
         topic = topics[index % len(topics)]
         log.append(Written(topic, stamp, _scan(scan_stamp(stamp), drive.ranges(index))))
     return write_bag1(path, log)

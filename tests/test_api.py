@@ -22,6 +22,7 @@ from occmap.batching import Selection
 from occmap.cli.console import spell_all
 from occmap.errors import MapError, OccmapError, OutputError, UsageError
 from occmap.evidence.publishing import RenderOptions
+from occmap.grid.framing import Framing
 from occmap.keywords import list_options, read_options
 from occmap.pipeline import BuildOptions, build
 from occmap.posing.options import Deskew, PosingOptions, Stamps
@@ -54,6 +55,7 @@ PLAIN: list[tuple[str, Any, BuildOptions]] = [
     ("max_cells", 1000, BuildOptions(max_cells=1000)),
     ("min_passes", 2, BuildOptions(min_passes=2)),
     ("pass_gap_s", 30, BuildOptions(pass_gap_s=30.0)),
+    ("resume_if_there", "a.npz", BuildOptions(resume_if_there=Path("a.npz"))),
     ("resume", "a.npz", BuildOptions(resume=Path("a.npz"))),
     ("jobs", 1, BuildOptions(jobs=1)),
     ("min_range", 0.5, BuildOptions(returns=ReturnOptions(min_range=0.5))),
@@ -95,6 +97,14 @@ PLAIN: list[tuple[str, Any, BuildOptions]] = [
         ),
     ),
     ("map_frame", "map", BuildOptions(posing=PosingOptions(map_frame="map"))),
+    (
+        "transform",
+        (1, 2, math.pi / 2),
+        BuildOptions(posing=PosingOptions(transform=Pose(1, 2, 0, 0, 0, HALF, HALF))),
+    ),
+    ("align", None, BuildOptions(posing=PosingOptions(align=None))),
+    ("extent", [0, 0, 2, 1], BuildOptions(framing=Framing(extent=(0.0, 0.0, 2.0, 1.0)))),
+    ("margin", 2, BuildOptions(framing=Framing(margin=2.0))),
     ("base_frame", "base", BuildOptions(posing=PosingOptions(base_frame="base"))),
     ("max_pose_gap_s", None, BuildOptions(posing=PosingOptions(max_pose_gap_s=None))),
     ("max_speed", 2, BuildOptions(posing=PosingOptions(max_speed=2.0))),
@@ -133,13 +143,13 @@ def test_an_option_is_given_by_name_as_a_plain_value(
 
 
 def test_every_option_can_be_given() -> None:
-    grouped = {"reading", "returns", "posing", "selection", "writing"}
-    groups = (ReaderOptions, ReturnOptions, PosingOptions, Selection, WriteOptions)
+    grouped = {"framing", "reading", "returns", "posing", "selection", "writing"}
+    groups = (Framing, ReaderOptions, ReturnOptions, PosingOptions, Selection, WriteOptions)
     names = [*BuildOptions.__dataclass_fields__.keys() - grouped]
     for group in groups:
         names += [field.name for field in fields(group)]
     assert sorted(name for name, *_ in PLAIN) == sorted(names)
-    assert list_options(RenderOptions).keys() <= {*names, "crop"}
+    assert list_options(RenderOptions).keys() <= {*names, "overview"}
 
 
 def test_values_of_the_classes_are_taken_as_they_are() -> None:
@@ -159,7 +169,7 @@ def test_values_of_the_classes_are_taken_as_they_are() -> None:
 
 
 def test_none_is_the_default_but_where_it_is_a_value() -> None:
-    nothing = dict.fromkeys(list_options(BuildOptions).keys() - {"max_pose_gap_s"})
+    nothing = dict.fromkeys(list_options(BuildOptions).keys() - {"align", "max_pose_gap_s"})
     assert read_options(BuildOptions, nothing, "build_map") == BuildOptions()
     endless = read_options(BuildOptions, {"max_pose_gap_s": None}, "build_map")
     assert endless.posing.max_pose_gap_s is None
@@ -213,7 +223,19 @@ def test_paths_are_given_one_by_one(call: Any) -> None:
 
 
 UNITS = {
-    *("m", "s", "rad", "m, rad", "m/s", "cells", "threads", "visits", "scans", "probability"),
+    *(
+        "m",
+        "s",
+        "rad",
+        "degrees",
+        "m, rad",
+        "m/s",
+        "cells",
+        "threads",
+        "visits",
+        "scans",
+        "probability",
+    ),
     *("name", "names", "path", "path or topic", "text or model"),
 }
 
@@ -225,7 +247,7 @@ def test_the_docstring_lists_every_option_with_its_default_and_unit() -> None:
     groups = (defaults.reading, defaults.returns, defaults.posing, defaults.selection)
     expected = {
         name: getattr(place, name)
-        for place in (defaults, *groups, defaults.writing)
+        for place in (defaults, *groups, defaults.framing, defaults.writing)
         for name in list_options(BuildOptions)
         if hasattr(place, name)
     }
@@ -498,7 +520,7 @@ def test_merged_halves_are_the_whole_and_come_apart_again(halves: Path, tmp_path
 
 
 def test_a_part_of_evidence_is_shown_with_its_hits(halves: Path) -> None:
-    whole, part = (occmap.merge(halves / "a.npz", crop=crop) for crop in (None, (0, 0, 2, 1)))
+    whole, part = (occmap.merge(halves / "a.npz", extent=box) for box in (None, (0, 0, 2, 1)))
     assert (part.shape, part.origin) == ((20, 40), (0.0, 0.0))
     col, row = (round(-edge / 0.05) for edge in whole.origin)
     assert part.hits.sum() > 0
@@ -506,9 +528,9 @@ def test_a_part_of_evidence_is_shown_with_its_hits(halves: Path) -> None:
 
 
 def test_one_file_of_evidence_is_rendered(halves: Path, tmp_path: Path) -> None:
-    shown = occmap.merge(halves / "a.npz", model="simple", crop=(0, 0, 2, 1), min_passes=1)
+    shown = occmap.merge(halves / "a.npz", model="simple", extent=(0, 0, 2, 1), min_passes=1)
     shown.save(tmp_path / "mine.pgm")
-    choice = ("--model", "simple", "--crop", "0,0,2,1", "--min-passes", "1")
+    choice = ("--model", "simple", "--extent", "0,0,2,1", "--min-passes", "1")
     printed = run("render", halves / "a.npz", *choice, "-o", tmp_path / "its.pgm")
     assert printed["map"] == as_printed(shown.report.to_json())["map"]
     assert (tmp_path / "mine.pgm").read_bytes() == (tmp_path / "its.pgm").read_bytes()
@@ -526,7 +548,7 @@ def test_diff_gives_what_the_command_prints(halves: Path, tmp_path: Path) -> Non
     assert printed == {**printed, **as_printed(found.to_json())}
     assert found.share > 0
     assert (tmp_path / "mine.png").read_bytes() == (tmp_path / "its.png").read_bytes()
-    with pytest.raises(UsageError, match="the picture is a PNG"):
+    with pytest.raises(UsageError, match="is no picture"):
         occmap.diff(before, after, picture="diff.jpg")
     with pytest.raises(UsageError, match="diff has no option 'occupied'; did you mean 'occupied_"):
         occmap.diff(before, after, occupied=0.6)

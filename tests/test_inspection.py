@@ -13,16 +13,22 @@ import numpy as np
 import pytest
 
 from occmap.batching import Selection
+from occmap.command import compose_build
+from occmap.errors import MapError, PoseError
 from occmap.inspection import Inspection, inspect
 from occmap.inspection.findings import ScanFindings
 from occmap.inspection.ranges import BLOCK_RANGES, RangeCensus, find_repeated
 from occmap.inspection.times import StampLog
+from occmap.mounts import correct_mount
 from occmap.pipeline import BuildOptions, build
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import Float32, Float64, Pose, Scan, ScanBatch
 from tests.inspection_logs import BEAMS, SCANS, Drive, measure_room, write_bag, write_csv
+from tests.posing.scenes import bolted, drive
+from tests.posing.scenes import build as make_poser
 from tests.samples import PLAIN
+from tests.samples import write_csv as write_row
 
 REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", Path(__file__).parents[2] / "shared/logs"))
 SAMPLES = Path(__file__).parents[1] / "sample_logs"
@@ -217,7 +223,10 @@ def test_a_wrong_mount_is_suspected(tmp_path: Path) -> None:
     found = look(write_bag(tmp_path / "room.bag", Drive(math.pi), mount=[(0.0, 0.0)]))
 
     assert topic(found).mount is not None
-    assert any("yaw[,roll,pitch] = 0,0,3.14159" in text for text in found.warnings)
+    misfit, disagreement = found.warnings
+    assert misfit.endswith("the scans would fit each other better with `sensor_pose=0,0,3.14159`")
+    assert "the poses do not fit the scans" in disagreement
+    assert found.command[3:-2] == ("--sensor-pose", "0,0,3.14159")
 
 
 def test_an_upside_down_laser_is_told(tmp_path: Path) -> None:
@@ -357,6 +366,127 @@ def test_the_part_that_was_asked_for_is_in_the_command(tmp_path: Path) -> None:
     assert found.command[3:-2] == ("--start", "5", "--end", "20.5", "--stride", "3")
     assert topic(found).times.start_ns == 105 * 10**9
     assert topic(found).times.largest_gap_s == 3
+
+
+def hide(scans: Float64) -> Float64:
+    """What a laser that hangs upside down and looks back reads: clockwise, from behind."""
+    return np.roll(scans[::-1], BEAMS // 2 + 1)
+
+
+def test_the_mount_is_named_in_the_error_of_a_build(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "room.bag", Drive(spoil=hide))
+    mount = "`sensor_pose=0,0,3.14159,3.14159,0`, which suits the scans; measure x and y"
+    with pytest.raises(PoseError, match=f"give its mount on base_link: {mount}"):
+        build([path], BuildOptions())
+    (problem,) = look(path).problems
+    assert mount in problem
+
+
+def test_a_build_whose_hits_disagree_names_the_mount(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "room.bag", Drive(math.pi), mount=[(0.0, 0.0)])
+    notes = build([path], BuildOptions()).report.notes
+    assert (
+        f"{path}: /scan: the scans would fit each other better with `sensor_pose=0,0,3.14159`"
+        in (notes)
+    )
+    right = BuildOptions(posing=PosingOptions(sensor_pose=Pose.planar(0, 0, math.pi)))
+    assert not any("fit" in note for note in build([path], right).report.notes)
+
+
+@pytest.mark.parametrize("given", [(0.5, 0.0), (0.5, math.pi / 2)])
+def test_the_line_holds_the_right_mount_in_place_of_a_wrong_one(
+    tmp_path: Path, given: tuple[float, float]
+) -> None:
+    """A laser half a metre off that looks to the right is said to look ahead or to the left."""
+    x, yaw = given
+    path = write_bag(tmp_path / "room.bag", Drive(-math.pi / 2), mount=[(0.0, 0.0)])
+    found = look(path, BuildOptions(posing=PosingOptions(sensor_pose=Pose.planar(x, 0, yaw))))
+    assert found.command[3:-2] == ("--sensor-pose", "0.5,0,-1.5708")
+
+
+def test_of_two_lasers_the_one_that_is_off_gets_a_transform_of_its_own(tmp_path: Path) -> None:
+    right = write_bag(tmp_path / "right.bag", Drive(), mount=[(0.0, 0.0)])
+    assert look(right).warnings == ()
+    given = bolted("base_link", "laser", Pose.planar(0.0, 0.0, 1.5))
+    poser = make_poser(*drive("odom", "base_link"), static_transforms=(given,))
+    poser.chains = {"laser": None, "other": None}
+    assert correct_mount(poser, "laser", Pose.planar(0, 0, 1.0)) == "sensor_pose=0,0,1"
+    poser.chains = {}
+    poser.resolve(["laser"])
+    poser.chains["other"] = None
+    better = correct_mount(poser, "laser", Pose.planar(0, 0, -1.5))
+    assert better == "static_transforms=base_link,laser,0,0,0,0,0,0"
+    options = BuildOptions(posing=PosingOptions(static_transforms=(given,)))
+    name, _, value = better.partition("=")
+    words = compose_build([str(right)], options, {name: value})
+    assert words[3:-2] == ("--static-tf", "base_link,laser,0,0,0,0,0,0")
+
+
+def test_where_the_poses_fit_no_mount_the_line_looks_for_the_reason(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "room.bag", Drive(0.3), mount=[(0.0, 0.0)])
+    found = look(path, BuildOptions(resolution=0.1))
+    (warning,) = found.warnings
+    assert "the poses do not fit the scans; try `occmap tune`" in warning
+    assert found.command == ("occmap", "tune", str(path), "--resolution", "0.1")
+
+
+def test_a_map_frame_that_jumps_is_told_and_mended(tmp_path: Path) -> None:
+    path = write_bag(
+        tmp_path / "room.bag",
+        Drive(),
+        mount=[(0.0, 0.0)],
+        correct=lambda index: (0.0, 0.0, 0.0) if index >= 8 else (9.0, -4.0, 1.7),
+    )
+    found = look(path)
+    (warning,) = found.warnings
+    assert "/scan: map -> odom jumps by " in warning
+    assert " 97 deg 8.000 s after the first scan: " in warning
+    assert found.command[3:-2] == ("--start", "8")
+    assert warning in build([path], BuildOptions()).report.notes
+    mended = BuildOptions(selection=Selection(start_s=8.0))
+    assert look(path, mended).warnings == ()
+    assert not any("jumps" in note for note in build([path], mended).report.notes)
+
+
+def test_a_tilt_that_the_line_mends_is_not_told_of_it(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "room.bag", Drive(), mount=[(0.2, 0.0)])
+    (warning,) = look(path).warnings
+    assert warning in build([path], BuildOptions()).report.notes
+
+
+@pytest.mark.parametrize(("pace", "poses_ns"), [(0.8, 5 * 10**9), (1.0, 10**12), (3.0, 0)])
+def test_simulated_time_is_called_by_its_name(pace: float, poses_ns: int) -> None:
+    stamps = StampLog()
+    for index in range(100):
+        recorded = 1_700_000_000 * 10**9 + index * 10**9
+        stamps.add(Scan(round(pace * index * 1e9), "", 0, 0.1, [1.0], 0, 9, record_ns=recorded))
+    times = stamps.sum_up(Stamps.HEADER, poses_ns)
+    assert (times.simulated, times.drift_s) == (True, 0)
+
+
+@pytest.mark.parametrize("poses_ns", [1_700_000_000 * 10**9, None])
+def test_a_laser_that_counts_from_its_start_drifts(poses_ns: int | None) -> None:
+    stamps = StampLog()
+    for index in range(100):
+        recorded = 1_700_000_000 * 10**9 + index * 10**9
+        stamps.add(Scan(round(0.8 * index * 1e9), "", 0, 0.1, [1.0], 0, 9, record_ns=recorded))
+    times = stamps.sum_up(Stamps.HEADER, poses_ns)
+    assert not times.simulated
+    assert times.drift_s == pytest.approx(-0.2 * 90, abs=0.5)
+
+
+def test_a_beam_that_no_build_traces_is_a_problem(tmp_path: Path) -> None:
+    """It runs along an axis, so that the map would not be too large."""
+    poses = [(0.0, 0.0, 0.0)] * 3
+    log = write_row(tmp_path / "far.csv", poses, [2.5e5, 1.0, 1.5, 2.0], math.pi / 2)
+    found = look(log)
+    assert found.map is not None
+    assert found.map.columns * found.map.rows < BuildOptions().max_cells
+    (problem,) = found.problems
+    assert "a beam of 250000 m is too long for cells of 0.05 m; limit ranges with" in problem
+    assert found.command == ()
+    with pytest.raises(MapError, match=r"a beam of 250000 m is too long for cells of 0\.05 m"):
+        build([log], BuildOptions())
 
 
 def test_a_part_without_scans_is_a_problem(tmp_path: Path) -> None:

@@ -180,6 +180,22 @@ def test_progress_counts_the_scans_of_all_logs() -> None:
     assert {total for _, total in seen} == {828}
 
 
+def test_progress_goes_back_where_a_log_is_read_once_more(tmp_path: Path) -> None:
+    # That 30 m stands for "no return" shows late: so many other ranges come before.
+    rng = np.random.default_rng(1)
+    beams = [rng.uniform(1, 9, 200).round(3).tolist() for _ in range(1500)]
+    late = [[30.0] * 50 + row[50:] for row in beams[1400:]]
+    head = "stamp,x,y,yaw," + ",".join(f"r{beam}" for beam in range(200))
+    rows = [f"{n},0,0,0,{','.join(map(str, row))}" for n, row in enumerate(beams[:1400] + late)]
+    log = tmp_path / "late.csv"
+    log.write_text("\n".join(["# angle_min: 0", "# angle_increment: 0.01", head, *rows]) + "\n")
+    seen: list[int] = []
+    build([log], BEAM, progress=lambda scans, _total: seen.append(scans))
+    assert min(seen) == -1500
+    assert sum(seen) == 1500
+    assert max(np.cumsum(seen)) == 1500
+
+
 def build_cut(tmp_path: Path) -> Build:
     """Build from a CSV whose gzip data ends early."""
     whole = write_csv(tmp_path / "log.csv", STILL * 3000, [0.3])

@@ -2,10 +2,11 @@
 
 import os
 import re
+import shlex
 import sys
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, TypedDict
 
@@ -59,10 +60,19 @@ class Console:
     """A program reads stdout: it gets one JSON object, whatever happens"""
     answered: bool = False
     """It has got it"""
+    stdout_is_taken: bool = False
+    """A map goes there: all else goes to stderr"""
+    announced: list[str] = field(default_factory=list)
+    """What was said of the command line itself: the first notes of a result"""
 
     def put(self, lines: Iterable[str]) -> None:
         """Print a result, unless the user wants quiet."""
-        if self.verbosity > Verbosity.QUIET:
+        if self.verbosity is Verbosity.QUIET:
+            return
+        if self.stdout_is_taken:
+            for line in lines:
+                tell(line)
+        else:
             put_line("\n".join(clean(line) for line in lines))
 
     def put_json(self, kind: str, value: dict[str, Any]) -> None:
@@ -70,6 +80,8 @@ class Console:
         import json  # noqa: PLC0415  late: most runs print none
 
         self.answered = True
+        if "notes" in value:
+            value = {**value, "notes": [*self.announced, *value["notes"]]}
         named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **spell_all(value)}
         text = json.dumps(named, indent=2, allow_nan=False)
         put_line(text.replace("##", r"\u0023#"))  # the same to who reads JSON, and no order
@@ -78,6 +90,12 @@ class Console:
         """Print something worth knowing."""
         if self.verbosity > Verbosity.QUIET:
             tell(f"note: {text}")
+
+    def announce(self, notes: Iterable[str]) -> None:
+        """Print what is worth knowing of the command line, and keep it for the result."""
+        for note in notes:
+            self.announced.append(note)
+            self.note(note)
 
     def fail(self, error: OccmapError, code: int) -> int:
         """Print an error, for a program that still waits as JSON, too; return its exit code."""
@@ -132,6 +150,20 @@ def put_line(text: str) -> None:
     except OSError as error:
         discard_stdout()
         raise OutputError(f"cannot be written ({error.strerror})", where="stdout") from None
+
+
+PLAIN_WORD = re.compile(r"[\w@+=:./\\-]+", re.ASCII)
+"""What cmd.exe and PowerShell take as one word without quotes."""
+
+
+def write_command(words: Iterable[str]) -> str:
+    """Write a command line as it can be typed here."""
+    return quote_for_windows(words) if os.name == "nt" else shlex.join(words)
+
+
+def quote_for_windows(words: Iterable[str]) -> str:
+    """Quote the words of a command line for cmd.exe and PowerShell, which know double quotes."""
+    return " ".join(word if PLAIN_WORD.fullmatch(word) else f'"{word}"' for word in words)
 
 
 def spell(text: str) -> str:

@@ -1,9 +1,9 @@
 """Findings of an inspection as text: aligned lines for people; programs read the JSON."""
 
 import math
-import shlex
 from collections.abc import Iterator
 
+from occmap.cli.console import write_command
 from occmap.inspection.findings import (
     Inspection,
     LogFindings,
@@ -33,7 +33,7 @@ def format_inspection(inspection: Inspection) -> list[str]:
     lines += [label("warning", text) for text in inspection.warnings]
     lines += [label("problem", text) for text in inspection.problems]
     if inspection.command:
-        lines += ["", shlex.join(inspection.command)]
+        lines += ["", write_command(inspection.command)]
     return lines
 
 
@@ -120,6 +120,8 @@ def list_ranges(ranges: RangeFindings) -> Iterator[Row]:
 def format_times(times: TimeFindings) -> str:
     """Say how the stamps run, beside the record times."""
     parts = [f"{times.offset_s:.3g} s from the record times, drift {times.drift_s:.2g} s"]
+    if times.simulated:
+        parts = ["simulated time"]
     parts += [f"largest gap {times.largest_gap_s:.3g} s"]
     if times.time_increment_s:
         parts.append(f"{1e3 * times.time_increment_s:.3g} ms between beams")

@@ -33,8 +33,8 @@ def fail_if(measures: Measures) -> Callable[[Command], Command]:
         "limits",
         **read_by(lambda text: parse_limit(text, measures)),
         multiple=True,
-        metavar="'NAME > NUMBER'",
-        help=f"Exit with 3 where this holds, such as '{suggest_limit(measures)}'; < <= >= == != "
+        metavar='"NAME > NUMBER"',
+        help=f'Exit with 3 where this holds, such as "{suggest_limit(measures)}"; < <= >= == != '
         f"do, too. May repeat. Names: {names}.",
     )
 

@@ -17,6 +17,7 @@ from occmap.cli.values import (
     parse_box,
     parse_sector,
     parse_sensor_pose,
+    parse_static,
     parse_transform,
     read_by,
 )
@@ -115,7 +116,8 @@ posing = join(
         POSES,
         "--poses",
         metavar="FILE|TOPIC",
-        help="Take the poses from a file (TUM or CSV: stamp,x,y,yaw) or from this topic.",
+        help="Take the poses from a file (TUM, EuRoC, KITTI or CSV: stamp,x,y,yaw) or from this "
+        "topic.",
     ),
     option(
         POSES,
@@ -128,7 +130,7 @@ posing = join(
         POSES,
         "--static-tf",
         "static_transforms",
-        **read_by(parse_transform),
+        **read_by(parse_static),
         multiple=True,
         metavar="PARENT,CHILD,X,Y,Z,ROLL,PITCH,YAW",
         help="A fixed transform that the log lacks (m, rad). May repeat.",
@@ -139,6 +141,14 @@ posing = join(
         metavar="FRAME",
         show_default="map, else odom, else the root",
         help="Map in this frame.",
+    ),
+    option(
+        POSES,
+        "--transform",
+        **read_by(parse_transform),
+        metavar="X,Y,YAW",
+        help="Where the logs' map frame lies in the map that is made (m, rad), so that sessions in "
+        "frames of their own make one map.",
     ),
     option(
         POSES, "--base-frame", metavar="FRAME", help="The moving body that --sensor-pose is on."

@@ -8,10 +8,14 @@ from typing import Any
 import click
 
 from occmap.cli.console import Verbosity
-from occmap.cli.sections import join, option
+from occmap.cli.sections import bare_option, join, option
 from occmap.cli.values import (
+    FROM_SCANS,
     PATH,
     one_of,
+    parse_align,
+    parse_extent,
+    read_by,
     set_verbosity,
 )
 from occmap.pipeline import BuildOptions
@@ -26,9 +30,9 @@ MAP, MODEL, RANGES = "Map", "Sensor model", "What a range means"
 SCANS, POSES, FILES, RUN = "Which scans", "Where the scans were taken", "Files", "Run"
 
 
-def metres(section: str, name: str, **settings: Any) -> Any:
+def metres(section: str, *names: str, **settings: Any) -> Any:
     """Declare an option that is a length."""
-    return option(section, name, type=float, metavar="M", **{"show_default": True} | settings)
+    return option(section, *names, type=float, metavar="M", **{"show_default": True} | settings)
 
 
 def seconds(section: str, *names: str, **settings: Any) -> Any:
@@ -49,7 +53,8 @@ output = option(
     type=PATH,
     multiple=True,
     metavar="FILE",
-    help="Write the map here; the suffix picks the format: .pgm, .png, or .npz for what can be "
+    help="Write the map here; the suffix picks the format: .pgm, .png, .html for a page, .mcap for "
+    "Foxglove and RViz, .tum or .csv for the trajectory, or .npz for what can be "
     "rendered, merged and resumed (.zarr and .tiles: in parts). May repeat.",
 )
 thresholds = join(
@@ -91,7 +96,7 @@ writing = join(
     ),
 )
 
-resolution = metres(MAP, "--resolution", default=DEFAULTS.resolution, help="Side of a cell.")
+resolution = metres(MAP, "-r", "--resolution", default=DEFAULTS.resolution, help="Side of a cell.")
 max_cells = option(
     MAP,
     "--max-cells",
@@ -128,6 +133,29 @@ lattice = join(
         help=f"{Update.POLYGON}: close a surface over so many cells between end cells.",
     ),
     max_cells,
+)
+
+align = bare_option(
+    MAP,
+    "--align",
+    **read_by(parse_align),
+    bare=FROM_SCANS,
+    default="0",
+    metavar="[DEG]",
+    show_default="not turned",
+    help="Turn the map by this angle, counter-clockwise; without a number by the smallest one "
+    "that brings its walls along the axes.",
+)
+framing = join(
+    option(
+        MAP,
+        "--extent",
+        **read_by(parse_extent),
+        metavar="X_MIN,Y_MIN,X_MAX,Y_MAX",
+        show_default="what was observed",
+        help="Cover exactly this box (m), to whole cells; evidence (.npz) stays whole.",
+    ),
+    metres(MAP, "--margin", default=0.0, help="Add unknown space around what was observed."),
 )
 
 min_passes = option(
@@ -190,6 +218,15 @@ jobs = option(
     default=DEFAULTS.jobs,
     show_default="one for each core",
     help="Threads.",
+)
+config = option(
+    RUN,
+    "--config",
+    type=PATH,
+    metavar="FILE",
+    expose_value=False,
+    help="Options by their long names (TOML), for what is not typed; else occmap.toml beside the "
+    "logs.",
 )
 as_json = option(RUN, "--json", "as_json", is_flag=True, help="Print the result as JSON.")
 verbosity = join(

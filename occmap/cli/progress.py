@@ -3,9 +3,13 @@
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from threading import Event, Thread
 from typing import Any
 
 from occmap.cli.console import Console, Verbosity
+
+REDRAW_S = 0.5
+"""The clock of the bar runs on while a long step reports nothing."""
 
 
 class Bar:
@@ -17,7 +21,7 @@ class Bar:
     def __call__(self, scans: int, total: int) -> None:
         """Show that so many more scans were read, of so many in all."""
         if self._tqdm is not None:
-            self._tqdm.total = total
+            self._tqdm.total = max(total, self._tqdm.n + scans)  # an index may count too few
             self._tqdm.update(scans)
 
     def describe(self, text: str) -> None:
@@ -35,4 +39,17 @@ def show_progress(console: Console) -> Iterator[Bar]:
     from tqdm import tqdm  # noqa: PLC0415  late: only who sees a bar waits for it
 
     with tqdm(unit=" scans", leave=False, dynamic_ncols=True) as bar:
-        yield Bar(bar)
+        done = Event()
+        clock = Thread(target=redraw, args=(bar, done), daemon=True)
+        clock.start()
+        try:
+            yield Bar(bar)
+        finally:
+            done.set()
+            clock.join()
+
+
+def redraw(bar: Any, done: Event) -> None:
+    """Draw a bar anew, with what time it is, until all is done."""
+    while not done.wait(REDRAW_S):
+        bar.refresh()

@@ -7,6 +7,7 @@ from typing import Any
 from occmap.cli import limits
 from occmap.cli.collect import collect_model
 from occmap.cli.console import Console
+from occmap.cli.streams import hide_caught, place_outputs
 from occmap.cli.summary import (
     LABEL,
     format_agreement,
@@ -20,6 +21,7 @@ from occmap.command import MODEL_PARAMETERS
 from occmap.errors import UsageError
 from occmap.evidence import Described, read_model
 from occmap.evidence.publishing import RenderOptions, publish
+from occmap.grid.framing import Framing
 from occmap.keywords import take
 from occmap.report import Report
 from occmap.sensor.models import SensorModel
@@ -34,17 +36,19 @@ def put_out(console: Console, command: str, evidence: Saved, values: dict[str, A
         choose_model(evidence, values),
         take(WriteOptions, values),
         values["max_cells"],
-        values.get("crop"),
+        take(Framing, values),
         values["min_passes"],
         values.get("overview"),
     )
-    report = publish(evidence, options, values["outputs"])
+    report = hide_caught(publish(evidence, options, values["outputs"]))
     for note in report.notes:
         console.note(note)
     limits.leave(limits.answer(console, command, report, format_saved(report), values))
 
 
-def refuse_no_output(outputs: tuple[Path, ...], example: str, inputs: Sequence[Path]) -> None:
+def choose_outputs(
+    console: Console, outputs: tuple[Path, ...], example: str, inputs: Sequence[Path]
+) -> tuple[Path, ...]:
     """Refuse, before anything is read, work that nobody would see or that cannot be written.
 
     Raises
@@ -54,7 +58,9 @@ def refuse_no_output(outputs: tuple[Path, ...], example: str, inputs: Sequence[P
     """
     if not outputs:
         raise UsageError("where to write is not given", fix=f"add -o {example}")
-    check_outputs(outputs, inputs)
+    placed = place_outputs(console, outputs, inputs[0])
+    check_outputs(placed, inputs)
+    return placed
 
 
 def choose_model(evidence: Described, values: dict[str, Any]) -> SensorModel | None:

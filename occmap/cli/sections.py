@@ -1,9 +1,13 @@
 """Options under headings: what makes the --help of a command with many options readable."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import zip_longest
 from typing import Any, TypeVar
 
 import click
+
+from occmap.cli.console import Console
+from occmap.errors import UsageError
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -16,11 +20,54 @@ class SectionOption(click.Option):
         self.section = section
 
 
+class BareOption(SectionOption):
+    """An option of numbers whose value may be left out, and then is a word that it states.
+
+    click has the like, but would take a log that follows for the value, and no negative number.
+    """
+
+    def __init__(self, *args: Any, bare: str, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.bare = bare
+
+    def fill_in(self, words: Sequence[str]) -> list[str]:
+        """Put the word where neither a number nor the word itself follows."""
+        filled = []
+        for word, following in zip_longest(words, words[1:], fillvalue=""):
+            filled.append(word)
+            if word in self.opts and following != self.bare and not is_number(following):
+                filled.append(self.bare)
+        return filled
+
+
 class SectionCommand(click.Command):
     """A command whose --help lists its options by section, in the order of their declaration."""
 
     last = "Run"
     """Where --help itself is listed."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Take what is not typed from a file of options, where there is one."""
+        for param in self.get_params(ctx):
+            if isinstance(param, BareOption):
+                args = param.fill_in(args)
+        if ctx.resilient_parsing or all(param.name != "config" for param in self.params):
+            return super().parse_args(ctx, args)
+        from occmap.cli.config import find_config  # noqa: PLC0415  late: for few commands
+
+        typed, _, _ = self.make_parser(ctx).parse_args(list(args))
+        config = find_config(self, typed)
+        if config is None:
+            return super().parse_args(ctx, args)
+        ctx.default_map = config.values
+        try:
+            rest = super().parse_args(ctx, args)
+        except click.BadParameter as error:
+            if error.param and error.param.name in config.values.keys() - typed.keys():
+                raise UsageError(error.format_message(), where=config.path) from None
+            raise
+        ctx.ensure_object(Console).announce([config.note])
+        return rest
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write one list for each section."""
@@ -38,6 +85,20 @@ class SectionCommand(click.Command):
 def option(section: str, *names: str, **settings: Any) -> Callable[[Command], Command]:
     """Declare an option under a heading."""
     return click.option(*names, cls=SectionOption, section=section, **settings)
+
+
+def bare_option(section: str, *names: str, **settings: Any) -> Callable[[Command], Command]:
+    """Declare an option whose value may be left out under a heading."""
+    return click.option(*names, cls=BareOption, section=section, **settings)
+
+
+def is_number(word: str) -> bool:
+    """Whether a word of a command line is a decimal number."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def join(*options: Callable[[Command], Command]) -> Callable[[Command], Command]:

@@ -47,7 +47,8 @@ def format_update(report: Report) -> str:
 def format_size(report: Report) -> str:
     """Say how large the map is and where it lies."""
     cells = f"{report.columns:,} x {report.rows:,} cells of {report.resolution:g} m"
-    return f"{cells}, {write_box(report.extent)}"
+    turned = f", turned by {report.align:g} degrees" if report.align else ""
+    return f"{cells}, {write_box(report.extent)}{turned}"
 
 
 def format_shares(report: Report) -> str:

@@ -16,6 +16,8 @@ from occmap.wording import count
 
 PATH = click.Path(path_type=Path, readable=False)
 """Where click would look whether it can be read, occmap's own error says more."""
+FROM_SCANS = "auto"
+"""The --align that the scans are to tell."""
 SIZES = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 POSE_FORM = "write x,y,yaw or x,y,yaw,roll,pitch in metres and radians, such as 0.1,0,3.14159"
 TRANSFORM_FORM = "write parent,child,x,y,z,roll,pitch,yaw in metres and radians"
@@ -39,7 +41,7 @@ def parse_sensor_pose(text: str) -> Pose:
     return Pose.from_xyzrpy((x, y, 0.0), (roll, pitch, yaw))
 
 
-def parse_transform(text: str) -> PoseSample:
+def parse_static(text: str) -> PoseSample:
     """Read a fixed transform.
 
     Raises
@@ -98,6 +100,33 @@ def parse_box(text: str) -> Box:
     form = "write x_min,y_min,x_max,y_max in metres, such as -0.4,-0.3,0.2,0.3"
     x_min, y_min, x_max, y_max = read_list(text, 4, f"--footprint {text}", form)
     return x_min, y_min, x_max, y_max
+
+
+def parse_extent(text: str) -> Box:
+    """Read what a map covers; raises UsageError where there are not four numbers."""
+    form = "write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4"
+    x_min, y_min, x_max, y_max = read_list(text, 4, f"--extent {text}", form)
+    return x_min, y_min, x_max, y_max
+
+
+def parse_transform(text: str) -> Pose:
+    """Read where a log's map frame lies in the map; raises UsageError where that is no pose."""
+    form = "write x,y,yaw in metres and radians, such as 12.5,-3,1.5708"
+    x, y, yaw = read_list(text, 3, f"--transform {text}", form)
+    refuse_degrees((yaw,), f"--transform {text}")
+    return Pose.planar(x, y, yaw)
+
+
+def parse_align(text: str) -> float | None:
+    """Read an angle in degrees, or the word that leaves it to the scans.
+
+    Raises
+    ------
+    UsageError
+        It is neither.
+    """
+    form = f"write degrees such as 12.5, or {FROM_SCANS}"
+    return None if text == FROM_SCANS else read_numbers([text], f"--align {text}", form)[0]
 
 
 def read_list(text: str, size: int, where: str, form: str) -> list[float]:

@@ -13,7 +13,7 @@ from occmap.errors import MapError
 from occmap.grid.tiles import MAX_CELLS
 from occmap.plain import Count, Share, to_plain
 from occmap.types import Box, CellClass, UInt8
-from occmap.writers import WriteOptions, check_picture, refuse_input
+from occmap.writers import WriteOptions, check_picture, is_page, refuse_input
 
 LATTICE_TOLERANCE = 0.05
 """In cells: other tools round the origin to millimetres."""
@@ -117,7 +117,7 @@ def compare_files(
     thresholds
         For formats that hold probabilities.
     picture
-        A PNG to write.
+        A PNG or a page (.html) to write.
 
     Raises
     ------
@@ -130,10 +130,26 @@ def compare_files(
     found = compare_maps(*maps)
     if picture is not None:
         refuse_input(picture, [each.image for each in maps if each.image])
+        draw(picture, found, (before, after))
+    return found
+
+
+def draw(path: Path, difference: MapDifference, maps: tuple[Path, Path]) -> None:
+    """Draw a difference as a PNG, or lay it out on a page.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    if is_page(path):
+        from occmap.page.difference import write_difference  # noqa: PLC0415  late: it brings Bokeh
+
+        write_difference(path, difference, maps)
+    else:
         from occmap.writers.images import write_colours  # noqa: PLC0415  late: it brings pillow
 
-        write_colours(picture, paint(found))
-    return found
+        write_colours(path, paint(difference))
 
 
 def compare_maps(before: ClassMap, after: ClassMap) -> MapDifference:

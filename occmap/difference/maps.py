@@ -16,6 +16,7 @@ import numpy as np
 
 from occmap.errors import MapError, UsageError
 from occmap.evidence import read_model, render_saved
+from occmap.grid.framing import Framing
 from occmap.grid.tiles import MAX_CELLS
 from occmap.store.blocks import digest_evidence
 from occmap.store.reading import open_store
@@ -151,7 +152,7 @@ def load_store(path: Path, thresholds: WriteOptions) -> ClassMap:
         It cannot be read, or is damaged.
     """
     store = open_store(path)
-    made = open_map(View(store, read_model(store)))
+    made = open_map(View(store, read_model(store)), Framing())
     x, y, _, _ = made.extent
     classes = classify_blocks(made, thresholds, MAX_CELLS)
     return ClassMap(path, classes, Place(made.resolution, x, y), digest=store.digest)

@@ -9,7 +9,7 @@ import numpy as np
 
 from occmap.errors import MapError, OccmapError
 from occmap.evidence.manifest import describe_profile
-from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid.lattice import Lattice
 from occmap.grid.rendering import SpreadHits, TileSource, find_bounds, measure_agreement, paint
 from occmap.grid.spec import find_unit
 from occmap.grid.stacks import add_stack, stack_tiles
@@ -17,7 +17,6 @@ from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid, refuse_larg
 from occmap.sensor.bounds import Clamped, Spreading
 from occmap.sensor.models import RadialModel, SensorModel, find_decision, parse_model
 from occmap.types import (
-    Box,
     Evidence,
     Float64,
     Manifest,
@@ -29,8 +28,6 @@ from occmap.types import (
 
 Weigh: TypeAlias = Callable[[Float64, Float64], Float64]
 """Takes hits and misses, or log-odds and observations"""
-CELL_SLACK = 1e-6
-"""In cells: 0.15 m is three cells of 0.05 m, whatever floats say."""
 
 
 def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
@@ -84,42 +81,6 @@ def render_saved(evidence: Evidence, model: SensorModel, max_cells: int) -> Occu
     """
     refuse_other_profile(evidence, model)
     return render(to_grid(evidence), model, max_cells)
-
-
-def crop(grid: OccupancyMap, box: Box) -> OccupancyMap:
-    """Cut out the cells that a box touches; where it reaches beyond the map, the map ends it.
-
-    Raises
-    ------
-    MapError
-        The box touches no cell of the map.
-    """
-    (row, col), (rows, cols) = grid.place.tolist(), grid.shape
-    whole, lattice = CellBox(row, col, row + rows, col + cols), Lattice(grid.resolution)
-    part = cut_box(whole, box, lattice)
-    origin = part.col * grid.resolution, part.row * grid.resolution
-    rows_kept = slice(part.row - row, part.row_end - row)
-    cols_kept = slice(part.col - col, part.col_end - col)
-    return replace(grid.take(rows_kept, cols_kept), origin=origin)
-
-
-def cut_box(whole: CellBox, box: Box, lattice: Lattice) -> CellBox:
-    """Find the cells of a map that a box (m) touches.
-
-    Raises
-    ------
-    MapError
-        There are none.
-    """
-    size = lattice.resolution
-    first_col, first_row = (math.floor(edge / size + CELL_SLACK) for edge in box[:2])
-    end_col, end_row = (math.ceil(edge / size - CELL_SLACK) for edge in box[2:])
-    part = whole.clip(CellBox(first_row, first_col, end_row, end_col))
-    if part.row >= part.row_end or part.col >= part.col_end:
-        edges = (whole.col, whole.row, whole.col_end, whole.row_end)
-        reach = ", ".join(f"{lattice.to_metres(edge):.6g}" for edge in edges)
-        raise MapError("no cell of the map lies in `crop`", fix=f"the map's own box is {reach}")
-    return part
 
 
 class Described(Protocol):

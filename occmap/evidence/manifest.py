@@ -13,14 +13,16 @@ from occmap.errors import LogError
 from occmap.grid.tiles import EvidenceKind
 from occmap.sensor.bounds import NO_CLAMP
 from occmap.sensor.models import RadialModel, SensorModel, describe_model
-from occmap.types import Manifest
+from occmap.types import Manifest, Update
 
-NO_OPTIONS = ("jobs", "resume")
+NO_OPTIONS = ("framing", "jobs", "resume", "resume_if_there")
 """Fields of options that change nothing about what is observed."""
 BuildRecord = dict[str, Any]
 """An entry of `Manifest.builds`, as `describe_build` makes it"""
 OF_MAPS = ("prior", "cut", *NO_CLAMP)
-"""Parameters of models that change nothing about the evidence, only what a map makes of it."""
+"""Parameters of models that change how evidence is rendered, not the evidence itself."""
+MEANING = ("resolution", "update", "kind", "profile", "pass_gap_s", "hit_offset", "align")
+"""What says what the numbers of evidence mean; it is the same of all evidence that is combined."""
 
 
 def describe_build(
@@ -29,7 +31,7 @@ def describe_build(
     scans: dict[str, Any],
     describe: Callable[[Path], Iterable[dict[str, Any]]] | None = None,
 ) -> BuildRecord:
-    """Say what one build used, as values that JSON has.
+    """Describe what one build used, in values that JSON has.
 
     Another may `describe` the files of a path than `describe_files`.
 
@@ -112,11 +114,21 @@ def plan_manifest(options: Any) -> Manifest:
         options.hit_offset,
         describe_model(options.model),
         builds=(),
+        align=options.posing.align,
     )
 
 
+def list_mixed(manifest: Manifest) -> Iterator[str]:
+    """Say which options shaped what builds observed, and are not the same in all of them."""
+    names = {Update.BEAM: (), Update.SURFACE: ("jump",), Update.POLYGON: ("jump", "border_gap")}
+    for name in names[Update(manifest.update)]:
+        values = {str(b["options"][name]) for b in manifest.builds if name in b["options"]}
+        if len(values) > 1:
+            yield f"its builds differ in `{name}` ({', '.join(sorted(values))})"
+
+
 def describe_profile(model: SensorModel) -> str:
-    """What evidence in log-odds depends on: a radial model but prior and bounds; else nothing."""
+    """Name the radial model that log-odds are summed by, without prior and bounds; else ""."""
     if not isinstance(model, RadialModel):
         return ""
     name, _, pairs = describe_model(model).partition(":")

@@ -8,6 +8,7 @@ import numpy as np
 
 from occmap.errors import MapError
 from occmap.evidence import Described, to_evidence, to_grid
+from occmap.evidence.manifest import MEANING
 from occmap.grid.slices import restrict
 from occmap.grid.stacks import add_stack, drop_empty, stack_tiles
 from occmap.grid.tiles import EvidenceKind, TileGrid
@@ -21,10 +22,11 @@ def open_resumed(path: Path, plan: Manifest) -> Evidence:
     Raises
     ------
     MapError
-        It cannot be read, or does not add up with what the build makes.
+        It cannot be read, or cannot be combined with what the build makes.
     """
     saved = read_all(open_saved(path))
-    refuse_different(plan, saved)
+    mine = saved.manifest.align if plan.align is None else plan.align
+    refuse_different(replace(plan, align=mine), saved)
     return saved
 
 
@@ -78,8 +80,9 @@ def merge(evidences: Sequence[Evidence]) -> Evidence:
 def subtract(evidence: Evidence, other: Evidence) -> Evidence:
     """Take evidence away: what is left is as if `other` had never been added.
 
-    The slices of its builds go with it. Where it is none of the builds that were added, or only a
-    part of one, nobody knows which slices it alone observed: visits then are bounds.
+    The slices of its builds go with it. Where `other` is not one of the builds that were added, or
+    only a part of one, it is not known which slices it alone observed; then all of them stay, and
+    the numbers of visits are upper bounds.
 
     Raises
     ------
@@ -126,14 +129,14 @@ def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None
 
 
 def refuse_different(manifest: Manifest, other: Described) -> None:
-    """Refuse evidence that does not add up with other evidence.
+    """Refuse evidence that cannot be combined with other evidence.
 
     Raises
     ------
     MapError
         Naming what differs.
     """
-    for name in ("resolution", "update", "kind", "profile", "pass_gap_s", "hit_offset"):
+    for name in MEANING:
         mine, its = getattr(manifest, name), getattr(other.manifest, name)
         if mine != its:
             raise MapError(

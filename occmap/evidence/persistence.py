@@ -81,7 +81,7 @@ def render_lasting(
     model: SensorModel,
     max_cells: int,
 ) -> tuple[OccupancyMap, list[str]]:
-    """Make a map of what lasts; a note says where that is much less than what was observed.
+    """Make a map of what lasts; a note says where much of the map does not.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def render_lasting(
 
 
 def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:
-    """Say where much of what was occupied before is not so after hits and misses were forgotten."""
+    """Say where many cells are no longer occupied after hits and misses were forgotten."""
     if after is before:
         return
     rows, cols = (
@@ -119,7 +119,7 @@ def describe_lost(were: int, lost: int) -> Iterator[str]:
 
 
 def check_passes(min_passes: int | None, model: SensorModel) -> None:
-    """Refuse a number of visits that no model can be asked for, or not this one.
+    """Refuse a number of visits below 1, or any number for a model that counts no hits.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def check_passes(min_passes: int | None, model: SensorModel) -> None:
 
 
 def check_gap(pass_gap_s: float) -> None:
-    """Refuse slices of time that tell no visits apart.
+    """Refuse slices of time by which visits cannot be told apart.
 
     Raises
     ------

@@ -2,21 +2,25 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 from occmap.errors import UsageError
-from occmap.evidence import crop, read_model, refuse_other_profile, to_grid
+from occmap.evidence import read_model, refuse_other_profile, to_grid
+from occmap.evidence.manifest import list_mixed
 from occmap.evidence.persistence import check_passes, render_lasting
 from occmap.evidence.repetition import list_repeated
+from occmap.grid.framing import Framing, frame
 from occmap.grid.tiles import MAX_CELLS
 from occmap.report import (
+    MapFacts,
     Report,
     Resumed,
-    Shares,
+    describe_map,
     list_disagreement,
     list_unreached,
-    measure_shares,
+    tell_disagreement,
 )
 from occmap.sensor.models import SensorModel, describe_model
 from occmap.sensor.returns import ReturnCounts
@@ -31,14 +35,16 @@ from occmap.store.rendering import (
 )
 from occmap.store.sources import Blocks, Saved, as_blocks, read_all
 from occmap.store.writer import ZarrWriter
-from occmap.types import Box, Evidence, Manifest, OccupancyMap
+from occmap.types import Evidence, Manifest, OccupancyMap
 from occmap.writers import (
     Product,
+    ProductWriter,
     WindowWriter,
     WriteOptions,
     check_outputs,
     find_writer,
     list_idle,
+    refuse_journeys,
     write_outputs,
 )
 
@@ -52,8 +58,7 @@ class RenderOptions:
     writing: WriteOptions = field(default_factory=WriteOptions)
     max_cells: int = MAX_CELLS
     """A map with more cells is refused"""
-    crop: Box | None = None
-    """Only this part of the map, to whole cells; evidence is never cropped"""
+    framing: Framing = field(default_factory=Framing)
     min_passes: int | None = None
     """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
     overview: int | None = None
@@ -73,10 +78,7 @@ class Seen(NamedTuple):
 
     resolution: float
     """Side of a cell, or of a pixel of an overview (m)"""
-    shape: tuple[int, int]
-    extent: Box
-    shares: Shares
-    agreement: float | None
+    facts: MapFacts
     notes: tuple[str, ...]
 
 
@@ -91,12 +93,17 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
         As `render_kept`, or an output cannot be written.
     """
     check_outputs(outputs)
+    refuse_journeys(outputs)
+    if options.overview is not None:
+        refuse_layers(outputs)
     model, manifest = settle(saved, options)
     grid: OccupancyMap | BlockMap
     if isinstance(saved, Evidence) or options.overview or not all(map(is_in_parts, outputs)):
         grid, seen = paint_saved(saved, model, options)
     else:
         grid, seen = survey_saved(saved, model, options)
+    report = summarise(manifest, model, seen, options, outputs)
+    keep = cache(lambda: replace(read_all(saved), manifest=manifest))
     files: list[str] = []
     for path in outputs:
         writer = find_writer(path)
@@ -105,10 +112,27 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
         elif isinstance(writer, WindowWriter):
             files += map(str, writer.write_windows(path, grid, options.writing))
         elif isinstance(grid, OccupancyMap):
-            product = Product(grid, lambda: replace(read_all(saved), manifest=manifest))
+            product = Product(grid, keep, report=report.to_json)
             files += write_outputs([path], product, options.writing)
-    report = summarise(manifest, model, seen, options, outputs)
     return replace(report, files=tuple(files))
+
+
+def refuse_layers(outputs: Sequence[Path]) -> None:
+    """Refuse to show, on an overview, what was observed in each cell.
+
+    Raises
+    ------
+    UsageError
+        An output shows that.
+    """
+    for path in outputs:
+        writer = find_writer(path)
+        if isinstance(writer, ProductWriter) and writer.needs_evidence:
+            raise UsageError(
+                "shows single cells, and `overview` has none",
+                where=path,
+                fix="leave out `overview`, or write a .png",
+            )
 
 
 def is_in_parts(path: Path) -> bool:
@@ -148,21 +172,21 @@ def settle(saved: Saved, options: RenderOptions) -> tuple[SensorModel, Manifest]
 def paint_saved(
     saved: Saved, model: SensorModel, options: RenderOptions
 ) -> tuple[OccupancyMap, Seen]:
-    """Paint a map, or the part of it that is wanted; raises MapError."""
+    """Paint a map, or what is to be shown of it; raises MapError."""
+    framing, most = options.framing, options.max_cells
     if options.overview is not None:
-        shown = grid = read_overview(check_overview(saved, options), options.overview, options.crop)
+        store = check_overview(saved, options)
+        shown = grid = read_overview(store, options.overview, framing, most)
         lost: list[str] = []
     elif isinstance(saved, Evidence):
-        tiles, passes = to_grid(saved), options.min_passes
-        grid, lost = render_lasting(tiles, saved.slices, passes, model, options.max_cells)
-        shown = crop(grid, options.crop) if options.crop else grid
+        grid, lost = render_lasting(to_grid(saved), saved.slices, options.min_passes, model, most)
+        shown = frame(grid, framing, model.prior, most)
     else:
         view = View(saved, model, options.min_passes)
-        grid, lost = render_blocks(open_map(view, options.crop), options.max_cells)
+        grid, lost = render_blocks(open_map(view, framing), most)
         shown = grid
     notes = (*lost, *list_disagreement(grid))
-    shares = measure_shares(shown, options.writing)
-    return shown, Seen(shown.resolution, shown.shape, shown.extent, shares, shown.agreement, notes)
+    return shown, Seen(shown.resolution, describe_map(shown, options.writing), notes)
 
 
 def check_overview(saved: Saved, options: RenderOptions) -> Store:
@@ -187,16 +211,18 @@ def survey_saved(
     saved: Blocks, model: SensorModel, options: RenderOptions
 ) -> tuple[BlockMap, Seen]:
     """Look at a map that is never there as a whole; raises MapError."""
-    made = open_map(View(saved, model, options.min_passes), options.crop)
-    shares, agreement, lost = survey_blocks(made, options.writing)
-    return made, Seen(made.resolution, made.shape, made.extent, shares, agreement, tuple(lost))
+    made = open_map(View(saved, model, options.min_passes), options.framing)
+    facts, lost = survey_blocks(made, options.writing)
+    notes = (*lost, *tell_disagreement(facts.agreement, facts.has_walls))
+    return made, Seen(made.resolution, facts, notes)
 
 
 def list_notes(manifest: Manifest) -> Iterator[str]:
     """Say what a reader of evidence should know of it."""
     yield from list_repeated(manifest.builds)
+    yield from list_mixed(manifest)
     if manifest.subtracted:
-        yield "something else than a whole build was subtracted: visits are bounds"
+        yield "what was subtracted was not a whole build, so numbers of visits are upper bounds"
 
 
 def summarise(
@@ -212,7 +238,7 @@ def summarise(
     dropped: dict[str, int] = {}
     for reason, count in (pair for each in scans for pair in each["dropped"].items()):
         dropped[reason] = dropped.get(reason, 0) + count
-    rows, cols = seen.shape
+    rows, cols = seen.facts.shape
     return Report(
         logs=tuple(entry["name"] for build in manifest.builds for entry in build["inputs"]),
         scans_read=read,
@@ -232,9 +258,10 @@ def summarise(
         resolution=seen.resolution,
         columns=cols,
         rows=rows,
-        extent=seen.extent,
-        shares=seen.shares,
-        agreement=seen.agreement,
+        extent=seen.facts.extent,
+        align=manifest.align or 0.0,
+        shares=seen.facts.shares,
+        agreement=seen.facts.agreement,
     )
 
 

@@ -8,7 +8,7 @@ from occmap.evidence.manifest import BuildRecord, list_inputs
 
 
 def list_repeated(builds: Sequence[BuildRecord]) -> Iterator[str]:
-    """Say which logs count twice; parts of one log that share no scan do not."""
+    """Say which logs count twice. Parts of one log that share no scan do not."""
     said: dict[str, None] = {}
     for build in builds:
         hashes = [entry["sha256"] for entry in list_inputs(build)]
@@ -25,7 +25,7 @@ def list_repeated(builds: Sequence[BuildRecord]) -> Iterator[str]:
 
 
 def overlap(one: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Whether two selections of scans share some, as far as they tell without the log.
+    """Whether two selections share scans, as far as can be told without the log.
 
     Where both leave out scans by a stride and are not the same, they may well take turns.
     """

@@ -97,7 +97,7 @@ def look_at(evidence: Evidence, x: float, y: float) -> CellHistory:
 
 
 def refuse_far_point(lattice: Lattice, x: float, y: float) -> None:
-    """Refuse a point that is no cell.
+    """Refuse a point that lies in no cell.
 
     Raises
     ------

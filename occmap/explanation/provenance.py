@@ -61,7 +61,7 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Sequence[Path]) -
 
 
 def list_distinct(logs: Iterable[Path]) -> Iterator[tuple[Path, Counter[str]]]:
-    """List logs with their hashes; of copies, only the first: to a build they are one.
+    """List logs with their hashes; of several copies only the first, as a build cannot tell.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def refuse_stranger(evidence: Evidence, log: Path) -> None:
 
 
 def refuse_idle(poses: Sequence[Path]) -> None:
-    """Refuse a trajectory that nothing would be done with.
+    """Refuse a trajectory that none of the builds used.
 
     Raises
     ------

@@ -12,7 +12,7 @@ Value = TypeVar("Value")
 
 
 def recall_options(plain: dict[str, Any], where: str) -> BuildOptions:
-    """Make the options of a build of what `describe_build` wrote of them.
+    """Turn what `describe_build` wrote of the options of a build back into options.
 
     What changes nothing about the evidence (threads, what was resumed) is at its default; a
     trajectory file is a name without its folder. An option that was not there yet has its default.
@@ -40,7 +40,7 @@ def recall_options(plain: dict[str, Any], where: str) -> BuildOptions:
 
 
 def make_group(group: type[Value], plain: dict[str, Any], **others: Any) -> Value:
-    """Make a group of options; `others` are values that need no making.
+    """Make a group of options from values of JSON; `others` are taken as they are.
 
     Raises
     ------
@@ -56,12 +56,12 @@ def make_group(group: type[Value], plain: dict[str, Any], **others: Any) -> Valu
 
 
 def make_value(kind: Any, plain: Any) -> Any:
-    """Make a value of a type of what JSON made of it.
+    """Turn a value of JSON back into one of a type.
 
     Raises
     ------
     TypeError, ValueError, AttributeError, UsageError
-        It is none of that type.
+        It is not of that type.
     """
     if is_dataclass(kind) and isinstance(kind, type):
         return make_group(kind, plain)

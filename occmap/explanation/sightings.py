@@ -53,7 +53,7 @@ def find_sightings(
     Returns
     -------
     sightings, used
-        In the order of the logs; and how many scans the builds made of these logs.
+        In the order of the logs; and how many scans of these logs the builds used.
     """
     opened = [(use, open_log(use.log, use.options.reading)) for use in uses]
     total = sum(count_scans(log, use.options.selection.topics) for use, log in opened)

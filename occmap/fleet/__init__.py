@@ -33,7 +33,7 @@ from occmap.fleet.tasks import (
     trace_part,
 )
 from occmap.grid.slices import unite
-from occmap.observing import Observed, Progress
+from occmap.observing import Keep, Observed, Progress
 from occmap.options import BuildOptions
 from occmap.report import Remarks, Tally
 from occmap.tracing import make_grid
@@ -79,7 +79,7 @@ class Fleet:
     """Told how far the work is"""
 
     def observe(
-        self, paths: Sequence[Path], options: BuildOptions, keep_slices: bool, progress: Progress
+        self, paths: Sequence[Path], options: BuildOptions, keep: Keep, progress: Progress
     ) -> Observed:
         """Trace all usable scans of logs, as `occmap.observing.observe` does, by many workers.
 
@@ -88,14 +88,14 @@ class Fleet:
         OccmapError
             As there, or the workers cannot do it.
         """
-        with self.work(paths, options, keep_slices, progress) as work, work.tally.time("fold"):
+        with self.work(paths, options, keep, progress) as work, work.tally.time("fold"):
             pieces = work.cluster.run("reduce", reduce_block, list_reductions(work))
             work.remarks.notes += work.cluster.list_losses()
             return gather(work, pieces)
 
     @contextmanager
     def work(
-        self, paths: Sequence[Path], options: BuildOptions, keep_slices: bool, progress: Progress
+        self, paths: Sequence[Path], options: BuildOptions, keep: Keep, progress: Progress
     ) -> Iterator[Work]:
         """Find workers, and let them trace all scans; what they found goes when the block ends.
 
@@ -104,14 +104,15 @@ class Fleet:
         OccmapError
             As `observe`.
         """
-        tally, remarks = Tally(), Remarks([str(path) for path in paths])
+        tally = Tally(recorder=keep.make_recorder(0, 1, options.returns))
+        remarks = Remarks([str(path) for path in paths])
         with (
             open_cluster(self.address, options.jobs, self.describe) as cluster,
-            open_scratch(self, paths, options, keep_slices) as folder,
+            open_scratch(self, paths, options, keep) as folder,
         ):
             # What is nowhere is an error like any other.
             refuse_unseen_files(cluster, [folder, *(path for path in paths if path.exists())])
-            setting = self.plan(cluster, options, keep_slices, folder)
+            setting = self.plan(cluster, options, keep, folder, len(paths))
             with tally.time("open"):
                 surveys = survey_logs(cluster, setting, paths)
             blocks: dict[BlockKey, dict[int, list[Piece]]] = {}
@@ -126,17 +127,17 @@ class Fleet:
             yield Work(cluster, setting, tally, remarks, blocks)
 
     def plan(
-        self, cluster: Cluster, options: BuildOptions, keep_slices: bool, folder: Path
+        self, cluster: Cluster, options: BuildOptions, keep: Keep, folder: Path, logs: int
     ) -> Setting:
         """Fit the work to the memory of the smallest worker."""
         spare = ((cluster.memory or ROOMY_BYTES) - BASE_BYTES) // 4
         cells = min(1 << (spare // WINDOW_CELL_BYTES).bit_length() - 1, LARGEST_WINDOW)
-        return Setting(options, keep_slices, folder, self.slice_bytes, cells, most_bytes=spare)
+        return Setting(options, keep, folder, self.slice_bytes, cells, most_bytes=spare, logs=logs)
 
 
 @contextmanager
 def open_scratch(
-    fleet: Fleet, paths: Sequence[Path], options: BuildOptions, keep_slices: bool
+    fleet: Fleet, paths: Sequence[Path], options: BuildOptions, keep: Keep
 ) -> Iterator[Path]:
     """Make, or find again, the folder where the tasks of this very build leave what they found.
 
@@ -151,7 +152,7 @@ def open_scratch(
     what = [
         version("occmap"),
         {name: value for name, value in to_plain(options).items() if name not in NO_OPTIONS},
-        keep_slices,
+        keep,
         fleet.slice_bytes,
         [[str(path), *describe_state(path)] for path in paths],
     ]
@@ -239,5 +240,5 @@ def gather(work: Work, pieces: Sequence[Piece]) -> Observed:
         for (row, col), cells in zip(content.tiles.tolist(), content.cells, strict=True):
             grid.tiles[row, col] = cells
         layers += content.slices
-    slices = (unite(layers),) if setting.keep_slices else ()
+    slices = (unite(layers),) if setting.keep.slices else ()
     return Observed(grid, slices, work.tally, work.remarks)

@@ -157,6 +157,7 @@ def connect(address: str, processes: int) -> Iterator["Client"]:
                     threads_per_worker=1,
                     dashboard_address=":0",
                     silence_logs=logging.CRITICAL,
+                    config={"distributed.worker.profile.enabled": False},  # it takes time
                 )
             )
         try:

@@ -4,11 +4,15 @@ from collections.abc import Iterator, Sequence
 from itertools import accumulate
 from pathlib import Path
 
+import numpy as np
+
 from occmap.batching import FROM_THE_START, Seam
 from occmap.fleet.tasks import Setting, Survey, Traced, TraceJob
+from occmap.posing.course import STANDS, STILL_M
 from occmap.posing.leaps import Ends
 from occmap.readers import Note
 from occmap.sensor.no_return import RangeLimits
+from occmap.types import Float64
 
 
 class LogTrace:
@@ -16,8 +20,8 @@ class LogTrace:
 
     A part is traced as if nothing in it depended on the rest of its log. Where something does, the
     log is traced once more as a whole: where it is damaged, where scans leap, where a frame turns
-    up late. Where only the limit of "no return" was another, parts are traced once more with the
-    one that the whole log shows.
+    up late, where the map frame jumps. Where only the limit of "no return" was another, parts are
+    traced once more with the one that the whole log shows.
     """
 
     def __init__(self, setting: Setting, survey: Survey, wanted: Sequence[int]) -> None:
@@ -49,11 +53,12 @@ class LogTrace:
     def list_findings(self) -> list[str]:
         """List what there is to say of its poses, scans and ranges."""
         ranges = self.limits.list_notes() if self.limits else ()
-        return [*self.parts[0].notes, *ranges]
+        first = self.parts[0]
+        return [*(first.notes if len(self.parts) == 1 else list_lasting(first)), *ranges]
 
     def list_uncut(self) -> Iterator[str]:
-        """Say that the log is one task, though a larger one than asked for."""
-        if self.survey.parts == 1 and self.survey.bytes > self.jobs[0].setting.slice_bytes:
+        """Say that the log is one task, though much larger than asked for."""
+        if self.survey.parts == 1 and self.survey.bytes > 2 * self.jobs[0].setting.slice_bytes:
             yield (
                 f"{self.path}: is traced by one worker, since it cannot be cut: it is packed, its "
                 "index is missing, or another's reader reads it"
@@ -84,10 +89,25 @@ class LogTrace:
         parts, max_speed = self.parts, self.jobs[0].setting.options.posing.max_speed
         return (
             sum(part.tally.scans_read for part in parts) == self.survey.scans
-            and len({part.notes for part in parts}) == 1
+            and len({list_lasting(part) for part in parts}) == 1
+            and not stand([part.bounds for part in parts])
             and not any(part.depends for part in parts)
             and not leap([part.ends for part in parts], max_speed)
         )
+
+
+def list_lasting(part: Traced) -> tuple[str, ...]:
+    """What a part has to say that its whole log says, too, where that does not stand."""
+    return tuple(note for note in part.notes if not note.endswith(STANDS))
+
+
+def stand(parts: Sequence[dict[str, Float64]]) -> bool:
+    """Whether a sensor stays at one place in all parts of a log."""
+    around: dict[str, Float64] = {}
+    for topic, (low, high) in (pair for part in parts for pair in part.items()):
+        known = around.get(topic, np.stack([low, high]))
+        around[topic] = np.stack([np.minimum(known[0], low), np.maximum(known[1], high)])
+    return any(float(np.diff(each, axis=0).max()) < STILL_M for each in around.values())
 
 
 def leap(parts: Sequence[dict[str, Ends]], max_speed: float) -> bool:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from occmap.alignment import settle_align
 from occmap.evidence import choose_tiles, weigh
 from occmap.evidence.manifest import describe_build, describe_files, plan_manifest
 from occmap.evidence.repetition import list_repeated
@@ -17,7 +18,8 @@ from occmap.fleet.runs import read_stub, write_stub
 from occmap.fleet.tasks import ReduceJob, Setting, SurveyJob, add_up, hash_log
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing, paint
-from occmap.observing import Progress
+from occmap.mounts import list_misfits
+from occmap.observing import Keep, Progress
 from occmap.options import BuildOptions
 from occmap.pipeline import list_inputs, make_report
 from occmap.report import (
@@ -32,14 +34,14 @@ from occmap.report import (
 )
 from occmap.sensor.models import find_decision
 from occmap.store.blocks import Block, BlockContent, BlockRecord
-from occmap.store.layout import import_zarr
+from occmap.store.layout import import_zarr, refuse_unwritable
 from occmap.store.pictures import read_around
 from occmap.store.writing import (
     create_store,
     finish_store,
     publish_store,
     write_block,
-    write_overview,
+    write_classes,
 )
 from occmap.types import Manifest, OccupancyMap, to_log_odds
 from occmap.writers import check_outputs
@@ -101,7 +103,8 @@ def build_store(
         As `occmap.pipeline.build`, or the workers cannot do it.
     """
     check_outputs([output], list_inputs(paths, options))
-    with fleet.work(paths, options, keep_slices=True, progress=progress) as work:
+    options, unaligned = settle_align(paths, options)
+    with fleet.work(paths, options, keep=Keep(slices=True), progress=progress) as work:
         tally, remarks = work.tally, work.remarks
         refuse_unused(paths, tally)
         refuse_unseen(paths, tally, work.blocks)
@@ -118,12 +121,15 @@ def build_store(
         with tally.time("write"):
             finish_store(store, manifest, records, run=skip_painted)
             publish_store(store, follow_links(output))
+    disagreement = list(tell_disagreement(facts.agreement, facts.has_walls))
     notes = [
         *list_requested(paths, [output], options.writing, options.model),
         *remarks.notes,
+        *unaligned,
         *options.list_idle(),
         *list_lacking(tally, None),
-        *tell_disagreement(facts.agreement, facts.has_walls),
+        *disagreement,
+        *(list_misfits(paths, options) if disagreement else ()),
         *list_repeated(manifest.builds),
     ]
     remarks = replace(remarks, notes=notes, files=[str(output)])
@@ -204,14 +210,21 @@ def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> Map
 
 
 def paint_block(job: PaintJob) -> Measured:
-    """Paint the pictures of a block, and measure it."""
-    if job.is_written:
-        write_overview(job.store, job.block)
+    """Paint the pictures of a block, and measure it.
+
+    Raises
+    ------
+    OutputError
+        They cannot be written.
+    """
     model, box = job.setting.options.model, job.block.box
-    root = import_zarr().open_group(job.store, mode="r")
-    grid = read_around(root, root.attrs["occmap"], box)
-    painted = paint(choose_tiles(grid, model), weigh(model), to_log_odds(model.prior), box)
-    made = OccupancyMap(*painted, grid.lattice.resolution, (0.0, 0.0), find_decision(model))
+    with refuse_unwritable(job.store):
+        root = import_zarr().open_group(job.store, mode="r+")
+        grid = read_around(root, root.attrs["occmap"], box)
+        painted = paint(choose_tiles(grid, model), weigh(model), to_log_odds(model.prior), box)
+        made = OccupancyMap(*painted, grid.lattice.resolution, (0.0, 0.0), find_decision(model))
+        if job.is_written:
+            write_classes(root, job.block, made.classes)
     written = replace(made, decision=job.setting.options.writing.decide(made.decision))
     rows, cols = (np.flatnonzero(made.observed.any(axis=axis)) for axis in (1, 0))
     reach = None

@@ -23,6 +23,7 @@ from occmap.fleet.runs import (
 )
 from occmap.grid.slices import unite
 from occmap.grid.stacks import add_stack, stack_tiles
+from occmap.observing import Keep
 from occmap.opening import count_scans
 from occmap.options import BuildOptions
 from occmap.posing.leaps import Ends
@@ -30,7 +31,7 @@ from occmap.readers import Note, open_log, read_scans, split_log
 from occmap.report import Tally
 from occmap.sensor.no_return import RangeLimits
 from occmap.tracing import Drive, choose_engine, make_grid, open_drive, trace
-from occmap.types import Rays, Slices
+from occmap.types import Float64, Rays, Slices
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Setting:
     """What all tasks of a build share."""
 
     options: BuildOptions
-    keep_slices: bool
+    keep: Keep
     folder: Path
     """Where results go"""
     slice_bytes: int
@@ -47,6 +48,8 @@ class Setting:
     """The largest window of an engine"""
     most_bytes: int
     """So much evidence is kept in memory before it goes to a run file"""
+    logs: int = 1
+    """How many there are"""
 
 
 class SurveyJob(NamedTuple):
@@ -115,9 +118,12 @@ class Traced:
     log_notes: tuple[Note, ...] = ()
     """Of the reader"""
     depends: bool = False
-    """Whether it would be another in the whole log: it is damaged, or a frame is seen first"""
+    """Whether it may be another in the whole log: it is damaged, a frame is seen first, or the
+    map frame jumps"""
     ends: dict[str, Ends] = field(default_factory=dict)
     """Where the scans of each topic begin and end"""
+    bounds: dict[str, Float64] = field(default_factory=dict)
+    """(2, 3) around the sensor of each topic (m)"""
     pieces: Mapping[BlockKey, tuple[Piece, ...]] = field(default_factory=dict)
 
 
@@ -229,7 +235,9 @@ def trace_drive(job: TraceJob) -> Traced:
     is_part = job.part is not None and job.survey.parts > 1
     frames = set(drive.poser.chains)
     limits = job.limits or RangeLimits(options.returns)
-    sink, tally = RunWriter(job), Tally()
+    setting = job.setting
+    recorder = setting.keep.make_recorder(job.survey.scans, setting.logs, options.returns)
+    sink, tally = RunWriter(job), Tally(recorder=recorder)
     try:
         odd = trace(drive, options, sink.add, limits, tally)
     except LogError:
@@ -237,14 +245,15 @@ def trace_drive(job: TraceJob) -> Traced:
             return Traced(Tally(), limits, depends=True)
         raise
     sink.flush()
-    notes = tuple(drive.log.notes)
+    poser, notes = drive.poser, tuple(drive.log.notes)
     return Traced(
         tally,
         limits,
-        notes=(*drive.poser.notes, *odd),
+        notes=(*poser.notes, *odd),
         log_notes=notes,
-        depends=notes != job.survey.notes or set(drive.poser.chains) != frames,
-        ends=drive.poser.find_ends(),
+        depends=notes != job.survey.notes or set(poser.chains) != frames or poser.jumps,
+        ends=poser.find_ends(),
+        bounds={topic: course.bounds for topic, course in poser.courses.items()},
         pieces={key: tuple(pieces) for key, pieces in sink.pieces.items()},
     )
 
@@ -260,7 +269,7 @@ class RunWriter:
 
     def _begin(self) -> None:
         setting = self._job.setting
-        self._engine = choose_engine(setting.options, setting.keep_slices, setting.window_cells)
+        self._engine = choose_engine(setting.options, setting.keep.slices, setting.window_cells)
 
     def add(self, rays: Rays) -> None:
         """Observe rays."""
@@ -308,7 +317,7 @@ def add_up(job: ReduceJob) -> Content:
     for content in read_pieces(job.setting.folder, job.pieces):
         add_stack(grid, content.tiles, content.cells)
         layers += content.slices
-    return Content(*stack_tiles(grid), (unite(layers),) if job.setting.keep_slices else ())
+    return Content(*stack_tiles(grid), (unite(layers),) if job.setting.keep.slices else ())
 
 
 def hash_log(job: SurveyJob) -> list[dict[str, object]]:

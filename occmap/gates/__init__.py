@@ -25,7 +25,7 @@ SHARE = "%"
 COUNT = ""
 """The unit of what is counted."""
 
-FORM = "write NAME, one of < <= > >= == != and a number, such as '{} > {}'"
+FORM = 'write NAME, one of < <= > >= == != and a number, such as "{} > {}"'
 EXPRESSION = re.compile(r"\s*([^\s<>=!]+)\s*([<>=!]+)\s*([^\s%]+)\s*(%?)\s*")
 
 

@@ -5,11 +5,12 @@ from threading import Lock
 import numpy as np
 
 from occmap.errors import MapError
-from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid.kernels.units import TILE
+from occmap.grid.lattice import MOST_CELLS_OF_BEAM, CellBox, Lattice
 from occmap.grid.projection import Projected, prepare, project
 from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
-from occmap.grid.windows import Window, choose_window
+from occmap.grid.windows import Window, choose_window, count_observations, find_most
 from occmap.types import Rays, Slices
 
 ROOMY_CELLS = 1 << 22
@@ -21,8 +22,6 @@ MARGIN = 4
 and a smaller one when it is known what was observed."""
 FARTHEST_UNIT = 1 << 52
 """Beyond this a float cannot tell lattice units apart."""
-MOST_CELLS_OF_BEAM = 1 << 22
-"""More cells, from a sensor half as far from the anchor, and an int32 cannot hold the end."""
 
 
 class GridEngine:
@@ -43,7 +42,6 @@ class GridEngine:
     ) -> None:
         self.spec = spec
         self.grid = TileGrid(spec.lattice, spec.kind, spec.unit)
-        self._window_type = choose_window(spec)
         self._window_cells = window_cells
         self._max_cells = max_cells
         self._roomy_cells = min(roomy_cells, window_cells)
@@ -66,22 +64,24 @@ class GridEngine:
 
     def _add_prepared(self, rays: Rays) -> None:
         refuse_long_beams(rays, self.spec.lattice.resolution)
-        refuse_many_beams(rays, self._window_type, self.spec)
-        too_much = self._window_type.count(rays, self.spec) > self._window_type.most_observations
+        refuse_many_beams(rays, self.spec)
+        too_much = count_observations(rays, self.spec) > find_most(self.spec)
         too_wide = lie_far_apart(rays, self.spec.lattice.resolution)
         if (too_much or too_wide) and len(rays.kind) > 1:
             self._add_halves(rays)
             return
         projected = project(rays, self.spec)
-        if projected.box.cells <= self._window_cells:
-            self._trace(projected)
+        window_type = choose_window(self.spec, projected)
+        most_cells = window_type.most_cells_times * self._window_cells
+        if projected.box.cells <= most_cells:
+            self._trace(projected, window_type)
         elif projected.box.cells > MOST_PARTS * self._window_cells and len(rays.kind) > 1:
             self._add_halves(rays)
         else:
             if len(rays.kind) == 1 and projected.box.cells > MARGIN * self._max_cells:
                 refuse_large(projected.box, self.spec.lattice, self._max_cells)
-            for part in split_box(projected.box, self._window_cells):
-                window = self._open(part)
+            for part in split_box(projected.box.align(TILE), most_cells):
+                window = window_type(self.spec, part)
                 window.observe(projected)
                 self._empty(window)
 
@@ -90,26 +90,26 @@ class GridEngine:
         self._add_prepared(rays.take(slice(None, middle)))
         self._add_prepared(rays.take(slice(middle, None)))
 
-    def _trace(self, projected: Projected) -> None:
+    def _trace(self, projected: Projected, window_type: type[Window]) -> None:
         """Trace in a window that nobody else is writing to, with room for the scans to come."""
         with self._lock:
             window = self._idle.pop() if self._idle else None
-        if window is not None and not window.has_room(projected):
+        if window is not None and not (
+            isinstance(window, window_type) and window.has_room(projected)
+        ):
             self._empty(window)
             window = None
         if window is None:
-            window = self._open(add_room(projected.box, self._roomy_cells))
+            most = window_type.most_cells_times * self._roomy_cells
+            window = window_type(self.spec, add_room(projected.box, most))
         window.observe(projected)
         with self._lock:
             self._idle.append(window)
 
-    def _open(self, box: CellBox) -> Window:
-        return self._window_type(self.spec, box)
-
     def _empty(self, window: Window) -> None:
-        box, first, second = window.read()
+        tiles = window.read()
         with self._lock:
-            self.grid.add(box, first, second, window.bound)
+            self.grid.add(tiles, window.bound)
             self.grid.refuse_outgrown(self._max_cells)
 
     @property
@@ -128,7 +128,7 @@ class GridEngine:
         return ()
 
 
-def refuse_many_beams(rays: Rays, window_type: type[Window], spec: GridSpec) -> None:
+def refuse_many_beams(rays: Rays, spec: GridSpec) -> None:
     """Refuse scans that could each make the numbers of a cell overflow.
 
     Raises
@@ -136,7 +136,7 @@ def refuse_many_beams(rays: Rays, window_type: type[Window], spec: GridSpec) -> 
     MapError
         Saying how many beams a scan has.
     """
-    if window_type.count(rays.take(slice(1)), spec) > window_type.most_observations:
+    if count_observations(rays.take(slice(1)), spec) > find_most(spec):
         raise MapError(
             f"a scan of {rays.kind.shape[1]} beams is more than this model can count",
             fix="no laser has so many: see what is in the log with `occmap check`",
@@ -159,8 +159,8 @@ def add_room(box: CellBox, most_cells: int) -> CellBox:
 
 
 def split_box(box: CellBox, most_cells: int) -> list[CellBox]:
-    """Cut a box into boxes of at most so many cells."""
-    side = max(int(most_cells**0.5), 1)
+    """Cut a box of whole tiles into boxes of at most so many cells, or of one tile."""
+    side = max(int(most_cells**0.5) // TILE, 1) * TILE
     return [
         CellBox(row, col, min(row + side, box.row_end), min(col + side, box.col_end))
         for row in range(box.row, box.row_end, side)

@@ -16,6 +16,9 @@ from occmap.errors import UsageError
 from occmap.grid.kernels.units import CELL_SHIFT, UNITS_PER_CELL
 from occmap.types import Float64, Int64
 
+MOST_CELLS_OF_BEAM = 1 << 22
+"""More cells, from a sensor half as far from the anchor, and an int32 cannot hold the end."""
+
 
 class CellBox(NamedTuple):
     """A rectangle of cells; the ends are not part of it."""
@@ -57,6 +60,20 @@ class CellBox(NamedTuple):
             max(min(other.row_end, self.row_end), self.row),
             max(min(other.col_end, self.col_end), self.col),
         )
+
+    def move(self, rows: int, cols: int) -> Self:
+        """The same so many rows up and columns to the right."""
+        ends = (self.row + rows, self.col + cols, self.row_end + rows, self.col_end + cols)
+        return type(self)(*ends)
+
+    def align(self, side: int) -> Self:
+        """The smallest box around this one that is made of squares of so many cells a side."""
+        ends = (-(-edge // side) * side for edge in (self.row_end, self.col_end))
+        return type(self)(self.row // side * side, self.col // side * side, *ends)
+
+    def shrink(self, side: int) -> Self:
+        """The same in squares of so many cells a side, which it is made of."""
+        return type(self)(*(edge // side for edge in self))
 
     def join(self, other: Self) -> Self:
         """The smallest box around both."""

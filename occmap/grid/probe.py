@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from occmap.grid.engine import refuse_far_sensors, refuse_long_beams
+from occmap.grid.kernels.units import TILE
 from occmap.grid.lattice import CellBox
 from occmap.grid.projection import prepare, project
 from occmap.grid.spec import GridSpec
@@ -18,7 +19,6 @@ class CellProbe:
     def __init__(self, spec: GridSpec, row: int, col: int) -> None:
         self.spec = spec
         self.box = CellBox(row, col, row + 1, col + 1)
-        self._window_type = choose_window(spec)
 
     def look(self, rays: Rays) -> Int64:
         """(S, 2) the two numbers that each scan adds to the cell.
@@ -55,7 +55,9 @@ class CellProbe:
         return near
 
     def _trace(self, rays: Rays) -> tuple[int, int]:
-        window = self._window_type(self.spec, self.box)
-        window.observe(project(prepare(rays, self.spec), self.spec))
-        _, first, second = window.read()
-        return int(first.sum()), int(second.sum())
+        projected = project(prepare(rays, self.spec), self.spec)
+        window = choose_window(self.spec, projected)(self.spec, self.box)
+        window.observe(projected)
+        tile = window.read().get((self.box.row // TILE, self.box.col // TILE))
+        row, col = self.box.row % TILE, self.box.col % TILE
+        return (0, 0) if tile is None else (int(tile[0, row, col]), int(tile[1, row, col]))

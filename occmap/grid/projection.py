@@ -25,6 +25,15 @@ class Projected:
     box: CellBox
     """Around all cells that these rays may touch"""
 
+    @property
+    def crossings(self) -> int:
+        """About how often beams cross a cell: one scan in eight is looked at."""
+        beams, some = self.beams, slice(None, None, 8)
+        across = np.abs(beams.ends_x[some] - beams.origins[some, :, 0])
+        up = np.abs(beams.ends_y[some] - beams.origins[some, :, 1])
+        cells = (np.maximum(across, up) >> CELL_SHIFT) * (beams.kinds[some] != Kind.SKIP)
+        return int(cells.mean() * beams.kinds.size)
+
 
 def prepare(rays: Rays, spec: GridSpec) -> Rays:
     """Move hits behind the surfaces that were measured, and see a whole scan from one point."""
@@ -84,7 +93,9 @@ def project(rays: Rays, spec: GridSpec) -> Projected:
     )
     ranges = np.empty(rays.kind.shape if spec.radial else (0, 0))
     measure_ranges(rays.turn, rays.bearing, rays.distance, spec.lattice.units_per_metre, ranges)
-    weights, between = np.ones_like(rays.kind), np.zeros_like(rays.kind)
+    weights = between = np.zeros((0, 0), np.uint8)
+    if spec.update is not Update.POLYGON or rays.kind.shape[1] == 1:  # a single beam is a line
+        weights, between = np.ones_like(rays.kind), np.zeros_like(rays.kind)
     if spec.update is Update.SURFACE:
         link_neighbours(
             *(rays.distance, rays.kind, ends_x, ends_y, rays.full_circle, spec.jump),

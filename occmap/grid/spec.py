@@ -12,16 +12,18 @@ from occmap.types import Float64, Int64, Update
 
 WINDOW_CELLS = 1 << 24
 """The largest window; scans that need more are traced part by part."""
-COUNT_BITS = 20
-"""A window cell counts fewer than 2^20 observations before it must be emptied."""
+SUM_BITS = 20
+"""A window cell counts fewer than 2^20 observations of log-odds before it must be emptied ..."""
+COUNT_BITS = 31
+"""... and fewer than 2^31 hits or misses."""
 
 
 @dataclass(frozen=True)
-class RadialTables:
-    """A radial sensor model, tabulated for the kernels: no cell costs a logarithm.
+class Tables:
+    """What a beam tells a cell, tabulated for the kernels: no cell costs a logarithm.
 
-    An entry holds the log-odds in fixed point above the lowest 20 bits, and an observation, 1, in
-    those: one addition to a cell counts both.
+    An entry holds one number of the cell above the lowest `bits`, and the other in those: one
+    addition to a cell counts both.
     """
 
     depth: float
@@ -29,11 +31,21 @@ class RadialTables:
     free: Int64
     """(T + 1,) over (d / (r - depth))^2"""
     hit: Int64
-    """(T + 1,) over |d - r| / depth"""
-    constant: int
-    """How many entries at the start of `free` are equal"""
+    """(T + 1,) over |d - r| / depth; T = 0: the end cell alone is told of the hit"""
+    plain: float
+    """Share of r - depth up to which all entries of `free` are equal"""
     largest: int
-    """The largest log-odds, either way, that an entry adds"""
+    """The largest number, either way, that an entry adds"""
+    bits: int
+
+    @property
+    def most_observations(self) -> int:
+        """A cell has no room for more."""
+        return (1 << self.bits) - 1
+
+
+COUNTS = Tables(0.0, np.ones(1, np.int64), np.full(1, 1 << COUNT_BITS), 1.0, 1, COUNT_BITS)
+"""Each cell before the end of a beam is told of a miss, and the end of a hit."""
 
 
 Profile = Callable[[Float64], Float64]
@@ -48,7 +60,7 @@ SUREST = 2.0**-53
 log-odds stay within a window's integers, whatever a model says."""
 
 
-def tabulate(free: Profile, hit: Profile, depth: float) -> RadialTables:
+def tabulate(free: Profile, hit: Profile, depth: float) -> Tables:
     """Tabulate a radial model's probabilities, each at the middle of its step."""
     middle = np.minimum((np.arange(TABLE_STEPS + 1) + 0.5) / TABLE_STEPS, 1)
     tables = []
@@ -56,9 +68,10 @@ def tabulate(free: Profile, hit: Profile, depth: float) -> RadialTables:
         p = np.clip(profile(middle), SUREST, 1 - SUREST)
         tables.append(np.rint(np.log(p / (1 - p)) / LOG_ODDS_UNIT).astype(np.int64))
     largest = max(int(np.abs(table).max()) for table in tables)
-    free_entries, hit_entries = ((table << COUNT_BITS) + 1 for table in tables)
+    free_entries, hit_entries = ((table << SUM_BITS) + 1 for table in tables)
     constant = int(np.argmax(np.append(free_entries[:-1], 0) != free_entries[0]))
-    return RadialTables(depth, free_entries, hit_entries, constant, largest)
+    plain = float(np.sqrt(constant / TABLE_STEPS))
+    return Tables(depth, free_entries, hit_entries, plain, largest, SUM_BITS)
 
 
 def find_unit(update: Update) -> int:
@@ -78,8 +91,13 @@ class GridSpec:
     """... and the border is closed over at most so many cells (polygon)"""
     hit_offset: float = 0.0
     """Cells by which a hit lies behind the measured point: that is on a surface, not in it"""
-    radial: RadialTables | None = None
+    radial: Tables | None = None
     """None: hits and misses are counted"""
+
+    @property
+    def tables(self) -> Tables:
+        """What a beam tells a cell."""
+        return COUNTS if self.radial is None else self.radial
 
     @property
     def unit(self) -> int:

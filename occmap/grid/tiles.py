@@ -4,7 +4,7 @@ Only tiles that something was observed in exist, so a pose far away costs a tile
 between. Two numbers are kept for a cell; sums of integers do not depend on their order.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from enum import StrEnum
 from typing import Any, Self, TypeAlias
 
@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occmap.errors import MapError
+from occmap.grid.kernels import units
 from occmap.grid.lattice import CellBox, Lattice
-from occmap.types import Bool, Float64, Int64
+from occmap.types import Bool, Float64
 
-TILE = 64
+TILE = units.TILE
 """Cells along the side of a tile."""
 MAX_CELLS = 10**9
 """A larger map is refused, unless the user allows it."""
@@ -49,66 +50,41 @@ class TileGrid:
         self.kind = kind
         self.unit = unit
         """What one observation weighs in the numbers of a cell"""
-        self.tiles: dict[tuple[int, int], Tile] = {}
-        self._bounds: dict[tuple[int, int], int] = {}
+        self.tiles: dict[Key, Tile] = {}
+        self._bounds: dict[Key, int] = {}
         self._reach: CellBox | None = None
 
-    def add(self, box: CellBox, first: Int64, second: Int64, bound: int) -> None:
-        """Add what was observed in a box of cells.
+    def add(self, tiles: Mapping[Key, Tile], bound: int) -> None:
+        """Add what was observed; the tiles now belong to the grid.
 
         Parameters
         ----------
-        first, second
-            (H, W) of the box: hits and misses, or log-odds and observations.
         bound
             No value in them is larger than this, either way.
         """
-        for row in range(box.row // TILE, -(-box.row_end // TILE)):
-            for col in range(box.col // TILE, -(-box.col_end // TILE)):
-                self._add_to_tile((row, col), box, (first, second), bound)
+        for key, tile in tiles.items():
+            self._add_tile(key, tile, bound)
 
-    def _add_to_tile(
-        self, key: tuple[int, int], box: CellBox, blocks: tuple[Int64, Int64], bound: int
-    ) -> None:
-        top, left = key[0] * TILE, key[1] * TILE
-        rows = slice(max(top, box.row), min(top + TILE, box.row_end))
-        cols = slice(max(left, box.col), min(left + TILE, box.col_end))
-        source = (
-            slice(rows.start - box.row, rows.stop - box.row),
-            slice(cols.start - box.col, cols.stop - box.col),
-        )
-        parts = [block[source] for block in blocks]
-        if not any(np.count_nonzero(part) for part in parts):
-            return
-        tile = self._widen(key, bound)
-        target = (
-            slice(rows.start - top, rows.stop - top),
-            slice(cols.start - left, cols.stop - left),
-        )
-        for layer, part in zip(tile, parts, strict=True):
-            layer[target] += part.astype(tile.dtype, copy=False)
+    def merge(self, other: Self) -> None:
+        """Take over the evidence of another grid of the same lattice and kind."""
+        for key, tile in other.tiles.items():
+            self._add_tile(key, tile, other._bounds.get(key, INT32_LIMIT + 1))
 
-    def _widen(self, key: tuple[int, int], bound: int) -> Tile:
-        """Make the tile where it is missing, and 64 bits wide before a sum could overflow 32.
+    def _add_tile(self, key: Key, tile: Tile, bound: int) -> None:
+        """Add a tile to its like, made 64 bits wide before a sum could overflow 32.
 
         A tile that was stacked is wide and has no bound: it stays as it is.
         """
-        total = self._bounds.get(key, 0) + bound
-        self._bounds[key] = total
-        tile = self.tiles.get(key)
-        if tile is None:
-            tile = self.tiles[key] = np.zeros((2, TILE, TILE), np.int32)
+        total = self._bounds[key] = self._bounds.get(key, 0) + bound
+        mine = self.tiles.get(key)
+        if mine is None:
+            self.tiles[key] = tile
             place = CellBox(*key, key[0] + 1, key[1] + 1)
             self._reach = place if self._reach is None else self._reach.join(place)
+            return
         if total > INT32_LIMIT:
-            tile = self.tiles[key] = tile.astype(np.int64, copy=False)
-        return tile
-
-    def merge(self, other: Self) -> None:
-        """Add the evidence of another grid of the same lattice and kind."""
-        for key, tile in other.tiles.items():
-            mine = self._widen(key, other._bounds.get(key, INT32_LIMIT + 1))
-            mine += tile
+            mine = self.tiles[key] = mine.astype(np.int64, copy=False)
+        mine += tile
 
     @property
     def nbytes(self) -> int:

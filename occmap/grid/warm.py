@@ -9,22 +9,29 @@ from occmap.types import Kind, Rays, Update
 
 
 def compile_kernels() -> None:
-    """Trace one scan by every update, for counts and for a radial model."""
-    rays = Rays(
-        origin=np.zeros((1, 1, 2)),
-        turn=np.eye(2)[None, None],
-        bearing=np.array([[1.0, 0.0], [0.0, 1.0]]),
-        distance=np.ones((1, 2), np.float32),
-        kind=np.full((1, 2), Kind.HIT, np.uint8),
-        stamp_ns=np.zeros(1, np.int64),
-        full_circle=False,
-    )
+    """Trace few scans and many by every update, for counts and for a radial model."""
+    one = make_scans(1)
+    many = make_scans(500)
     tables = tabulate(lambda u: 0.4 + 0.1 * u, lambda w: 0.6 - 0.1 * w, depth=0.05)
     for update in Update:
         for radial in (None, tables):
             engine = GridEngine(GridSpec(update, Lattice(0.05), radial=radial))
-            engine.add(rays)
+            for rays in (one, many):
+                engine.add(rays)
             engine.finish()
+
+
+def make_scans(scans: int) -> Rays:
+    """A corner of a room, from one place."""
+    return Rays(
+        origin=np.zeros((scans, 1, 2)),
+        turn=np.tile(np.eye(2), (scans, 1, 1, 1)),
+        bearing=np.array([[1.0, 0.0], [0.0, 1.0]]),
+        distance=np.ones((scans, 2), np.float32),
+        kind=np.full((scans, 2), Kind.HIT, np.uint8),
+        stamp_ns=np.zeros(scans, np.int64),
+        full_circle=False,
+    )
 
 
 if __name__ == "__main__":

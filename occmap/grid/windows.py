@@ -1,135 +1,211 @@
-"""Dense windows that kernels write to: one for each combination of update and evidence.
+"""Windows that kernels write to: one for each combination of update and evidence.
 
 A window covers the scans at hand with room to spare, so that it is emptied into the sparse tiles
 only when the scans leave it. What its arrays hold is the business of its kernels.
 """
 
 from abc import ABC, abstractmethod
-from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from occmap.grid.kernels.beams import Cells, Changes, Profile, sum_beams, trace_beams
+from occmap.grid.kernels.beams import Cells, Profile, trace_beams
 from occmap.grid.kernels.outline import Surfaces
-from occmap.grid.kernels.polygon import MOST_SCANS, read_border, sum_runs, trace_polygons
+from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
-from occmap.grid.kernels.units import UNITS_PER_CELL
+from occmap.grid.kernels.sums import Changes, Packing, read_tiles
+from occmap.grid.kernels.units import PAD, TILE, TILE_BITS, UNITS_PER_CELL
 from occmap.grid.lattice import CellBox
 from occmap.grid.projection import Projected
-from occmap.grid.spec import COUNT_BITS, GridSpec, RadialTables
+from occmap.grid.spec import GridSpec, Tables
+from occmap.grid.tiles import Key, Tile
 from occmap.types import Int32, Int64, Rays, Update
 
-CellNumbers: TypeAlias = tuple[NDArray[Any], NDArray[Any]]
-"""(h, w) of each: hits and misses, or log-odds and observations"""
+WHOLE = 62
+"""`Cells.bits` of a window that is one block."""
+
+
+def count_observations(rays: Rays, spec: GridSpec) -> int:
+    """How much rays may add to the observations of one cell."""
+    once_a_scan = spec.update is Update.POLYGON and spec.radial is None
+    return len(rays.kind) if once_a_scan else rays.kind.size * spec.unit
+
+
+def find_most(spec: GridSpec) -> int:
+    """How often a cell may be observed before its window must be emptied."""
+    once_a_scan = spec.update is Update.POLYGON and spec.radial is None
+    return MOST_SCANS if once_a_scan else spec.tables.most_observations
 
 
 class Window(ABC):
-    """A box of cells being written to."""
+    """A box of whole tiles being written to."""
 
-    most_observations: int = 2**30
-    """A window is emptied before a cell could be observed more often."""
+    most_cells_times = 1
+    """How many times more cells than others such a window may have"""
 
     def __init__(self, spec: GridSpec, box: CellBox) -> None:
         self.spec = spec
-        self.box = box
+        self.box = box.align(TILE)
         self.touched: CellBox | None = None
         self.observations = 0
-        self.allocate(box.rows, box.cols)
+        self.allocate(self.box.rows, self.box.cols)
 
     @abstractmethod
     def allocate(self, rows: int, cols: int) -> None:
         """Make empty arrays."""
 
-    @staticmethod
-    def count(rays: Rays, spec: GridSpec) -> int:
-        """How much rays may add to the observations of one cell."""
-        return rays.kind.size * spec.unit
+    @property
+    def tables(self) -> Tables:
+        """What the model says."""
+        return self.spec.tables
 
     def has_room(self, projected: Projected) -> bool:
         """Whether rays lie wholly in the box and cannot make a number overflow."""
-        observations = self.observations + self.count(projected.rays, self.spec)
-        return self.box.contains(projected.box) and observations <= self.most_observations
+        observations = self.observations + count_observations(projected.rays, self.spec)
+        return self.box.contains(projected.box) and observations <= find_most(self.spec)
 
     def observe(self, projected: Projected) -> None:
         """Observe what lies in the box."""
         self.trace(projected)
-        self.observations += self.count(projected.rays, self.spec)
-        touched = self.box.clip(projected.box)
+        self.observations += count_observations(projected.rays, self.spec)
+        touched = self.box.clip(projected.box).align(TILE)
         self.touched = touched if self.touched is None else self.touched.join(touched)
-
-    def read(self) -> tuple[CellBox, NDArray[Any], NDArray[Any]]:
-        """Where something may have been observed, and (h, w) of both numbers of its cells."""
-        box = self.touched or CellBox(self.box.row, self.box.col, self.box.row, self.box.col)
-        row, col = box.row - self.box.row, box.col - self.box.col
-        first, second = self.read_from(row, col, (box.rows, box.cols))
-        return box, first, second
 
     @abstractmethod
     def trace(self, projected: Projected) -> None:
         """Call the kernel."""
 
     @abstractmethod
-    def read_from(self, row: int, col: int, shape: tuple[int, int]) -> CellNumbers:
-        """(h, w) of both numbers of cells, from a row and column of the window on."""
+    def read(self) -> dict[Key, Tile]:
+        """The tiles in which something was observed; the window is of no use afterwards."""
 
     @property
     def bound(self) -> int:
         """No value of `read` is larger, either way."""
-        return self.observations
+        return self.observations * self.tables.largest
 
     @property
     def corner(self) -> Int64:
         """(2,) x and y of the lower-left corner (lattice units)."""
-        return find_corner(self.box)
+        return np.array([self.box.col * UNITS_PER_CELL, self.box.row * UNITS_PER_CELL], np.int64)
+
+    def name_tiles(self, places: Int64, tiles: Int32 | Int64) -> dict[Key, Tile]:
+        """Tiles (N, 2, TILE, TILE) by the keys of their places (N, 2) in the window."""
+        keys = places + np.array(self.box.shrink(TILE)[:2])
+        return {(row, col): tile for (row, col), tile in zip(keys.tolist(), tiles, strict=True)}
+
+    def make_profile(self) -> Profile:
+        """The tables as kernels take them."""
+        tables = self.tables
+        depth = tables.depth * self.spec.lattice.units_per_metre
+        return Profile(depth, tables.free, tables.hit, tables.plain)
 
 
-def find_corner(box: CellBox) -> Int64:
-    """(2,) x and y of the lower-left corner of a box (lattice units)."""
-    return np.array([box.col * UNITS_PER_CELL, box.row * UNITS_PER_CELL], np.int64)
-
-
-def allocate_changes(rows: int, cols: int) -> Changes:
-    """Make what `trace_beams` notes: where runs start and end, and steps between."""
-    return Changes(
-        row_runs=np.zeros(rows * (cols + 1), np.int32),
-        row_steps=np.zeros((rows + 1) * (cols + 1), np.int32),
-        col_runs=np.zeros(cols * (rows + 1), np.int32),
-        col_steps=np.zeros((cols + 1) * (rows + 1), np.int32),
-    )
-
-
-COUNTS = Profile(0.0, np.ones(1, np.int64), np.ones(1, np.int64), 1.0)
-"""A beam tells each cell before its end of a miss, and its end of a hit."""
-
-
-def list_cells(numbers: NDArray[Any]) -> Cells:
-    """A window of one block."""
-    rows, cols = numbers.shape
-    table, used = np.zeros((1, 1), np.int32), np.ones(1, np.int64)
-    return Cells(rows, cols, 62, cols, 0, numbers.size, table, used, numbers.ravel())
-
-
-class BeamWindow(Window):
-    """Hits and misses, beam by beam, with those drawn between where the update asks for them."""
+class DenseWindow(Window):
+    """A window that has a place for each cell, and one for what changes from cell to cell."""
 
     def allocate(self, rows: int, cols: int) -> None:
-        self.hits = np.zeros((rows, cols), np.int32)
-        self.changes = allocate_changes(rows, cols)
+        self.cells = np.zeros((rows, cols + PAD), np.int64)
+        self.changes = Changes(
+            row_runs=np.zeros(rows * (cols + PAD), np.int32),
+            row_steps=np.zeros(0, np.int32),
+            col_runs=np.zeros(0, np.int32),
+            col_steps=np.zeros(0, np.int32),
+        )
+
+    @property
+    def packing(self) -> Packing:
+        """How `cells` hold the numbers of a cell."""
+        return Packing(self.tables.bits, -1, int(self.tables.free[0]))
+
+    def read(self) -> dict[Key, Tile]:
+        if self.touched is None:
+            return {}
+        box, touched = self.box.shrink(TILE), self.touched.shrink(TILE)
+        inside = (
+            touched.row - box.row,
+            touched.col - box.col,
+            touched.row_end - box.row,
+            touched.col_end - box.col,
+        )
+        most = touched.cells
+        places = np.empty((most, 2), np.int64)
+        numbers = np.int32 if self.spec.radial is None else np.int64
+        tiles = np.empty((most + 1, 2, TILE, TILE), numbers)  # the last is read into and not kept
+        found = read_tiles(self.cells, self.changes, self.packing, inside, places, tiles)
+        return self.name_tiles(places[:found], tiles[:found])
+
+    def list_cells(self) -> Cells:
+        """All cells as one block."""
+        rows, stride = self.cells.shape
+        table, used = np.zeros((1, 1), np.int32), np.ones(1, np.int64)
+        numbers = self.cells.ravel()
+        return Cells(rows, stride - PAD, WHOLE, stride, 0, numbers.size, table, used, numbers)
+
+
+class BeamWindow(DenseWindow):
+    """Beam by beam, with those drawn between where the update asks for them."""
+
+    def allocate(self, rows: int, cols: int) -> None:
+        super().allocate(rows, cols)
+        self.changes = self.changes._replace(
+            row_steps=np.zeros((rows + 1) * (cols + PAD), np.int32),
+            col_runs=np.zeros(cols * (rows + PAD), np.int32),
+            col_steps=np.zeros((cols + 1) * (rows + PAD), np.int32),
+        )
 
     def trace(self, projected: Projected) -> None:
         corner = self.corner - projected.anchor
-        trace_beams(projected.beams, COUNTS, corner, list_cells(self.hits), self.changes)
-
-    def read_from(self, row: int, col: int, shape: tuple[int, int]) -> CellNumbers:
-        misses = np.empty(shape, np.int32)
-        sum_beams(self.changes, self.hits.shape, (row, col), misses)
-        return self.hits[row : row + shape[0], col : col + shape[1]], misses
+        trace_beams(projected.beams, self.make_profile(), corner, self.list_cells(), self.changes)
 
 
-def describe_surfaces(spec: GridSpec, projected: Projected, box: CellBox) -> Surfaces:
-    """What a polygon kernel needs to know beside the rays and the arrays of a box of cells."""
-    left, bottom = find_corner(box).tolist()
+class SparseBeamWindow(Window):
+    """Beam by beam where scans are few for the place: cells are visited, in tiles made on demand.
+
+    Only what a beam crosses costs anything.
+    """
+
+    most_cells_times = 4
+
+    def allocate(self, rows: int, cols: int) -> None:
+        shape = rows // TILE, cols // TILE
+        table, used = np.full(shape, -1, np.int32), np.zeros(1, np.int64)
+        counts = self.spec.radial is None  # whose numbers are told to one tile each
+        layers = 2 if counts else 1
+        size = rows * cols * layers
+        numbers = np.zeros(size, np.int32) if counts else np.zeros(size, np.int64)
+        plain = (layers - 1) * TILE**2
+        self.cells = Cells(
+            rows, cols, TILE_BITS, TILE, plain, layers * TILE**2, table, used, numbers
+        )
+
+    def trace(self, projected: Projected) -> None:
+        corner = self.corner - projected.anchor
+        profile = self.make_profile()
+        if self.spec.radial is None:
+            profile = profile._replace(hit=profile.free)
+        trace_beams(projected.beams, profile, corner, self.cells, NO_CHANGES)
+
+    def read(self) -> dict[Key, Tile]:
+        table, used = self.cells.table, int(self.cells.used[0])
+        places = np.empty((used, 2), np.int64)
+        places[table[table >= 0]] = np.argwhere(table >= 0)
+        tiles = self.cells.numbers[: used * self.cells.size].reshape(
+            used, self.cells.size // TILE**2, TILE, TILE
+        )
+        if self.spec.radial is not None:
+            bits = self.tables.bits
+            tiles = np.concatenate([tiles >> bits, tiles & ((1 << bits) - 1)], axis=1)
+            seen = tiles[:, 1].any(axis=(1, 2))  # a beam may come to a tile and say nothing of it
+            places, tiles = places[seen], tiles[seen]
+        return self.name_tiles(places, tiles)
+
+
+NO_CHANGES = Changes(*np.zeros((4, 0), np.int32))
+
+
+def describe_surfaces(spec: GridSpec, projected: Projected, window: Window) -> Surfaces:
+    """What a polygon kernel needs to know beside the rays and the arrays of a window."""
+    left, bottom = window.corner.tolist()
     shift_x, shift_y = (projected.anchor - (left, bottom)).tolist()
     return Surfaces(
         units_per_metre=spec.lattice.units_per_metre,
@@ -140,27 +216,19 @@ def describe_surfaces(spec: GridSpec, projected: Projected, box: CellBox) -> Sur
         bottom=bottom,
         shift_x=shift_x,
         shift_y=shift_y,
-        clipped=not box.contains(projected.box),
+        clipped=not window.box.contains(projected.box),
     )
 
 
-class PolygonWindow(Window):
+class PolygonWindow(DenseWindow):
     """Hits and misses, scan by scan."""
 
-    most_observations = MOST_SCANS
-
-    @staticmethod
-    def count(rays: Rays, _spec: GridSpec) -> int:
-        """A scan observes a cell once."""
-        return len(rays.kind)
-
-    def allocate(self, rows: int, cols: int) -> None:
-        self.border = np.zeros((rows, cols), np.int64)
-        self.runs = np.zeros(rows * (cols + 1), np.int32)
+    @property
+    def packing(self) -> Packing:
+        return Packing(BORDER_BITS, COUNTED, 1)
 
     def trace(self, projected: Projected) -> None:
         rays = projected.rays
-        surfaces = describe_surfaces(self.spec, projected, self.box)
         trace_polygons(
             rays.origin,
             rays.turn,
@@ -169,89 +237,22 @@ class PolygonWindow(Window):
             projected.beams.ends_x,
             projected.beams.ends_y,
             rays.kind,
-            surfaces,
-            self.border,
-            self.runs,
+            describe_surfaces(self.spec, projected, self),
+            self.cells,
+            self.changes.row_runs,
             self.observations,
         )
 
-    def read_from(self, row: int, col: int, shape: tuple[int, int]) -> CellNumbers:
-        hits, misses = np.empty(shape, np.int32), np.empty(shape, np.int32)
-        read_border(self.border, self.runs, (row, col), hits, misses)
-        return hits, misses
 
-
-def get_tables(spec: GridSpec) -> RadialTables:
-    """The tables of the model; a radial window has one."""
-    if spec.radial is None:
-        raise TypeError("a radial window needs a radial model")
-    return spec.radial
-
-
-class RadialWindow(Window):
-    """Sums of log-odds and numbers of observations, packed in one integer for each cell."""
-
-    most_observations = (1 << COUNT_BITS) - 1
-
-    def allocate(self, rows: int, cols: int) -> None:
-        self.cells = np.zeros((rows, cols), np.int64)
-
-    @property
-    def tables(self) -> RadialTables:
-        return get_tables(self.spec)
-
-    def trace_lines(self, projected: Projected, constant: int, changes: Changes) -> None:
-        """Trace beam by beam; the first `constant` entries of the free table go to `changes`."""
-        tables = self.tables
-        depth = tables.depth * self.spec.lattice.units_per_metre
-        plain = float(np.sqrt(constant / (len(tables.free) - 1)))
-        profile = Profile(depth, tables.free, tables.hit, plain)
-        corner = self.corner - projected.anchor
-        trace_beams(projected.beams, profile, corner, list_cells(self.cells), changes)
-
-    @abstractmethod
-    def sum_plain(self, row: int, col: int, plain: Int32) -> None:
-        """Write how often each cell got the first entry of the free table without being visited."""
-
-    def read_from(self, row: int, col: int, shape: tuple[int, int]) -> CellNumbers:
-        plain = np.empty(shape, np.int32)
-        self.sum_plain(row, col, plain)
-        visited = self.cells[row : row + shape[0], col : col + shape[1]]
-        total = visited + plain * self.tables.free[0]
-        return total >> COUNT_BITS, total & self.most_observations
-
-    @property
-    def bound(self) -> int:
-        return self.observations * self.tables.largest
-
-
-class RadialBeamWindow(RadialWindow):
-    """A radial model along each beam."""
-
-    def allocate(self, rows: int, cols: int) -> None:
-        super().allocate(rows, cols)
-        self.changes = allocate_changes(rows, cols)
-
-    def trace(self, projected: Projected) -> None:
-        self.trace_lines(projected, self.tables.constant, self.changes)
-
-    def sum_plain(self, row: int, col: int, plain: Int32) -> None:
-        sum_beams(self.changes, self.cells.shape, (row, col), plain)
-
-
-class RadialPolygonWindow(RadialWindow):
+class RadialPolygonWindow(DenseWindow):
     """A radial model, once for each cell of a scan."""
 
-    def allocate(self, rows: int, cols: int) -> None:
-        super().allocate(rows, cols)
-        self.runs = np.zeros(rows * (cols + 1), np.int32)
-
     def trace(self, projected: Projected) -> None:
-        rays, tables = projected.rays, self.tables
+        rays, profile = projected.rays, self.make_profile()
         if rays.kind.shape[1] == 1:  # no neighbour says how wide the beam is: it is a line
-            self.trace_lines(projected, 0, allocate_changes(0, 0))
+            corner = self.corner - projected.anchor
+            trace_beams(projected.beams, profile, corner, self.list_cells(), NO_CHANGES)
             return
-        units_per_metre = self.spec.lattice.units_per_metre
         trace_radial_polygons(
             rays.origin,
             rays.turn,
@@ -260,21 +261,20 @@ class RadialPolygonWindow(RadialWindow):
             rays.kind,
             rays.full_circle,
             self.corner,
-            units_per_metre,
-            tables.depth * units_per_metre,
-            tables.free,
-            tables.hit,
-            tables.constant,
+            self.spec.lattice.units_per_metre,
+            profile,
             self.cells,
-            self.runs,
+            self.changes.row_runs,
         )
 
-    def sum_plain(self, row: int, col: int, plain: Int32) -> None:
-        sum_runs(self.runs, self.box.cols + 1, (row, col), plain)
+
+CROSSED_OFTEN = 6
+"""From so many beams a cell on, it pays to note their changes in a dense window."""
 
 
-def choose_window(spec: GridSpec) -> type[Window]:
-    """The kind of window that an update and a model need."""
-    if spec.radial is None:
-        return PolygonWindow if spec.update is Update.POLYGON else BeamWindow
-    return RadialPolygonWindow if spec.update is Update.POLYGON else RadialBeamWindow
+def choose_window(spec: GridSpec, projected: Projected) -> type[Window]:
+    """The kind of window that an update and a model need, and these rays."""
+    if spec.update is Update.POLYGON:
+        return PolygonWindow if spec.radial is None else RadialPolygonWindow
+    often = projected.crossings >= CROSSED_OFTEN * projected.box.cells
+    return BeamWindow if often else SparseBeamWindow

@@ -11,19 +11,24 @@ from pathlib import Path
 
 from occmap.command import format_mount, spell_flag
 from occmap.errors import LogError, OccmapError
-from occmap.inspection.advice import compose_command, list_warnings
+from occmap.grid.lattice import MOST_CELLS_OF_BEAM
+from occmap.inspection.advice import compose_command, list_concerns
 from occmap.inspection.extent import Extent
 from occmap.inspection.findings import (
     Inspection,
     LogFindings,
     MapFindings,
+    MountFindings,
     PoseFindings,
     ScanFindings,
 )
-from occmap.inspection.poses import Posing, prepare, suggest_stamps
+from occmap.inspection.poses import Posing, find_moving_stamp, prepare, suggest_stamps
 from occmap.inspection.sample import estimate_agreement, measure_crossing
 from occmap.inspection.survey import Survey, TopicSurvey
+from occmap.mounts import find_better
 from occmap.pipeline import BuildOptions, choose_topics, count_messages
+from occmap.posing.attach import Poser
+from occmap.posing.concerns import Concern
 from occmap.posing.coverage import list_coverage
 from occmap.posing.options import DropReason, Stamps
 from occmap.readers import Log, open_log, read_scans
@@ -36,7 +41,7 @@ MAX_LISTED_SHAPES = 5
 
 
 def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
-    """Look into logs; what a build would raise is among the findings.
+    """Look into logs. What would make a build fail is among the findings, and is not raised.
 
     Parameters
     ----------
@@ -46,41 +51,47 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
         Those that the build is to have; resolution, posing, returns, topics and `max_cells` matter.
     """
     extent = Extent()
-    logs = [inspect_path(path, options, extent) for path in paths]
+    looks = [inspect_path(path, options, extent) for path in paths]
+    logs = [log for log, _ in looks]
+    concerns = [concern for _, found in looks for concern in found]
     grid = extent.sum_up(options.resolution)
     problems = [log.problem for log in logs if log.problem]
-    too_large = _list_size_problems(grid, options)
+    too_large = _list_size_problems(grid, options) or _list_beam_problems(extent, options)
     unseen = _list_unseen(logs, grid)
     problems += _list_pose_problems(logs, options.posing.stamps) or too_large or unseen
     usable = any(_is_usable(topic, options) for log in logs for topic in log.scans)
-    command = compose_command(logs, options) if usable and not too_large else ()
+    command = compose_command(logs, options, concerns) if usable and not too_large else ()
     if unseen and spell_flag("no_return") not in command:
         command = ()  # nothing that is known makes anything of these logs
     return Inspection(
         logs=tuple(logs),
         map=grid,
         problems=tuple(problems),
-        warnings=tuple(text for log in logs for text in list_warnings(log)),
+        warnings=tuple(concern.text for concern in concerns),
         command=command,
     )
 
 
-def inspect_path(path: Path, options: BuildOptions, extent: Extent) -> LogFindings:
+Look = tuple[LogFindings, list[Concern]]
+"""What is in a log, and what of it will spoil a map, or surprise its maker"""
+
+
+def inspect_path(path: Path, options: BuildOptions, extent: Extent) -> Look:
     """Look into one log; `extent` grows by what its map would cover."""
     try:
         log = open_log(path, options.reading)
     except OccmapError as error:
-        return LogFindings(str(path), (), (), (), (), (), _place(error, path))
+        return LogFindings(str(path), (), (), (), (), (), _place(error, path)), []
     try:
         topics = choose_topics(log, options.selection.topics)
         posing = prepare(log, topics, options)
     except OccmapError as error:
         found = _list_notes(log)
-        return LogFindings(str(path), tuple(log.streams), (), (), *found, _place(error, path))
+        return LogFindings(str(path), tuple(log.streams), (), (), *found, _place(error, path)), []
     return inspect_log(log, posing, options, extent)
 
 
-def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent) -> LogFindings:
+def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent) -> Look:
     """Read the scans of an opened log once, and sum up."""
     topics = choose_topics(log, options.selection.topics)
     expected = count_messages(log, topics)
@@ -88,6 +99,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
     model, problem = options.model, ""
     around = options.resolution if isinstance(model, Spreading) and model.spread > 0 else 0.0
     for _ in range(2):  # again where the first scans did not show what stands for "no return"
+        posing = replace(posing, poser=replace(posing.poser))  # as it was before it saw a scan
         reach = Extent(options.hit_offset * options.resolution, around)
         survey = Survey(posing.poser, options.returns, options.selection, expected, limits, reach)
         try:
@@ -103,7 +115,8 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
         _sum_up(log, types[topic.topic], topic, posing, options) for topic in seen if topic.shapes
     )
     notes, damage = _list_notes(log)
-    return LogFindings(
+    spoilers = list(posing.poser.list_concerns(survey.first_ns, options.returns.max_range))
+    findings = LogFindings(
         path=str(log.path),
         streams=tuple(log.streams),
         scans=scans,
@@ -112,6 +125,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
         damage=damage,
         problem=problem or ("" if scans else f"{log.path}: {_explain_nothing(seen)}"),
     )
+    return findings, list_concerns(findings, spoilers)
 
 
 def _explain_nothing(topics: Sequence[TopicSurvey]) -> str:
@@ -132,7 +146,7 @@ def _list_notes(log: Log) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def _place(error: OccmapError, path: Path) -> str:
-    """Write an error's sentence with its place, which is the log where the error names none."""
+    """Write an error with its place; that is the log where the error names none."""
     return str(error.placed(path))
 
 
@@ -150,11 +164,24 @@ def _sum_up(
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
         ranges=topic.census.sum_up(crossed),
-        times=topic.stamps.sum_up(suggest_stamps(log, posing, topic)),
+        times=topic.stamps.sum_up(
+            suggest_stamps(log, posing, topic), find_moving_stamp(posing.poser)
+        ),
         poses=_sum_up_poses(topic, posing),
-        mount=topic.sample.describe_mount(options.returns),
+        mount=_describe_mount(topic, posing.poser, options),
         agreement=estimate_agreement(topic.sample.parts, options),
     )
+
+
+def _describe_mount(
+    topic: TopicSurvey, poser: Poser, options: BuildOptions
+) -> MountFindings | None:
+    """Say how a sensor sits; None where no scan has a pose."""
+    stance = poser.courses[topic.topic].stance
+    if stance is None:
+        return None
+    better = find_better(poser, topic.sample.parts, options.returns)
+    return MountFindings(stance.upside_down, stance.tilt, stance.height, better)
 
 
 def _sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
@@ -167,14 +194,14 @@ def _sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
         chain=chain.frames if chain else (),
         posed=topic.posed,
         dropped=dict(topic.dropped),
-        problem="; ".join(faults),
+        problem="; ".join(map(str, faults)),
         assumed=format_mount(posing.assumed) if posing.assumed and faults else "",
         is_guess=posing.is_guess and bool(faults),
     )
 
 
 def _list_pose_problems(logs: Sequence[LogFindings], stamps: Stamps) -> list[str]:
-    """Say why no scan of a log has a pose; a build wants at least one scan of all logs together."""
+    """Say why no scan has a pose, of each log or of all: a build needs at least one."""
     found = []
     for log in logs:
         faults = dict.fromkeys(topic.poses.problem for topic in log.scans if topic.poses.problem)
@@ -199,7 +226,7 @@ def _explain(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
 
 
 def _bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
-    """Say what brings scans and poses together that were made at different times."""
+    """Suggest an option for scans and poses whose times do not overlap."""
     if not topic.poses.dropped.keys() & {DropReason.BEFORE.value, DropReason.AFTER.value}:
         return ""
     times = topic.times
@@ -215,10 +242,19 @@ def _bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str
 
 
 def _list_unseen(logs: Sequence[LogFindings], grid: MapFindings | None) -> list[str]:
-    """Say of logs whose scans have poses that nothing is to be seen in them."""
+    """Say where scans have poses, and yet observe no cell."""
     if grid is not None or not any(topic.poses.posed for log in logs for topic in log.scans):
         return []
     return ["no beam of any scan observes a cell: see the ranges"]
+
+
+def _list_beam_problems(extent: Extent, options: BuildOptions) -> list[str]:
+    if extent.longest / options.resolution <= MOST_CELLS_OF_BEAM:
+        return []
+    return [
+        f"a beam of {extent.longest:.6g} m is too long for cells of {options.resolution} m; limit "
+        "ranges with `max_range`, or use a coarser `resolution`"
+    ]
 
 
 def _list_size_problems(grid: MapFindings | None, options: BuildOptions) -> list[str]:

@@ -1,25 +1,39 @@
 """From findings to advice: warnings, and the command line that makes the best of the logs."""
 
-import math
 from collections.abc import Sequence
 
 from occmap.batching import find_oddity
 from occmap.command import compose_build
 from occmap.inspection.findings import LogFindings, ScanFindings
+from occmap.mounts import describe_misfit
 from occmap.pipeline import BuildOptions
+from occmap.posing.concerns import Concern
 from occmap.report import LEAST_AGREEMENT
 from occmap.wording import count
 
-TILTED_RAD = math.radians(3)
-"""A tilted scan plane meets the floor: at three degrees, 30 cm above it, within six metres."""
 SHARE_OF_NOTE = 0.05
 DRIFT_S = 0.1
+ASK_TUNE = "try `occmap tune`"
 
 
-def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple[str, ...]:
-    """Compose the command line for logs that can be mapped: the options given, then the advice."""
+def compose_command(
+    logs: Sequence[LogFindings], options: BuildOptions, concerns: Sequence[Concern]
+) -> tuple[str, ...]:
+    """Compose the command line for logs that can be mapped: the options given, then the advice.
+
+    Where the poses do not fit the scans, it is the one that looks for the reason; there is none
+    where nothing helps, or where logs need different options.
+    """
     paths = [log.path for log in logs if not log.problem]
-    return compose_build(paths, options, list_advised(logs, options))
+    advised = list_advised(logs, options)
+    for name, value in (pair for each in concerns for pair in (each.remedy or {}).items()):
+        if advised.setdefault(name, value) != value:
+            return ()
+    command = compose_build(paths, options, advised)
+    hopeless = [concern for concern in concerns if concern.remedy is None]
+    if all(ASK_TUNE in concern.text for concern in hopeless):
+        return ("occmap", "tune", *command[2:-2]) if hopeless else command
+    return ()
 
 
 def list_advised(logs: Sequence[LogFindings], options: BuildOptions) -> dict[str, str]:
@@ -37,52 +51,55 @@ def list_advised(logs: Sequence[LogFindings], options: BuildOptions) -> dict[str
     return advised
 
 
-def list_warnings(log: LogFindings) -> list[str]:
-    """List what will spoil a map, or surprise its maker."""
+def list_concerns(log: LogFindings, spoilers: Sequence[tuple[str, Concern]]) -> list[Concern]:
+    """List what will spoil a map, or surprise its maker.
+
+    Parameters
+    ----------
+    spoilers
+        What the poses show, with the topics of the scans.
+    """
     posed = any(topic.poses.posed for topic in log.scans)  # that none is, is a problem
     lacking = [_warn_poses] if posed else []
-    warn = [_warn_shapes, _warn_mount, *lacking, _warn_agreement, _warn_times, _warn_ranges]
-    return [
-        f"{log.path}: {topic.topic}: {text}"
-        for topic in log.scans
-        for each in warn
-        for text in each(topic)
-    ]
-
-
-def _warn_shapes(topic: ScanFindings) -> list[str]:
-    oddities = (find_oddity(shape.angle_increment, shape.beams) for shape in topic.shapes)
-    return [oddity for oddity in dict.fromkeys(oddities) if oddity]
-
-
-def _warn_mount(topic: ScanFindings) -> list[str]:
-    mount = topic.mount
+    warn = [_warn_shapes, _warn_mount, *lacking, _warn_times, _warn_ranges]
     found = []
-    if mount is not None and mount.tilt >= TILTED_RAD:
-        tilt = math.degrees(mount.tilt)
-        found.append(f"the scan plane is tilted by {tilt:.1f} deg: it meets the floor")
-    if mount is not None and mount.better_turn:
-        turn = f"turned by x,y,yaw[,roll,pitch] = {mount.better_turn}"
-        found.append(f"the scans would fit each other better if the laser were {turn}")
+    for topic in log.scans:
+        mine = [concern for name, concern in spoilers if name == topic.topic]
+        mine += [concern for each in warn for concern in each(topic)]
+        mine += _warn_agreement(topic, is_mended=any(concern.remedy for concern in mine))
+        found += [Concern(f"{log.path}: {topic.topic}: {text}", cure) for text, cure in mine]
     return found
 
 
-def _warn_poses(topic: ScanFindings) -> list[str]:
+def _warn_shapes(topic: ScanFindings) -> list[Concern]:
+    oddities = (find_oddity(shape.angle_increment, shape.beams) for shape in topic.shapes)
+    return [Concern(oddity, None) for oddity in dict.fromkeys(oddities) if oddity]
+
+
+def _warn_mount(topic: ScanFindings) -> list[Concern]:
+    if topic.mount is None or not topic.mount.better:
+        return []
+    option, _, value = topic.mount.better.partition("=")
+    return [Concern(describe_misfit(topic.mount.better), {option: value})]
+
+
+def _warn_poses(topic: ScanFindings) -> list[Concern]:
     lost = topic.poses.dropped
     if sum(lost.values()) > SHARE_OF_NOTE * topic.kept:
         reasons = ", ".join(f"{scans} {reason}" for reason, scans in lost.items())
-        return [f"scans without a pose: {reasons}"]
+        return [Concern(f"scans without a pose: {reasons}")]
     return []
 
 
-def _warn_agreement(topic: ScanFindings) -> list[str]:
+def _warn_agreement(topic: ScanFindings, is_mended: bool) -> list[Concern]:
     if topic.agreement is None or topic.agreement >= LEAST_AGREEMENT:
         return []
     found = f"only {topic.agreement:.0%} of the hits of a sample of scans lie in occupied cells"
-    return [f"{found}: the poses do not fit the scans; try `occmap tune`, or another trajectory"]
+    text = f"{found}: the poses do not fit the scans; {ASK_TUNE}, or another trajectory"
+    return [Concern(text, {} if is_mended else None)]
 
 
-def _warn_times(topic: ScanFindings) -> list[str]:
+def _warn_times(topic: ScanFindings) -> list[Concern]:
     times = topic.times
     if topic.poses.stated:
         return []  # stamps do not matter where the pose stands beside the scan
@@ -93,13 +110,14 @@ def _warn_times(topic: ScanFindings) -> list[str]:
         found.append(f"stamps jump back {count(times.jumps_back, 'time')}")
     if abs(times.drift_s) > DRIFT_S:
         found.append(f"stamps drift by {times.drift_s:.3g} s against the record times")
-    return found
+    return [Concern(text) for text in found]
 
 
-def _warn_ranges(topic: ScanFindings) -> list[str]:
+def _warn_ranges(topic: ScanFindings) -> list[Concern]:
     found = [
         f"{item.value:g} m is {item.share:.0%} of the ranges and may mean no return"
         for item in topic.ranges.repeated
         if not item.is_no_return
     ]
-    return found if topic.ranges.measured else [*found, "no range value is a measurement"]
+    found += [] if topic.ranges.measured else ["no range value is a measurement"]
+    return [Concern(text) for text in found]

@@ -16,12 +16,14 @@ BYTES_PER_CELL = 4 + 1 + 8
 class Extent:
     """Grows with the rays that it is shown.
 
-    Hits lie `behind` what was measured, and speak for the cells `around` them (m).
+    Hits lie so far `behind` what was measured, and count for what is so near `around` them (m).
     """
 
     def __init__(self, behind: float = 0.0, around: float = 0.0) -> None:
         self.low = np.full(2, np.inf)
         self.high = np.full(2, -np.inf)
+        self.longest = 0.0
+        """Of all beams (m)"""
         self._behind, self._around = behind, around
 
     def add(self, rays: Rays) -> None:
@@ -32,6 +34,7 @@ class Extent:
         self._take(rays.origin[used.any(axis=1, keepdims=True) if one_viewpoint else used])
         self._take(ends[used])
         self._take(ends[hit], self._around)
+        self.longest = max(self.longest, float(rays.distance.max(initial=0.0)) + self._behind)
 
     def _take(self, points: Float64, around: float = 0.0) -> None:
         """Take points (N, 2)."""
@@ -43,6 +46,7 @@ class Extent:
     def join(self, other: Self) -> None:
         """Take in what another extent covers."""
         self.low, self.high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
+        self.longest = max(self.longest, other.longest)
 
     def sum_up(self, resolution: float) -> MapFindings | None:
         """Sum up at a resolution (m); None where nothing was seen."""

@@ -113,6 +113,8 @@ class TimeFindings:
     """All stamps are one"""
     all_zero: bool
     """All stamps are 0"""
+    simulated: bool
+    """They are of a simulation's clock, which keeps its own pace: the drift is 0"""
     suggested_stamps: Stamps
     """What to give as `stamps`"""
 
@@ -127,9 +129,9 @@ class MountFindings:
     """Median angle between the scan plane and the map's (rad)"""
     height: float
     """Median height in the map (m)"""
-    better_turn: str
-    """The further turn, as `sensor_pose` has it, by which the scans would fit each other
-    better; empty where they fit"""
+    better: str
+    """The option, with its value, that mounts it so that the scans fit each other better; empty
+    where they fit"""
 
 
 @dataclass(frozen=True)

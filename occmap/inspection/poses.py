@@ -5,17 +5,18 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from occmap.errors import PoseError
-from occmap.inspection.sample import UNTURNED, guess_mount
-from occmap.inspection.survey import Survey, TopicSurvey
-from occmap.pipeline import BuildOptions, count_messages, take_first
+from occmap.command import format_mount
+from occmap.errors import MountError, PoseError
+from occmap.inspection.survey import TopicSurvey
+from occmap.mounts import UNTURNED, guess_mount
+from occmap.pipeline import BuildOptions, take_first
 from occmap.posing.attach import Poser
 from occmap.posing.chain import Status
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.posing.resolve import resolve
 from occmap.posing.sources import Sources
-from occmap.readers import Log, read_poses, read_scans
-from occmap.sensor.no_return import RangeLimits
+from occmap.readers import Log, read_poses
+from occmap.sampling import sample_scans
 from occmap.types import Pose
 
 WELL_POSED = 0.9
@@ -27,12 +28,12 @@ class Posing:
     """How the scans of a log are posed, with the options given or with those that would help."""
 
     poser: Poser
-    faults: dict[str, str] = field(default_factory=dict)
+    faults: dict[str, PoseError] = field(default_factory=dict)
     """By frame: why its scans have no pose with the options given"""
     assumed: Pose | None = None
     """The mount that the poser uses though the user did not give it"""
     is_guess: bool = False
-    """The assumed mount is no more than a place holder"""
+    """The assumed mount is a place holder, since the scans do not tell the right one"""
 
 
 def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:
@@ -57,15 +58,17 @@ def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:
     return assume_mount(log, topics, options, Posing(Poser(poser.sources, trial), faults))
 
 
-def find_faults(sources: Sources, options: PosingOptions, frames: Iterable[str]) -> dict[str, str]:
+def find_faults(
+    sources: Sources, options: PosingOptions, frames: Iterable[str]
+) -> dict[str, PoseError]:
     """Say for every frame that has no way to the map why that is."""
-    faults = {}
+    faults: dict[str, PoseError] = {}
     fixed: str | None = None
     for frame in sorted(frames):
         try:
             fixed = resolve(sources, options, frame, fixed).fixed
         except PoseError as error:
-            faults[frame] = str(error)
+            faults[frame] = error
     return faults
 
 
@@ -73,15 +76,25 @@ def assume_mount(
     log: Log, topics: Sequence[str], options: BuildOptions, unturned: Posing
 ) -> Posing:
     """Read the scans as if the sensor were the body, and find the turn that suits them best."""
-    expected = count_messages(log, topics)
-    limits = RangeLimits(options.returns)
-    survey = Survey(unturned.poser, options.returns, options.selection, expected, limits)
-    survey.read(read_scans(log, topics))
-    parts = [part for topic in survey.topics.values() for part in topic.sample.parts]
+    parts = sample_scans(log, topics, unturned.poser, options)
     mount = guess_mount(parts, options.returns)
     posing = replace(unturned.poser.options, sensor_pose=mount or UNTURNED)
     poser = Poser(unturned.poser.sources, posing, notes=list(unturned.poser.sources.notes))
-    return Posing(poser, unturned.faults, posing.sensor_pose, is_guess=mount is None)
+    faults = unturned.faults
+    if mount is not None:
+        faults = {frame: name_found(fault, mount) for frame, fault in faults.items()}
+    return Posing(poser, faults, posing.sensor_pose, is_guess=mount is None)
+
+
+def name_found(fault: PoseError, mount: Pose) -> PoseError:
+    """Name the mount that was found in the error that it is missing."""
+    return fault.named(format_mount(mount)) if isinstance(fault, MountError) else fault
+
+
+def find_moving_stamp(poser: Poser) -> int | None:
+    """Find the latest stamp of what moves in the transforms of a log; None where nothing does."""
+    tracks = [edge.track for edge in poser.sources.tree.edges if edge.track.moves]
+    return max((int(track.stamp_ns[-1]) for track in tracks), default=None)
 
 
 def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> Stamps:

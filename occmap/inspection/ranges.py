@@ -18,7 +18,7 @@ NEIGHBOURHOOD_M = 0.1
 """A value is suspicious if one finite range in a hundred has it, ten times as many as any other
 within this distance: walls, even seen by a robot that stands still, spread by their noise."""
 COMMON_SHARE = REPEATED_SHARE / 10
-"""What is rarer than this among the ranges sorted at once adds nothing to the share of a value."""
+"""A value that is rarer than this among the ranges sorted at once is not counted there."""
 MIN_VALUES = 16
 """Fewer different ranges tell nothing: a room drawn by hand may be all of 5 m."""
 MAX_REPEATED = 8

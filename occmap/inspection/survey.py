@@ -1,6 +1,5 @@
 """One pass over the scans of a log: everything about them is counted as they stream by."""
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -18,10 +17,10 @@ from occmap.errors import PoseError
 from occmap.inspection.extent import Extent
 from occmap.inspection.findings import Shape
 from occmap.inspection.ranges import RangeCensus
-from occmap.inspection.sample import Sample
 from occmap.inspection.times import StampLog
 from occmap.posing.attach import Poser
 from occmap.posing.options import DropReason
+from occmap.sampling import Sample, expect_scans
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Scan, ScanBatch, ScanRun
@@ -71,6 +70,8 @@ class Survey:
     limits: RangeLimits
     extent: Extent = field(default_factory=Extent)
     topics: dict[str, TopicSurvey] = field(default_factory=dict)
+    first_ns: int = 0
+    """The stamp of the log's first scan"""
 
     def read(self, scans: Iterable[Scan | ScanRun]) -> None:
         """Read all scans, holding no more than a batch of each topic."""
@@ -82,7 +83,7 @@ class Survey:
                 self._attach(survey, batch)
 
     def _select(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
-        """Give the scans that a build would use; of those not asked for nothing else is told."""
+        """Give the scans that a build would use; scans that nobody asked for are only counted."""
         selector = Selector(self.selection, self.poser.options.stamps)
         for some, reason in selector.judge(scans):
             survey = self._find(some.first.topic)
@@ -94,20 +95,16 @@ class Survey:
                 yield some
             else:
                 survey.left_out[reason] += 1
+        self.first_ns = selector.seam.first_ns or 0
 
     def _find(self, topic: str) -> TopicSurvey:
         return self.topics.get(topic) or self._begin(topic)
 
     def _begin(self, topic: str) -> TopicSurvey:
+        expected = expect_scans(self.expected, self.selection)
         batcher = Batcher(Selection(), self.poser.options.stamps)
-        self.topics[topic] = TopicSurvey(topic, Sample(self._expect()), batcher)
+        self.topics[topic] = TopicSurvey(topic, Sample(expected), batcher)
         return self.topics[topic]
-
-    def _expect(self) -> int:
-        """Estimate how many scans are wanted; of a part of a log, so few that all are taken."""
-        chosen = self.selection
-        part = math.isfinite(chosen.start_s) or math.isfinite(chosen.end_s)
-        return 0 if part else self.expected // chosen.stride
 
     def _attach(self, survey: TopicSurvey, batch: ScanBatch) -> None:
         """See which scans of a batch get a pose, and how far they reach."""

@@ -9,6 +9,11 @@ from occmap.posing.options import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.types import Float64, Int64, Scan, ScanRun
 
+LONGEST_RUN_NS = 10**16
+"""A simulation lasts no longer than 115 days ..."""
+EARLIEST_DATE_NS = 631_152_000 * 10**9
+"""... and what is recorded has the date of its recording: 1990 or later."""
+
 
 class StampLog:
     """The times of every scan of a topic, 24 bytes each."""
@@ -39,14 +44,23 @@ class StampLog:
         """(N,) when the recorder stored it."""
         return np.array(self._record, np.int64)
 
-    def sum_up(self, suggested_stamps: Stamps) -> TimeFindings:
-        """Sum up the times of at least one scan."""
+    def sum_up(self, suggested_stamps: Stamps, poses_ns: int | None = None) -> TimeFindings:
+        """Sum up the times of at least one scan.
+
+        Parameters
+        ----------
+        poses_ns
+            The stamp of some pose that is not stated beside a scan, if there is one.
+        """
         header, record = self.header_ns, self.record_ns
         steps = np.diff(header) / 1e9
         offset = (header.astype(np.float64) - record) / 1e9
         all_equal = len(header) > 1 and bool((header == header[0]).all())
         all_zero = bool((header == 0).all())
         duration_s = float(header.max() - header.min()) / 1e9
+        simulated = (
+            not all_equal and poses_ns is not None and is_simulated(header, record, poses_ns)
+        )
         return TimeFindings(
             start_ns=int(header.min()),
             end_ns=int(header.max()),
@@ -54,15 +68,25 @@ class StampLog:
             rate_hz=(len(header) - 1) / duration_s if duration_s else 0.0,
             largest_gap_s=float(steps.max(initial=0)),
             offset_s=float(np.median(offset)),
-            drift_s=_measure_drift(offset),
+            drift_s=0.0 if simulated else _measure_drift(offset),
             jumps_back=int(np.count_nonzero(steps < 0)),
             largest_jump_back_s=float((-steps).max(initial=0)),
             duplicates=int(np.count_nonzero(steps == 0)),
             time_increment_s=_take_median(np.array(self._increment)),
             all_equal=all_equal,
             all_zero=all_zero,
+            simulated=simulated,
             suggested_stamps=suggested_stamps,
         )
+
+
+def is_simulated(header: Int64, record: Int64, poses_ns: int) -> bool:
+    """Whether scans and poses have stamps from a clock that began with a simulation.
+
+    A laser that counts from its own start does so alone: the poses then have dates.
+    """
+    began = max(int(header.max()), poses_ns) < LONGEST_RUN_NS
+    return began and int(header.min()) >= 0 and int(record.min()) >= EARLIEST_DATE_NS
 
 
 def _take_median(values: Float64) -> float:

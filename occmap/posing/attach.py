@@ -1,14 +1,19 @@
 """Attachment: scans and poses become posed scans; each scan without a pose is counted."""
 
-from collections import Counter
+import math
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import reduce
 from typing import Self
 
 import numpy as np
 
 from occmap.errors import PoseError
 from occmap.posing.chain import REASONS, Chain, Found, Status
+from occmap.posing.concerns import Concern
+from occmap.posing.course import STANDS, Course, list_tilts
+from occmap.posing.jumps import JumpWatch
 from occmap.posing.leaps import Ends, LeapFilter
 from occmap.posing.options import Deskew, DropReason, PosingOptions
 from occmap.posing.resolve import resolve
@@ -61,10 +66,16 @@ class Poser:
     """What was decided or left out and its user should know; grows, each sentence once."""
     chains: dict[str, Chain | None] = field(default_factory=dict)
     """By scan frame; None where there is no way to it."""
+    courses: defaultdict[str, Course] = field(
+        default_factory=lambda: defaultdict(Course), init=False
+    )
+    """By topic: how its sensor sat, and where it went."""
 
     def __post_init__(self) -> None:
         self._leaps = LeapFilter(self.options.max_speed, self.notes)
         self._noted = set(self.notes)
+        self._watches: dict[str, JumpWatch] = {}
+        self._above = _find_above(self.options)
 
     @classmethod
     def build(
@@ -134,9 +145,52 @@ class Poser:
             counts.update(status.tolist())
             posed = status == Status.POSED
             if posed.any():
-                kept.append(_keep(part, posed, found))
+                placed = self._above.then(found) if self._above else found
+                kept.append(_keep(part, posed, placed))
         dropped = {why: counts[code] for code, why in REASONS.items() if counts[code]}
-        return self._leaps.drop(kept, dropped)
+        kept, dropped = self._leaps.drop(kept, dropped)
+        for scans in kept:
+            self._watch(scans)
+        return kept, dropped
+
+    def _watch(self, scans: PosedScans) -> None:
+        """Take note of where the sensor was."""
+        frame = scans.batch.frame
+        self.courses[scans.batch.topic].see(scans)
+        chain = self.chains.get(frame)
+        if chain is not None:
+            if frame not in self._watches:
+                self._watches[frame] = JumpWatch(chain)
+            self._watches[frame].see(scans.batch.stamp_ns + self._offset_ns)
+
+    def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
+        """Say what of the poses that were given so far spoils a map, and of which topic.
+
+        That a sensor never moved is a note: it may have stood.
+
+        Parameters
+        ----------
+        first_ns
+            Stamp of the first scan of the log.
+        max_range
+            Beams are used up to here (m).
+        """
+        jumped = False
+        for topic, course in sorted(self.courses.items()):
+            if course.stands:
+                self._note(f"{topic}: {STANDS}")
+            if course.stance:
+                yield from ((topic, tilt) for tilt in list_tilts(course.stance, max_range))
+            watch = self._watches.get(course.frame)
+            if watch and not jumped:  # of several sensors on one robot, one tells it
+                for concern in watch.list_concerns(first_ns + self._offset_ns):
+                    jumped = True
+                    yield topic, concern
+
+    @property
+    def jumps(self) -> bool:
+        """Whether a correction of odometry takes the robot elsewhere at once."""
+        return any(watch.edges_ns.size for watch in self._watches.values())
 
     def find_ends(self) -> dict[str, Ends]:
         """Where the posed scans so far begin and end, by topic."""
@@ -159,13 +213,18 @@ class Poser:
             yield batch, Found(np.empty(0), np.empty(0), nowhere)
             return
         stamp_ns = np.clip(batch.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS)
-        stamp_ns = stamp_ns + round(self.options.time_offset_s * 1e9)  # by the clock of the poses
+        stamp_ns = stamp_ns + self._offset_ns
         deskewed = self._choose_deskewed(batch, chain)
         if deskewed.any():
             part = _take(batch, deskewed)
             yield part, chain.at((stamp_ns[deskewed, None] + _spread_moments(part)).ravel())
         if not deskewed.all():
             yield _take(batch, ~deskewed), chain.at(stamp_ns[~deskewed])
+
+    @property
+    def _offset_ns(self) -> int:
+        """From the clock of the scans to that of the poses."""
+        return round(self.options.time_offset_s * 1e9)
 
     def _choose_deskewed(self, batch: ScanBatch, chain: Chain) -> Bool:
         """Choose the scans (S) whose beams get poses of their own.
@@ -192,6 +251,14 @@ class Poser:
         new = [each for each in dict.fromkeys(sentences) if each not in self._noted]
         self._noted.update(new)
         self.notes.extend(new)
+
+
+def _find_above(options: PosingOptions) -> Found | None:
+    """Find where the log's map frame lies in the map that is made; None where they are one."""
+    aligned = Pose.planar(0.0, 0.0, math.radians(options.align or 0.0))
+    ways = [pose for pose in (aligned, options.transform) if pose and pose != UNTURNED]
+    founds = [Found.of(track.position, track.quaternion) for track in map(Track.fixed, ways)]
+    return reduce(Found.then, founds) if founds else None
 
 
 def _list_idle(options: PosingOptions) -> Iterator[str]:

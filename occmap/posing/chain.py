@@ -126,6 +126,13 @@ class Chain:
         """The frames from the map to the sensor."""
         return (self.steps[0].upper, *(step.lower for step in self.steps)) if self.steps else ()
 
+    @property
+    def jumps_ns(self) -> Int64:
+        """(J,) when a correction of odometry jumps, in ascending order."""
+        legs = [leg for leg in self.legs if isinstance(leg, _Moving)]
+        stamps = [leg.step.edge.track.stamp_ns[1:][leg.holds[:-1]] for leg in legs]
+        return np.unique(np.concatenate([np.zeros(0, np.int64), *stamps]))
+
     def is_dense(self, duration_s: Float64) -> Bool:
         """Whether the poses show how the sensor moved within durations (N,)."""
         dense: Bool = self.interval_s <= np.maximum(duration_s, DENSE_S)

@@ -1,4 +1,4 @@
-"""Contradictions: what a log says of its frames that cannot all be so, one sentence each."""
+"""Contradictions: what a log states about its frames and cannot all be true, one sentence each."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
@@ -11,7 +11,7 @@ from occmap.posing.frames import Edge, FrameTree, Source
 from occmap.posing.tracks import differ
 
 MOST_LOOPS = 8
-"""Whoever has more of them knows by then."""
+"""More are not listed."""
 
 
 def list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str]:
@@ -30,7 +30,7 @@ def list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str]
 
 
 def _list_doubles(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str]:
-    """Say which fixed transforms another topic states, too, and otherwise."""
+    """Say which fixed transforms are stated differently by another topic."""
     doubles: dict[tuple[str, str], list[str]] = defaultdict(list)
     stated: dict[tuple[str, str], list[Edge]] = defaultdict(list)
     for edge in edges:

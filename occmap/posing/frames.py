@@ -59,7 +59,7 @@ class FrameTree:
 
     A child's edges come from one source only: what the user gives goes before tf, and tf before
     odometry. Of several edges between the same two frames the one with the most samples stays.
-    A child may keep several parents, and cycles harm nothing: ways are the shortest.
+    A child may have several parents, and cycles do no harm: the shortest way is taken.
     """
 
     def __init__(self, edges: Iterable[Edge]) -> None:

@@ -13,9 +13,11 @@ SLACK_M = 1.0
 """A shorter step is no leap, however short the time: stamps are rounded, odometry corrected."""
 SPARSE_S = 10.0
 """Between scans that are further apart in time a robot may have been carried."""
+FASTEST = 50.0
+"""What is told of where all scans are kept (m/s): cars reach it."""
 RARE = 10
-"""Among so many steps one at most may be a leap; where more are, stamps or poses mean another
-thing than they say, and no step is called one."""
+"""At most one step in so many may be a leap. Where there are more, stamps or poses do not mean what
+they seem to, and no scan is left out."""
 
 
 class Ends(NamedTuple):
@@ -62,10 +64,17 @@ class LeapFilter:
     """Leaves out scans that lie too far from both neighbours, for the time between."""
 
     def __init__(self, max_speed: float, notes: list[str]) -> None:
-        self._max_speed = max_speed
+        self._keeps_all = max_speed == np.inf
+        self._max_speed = FASTEST if self._keeps_all else max_speed
         self._notes = notes
         """Grows by what the first scan of each topic that is left out did"""
         self._paths: defaultdict[str, _Path] = defaultdict(_Path)
+
+    @property
+    def _outcome(self) -> str:
+        if self._keeps_all:
+            return "the map reaches there, as `max_speed=inf` keeps such scans"
+        return "it and others that leap so are left out; `max_speed=inf` keeps them"
 
     def find_ends(self) -> dict[str, Ends]:
         """Where the scans that were seen begin and end, by topic."""
@@ -83,12 +92,10 @@ class LeapFilter:
         self, posed: list[PosedScans], dropped: dict[DropReason, int]
     ) -> tuple[list[PosedScans], dict[DropReason, int]]:
         """Leave out the scans that leap, and count them among those without a usable pose."""
-        if self._max_speed == np.inf:
-            return posed, dropped
         kept = []
         for scans in posed:
             astray = self._find_astray(scans)
-            if not astray.any():
+            if self._keeps_all or not astray.any():
                 kept.append(scans)
                 continue
             leaps = int(np.count_nonzero(astray))
@@ -99,9 +106,9 @@ class LeapFilter:
         return kept, dropped
 
     def _find_astray(self, scans: PosedScans) -> Bool:
-        """(S,) which scans fit neither neighbour: leaps lead to and from them.
+        """Tell which scans (S,) are a leap away from both of their neighbours.
 
-        At an end of the path, or beside a long pause, it is one leap from a scan that fits another.
+        At an end of the path, or beside a long pause, the only neighbour must fit another scan.
         """
         path = self._paths[scans.batch.topic]
         old = len(path.stamp_ns)
@@ -128,7 +135,6 @@ class LeapFilter:
             seconds = (stamp_ns[step + 1] - stamp_ns[step]) / 1e9
             self._notes.append(
                 f"{scans.batch.topic}: the scan at {stamp_ns[at] / 1e9:.3f} s lies "
-                f"{metres:,.6g} m from its neighbour, {seconds:.3g} s away: it and "
-                "others that leap so are left out; `max_speed=inf` keeps them"
+                f"{metres:,.6g} m from its neighbour, {seconds:.3g} s away: {self._outcome}"
             )
         return astray

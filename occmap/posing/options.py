@@ -9,6 +9,9 @@ from occmap.types import Pose, PoseSample
 MAX_OFFSET_S = 4e9
 """From clocks that begin at 0 to any date, and the sum of two still fits an int64 of ns."""
 
+MAX_PLACE_M = 1e8
+"""Twice around the Earth: a bound refuses nan and inf, too."""
+
 MAX_MOUNT_M = 1e6
 """Nothing on a robot is further away; a bound refuses nan and inf, too."""
 
@@ -78,6 +81,11 @@ class PosingOptions:
     max_speed: float = 50.0
     """Scans that lie further from their neighbours in time are left out (m/s; inf: none). The
     fastest step of nine logs of robots, with rounded stamps, is 8; cars reach 50."""
+    transform: Pose | None = None
+    """Where the log's map frame lies in the frame to map in; None: they are one."""
+    align: float | None = 0.0
+    """The map is turned by this angle (degrees, counter-clockwise); None: by the smallest one that
+    brings its walls along the axes, which is for `occmap.alignment` to find."""
 
     def __post_init__(self) -> None:
         if not abs(self.time_offset_s) <= MAX_OFFSET_S:
@@ -93,6 +101,10 @@ class PosingOptions:
             raise UsageError(
                 f"a largest speed of {self.max_speed} m/s is not possible", fix="give more than 0"
             )
+        if self.transform and not all(abs(value) <= MAX_PLACE_M for value in self.transform):
+            raise UsageError(f"no log lies at {self.transform[:3]}", fix="give metres and radians")
+        if self.align is not None and not abs(self.align) <= 360:
+            raise UsageError(f"no map is turned by {self.align} degrees", fix="give -360 to 360")
         if self.sensor_pose is not None:
             _check_pose(self.sensor_pose, "the sensor's pose")
         for sample in self.static_transforms:

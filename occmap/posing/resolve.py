@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 from typing import NoReturn
 
-from occmap.errors import PoseError
+from occmap.errors import MountError, PoseError
 from occmap.posing.chain import Chain, find_driven, make_chain
 from occmap.posing.conventions import (
     FIXED_NAMES,
@@ -177,17 +177,14 @@ class _Search:
     def _fail_without_mount(self) -> NoReturn:
         bases = list_bases(self.tree, self.frame)
         base = bases[0] if len(bases) == 1 else ""
+        found = f"no transform to the laser's frame {self.frame!r} (known: {self._list_known()})"
         if not self.alone:  # a sensor pose would be that of every laser
-            frames = f"{base or 'BASE'},{self.frame}"
-            fix = f"give its mount: `static_transforms={frames},X,Y,Z,ROLL,PITCH,YAW`"
-        elif base:
-            fix = f"give its mount on {base}: `sensor_pose=x,y,yaw`"
-        else:
-            fix = "give its mount: `sensor_pose=x,y,yaw` `base_frame=FRAME`"
-        raise PoseError(
-            f"no transform to the laser's frame {self.frame!r} (known: {self._list_known()})",
-            fix=fix,
-        )
+            given = f"{base or 'BASE'},{self.frame},X,Y,Z,ROLL,PITCH,YAW"
+            raise PoseError(found, fix=f"give its mount: `static_transforms={given}`")
+        mount = f"`sensor_pose={MountError.UNKNOWN}`"
+        if not base:
+            raise PoseError(found, fix=f"give its mount: {mount} `base_frame=FRAME`")
+        raise MountError(found, fix=f"give its mount on {base}: {mount}")
 
     def _fail_without_motion(self, root: str) -> NoReturn:
         bodies = self.tree.bodies

@@ -24,6 +24,28 @@ def rotate_by(quaternion: Float64) -> Float64:
     return matrix
 
 
+def to_quaternions(matrix: Float64) -> Float64:
+    """Turn rotation matrices (N, 3, 3) into unit quaternions (N, 4) with w >= 0 (Shepperd 1978).
+
+    The rows of `products` are the quaternion times each of its own components, and 4. The row of
+    the largest component is divided by nothing small, so it is exact for every rotation.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = matrix.transpose(1, 2, 0)
+    products = np.array(
+        [
+            [1 + xx - yy - zz, xy + yx, xz + zx, zy - yz],
+            [xy + yx, 1 - xx + yy - zz, yz + zy, xz - zx],
+            [xz + zx, yz + zy, 1 - xx - yy + zz, yx - xy],
+            [zy - yz, xz - zx, yx - xy, 1 + xx + yy + zz],
+        ]
+    )
+    largest = np.einsum("iin->in", products).argmax(axis=0)
+    rows = products[largest, :, np.arange(len(matrix))]
+    rows *= np.where(rows[:, 3:] < 0, -1, 1)
+    quaternion: Float64 = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    return quaternion
+
+
 def angle_between(start: Float64, end: Float64) -> Float64:
     """Angles (N,) in [0, pi] between the rotations of unit quaternions (N, 4) each."""
     return 4 * np.arctan2(*_half_chords(start, _nearer(start, end)))

@@ -21,7 +21,7 @@ TF_TOPICS = frozenset({"", "tf", "tf_static"})
 
 INTENTIONS = frozenset({"goal", "initialpose", "plan", "waypoints"})
 """Words in topics of poses that tell where a robot should be, not where it was."""
-USE_TF = "leave out `poses`: they are used unasked"
+USE_TF = "leave out `poses`: transforms are used without it"
 
 
 class _Key(NamedTuple):
@@ -162,7 +162,7 @@ def _find_trajectory(options: PosingOptions, poses: Sequence[Edge], notes: list[
         if edge.topic.strip("/") == name.strip("/"):
             return edge
     if name.strip("/") in TF_TOPICS - {""}:
-        raise PoseError("the log's transforms are no topic of poses", where=name, fix=USE_TF)
+        raise PoseError("transforms are not a topic of poses", where=name, fix=USE_TF)
     topics = ", ".join(sorted({edge.topic for edge in poses}))
     raise PoseError(
         "neither a file nor a topic with poses",

@@ -19,7 +19,7 @@ MAX_STAMP_NS = 2**62
 """The year 2116: beyond it a stamp is damage, and differences of two still fit an int64."""
 
 MAX_VALUE = 1e12
-"""Light takes an hour for as many metres: as good as infinite, and sums of such stay numbers."""
+"""Light takes an hour to go so far (m). It is as good as infinite, and sums stay finite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ class TrackBuilder:
 
     @property
     def changes(self) -> bool:
-        """Whether usable samples differ, be it under one stamp."""
+        """Whether usable samples differ, even those with the same stamp."""
         values = np.frombuffer(self._values, np.float64).reshape(-1, 7)
         usable, norm = find_usable(values)
         unit = values[usable, 3:] / norm[usable, None]

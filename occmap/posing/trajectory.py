@@ -1,23 +1,43 @@
-"""Trajectory files: TUM (`stamp x y z qx qy qz qw`) and CSV (`stamp,x,y,yaw` and more)."""
+"""Trajectory files: TUM, CSV with a header, EuRoC and KITTI.
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+TUM: `stamp x y z qx qy qz qw` (s). CSV: a header `stamp,x,y,yaw` or more columns (s). EuRoC: lines
+`stamp,x,y,z,qw,qx,qy,qz`, which may go on (ns). KITTI: the first three rows of a matrix of 4 x 4 in
+each line, and the time of each (s) in times.txt beside it.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from decimal import Decimal, InvalidOperation
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import NoReturn
 
+import numpy as np
+
 from occmap.errors import LogError
-from occmap.types import Pose, PoseSample
+from occmap.types import Float64, Pose, PoseSample
 
 TRAJECTORY_FRAME = "map"
 TUM_COLUMNS = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
 QUATERNION = ("qx", "qy", "qz", "qw")
 ANGLES = ("roll", "pitch", "yaw")
-SHAPES = "expected lines `stamp x y z qx qy qz qw`, or the header stamp,x,y,yaw and such lines"
+SHAPES = (
+    "expected lines `stamp x y z qx qy qz qw`, the header stamp,x,y,yaw and such lines, or those "
+    "of EuRoC or KITTI"
+)
+EUROC_COLUMNS = ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")
+MATRIX = 12
+"""Numbers in a line of KITTI"""
+TIMES = "times.txt"
 
 MAX_STAMP_S = 4 * 10**9
 """The year 2096. Nanoseconds that are mistaken for seconds lie far beyond it."""
+
+FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Takes right, down and ahead to ahead, left and up"""
+TO_CAMERA = np.block([[FROM_CAMERA.T, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
 
 BINARY_WITHIN = 64
 """A log or a picture has a zero byte so early; a text may have some where a crash cut it."""
@@ -33,6 +53,10 @@ class _Layout:
     columns: Mapping[str, int]
     separator: str | None
     """None: any white space."""
+    read_stamp: Callable[[str], int]
+    """Reads a time as nanoseconds; raises ValueError"""
+    has_more: bool = False
+    """Further columns may follow"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,14 +86,18 @@ def read_trajectory(path: Path) -> Iterator[PoseSample]:
     LogError
         The file cannot be read or holds no poses, or a line (which is named) is no pose.
     """
-    layout: _Layout | None = None
+    lines = _read_lines(path)
+    first = next(lines, None)
+    if first is None:
+        raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
+    if len(first.text.split()) == MATRIX:
+        poses = _read_matrices(path, chain([first], lines))
+    else:
+        layout, is_header = _find_layout(first)
+        rest = lines if is_header else chain([first], lines)
+        poses = (_parse(line, layout) for line in rest)
     found = False
-    for line in _read_lines(path):
-        if layout is None and "," in line.text:
-            layout = _read_header(line)
-            continue
-        layout = layout or _Layout({name: i for i, name in enumerate(TUM_COLUMNS)}, None)
-        stamp_ns, pose = _parse(line, layout)
+    for stamp_ns, pose in poses:
         yield PoseSample(stamp_ns, TRAJECTORY_FRAME, "", pose, record_ns=stamp_ns)
         found = True
     if not found:
@@ -93,6 +121,88 @@ def parse_stamp_ns(text: str) -> int:
     return round(seconds * 10**9)
 
 
+def parse_whole_ns(text: str) -> int:
+    """Take a time in whole nanoseconds; raises ValueError where it is none."""
+    if not text.strip().lstrip("-").isdecimal() or abs(int(text)) >= 2**63:
+        raise ValueError(f"{text!r} is not a time in nanoseconds")
+    return int(text)
+
+
+def _find_layout(first: _Line) -> tuple[_Layout, bool]:
+    """Tell the layout of a file by its first line, and whether that is a header."""
+    if "," not in first.text:
+        return _number(TUM_COLUMNS, None, parse_stamp_ns), False
+    if first.text.partition(",")[0].strip().lstrip("-").isdecimal():
+        return replace(_number(EUROC_COLUMNS, ",", parse_whole_ns), has_more=True), False
+    return _read_header(first), True
+
+
+def _number(
+    names: Sequence[str], separator: str | None, read_stamp: Callable[[str], int]
+) -> _Layout:
+    return _Layout({name: i for i, name in enumerate(names)}, separator, read_stamp)
+
+
+def _read_matrices(path: Path, lines: Iterable[_Line]) -> Iterator[tuple[int, Pose]]:
+    """Read KITTI's poses, each with its time.
+
+    Those of a camera, whose z is ahead and whose y is down, are turned to the axes of a robot. They
+    are told by where they lead: a robot that stays on the ground moves along z only in such axes.
+    """
+    texts = list(lines)
+    rows = np.array([_read_row(line) for line in texts]).reshape(-1, 3, 4)
+    times = list(_read_times(path.parent / TIMES, path))
+    if len(times) != len(rows):
+        found = f"it holds {len(rows):,} poses, and {TIMES} beside it {len(times):,} times"
+        raise LogError(found, where=path, fix="there must be one for each pose")
+    finite = rows[np.isfinite(rows).all(axis=(1, 2))]
+    if len(finite) and np.ptp(finite[:, 2, 3]) > np.ptp(finite[:, 1, 3]):
+        rows = np.einsum("ij,njk,kl->nil", FROM_CAMERA, rows, TO_CAMERA)
+    for stamp_ns, row in zip(times, rows, strict=True):
+        x, y, z = row[:, 3].tolist()
+        yield stamp_ns, Pose(x, y, z, *to_quaternion(row[:, :3]))
+
+
+def _read_row(line: _Line) -> list[float]:
+    words = line.text.split()
+    if len(words) != MATRIX:
+        line.fail(f"{len(words)} values where {MATRIX} belong: {line.quote()}")
+    try:
+        return list(map(_to_float, words))
+    except ValueError as error:
+        line.fail(f"{error}: {line.quote()}")
+
+
+def _read_times(path: Path, poses: Path) -> Iterator[int]:
+    """Read the times (ns) of KITTI's poses."""
+    if not path.is_file():
+        raise LogError("poses without times", where=poses, fix=f"put KITTI's {TIMES} beside it")
+    for line in _read_lines(path):
+        try:
+            yield parse_stamp_ns(line.text)
+        except ValueError as error:
+            line.fail(str(error), "a time in seconds stands in each line")
+
+
+def to_quaternion(rotation: Float64) -> tuple[float, float, float, float]:
+    """Turn a rotation (3, 3) into a quaternion x, y, z, w (Bar-Itzhack 2000).
+
+    It is the eigenvector of the largest eigenvalue of a symmetric matrix of the rotation's
+    elements, which holds for a rotation that was rounded, too. NaN where an element is not finite.
+    """
+    if not np.isfinite(rotation).all():
+        return math.nan, math.nan, math.nan, math.nan
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    symmetric = [
+        [a - e - i, b + d, c + g, h - f],
+        [b + d, e - a - i, f + h, c - g],
+        [c + g, f + h, i - a - e, d - b],
+        [h - f, c - g, d - b, a + e + i],
+    ]
+    x, y, z, w = np.linalg.eigh(np.array(symmetric) / 3)[1][:, -1].tolist()
+    return x, y, z, w
+
+
 def _read_lines(path: Path) -> Iterator[_Line]:
     """Read the lines that are neither empty nor comments."""
     try:
@@ -111,7 +221,7 @@ def _read_lines(path: Path) -> Iterator[_Line]:
 def _read_header(line: _Line) -> _Layout:
     """Read the column names of a CSV; columns that are no part of a pose are passed over."""
     names = [name.strip().lower() for name in line.text.split(",")]
-    layout = _Layout({name: i for i, name in enumerate(names)}, ",")
+    layout = _number(names, ",", parse_stamp_ns)
     required = {"stamp", "x", "y", *_list_angles(layout)}
     missing = sorted(required - set(names))
     if missing:
@@ -127,11 +237,13 @@ def _list_angles(layout: _Layout) -> Sequence[str]:
 def _parse(line: _Line, layout: _Layout) -> tuple[int, Pose]:
     """Read one pose; optional columns that are absent are 0."""
     fields = line.text.split(layout.separator)
-    if len(fields) != len(layout.columns):
+    if len(fields) != len(layout.columns) and not (
+        layout.has_more and len(fields) > len(layout.columns)
+    ):
         line.fail(f"{len(fields)} values where {len(layout.columns)} belong: {line.quote()}")
     texts = {name: fields[i] for name, i in layout.columns.items()}
     try:
-        stamp_ns = parse_stamp_ns(texts["stamp"])
+        stamp_ns = layout.read_stamp(texts["stamp"])
         x, y, z = (_to_float(texts.get(name, "0")) for name in "xyz")
         if "qw" in texts:
             qx, qy, qz, qw = (_to_float(texts[name]) for name in QUATERNION)

@@ -17,11 +17,15 @@ from occmap.readers.carmen_lines import (
     IMPLIED_INCREMENTS,
     PLAIN_FRAMES,
     RAW_FRAMES,
+    ROBOT_FRAMES,
+    Split,
+    find_split,
     imply_increment,
     parse_front_offset,
     parse_odometry,
     parse_scan,
     parse_scans,
+    split_timed,
 )
 from occmap.readers.text import (
     ALL,
@@ -29,6 +33,7 @@ from occmap.readers.text import (
     LineTally,
     add_note,
     cut_blocks,
+    is_worthwhile,
     note_cut_line,
     probe_lines,
     read_lines,
@@ -49,6 +54,8 @@ OTHER_WORDS = frozenset({
 })
 # fmt: on
 """Lines that are common in these logs (the last ones are g2o's) and hold no scan or pose."""
+POSED_FRAMES = PLAIN_FRAMES | ROBOT_FRAMES
+"""Lines that state the pose beside the scan, so that no time is needed"""
 MAX_WORDS = 100
 """Kinds of line that are counted each by itself; garbage must not fill the memory."""
 MAX_KEPT_BYTES = 1 << 26
@@ -99,6 +106,8 @@ class CarmenLog:
         self._size = 0
         self._span = ALL
         self._kept: list[Scan | ScanRun] | None = []
+        self._split: Split | None = None
+        self._stamps: set[int] = set()
         self._survey()
         self._note_other_lines()
 
@@ -147,15 +156,18 @@ class CarmenLog:
     def _walk(self, notes: list[Note]) -> Iterator[_KindOfLine]:
         """Yield every line that is not blank with its keyword; every comment has `#`."""
         for line in read_lines(self.path, notes, self._span):
-            head = line.text.split(None, 1)
-            if head:
-                yield ("#" if head[0].startswith("#") else head[0]), line
+            if head := line.raw.split(None, 1):
+                word = head[0].decode("utf-8", "replace")
+                yield ("#" if word[0] == "#" else word), line
 
     def _walk_scans(self, tally: LineTally, see_other: _SeeOther) -> Iterator[Scan | ScanRun]:
         """Yield the scans, passing over damaged ones; other lines are handed to `see_other`."""
         notes_at_end: list[Note] = []  # of a damaged file: they must follow those on its lines
-        for block in cut_blocks(self._walk(notes_at_end), _get_text):
-            runs = _parse_together(block)
+        for block in cut_blocks(self._walk(notes_at_end), _get_raw):
+            if self._split is None:
+                texts = (line.text for word, line in block if word in FRAMES)
+                self._split = next(map(find_split, texts), None)
+            runs = _parse_together(block) if self._split is split_timed else {}
             items = {
                 word: iter([run] if len(runs) == 1 else run.split())
                 for word, run in runs.items()
@@ -169,7 +181,7 @@ class CarmenLog:
                 elif word in items:
                     tally.add(line)
                     yield from islice(items[word], 1)
-                elif scan := self._parse(line, parse_scan, tally):
+                elif scan := self._parse(line, self._parse_scan, tally):
                     yield scan
         for note in notes_at_end:
             add_note(self.notes, note)
@@ -193,12 +205,17 @@ class CarmenLog:
         tally.add(line)
         return parsed
 
+    def _parse_scan(self, text: str) -> Scan:
+        return parse_scan(text, self._split)
+
     def _survey(self) -> None:
         """Read the log once: count its lines, tally its ranges, keep its scans if they are few."""
         tally = LineTally()
         for some in self._walk_scans(tally, self._survey_other):
             self._survey_scans(some)
         tally.judge(self.path, self.notes, FIX)
+        if len(self._stamps) == 1 and sum(self._words[word] for word in POSED_FRAMES) > 1:
+            add_note(self.notes, Note("all scans have one time: they are taken in their order"))
 
     def _survey_scans(self, some: Scan | ScanRun) -> None:
         first, scans = some.first, some.scans
@@ -206,6 +223,10 @@ class CarmenLog:
             self._words[f"{first.topic} without beams"] += scans
             return
         self._words[first.topic] += scans
+        if len(self._stamps) < 2:
+            self._stamps |= (
+                {int(some.stamp_ns)} if isinstance(some, Scan) else {*some.stamp_ns.tolist()}
+            )
         self._size += SCAN_BYTES * scans + some.ranges.nbytes
         if self._size > MAX_KEPT_BYTES:
             self._kept = None
@@ -254,8 +275,8 @@ class CarmenLog:
             add_note(self.notes, Note(text + (", ..." if len(others) > 5 else "")))
 
 
-def _get_text(item: _KindOfLine) -> str:
-    return item[1].text
+def _get_raw(item: _KindOfLine) -> bytes:
+    return item[1].raw
 
 
 def _parse_together(block: list[_KindOfLine]) -> dict[str, ScanRun | None]:
@@ -263,8 +284,10 @@ def _parse_together(block: list[_KindOfLine]) -> dict[str, ScanRun | None]:
     runs: dict[str, ScanRun | None] = {}
     for kind in {word for word, _ in block}.intersection(FRAMES):
         runs[kind] = None
+        lines = [line.raw for word, line in block if word == kind]
         with suppress(ValueError):
-            runs[kind] = parse_scans([line.text for word, line in block if word == kind])
+            if is_worthwhile(lines):
+                runs[kind] = parse_scans(lines)
     return runs
 
 

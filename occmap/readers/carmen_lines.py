@@ -21,12 +21,13 @@ Every `parse_` function takes a whole line and raises ValueError where it is mal
 """
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from occmap.readers.text import parse_stamp, parse_table, round_limit, shorten
+from occmap.readers.text import parse_stamp, parse_table, round_limit, shorten, stack_planar
 from occmap.types import UNKNOWN_POSE, Float64, Pose, PoseSample, Scan, ScanRun, as_float32
 
 FRONT, REAR = "front_laser", "rear_laser"
@@ -39,16 +40,6 @@ IMPLIED_INCREMENTS = {beams: math.radians(1.0) for beams in (180, 181)} | {
     beams: math.radians(0.5) for beams in (360, 361)
 }
 FRONT_OFFSET = "robot_frontlaser_offset"
-NUMBER_CHARACTERS = b"+-.0123456789Ee "
-"""What a logger writes; `np.loadtxt` and `np.fromstring` differ in Unicode's blanks, and nan."""
-
-
-class _Words(NamedTuple):
-    word: str
-    numbers: str
-    """All between the keyword and the time"""
-    stamp_ns: int
-    record_ns: int
 
 
 class _Layout(NamedTuple):
@@ -69,37 +60,43 @@ class _Message(NamedTuple):
     record_ns: int
 
 
-def parse_scan(text: str) -> Scan:
+Split: TypeAlias = Callable[[str], _Message]
+"""Tells the numbers of a line from its time; raises ValueError where they are too few."""
+
+
+def parse_scan(text: str, split: Split | None = None) -> Scan:
     """Parse a line whose keyword is one of `FRAMES`."""
-    return _make_scan(_parse_message(text))
+    return _make_scan((split or split_timed)(text))
 
 
-def parse_scans(texts: Sequence[str]) -> ScanRun:
-    """Parse lines that differ in times, ranges and poses alone, which takes half the time.
+def parse_scans(lines: Sequence[bytes]) -> ScanRun:
+    """Parse lines of one keyword that differ in times, ranges and poses alone.
 
     Raises ValueError where one is malformed or unlike the others: `parse_scan` tells which.
     """
-    lines = [_split_message(text) for text in texts]
-    table = parse_table([line.numbers for line in lines], NUMBER_CHARACTERS)
-    word, _, stamp_ns, record_ns = lines[0]
-    layout = _lay_out(word, table[0])
-    fixed = table[:, layout.fixed]
-    if any(line.word != word for line in lines) or (fixed != fixed[0]).any():
+    words = lines[0].split(None, 1)[0]
+    table = parse_table(lines, b" ", 1, len(lines[0].split()) - 4)
+    ends = table.places[:, 1].tolist()
+    times = [_parse_times(line[end:].split()) for line, end in zip(lines, ends, strict=True)]
+    first = _Message(words.decode(), table.values[0], *times[0])
+    layout = _lay_out(first.word, first.values)
+    fixed = table.values[:, layout.fixed]
+    if (fixed != fixed[0]).any():
         raise ValueError("the lines differ in more than numbers that are measured")
-    poses = [_make_pose(row) for row in table[:, layout.pose]] if layout.pose else None
+    stamp_ns, record_ns = np.array(times, np.int64).T
     return ScanRun(
-        _make_scan(_Message(word, table[0], stamp_ns, record_ns)),
-        np.array([line.stamp_ns for line in lines], np.int64),
-        np.array([line.record_ns for line in lines], np.int64),
-        as_float32(table[:, layout.ranges]),
+        _make_scan(first),
+        stamp_ns,
+        record_ns,
+        as_float32(table.values[:, layout.ranges]),
         np.zeros(len(lines)),
-        None if poses is None else np.array(poses, np.float64),
+        stack_planar(*table.values[:, layout.pose].T) if layout.pose else None,
     )
 
 
 def parse_odometry(text: str) -> PoseSample:
     """Parse an ODOM line."""
-    message = _parse_message(text)
+    message = split_timed(text)
     _check_rest(message.values, 0, 6)
     pose = _make_pose(message.values[:3])
     if pose is UNKNOWN_POSE:
@@ -127,21 +124,46 @@ def imply_increment(beams: int) -> float:
     return math.pi / max(beams - beams % 2, 1)
 
 
-def _parse_message(text: str) -> _Message:
-    word, numbers, stamp_ns, record_ns = _split_message(text)
-    return _Message(word, _parse_numbers(numbers), stamp_ns, record_ns)
+def find_split(text: str) -> Split:
+    """Say whether lines like this one state a time, by a line whose keyword is one of `FRAMES`."""
+    with suppress(ValueError):
+        parse_scan(text, split_timed)
+        return split_timed
+    with suppress(ValueError):
+        parse_scan(text, split_untimed)
+        return split_untimed
+    return split_timed
 
 
-def _split_message(text: str) -> _Words:
+def split_untimed(text: str) -> _Message:
+    """Split a FLASER or RLASER line behind its poses, whatever stands there in place of a time."""
+    word, *numbers = text.split()
+    if word not in PLAIN_FRAMES or not numbers or not numbers[0].isdecimal():
+        raise ValueError("it is no line of a laser with its pose")
+    size = 1 + int(numbers[0]) + 6
+    if not size <= len(numbers) <= size + 3:
+        raise ValueError(f"{len(numbers)} words where {size} numbers belong")
+    return _Message(word, _parse_numbers(" ".join(numbers[:size])), 0, 0)
+
+
+def split_timed(text: str) -> _Message:
+    """Split a line before the time that it ends in."""
     head, *tail = text.rsplit(None, 3)
     words = head.split(None, 1)
     if len(tail) < 3 or len(words) < 2:
         raise ValueError("it is too short")
-    stamp, _, logged = tail
-    stamp_ns = parse_stamp(stamp)
-    record_ns = stamp_ns if logged == stamp else parse_stamp(logged)
+    times = _parse_times([word.encode() for word in tail])
+    return _Message(words[0], _parse_numbers(words[1]), *times)
+
+
+def _parse_times(words: Sequence[bytes]) -> tuple[int, int]:
+    """Parse the end of a line, a time, a host and a time; give both times (ns)."""
+    if len(words) != 3:
+        raise ValueError(f"{len(words)} words behind the numbers where 3 belong")
+    stamp, _, logged = words
+    stamp_ns = parse_stamp(stamp.decode())
     # Converters write 0 where they know no second time.
-    return _Words(words[0], words[1], stamp_ns, record_ns or stamp_ns)
+    return stamp_ns, (stamp_ns if logged == stamp else parse_stamp(logged.decode())) or stamp_ns
 
 
 def _parse_numbers(text: str) -> Float64:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from copy import copy
 from operator import attrgetter
 from pathlib import Path
@@ -27,6 +28,7 @@ from occmap.readers.text import (
     LineTally,
     add_note,
     cut_blocks,
+    is_worthwhile,
     note_cut_line,
     parse_nanoseconds,
     parse_stamp,
@@ -35,6 +37,7 @@ from occmap.readers.text import (
     read_lines,
     round_limit,
     split_lines,
+    stack_planar,
 )
 from occmap.types import UNKNOWN_POSE, Float32, Pose, PoseSample, Scan, ScanRun, as_float32
 
@@ -43,7 +46,6 @@ VARIABLE = frozenset(("stamp", "time_increment", *POSE_NAMES))
 """What differs between the scans of one laser, beside their ranges."""
 MAX_NAMES = 5
 """Names in one note."""
-NUMBER_CHARACTERS = b"+-.0123456789Ee, inaf"
 
 
 class CsvReader:
@@ -120,13 +122,12 @@ class CsvLog:
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The same; rows that differ in stamps, ranges and poses alone, many at a stroke."""
         rows = self._walk_rows() if TOPIC in topics else ()
-        for block in cut_blocks(rows, attrgetter("text")):
-            try:
-                run = _parse_rows(self._layout, [line.text for line in block])
-            except ValueError:  # damage, or another geometry: row by row it is seen which
-                yield from filter(None, map(self._parse, block))
-            else:
-                yield run
+        for block in cut_blocks(rows, attrgetter("raw")):
+            lines = [line.raw for line in block]
+            run: ScanRun | None = None
+            with suppress(ValueError):  # damage, or another geometry: row by row it is seen which
+                run = _parse_rows(self._layout, lines) if is_worthwhile(lines) else None
+            yield from filter(None, map(self._parse, block)) if run is None else (run,)
 
     def split(self, size: int) -> Sequence["CsvLog"]:
         """Cut the log into parts of about so many bytes, as `occmap.readers.Splittable` has it."""
@@ -142,7 +143,7 @@ class CsvLog:
     def _walk(self) -> Iterator[Line]:
         """Yield every line that is not blank."""
         lines = read_lines(self.path, self.notes, self._span)
-        return (line for line in lines if line.text.strip())
+        return (line for line in lines if line.raw.strip())
 
     def _walk_rows(self) -> Iterator[Line]:
         """Yield the rows, without the header."""
@@ -218,44 +219,38 @@ def _is_heading(raw: bytes) -> bool:
 
 
 def _is_comment(line: Line) -> bool:
-    return line.text.lstrip().startswith("#")
+    return line.raw.lstrip().startswith(b"#")
 
 
-def _parse_rows(layout: Layout, texts: list[str]) -> ScanRun:
+def _parse_rows(layout: Layout, lines: list[bytes]) -> ScanRun:
     """Parse rows together; raises ValueError where one is malformed or unlike the first."""
-    first = _parse_row(layout, texts[0])
+    first = _parse_row(layout, lines[0].decode())
     before = layout.beams[0]
     if layout.beams != tuple(range(before, before + len(layout.beams))):
         raise ValueError("the beams stand apart")
-    rows = [_cut_row(text, before) for text in texts]
+    table = parse_table(lines, b",", before, len(layout.header) - before)
+    spans = zip(lines, table.places.tolist(), strict=True)
+    if any(end < len(line) for line, (_, end) in spans):
+        raise ValueError("there are more cells than in the header")
+    starts = table.places[:, 0].tolist()
+    heads = [line[:at].decode() for line, at in zip(lines, starts, strict=True)]
+    if any('"' in text for text in heads):
+        raise ValueError("there are quotes in it")
+    rows = [text.split(",") for text in heads]
     for name, at in layout.columns.items():
         if at >= before or (name not in VARIABLE and len({row[at] for row in rows}) > 1):
             raise ValueError(f"{name} is not the same in all rows, or stands behind the beams")
-    table = parse_table([row[before] for row in rows], NUMBER_CHARACTERS, ",")
-    if table.shape[1] != len(layout.header) - before:
-        raise ValueError(f"{before + table.shape[1]} cells where the header has another number")
     stamp_ns = np.array([_read_stamp(layout, row) for row in rows], np.int64)
     increments = [_read_finite(layout, row, "time_increment") for row in rows]
-    poses = [_read_pose(layout, row) for row in rows] if layout.has_pose else None
+    poses = [_read_place(layout, row) for row in rows] if layout.has_pose else None
     return ScanRun(
         first,
         stamp_ns,
         stamp_ns,
-        as_float32(table[:, : len(layout.beams)]),
+        as_float32(table.values[:, : len(layout.beams)]),
         np.array(increments, np.float64),
-        None if poses is None else np.array(poses, np.float64),
+        None if poses is None else stack_planar(*np.array(poses).T),
     )
-
-
-def _cut_row(text: str, before: int) -> list[str]:
-    """Split into the cells before the beams and all the rest, where an empty beam is NaN."""
-    cells = text.split(",", before)
-    tail = cells[-1]
-    if '"' in text or len(cells) <= before:
-        raise ValueError("there are quotes in it, or too few cells")
-    if ",," in tail or tail[:1] in {",", ""} or tail[-1] == ",":
-        cells[-1] = ",".join(cell or "nan" for cell in tail.split(","))
-    return cells
 
 
 def _parse_row(layout: Layout, text: str) -> Scan:
@@ -303,9 +298,13 @@ def _read_limit(layout: Layout, cells: list[str], name: str) -> float:
 
 def _read_pose(layout: Layout, cells: list[str]) -> Pose:
     """Read x, y and yaw; all nan where one is empty or not finite, as nobody knew it."""
-    texts = [layout.pick(name, cells).strip() or "nan" for name in POSE_NAMES]
-    x, y, yaw = map(read_number, POSE_NAMES, texts)
+    x, y, yaw = _read_place(layout, cells)
     return Pose.planar(x, y, yaw) if math.isfinite(x + y + yaw) else UNKNOWN_POSE
+
+
+def _read_place(layout: Layout, cells: list[str]) -> list[float]:
+    texts = [layout.pick(name, cells).strip() or "nan" for name in POSE_NAMES]
+    return list(map(read_number, POSE_NAMES, texts))
 
 
 def _read_beams(layout: Layout, cells: list[str]) -> Float32:

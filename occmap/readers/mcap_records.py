@@ -162,10 +162,10 @@ def leads_on(file: BinaryIO, position: int, size: int) -> bool:
             return position == size
         file.seek(position)
         opcode, length = RECORD.unpack(file.read(RECORD.size))
-        if opcode == Opcode.FOOTER:
-            return bool(length == _FOOTER_BODY)
         if not is_plausible(opcode, length, size - position - RECORD.size):
             return False
+        if opcode == Opcode.FOOTER:
+            return True
         position += RECORD.size + length
     return True
 
@@ -174,6 +174,8 @@ def is_plausible(opcode: int, length: int, left: int) -> bool:
     """Say whether a record can be of a kind and length, with so many bytes of the file left."""
     if opcode == Opcode.DATA_END and length > _LONGEST_DATA_END:
         return False
+    if opcode == Opcode.FOOTER:
+        return length == _FOOTER_BODY and left == _FOOTER_BODY + len(MAGIC)
     return 0 < opcode <= LAST_OPCODE and _SHORTEST.get(opcode, 0) <= length <= left
 
 

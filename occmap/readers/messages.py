@@ -193,3 +193,6 @@ SHAPES: Mapping[str, Shape] = {
     "nav_msgs/msg/Path": {"header": HEADER, "poses": [_STAMPED]},
 }
 """What a converter reads, for messages whose log gives their type another definition."""
+
+KNOWN_TYPES = (*SHAPES, *(name.replace("/msg/", "/") for name in SHAPES))
+"""As ROS 2 and ROS 1 write them"""

@@ -7,7 +7,7 @@ damage of the log. Any other error is a fault of occmap's, and is not caught.
 import struct
 from collections.abc import Callable
 from functools import cache, lru_cache
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import Typesdict
@@ -48,7 +48,33 @@ _STORES = {"cdr": Stores.ROS2_HUMBLE, "ros1": Stores.ROS1_NOETIC}
 _TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms"
 """rosbags knows all types but the older of these, and of ROS 1 neither."""
-_PLAIN_TYPES = ("sensor_msgs/msg/LaserScan", *_TF_TYPES)
+_SCAN_DEFINITION = """
+std_msgs/Header header
+float32 angle_min
+float32 angle_max
+float32 angle_increment
+float32 time_increment
+float32 scan_time
+float32 range_min
+float32 range_max
+float32[] ranges
+float32[] intensities"""
+_PLAIN_TYPES = {
+    "sensor_msgs/msg/LaserScan": _SCAN_DEFINITION,
+    **dict.fromkeys(_TF_TYPES, _TF_DEFINITION),
+}
+"""What a log holds most of, as ROS defines it: loading all its types takes a tenth of a second."""
+_PLAIN_PARTS = {
+    "geometry_msgs/TransformStamped": (
+        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform"
+    ),
+    "geometry_msgs/Transform": "Vector3 translation\nQuaternion rotation",
+    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
+}
+_STAMPED = "builtin_interfaces/Time stamp\nstring frame_id"
+_HEADERS = {"cdr": _STAMPED, "ros1": f"uint32 seq\n{_STAMPED}"}
 
 
 def make_scan_reader(channel: Channel, options: ReaderOptions) -> FromBytes[Scan]:
@@ -103,7 +129,7 @@ def _combine(channel: Channel, convert: Callable[[Any, str, int], T]) -> FromByt
 
 def _make_ros_decoder(channel: Channel) -> Callable[[memoryview], Any]:
     """Build what decodes a message by its definition; it raises DamageError."""
-    store, name = _load_types(channel), normalise_type(channel.type)
+    store, name = _load_types(channel).store, normalise_type(channel.type)
     try:
         store.get_msgdef(name)
     except _DEFINITION_ERRORS as error:
@@ -124,7 +150,15 @@ def _refuse(kind: str, why: str) -> LogError:
 
 
 def _is_standard(channel: Channel) -> bool:
-    return _load_types(channel) is _load_standard(channel.encoding)
+    return _load_types(channel).is_standard
+
+
+class _Types(NamedTuple):
+    """What messages are decoded by."""
+
+    store: Typestore
+    is_standard: bool
+    """Whether a message is as ROS itself defines it"""
 
 
 @cache
@@ -137,7 +171,15 @@ def _load_standard(encoding: str) -> Typestore:
     return store
 
 
-def _load_types(channel: Channel) -> Typestore:
+@cache
+def _load_plain(kind: str, encoding: str) -> Typesdict:
+    """Make the standard definition of one of `_PLAIN_TYPES`, with all that it is made of."""
+    parts = {**_PLAIN_PARTS, "std_msgs/Header": _HEADERS[encoding]}
+    texts = (f"{'=' * 80}\nMSG: {name}\n{fields}" for name, fields in parts.items())
+    return _parse_definition("\n".join([_PLAIN_TYPES[kind], *texts]), kind)
+
+
+def _load_types(channel: Channel) -> _Types:
     """Load the log's own definition of a message type, or ROS's where it has none or the same.
 
     A definition in IDL is one that ROS made of its own types; these are read by what ROS has.
@@ -155,21 +197,23 @@ def _load_types(channel: Channel) -> Typestore:
 
 
 @lru_cache(maxsize=64)
-def _make_store(text: str, kind: str, encoding: str) -> Typestore:
+def _make_store(text: str, kind: str, encoding: str) -> _Types:
     """Make the types of a definition; cached by its text, which all logs of a robot share."""
-    standard = _load_standard(encoding)
     if not text:
-        return standard
-    own = _parse_definition(text, kind)
-    known = standard.fielddefs
-    if all(part in known and known[part][1] == fields for part, (_, fields) in own.items()):
-        return standard
+        return _Types(_load_standard(encoding), is_standard=True)
+    own, name = _parse_definition(text, kind), normalise_type(kind)
+    is_standard = name in _PLAIN_TYPES and own == _load_plain(name, encoding)
+    if not is_standard:
+        standard = _load_standard(encoding)
+        known = standard.fielddefs
+        if all(part in known and known[part][1] == fields for part, (_, fields) in own.items()):
+            return _Types(standard, is_standard=True)
     store = get_typestore(Stores.EMPTY)
     try:
         store.register(own)
     except _DEFINITION_ERRORS as error:
         raise _refuse(kind, type(error).__name__) from error
-    return store
+    return _Types(store, is_standard)
 
 
 def _parse_definition(text: str, kind: str) -> Typesdict:

@@ -44,6 +44,10 @@ class RosLog:
         self.notes = source.notes
         self._source = source
         self._is_whole = True
+        for channel in source.channels:
+            if channel.count and (oddity := channel.oddity):
+                found = f"{channel.count} messages on {channel.topic} are of {channel.type!r}"
+                add_note(self.notes, f"{found}, {oddity}: they are not used")
 
     def split(self, size: int) -> Sequence["RosLog"]:
         """Cut the log into parts of about so many bytes, as `occmap.readers.Splittable` has it."""

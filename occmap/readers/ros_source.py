@@ -2,13 +2,14 @@
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, islice
+from operator import ne
 from pathlib import Path
 from typing import Literal, NamedTuple, Protocol, Self, TypeAlias, runtime_checkable
 
 from occmap.readers import Note, Role
 from occmap.readers.foxglove import find_foxglove_role, states_origins
-from occmap.readers.messages import find_role
+from occmap.readers.messages import KNOWN_TYPES, find_role
 
 Encoding: TypeAlias = Literal["cdr", "ros1", "json", "protobuf", ""]
 """How messages are written as bytes; "" for what occmap does not read."""
@@ -47,11 +48,30 @@ class Channel:
         return find_foxglove_role(self.type) if self.encoding else Role.OTHER
 
     @property
+    def oddity(self) -> str:
+        """Why messages that nobody reads may be some that were meant to be; "" for no reason.
+
+        Damage to the name of a type, or of an encoding, leaves a file that is sound otherwise.
+        """
+        if self.role is not Role.OTHER:
+            return ""
+        if (
+            find_role(self.type) is not Role.OTHER
+            or find_foxglove_role(self.type) is not Role.OTHER
+        ):
+            return "which are written in a way that occmap does not know"
+        if not (self.type.isascii() and self.type.isprintable()):
+            return "which is the name of no type"
+        alike = (name for name in KNOWN_TYPES if is_nearly(self.type, name))
+        return "".join(f"which may be meant to be {name}" for name in islice(alike, 1))
+
+    @property
     def has_poses(self) -> bool:
         """Whether the messages state poses, be it beside a scan."""
         return self.role is Role.POSE or (self.role is Role.SCAN and states_origins(self.type))
 
 
+_MOST_LETTERS = 2
 MOST_TOGETHER = 1 << 18
 """Bytes of messages that are put together at most, one message aside."""
 MESSAGE_BYTES = 300
@@ -97,6 +117,11 @@ def put_together(
         size += len(content) + MESSAGE_BYTES
     if channel is not None:
         yield RawMessages(channel, record_ns, data)
+
+
+def is_nearly(name: str, other: str) -> bool:
+    """Whether two names are equally long and differ in at most two letters."""
+    return len(name) == len(other) and sum(map(ne, name, other)) <= _MOST_LETTERS
 
 
 class Source(Protocol):

@@ -82,7 +82,7 @@ class SqliteSource:
             ((first, last),) = database.execute("SELECT min(rowid), max(rowid) FROM messages")
         rows = Span(first or 0, (last or 0) + 1)
         parts = []
-        for start, end in cut_evenly(rows, self.path.stat().st_size // size):
+        for start, end in cut_evenly(rows, -(-self.path.stat().st_size // size)):
             part = copy(self)
             part._rows, part.notes = (start, end - 1), self.notes.copy()
             parts.append(part)

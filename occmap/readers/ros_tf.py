@@ -74,9 +74,8 @@ def read_alike(
         poses = [(each.pose, each.pose + 56) for each in fields]
         alike = find_alike(raw[left], stamps + poses)
         rows = left[alike]
-        batches += (
-            _stack(raw[rows], record_ns[rows], *each) for each in zip(fields, samples, strict=True)
-        )
+        own, own_ns = raw[rows], record_ns[rows]  # once: a message may hold very many transforms
+        batches += (_stack(own, own_ns, *each) for each in zip(fields, samples, strict=True))
         left = left[~alike]
     return batches, [messages[i] for i in left]
 

@@ -156,7 +156,7 @@ class Bag1Source:
         if +index.entries != +index.counts:
             add_note(self.notes, "the indexes of its chunks and the one at its end differ")
         self._chunks = chunk_starts
-        return _with_counts(index.connections, index.counts)
+        return self._add_counts(index.connections, index.counts)
 
     def _refuse_encrypted(self, bag: Header) -> None:
         if encryptor := bag.text(b"encryptor"):
@@ -173,7 +173,15 @@ class Bag1Source:
         for _, block in self._iterate_blocks(file):
             findings = Findings(connections)
             counts.update(key for key, *_ in split_messages(block, _EVERY_ID, findings))
-        return _with_counts(connections, counts)
+        return self._add_counts(connections, counts)
+
+    def _add_counts(
+        self, connections: Mapping[int, Channel], counts: Counter[int]
+    ) -> dict[int, Channel]:
+        """Say of each connection how many messages it has, and note those of no connection."""
+        if lost := sum(count for key, count in counts.items() if key not in connections):
+            add_note(self.notes, f"{lost} messages belong to no connection that the bag names")
+        return {key: replace(item, count=counts[key]) for key, item in connections.items()}
 
     def _iterate_blocks(self, file: BinaryIO) -> Iterator[tuple[int, Buffer]]:
         """Give the bag's records in blocks: a chunk's, or one that stands by itself."""
@@ -254,9 +262,3 @@ class Bag1Source:
 
     def _note(self, position: int, problem: str) -> None:
         add_note(self.notes, f"the chunk at byte {position} {problem}")
-
-
-def _with_counts(
-    connections: Mapping[int, Channel], counts: Mapping[int, int]
-) -> dict[int, Channel]:
-    return {key: replace(item, count=counts.get(key, 0)) for key, item in connections.items()}

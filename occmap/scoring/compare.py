@@ -24,7 +24,7 @@ from occmap.scoring.trials import SMALL, HoldOut, Result, Trials
 from occmap.scoring.variants import Variant, shorten_model
 from occmap.types import Update
 from occmap.wording import count
-from occmap.writers import check_picture
+from occmap.writers import check_picture, is_page
 
 FEW_SCANS = 10
 """Fewer draws do not tell how far the next one may lie from them."""
@@ -191,7 +191,7 @@ def compare(
     options
         Shared by all variants; its own update and model do not matter.
     picture
-        Where to draw the maps and where they disagree, as a PNG.
+        Where to draw the maps and where they disagree: a PNG, or a page (.html).
 
     Raises
     ------
@@ -204,7 +204,7 @@ def compare(
     logs = [open_log(path, options.reading) for path in paths]
     total = sum(count_scans(log, options.selection.topics) for log in logs)
     remarks = Remarks([str(log.path) for log in logs])
-    tally.advance = lambda scans: progress(scans, total)
+    tally.tell = lambda scans: progress(scans, total)
     trials = Trials(variants, options)
     in_order = replace(options, jobs=1)  # which scans are held out must not be chance
     with trials.tracing() as workers:
@@ -217,12 +217,29 @@ def compare(
         held_out = count(hold_out.scans, "held-out scan")
         remarks.notes.append(f"{held_out}: too few to tell variants apart; give a longer log")
     results = tuple(trials.score())
+    comparison = VariantComparison(options, remarks, tally, hold_out.scans, results)
     if picture is not None:
+        draw(picture, comparison)
+        remarks.files.append(str(picture))
+    return comparison
+
+
+def draw(path: Path, comparison: VariantComparison) -> None:
+    """Draw all maps as a picture, or lay them out on a page.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    if is_page(path):
+        from occmap.page.comparison import write_comparison  # noqa: PLC0415  late: it brings Bokeh
+
+        write_comparison(path, comparison)
+    else:
         from occmap.scoring.picture import write_picture  # noqa: PLC0415  late: it brings PIL
 
-        write_picture(picture, results)
-        remarks.files.append(str(picture))
-    return VariantComparison(options, remarks, tally, hold_out.scans, results)
+        write_picture(path, comparison.results)
 
 
 def refuse_unscored(logs: Sequence[str], hold_out: HoldOut) -> None:

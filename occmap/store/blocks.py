@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from occmap.evidence.manifest import list_inputs
+from occmap.evidence.manifest import MEANING, list_inputs
 from occmap.grid.lattice import CellBox
 from occmap.grid.slices import take, unite
 from occmap.grid.tiles import INT32_LIMIT, TILE
@@ -20,8 +20,6 @@ BLOCK = 1024
 """Cells along the side of a block"""
 SIDE = BLOCK // TILE
 """Tiles along it"""
-MEANING = ("resolution", "update", "kind", "profile", "pass_gap_s", "hit_offset")
-"""What of a manifest says what the numbers mean"""
 TABLE = ("place", "cells", "reach", "sha256", "logs")
 """Arrays of the table of blocks"""
 

@@ -8,12 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.errors import MapError, UsageError
-from occmap.evidence import choose_tiles, cut_box, to_grid, weigh
+from occmap.evidence import choose_tiles, to_grid, weigh
 from occmap.evidence.persistence import describe_lost, drop_passing, refuse_nothing_left
+from occmap.grid.framing import Framing, choose_box, find_window
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing, measure_bounds, paint
 from occmap.grid.tiles import TileGrid, refuse_large
-from occmap.report import Shares
+from occmap.report import MapFacts, Shares
 from occmap.sensor.models import SensorModel, find_decision
 from occmap.store.blocks import Block
 from occmap.store.layout import refuse_damage
@@ -78,6 +79,7 @@ class BlockMap:
     before: CellBox
     """Those of the map of all that was observed, of which maybe not all lasts"""
     is_part: bool
+    """Whether it ends where the user says"""
 
     @property
     def lattice(self) -> Lattice:
@@ -106,8 +108,8 @@ class BlockMap:
 
     def take(self, rows: slice, cols: slice) -> OccupancyMap:
         """Paint a part of it."""
-        ends = (rows.start, cols.start, rows.stop, cols.stop)
-        box = CellBox(*(np.array(ends) + np.tile(self.place, 2)).tolist())
+        part = CellBox(rows.start, cols.start, rows.stop, cols.stop)
+        box = part.move(self.box.row, self.box.col)
         made, _ = render_blocks(replace(self, box=box, before=box, is_part=True), box.cells)
         return made
 
@@ -138,22 +140,21 @@ class BlockMap:
         return int(np.count_nonzero(before)), int(np.count_nonzero(still))
 
 
-def open_map(view: View, part: Box | None = None) -> BlockMap:
-    """Find out where a map lies, or the part of it that a box touches.
+def open_map(view: View, framing: Framing) -> BlockMap:
+    """Find out what cells a map covers.
 
     Raises
     ------
     MapError
-        Nothing was observed, or lasts, or lies in the box; or a block cannot be read.
+        Nothing was observed, or lasts, or lies in the extent; or a block cannot be read.
     """
     view = replace(view, source=Recent(view.source))
     box = before = find_bounds(view)
     if view.min_passes is not None:
         before = find_bounds(replace(view, min_passes=None))
-    if part:
-        lattice = Lattice(view.source.manifest.resolution)
-        box, before = (cut_box(each, part, lattice) for each in (box, before))
-    return BlockMap(view, box, before, part is not None)
+    box = choose_box(box, framing, Lattice(view.source.manifest.resolution))
+    is_part = framing.extent is not None
+    return BlockMap(view, box, before.clip(box) if is_part else before, is_part)
 
 
 def render_blocks(made: BlockMap, max_cells: int) -> tuple[OccupancyMap, list[str]]:
@@ -194,8 +195,8 @@ def classify_blocks(made: BlockMap, writing: WriteOptions, max_cells: int) -> UI
     return classes
 
 
-def survey_blocks(made: BlockMap, writing: WriteOptions) -> tuple[Shares, float | None, list[str]]:
-    """Measure shares and agreement of a map that is never there as a whole; notes as above.
+def survey_blocks(made: BlockMap, writing: WriteOptions) -> tuple[MapFacts, list[str]]:
+    """Measure a map that is never there as a whole; notes as above.
 
     Raises
     ------
@@ -203,15 +204,16 @@ def survey_blocks(made: BlockMap, writing: WriteOptions) -> tuple[Shares, float 
         A block cannot be read.
     """
     decision = writing.decide(find_decision(made.view.model))
-    classes, counts = np.zeros(3, np.int64), np.zeros((2, 2), np.int64)
+    cells, counts = np.zeros(4, np.int64), np.zeros((2, 2), np.int64)
     for piece in made.walk():
         written = replace(piece.map, decision=decision)
-        masks = (written.occupied, written.free, written.observed)
-        classes += [np.count_nonzero(mask) for mask in masks]
+        masks = (written.occupied, written.free, written.observed, piece.map.occupied)
+        cells += [np.count_nonzero(mask) for mask in masks]
         counts += (piece.hits, piece.occupied)
-    occupied, free, observed = (classes / made.box.cells).tolist()
+    occupied, free, observed, walls = (cells / made.box.cells).tolist()
     agreement, notes = sum_up(made, counts)
-    return Shares(occupied, free, 1 - observed), agreement, notes
+    shares = Shares(occupied, free, 1 - observed)
+    return MapFacts(made.shape, made.extent, shares, agreement, walls > 0), notes
 
 
 def sum_up(made: BlockMap, counts: Int64) -> tuple[float | None, list[str]]:
@@ -219,12 +221,6 @@ def sum_up(made: BlockMap, counts: Int64) -> tuple[float | None, list[str]]:
     (agreed, hits), (were, still) = counts.tolist()
     agreement = agreed / hits if hits and not made.is_part else None
     return agreement, list(describe_lost(were, were - still))
-
-
-def find_window(box: CellBox, whole: CellBox) -> tuple[slice, slice]:
-    """Rows and columns of a box in a larger one."""
-    row, col = box.row - whole.row, box.col - whole.col
-    return slice(row, row + box.rows), slice(col, col + box.cols)
 
 
 def list_pieces(source: Blocks, box: CellBox) -> Iterator[CellBox]:
@@ -269,7 +265,7 @@ def find_bounds(view: View) -> CellBox:
     return found
 
 
-def read_overview(store: Store, side: int, part: Box | None = None) -> OccupancyMap:
+def read_overview(store: Store, side: int, framing: Framing, max_cells: int) -> OccupancyMap:
     """Make a coarse map of the pictures in a store, in which a pixel is a square of cells.
 
     Raises
@@ -277,26 +273,30 @@ def read_overview(store: Store, side: int, part: Box | None = None) -> Occupancy
     UsageError
         The store has no picture of such squares.
     MapError
-        Nothing was observed or lies in the box, or the picture cannot be read.
+        Nothing was observed or lies in the extent, the map would be too large, or the picture
+        cannot be read.
     """
-    known = sorted(map(int, store.root["classes"].array_keys()))
-    if side not in known:
+    sides = sorted(map(int, store.root["classes"].array_keys()))
+    if side not in sides:
         raise UsageError(
             f"`overview={side}`: there is no picture of squares of {side} x {side} cells",
             where=store.path,
-            fix=f"there are those of {', '.join(map(str, known))}",
+            fix=f"there are those of {', '.join(map(str, sides))}",
         )
     if not store.blocks:
         raise MapError("no beam of any scan observed a cell, so there is no map")
-    lattice = Lattice(store.manifest.resolution)
-    box = reduce(CellBox.join, (record.reach for record in store.blocks.values()))
-    box = cut_box(box, part, lattice) if part else box
-    (row, col), array = store.offset, store.root[f"classes/{side}"]
-    rows = slice((box.row - row) // side, -(-(box.row_end - row) // side))
-    cols = slice((box.col - col) // side, -(-(box.col_end - col) // side))
+    fine = Lattice(store.manifest.resolution)
+    coarse = Lattice(round(fine.resolution * side, 12))
+    observed = reduce(CellBox.join, (record.reach for record in store.blocks.values()))
+    row, col = store.offset
+    box = choose_box(observed, framing, fine).move(-row, -col).align(side).shrink(side)
+    refuse_large(box, coarse, max_cells)
+    array = store.root[f"classes/{side}"]
+    whole = CellBox(0, 0, *array.shape)
+    there = whole.clip(box)
+    classes = np.full((box.rows, box.cols), CellClass.NEITHER, np.uint8)
     with refuse_damage(store.path):
-        classes = array[rows, cols]
-    log_odds = CLASS_LOG_ODDS[classes]
-    origin = lattice.to_metres(col + cols.start * side), lattice.to_metres(row + rows.start * side)
-    size = round(lattice.resolution * side, 12)
-    return OccupancyMap(log_odds, classes != CellClass.NEITHER, size, origin)
+        classes[find_window(there, box)] = array[find_window(there, whole)]
+    origin = fine.to_metres(col + box.col * side), fine.to_metres(row + box.row * side)
+    is_known = classes != CellClass.NEITHER
+    return OccupancyMap(CLASS_LOG_ODDS[classes], is_known, coarse.resolution, origin)

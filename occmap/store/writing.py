@@ -34,7 +34,7 @@ from occmap.store.layout import (
     refuse_unwritable,
 )
 from occmap.store.pictures import classify_block, reduce_classes
-from occmap.types import Manifest, Update
+from occmap.types import Manifest, UInt8, Update
 from occmap.writers.atomic import publish_folder
 
 Run = Callable[[Callable[[Block], None], Sequence[Block]], Iterable[None]]
@@ -150,11 +150,14 @@ def write_overview(path: Path, block: Block) -> None:
     zarr = import_zarr()
     with refuse_unwritable(path):
         root = zarr.open_group(path, mode="r+")
-        head = root.attrs["occmap"]
-        classes = classify_block(root, head, block)
-        for side in FINE_LEVELS:
-            place = find_place(block, head["offset"], side)
-            root["classes"][str(side)][place] = reduce_classes(classes, side)
+        write_classes(root, block, classify_block(root, root.attrs["occmap"], block))
+
+
+def write_classes(root: Any, block: Block, classes: UInt8) -> None:
+    """Write what the cells (1024, 1024) of a block are as pictures of it."""
+    for side in FINE_LEVELS:
+        place = find_place(block, root.attrs["occmap"]["offset"], side)
+        root["classes"][str(side)][place] = reduce_classes(classes, side)
 
 
 def finish_store(

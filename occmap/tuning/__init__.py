@@ -45,7 +45,7 @@ def tune(
     opened = [open_log(path, options.reading) for path in paths]
     total = sum(count_scans(log, options.selection.topics) for log in opened)
     planned = total + USUAL_SCORINGS * min(total, MOST_SCANS)
-    tally.advance = lambda scans: progress(scans, planned)
+    tally.tell = lambda scans: progress(scans, planned)
     remarks = Remarks([str(log.path) for log in opened])
     logs = keep_logs(opened, options, tally, remarks)
     kept = sum(log.scans for log in logs)

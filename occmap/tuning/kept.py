@@ -7,13 +7,14 @@ import numpy as np
 
 from occmap.batching import Batcher
 from occmap.errors import PoseError
-from occmap.pipeline import BuildOptions, choose_topics, make_poser
+from occmap.pipeline import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
 from occmap.readers import Log, read_scans
 from occmap.report import Remarks, Tally, name_logs, refuse_unused
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import ReturnOptions, interpret
+from occmap.tracing import open_drive
 from occmap.types import Float64, Pose, PosedScans, Rays, Scan, ScanBatch, ScanRun
 
 MOST_SCANS = 1000
@@ -79,8 +80,7 @@ def keep_logs(
 
 def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: Remarks) -> KeptLog:
     """Read a log, and keep at most so many of the scans that have a pose."""
-    topics = choose_topics(log, options.selection.topics)
-    poser = make_poser(log, topics, options.posing)
+    _, topics, poser, *_ = open_drive(log, options)
     batcher = Batcher(options.selection, options.posing.stamps)
     limits = RangeLimits(options.returns)
 

@@ -1,26 +1,25 @@
 """Writers: one file per map format, found through entry points and chosen by suffix.
 
 A writer is registered under its suffix without the dot and is a class with a `description`, a
-`targets(path)` and either a `write(path, grid, options)`, for a map, or a
-`write_evidence(path, evidence)`, for what maps are made of. Nothing here imports PIL: a writer is
-loaded on use.
+`targets(path)` and one of three methods: `write(path, grid, options)`, for a map;
+`write_evidence(path, evidence)`, for what maps are made of; or `write_product(path, product,
+options)`, for all that there is to show, the way of the robot among it. Nothing here imports PIL: a
+writer is loaded on use.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Protocol, cast, runtime_checkable
+from typing import Any, Protocol, TypeAlias, cast, runtime_checkable
 
 from occmap.errors import OutputError, UsageError
 from occmap.plugins import list_plugins, load_plugin
-from occmap.types import Decision, Evidence, Int64, OccupancyMap
+from occmap.types import Decision, Evidence, Int64, Journey, OccupancyMap
 from occmap.writers.atomic import check_parent, check_target, follow_links
 
 BAND_CELLS = 1 << 22
 """Cells that are turned into pixels at once, so that a large map needs no second copy in floats."""
-UNSHADED = (".npz", ".zarr", ".tiles", ".tif")
-"""Formats without a choice of greys."""
 
 
 class MapMode(StrEnum):
@@ -128,6 +127,66 @@ class EvidenceWriter(Protocol):
         """
 
 
+@dataclass(frozen=True)
+class Product:
+    """What there is to write."""
+
+    grid: OccupancyMap
+    evidence: Callable[[], Evidence]
+    """Called where a format wants it: it takes memory, and time to hash the logs"""
+    journey: Journey | None = None
+    """None: nobody asked for it while the map was built, or the map is of saved evidence"""
+    report: Callable[[], dict[str, Any]] = dict
+    """What there is to say of the map so far, as the JSON of the command has it"""
+    findings: Callable[[], dict[str, Any]] = dict
+    """What `occmap check` finds in the logs, likewise; it reads them once more"""
+
+    def take_journey(self, path: Path) -> Journey:
+        """Where the robot went, for a file of that.
+
+        Raises
+        ------
+        UsageError
+            It is not known.
+        """
+        if self.journey is None:
+            raise UsageError(
+                "the map does not say where the robot went, only its logs do",
+                where=path,
+                fix="name this file among the outputs of the build",
+            )
+        return self.journey
+
+
+@runtime_checkable
+class ProductWriter(Protocol):
+    """A format for more than a map."""
+
+    description: str
+    needs_evidence: bool
+    """Whether it calls `Product.evidence`, so that a build keeps when cells were seen"""
+    needs_journey: bool
+    """Whether it writes nothing else than where the robot went"""
+
+    def targets(self, path: Path) -> tuple[Path, ...]:
+        """Every file that `write_product` makes."""
+
+    def write_product(
+        self, path: Path, product: Product, options: WriteOptions
+    ) -> tuple[Path, ...]:
+        """Write what the format holds; return the files written.
+
+        Raises
+        ------
+        UsageError, OutputError
+            It is to hold where the robot went, which is not known, or a file cannot be written;
+            then none is left behind.
+        """
+
+
+AnyWriter: TypeAlias = Writer | EvidenceWriter | ProductWriter
+
+
 @runtime_checkable
 class FolderWriter(Protocol):
     """A format of which the path is a folder with many files."""
@@ -167,7 +226,7 @@ class WindowWriter(Protocol):
         """As `Writer.write`."""
 
 
-def find_writer(path: Path) -> Writer | EvidenceWriter:
+def find_writer(path: Path) -> AnyWriter:
     """Find the writer for a file name by its suffix, upper or lower case.
 
     Raises
@@ -184,7 +243,7 @@ def find_writer(path: Path) -> Writer | EvidenceWriter:
     writer_class = load_plugin("occmap.writers", name)
     if writer_class is None:
         raise UsageError(f"the writer for .{name} does not load", where=path, fix=listing)
-    return cast(Writer | EvidenceWriter, writer_class())
+    return cast(AnyWriter, writer_class())
 
 
 def check_outputs(outputs: Sequence[Path], inputs: Sequence[Path] = ()) -> None:
@@ -227,18 +286,25 @@ def check_folder(path: Path, writer: FolderWriter) -> None:
     check_parent(path, target.parent)
 
 
-def check_picture(path: Path, inputs: Sequence[Path] = ()) -> None:
-    """Find out before the work starts whether a picture of it could not be written.
+def check_picture(
+    path: Path, inputs: Sequence[Path] = (), suffixes: Sequence[str] = (".png", ".html")
+) -> None:
+    """Find out before the work starts whether a picture or a page of it could not be written.
 
     Raises
     ------
     UsageError, OutputError
-        It is to be no PNG, cannot be made, or is an input.
+        It is to be something else, cannot be made, or is an input.
     """
-    if path.suffix.lower() != ".png":
-        raise UsageError("the picture is a PNG", where=path, fix="give it a name that ends in .png")
-    check_target(path)
-    refuse_input(path, inputs)
+    if path.suffix.lower() not in suffixes:
+        names = " or ".join(suffixes)
+        raise UsageError("is no picture", where=path, fix=f"give it a name that ends in {names}")
+    check_outputs([path], inputs)
+
+
+def is_page(path: Path) -> bool:
+    """Whether a picture is to be a page."""
+    return path.suffix.lower() == ".html"
 
 
 def refuse_input(target: Path, inputs: Sequence[Path]) -> None:
@@ -257,8 +323,32 @@ def refuse_input(target: Path, inputs: Sequence[Path]) -> None:
 
 
 def want_evidence(outputs: Sequence[Path]) -> bool:
-    """Whether any output is of what was observed, not of a map."""
-    return any(isinstance(find_writer(path), EvidenceWriter) for path in outputs)
+    """Whether any output is of what was observed, or shows when it was."""
+    return any(
+        isinstance(writer, EvidenceWriter)
+        or (isinstance(writer, ProductWriter) and writer.needs_evidence)
+        for writer in map(find_writer, outputs)
+    )
+
+
+def want_journey(outputs: Sequence[Path]) -> bool:
+    """Whether any output shows where the robot went."""
+    return any(isinstance(find_writer(path), ProductWriter) for path in outputs)
+
+
+def refuse_journeys(outputs: Sequence[Path]) -> None:
+    """Refuse to write, of a map of saved evidence, where the robot went.
+
+    Raises
+    ------
+    UsageError
+        An output holds nothing else.
+    """
+    for path in outputs:
+        writer = find_writer(path)
+        if isinstance(writer, ProductWriter) and writer.needs_journey:
+            found = "evidence does not say where the robot went, only the logs do"
+            raise UsageError(found, where=path, fix="build it from the logs: `occmap build`")
 
 
 def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
@@ -266,19 +356,10 @@ def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
     if not outputs:  # a map that is saved later, in whatever format
         return
     suffixes = {path.suffix.lower() for path in outputs}
-    if options.mode is not MapMode.TRINARY and suffixes <= {".png", *UNSHADED}:
-        yield f"`mode={options.mode}` does nothing: it is for a PGM, and no output ends in .pgm"
-    if options.shade is not Shade.DARK_OCCUPIED and suffixes <= {".pgm", *UNSHADED}:
+    if options.mode is not MapMode.TRINARY and suffixes.isdisjoint({".pgm", ".mcap"}):
+        yield f"`mode={options.mode}` does nothing: it is for .pgm and .mcap, and no output ends so"
+    if options.shade is not Shade.DARK_OCCUPIED and ".png" not in suffixes:
         yield "`shade` does nothing: it is for a PNG, and no output ends in .png"
-
-
-@dataclass(frozen=True)
-class Product:
-    """What there is to write."""
-
-    grid: OccupancyMap
-    evidence: Callable[[], Evidence]
-    """Called where a format wants it: it takes memory, and time to hash the logs"""
 
 
 def write_outputs(outputs: Sequence[Path], product: Product, options: WriteOptions) -> list[str]:
@@ -294,6 +375,8 @@ def write_outputs(outputs: Sequence[Path], product: Product, options: WriteOptio
         writer = find_writer(path)
         if isinstance(writer, EvidenceWriter):
             files += writer.write_evidence(path, product.evidence())
+        elif isinstance(writer, ProductWriter):
+            files += writer.write_product(path, product, options)
         else:
             files += writer.write(path, product.grid, options)
     return [str(file) for file in files]

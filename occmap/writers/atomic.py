@@ -185,8 +185,8 @@ def sync_folder(folder: Path) -> None:
 def hold_alone(path: Path | None, outputs: Sequence[Path]) -> Iterator[None]:
     """Hold a file that is added to and replaced, if it is an output; another occmap waits for it.
 
-    The lock ends with the process. Where the system or the file system has no such locks, or the
-    file cannot be opened, it is not held.
+    Where the file is not there yet, its folder is held. The lock ends with the process. Where the
+    system or the file system has no such locks, or the file cannot be opened, it is not held.
     """
     if path is None or follow_links(path) not in map(follow_links, outputs):
         yield
@@ -196,13 +196,16 @@ def hold_alone(path: Path | None, outputs: Sequence[Path]) -> Iterator[None]:
             import fcntl  # noqa: PLC0415  Windows has none
 
             try:
-                file = stack.enter_context(path.open("rb"))
+                held = path if path.exists() else path.parent
+                file = os.open(held, os.O_RDONLY)
+                stack.callback(os.close, file)
                 try:
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 except BlockingIOError:
                     log.warning("%s: waiting for another occmap that adds to it", path)
                     fcntl.flock(file, fcntl.LOCK_EX)
-                if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                there = path if path.exists() else path.parent
+                if os.path.samestat(os.fstat(file), there.stat()):
                     break
             except OSError:
                 break

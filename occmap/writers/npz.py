@@ -53,7 +53,7 @@ from occmap.writers.atomic import open_atomic
 from occmap.writers.compact import SLICE_ARRAYS, Arrays, narrow, pack_slices, unpack_slices
 from occmap.writers.soundness import find_fault
 
-FORMAT, VERSION = "occmap evidence", 3
+FORMAT, VERSION = "occmap evidence", 4
 SIDE = 64
 """Cells along the side of a tile."""
 MAGIC = b"PK\x03\x04"

@@ -98,6 +98,8 @@ class Bench:
             make_office("office, 360 beams", Sensor.spanning(360, 360, 30.0), scans)
         )
         self._measure_engine(make_yard("yard, 80 m range", Sensor.spanning(180, 180, 80.0), scans))
+        sparse = make_yard("861 scans of a yard", Sensor.spanning(181, 180, 50.0), 861, 0.05)
+        self.results.rows += limits.compare_sparse(self._measure_engine(sparse), sparse)
         if FREIBURG.exists():
             freiburg = read_workload(FREIBURG, 0.05)
             times = self._measure_engine(freiburg)

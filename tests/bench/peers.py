@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.units import FREE, HIT, SKIP
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import find_bounds, paint
 from occmap.grid.tiles import TileGrid
+from occmap.jit import kernel
 from occmap.types import (
     Bool,
     Decision,

@@ -22,9 +22,9 @@ import numpy as np
 
 from occmap.errors import OccmapError
 from occmap.evidence import render
-from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.units import HIT
 from occmap.grid.tiles import MAX_CELLS, TileGrid
+from occmap.jit import kernel
 from occmap.pipeline import BuildOptions, trace_logs
 from occmap.readers import open_log
 from occmap.report import Tally

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from occmap.grid.kernels.jit import kernel
+from occmap.jit import kernel
 from occmap.types import Float64
 
 

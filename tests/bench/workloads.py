@@ -112,10 +112,10 @@ def make_office(name: str, sensor: Sensor, scans: int) -> Workload:
     return Workload(name, 0.05, sensor, poses, measure(poses, sensor, office()))
 
 
-def make_yard(name: str, sensor: Sensor, scans: int) -> Workload:
-    """Drive round a factory yard, 170 x 130 m, at 10 cm."""
+def make_yard(name: str, sensor: Sensor, scans: int, resolution: float = 0.1) -> Workload:
+    """Drive round a factory yard, 170 x 130 m."""
     poses = follow(YARD_WAY, scans)
-    return Workload(name, 0.1, sensor, poses, measure(poses, sensor, YARD))
+    return Workload(name, resolution, sensor, poses, measure(poses, sensor, YARD))
 
 
 def make_corridor(sensor: Sensor, length: float, spacing: float, width: float = 3.0) -> Workload:

@@ -147,9 +147,11 @@ def test_an_output_folder_that_cannot_be_written(folder: Path) -> None:
     ("output", "found"),
     [
         ("log.csv/m.pgm", "log.csv is a file, not a folder"),
-        (".", "has no suffix"),
-        ("m", "has no suffix"),
-        ("m.jpg", "unknown suffix '.jpg'; occmap writes .npz, .pgm, .png"),
+        (
+            "m.jpg",
+            "unknown suffix '.jpg'; occmap writes .csv, .html, .mcap, .npz, .pgm, .png, .tif, "
+            ".tiles, .tum, .zarr",
+        ),
         ("n" * 300 + ".pgm", "File name too long"),
     ],
 )

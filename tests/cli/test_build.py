@@ -3,6 +3,7 @@
 import gzip
 import json
 from pathlib import Path
+from threading import Event
 
 import pytest
 
@@ -130,7 +131,7 @@ def test_json_is_one_object_and_nothing_else(tmp_path: Path) -> None:
 
 def write_cut(folder: Path) -> Path:
     """Write a log whose gzip data ends early."""
-    whole = write_csv(folder / "log.csv", [(0.0, 0.0, 0.0)] * 3000, [0.3])
+    whole = write_csv(folder / "log.csv", [(n / 1e4, 0.0, 0.0) for n in range(3000)], [0.3])
     cut = folder / "cut.csv.gz"
     cut.write_bytes(gzip.compress(whole.read_bytes())[:-1000])
     return cut
@@ -225,6 +226,42 @@ def test_a_bar_is_shown_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> N
 
     assert " scans/s" in show(Verbosity.NORMAL)
     assert show(Verbosity.QUIET) == ""
+
+
+def test_a_bar_moves_while_nothing_is_reported_and_never_passes_its_total(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drawn = Event()
+    numbers: list[tuple[float, float]] = []
+
+    class Bar:
+        n, total = 0, 0
+
+        def __init__(self, **_: object) -> None:
+            pass
+
+        def __enter__(self) -> "Bar":
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+        def update(self, scans: int) -> None:
+            self.n += scans
+            numbers.append((self.n, self.total))
+
+        def refresh(self) -> None:
+            drawn.set()
+
+    monkeypatch.setattr("tqdm.tqdm", Bar)
+    monkeypatch.setattr(progress.sys.stderr, "isatty", lambda: True, raising=False)  # type: ignore[attr-defined]
+    assert progress.REDRAW_S <= 1
+    with progress.show_progress(Console()) as advance:
+        assert drawn.wait(30)
+        for scans in (5, 5, -10, 5, 7):
+            advance(scans, 10)
+    assert [done for done, _ in numbers] == [5, 10, 0, 5, 12]
+    assert all(done <= total for done, total in numbers)
 
 
 def test_help_lists_options_by_section() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from occmap.cli import run
-from occmap.cli.values import parse_sensor_pose, parse_transform
+from occmap.cli.values import parse_sensor_pose, parse_static
 from occmap.command import format_mount, format_static
 from tests.inspection_logs import SCANS, Drive, write_bag, write_csv
 from tests.readers.ros import RANGES, ROS2, Written, drive, scan, write_mcap
@@ -129,7 +129,7 @@ def test_mounts_are_written_as_they_are_read(text: str) -> None:
 
 def test_transforms_are_written_as_they_are_read() -> None:
     text = "base_link,laser,0.1,0.2,0.3,0.1,-0.2,1.5"
-    sample = parse_transform(text)
+    sample = parse_static(text)
     assert format_static(sample.parent, sample.child, sample.pose) == text
 
 

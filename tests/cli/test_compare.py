@@ -113,7 +113,7 @@ def test_the_picture_shows_every_map_and_the_disagreement(log: Path, tmp_path: P
     ("words", "found"),
     [
         ([], "no log is given; type: occmap compare LOG"),
-        ([DRIVE, "-o", "map.pgm"], "map.pgm: the picture is a PNG; give it a name that ends in"),
+        ([DRIVE, "-o", "map.pgm"], "map.pgm: is no picture; give it a name that ends in"),
         ([DRIVE, "--update", "polygn"], "--update"),
         ([DRIVE, "--model", "simpel"], "did you mean 'simple'?"),
         ([DRIVE, "--model", "counting:p_hit=0.7"], "has no parameter 'p_hit'"),

@@ -2,13 +2,15 @@
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from occmap.cli.console import clean
+from occmap.cli import console
+from occmap.cli.console import clean, quote_for_windows, write_command
 from tests.cli.runner import occmap
 from tests.readers.ros import ROS2, SECOND, Written, drive, scan, write_mcap
 
@@ -87,3 +89,14 @@ def test_a_path_that_is_no_text(tmp_path: Path) -> None:
         text = run.stdout.decode("utf-8")
         assert "lo\\udcffg" in text or "m\\udcfe" in text
     assert json.loads(text)
+
+
+def test_a_command_line_is_quoted_as_the_shell_here_wants_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    words = ["occmap", "build", r"C:\my logs\a.bag", "--sensor-pose", "0,0,3.14159", "-o", "a.pgm"]
+    windows = r'occmap build "C:\my logs\a.bag" --sensor-pose "0,0,3.14159" -o a.pgm'
+    assert quote_for_windows(words) == windows
+    assert shlex.split(write_command(words)) == words
+    monkeypatch.setattr(console.os, "name", "nt")  # type: ignore[attr-defined]
+    assert write_command(words) == windows

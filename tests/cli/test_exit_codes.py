@@ -69,7 +69,7 @@ FAULTS = {
             "compare log.csv --max-cells 2",
             "render a.npz -o m.pgm --max-cells 2",
             "merge a.npz -o m.pgm --max-cells 2",
-            "render a.npz -o m.pgm --crop 9,9,10,10",
+            "render a.npz -o m.pgm --extent 9,9,10,10",
         ],
     ),
     "evidence of another kind": (

@@ -26,7 +26,10 @@ def broken_plugin(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         ("readers", ["carmen", "csv", "mcap", "rosbag"]),
         ("models", ["counting", "quadratic", "simple"]),
-        ("writers", ["npz", "pgm", "png", "tif", "tiles", "zarr"]),
+        (
+            "writers",
+            ["csv", "html", "mcap", "npz", "pgm", "png", "tif", "tiles", "tum", "zarr"],
+        ),
     ],
 )
 def test_all_that_is_installed_is_listed(command: str, names: list[str]) -> None:

@@ -57,9 +57,9 @@ def test_render_takes_a_model_thresholds_and_a_mode() -> None:
     assert occmap("render", "q.npz", "-o", "c.pgm", "--prior", "0.45").code == 0
 
 
-def test_render_crops_a_map_and_never_evidence() -> None:
-    words = ["render", "a.npz", "-o", "c.pgm", "-o", "c.npz", "--crop", "0.1,0,0.2,1"]
-    assert "map      2 x 1 cells of 0.05 m, x 0.1 to 0.2 m, y 0 to 0.05 m" in occmap(*words).out
+def test_render_shows_a_part_of_a_map_and_keeps_evidence_whole() -> None:
+    words = ["render", "a.npz", "-o", "c.pgm", "-o", "c.npz", "--extent", "0.1,0,0.2,1"]
+    assert "map      2 x 20 cells of 0.05 m, x 0.1 to 0.2 m, y 0 to 1 m" in occmap(*words).out
     assert read_bytes("c.npz") == read_bytes("a.npz")
 
 
@@ -99,7 +99,7 @@ def test_scan_counts_say_what_they_count() -> None:
     [
         (
             "-o m.png --mode scale",
-            "--mode scale does nothing: it is for a PGM, and no output ends in .p",
+            "--mode scale does nothing: it is for .pgm and .mcap",
         ),
         (
             "-o m.pgm -o n.npz --light-occupied",
@@ -155,11 +155,15 @@ def test_an_undecided_cell_is_not_called_unknown() -> None:
         (["render", "a.npz"], 2, "where to write is not given; add -o map.pgm"),
         (["render", "x.npz", "-o", "m.pgm"], 1, "x.npz: no such file"),
         (["render", "a.csv", "-o", "m.pgm"], 1, "a.csv: is no evidence file; build one with -o"),
-        (["render", "a.npz", "-o", "m.jpg"], 2, "occmap writes .npz, .pgm, .png"),
+        (["render", "a.npz", "-o", "m.jpg"], 2, "occmap writes .csv, .html, .mcap"),
         (["render", "a.npz", "-o", "m.pgm", "--max-cells", "3"], 1, "more than --max-cells 3"),
-        (["render", "a.npz", "-o", "m.pgm", "--crop", "0,0,1"], 2, "3 values where 4 belong"),
-        (["render", "a.npz", "-o", "m.pgm", "--crop", "0,0,0,1"], 2, "the box is empty"),
-        (["render", "a.npz", "-o", "m.pgm", "--crop", "5,5,6,6"], 1, "no cell of the map lies in"),
+        (["render", "a.npz", "-o", "m.pgm", "--extent", "0,0,1"], 2, "3 values where 4 belong"),
+        (["render", "a.npz", "-o", "m.pgm", "--extent", "0,0,0,1"], 2, "is no box"),
+        (
+            ["render", "a.npz", "-o", "m.pgm", "--extent", "5,5,6,6"],
+            1,
+            "no cell of the map lies in",
+        ),
         (["render", "a.npz", "-o", "m.pgm", "--epsilon", "1"], 2, "--epsilon does not go with"),
         (
             ["render", "a.npz", "-o", "m.pgm", "--model", "counting", "--p-hit", "0.8"],

@@ -108,7 +108,7 @@ def test_numbers_have_units(name: str) -> None:
         "build polygon a.csv b.csv -o m.pgm --model quadratic --max-range 0.4",
         "build cut.csv.gz b.csv b.csv -o m.pgm",
         "build b.csv --resume a.npz -o m.npz",
-        "render a.npz -o m.pgm --crop 0,0,1,1 --model counting",
+        "render a.npz -o m.pgm --extent 0,0,1,1 --model counting",
         "render a.npz -o m.pgm --min-passes 1",
         "merge a.npz b.npz b.npz -o m.npz",
         "merge a.npz --subtract a.npz b.npz -o m.npz",

@@ -3,12 +3,13 @@ from collections.abc import Callable
 
 import pytest
 
-from occmap.cli.commands.render import parse_crop
 from occmap.cli.values import (
     parse_box,
+    parse_extent,
     parse_sector,
     parse_sensor_pose,
     parse_share,
+    parse_static,
     parse_transform,
 )
 from occmap.errors import UsageError
@@ -50,7 +51,8 @@ def test_a_wrong_sensor_pose_says_what_to_write(text: str, found: str) -> None:
     ("parse", "text"),
     [
         (parse_sensor_pose, "0,0,180"),
-        (parse_transform, "base,laser,0,0,0,0,180,0"),
+        (parse_static, "base,laser,0,0,0,0,180,0"),
+        (parse_transform, "1,2,180"),
         (parse_sector, "-1,180"),
     ],
 )
@@ -69,7 +71,8 @@ def test_degrees_are_refused_and_turned_to_radians(
         (parse_box, "1,2,3", "--footprint 1,2,3: 3 values where 4 belong; write x_min,y_min"),
         (parse_share, "lots", "--fail-above lots: 'lots' is not a number; write a share such as"),
         (parse_share, "5", "--fail-above 5: is no share of a whole; write a share such as 0.05"),
-        (parse_crop, "1", "--crop 1: 1 value where 4 belong; write x_min"),
+        (parse_extent, "1", "--extent 1: 1 value where 4 belong; write x_min"),
+        (parse_transform, "1,2", "--transform 1,2: 2 values where 3 belong; write x,y,yaw"),
     ],
 )
 def test_a_refused_value_names_its_option(
@@ -81,7 +84,7 @@ def test_a_refused_value_names_its_option(
 
 
 def test_a_transform() -> None:
-    sample = parse_transform("base_link, laser,1,2,3,0,0,0")
+    sample = parse_static("base_link, laser,1,2,3,0,0,0")
     assert (sample.parent, sample.child, sample.static) == ("base_link", "laser", True)
     assert sample.pose == Pose(1, 2, 3, 0, 0, 0, 1)
 
@@ -91,4 +94,4 @@ def test_a_transform() -> None:
 )
 def test_a_wrong_transform_says_what_to_write(text: str) -> None:
     with pytest.raises(UsageError, match="write parent,child,x,y,z,roll,pitch,yaw in metres"):
-        parse_transform(text)
+        parse_static(text)

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from occmap.errors import MapError
-from occmap.evidence import crop, render_saved, weigh
+from occmap.evidence import render_saved, weigh
 from occmap.evidence.manifest import describe_files
 from occmap.evidence.publishing import RenderOptions, publish
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
 from occmap.sensor.models import SimpleModel, parse_model
 from occmap.sensor.returns import ReturnCounts
-from occmap.types import Box, OccupancyMap, Update
+from occmap.types import Update
 from occmap.writers.npz import read_evidence
 from tests.evidence.saving import DRIVE, choose, each_combination, save
 from tests.samples import SAMPLE_LOGS
@@ -151,31 +151,6 @@ def test_a_model_that_cannot_read_it_is_refused(
     evidence = save(tmp_path / "m.npz", choose(model=made_by))
     with pytest.raises(MapError, match=rf"m.npz: .*{found}"):
         render_saved(evidence, parse_model(wanted), 10**9)
-
-
-@pytest.mark.parametrize(
-    ("box", "rows", "cols", "origin"),
-    [
-        ((0.1, -0.05, 0.25, 0.05), slice(0, 2), slice(1, 4), (0.1, -0.05)),  # edges of cells
-        ((0.11, 0.01, 0.12, 0.02), slice(1, 2), slice(1, 2), (0.1, 0.0)),  # within a cell
-        ((-9.0, -9.0, 9.0, 9.0), slice(0, 3), slice(0, 4), (0.05, -0.05)),  # all
-    ],
-)
-def test_a_crop_is_the_cells_that_the_box_touches(
-    box: Box, rows: slice, cols: slice, origin: tuple[float, float]
-) -> None:
-    log_odds = np.arange(12, dtype=np.float32).reshape(3, 4)
-    grid = OccupancyMap(log_odds, log_odds > 0, 0.05, (0.05, -0.05))
-    part = crop(grid, box)
-    assert np.array_equal(part.log_odds, log_odds[rows, cols])
-    assert np.array_equal(part.observed, log_odds[rows, cols] > 0)
-    assert part.origin == pytest.approx(origin)
-
-
-def test_a_crop_beside_the_map_is_refused() -> None:
-    grid = OccupancyMap(np.zeros((2, 2), np.float32), np.ones((2, 2), np.bool_), 0.5, (0.0, 0.0))
-    with pytest.raises(MapError, match="in `crop`; the map's own box is 0, 0, 1, 1"):
-        crop(grid, (1.0, 0.0, 2.0, 1.0))
 
 
 def test_a_report_sums_up_what_an_older_occmap_counted(tmp_path: Path) -> None:

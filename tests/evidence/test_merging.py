@@ -1,5 +1,6 @@
 """Evidence added up and taken apart: parts make the whole, cell by cell, and come out again."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from occmap.explanation.history import look_at
 from occmap.grid.slices import count_visits, split_tiles, unite
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE
 from occmap.pipeline import BuildOptions, build
+from occmap.posing.options import PosingOptions
 from occmap.types import Evidence, Manifest, Slices, Update
 from occmap.writers.npz import read_evidence
 from tests.evidence.saving import (
@@ -106,7 +108,7 @@ def test_what_was_no_build_leaves_visits_that_are_bounds(tmp_path: Path) -> None
         assert np.array_equal(count_visits(of_tile)[1] > 0, seen)
     assert 0 < len(after.numbers) <= len(before.numbers)
     assert rest.manifest.builds == whole.manifest.builds
-    note = "something else than a whole build was subtracted: visits are bounds"
+    note = "what was subtracted was not a whole build, so numbers of visits are upper bounds"
     assert note in publish(rest, RenderOptions(), [tmp_path / "m.pgm"]).notes
     assert publish(whole, RenderOptions(), [tmp_path / "m.pgm"]).notes == ()
 
@@ -156,6 +158,7 @@ def test_resuming_with_other_options_is_refused_before_the_log_is_read(tmp_path:
         (choose(model="quadratic"), "its kind is log_odds, .* is counts"),
         (replace(choose(), pass_gap_s=5.0), "its pass_gap_s is 5.0, .* is 10.0"),
         (replace(choose(), hit_offset=0.25), "its hit_offset is 0.25, .* is 0.5"),
+        (replace(choose(), posing=PosingOptions(align=2.5)), "its align is 2.5, .* is 0.0"),
     ],
 )
 def test_evidence_that_does_not_add_up_is_refused(
@@ -168,6 +171,27 @@ def test_evidence_that_does_not_add_up_is_refused(
         merge([first, second])
     with pytest.raises(MapError, match=refused):
         subtract(first, second)
+
+
+@pytest.mark.parametrize(
+    ("update", "changed", "notes"),
+    [
+        (Update.BEAM, {"jump": 0.5}, []),
+        (Update.SURFACE, {"jump": 0.5, "border_gap": 3}, ["jump` (0.1, 0.5)"]),
+        (Update.POLYGON, {"border_gap": 3}, ["border_gap` (3, 8)"]),
+        (Update.POLYGON, {"jump": math.inf}, ["jump` (0.1, inf)"]),
+    ],
+)
+def test_options_that_differ_between_builds_are_noted(
+    tmp_path: Path, update: Update, changed: dict[str, float], notes: list[str]
+) -> None:
+    first, second = halve(choose(update))
+    one = save(tmp_path / "a.npz", first)
+    other = save(tmp_path / "b.npz", replace(second, **changed))  # type: ignore[arg-type]
+    mine = [f"its builds differ in `{text}" for text in notes]
+    assert publish(merge([one, other]), RenderOptions(), []).notes == tuple(mine)
+    added = build([DRIVE], replace(first, resume=tmp_path / "b.npz"), [tmp_path / "c.npz"])
+    assert [note for note in added.report.notes if "differ" in note] == mine
 
 
 def test_radial_evidence_of_two_depths_is_refused(tmp_path: Path) -> None:

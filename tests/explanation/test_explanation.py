@@ -190,7 +190,7 @@ def test_what_was_subtracted_is_said(tmp_path: Path) -> None:
     rest = subtract(save(tmp_path, log), part)
     found = explain(rest, Question(0.35, 0.05, (log,)))
     bounds, note = found.notes
-    assert bounds.endswith("subtracted: visits are bounds")
+    assert bounds.endswith("so numbers of visits are upper bounds")
     explained = "the scans explain 4 hits and 0 misses of 3 hits and 0 misses"
     assert note == f"{explained}; other evidence was subtracted"
 

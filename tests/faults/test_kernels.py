@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from numba import float64
 
-from occmap.grid.kernels import jit
-from occmap.grid.kernels.jit import kernel
+from occmap import jit
+from occmap.jit import kernel
 from tests.samples import SAMPLE_LOGS
 
 
@@ -51,7 +51,7 @@ DAMAGE = [cut_to_nothing, cut_in_half, flip_a_bit, put_zeros, put_what_is_no_cod
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(jit, "list_folders", lambda: (tmp_path / "kept",))
+    monkeypatch.setattr(jit, "list_folders", lambda _: (tmp_path / "kept",))
     return tmp_path / "kept"
 
 
@@ -128,9 +128,9 @@ def test_code_is_loaded_from_a_folder_that_cannot_be_written(
 ) -> None:
     run_anew()
     nowhere = Path("/dev/null/below a file")
-    monkeypatch.setattr(jit, "list_folders", lambda: (nowhere, folder))
+    monkeypatch.setattr(jit, "list_folders", lambda _: (nowhere, folder))
     assert run_anew() == (42.0, 1)
-    monkeypatch.setattr(jit, "list_folders", lambda: (nowhere, folder.with_name("another")))
+    monkeypatch.setattr(jit, "list_folders", lambda _: (nowhere, folder.with_name("another")))
     assert run_anew() == (42.0, 0)
     assert run_anew() == (42.0, 1)
 

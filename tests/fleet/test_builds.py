@@ -18,11 +18,12 @@ def build_both(
     logs: list[Path], options: BuildOptions, address: str, slice_bytes: int, folder: Path
 ) -> tuple[Build, Build]:
     """Build with one process and by workers, and hold all that was written equal."""
-    alone = build(logs, options, [folder / "alone.npz", folder / "alone.pgm"])
+    suffixes = "npz", "pgm", "tum"
+    alone = build(logs, options, [folder / f"alone.{suffix}" for suffix in suffixes])
     fleet = Fleet(address, folder / "scratch", slice_bytes)
-    outputs = [folder / "fleet.npz", folder / "fleet.pgm"]
+    outputs = [folder / f"fleet.{suffix}" for suffix in suffixes]
     together = build(logs, options, outputs, observe=fleet.observe)
-    for suffix in ("npz", "pgm"):
+    for suffix in suffixes:
         written = [(folder / f"{who}.{suffix}").read_bytes() for who in ("alone", "fleet")]
         assert written[0] == written[1]
     said = [replace(made.report, seconds={}, files=()) for made in (alone, together)]

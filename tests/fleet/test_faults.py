@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from threading import Thread
 from typing import NamedTuple
@@ -114,23 +114,22 @@ def test_a_full_disk_is_one_line_and_nothing_is_published(tmp_path: Path) -> Non
 
 
 class Deadly(NamedTuple):
-    """A task that its worker does not survive."""
+    """What its worker does not survive."""
 
     where: str = "drive.mcap"
 
-    def __call__(self, _job: object) -> int:
-        os.kill(os.getpid(), signal.SIGKILL)
-        return 0
+
+def die(_job: Deadly) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return 0
 
 
 def test_a_task_that_kills_its_workers_is_named(workers: LocalCluster) -> None:
-    deadly = Deadly()
-    task: Callable[[Deadly], int] = deadly
     with (
         open_cluster(workers.scheduler_address, 2, lambda _: None) as found,
         pytest.raises(FleetError, match=r"drive.mcap: killed its workers 4 times, which had \d+ M"),
     ):
-        found.run("trace", task, [deadly])
+        found.run("trace", die, [Deadly()])
 
 
 def test_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,7 +142,9 @@ def test_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_workers_run_other_versions(workers: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "version", lambda name: "0.9" if name == "numba" else "1")
-    found = r"2 of 2 workers run occmap .*, numba .*, where occmap 1, numpy 1, numba 0.9 runs here"
+    found = (
+        r"\d of \d workers? run occmap .*, numba .*, where occmap 1, numpy 1, numba 0.9 runs here"
+    )
     with (
         pytest.raises(FleetError, match=found),
         open_cluster(workers.scheduler_address, 2, lambda _: None),
@@ -165,7 +166,7 @@ def test_a_worker_with_little_memory_is_refused(
 def test_a_log_that_only_some_see(workers: LocalCluster, tmp_path: Path) -> None:
     with open_cluster(workers.scheduler_address, 2, lambda _: None) as found:
         cluster.refuse_unseen_files(found, [tmp_path])
-        with pytest.raises(FleetError, match="is not there on 2 of 2 workers"):
+        with pytest.raises(FleetError, match=r"a.mcap: is not there on (\d) of \1 worker"):
             cluster.refuse_unseen_files(found, [tmp_path, tmp_path / "a.mcap"])
 
 

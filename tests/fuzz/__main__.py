@@ -14,7 +14,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 
-from tests.fuzz import typed
 from tests.fuzz.mutate import mutate
 from tests.fuzz.targets import TARGETS, Target
 
@@ -29,11 +28,16 @@ def main(words: list[str]) -> int:
     names = words[1:] or list(TARGETS)
     failed = [name for name in names if not fuzz(TARGETS[name], seconds)]
     if not words[1:]:
-        command = [sys.executable, "-m", "pytest", "-q", "-n", "2", "tests/test_damage.py"]
-        damage = subprocess.run(command, env=os.environ | {"OCCMAP_FUZZ": "1"}, check=False)
-        failed += ["damage"] if damage.returncode else []
-        failed += ["typed"] if typed.main(["5000", str(time.time_ns() % 10**9)]) else []
+        failed += run("damage", "pytest", "-q", "-n", "2", "tests/test_damage.py")
+        failed += run("typed", "tests.fuzz.typed", "5000", str(time.time_ns() % 10**9))
     return 1 if failed else 0
+
+
+def run(name: str, *module: str) -> list[str]:
+    """Run a module whose kernels check every index; name what failed."""
+    settings = {"OCCMAP_FUZZ": "1", "NUMBA_BOUNDSCHECK": "1"}
+    done = subprocess.run([sys.executable, "-m", *module], env=os.environ | settings, check=False)
+    return [name] if done.returncode else []
 
 
 def fuzz(target: Target, seconds: float) -> bool:

@@ -80,7 +80,7 @@ def test_a_limit_is_written_as_it_is_read(text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "found"),
     [
-        ("", "is no limit; write NAME, one of < <= > >= == != and a number, such as 'lost > 5%'"),
+        ("", 'is no limit; write NAME, one of < <= > >= == != and a number, such as "lost > 5%"'),
         ("lost", "is no limit"),
         ("lost 5%", "is no limit"),
         ("lost = 5%", "is no limit"),

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from occmap.grid.engine import GridEngine
 from occmap.grid.spec import WINDOW_CELLS, GridSpec
-from occmap.grid.tiles import TILE, TileGrid
+from occmap.grid.tiles import INT32_LIMIT, TILE, TileGrid
 from occmap.types import Float64, Kind, Rays, UInt8
 from tests.grid.reference import Cell
 
@@ -48,6 +48,14 @@ def read_cells(grid: TileGrid) -> Evidence:
                 cell = (tile_row * TILE + row, tile_col * TILE + col)
                 sums[cell] = int(layer[row, col])
     return evidence
+
+
+def add_cell(grid: TileGrid, row: int, col: int, first: int, second: int) -> None:
+    """One cell, in a tile as narrow as its numbers allow."""
+    bound = max(abs(first), abs(second))
+    tile = np.zeros((2, TILE, TILE), np.int32 if bound <= INT32_LIMIT else np.int64)
+    tile[:, row % TILE, col % TILE] = first, second
+    grid.add({(row // TILE, col // TILE): tile}, bound)
 
 
 def aim(angle_min: float, angle_increment: float, beams: int) -> Float64:

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from occmap.errors import MapError
 from occmap.grid.engine import GridEngine
 from occmap.grid.lattice import Lattice
-from occmap.grid.projection import join_viewpoints
+from occmap.grid.projection import join_viewpoints, project
 from occmap.grid.spec import WINDOW_CELLS, GridSpec, tabulate
 from occmap.grid.tiles import TILE
+from occmap.grid.windows import Window, choose_window
 from occmap.sensor.models import QuadraticModel
 from occmap.types import Kind, Rays, Update
 from tests.grid import reference
@@ -366,3 +367,28 @@ def test_joined_viewpoints_leave_the_ends_where_they_are(drive: Drive) -> None:
     if rays.origin.shape[1] > 1:
         middle = rays.origin.shape[1] // 2
         np.testing.assert_array_equal(joined.origin[:, 0], rays.origin[:, middle])
+
+
+@pytest.mark.parametrize("kind_of_map", [0, 1, 4, 5])
+def test_few_scans_and_many_observe_the_same(kind_of_map: int) -> None:
+    """Few scans of a place visit its cells, and many note changes: each scan adds the same."""
+    rng = np.random.default_rng(7)
+    rays = Rays.along(
+        rng.uniform(-1, 1, (40, 1, 2)),
+        np.repeat(aim(-1.0, 0.005, 400)[None], 40, axis=0),
+        rng.uniform(0.5, 8, (40, 400)).astype(np.float32),
+        rng.choice(np.array(Kind, np.uint8), (40, 400)),
+        np.zeros(40, np.int64),
+        full_circle=False,
+    )
+    spec = all_specs(0.05)[kind_of_map]
+    one_by_one = [rays.take(slice(s, s + 1)) for s in range(40)]
+    kinds = [{type(choose(spec, some)) for some in batches} for batches in ([rays], one_by_one)]
+    assert kinds[0] != kinds[1]
+    assert observe(spec, [rays]) == observe(spec, one_by_one)
+
+
+def choose(spec: GridSpec, rays: Rays) -> Window:
+    """The window that some rays are traced in."""
+    projected = project(rays, spec)
+    return choose_window(spec, projected)(spec, projected.box)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,9 @@ from occmap.grid.projection import join_viewpoints
 from occmap.grid.spec import TABLE_STEPS, WINDOW_CELLS, GridSpec, tabulate
 from occmap.grid.tiles import LOG_ODDS_UNIT
 from occmap.sensor.models import QuadraticModel
+from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Kind, Rays, Update
+from tests.bench.workloads import Sensor, make_office
 from tests.grid import radial_reference
 from tests.grid.radial_reference import Observed, Quadratic
 from tests.grid.scans import FEW, Drive, Evidence, aim, drives, observe, upright_drives
@@ -177,3 +180,15 @@ def test_no_model_is_so_sure_that_its_sums_overflow() -> None:
     assert evidence.first[0, 0] * LOG_ODDS_UNIT / beams == pytest.approx(math.log(p / (1 - p)))
     tables = tabulate(lambda u: 0 * u, lambda w: 1 + 0 * w, 1.0)
     assert tables.largest * LOG_ODDS_UNIT == pytest.approx(53 * math.log(2), rel=1e-5)
+
+
+def test_windows_change_nothing_in_an_office_of_many_doors() -> None:
+    """A span may bridge a gap between two others: its cells are observed once all the same."""
+    office = make_office("office", Sensor.spanning(360, 360, 30.0), 200)
+    rays = [interpret(posed, ReturnOptions())[0] for posed in office.pose_scans()]
+    scans = [rays[0].take(slice(3, 4)), rays[0].take(slice(19, 20))]
+    spec = make_spec(Update.POLYGON, 0.05, Quadratic(0.025, 0.4))
+    spec = replace(spec, hit_offset=0.5)
+    whole = observe(spec, scans)
+    assert observe(spec, scans, window_cells=4096) == whole
+    assert max(whole.second.values()) <= len(scans)

@@ -21,7 +21,7 @@ from occmap.grid.spec import GridSpec, find_unit
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
 from occmap.sensor.models import CountingModel, QuadraticModel, SensorModel, SimpleModel
 from occmap.types import Float64, Kind, OccupancyMap, Rays, Update
-from tests.grid.scans import FEW, MANY, Drive, aim, drives
+from tests.grid.scans import FEW, MANY, Drive, add_cell, aim, drives
 
 Cell = tuple[int, int]
 Numbers = dict[Cell, tuple[int, int]]
@@ -40,8 +40,7 @@ OBSERVED = st.dictionaries(
 def make_grid(numbers: Numbers, unit: int = 1) -> TileGrid:
     grid = TileGrid(Lattice(1.0), EvidenceKind.COUNTS, unit)
     for (row, col), (hits, misses) in numbers.items():
-        box = CellBox(row, col, row + 1, col + 1)
-        grid.add(box, np.array([[hits]]), np.array([[misses]]), max(hits, misses))
+        add_cell(grid, row, col, hits, misses)
     return grid
 
 
@@ -149,7 +148,7 @@ def test_agreement_counts_hits_where_they_are_and_not_what_they_say_of_others() 
 def test_agreement_is_not_known_without_hits() -> None:
     assert render(make_grid({(0, 0): (0, 4)}), SimpleModel(), 100).agreement is None
     grid = TileGrid(Lattice(1.0), EvidenceKind.LOG_ODDS)
-    grid.add(CellBox(0, 0, 1, 1), np.array([[9]]), np.array([[1]]), 9)
+    add_cell(grid, 0, 0, 9, 1)
     assert render(grid, QuadraticModel(), 100).agreement is None
     box = CellBox(0, 0, 1, 1)
     assert measure_agreement(grid, np.ones((1, 1), np.bool_), box) is None

@@ -18,7 +18,7 @@ from occmap.grid.tiles import (
 )
 from occmap.sensor.models import CountingModel
 from occmap.types import Float64
-from tests.grid.scans import read_cells
+from tests.grid.scans import add_cell, read_cells
 
 HITS, MISSES = 2, 1
 
@@ -27,44 +27,12 @@ def make_grid(kind: EvidenceKind = EvidenceKind.COUNTS, resolution: float = 0.5)
     return TileGrid(Lattice(resolution), kind)
 
 
-def add_cell(grid: TileGrid, row: int, col: int, first: int, second: int) -> None:
-    box = CellBox(row, col, row + 1, col + 1)
-    bound = max(abs(first), abs(second))
-    grid.add(box, np.array([[first]], np.int64), np.array([[second]], np.int64), bound)
-
-
 def difference(first: Float64, second: Float64) -> Float64:
     return first - second
 
 
 def scale(log_odds: Float64, _observations: Float64) -> Float64:
     return log_odds * LOG_ODDS_UNIT
-
-
-def test_a_box_is_spread_over_the_tiles_that_it_covers() -> None:
-    grid = make_grid()
-    box = CellBox(-2, TILE - 3, 3, 2 * TILE + 1)
-    first = np.arange(box.cells, dtype=np.int64).reshape(box.rows, box.cols) + 1
-    grid.add(box, first, 2 * first, bound=2 * box.cells)
-    assert set(grid.tiles) == {(-1, 0), (-1, 1), (-1, 2), (0, 0), (0, 1), (0, 2)}
-    evidence = read_cells(grid)
-    expected = {
-        (box.row + r, box.col + c): int(first[r, c])
-        for r in range(box.rows)
-        for c in range(box.cols)
-    }
-    assert evidence.first == expected
-    assert evidence.second == {cell: 2 * n for cell, n in expected.items()}
-
-
-def test_only_tiles_with_something_in_them_are_made() -> None:
-    grid = make_grid()
-    numbers = np.zeros((5 * TILE, 5 * TILE), np.int64)
-    numbers[3 * TILE, 2 * TILE] = 1
-    grid.add(CellBox(0, 0, 5 * TILE, 5 * TILE), numbers, np.zeros_like(numbers), bound=1)
-    assert list(grid.tiles) == [(3, 2)]
-    add_cell(grid, 10**8, -(10**8), 1, 0)
-    assert len(grid.tiles) == 2
 
 
 def test_a_tile_widens_before_a_sum_can_overflow() -> None:

@@ -8,11 +8,12 @@ from typing import Any
 
 import pytest
 
-from occmap.grid.kernels import jit
-from occmap.grid.kernels.beams import sum_beams, trace_beams
-from occmap.grid.kernels.polygon import sum_runs, trace_polygons
+from occmap import jit
+from occmap.grid.kernels.beams import trace_beams
+from occmap.grid.kernels.polygon import trace_polygons
 from occmap.grid.kernels.project import project_ends
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
+from occmap.grid.kernels.sums import read_tiles
 from occmap.grid.warm import compile_kernels
 from occmap.pipeline import BuildOptions, build
 from occmap.sensor.models import parse_model
@@ -23,14 +24,13 @@ KERNELS: list[Any] = [
     trace_beams,
     trace_polygons,
     trace_radial_polygons,
-    sum_beams,
-    sum_runs,
+    read_tiles,
 ]
 SAMPLE = Path(__file__).parents[2] / "sample_logs" / "drive.mcap"
 NOWHERE_TO_KEEP = """
 from pathlib import Path
-from occmap.grid.kernels import jit
-jit.list_bases = lambda: [Path("/dev/null/below a file")]
+from occmap import jit
+jit.list_bases = lambda _: [Path("/dev/null/below a file")]
 from occmap.grid.warm import compile_kernels
 compile_kernels()
 print("compiled")
@@ -56,12 +56,11 @@ def test_machine_code_is_kept_for_just_these_sources_and_settings(
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     kernels = tmp_path / "kernels"
     kernels.mkdir()
-    monkeypatch.setattr(jit, "__file__", str(kernels / "jit.py"))
     folders = []
     for text, checks in (("one", "0"), ("one", "0"), ("another", "0"), ("another", "1")):
         (kernels / "called_by_others.py").write_text(text)
         monkeypatch.setenv("NUMBA_BOUNDSCHECK", checks)
-        folders.append(jit.list_folders.__wrapped__()[0])
+        folders.append(jit.list_folders.__wrapped__(kernels)[0])
     assert folders[0] == folders[1]
     assert len({*folders}) == 3
     assert all(folder.parent == tmp_path for folder in folders)

@@ -45,6 +45,8 @@ def test_all_is_kept_on_request(tmp_path: Path) -> None:
     report = map_drive(tmp_path, poses, max_speed=math.inf).report
     assert not report.dropped
     assert report.columns > 1000 / 0.05
+    (note,) = (note for note in report.notes if "max_speed" in note)
+    assert "the scan at 7.000 s lies 997 m from its neighbour, 1 s away: the map reaches" in note
 
 
 @pytest.mark.parametrize(

@@ -26,3 +26,15 @@ def test_a_mount_that_is_no_pose_is_refused(pose: Pose) -> None:
         PosingOptions(sensor_pose=pose)
     with pytest.raises(UsageError, match="base -> laser"):
         PosingOptions(static_transforms=(bolted("base", "laser", pose),))
+
+
+@pytest.mark.parametrize("pose", [Pose.planar(math.nan, 0, 0), Pose.planar(0, 2e8, 0)])
+def test_a_frame_that_lies_nowhere_is_refused(pose: Pose) -> None:
+    with pytest.raises(UsageError, match=r"no log lies at .*; give metres and radians"):
+        PosingOptions(transform=pose)
+
+
+@pytest.mark.parametrize("degrees", [math.nan, math.inf, 361.0])
+def test_an_angle_that_turns_nothing_is_refused(degrees: float) -> None:
+    with pytest.raises(UsageError, match="no map is turned by"):
+        PosingOptions(align=degrees)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.posing.rotations import angle_between, rotate_by, slerp
+from occmap.posing.rotations import angle_between, rotate_by, slerp, to_quaternions
 from occmap.types import Float64, Pose
 
 ANGLES = st.floats(-math.pi, math.pi)
@@ -75,3 +75,15 @@ def test_slerp_turns_at_constant_rate_and_keeps_length(
     assert math.isclose(float(np.linalg.norm(found)), 1, abs_tol=1e-12)
     whole, part = angle_between(start, end)[0], angle_between(start, found)[0]
     assert math.isclose(part, fraction * whole, abs_tol=1e-7)
+
+
+def test_quaternions_of_matrices_are_those_the_matrices_were_made_of() -> None:
+    half = np.sqrt(0.5)
+    given = np.random.default_rng(3).normal(size=(200, 4))
+    half_turns = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [half, -half, 0, 0]]
+    given = np.concatenate([given, half_turns, [[0.6, -0.8, 1e-9, 1e-9], [1e-9, 0, -1, 1e-9]]])
+    given /= np.linalg.norm(given, axis=1, keepdims=True)
+    found = to_quaternions(rotate_by(given))
+    assert (found[:, 3] >= 0).all()
+    np.testing.assert_allclose(np.abs(np.einsum("ij,ij->i", found, given)), 1, atol=1e-12)
+    np.testing.assert_allclose(rotate_by(found), rotate_by(given), atol=1e-12)

@@ -1,10 +1,11 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from occmap.errors import LogError
-from occmap.posing.trajectory import parse_stamp_ns, read_trajectory
+from occmap.posing.trajectory import parse_stamp_ns, read_trajectory, to_quaternion
 from occmap.types import PoseSample
 
 
@@ -115,3 +116,99 @@ def test_a_binary_file_is_no_trajectory(tmp_path: Path) -> None:
     path.write_bytes(b"#ROSBAG V2.0\nE\0\0\0\x10\0\0\0")
     with pytest.raises(LogError, match="no text, so no trajectory"):
         list(read_trajectory(path))
+
+
+EUROC = "1403636580838555648,4.5,-1.5,0.75,0.8,0,0,0.6"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"{EUROC}\n",
+        f"#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m]\n{EUROC}\n",
+        f"{EUROC},0.1,0.2,0.3,-0.002,0.02,0.07,-0.1,0.1,0.1\r\n",
+    ],
+)
+def test_euroc(tmp_path: Path, text: str) -> None:
+    (sample,) = read(tmp_path, text)
+    assert sample.stamp_ns == 1403636580838555648
+    assert sample.pose == (4.5, -1.5, 0.75, 0, 0, 0.6, 0.8)
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("12,1,2,3\n", "4 values where 8 belong"),
+        (f"{EUROC}\n1.5,1,2,3,1,0,0,0\n", "'1.5' is not a time in nanoseconds"),
+        ("99999999999999999999,1,2,3,1,0,0,0\n", "is not a time in nanoseconds"),
+    ],
+)
+def test_what_is_not_euroc_is_named(tmp_path: Path, text: str, found: str) -> None:
+    with pytest.raises(LogError, match=found):
+        read(tmp_path, text)
+
+
+LEVEL = "1 0 0 {} 0 1 0 {} 0 0 1 {}"
+
+
+def read_kitti(tmp_path: Path, poses: list[str], times: str | None) -> list[PoseSample]:
+    if times is not None:
+        (tmp_path / "times.txt").write_text(times)
+    return read(tmp_path, "\n".join(poses) + "\n")
+
+
+def test_kitti_of_a_robot(tmp_path: Path) -> None:
+    turned = "0 -1 0 4 1 0 0 5 0 0 1 0"  # a quarter turn to the left, 4 m ahead and 5 m to the left
+    first, second = read_kitti(tmp_path, [LEVEL.format(0, 0, 0), turned], "0.0\n1.036e-01\n")
+    assert (first.stamp_ns, second.stamp_ns) == (0, 103_600_000)
+    assert first.pose == pytest.approx((0, 0, 0, 0, 0, 0, 1))
+    half = math.sqrt(0.5)
+    sign = math.copysign(1, second.pose.qw)
+    assert second.pose[:3] == (4, 5, 0)
+    assert [sign * part for part in second.pose[3:]] == pytest.approx([0, 0, half, half])
+
+
+def test_kitti_of_a_camera_is_turned_to_a_robots_axes(tmp_path: Path) -> None:
+    # A camera that looks to the right by a quarter turn about its y, which is down; it went 9 m
+    # along its z, 2 m along its x, and lies 1 m higher: against its y.
+    turned = "0 0 1 2 0 1 0 -1 -1 0 0 9"
+    _, second = read_kitti(tmp_path, [LEVEL.format(0, 0, 0), turned], "1\n2\n")
+    assert second.pose[:3] == pytest.approx((9, -2, 1))
+    half = math.sqrt(0.5)
+    sign = math.copysign(1, second.pose.qw)
+    assert [sign * part for part in second.pose[3:]] == pytest.approx([0, 0, -half, half])
+
+
+@pytest.mark.parametrize(
+    ("times", "found"),
+    [
+        (None, "poses without times; put KITTI's times.txt beside it"),
+        ("1\n", "it holds 2 poses, and times.txt beside it 1 times"),
+        ("1\nnoon\n", "times.txt:2: 'noon' is not a number"),
+    ],
+)
+def test_kitti_wants_a_time_for_each_pose(tmp_path: Path, times: str | None, found: str) -> None:
+    with pytest.raises(LogError, match=found):
+        read_kitti(tmp_path, [LEVEL.format(0, 0, 0), LEVEL.format(1, 0, 0)], times)
+
+
+def test_a_line_that_is_no_matrix_is_named(tmp_path: Path) -> None:
+    for line in ("1 2 3", "1 0 0 x 0 1 0 0 0 0 1 0"):
+        with pytest.raises(LogError, match=r"poses\.txt:2: "):
+            read_kitti(tmp_path, [LEVEL.format(0, 0, 0), line], "1\n2\n")
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_rotation_becomes_its_quaternion(seed: int) -> None:
+    quaternion = np.random.default_rng(seed).normal(size=4)
+    x, y, z, w = quaternion / np.linalg.norm(quaternion)
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    found = np.array(to_quaternion(rotation))
+    assert abs(found @ [x, y, z, w]) == pytest.approx(1)
+    assert all(map(math.isnan, to_quaternion(rotation * math.inf)))

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import occmap.readers.kernels.decimals  # noqa: F401  so that short logs are parsed together, too
 from occmap.errors import LogError
 from occmap.readers import Log, Note, Probe, Role, StackingScans, Stream, carmen, probe_path
 from occmap.readers.carmen import CarmenReader
@@ -327,3 +328,23 @@ def test_real_robotlaser_has_the_laser_pose() -> None:
 def test_real_odometry() -> None:
     log = open_real("intel-corrected.log.gz")
     assert sum(not sample.static for sample in log.poses()) == 14541
+
+
+@pytest.mark.parametrize("tail", ["", " 0", " 0 0 name", " 0 nohost 0"])
+def test_scans_beside_their_poses_need_no_time(tmp_path: Path, tail: str) -> None:
+    lines = [f"FLASER 3 1.5 2.5 {x}.5 {x} 2 0.5 {x} 2 0.5{tail}\n" for x in range(4)]
+    log = open_text(tmp_path, "".join(lines))
+    scans = list(log.scans({"FLASER"}))
+    assert [scan.pose and scan.pose.x for scan in scans] == [0, 1, 2, 3]
+    assert [float(scan.ranges[2]) for scan in scans] == [0.5, 1.5, 2.5, 3.5]
+    assert {scan.stamp_ns for scan in scans} == {0}
+    text = "all scans have one time: they are taken in their order"
+    assert [note.text for note in log.notes if "one time" in note.text] == [text]
+
+
+def test_a_line_without_a_time_is_damage_among_others_that_have_one(tmp_path: Path) -> None:
+    timed = [flaser(stamp) for stamp in range(60)]
+    bare = timed[0].rsplit(None, 3)[0] + "\n"
+    log = open_text(tmp_path, "".join([*timed[:30], bare, *timed[30:]]))
+    assert stamps(log, "FLASER") == list(range(60))
+    assert any("malformed FLASER line" in note.text and note.damage for note in log.notes)

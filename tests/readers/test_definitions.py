@@ -1,5 +1,7 @@
 """Definitions of messages that are hostile, odd or damaged: noted, in bounded time and memory."""
 
+import subprocess
+import sys
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +15,7 @@ from google.protobuf.descriptor_pb2 import (
 )
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from occmap.readers import ros_decode
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_decode import make_scan_reader
 from occmap.readers.ros_log import RosLog
@@ -21,6 +24,7 @@ from tests.fuzz.__main__ import alarm
 from tests.readers.foxglove_logs import encode_protobuf, make_descriptors
 from tests.readers.foxglove_logs import scan as foxglove_scan
 from tests.readers.ros import RANGES, ROS2, SCAN, Memory, scan
+from tests.samples import SAMPLE_LOGS
 
 TEXT = ROS2.generate_msgdef(SCAN, ros_version=2)[0]
 MESSAGE = bytes(ROS2.serialize_cdr(scan(ROS2, 5), SCAN))
@@ -199,3 +203,30 @@ def test_a_protobuf_type_that_contains_itself_is_read() -> None:
     with bounded():
         assert len(list(log.scans({"/scan"}))) == 1
     assert log.notes == []
+
+
+LOADED = """
+import sys
+from pathlib import Path
+from occmap.readers import open_log, read_poses, read_scans
+log = open_log(Path(sys.argv[1]))
+assert list(read_poses(log)) and list(read_scans(log, [s.topic for s in log.streams]))
+print([name for name in sys.modules if name.startswith("rosbags.typesys.stores.ros")])
+"""
+
+
+@pytest.mark.parametrize("name", ["drive.mcap", "drive.bag"])
+def test_a_log_that_defines_its_types_as_ros_does_needs_no_other_types(name: str) -> None:
+    command = [sys.executable, "-c", LOADED, str(SAMPLE_LOGS / name)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+@pytest.mark.parametrize("encoding", ["cdr", "ros1"])
+@pytest.mark.parametrize("kind", ros_decode._PLAIN_TYPES)
+def test_plain_types_are_those_of_ros(kind: str, encoding: Encoding) -> None:
+    known = ros_decode._load_standard(encoding).fielddefs
+    plain = ros_decode._load_plain(kind, encoding)
+    assert {part: fields for part, (_, fields) in plain.items()} == {
+        part: known[part][1] for part in plain
+    }

@@ -1,7 +1,7 @@
 """MCAP files in every variant of the specification, and each fault that once went untold."""
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from io import BytesIO
 from pathlib import Path
 
@@ -9,6 +9,7 @@ import pytest
 from mcap.reader import NonSeekingReader, make_reader
 
 from occmap.readers import Log, open_log
+from occmap.readers.ros_source import Channel
 from tests.readers.mcap_variants import (
     ALONE,
     CHUNK,
@@ -16,6 +17,7 @@ from tests.readers.mcap_variants import (
     MESSAGE,
     MESSAGE_INDEX,
     PACK,
+    SCHEMA,
     list_variants,
     write_variant,
 )
@@ -277,3 +279,36 @@ def test_bytes_that_are_lost_or_added_take_what_lies_there(path: Path, has: set[
         # A chunk ends where it says, so bytes that were added push its last ones out of it.
         assert set(STAMPS) - set(stamps) <= {STAMPS[8], STAMPS[9]}
         assert log.notes
+
+
+@pytest.mark.parametrize("has", [(), ("chunks",), INDEXED], ids=str)
+@pytest.mark.parametrize("word", [b"sensor_msgs/msg/LaserScan", b"tf2_msgs/msg/TFMessage", b"cdr"])
+def test_a_type_or_encoding_with_a_changed_letter_is_told_of(
+    word: bytes, has: Collection[str], path: Path
+) -> None:
+    data = write_variant(SMALL, has)
+    start = data.index(struct.pack("<I", len(word)) + word) + 4
+    for at in range(start, start + len(word)):
+        for bit in range(8):
+            damaged = bytearray(data)
+            damaged[at] ^= 1 << bit
+            path.write_bytes(damaged)
+            log = open_log(path)
+            assert any(note.damage for note in log.notes), damaged[start : start + len(word)]
+
+
+def test_a_record_that_became_a_footer_ends_nothing(path: Path) -> None:
+    data = bytearray(write_variant(LOG, ()))
+    at, _ = list_records(data, SCHEMA)[1]
+    data[at] ^= 1  # of a schema, a footer
+
+    path.write_bytes(data)
+    log, stamps = read(path)
+
+    assert len(stamps) > 0
+    assert any(note.damage for note in log.notes)
+
+
+@pytest.mark.parametrize("other", ["sensor_msgs/msg/PointCloud", "sensor_msgs/msg/NavSatFix"])
+def test_another_type_of_ros_is_no_damaged_one(other: str) -> None:
+    assert not Channel("/x", other, "cdr", count=5).oddity

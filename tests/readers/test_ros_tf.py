@@ -1,5 +1,6 @@
 """Transforms that are read at a stroke must be those that are read one by one."""
 
+import tracemalloc
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
@@ -113,3 +114,17 @@ def test_a_log_whose_messages_all_differ_in_length_holds_only_some_of_them(
 
     assert sum(isinstance(item, PoseBatch) for item in items) == 0 + 1 + 2 + 3 + 4
     assert sum(isinstance(item, PoseSample) for item in items) == sum(range(5, 30))
+
+
+def test_a_message_of_very_many_transforms_is_held_once() -> None:
+    edges = [("base", f"laser{n}", 0.25) for n in range(2000)]
+    data = write(edges, 5)
+    log = RosLog(Memory([(make_channel("/tf_static", 1), 5, data)]))
+
+    tracemalloc.start()
+    poses = list(log.stacked_poses())
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+
+    assert len(poses) == 2000
+    assert peak < 100 * len(data)

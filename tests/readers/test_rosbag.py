@@ -266,6 +266,27 @@ def test_a_connection_that_is_described_in_two_ways_is_told_of(
     assert any(text in note.text for note in log.notes)
 
 
+@pytest.mark.parametrize("closed", [True, False])
+def test_messages_of_a_connection_that_is_not_named_are_told_of(
+    closed: bool, tmp_path: Path
+) -> None:
+    data = bytearray(write_chunks(tmp_path / "log.bag", "none", 1 << 20))
+    if not closed:  # the record before the first chunk says where the index is
+        at = data.index(b"index_pos=") + len(b"index_pos=")
+        data[at : at + 8] = bytes(8)
+    start = 0
+    while (at := data.find(b"\x09\0\0\0conn=\x02", start)) >= 0:
+        end = data.find(b"topic=/scan", at - 60, at + 60)
+        if end >= 0:
+            data[at + 9] = 9
+        start = at + 1
+
+    (tmp_path / "log.bag").write_bytes(data)
+    log = open_log(tmp_path / "log.bag")
+
+    assert any("belong to no connection" in note.text for note in log.notes if note.damage)
+
+
 def test_a_chunk_that_is_gone_is_told_of(tmp_path: Path) -> None:
     data = write_chunks(tmp_path / "drive.bag", "lz4")
     at, _, end = list_records(data, 5)[7]

@@ -76,15 +76,17 @@ def test_a_map_of_a_store_is_that_of_the_file(
 
 
 @pytest.mark.parametrize(
-    "box", ["-3,-2,1,4", "-0.5,-0.5,0.5,0.5", "-99,-99,99,-1", "5,1,99,99", "-999,-999,999,999"]
+    "box", ["-3,-2,1,4", "-0.5,-0.5,0.5,0.5", "-25,-9,25,-1", "5,1,45,9", "-30,-30,30,30"]
 )
 @pytest.mark.parametrize("options", [(), ("--min-passes", "2")])
 def test_a_part_of_a_map_is_that_of_the_whole(
     built: Path, tmp_path: Path, box: str, options: tuple[str, ...]
 ) -> None:
-    words = ("render", "IN/whole.in", "-o", "OUT/m.pgm", "--crop", box, *options, "--json")
+    words = ("render", "IN/whole.in", "-o", "OUT/m.pgm", "--extent", box, *options, "--json")
     one, other = (json.loads(each.out) for each in run_both(built, tmp_path, *words))
     assert (tmp_path / "npz-m.pgm").read_bytes() == (tmp_path / "zarr-m.pgm").read_bytes()
+    corners = other["map"]["extent"]
+    assert corners == [float(edge) for edge in box.split(",")]
     assert other["map"].pop("agreement") is None
     del one["map"]["agreement"]
     for each in (one, other):  # what --min-passes takes away is told of the part alone
@@ -92,10 +94,26 @@ def test_a_part_of_a_map_is_that_of_the_whole(
     assert one == other
 
 
+def test_a_margin_and_other_formats_of_a_store_are_those_of_the_file(
+    built: Path, tmp_path: Path
+) -> None:
+    outputs = ("-o", "OUT/m.pgm", "-o", "OUT/m.mcap")
+    words = ("render", "IN/whole.in", *outputs, "--margin", "2.5", "--min-passes", "2", "--json")
+    one, other = run_both(built, tmp_path, *words)
+    assert json.loads(one.out) == json.loads(strip(other.out, tmp_path))
+    for name in ("m.pgm", "m.mcap"):
+        assert (tmp_path / f"npz-{name}").read_bytes() == (tmp_path / f"zarr-{name}").read_bytes()
+    alone = occmap("render", built / "whole.zarr", "-o", tmp_path / "m.tif", *words[6:])
+    assert json.loads(alone.out)["map"] == json.loads(one.out)["map"]
+    assert occmap("render", built / "whole.zarr", "-o", tmp_path / "m.html").code == 0
+    done = occmap("render", built / "whole.zarr", "-o", tmp_path / "m.tum")
+    assert "does not say where the robot went" in read_error(done, 2)
+
+
 def test_a_box_beside_the_map_is_refused_alike(built: Path, tmp_path: Path) -> None:
     errors = {
         read_error(
-            occmap("render", built / name, "-o", tmp_path / "m.pgm", "--crop", "99,99,100,100"), 1
+            occmap("render", built / name, "-o", tmp_path / "m.pgm", "--extent", "99,99,100,100"), 1
         )
         for name in ("whole.npz", "whole.zarr")
     }
@@ -243,8 +261,8 @@ def test_outputs_that_cannot_be_are_refused(built: Path, tmp_path: Path) -> None
 
 
 def test_tiles_are_painted_one_by_one(built: Path, tmp_path: Path) -> None:
-    for crop in ((), ("--crop", "-3,-2,9,4")):
-        run_both(built, tmp_path, "render", "IN/whole.in", "-o", "OUT/m.tiles", *crop)
+    for extent in ((), ("--extent", "-3,-2,9,4")):
+        run_both(built, tmp_path, "render", "IN/whole.in", "-o", "OUT/m.tiles", *extent)
         names = [f"{suffix}-m.tiles" for suffix in ("npz", "zarr")]
         one, other = (
             {each.relative_to(tmp_path / name): each.read_bytes() for each in files}
@@ -263,14 +281,14 @@ def test_an_image_for_a_gis_is_painted_part_by_part(built: Path, tmp_path: Path)
         assert one.transform == other.transform
 
 
-@pytest.mark.parametrize("box", [None, (-3.0, -2.0, 1.0, 4.0)])
+@pytest.mark.parametrize("box", [None, (-3.0, -2.0, 1.0, 4.0), (-30.0, -25.0, 1.0, 4.0)])
 def test_an_overview_is_the_map_made_small(
     built: Path, tmp_path: Path, box: tuple[float, ...] | None
 ) -> None:
     store = built / "whole.zarr"
-    crop = [] if box is None else ["--crop", ",".join(map(str, box))]
-    assert occmap("render", store, "-o", tmp_path / "all.pgm", *crop).code == 0
-    done = occmap("render", store, "-o", tmp_path / "small.pgm", "--overview", "4", *crop)
+    extent = [] if box is None else ["--extent", ",".join(map(str, box))]
+    assert occmap("render", store, "-o", tmp_path / "all.pgm", *extent).code == 0
+    done = occmap("render", store, "-o", tmp_path / "small.pgm", "--overview", "4", *extent)
     assert (done.code, done.out.splitlines()[0].split("cells of ")[1][:6]) == (0, "0.08 m")
     whole, small = (load_map(tmp_path / f"{n}.pgm", WriteOptions()) for n in ("all", "small"))
     assert whole.place
@@ -283,14 +301,17 @@ def test_an_overview_is_the_map_made_small(
         square = whole.classes[rows, cols]
         if square.size == 16:
             assert small.classes[row, col] == square.max()
+    assert abs(whole.classes.size - small.classes.size * 16) <= 64 * sum(whole.classes.shape)
 
 
 def test_overviews_that_cannot_be(built: Path, tmp_path: Path) -> None:
     line = ("-o", tmp_path / "m.pgm", "--overview")
+    page = "m.html: shows single cells, and --overview has none"
     for words, expected in {
         ("whole.npz", "4"): "--overview goes with a store",
         ("whole.zarr", "5"): "there are those of 1, 4, 16",
         ("whole.zarr", "4", "--min-passes", "2"): "leave out --overview",
+        ("whole.zarr", "4", "-o", str(tmp_path / "m.html")): page,
         ("whole.zarr", "4", "--p-hit", "0.8", "--model", "simple"): "leave out --overview",
     }.items():
         assert expected in read_error(occmap("render", built / words[0], *line, *words[1:]), 2)

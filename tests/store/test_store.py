@@ -71,6 +71,11 @@ def test_an_npz_that_is_written_from_a_store_is_that_of_the_build(
     assert store.digest == digest_evidence(evidence)
 
 
+def test_the_same_numbers_in_a_map_that_is_turned_are_another_digest(drive: Evidence) -> None:
+    turned = replace(drive, manifest=replace(drive.manifest, align=10.0))
+    assert digest_evidence(turned) != digest_evidence(drive)
+
+
 def test_zarr_alone_reads_numbers_at_their_places(kept: Path, drive: Evidence) -> None:
     root = open_group(kept)
     assert [root[name].metadata.dimension_names for name in ("hits", "x")] == [("y", "x"), ("x",)]

@@ -27,7 +27,9 @@ def test_targets_are_known_before_writing() -> None:
     [("map.jpg", "unknown suffix '.jpg'"), ("map", "no suffix"), ("map.", "no suffix")],
 )
 def test_unknown_suffix_lists_the_known_ones(name: str, found: str) -> None:
-    with pytest.raises(UsageError, match=rf"{name}: .*{found}; occmap writes \.npz, \.pgm, \.png"):
+    with pytest.raises(
+        UsageError, match=rf"{name}: .*{found}; occmap writes \.csv, \.html, \.mcap"
+    ):
         find_writer(Path(name))
 
 

@@ -48,6 +48,8 @@ def test_what_occmap_may_write_is_sound(changed: dict[str, Any]) -> None:
         ({"pass_gap_s": 0}, "its pass_gap_s is 0"),
         ({"pass_gap_s": "10"}, "its pass_gap_s is '10'"),
         ({"hit_offset": -0.5}, "its hit_offset is -0.5"),
+        ({"align": None}, "its align is None"),
+        ({"align": 400}, "its align is 400"),
         ({"update": "ray"}, "its update is 'ray'"),
         ({"model": 3}, "its model is no text"),
         ({"profile": "quadratic"}, "its profile is 'quadratic', and its kind counts"),

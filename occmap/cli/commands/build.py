@@ -11,10 +11,12 @@ from occmap.cli.collect import collect_options, split_words
 from occmap.cli.console import Console
 from occmap.cli.progress import Bar, show_progress
 from occmap.cli.sections import SectionCommand, join, option
+from occmap.cli.streams import gather_logs, hide_caught, place_outputs
 from occmap.cli.summary import format_report
 from occmap.cli.values import PATH, parse_size, read_by
 from occmap.errors import LogError, UsageError
 from occmap.gates.measures import BUILD
+from occmap.grid.framing import Framing
 from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
 from occmap.report import Report
 
@@ -35,12 +37,21 @@ strict = option(
     options.RUN, "--strict", is_flag=True, help="Exit with 1 where a log is damaged; map it first."
 )
 
-resume = option(
-    options.FILES,
-    "--resume",
-    type=PATH,
-    metavar="NPZ",
-    help="Add to the evidence in this file, which -o may name again.",
+resume = join(
+    option(
+        options.FILES,
+        "--resume",
+        type=PATH,
+        metavar="NPZ",
+        help="Add to the evidence in this file, which -o may name again.",
+    ),
+    option(
+        options.FILES,
+        "--resume-if-there",
+        type=PATH,
+        metavar="NPZ",
+        help="The same, and start anew where there is no such file.",
+    ),
 )
 
 fleet = join(
@@ -83,17 +94,22 @@ class Request(NamedTuple):
 
 @click.command("build", cls=SectionCommand, help=HELP, short_help=COMMANDS["build"])
 @click.argument("words", nargs=-1, metavar="[beam|polygon|surface] LOG...")
-@join(options.writing, resume, options.lattice, options.min_passes, options.pass_gap)
+@join(options.writing, resume, options.lattice, options.align)
+@join(options.framing, options.min_passes, options.pass_gap)
 @join(log_options.ranges, options.model)
 @join(log_options.selection, log_options.posing)
-@join(limits.fail_if(BUILD), options.jobs, fleet, strict, options.as_json, options.verbosity)
+@join(limits.fail_if(BUILD), options.jobs, fleet, strict, options.config)
+@join(options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
     """Build a map, write it, and say how it came about."""
     request = collect_request(words, values)
+    logs = gather_logs(console, request.logs, request.options, request.outputs)
+    outputs = place_outputs(console, request.outputs, logs[0])
+    request = request._replace(logs=logs, outputs=outputs)
     start = perf_counter()
     with show_progress(console) as progress:
-        report = run_build(request, values, progress)
+        report = hide_caught(run_build(request, values, progress))
     for note in report.notes:
         console.note(note)
     lines = format_report(report, perf_counter() - start)
@@ -127,7 +143,8 @@ def run_build(request: Request, values: dict[str, Any], progress: Bar) -> Report
     scratch = values["scratch"] or outputs[0].with_name(f"{outputs[0].name}.scratch")
     fleet = Fleet(values["dask"], scratch, values["slice_bytes"], progress.describe)
     is_store = [output.suffix.lower() for output in outputs] == [".zarr"]
-    if not is_store or chosen.resume or chosen.min_passes:
+    past = chosen.resume or chosen.resume_if_there
+    if not is_store or past or chosen.min_passes or chosen.framing != Framing():
         return build(logs, chosen, outputs, progress, fleet.observe).report
     from occmap.fleet.storing import build_store  # noqa: PLC0415  late: it brings zarr
 

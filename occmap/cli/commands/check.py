@@ -6,15 +6,17 @@ from typing import Any
 import click
 
 from occmap.cli import COMMANDS, limits, log_options, options
-from occmap.cli.console import Console
+from occmap.cli.console import Console, Verbosity, tell
 from occmap.cli.findings import format_inspection
-from occmap.cli.sections import SectionCommand, join
+from occmap.cli.sections import SectionCommand, join, option
+from occmap.cli.streams import gather_logs
 from occmap.cli.values import PATH
 from occmap.errors import UsageError
 from occmap.gates.measures import CHECK
 from occmap.inspection import inspect
 from occmap.keywords import take
 from occmap.pipeline import BuildOptions
+from occmap.writers import check_picture
 
 HELP = f"""{COMMANDS["check"]}
 
@@ -28,18 +30,37 @@ command line that it recommends. Exits with 1 where a build with the options giv
 """
 
 
+page = option(
+    options.FILES,
+    "-o",
+    "--output",
+    type=PATH,
+    metavar="FILE.html",
+    help="Write the findings as a page, too.",
+)
+
+
 @click.command("check", cls=SectionCommand, help=HELP, short_help=COMMANDS["check"])
 @click.argument("logs", nargs=-1, type=PATH, metavar="LOG...")
-@join(options.resolution, options.max_cells, log_options.ranges)
+@join(page, options.resolution, options.max_cells, log_options.ranges)
 @join(log_options.selection, log_options.posing)
-@join(limits.fail_if(CHECK), options.as_json, options.verbosity)
+@join(limits.fail_if(CHECK), options.config, options.as_json, options.verbosity)
 @click.pass_context
 def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> None:
     """Look into logs, and print what was found."""
     if not logs:
         raise UsageError("no log is given", fix="type: occmap check LOG")
-    inspection = inspect(logs, take(BuildOptions, values))
-    console = ctx.ensure_object(Console)
+    if values["output"]:
+        check_picture(values["output"], logs, [".html"])
+    console, chosen = ctx.ensure_object(Console), take(BuildOptions, values)
+    inspection = inspect(gather_logs(console, logs, chosen), chosen)
+    if values["output"]:
+        from occmap.page.inspection import write_inspection  # noqa: PLC0415  late: few want it
+
+        write_inspection(values["output"], inspection)
+    if console.verbosity is Verbosity.QUIET:
+        for problem in inspection.problems:
+            tell(f"error: {problem}")
     failed = limits.answer(console, "check", inspection, format_inspection(inspection), values)
     if not inspection.buildable:
         ctx.exit(1)

@@ -1,7 +1,6 @@
 """`occmap compare`: several updates and sensor models in one read, scored on held-out scans."""
 
 import math
-import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,9 +8,10 @@ from typing import Any
 import click
 
 from occmap.cli import COMMANDS, limits, log_options, options
-from occmap.cli.console import Console
+from occmap.cli.console import Console, write_command
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join, option
+from occmap.cli.streams import gather_logs
 from occmap.cli.values import PATH
 from occmap.errors import UsageError
 from occmap.gates.measures import COMPARE
@@ -70,8 +70,8 @@ picture = option(
     "--output",
     "picture",
     type=PATH,
-    metavar="FILE.png",
-    help="Write a picture of all maps, and of where they disagree.",
+    metavar="FILE",
+    help="Write all maps here: .png is a picture with where they disagree, .html a page.",
 )
 
 
@@ -79,15 +79,16 @@ picture = option(
 @click.argument("logs", nargs=-1, type=PATH, metavar="LOG...")
 @join(variants, picture, options.lattice, log_options.ranges)
 @join(log_options.selection, log_options.posing)
-@join(limits.fail_if(COMPARE), options.jobs, options.as_json, options.verbosity)
+@join(limits.fail_if(COMPARE), options.jobs, options.config, options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     """Compare variants, and print the table."""
     if not logs:
         raise UsageError("no log is given", fix="type: occmap compare LOG")
     chosen, common = collect_variants(values), take(BuildOptions, values)
+    found = gather_logs(console, logs, common)
     with show_progress(console) as progress:
-        comparison = compare(logs, chosen, common, values["picture"], progress)
+        comparison = compare(found, chosen, common, values["picture"], progress)
     for note in comparison.remarks.notes:
         console.note(note)
     lines = format_comparison(comparison)
@@ -121,7 +122,7 @@ def format_comparison(comparison: VariantComparison) -> list[str]:
         *(f"picture: {file}" for file in comparison.remarks.files),
         *([f"as good: {names}"] if len(equals) > 1 else []),
         f"best: {best.variant.name}",
-        shlex.join(comparison.build_command(best)),
+        write_command(comparison.build_command(best)),
         *([] if likeliest is best else recommend(comparison, likeliest)),
     ]
 
@@ -129,7 +130,7 @@ def format_comparison(comparison: VariantComparison) -> list[str]:
 def recommend(comparison: VariantComparison, likeliest: Result) -> Iterator[str]:
     """Name what to use where a map's probabilities matter, and the command line of it."""
     yield f"where probabilities matter: {likeliest.variant.name}"
-    yield shlex.join(comparison.build_command(likeliest))
+    yield write_command(comparison.build_command(likeliest))
 
 
 def format_reliability(result: Result) -> Iterator[str]:

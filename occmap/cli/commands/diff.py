@@ -47,8 +47,8 @@ picture = option(
     "-o",
     "--output",
     type=PATH,
-    metavar="PNG",
-    help="Write a picture of the changes here.",
+    metavar="FILE",
+    help="Write the changes here: .png is a picture, .html a page.",
 )
 fail_above = option(
     limits.LIMITS,

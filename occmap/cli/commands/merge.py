@@ -7,7 +7,7 @@ import click
 
 from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console
-from occmap.cli.saved import put_out, refuse_no_output
+from occmap.cli.saved import choose_outputs, put_out
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.values import PATH
 from occmap.errors import UsageError
@@ -44,5 +44,6 @@ def command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> None
     """Add and subtract evidence, and write what comes out."""
     if not paths:
         raise UsageError("no evidence is given", fix="type: occmap merge A.npz B.npz -o AB.npz")
-    refuse_no_output(values["outputs"], "merged.npz", [*paths, *values["subtract"]])
+    inputs = [*paths, *values["subtract"]]
+    values["outputs"] = choose_outputs(console, values["outputs"], "merged.npz", inputs)
     put_out(console, "merge", combine(paths, values["subtract"]), values)

@@ -7,13 +7,11 @@ import click
 
 from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console
-from occmap.cli.saved import put_out, refuse_no_output
+from occmap.cli.saved import choose_outputs, put_out
 from occmap.cli.sections import SectionCommand, join, option
-from occmap.cli.values import PATH, read_by, read_list
-from occmap.errors import UsageError
+from occmap.cli.values import PATH
 from occmap.gates.measures import SAVED
 from occmap.store.sources import open_saved
-from occmap.types import Box
 
 HELP = f"""{COMMANDS["render"]}
 
@@ -24,35 +22,9 @@ its --prior and bounds.
 \b
   occmap render map.npz -o map.pgm --p-hit 0.8
   occmap render map.npz -o map.pgm -o map.png --model counting --mode scale
-  occmap render map.npz -o room.png --crop 0,0,5,4
+  occmap render map.npz -o room.png --extent 0,0,5,4
   occmap render city.zarr -o city.png --overview 16
 """
-
-CROP_FORM = "write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4"
-
-
-def parse_crop(text: str) -> Box:
-    """Read the part of a map to keep.
-
-    Raises
-    ------
-    UsageError
-        The text is not of four numbers, or they span nothing.
-    """
-    where = f"--crop {text}"
-    x_min, y_min, x_max, y_max = read_list(text, 4, where, CROP_FORM)
-    if not (x_min < x_max and y_min < y_max):
-        raise UsageError("the box is empty", where=where, fix=CROP_FORM)
-    return x_min, y_min, x_max, y_max
-
-
-part = option(
-    options.MAP,
-    "--crop",
-    **read_by(parse_crop),
-    metavar="X_MIN,Y_MIN,X_MAX,Y_MAX",
-    help="Only this part of the map (m), to whole cells; an .npz stays whole.",
-)
 
 
 overview = option(
@@ -66,10 +38,11 @@ overview = option(
 
 @click.command("render", cls=SectionCommand, help=HELP, short_help=COMMANDS["render"])
 @click.argument("path", type=PATH, metavar="NPZ|ZARR")
-@join(options.writing, part, overview, options.min_passes, options.max_cells, options.saved_model)
+@join(options.writing, options.framing, overview, options.min_passes, options.max_cells)
+@join(options.saved_model)
 @join(limits.fail_if(SAVED), options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, path: Path, **values: Any) -> None:
     """Read evidence, and write a map of it."""
-    refuse_no_output(values["outputs"], "map.pgm", [path])
+    values["outputs"] = choose_outputs(console, values["outputs"], "map.pgm", [path])
     put_out(console, "render", open_saved(path), values)

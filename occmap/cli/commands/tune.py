@@ -1,7 +1,6 @@
 """`occmap tune`: a time offset and a mount by which a map predicts held-out scans better."""
 
 import math
-import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,9 +8,10 @@ from typing import Any
 import click
 
 from occmap.cli import COMMANDS, limits, log_options, options
-from occmap.cli.console import Console
+from occmap.cli.console import Console, write_command
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join
+from occmap.cli.streams import gather_logs
 from occmap.cli.values import PATH
 from occmap.errors import UsageError
 from occmap.gates.measures import TUNE
@@ -35,7 +35,7 @@ where both halves of the held-out scans show it. What is found is added to --tim
 \b
   occmap tune drive.mcap
   occmap tune room.bag --sensor-pose 0,0,3.14159
-  occmap tune drive.bag --fail-if 'gain > 2%'
+  occmap tune drive.bag --fail-if "gain > 2%"
 """
 
 
@@ -43,15 +43,16 @@ where both halves of the held-out scans show it. What is found is added to --tim
 @click.argument("logs", nargs=-1, type=PATH, metavar="LOG...")
 @join(options.resolution, options.max_cells, log_options.ranges)
 @join(log_options.selection, log_options.posing)
-@join(limits.fail_if(TUNE), options.jobs, options.as_json, options.verbosity)
+@join(limits.fail_if(TUNE), options.jobs, options.config, options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     """Search for what is off, and print what was found."""
     if not logs:
         raise UsageError("no log is given", fix="type: occmap tune LOG")
     common = take(BuildOptions, values)
+    found = gather_logs(console, logs, common)
     with show_progress(console) as progress:
-        tuning = tune(logs, common, progress)
+        tuning = tune(found, common, progress)
     for note in tuning.remarks.notes:
         console.note(note)
     limits.leave(limits.answer(console, "tune", tuning, format_tuning(tuning), values))
@@ -73,7 +74,7 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
     yield f"scored   by {held}; {count(len(tuning.tried), 'map')} of {count(tuning.kept, 'scan')}"
     disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
     nothing = "nothing is recommended" if disagree else "nothing to gain"
-    yield shlex.join(tuning.command) or nothing
+    yield write_command(tuning.command) or nothing
 
 
 def format_finding(finding: Finding, names: Sequence[str]) -> str:

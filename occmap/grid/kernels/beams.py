@@ -13,20 +13,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.lines import clip_line, count_steps, draw_line, note_line
+from occmap.grid.kernels.sums import Changes
 from occmap.grid.kernels.units import (
     BETWEEN,
     CELL_SHIFT,
     HALF_CELL,
     HIT,
+    PAD,
     SKIP,
     UNITS_PER_CELL,
 )
+from occmap.jit import kernel
 from occmap.types import Float64, Int32, Int64, UInt8
 
-BLOCK = 16
-"""Columns that are summed at the same time: a cache line of counts."""
 FRACTION_BITS = 50
 """Of the fixed-point number that walks from cell to cell; the rest is steps along v."""
 FARTHEST_CENTRE = 1.25
@@ -56,7 +56,7 @@ class Beams(NamedTuple):
 
 
 class Profile(NamedTuple):
-    """What a cell is told, tabulated: see `RadialTables`."""
+    """What a cell is told, tabulated: see `occmap.grid.spec.Tables`."""
 
     depth: float
     """How far about the range a hit reaches (lattice units)"""
@@ -87,19 +87,6 @@ class Cells(NamedTuple):
     """(1,) how many blocks there are"""
     numbers: Int32 | Int64
     """(N,)"""
-
-
-class Changes(NamedTuple):
-    """What lines change along the rows of a window, and steep ones along its columns; all flat."""
-
-    row_runs: Int32
-    """H x (W + 1)"""
-    row_steps: Int32
-    """(H + 1) x (W + 1)"""
-    col_runs: Int32
-    """W x (H + 1)"""
-    col_steps: Int32
-    """(W + 1) x (H + 1)"""
 
 
 @kernel
@@ -165,11 +152,11 @@ def trace_beams(
                 if noting and i < min(plain, end):
                     if line.steep:
                         note_line(
-                            line, i, min(plain, end), col_runs, col_steps, rows + 1, int(weight)
+                            line, i, min(plain, end), col_runs, col_steps, rows + PAD, int(weight)
                         )
                     else:
                         note_line(
-                            line, i, min(plain, end), row_runs, row_steps, cols + 1, int(weight)
+                            line, i, min(plain, end), row_runs, row_steps, cols + PAD, int(weight)
                         )
                     i = min(plain, end)
                 if i < end:
@@ -252,42 +239,3 @@ def trace_beams(
                     if steps:
                         span = np.hypot(float(to_x - at_x), float(to_y - at_y))
                         r, begun = max(span - depth, 0.0), BEGIN * span
-
-
-@kernel
-def sum_beams(
-    changes: Changes,
-    shape: tuple[int, int],
-    first: tuple[int, int],
-    misses: Int32,
-) -> None:
-    """Turn what `trace_beams` noted into misses.
-
-    Parameters
-    ----------
-    shape
-        Rows and columns of the window.
-    first
-        Row and column from which on `misses` is wanted; nothing was noted before them.
-    misses
-        (h, w) counts, written here.
-    """
-    row_runs, row_steps = changes.row_runs, changes.row_steps
-    col_runs, col_steps = changes.col_runs, changes.col_steps
-    rows, cols = misses.shape
-    for row in range(rows):
-        count = np.int32(0)
-        for col in range(cols):
-            here = (first[0] + row) * (shape[1] + 1) + first[1] + col
-            count += row_runs[here] + row_steps[here] - row_steps[here + shape[1] + 1]
-            misses[row, col] = count
-    counts = np.empty(BLOCK, np.int32)
-    for start in range(0, cols, BLOCK):  # so that a few columns at a time stay in the cache
-        counts[:] = 0
-        for row in range(rows):
-            for col in range(start, min(start + BLOCK, cols)):
-                here = (first[1] + col) * (shape[0] + 1) + first[0] + row
-                counts[col - start] += (
-                    col_runs[here] + col_steps[here] - col_steps[here + shape[0] + 1]
-                )
-                misses[row, col] += counts[col - start]

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.units import HIT, SKIP
+from occmap.jit import kernel
 from occmap.types import Bool, Float32, Float64, UInt8
 
 NEAR = 2.0

@@ -9,8 +9,8 @@ What rows have, crossings and then limits of spans, is kept in one short array, 
 
 import numpy as np
 
-from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL
+from occmap.jit import kernel
 from occmap.types import Bool, Int32, Int64
 
 

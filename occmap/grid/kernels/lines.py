@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.jit import kernel
+from occmap.jit import kernel
 from occmap.types import Int32
 
 FRACTION_BITS = 36

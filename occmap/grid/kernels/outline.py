@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.project import round_to_units
 from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT, SKIP
+from occmap.jit import kernel
 from occmap.types import Bool, Float32, Float64, Int32, Int64, UInt8
 
 EDGE, CELL, JOINED = 1, 2, 4

@@ -9,12 +9,16 @@ a span of its own scan, and that is taken off in the end.
 import numpy as np
 
 from occmap.grid.kernels.fill import fill_outline
-from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.outline import Beams, Surfaces, link_beams, list_border, outline_scan
+from occmap.grid.kernels.units import PAD
+from occmap.jit import kernel
 from occmap.types import Bool, Float32, Float64, Int32, Int64, UInt8
 
 BORDER_BITS = 22
-"""A border cell packs, from the lowest bit: hits; how many of them lay in a span; the last scan."""
+"""A border cell packs, from the lowest bit: how many misses to take off, since so many of its hits
+lay in a span of their own scan; hits; the last scan. The first is below zero, so it is borrowed."""
+COUNTED = (1 << (2 * BORDER_BITS)) - 1
+"""All but the last scan."""
 MOST_SCANS = (1 << 20) - 1
 """... for which so many bits are left."""
 FEW = 4
@@ -44,20 +48,20 @@ def trace_polygons(
     ends_x, ends_y
         (S, B) lattice units from the anchor.
     border
-        (H, W) packed as `BORDER_BITS` says; scans count from `mark` + 1, and none above `mark` is
-        there yet.
+        (H, W + PAD) packed as `BORDER_BITS` says; scans count from `mark` + 1, and none above
+        `mark` is there yet.
     runs
-        H x (W + 1), flat: changes of the misses along rows.
+        H x (W + PAD), flat: changes of the misses along rows.
     """
     scans, beams = kinds.shape
-    rows, cols = border.shape
+    rows, cols = border.shape[0], border.shape[1] - PAD
     x, y = np.empty(3 * beams + 4, np.int64), np.empty(3 * beams + 4, np.int64)
     begins = np.empty(3 * beams + 4, np.bool_)
     links, room = np.empty(beams, np.uint8), np.empty(beams, np.int32)
     cells = np.empty((beams * max(surfaces.border_gap, 1) + 1, 2), np.int32)
     starts, counts = np.empty(rows, np.int32), np.empty(rows, np.int32)
     found, spans = np.empty((2, 4 * rows), np.int32), np.empty(4 * rows, np.int32)
-    mask = np.empty((rows, cols), np.bool_)
+    mask = np.empty(border.shape, np.bool_)
     for s in range(scans):
         scan = Beams(origin[s, 0], turn[s], bearing, distance[s], kinds[s], ends_x[s], ends_y[s])
         listed = link_beams(scan, surfaces, links, room)
@@ -75,7 +79,7 @@ def _note_spans(
     touched: tuple[int, int], starts: Int32, counts: Int32, spans: Int32, runs: Int32, mask: Bool
 ) -> None:
     """Note one miss for every cell of every span, and draw the rows that have many of these."""
-    stride = mask.shape[1] + 1
+    stride = mask.shape[1]
     for row in range(touched[0], touched[1]):
         begin, size, place = starts[np.uint64(row)], counts[np.uint64(row)], row * stride
         if size == 2:  # nearly always
@@ -103,7 +107,6 @@ def _note_border(
     border: Int64,
 ) -> None:
     """Give each of the listed cells one hit, and note whether it lies in a span."""
-    counted = (1 << (2 * BORDER_BITS)) - 1
     for i in range(size):
         row, col = np.uint64(cells[i, 0]), cells[i, 1]
         begin, limits = starts[row], counts[row]
@@ -117,33 +120,6 @@ def _note_border(
                 inside &= (col < last) | (spans[np.uint64(begin + 2)] <= col)
         # No branch: whether neighbours share a cell is a coin toss to a processor.
         cell = border[row, np.uint64(col)]
-        hit = (cell & counted) + 1 + (np.int64(inside) << BORDER_BITS)
+        hit = (cell & COUNTED) + (1 << BORDER_BITS) - np.int64(inside)
         is_new = (cell >> (2 * BORDER_BITS)) != mark
         border[row, np.uint64(col)] = hit | (mark << (2 * BORDER_BITS)) if is_new else cell
-
-
-@kernel
-def read_border(
-    border: Int64, runs: Int32, first: tuple[int, int], hits: Int32, misses: Int32
-) -> None:
-    """Turn what was noted into `hits` and `misses` (h, w), from row and column `first` on."""
-    rows, cols = hits.shape
-    stride, counted = border.shape[1] + 1, (1 << BORDER_BITS) - 1
-    for row in range(rows):
-        count = np.int32(0)
-        for col in range(cols):
-            count += runs[(first[0] + row) * stride + first[1] + col]
-            cell = border[first[0] + row, first[1] + col]
-            hits[row, col] = cell & counted
-            misses[row, col] = count - ((cell >> BORDER_BITS) & counted)
-
-
-@kernel
-def sum_runs(runs: Int32, stride: int, first: tuple[int, int], misses: Int32) -> None:
-    """Turn noted spans into counts: `misses` (h, w), from row and column `first` of the window."""
-    rows, cols = misses.shape
-    for row in range(rows):
-        count = np.int32(0)
-        for col in range(cols):
-            count += runs[(first[0] + row) * stride + first[1] + col]
-            misses[row, col] = count

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.units import HIT
+from occmap.jit import kernel
 from occmap.types import Float32, Float64, Int32, UInt8
 
 

@@ -6,8 +6,8 @@ are noted as spans, as in `polygon`; only the cells beyond are visited.
 
 import numpy as np
 
+from occmap.grid.kernels.beams import Profile
 from occmap.grid.kernels.fill import fill_outline, find_rows
-from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.project import round_to_units
 from occmap.grid.kernels.sectors import (
     BEARINGS,
@@ -16,7 +16,8 @@ from occmap.grid.kernels.sectors import (
     find_sectors,
     outline_sectors,
 )
-from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT
+from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT, PAD
+from occmap.jit import kernel
 from occmap.types import Bool, Float32, Float64, Int32, Int64, UInt8
 
 NEAR, FAR, SCALE, RANGE = range(4)
@@ -33,10 +34,7 @@ def trace_radial_polygons(
     full_circle: bool,
     corner: Int64,
     units_per_metre: float,
-    depth: float,
-    free: Int64,
-    hit: Int64,
-    constant: int,
+    profile: Profile,
     cells: Int64,
     runs: Int32,
 ) -> None:
@@ -51,18 +49,14 @@ def trace_radial_polygons(
         (S, 1, 2), (S, K, 2, 2), (2, B), (S, B), (S, B) as in `Rays`.
     corner
         (2,) x and y of the window's corner in lattice units.
-    depth
-        In lattice units.
-    free, hit
-        (T + 1,) tables of a model; the first `constant` entries of `free` are equal.
     cells
-        (H, W) sums of the entries of the cells that were visited.
+        (H, W + PAD) sums of the entries of the cells that were visited.
     runs
-        H x (W + 1), flat: changes along rows of how often a cell got the first entry of `free`.
+        H x (W + PAD), flat: changes along rows of how often a cell got the first entry of `free`.
     """
     scans, beams = kinds.shape
-    rows, cols = cells.shape
-    plain = np.sqrt(constant / (free.size - 1))
+    rows, cols = cells.shape[0], cells.shape[1] - PAD
+    free, hit, depth, plain = profile.free, profile.hit, profile.depth, profile.plain
     direction, ranges = np.empty((beams, 2), np.float64), np.empty(beams, np.float64)
     sides, covers = np.empty((beams, 4), np.float64), np.empty(beams, np.bool_)
     lengths, covering = np.empty((beams, 2), np.float64), np.empty(BEARINGS + 1, np.int32)
@@ -206,7 +200,7 @@ def _observe_spans(
 
     `entries` holds the tables of free cells and of hits, one behind the other, and a last 0.
     """
-    cols = cells.shape[1]
+    stride = cells.shape[1]
     steps = float(entries.size // 2 - 1)
     hits_from, nothing, to_steps = steps + 1, 2 * steps + 2, steps / depth
     for r in range(touched[0], touched[1]):
@@ -214,15 +208,16 @@ def _observe_spans(
         from_y = float((r << CELL_SHIFT) + HALF_CELL - at_y)
         start, turned = (1.0, -1.0) if from_y >= 0 else (3.0, 1.0)
         n, inner_end = inner_starts[row], inner_starts[row] + inner_counts[row]
+        beyond = np.int64(0)  # an inner span may bridge a gap between two others
         for i in range(starts[row], starts[row] + counts[row], 2):
-            col, end = np.int64(spans[np.uint64(i)]), np.int64(spans[np.uint64(i + 1)])
+            col, end = max(np.int64(spans[np.uint64(i)]), beyond), np.int64(spans[np.uint64(i + 1)])
             while col < end:
                 until, beyond = end, end
                 if n < inner_end and inner[np.uint64(n)] < end:
                     until = np.int64(inner[np.uint64(n)])
                     beyond = np.int64(inner[np.uint64(n + 1)])
-                    runs[np.uint64(r * (cols + 1) + until)] += 1
-                    runs[np.uint64(r * (cols + 1) + beyond)] -= 1
+                    runs[np.uint64(r * stride + until)] += 1
+                    runs[np.uint64(r * stride + beyond)] -= 1
                     n += 2
                 for c in range(col, until):
                     from_x = float((c << CELL_SHIFT) + HALF_CELL - at_x)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from occmap.grid.kernels.jit import kernel
 from occmap.grid.kernels.units import SKIP
+from occmap.jit import kernel
 from occmap.types import Bool, Float64, Int32, Int64, UInt8
 
 BEARINGS = 1 << 14

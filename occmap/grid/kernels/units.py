@@ -12,6 +12,14 @@ CELL_SHIFT = 8
 UNITS_PER_CELL = 1 << CELL_SHIFT
 HALF_CELL = UNITS_PER_CELL // 2
 
+TILE_BITS = 6
+TILE = 1 << TILE_BITS
+"""Cells along the side of a tile."""
+
+PAD = 17
+"""Numbers that a row of a window has beyond its cells: one for what changes behind the last, and 16
+more, since rows of whole tiles would share their places in the processor's cache."""
+
 MOST_BETWEEN = 3
 """The surface update draws at most so many beams between two neighbours: more change no map."""
 ALONE = BETWEEN = 2

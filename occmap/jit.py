@@ -29,7 +29,7 @@ def kernel(function: F) -> F:
     Where no folder can be written it still works, and compiles anew in every process.
     """
     compiled: Any = numba.njit(nogil=True, error_model="numpy")(function)
-    compiled._cache = KeptCode(f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}")
+    compiled._cache = KeptCode(function)
     return compiled  # type: ignore[no-any-return]  # called like the function it was made of
 
 
@@ -40,8 +40,9 @@ class KeptCode(NullCache):
     Whatever goes wrong while code is loaded is a miss: numba compiles, and the file is replaced.
     """
 
-    def __init__(self, name: str) -> None:
-        self._name = name
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}"
+        self._source = Path(function.__code__.co_filename).parent
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Load the code for these types, or None.
@@ -76,7 +77,7 @@ class KeptCode(NullCache):
     def _list_files(self, sig: Any, codegen: Any) -> Iterator[Path]:
         """Where the code for these types and this processor may be."""
         kind = hashlib.sha256(repr((sig, codegen.magic_tuple())).encode()).hexdigest()
-        return (folder / f"{self._name}-{kind[:16]}.code" for folder in list_folders())
+        return (folder / f"{self._name}-{kind[:16]}.code" for folder in list_folders(self._source))
 
 
 @cache
@@ -89,26 +90,26 @@ def warn_not_kept() -> None:
 
 
 @cache
-def list_folders() -> tuple[Path, ...]:
-    """Name the folders for the machine code of just these sources, the preferred one first.
+def list_folders(source: Path) -> tuple[Path, ...]:
+    """Name the folders for the machine code of the kernels in a folder, the preferred one first.
 
-    A kernel's code holds that of the kernels which it calls, so the folder's name stands for all
+    A kernel's code holds that of the kernels beside it which it calls, so the name stands for all
     of them, and for what turned them into code.
     """
-    sources = sorted(Path(__file__).parent.glob("*.py"))
+    sources = sorted([Path(__file__), *source.glob("*.py")])
     digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources))
     settings = sorted(item for item in os.environ.items() if item[0].startswith("NUMBA_"))
     settings = [item for item in settings if item[0] != "NUMBA_CACHE_DIR"]  # says where, not what
     digest.update(repr((sys.version, numba.__version__, settings)).encode())
-    return tuple(base / f"occmap-{digest.hexdigest()[:16]}" for base in list_bases())
+    return tuple(base / f"occmap-{digest.hexdigest()[:16]}" for base in list_bases(source))
 
 
-def list_bases() -> Iterator[Path]:
+def list_bases(source: Path) -> Iterator[Path]:
     """Where machine code may be kept: where the user says, or else beside the source or at home."""
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
         yield Path(chosen)
         return
-    yield Path(__file__).parent / "__pycache__"
+    yield source / "__pycache__"
     if home := os.environ.get("XDG_CACHE_HOME"):
         yield Path(home) / "occmap"
     elif home := os.environ.get("HOME"):

@@ -1,0 +1,122 @@
+"""A file of options, beside the logs or named by --config: what a team would type each time."""
+
+import json
+import tomllib
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from glob import has_magic
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import click
+
+from occmap.cli import COMMANDS
+from occmap.errors import UsageError
+
+NAME = "occmap.toml"
+SOURCES = ("words", "logs")
+"""The arguments whose folders are looked at."""
+OTHER_COMMANDS = ("build", "compare")
+"""Between them they have the options that a file beside logs may hold."""
+
+
+class Config(NamedTuple):
+    """What a file says of the options of one command."""
+
+    path: Path
+    values: dict[str, Any]
+    """By the names that click has for the options"""
+    note: str
+    """What is taken from it"""
+
+
+def find_config(command: click.Command, typed: Mapping[str, Any]) -> Config | None:
+    """Find and read the file of options that goes with a command line, if there is one.
+
+    Raises
+    ------
+    UsageError
+        It cannot be read, an option is unknown, or there is one in each of several folders.
+    """
+    if isinstance(named := typed.get("config"), str):
+        return read_config(Path(named), command)
+    words = (typed.get(source) for source in SOURCES)  # no tuple where there are none
+    sources = [Path(word) for some in words if isinstance(some, tuple) for word in some]
+    there = dict.fromkeys(beside for source in sources for beside in list_beside(source))
+    if len(there) > 1:
+        found = f"the logs have several files of options: {', '.join(map(str, there))}"
+        raise UsageError(found, fix="name one with --config")
+    return next((read_config(path, command) for path in there), None)
+
+
+def list_beside(log: Path) -> list[Path]:
+    """List the file of options in a folder of logs, or else beside a log."""
+    if not (log.exists() or has_magic(str(log))):
+        return []
+    return [path for path in (log / NAME, log.parent / NAME) if path.is_file()][:1]
+
+
+def read_config(path: Path, command: click.Command) -> Config:
+    """Read the options of a command from a file; those of other commands are passed over.
+
+    Raises
+    ------
+    UsageError
+        It cannot be read, or no command has such an option.
+    """
+    try:
+        with path.open("rb") as file:
+            values = tomllib.load(file)
+    except OSError as error:
+        raise UsageError(f"cannot be read ({error.strerror})", where=path) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"is no TOML ({error})", where=path) from None
+    tables = {name: values.pop(name) for name in COMMANDS if isinstance(values.get(name), dict)}
+    values |= tables.pop(command.name or "", {})
+    own = list_options(command)
+    refuse_unknown(path, [*values, *(name for table in tables.values() for name in table)], own)
+    taken = {name: value for name, value in values.items() if name in own}
+    told = ", ".join(f"{name} = {json.dumps(value, default=str)}" for name, value in taken.items())
+    by_option = {str(own[name].name): convert(own[name], value) for name, value in taken.items()}
+    return Config(path, by_option, f"{path}: {told or 'no option of this command'}")
+
+
+def list_options(command: click.Command) -> dict[str, click.Option]:
+    """List the options of a command by their long names, without the dashes."""
+    options = [each for each in command.params if isinstance(each, click.Option)]
+    return {name[2:]: each for each in options for name in each.opts if name.startswith("--")}
+
+
+def refuse_unknown(path: Path, values: Iterable[str], own: Mapping[str, click.Option]) -> None:
+    """Refuse a name that no command has for an option.
+
+    Raises
+    ------
+    UsageError
+        Naming the first, and what it was probably meant to be.
+    """
+    others = (import_module(f"occmap.cli.commands.{name}").command for name in OTHER_COMMANDS)
+    known = {*own, *(name for command in others for name in list_options(command))} - {"config"}
+    for name in values:
+        if name not in known:
+            close = get_close_matches(name.replace("_", "-"), known, n=1)
+            fix = f"did you mean {close[0]!r}?" if close else "see `occmap build --help`"
+            raise UsageError(f"no option is called {name!r}", where=path, fix=fix)
+
+
+def convert(option: click.Option, value: Any) -> Any:
+    """Turn a value of a file into what is typed: numbers in a list become numbers with commas."""
+    if option.is_flag:
+        return (option.flag_value if value else None) if not option.is_bool_flag else bool(value)
+    if not option.multiple:
+        return join(value)
+    several = value if isinstance(value, list) else [value]
+    if several and all(isinstance(each, int | float) for each in several):  # one sector, not many
+        return [join(several)]
+    return [join(each) for each in several]
+
+
+def join(value: Any) -> Any:
+    """Write a list as it is typed, with commas."""
+    return ",".join(map(str, value)) if isinstance(value, list) else value

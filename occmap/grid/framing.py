@@ -1,0 +1,111 @@
+"""What part of the plane a map covers: what was observed, with a margin around it, or a box."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from occmap.errors import MapError, UsageError
+from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid.tiles import refuse_large
+from occmap.types import Box, OccupancyMap, to_log_odds
+
+CELL_SLACK = 1e-6
+"""In cells: 0.15 m is three cells of 0.05 m, whatever floats say."""
+FARTHEST_M = 1e8
+"""Twice around the Earth; a bound refuses nan and inf, too."""
+
+
+@dataclass(frozen=True)
+class Framing:
+    """What a map shows; without a choice it is what was observed. Evidence stays whole.
+
+    Raises
+    ------
+    UsageError
+        A value is out of its range, or both are given.
+    """
+
+    extent: Box | None = None
+    """The map covers this box (m), to whole cells; what was not observed in it is unknown"""
+    margin: float = 0.0
+    """The map has so much unknown space around what was observed (m), to whole cells"""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.margin <= FARTHEST_M:
+            raise UsageError(f"a margin of {self.margin} m is not possible", fix="give 0 or more")
+        if self.extent is None:
+            return
+        if self.margin:
+            raise UsageError(
+                "a margin goes around what was observed, while the extent says where the map ends",
+                fix="leave out `margin` or `extent`",
+            )
+        x_min, y_min, x_max, y_max = self.extent
+        near = max(map(abs, self.extent)) <= FARTHEST_M
+        if not (near and x_min < x_max and y_min < y_max):
+            raise UsageError(
+                f"the extent {self.extent} is no box",
+                fix="write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4",
+            )
+
+
+def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) -> OccupancyMap:
+    """Cut a map to what it is to cover, and fill up with unknown cells.
+
+    Parameters
+    ----------
+    prior
+        The probability of occupied that unknown cells have.
+
+    Raises
+    ------
+    MapError
+        The extent touches no cell of the map, or has too many.
+    """
+    if framing == Framing():
+        return grid
+    lattice = Lattice(grid.resolution)
+    (row, col), (rows, cols) = grid.place.tolist(), grid.shape
+    whole = CellBox(row, col, row + rows, col + cols)
+    box = choose_box(whole, framing, lattice)
+    refuse_large(box, lattice, max_cells)
+    shared = whole.clip(box)
+    log_odds = np.full((box.rows, box.cols), to_log_odds(prior), np.float32)
+    observed = np.zeros((box.rows, box.cols), np.bool_)
+    inside, own = find_window(shared, box), find_window(shared, whole)
+    log_odds[inside], observed[inside] = grid.log_odds[own], grid.observed[own]
+    origin = lattice.to_metres(box.col), lattice.to_metres(box.row)
+    return replace(grid, log_odds=log_odds, observed=observed, origin=origin)
+
+
+def choose_box(whole: CellBox, framing: Framing, lattice: Lattice) -> CellBox:
+    """Choose the cells that a map covers, of which `whole` was observed.
+
+    Raises
+    ------
+    MapError
+        The extent touches none of those.
+    """
+    size = lattice.resolution
+    if framing.extent is None:
+        more = math.ceil(framing.margin / size - CELL_SLACK)
+        row, col, row_end, col_end = whole
+        return CellBox(row - more, col - more, row_end + more, col_end + more)
+    x_min, y_min, x_max, y_max = (edge / size for edge in framing.extent)
+    row, col = math.floor(y_min + CELL_SLACK), math.floor(x_min + CELL_SLACK)
+    row_end, col_end = math.ceil(y_max - CELL_SLACK), math.ceil(x_max - CELL_SLACK)
+    box = CellBox(row, col, max(row_end, row + 1), max(col_end, col + 1))
+    if not whole.clip(box).cells:
+        edges = (whole.col, whole.row, whole.col_end, whole.row_end)
+        reach = ", ".join(f"{lattice.to_metres(edge):.6g}" for edge in edges)
+        raise MapError("no cell of the map lies in `extent`", fix=f"the map's own box is {reach}")
+    return box
+
+
+def find_window(inner: CellBox, outer: CellBox) -> tuple[slice, slice]:
+    """Rows and columns of a box within another one."""
+    return (
+        slice(inner.row - outer.row, inner.row_end - outer.row),
+        slice(inner.col - outer.col, inner.col_end - outer.col),
+    )

@@ -1,0 +1,134 @@
+"""Which recordings a user means by a path: a log, a folder of several, a pattern, or stdin."""
+
+import glob
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from occmap.errors import LogError, OccmapError
+from occmap.opening import choose_topics, take_first
+from occmap.plugins import list_plugins, load_plugin
+from occmap.readers import open_log, probe_path
+from occmap.readers.options import ReaderOptions
+from occmap.wording import count
+
+STDIN = Path("-")
+MOST_NAMES = 5
+
+
+class Inputs(NamedTuple):
+    """The recordings that paths stand for."""
+
+    logs: list[Path]
+    notes: list[str]
+    """Which recordings a folder or a pattern was found to hold"""
+
+
+def find_inputs(
+    paths: Sequence[Path], options: ReaderOptions, others: Sequence[Path] = ()
+) -> Inputs:
+    """Replace folders and patterns by the recordings in them, in the order of their time.
+
+    What holds no recording stays as it is: opening it says what is wrong.
+
+    Parameters
+    ----------
+    others
+        Files that are no recordings, though a folder may hold them: outputs and trajectories.
+    """
+    logs: list[Path] = []
+    notes: list[str] = []
+    known = set(map(os.path.realpath, others))
+    for path in paths:
+        entries = list_entries(path)
+        kept = [
+            each for each in entries if os.path.realpath(each) not in known and is_recording(each)
+        ]
+        if not kept:
+            logs.append(path)
+            continue
+        kept.sort(key=lambda each: find_start(each, options))
+        logs += kept
+        notes.append(describe_found(path, kept, len(entries) - len(kept)))
+    return Inputs(logs, notes)
+
+
+def list_entries(path: Path) -> list[Path]:
+    """List what a folder holds, or what a pattern matches; nothing where a path is a log itself."""
+    if path.is_dir():
+        with suppress(OSError):
+            entries = sorted(each for each in path.iterdir() if not each.name.startswith("."))
+            return [] if is_bag(path, entries) else entries
+    elif glob.has_magic(str(path)) and not path.exists():
+        return sorted(map(Path, glob.glob(str(path), recursive=True)))  # noqa: PTH207  any path
+    return []
+
+
+def is_bag(folder: Path, entries: Sequence[Path]) -> bool:
+    """Whether a folder is one bag of ROS 2, and not a folder of several recordings."""
+    from occmap.readers.rosbag2 import METADATA, list_storage, refuse_mixed  # noqa: PLC0415  heavy
+
+    if (folder / METADATA).exists():
+        return True
+    files = list_storage(folder)
+    if any(each not in files and is_recording(each) for each in entries):
+        return False
+    with suppress(LogError):
+        refuse_mixed(folder, files)
+        return True
+    return False
+
+
+def is_recording(path: Path) -> bool:
+    """Whether any reader knows what a path is."""
+    try:
+        probe = probe_path(path)
+    except LogError:
+        return False
+    readers = (load_plugin("occmap.readers", each.name) for each in list_plugins("occmap.readers"))
+    return any(reader().recognises(probe) for reader in readers if reader is not None)
+
+
+def find_start(path: Path, options: ReaderOptions) -> tuple[int, str]:
+    """Find when the scans of a recording begin (ns); what cannot be read comes last."""
+    try:
+        log = open_log(path, options)
+        first = take_first(log, choose_topics(log, ()))
+    except OccmapError:
+        return 2**63, str(path)
+    return min((scan.stamp_ns for scan in first), default=2**63), str(path)
+
+
+def describe_found(path: Path, logs: Sequence[Path], others: int) -> str:
+    """Say what is taken of a folder, and what is not."""
+    names = ", ".join(log.name for log in logs[:MOST_NAMES])
+    more = f" and {len(logs) - MOST_NAMES:,} more" if len(logs) > MOST_NAMES else ""
+    passed = f"; {count(others, 'other file')} passed over" if others else ""
+    order = ", in the order of their time" if len(logs) > 1 else ""
+    return f"{path}: {count(len(logs), 'recording')}{order}: {names}{more}{passed}"
+
+
+@contextmanager
+def keep_stdin(paths: Sequence[Path]) -> Iterator[list[Path]]:
+    """Save what comes on stdin to a file while the block runs, where a path says `-`.
+
+    Raises
+    ------
+    LogError
+        Nothing comes.
+    """
+    if STDIN not in paths:
+        yield list(paths)
+        return
+    with tempfile.TemporaryDirectory(prefix="occmap-") as folder:
+        saved = Path(folder) / "stdin"
+        with saved.open("wb") as file:
+            shutil.copyfileobj(sys.stdin.buffer, file)
+        if not saved.stat().st_size:
+            raise LogError("is empty", where="stdin", fix="pipe a log into it")
+        yield [saved if path == STDIN else path for path in paths]

@@ -1,0 +1,118 @@
+"""What is kept of the way of the robot while a map is built, for outputs that show it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from occmap.posing.rotations import to_quaternions
+from occmap.sensor.returns import ReturnOptions, interpret
+from occmap.types import Float64, Int64, Journey, Kind, PosedScans, ScanBatch, ScanHits, Trajectory
+
+SHOWN_SCANS = 400
+"""Of all logs together: a hand finds no more steps of a slider again."""
+SHOWN_HITS = 400
+"""Of one scan: they draw a wall, however many beams a laser has."""
+STATED_FRAME, STATED_LASER = "map", "laser"
+"""Frames of logs that state poses beside their scans, and name none."""
+
+
+@dataclass(eq=False)
+class _Way:
+    """What is known of one laser of one log so far."""
+
+    parent: str
+    stamps: list[Int64] = field(default_factory=list)
+    poses: list[Float64] = field(default_factory=list)
+    dropped: list[tuple[int, str]] = field(default_factory=list)
+
+
+class JourneyRecorder:
+    """Takes the poses of all scans, and the hits of some; one thread at a time may call it."""
+
+    def __init__(self, every: int, returns: ReturnOptions) -> None:
+        """Keep the hits of every n-th scan, whose ranges mean what `returns` says."""
+        self._every = every
+        self._returns = returns
+        self._ways: dict[tuple[str, str, str], _Way] = {}
+        self._scans: list[ScanHits] = []
+        self._seen = 0
+
+    def start_over(self) -> "JourneyRecorder":
+        """Make one that has seen nothing yet."""
+        return JourneyRecorder(self._every, self._returns)
+
+    def add(self, other: "JourneyRecorder") -> None:
+        """Take what another one took."""
+        for key, theirs in other._ways.items():
+            way = self._ways.setdefault(key, _Way(theirs.parent))
+            way.stamps += theirs.stamps
+            way.poses += theirs.poses
+            way.dropped += theirs.dropped
+        self._scans += other._scans
+
+    def follow(
+        self,
+        log: Path,
+        parent: str | None,
+        batch: ScanBatch,
+        attached: tuple[Sequence[PosedScans], Mapping[Any, int]],
+    ) -> None:
+        """Take a batch and what became of it.
+
+        Parameters
+        ----------
+        parent
+            The frame of the map; None where the log states poses and names no frames.
+        attached
+            Those of its scans that have poses, and how many have none, by reason.
+        """
+        posed, reasons = attached
+        key = str(log), batch.topic, batch.frame.lstrip("/")
+        way = self._ways.setdefault(key, _Way((parent or STATED_FRAME).lstrip("/")))
+        for scans in posed:
+            way.stamps.append(scans.batch.stamp_ns)
+            way.poses.append(read_poses(scans))
+            self._sample(scans)
+        if reasons:
+            kept = [scans.batch.stamp_ns for scans in posed]
+            lost = np.setdiff1d(batch.stamp_ns, np.concatenate([*kept, np.zeros(0, np.int64)]))
+            why = ", or ".join(map(str, reasons))  # which of them, nobody keeps for each scan
+            way.dropped += [(stamp_ns, why) for stamp_ns in lost.tolist()]
+
+    def _sample(self, scans: PosedScans) -> None:
+        """Keep the hits of every n-th scan."""
+        which = np.arange(-self._seen % self._every, len(scans.batch.stamp_ns), self._every)
+        self._seen += len(scans.batch.stamp_ns)
+        if not which.size:
+            return
+        some = PosedScans(scans.batch.take(which), scans.position[which], scans.rotation[which])
+        rays, _ = interpret(some, self._returns)
+        columns = rays.stamp_ns.tolist(), rays.origin[:, 0].tolist(), rays.end, rays.kind
+        for stamp_ns, (x, y), end, kind in zip(*columns, strict=True):
+            hits = end[kind == Kind.HIT].astype(np.float32)
+            hits = hits[:: max(-(-len(hits) // SHOWN_HITS), 1)]
+            self._scans.append(ScanHits(stamp_ns, (x, y), hits[:, 0], hits[:, 1]))
+
+    def finish(self) -> Journey:
+        """Give what was kept, laser by laser, in the order in which it was recorded."""
+        trajectories = tuple(
+            Trajectory(
+                *(log, topic, way.parent, frame if frame != way.parent else STATED_LASER),
+                np.concatenate([*way.stamps, np.zeros(0, np.int64)]),
+                np.concatenate([*way.poses, np.zeros((0, 7))]),
+                tuple(way.dropped),
+            )
+            for (log, topic, frame), way in self._ways.items()
+        )
+        return Journey(trajectories, tuple(self._scans))
+
+
+def read_poses(scans: PosedScans) -> Float64:
+    """(S, 7) x y z qx qy qz qw of the laser; at the first beam where every beam has its own."""
+    position, rotation = scans.position, scans.rotation
+    if position.ndim == 3:
+        position, rotation = position[:, 0], rotation[:, 0]
+    return np.column_stack([position, to_quaternions(rotation)])

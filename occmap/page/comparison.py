@@ -1,0 +1,135 @@
+"""The page of a comparison: all variants on one linked view, their scores and reliability."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bokeh.models import Range1d
+from bokeh.palettes import Category10_10
+from bokeh.plotting import figure
+
+from occmap.evidence.manifest import describe_files
+from occmap.page.document import Block, Page, Section, Stage, describe_maker, name_logs, write_page
+from occmap.page.findings import tell_notes
+from occmap.page.layers import describe_rasters, name_layers
+from occmap.page.plots import plot_map
+from occmap.page.raster import MOST_BYTES, make_raster
+from occmap.scoring.compare import VariantComparison
+from occmap.scoring.trials import Result
+from occmap.types import Box
+
+HEAD = (
+    *("variant", "#share", "#error", "#log-likelihood", "#entropy", "#free", "#occupied"),
+    *("#time (s)", "#memory (MB)", "as good"),
+)
+
+
+def write_comparison(path: Path, comparison: VariantComparison) -> None:
+    """Write the page of a comparison.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written; then nothing is left behind.
+    """
+    found = comparison.to_json()
+    names = name_logs(Path(log).name for log in found["logs"])
+    scans = found["scans"]
+    subtitle = (
+        f"{len(comparison.results)} ways to make a map of {scans['used']:,} scans, "
+        f"scored on {scans['held_out']:,} that were held out"
+    )
+    results = comparison.results
+    inputs = [entry for log in found["logs"] for entry in describe_files(Path(log))]
+    sections = [
+        tell_verdict(found),
+        Section("Scores", [Block("table", list_rows(found["variants"]), HEAD)], wide=True),
+        Section("Do probabilities mean what they say?", [tell_reliability(results)], wide=True),
+        tell_notes(found["notes"], found["damage"]),
+        describe_maker(inputs),
+    ]
+    write_page(path, Page(f"Comparison of maps of {names}", subtitle, sections, stage(results)))
+
+
+def tell_verdict(found: dict[str, Any]) -> Section:
+    """Say which variant to use, and how."""
+    rows = [("best", found["best"])]
+    blocks = [Block("facts", rows), Block("code", texts=[" ".join(found["command"])])]
+    if found["likeliest"] != found["best"]:
+        rows = [("where probabilities matter", found["likeliest"])]
+        command = " ".join(found["likeliest_command"])
+        blocks += [Block("facts", rows), Block("code", texts=[command])]
+    return Section("Verdict", blocks, wide=True)
+
+
+def list_rows(variants: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """A row of the table of scores for each variant, as the JSON has them."""
+    return [
+        [
+            each["name"],
+            f"{each['share']:.4f}",
+            "" if each["share_error"] is None else f"{each['share_error']:.4f}",
+            f"{each['log_likelihood']:.3f}",
+            *(f"{each[name]:.3f}" for name in ("cross_entropy", "free_cost", "occupied_cost")),
+            f"{each['seconds']:.2f}",
+            f"{each['bytes'] / 1e6:.1f}",
+            "yes" if each["as_good"] else "",
+        ]
+        for each in variants
+    ]
+
+
+def tell_reliability(results: Sequence[Result]) -> Block:
+    """Draw what maps say of their cells over what held-out beams found in them."""
+    plot = figure(
+        height=380,
+        sizing_mode="stretch_width",
+        tools="pan,wheel_zoom,reset,save",
+        x_range=Range1d(start=0, end=1),
+        y_range=Range1d(start=0, end=1),
+        x_axis_label="predicted: mean probability of being occupied",
+        y_axis_label="observed: share of looks that found it occupied",
+    )
+    plot.toolbar.logo = None
+    plot.grid.grid_line_color = "#e4e7eb"
+    plot.outline_line_color = None
+    plot.line([0, 1], [0, 1], color="#9aa5b1", line_dash="dashed")
+    for index, result in enumerate(results):
+        bins = result.score.reliability
+        spots = [each.predicted for each in bins], [each.observed for each in bins]
+        style: dict[str, Any] = {
+            "color": Category10_10[index % 10],
+            "legend_label": result.variant.name,
+            "line_dash": "solid" if index < 10 else "dotted",
+        }
+        plot.line(*spots, line_width=2, **style)
+        plot.scatter(*spots, size=6, **style)
+    plot.legend.click_policy = "hide"
+    plot.add_layout(plot.legend[0], "right")
+    plot.legend.border_line_color = None
+    return Block("plot", plot=plot)
+
+
+def stage(results: Sequence[Result]) -> Stage:
+    """Set out the maps side by side; what one shows, all show."""
+    share = MOST_BYTES // len(results)
+    rasters = [make_raster(result.map, None, share) for result in results]
+    data, arrays = describe_rasters(rasters, name_layers(rasters), join_boxes(results))
+    first = plot_map(0)
+    plots = [first, *(plot_map(index, first) for index in range(1, len(results)))]
+    coarse = max(raster.step for raster in rasters)
+    note = f"Large maps are shown thinned, up to one of {coarse} x {coarse} cells."
+    return Stage(
+        plots=plots,
+        titles=[f"{each.variant.name} \u2013 share {each.score.share:.3f}" for each in results],
+        data=data,
+        arrays=arrays,
+        note=note if coarse > 1 else "",
+    )
+
+
+def join_boxes(results: Sequence[Result]) -> Box:
+    """The smallest box around all maps."""
+    low_x, low_y, high_x, high_y = np.array([result.map.extent for result in results]).T
+    return float(low_x.min()), float(low_y.min()), float(high_x.max()), float(high_y.max())

@@ -1,0 +1,100 @@
+"""The page of a difference: what changed, before, and after, by a switch."""
+
+from pathlib import Path
+
+import numpy as np
+
+from occmap.difference import COLOURS, FREE, NEITHER, OCCUPIED, MapDifference
+from occmap.evidence.manifest import describe_files
+from occmap.page.document import Block, Page, Section, Stage, describe_maker, write_page
+from occmap.page.layers import CLASS_COLOURS, Layer, describe_rasters
+from occmap.page.packing import pack
+from occmap.page.plots import plot_map
+from occmap.page.raster import MOST_CELLS, Layers, Raster, thin
+from occmap.types import Box
+from occmap.wording import write_box
+
+CHANGES = (
+    *((NEITHER, NEITHER), (FREE, FREE), (OCCUPIED, OCCUPIED)),
+    *((FREE, NEITHER), (OCCUPIED, NEITHER), (NEITHER, FREE), (NEITHER, OCCUPIED)),
+    *((OCCUPIED, FREE), (FREE, OCCUPIED)),
+)
+"""What a cell was and is, the more important the later: of cells that share a pixel, that shows."""
+UNCHANGED = 3
+"""So many of them are no change."""
+CLASSES = ("neither", "free", "occupied")
+
+
+def write_difference(path: Path, difference: MapDifference, maps: tuple[Path, Path]) -> None:
+    """Write the page of a difference between two maps.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written; then nothing is left behind.
+    """
+    before, after = maps
+    found = difference.to_json()
+    subtitle = (
+        f"{found['changed']:,} cells changed, {found['share']:.3%} of {found['known']:,} known ones"
+    )
+    rows = [(name, f"{cells:,}") for name, cells in found["by_class"].items() if cells]
+    facts = [("before", str(before)), ("after", str(after))]
+    if found["largest_blob"]:
+        blob = found["largest_blob"]
+        facts.append(("largest", f"{blob['cells']:,} connected cells, {write_box(blob['extent'])}"))
+    changed = [Block("facts", facts)]
+    if rows:
+        changed.append(Block("table", rows, ("what changed", "#cells")))
+    inputs = [entry for each in maps for entry in describe_files(each)]
+    sections = [Section("Changes", changed, wide=True), describe_maker(inputs)]
+    title = f"From {before.name} to {after.name}"
+    write_page(path, Page(title, subtitle, sections, stage(difference)))
+
+
+def stage(difference: MapDifference) -> Stage:
+    """Set out the changes and both maps in one place."""
+    table = np.zeros((3, 3), np.uint8)
+    for code, pair in enumerate(CHANGES):
+        table[pair] = code
+    layers: Layers = {
+        "change": table[difference.before, difference.after],
+        "before": difference.before,
+        "after": difference.after,
+    }
+    step = 1
+    while layers["change"].size > MOST_CELLS * step**2:
+        step *= 2
+    rows, cols = difference.before.shape
+    place = difference.place
+    size = place.resolution
+    packed = {name: pack(layer) for name, layer in thin_all(layers, step).items()}
+    raster = Raster(place.x, place.y, size * step, step, packed, 0.0)
+    box: Box = (place.x, place.y, place.x + cols * size, place.y + rows * size)
+    data, arrays = describe_rasters([raster], list_layers(), box)
+    note = f"Of each {step} x {step} cells the one that changed most is shown."
+    return Stage([plot_map(0)], [""], data, arrays, note=note if step > 1 else "")
+
+
+def thin_all(layers: Layers, step: int) -> Layers:
+    """Keep one cell of each block of `step` x `step`: one that changed, where any did."""
+    rows, cols = (-side % step for side in layers["change"].shape)
+    padded = {name: np.pad(layer, ((0, rows), (0, cols))) for name, layer in layers.items()}
+    thinned = thin(padded | {"rank": padded["change"]}, step)
+    return {name: thinned[name] for name in layers}
+
+
+def list_layers() -> list[Layer]:
+    """How changes and classes are coloured."""
+    names = [
+        CLASSES[now] if index < UNCHANGED else f"{CLASSES[was]} to {CLASSES[now]}"
+        for index, (was, now) in enumerate(CHANGES)
+    ]
+    of_classes = [CLASS_COLOURS[0], CLASS_COLOURS[1], CLASS_COLOURS[3]]
+    changed = ["#{:02x}{:02x}{:02x}".format(*COLOURS[pair]) for pair in CHANGES[UNCHANGED:]]
+    colours = [*of_classes, *changed]
+    return [
+        Layer("change", "change", "classes", colours, names),
+        Layer("before", "before", "classes", of_classes, CLASSES),
+        Layer("after", "after", "classes", of_classes, CLASSES),
+    ]

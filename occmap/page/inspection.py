@@ -1,0 +1,32 @@
+"""The page of an inspection: what `check` finds in logs."""
+
+from pathlib import Path
+
+from occmap.evidence.manifest import describe_files
+from occmap.inspection import Inspection
+from occmap.page.document import Block, Page, Section, describe_maker, name_logs, write_page
+from occmap.page.findings import tell_findings
+from occmap.wording import write_box
+
+
+def write_inspection(path: Path, inspection: Inspection) -> None:
+    """Write the page of an inspection.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written; then nothing is left behind.
+    """
+    found = inspection.to_json()
+    logs = [Path(log["path"]) for log in found["logs"]]
+    names = name_logs(log.name for log in logs)
+    verdict = "can be mapped" if found["buildable"] else "cannot be mapped as it is"
+    sections = list(tell_findings(found))
+    if found["map"]:
+        grid = found["map"]
+        size = f"{grid['columns']:,} x {grid['rows']:,} cells of {grid['resolution']:g} m"
+        facts = [("size", size), ("extent", write_box(grid["extent"]))]
+        sections.append(Section("The map that they would make", [Block("facts", facts)], wide=True))
+    inputs = [entry for log in logs if log.exists() for entry in describe_files(log)]
+    page = Page(f"Check of {names}", verdict, [*sections, describe_maker(inputs)])
+    write_page(path, page)

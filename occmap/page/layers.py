@@ -1,0 +1,125 @@
+"""What a page's script must know of layers: how numbers are coloured, and what they mean."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from bokeh.palettes import Blues256, Greys256, Oranges256, Purples256, Viridis256
+
+from occmap.page.raster import NOT_OBSERVED, Raster
+from occmap.types import Box
+
+CLASS_NAMES = ("unknown", "free", "undecided", "occupied")
+CLASS_COLOURS = ("#d5d9de", "#ffffff", "#f2c879", "#1f2430")
+SHADES = 64
+"""Of a ramp of colours: an eye tells fewer."""
+
+
+@dataclass(frozen=True)
+class Layer:
+    """How the numbers of a layer are shown."""
+
+    key: str
+    label: str
+    kind: Literal["classes", "ramp", "log", "time"]
+    colours: Sequence[str]
+    names: Sequence[str] = ()
+    """Of classes; one that is "" does not stand in the legend"""
+    none: int = -1
+    """The number that stands for nothing"""
+    top: int = 1
+    """The number that has the last colour"""
+    scale: float = 1.0
+    """What 1 means"""
+    digits: int = 0
+    start: float = 0.0
+    """The time that 0 means (s)"""
+    low: str = "0"
+    high: str = ""
+    """What stands at the ends of the ramp"""
+
+
+def name_layers(rasters: Sequence[Raster]) -> list[Layer]:
+    """Say what the layers of maps are, which all have the same ones."""
+    first = rasters[0]
+    tops = {name: max(*(each.layers[name].largest for each in rasters), 1) for name in first.layers}
+    found = [
+        Layer("class", "class", "classes", CLASS_COLOURS, CLASS_NAMES),
+        Layer(
+            *("p", "probability", "ramp", pick(Greys256[::-1])),
+            none=NOT_OBSERVED,
+            top=100,
+            scale=0.01,
+            digits=2,
+            high="1",
+        ),
+    ]
+    digits = 1 if first.unit > 1 else 0
+    counts = {"hits": Oranges256, "misses": Blues256, "looks": Blues256}
+    for name in (name for name in counts if name in tops):
+        high = f"{tops[name] / first.unit:,.{digits}f}"
+        colours = pick(counts[name][::-1])
+        found.append(
+            Layer(
+                name,
+                name,
+                "log",
+                colours,
+                none=0,
+                top=tops[name],
+                scale=1 / first.unit,
+                digits=digits,
+                high=high,
+            )
+        )
+    if "visits" in tops:
+        high = f"{tops['visits']:,}"
+        found += [
+            Layer(
+                "visits",
+                "visits",
+                "ramp",
+                pick(Purples256[::-1]),
+                none=0,
+                top=tops["visits"],
+                high=high,
+            ),
+            Layer(
+                "last",
+                "last seen",
+                "time",
+                pick(Viridis256),
+                none=0,
+                top=tops["last"],
+                scale=first.slice_s,
+                start=first.start_s,
+                low="early",
+                high="late",
+            ),
+        ]
+    return found
+
+
+def pick(colours: Sequence[str]) -> list[str]:
+    """Take as many colours of a palette as are told apart."""
+    return [colours[round(each * (len(colours) - 1) / (SHADES - 1))] for each in range(SHADES)]
+
+
+def describe_rasters(
+    rasters: Sequence[Raster], layers: Sequence[Layer], box: Box
+) -> tuple[dict[str, Any], Mapping[str, str]]:
+    """What the script knows of maps, and their packed arrays by name."""
+    arrays: dict[str, str] = {}
+    maps = []
+    for index, raster in enumerate(rasters):
+        specs = {}
+        for name, packed in raster.layers.items():
+            arrays[f"map-{index}-{name}"] = packed.text
+            specs[name] = packed.to_json() | {"id": f"map-{index}-{name}"}
+        maps.append({"x": raster.x, "y": raster.y, "size": raster.size, "layers": specs})
+    return {
+        "maps": maps,
+        "layers": [vars(each) for each in layers],
+        "box": box,
+        "start": 0.0,
+    }, arrays

@@ -1,0 +1,122 @@
+"""The page of one map, as `build` and `render` make it."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from occmap.evidence.manifest import list_inputs
+from occmap.page.document import Page, Section, Stage, describe_maker, name_logs
+from occmap.page.findings import tell_findings, tell_map, tell_notes, tell_scans
+from occmap.page.layers import describe_rasters, name_layers
+from occmap.page.packing import Packed, pack
+from occmap.page.plots import WAY_COLOURS, add_scan, add_way, plot_map
+from occmap.page.raster import Raster, make_raster
+from occmap.types import Evidence, Journey
+from occmap.writers import Product, WriteOptions
+
+HIT_UNIT_M = 0.02
+"""To this the hits of single scans are rounded."""
+
+
+def describe_product(product: Product, options: WriteOptions) -> Page:
+    """Lay out all that there is to show of a map."""
+    evidence = product.evidence()
+    manifest = evidence.manifest
+    inputs = [entry for build in manifest.builds for entry in build["inputs"]]
+    logs = [entry["name"] for build in manifest.builds for entry in list_inputs(build)]
+    rows, cols = product.grid.shape
+    size = product.grid.resolution
+    spread = f"{cols * size:.4g} x {rows * size:.4g} m"
+    used = sum(build["scans"]["used"] for build in manifest.builds)
+    subtitle = f"{spread}, {cols:,} x {rows:,} cells of {size:g} m, {used:,} scans"
+    sections = list_sections(product, inputs)
+    return Page(
+        f"Map of {name_logs(logs)}", subtitle, sections, stage_map(product, evidence, options)
+    )
+
+
+def list_sections(product: Product, inputs: list[dict[str, Any]]) -> list[Section]:
+    """Say what is known beside the map."""
+    report, findings = product.report(), product.findings()
+    sections = []
+    if report:
+        sections += [tell_map(report), tell_scans(report)]
+        sections.append(tell_notes(report["notes"], report["damage"]))
+    if findings:
+        sections += tell_findings(findings)
+    return [*sections, describe_maker(inputs)]
+
+
+def stage_map(product: Product, evidence: Evidence, options: WriteOptions) -> Stage:
+    """Set out a map, and what was recorded over it."""
+    grid = replace(product.grid, decision=options.decide(product.grid.decision))
+    raster = make_raster(grid, evidence)
+    data, arrays = describe_rasters([raster], name_layers([raster]), grid.extent)
+    plot = plot_map(0)
+    journey = product.journey or Journey((), ())
+    starts = [each.stamp_ns.min() for each in journey.trajectories if each.stamp_ns.size]
+    start_ns = int(min(starts, default=raster.start_s * 1e9))
+    data["start"] = start_ns / 1e9
+    if journey.trajectories:
+        add_way(plot, journey.trajectories, start_ns)
+        data["journey"] = {"ramp": describe_ramp(journey, start_ns)}
+    if journey.scans:
+        add_scan(plot)
+        scans, packed = pack_scans(journey, start_ns)
+        data["journey"] |= scans | {name: each.to_json() for name, each in packed.items()}
+        arrays = {**arrays, **{name: each.text for name, each in packed.items()}}
+    return Stage(
+        plots=[plot],
+        titles=[""],
+        data=data,
+        arrays=arrays,
+        has_way=bool(journey.trajectories),
+        scans=len(journey.scans),
+        note=" ".join(list_losses(raster, product, evidence)),
+    )
+
+
+def list_losses(raster: Raster, product: Product, evidence: Evidence) -> list[str]:
+    """Say what the page does not show as it is."""
+    losses = []
+    if raster.step > 1:
+        losses.append(
+            f"The map is too large for a page: of each {raster.step} x {raster.step} cells the one "
+            "most likely occupied is shown."
+        )
+    if raster.rounding:
+        losses.append(
+            f"So that the page stays small, counts are off by up to {raster.rounding:.0%}."
+        )
+    if product.journey is None:
+        losses.append("This map is of saved evidence, which does not keep where the robot went.")
+    elif len(evidence.manifest.builds) > 1:
+        losses.append(
+            "The way and the scans are those of this build, without what it was added to."
+        )
+    return losses
+
+
+def describe_ramp(journey: Journey, start_ns: int) -> tuple[list[str], str, str]:
+    """The colours of the way, and what stands at their ends."""
+    end_ns = max(int(each.stamp_ns.max()) for each in journey.trajectories if each.stamp_ns.size)
+    return list(WAY_COLOURS[::4]), "0 s", f"{(end_ns - start_ns) / 1e9:,.1f} s"
+
+
+def pack_scans(journey: Journey, start_ns: int) -> tuple[dict[str, Any], dict[str, Packed]]:
+    """Pack the hits of scans, and say when and where each was taken."""
+    scans = sorted(journey.scans, key=lambda each: each.stamp_ns)
+    hits = [np.concatenate([getattr(each, axis) for each in scans]) for axis in ("x", "y")]
+    origin = [float(axis.min(initial=0)) for axis in hits]
+    packed = {
+        name: pack(np.rint((axis - low) / HIT_UNIT_M).astype(np.int64)[None])
+        for name, axis, low in zip(("scan-x", "scan-y"), hits, origin, strict=True)
+    }
+    known = {
+        "t": [round((each.stamp_ns - start_ns) / 1e9, 3) for each in scans],
+        "ends": np.cumsum([len(each.x) for each in scans]).tolist(),
+        "x": [round(each.origin[0], 3) for each in scans],
+        "y": [round(each.origin[1], 3) for each in scans],
+    }
+    return {"scans": known, "origin": origin, "unit": HIT_UNIT_M}, packed

@@ -1,0 +1,220 @@
+"""What a page knows of each cell of a map, in layers that the browser unpacks one by one.
+
+Tile by tile of the lattice, so that a map of a thousand million cells needs no more memory than it
+has itself. Where it has more cells than a page can carry, only one of each square block of cells is
+kept: the one that is most likely occupied, with all that is known of it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from occmap.grid.slices import count_visits, split_tiles, take, unite, unpack
+from occmap.grid.spec import find_unit
+from occmap.grid.tiles import TILE, EvidenceKind
+from occmap.page.packing import Packed, pack, pack_few
+from occmap.types import Bool, Evidence, Float32, Int64, OccupancyMap, Slices, Update
+
+MOST_CELLS = 4100 * 4100
+"""A page with more of them takes long to open."""
+MOST_BYTES = 9_500_000
+"""Of all layers of a page together, compressed: as text they take a third more."""
+COUNTS = {"hits", "misses", "looks"}
+UNKNOWN, FREE, UNDECIDED, OCCUPIED = range(4)
+NOT_OBSERVED = 255
+"""In the layer of probabilities, which are in per cent."""
+STEPS = (0, 16, 4)
+"""Where a page would be too large, counts are rounded to as many steps for each doubling, which
+makes them compress better: first all are exact. Coarser cells come only after that."""
+
+Layers: TypeAlias = dict[str, NDArray[Any]]
+"""(H, W) unsigned numbers by name; row 0 is the lowest y"""
+
+
+@dataclass(frozen=True, eq=False)
+class Raster:
+    """Layers of a map, packed, and where they lie."""
+
+    x: float
+    y: float
+    """Lower-left corner (m)"""
+    size: float
+    """Side of what is shown as one cell (m)"""
+    step: int
+    """... which is so many cells of the map wide"""
+    layers: dict[str, Packed]
+    rounding: float
+    """By what share of itself a count may be off"""
+    unit: int = 1
+    """What one observation counts in the layers of hits and misses"""
+    slice_s: float = 0.0
+    """How long a slice of time is, in which the layer of last sights counts ..."""
+    start_s: float = 0.0
+    """... and where the first one begins"""
+
+
+def make_raster(
+    grid: OccupancyMap, evidence: Evidence | None, most_bytes: int = MOST_BYTES
+) -> Raster:
+    """Take the layers of a map as exactly as a page of bearable size can hold them.
+
+    Parameters
+    ----------
+    evidence
+        What the map was made of; it may reach beyond the map. None: only classes and probabilities
+        are known.
+    """
+    step = 1
+    while grid.log_odds.size > MOST_CELLS * step**2 and step < TILE:
+        step *= 2
+    while True:
+        layers, origin = read_layers(grid, evidence, step)
+        packed = {name: pack(layer) for name, layer in layers.items()}
+        for steps in STEPS:
+            if steps:
+                for name in COUNTS & layers.keys():
+                    packed[name] = pack_few(round_counts(layers[name], steps))
+            size = sum(len(each.data) for each in packed.values())
+            if size <= most_bytes or (step, steps) == (TILE, STEPS[-1]):
+                made = Raster(*origin, grid.resolution * step, step, packed, steps and 0.5 / steps)
+                return made if evidence is None else scale(made, evidence)
+        step *= 2
+
+
+def scale(raster: Raster, evidence: Evidence) -> Raster:
+    """Say what the numbers of the layers mean."""
+    manifest = evidence.manifest
+    firsts = [int(each.numbers.min()) for each in evidence.slices if each.numbers.size]
+    return replace(
+        raster,
+        unit=find_unit(Update(manifest.update)),
+        slice_s=manifest.pass_gap_s,
+        start_s=min(firsts, default=0) * manifest.pass_gap_s,
+    )
+
+
+def read_layers(
+    grid: OccupancyMap, evidence: Evidence | None, step: int
+) -> tuple[Layers, tuple[float, float]]:
+    """Read the layers of a map, one cell of each block of `step` x `step`, and their corner (m)."""
+    row, col = grid.place.tolist()
+    rows, cols = grid.shape
+    bands = [
+        thin(band, step)
+        for band in read_bands(grid, Sights(evidence) if evidence else None, (row, col))
+    ]
+    first = row // TILE * TILE // step, col // TILE * TILE // step
+    low, left = row // step - first[0], col // step - first[1]
+    high, right = -(-(row + rows) // step) - first[0], -(-(col + cols) // step) - first[1]
+    layers = {
+        name: np.concatenate([band[name] for band in bands])[low:high, left:right]
+        for name in bands[0]
+        if name != "rank"
+    }
+    size = grid.resolution
+    return layers, (round(col // step * step * size, 9), round(row // step * step * size, 9))
+
+
+def read_bands(
+    grid: OccupancyMap, sights: "Sights | None", place: tuple[int, int]
+) -> Iterator[Layers]:
+    """Read all layers of one row of tiles after the other; `place` is the map's first cell."""
+    (row, col), (rows, cols) = place, grid.shape
+    left = col // TILE * TILE
+    width = -(-(col + cols) // TILE) * TILE - left
+    inner = slice(col - left, col - left + cols)
+    for tile_row in range(row // TILE, -(-(row + rows) // TILE)):
+        begin, end = max(tile_row * TILE, row), min((tile_row + 1) * TILE, row + rows)
+        there = slice(begin - tile_row * TILE, end - tile_row * TILE), inner
+        part = grid.take(slice(begin - row, end - row), slice(0, cols))
+        band: Layers = {
+            "class": np.zeros((TILE, width), np.uint8),
+            "p": np.full((TILE, width), NOT_OBSERVED, np.uint8),
+            "rank": np.full((TILE, width), -np.inf, np.float32),
+        }
+        band["class"][there] = classify(part)
+        band["p"][there] = np.where(part.observed, np.rint(100 * part.probability), NOT_OBSERVED)
+        band["rank"][there] = np.where(part.observed, part.log_odds, -np.inf)
+        yield band | (sights.read(tile_row, left // TILE, width // TILE) if sights else {})
+
+
+def classify(grid: OccupancyMap) -> NDArray[np.uint8]:
+    """(H, W) what each cell is."""
+    classes = np.where(grid.observed, UNDECIDED, UNKNOWN).astype(np.uint8)
+    classes[grid.free] = FREE
+    classes[grid.occupied] = OCCUPIED
+    return classes
+
+
+class Sights:
+    """What evidence says of the cells of a row of tiles."""
+
+    def __init__(self, evidence: Evidence) -> None:
+        self._evidence = evidence
+        self._slices = unite(evidence.slices)
+        numbers = self._slices.numbers
+        self._first = int(numbers.min()) if numbers.size else 0
+        kind = EvidenceKind(evidence.manifest.kind)
+        self._names = ("hits", "misses") if kind is EvidenceKind.COUNTS else ("", "looks")
+
+    def read(self, tile_row: int, first: int, tiles: int) -> Layers:
+        """(64, 64 * tiles) of hits, misses, visits and last sights, from tile column `first` on."""
+        band = {
+            name: np.zeros((TILE, tiles * TILE), np.uint32)
+            for name in (*filter(None, self._names), "visits", "last")
+        }
+        where = self._evidence.tiles
+        for at in np.flatnonzero(where[:, 0] == tile_row).tolist():
+            cols = place_tile(int(where[at, 1]) - first, tiles)
+            for name, numbers in zip(self._names, self._evidence.cells[at], strict=True):
+                if name and cols:
+                    band[name][:, cols] = numbers
+        which = np.flatnonzero(self._slices.tiles[:, 0] == tile_row)
+        for (_, tile_col), slices in split_tiles(take(self._slices, which)):
+            cols = place_tile(tile_col - first, tiles)
+            if cols:
+                band["visits"][:, cols] = count_visits(slices)[1]
+                band["last"][:, cols] = find_last(slices, self._first)
+        return band
+
+
+def place_tile(index: int, tiles: int) -> slice | None:
+    """Columns of a tile in a band of so many; None where it lies outside."""
+    return slice(index * TILE, (index + 1) * TILE) if 0 <= index < tiles else None
+
+
+def find_last(slices: Slices, first: int) -> Int64:
+    """(64, 64) the last slice that saw each cell of one tile, counted from 1; 0 where none did."""
+    last = np.zeros((TILE, TILE), np.int64)
+    for number, bits in zip(slices.numbers.tolist(), unpack(slices)[:, 1], strict=True):
+        seen: Bool = np.unpackbits(bits, axis=-1).view(np.bool_)
+        last[seen] = number - first + 1
+    return last
+
+
+def thin(band: Layers, step: int) -> Layers:
+    """Keep, of each block of `step` x `step` cells, the one of the highest rank."""
+    if step == 1:
+        return band
+    best = to_blocks(band["rank"], step).argmax(axis=2)[..., None]
+    return {
+        name: np.take_along_axis(to_blocks(layer, step), best, axis=2)[..., 0]
+        for name, layer in band.items()
+    }
+
+
+def to_blocks(layer: NDArray[Any] | Float32, step: int) -> NDArray[Any]:
+    """Sort the cells of (H, W) into (H / step, W / step, step * step)."""
+    rows, cols = layer.shape
+    blocks = layer.reshape(rows // step, step, cols // step, step).swapaxes(1, 2)
+    return blocks.reshape(rows // step, cols // step, step * step)
+
+
+def round_counts(counts: NDArray[Any], steps: int) -> NDArray[Any]:
+    """Round counts to so many steps for each doubling; smaller ones stay exact."""
+    coarse = np.exp2(np.floor(np.log2(np.maximum(counts / steps, 1))))
+    rounded: NDArray[Any] = (np.rint(counts / coarse) * coarse).astype(counts.dtype)
+    return rounded

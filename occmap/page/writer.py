@@ -1,0 +1,39 @@
+"""The page of a map, which the suffix .html asks for."""
+
+from pathlib import Path
+
+from occmap.page.document import require_bokeh, write_page
+from occmap.writers import Product, WriteOptions
+
+
+class HtmlWriter:
+    """One page with everything in it: the map, its layers, the way, and how it came about."""
+
+    description = "page for any browser: the map in layers, the way, what was found"
+    needs_evidence, needs_journey = True, False
+
+    def targets(self, path: Path) -> tuple[Path, ...]:
+        """Return the file.
+
+        Raises
+        ------
+        UsageError
+            Bokeh, which is an extra, is not installed.
+        """
+        require_bokeh(path)
+        return (path,)
+
+    def write_product(
+        self, path: Path, product: Product, options: WriteOptions
+    ) -> tuple[Path, ...]:
+        """Write the page; return its path.
+
+        Raises
+        ------
+        OutputError
+            It cannot be written; then nothing is left behind.
+        """
+        from occmap.page.product import describe_product  # noqa: PLC0415  late: it brings Bokeh
+
+        write_page(path, describe_product(product, options))
+        return (path,)

@@ -1,0 +1,13 @@
+"""What spoils a map, said in one sentence, and the options that mend it."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+
+class Concern(NamedTuple):
+    """Something that its user should know before the map is used."""
+
+    text: str
+    remedy: Mapping[str, str] | None = {}
+    """Options with the values that mend it; empty where the map is of use as it is, None where no
+    option that is known of makes it so"""

@@ -1,0 +1,113 @@
+"""How a sensor sat and where it went, and what of that spoils a map."""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from occmap.posing.concerns import Concern
+from occmap.types import Float64, PosedScans
+
+TILTED_RAD = math.radians(3)
+"""A tilted scan plane meets the floor: at three degrees, 30 cm above it, within six metres."""
+STEEP_RAD = math.radians(30)
+"""At such an angle the floor or the ceiling is most of what there is to see."""
+LEAST_REACH_M = 1.0
+"""A shorter range makes no map."""
+STILL_M, STILL_RAD = 0.02, math.radians(1)
+"""What moves less than this in a whole drive stands; poses have noise even then."""
+STILL_SCANS = 20
+"""Fewer scans are no drive."""
+STANDS = (
+    "the laser never moves, so the map is what it sees from one place; if the robot drove, its "
+    "poses are missing: give them with `poses`"
+)
+
+
+class Stance(NamedTuple):
+    """How a sensor sat in the frame of the map, as the median of its scans."""
+
+    upside_down: bool
+    tilt: float
+    """Between its scan plane and the map's (rad)"""
+    height: float
+    """z (m)"""
+    ahead: float
+    """How far its x axis points up (rad); below 0: down"""
+
+
+class Course:
+    """Where the sensor of one topic was; grows with the scans that it is shown, 24 bytes each."""
+
+    def __init__(self) -> None:
+        self.frame = ""
+        self._tilts: list[Float64] = []
+        self._low = np.full(3, np.inf)
+        self._high = np.full(3, -np.inf)
+        self._first: Float64 | None = None
+        self._turned = 0.0
+
+    def see(self, posed: PosedScans) -> None:
+        """Take note of the poses of some scans; of de-skewed ones, those of their first beams."""
+        self.frame = posed.batch.frame
+        rotation, position = posed.rotation, posed.position
+        if position.ndim == 3:
+            rotation, position = rotation[:, 0], position[:, 0]
+        self._tilts.append(np.stack([rotation[:, 2, 2], rotation[:, 2, 0], position[:, 2]]))
+        self._low = np.minimum(self._low, position.min(axis=0))
+        self._high = np.maximum(self._high, position.max(axis=0))
+        first = rotation[0] if self._first is None else self._first
+        self._first = first
+        # The trace of a rotation matrix is 1 + 2 cos of its angle.
+        cosine = (np.einsum("ij,sij->s", first, rotation) - 1) / 2
+        self._turned = max(self._turned, float(np.arccos(np.clip(cosine.min(), -1, 1))))
+
+    @property
+    def bounds(self) -> Float64:
+        """(2, 3) the lowest and the highest x, y and z (m)."""
+        return np.stack([self._low, self._high])
+
+    @property
+    def stands(self) -> bool:
+        """Whether it never moved, though there were scans enough to see it move."""
+        scans = sum(tilts.shape[1] for tilts in self._tilts)
+        far = float(np.diff(self.bounds, axis=0).max())
+        return scans >= STILL_SCANS and far < STILL_M and self._turned < STILL_RAD
+
+    @property
+    def stance(self) -> Stance | None:
+        """How it sat; None where no scan had a pose."""
+        if not self._tilts:
+            return None
+        up, ahead, height = (np.concatenate(parts) for parts in zip(*self._tilts, strict=True))
+        return Stance(
+            upside_down=bool(np.median(up) < 0),
+            tilt=float(np.median(np.arccos(np.clip(np.abs(up), 0, 1)))),
+            height=float(np.median(height)),
+            ahead=float(np.arcsin(np.clip(np.median(ahead), -1, 1))),
+        )
+
+
+def list_tilts(stance: Stance, max_range: float) -> Iterator[Concern]:
+    """Say how far the scan plane of a sensor is tilted, and what it looks at.
+
+    Parameters
+    ----------
+    max_range
+        Beams are used up to here (m).
+    """
+    if stance.tilt < TILTED_RAD:
+        return
+    found = f"the scan plane is tilted by {math.degrees(stance.tilt):.1f} deg"
+    if abs(stance.ahead) >= TILTED_RAD / 2:
+        side = "down" if stance.ahead < 0 else "up"
+        found += f" ({math.degrees(abs(stance.ahead)):.1f} deg {side} ahead)"
+    reach = math.floor(10 * stance.height / math.sin(stance.tilt)) / 10
+    if stance.tilt >= STEEP_RAD:
+        yield Concern(f"{found}: the laser looks at the floor or the ceiling, not at walls", None)
+    elif reach < LEAST_REACH_M:
+        yield Concern(f"{found}: it meets the floor")
+    elif max_range > reach:
+        found += f": {stance.height:.2g} m over the floor, which it meets {reach:g} m away"
+        yield Concern(f"{found}; end there with `max_range={reach:g}`", {"max_range": f"{reach:g}"})

@@ -1,0 +1,131 @@
+"""Jumps: a correction of odometry (`map -> odom`) that takes the robot elsewhere at once.
+
+REP 105 allows them, and live navigation recovers. A map does not: what was traced before such a
+jump and what is traced after it belong to different places.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from occmap.posing.chain import Chain, Status
+from occmap.posing.concerns import Concern
+from occmap.types import Float64, Int64
+
+JUMP_M, JUMP_RAD = 1.0, math.radians(20)
+"""A correction that moves and turns the sensor by less mends drift, and doubles walls at most."""
+UNDONE_SHARE = 0.1
+"""A jump undoes another one where it leads back so near, of the way there, or within JUMP_M."""
+MS_NS = 10**6
+
+
+class Jump(NamedTuple):
+    """A moment from which on the sensor is elsewhere."""
+
+    stamp_ns: int
+    """By the clock of the poses"""
+    before: Float64
+    """(3,) where it was (m) ..."""
+    after: Float64
+    """(3,) ... and where it is"""
+    rotation: Float64
+    """(3, 3) how it turned, in the frame of the map"""
+
+    @property
+    def metres(self) -> float:
+        """How far it moved."""
+        return float(np.linalg.norm(self.after - self.before))
+
+    @property
+    def radians(self) -> float:
+        """How far it turned."""
+        return measure_turn(self.rotation)
+
+    def is_undone_by(self, later: Self) -> bool:
+        """Whether a later jump leads back to where this one came from."""
+        back = later.after + later.rotation @ (self.after - later.before)
+        apart = float(np.linalg.norm(back - self.before))
+        askew = measure_turn(later.rotation @ self.rotation)
+        return apart <= max(JUMP_M, UNDONE_SHARE * self.metres) and askew <= JUMP_RAD
+
+
+class JumpWatch:
+    """Counts the scans between the jumps of a chain, to know which part is worth keeping."""
+
+    def __init__(self, chain: Chain) -> None:
+        self._frames = " -> ".join(chain.frames[:2])
+        self._jumps = list(find_jumps(chain))
+        self.edges_ns: Int64 = np.array([jump.stamp_ns for jump in self._jumps], np.int64)
+        """When the sensor jumps, by the clock of the poses"""
+        self._scans = np.zeros(len(self.edges_ns) + 1, np.int64)
+
+    def see(self, stamp_ns: Int64) -> None:
+        """Take note of scans that have poses, by the clock of those."""
+        parts = np.searchsorted(self.edges_ns, stamp_ns, side="right")
+        self._scans += np.bincount(parts, minlength=len(self._scans))
+
+    def list_concerns(self, first_ns: int) -> Iterator[Concern]:
+        """Say which jump between used scans is the largest, and which options keep one part.
+
+        Parameters
+        ----------
+        first_ns
+            Stamp of the first scan of the log, by the clock of the poses.
+        """
+        used = np.flatnonzero(self._scans)
+        if len(used) < 2:
+            return
+        jumps = self._jumps[used[0] : used[-1]]
+        longest = int(self._scans.argmax())
+        remedy = {}
+        if longest > used[0]:  # rounded so that no scan of another part is kept
+            remedy["start_s"] = write_ms(-(-(int(self.edges_ns[longest - 1]) - first_ns) // MS_NS))
+        if longest < used[-1]:
+            remedy["end_s"] = write_ms((int(self.edges_ns[longest]) - first_ns) // MS_NS)
+        keep = " and ".join(f"`{name}={value}`" for name, value in remedy.items())
+        share = self._scans[longest] / self._scans.sum()
+        yield Concern(
+            f"{self._frames} jumps {describe_jump(jumps, first_ns)}: scans from before and after "
+            f"do not fit together; {keep} keeps the longest part, {share:.0%} of them",
+            remedy,
+        )
+
+
+def find_jumps(chain: Chain) -> Iterator[Jump]:
+    """Find the jumps that the sensor at the end of a chain makes."""
+    stamp_ns = chain.jumps_ns
+    before, after = chain.at(stamp_ns - 1), chain.at(stamp_ns)
+    known = (before.status == Status.POSED) & (after.status == Status.POSED)
+    for at in np.flatnonzero(known):
+        rotation = after.rotation[at] @ before.rotation[at].T
+        jump = Jump(int(stamp_ns[at]), before.position[at], after.position[at], rotation)
+        if jump.metres > JUMP_M or jump.radians > JUMP_RAD:
+            yield jump
+
+
+def describe_jump(jumps: Sequence[Jump], first_ns: int) -> str:
+    """Say how far and when the largest jump leads, and whether the next one undoes it."""
+    worst = max(range(len(jumps)), key=lambda at: jumps[at].metres + jumps[at].radians)
+    if worst and jumps[worst - 1].is_undone_by(jumps[worst]):
+        worst -= 1
+    jump, later = jumps[worst], jumps[worst + 1 : worst + 2]
+    seconds = (jump.stamp_ns - first_ns) / 1e9
+    text = (
+        f"by {jump.metres:.3g} m and {math.degrees(jump.radians):.0f} deg {seconds:.3f} s after "
+        "the first scan"
+    )
+    if later and jump.is_undone_by(later[0]):
+        text += f", and back at {(later[0].stamp_ns - first_ns) / 1e9:.3f} s"
+    return f"{text}, the largest of {len(jumps)} jumps" if len(jumps) > 2 else text
+
+
+def measure_turn(rotation: Float64) -> float:
+    """The angle of a rotation matrix (rad), whose trace is 1 + 2 cos of it."""
+    return math.acos(min(max((float(np.trace(rotation)) - 1) / 2, -1.0), 1.0))
+
+
+def write_ms(milliseconds: int) -> str:
+    """Write milliseconds as seconds."""
+    return f"{milliseconds / 1e3:.12g}"

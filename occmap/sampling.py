@@ -1,0 +1,79 @@
+"""A few hundred posed scans spread over a log: enough for what no single scan tells."""
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+
+import numpy as np
+
+from occmap.batching import Batcher, Selection
+from occmap.opening import count_messages
+from occmap.options import BuildOptions
+from occmap.posing.attach import Poser
+from occmap.readers import Log, read_scans
+from occmap.sensor.no_return import RangeLimits
+from occmap.types import Float64, Int64, PosedScans
+
+SAMPLE_SCANS = 300
+MAX_SAMPLE_BEAMS = 1 << 19
+
+
+class Sample:
+    """Takes every n-th scan of those that it is shown.
+
+    Parameters
+    ----------
+    expected
+        How many scans it will be shown, about; n follows from that.
+    """
+
+    def __init__(self, expected: int) -> None:
+        self.parts: list[PosedScans] = []
+        self._every = max(expected // SAMPLE_SCANS, 1)
+        self._seen = 0
+        self._beams = 0
+
+    def take(self, posed: PosedScans) -> None:
+        """Take scans of a batch."""
+        scans, beams = posed.batch.ranges.shape
+        rows = np.arange(-self._seen % self._every, scans, self._every)
+        self._seen += scans
+        if len(rows) and self._beams < MAX_SAMPLE_BEAMS:
+            self._beams += len(rows) * beams
+            self.parts.append(pick_rows(posed, rows))
+
+
+def sample_scans(
+    log: Log, topics: Sequence[str], poser: Poser, options: BuildOptions
+) -> list[PosedScans]:
+    """Pose some of the scans that a build uses, spread evenly over a log."""
+    scans = count_messages(log, topics)
+    samples: defaultdict[str, Sample] = defaultdict(
+        lambda: Sample(expect_scans(scans // len(topics), options.selection))
+    )
+    batcher = Batcher(options.selection, options.posing.stamps, RangeLimits(options.returns))
+    for batch in batcher.stack(read_scans(log, topics)):
+        for posed in poser.attach(batch)[0]:
+            samples[posed.batch.topic].take(posed)
+    return [part for sample in samples.values() for part in sample.parts]
+
+
+def pick_rows(posed: PosedScans, rows: Int64) -> PosedScans:
+    """Keep some scans of a batch."""
+    return PosedScans(posed.batch.take(rows), posed.position[rows], posed.rotation[rows])
+
+
+def expect_scans(scans: int, selection: Selection) -> int:
+    """Say how many of a log's scans a sample is made for; 0 for a part of a log, all of it counts.
+
+    How many scans lie between two times is not known before they are read.
+    """
+    is_part = math.isfinite(selection.start_s) or math.isfinite(selection.end_s)
+    return 0 if is_part else scans // selection.stride
+
+
+def encode_cells(points: Float64, cell: float) -> Int64:
+    """Number the cells (...,) of a size (m) that points (..., 2) are nearest to."""
+    cells = np.rint(np.clip(points / cell, -(2**30), 2**30)).astype(np.int64)
+    codes: Int64 = (cells[..., 0] << 32) + cells[..., 1]
+    return codes

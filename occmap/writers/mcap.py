@@ -1,0 +1,167 @@
+"""MCAP files for RViz and Foxglove: the map, the robot's way, and the transforms to draw it with.
+
+| topic | type | holds |
+|---|---|---|
+| `/map` | `nav_msgs/msg/OccupancyGrid` | the map, once, as nav2's map_server publishes it |
+| `/trajectory` | `nav_msgs/msg/Path` | where the laser was at each scan, once; further lasers |
+| | | and logs have `/trajectory_2` and so on |
+| `/tf` | `tf2_msgs/msg/TFMessage` | the laser in the map, at the time of each scan |
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, BinaryIO
+
+import numpy as np
+from mcap.writer import Writer
+from numpy.typing import NDArray
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2.metadata import dump_qos_v8
+from rosbags.typesys import Stores, get_typestore
+
+from occmap.types import Float64, OccupancyMap, Trajectory
+from occmap.writers import MapMode, Product, WriteOptions
+from occmap.writers.atomic import open_atomic
+
+MAP_FRAME = "map"
+UNKNOWN = -1
+LAST_NS = (2**31 - 1) * 10**9
+"""A ROS time has 32 bits for its seconds."""
+EVER = QosTime(2147483647, 4294967295)
+LATCHED = Qos(
+    QosHistory.KEEP_LAST,
+    1,
+    QosReliability.RELIABLE,
+    QosDurability.TRANSIENT_LOCAL,
+    *(EVER, EVER, QosLiveliness.AUTOMATIC, EVER),
+    avoid_ros_namespace_conventions=False,
+)
+"""RViz asks for maps that late comers get, too; `ros2 bag play` offers what is written here."""
+
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+ROS = SimpleNamespace(**{name.rpartition("/")[2]: kind for name, kind in STORE.types.items()})
+"""Message classes by their short names"""
+
+
+class McapWriter:
+    """An MCAP file of ROS 2 messages, with the map at the time of the first scan."""
+
+    description = "MCAP for RViz and Foxglove: OccupancyGrid, Path and transforms"
+    needs_evidence = needs_journey = False
+
+    def targets(self, path: Path) -> tuple[Path, ...]:
+        """Return the file."""
+        return (path,)
+
+    def write_product(
+        self, path: Path, product: Product, options: WriteOptions
+    ) -> tuple[Path, ...]:
+        """Write the map, and where the robot went, if that is known; return the file's path.
+
+        Raises
+        ------
+        OutputError
+            It cannot be written; then nothing is left behind.
+        """
+        trajectories = product.journey.trajectories if product.journey else ()
+        stamps = np.concatenate([each.stamp_ns for each in trajectories] or [np.zeros(1, np.int64)])
+        header = make_header(trajectories[0].parent if trajectories else MAP_FRAME, min(stamps))
+        with open_atomic(path) as (file,):
+            bag = RosBag(file)
+            bag.write("/map", make_map(product.grid, options, header), header.stamp)
+            for number, trajectory in enumerate(trajectories):
+                suffix = f"_{number + 1}" if number else ""
+                bag.write(f"/trajectory{suffix}", make_path(trajectory), header.stamp)
+            for transform in list_transforms(trajectories):
+                bag.write("/tf", ROS.TFMessage([transform]), transform.header.stamp)
+            bag.finish()
+        return (path,)
+
+
+class RosBag:
+    """An MCAP file that messages of ROS 2 are put into."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = Writer(file)
+        self._file.start(profile="ros2", library="occmap")
+        self._channels: dict[str, int] = {}
+
+    def write(self, topic: str, message: Any, stamp: Any) -> None:
+        """Put a message at a time; all of a topic are of one type."""
+        kind = message.__msgtype__
+        if topic not in self._channels:
+            text, _ = STORE.generate_msgdef(kind, ros_version=2)
+            schema = self._file.register_schema(kind, "ros2msg", text.encode())
+            latched = {} if topic == "/tf" else {"offered_qos_profiles": dump_qos_v8([LATCHED])}
+            self._channels[topic] = self._file.register_channel(topic, "cdr", schema, latched)
+        at = stamp.sec * 10**9 + stamp.nanosec
+        data = bytes(STORE.serialize_cdr(message, kind))
+        self._file.add_message(self._channels[topic], at, data, at)
+
+    def finish(self) -> None:
+        """Write the index; the file stays open."""
+        self._file.finish()  # type: ignore[no-untyped-call]
+
+
+def make_map(grid: OccupancyMap, options: WriteOptions, header: Any) -> Any:
+    """Make an OccupancyGrid; its rows begin at the lowest y, as those of a map do."""
+    rows, cols = grid.shape
+    corner = make_pose(np.array([*grid.origin, 0, 0, 0, 0, 1], np.float64))
+    info = ROS.MapMetaData(header.stamp, grid.resolution, cols, rows, corner)
+    return ROS.OccupancyGrid(header, info, fill_cells(grid, options).ravel())
+
+
+def fill_cells(grid: OccupancyMap, options: WriteOptions) -> NDArray[np.int8]:
+    """(H, W) as nav2 publishes a PGM of the same mode: 0 free, 100 occupied, -1 unknown.
+
+    In raw mode, and in scale mode, which nav2 stretches between the thresholds, it is the
+    probability in per cent.
+    """
+    cells = np.full(grid.shape, UNKNOWN, np.int8)
+    if options.mode is MapMode.TRINARY:
+        decided = replace(grid, decision=options.decide(grid.decision))
+        cells[decided.free] = 0
+        cells[decided.occupied] = 100
+    else:
+        cells[grid.observed] = np.rint(100 * grid.probability[grid.observed])
+    return cells
+
+
+def make_path(trajectory: Trajectory) -> Any:
+    """Make a Path of all poses."""
+    poses = [
+        ROS.PoseStamped(make_header(trajectory.parent, stamp_ns), make_pose(pose))
+        for stamp_ns, pose in zip(trajectory.stamp_ns, trajectory.pose, strict=True)
+    ]
+    return ROS.Path(poses[0].header if poses else make_header(trajectory.parent, 0), poses)
+
+
+def list_transforms(trajectories: Sequence[Trajectory]) -> Iterator[Any]:
+    """Give the transform from the map to each laser at each scan."""
+    for trajectory in trajectories:
+        for stamp_ns, pose in zip(trajectory.stamp_ns, trajectory.pose, strict=True):
+            moved = make_pose(pose)
+            transform = ROS.Transform(ROS.Vector3(*pose[:3]), moved.orientation)
+            header = make_header(trajectory.parent, stamp_ns)
+            yield ROS.TransformStamped(header, trajectory.frame, transform)
+
+
+def make_header(frame: str, stamp_ns: Any) -> Any:
+    """Make a Header; a time that ROS cannot state becomes the nearest one that it can."""
+    seconds, rest = divmod(min(max(int(stamp_ns), 0), LAST_NS), 10**9)
+    return ROS.Header(ROS.Time(seconds, rest), frame)
+
+
+def make_pose(pose: Float64) -> Any:
+    """Make a Pose of (7,) x y z qx qy qz qw."""
+    return ROS.Pose(ROS.Point(*pose[:3]), ROS.Quaternion(*pose[3:]))

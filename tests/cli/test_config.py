@@ -1,0 +1,132 @@
+"""Options that a team repeats stand in a file beside the logs, or in one that is named."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.cli.runner import occmap, read_error
+from tests.samples import SAMPLE_LOGS
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return Path(shutil.copy(SAMPLE_LOGS / "drive.csv", tmp_path / "drive.csv"))
+
+
+def write(log: Path, text: str, name: str = "occmap.toml") -> Path:
+    path = log.parent / name
+    path.write_text(text)
+    return path
+
+
+def map_of(log: Path, *words: object) -> dict[str, object]:
+    told = occmap("build", log, "-o", log.parent / "m.pgm", *words, "--json")
+    assert told.code == 0, told.err
+    found: dict[str, object] = json.loads(told.out)
+    return found
+
+
+TYPED = [
+    *("-r", 0.1, "--max-range", 5, "--ignore-sector", "2.5,-2.5", "--ignore-sector", "1,1.2"),
+    *("--footprint", "-0.4,-0.3,0.2,0.3", "--no-return", "clear", "--stride", 3),
+]
+FILE = """
+resolution = 0.1
+max-range = 5
+ignore-sector = [[2.5, -2.5], "1,1.2"]
+footprint = [-0.4, -0.3, 0.2, 0.3]
+no-return = "clear"
+stride = 3
+"""
+
+
+def test_a_file_says_what_might_be_typed(log: Path) -> None:
+    typed = map_of(log, *TYPED)
+    cells = (log.parent / "m.pgm").read_bytes()
+    path = write(log, FILE)
+    read = map_of(log)
+    assert read["map"] == typed["map"]
+    assert (log.parent / "m.pgm").read_bytes() == cells
+    notes = read["notes"]
+    assert isinstance(notes, list)
+    assert notes[0].startswith(f"{path}: resolution = 0.1, max-range = 5, ignore-sector = [[2.5, ")
+
+
+def test_what_is_kept_of_a_build_holds_the_options_of_the_file(log: Path) -> None:
+    write(log, FILE)
+    assert occmap("build", log, "-o", log.parent / "m.npz").code == 0
+    told = json.loads(
+        occmap("render", log.parent / "m.npz", "-o", log.parent / "m.pgm", "--json").out
+    )
+    assert told["map"]["resolution"] == 0.1
+    assert told["scans"]["dropped"]["left out by --stride"] > 0
+    command = json.loads(occmap("check", log, "--json").out)["command"]
+    assert command[command.index("--max-range") + 1] == "5"
+
+
+def test_what_is_typed_goes_before_the_file(log: Path) -> None:
+    write(log, FILE)
+    found = map_of(log, "--resolution", 0.2)["map"]
+    assert isinstance(found, dict)
+    assert found["resolution"] == 0.2
+
+
+def test_a_named_file_goes_before_the_one_beside_the_logs(log: Path) -> None:
+    write(log, "resolution = 0.1")
+    other = write(log, "resolution = 0.2", "other.toml")
+    found = map_of(log, "--config", other)["map"]
+    assert isinstance(found, dict)
+    assert found["resolution"] == 0.2
+
+
+def test_flags_and_options_of_one_command(log: Path) -> None:
+    build = "[build]\nlight-occupied = true\nstrict = false\n"
+    write(log, f'stride = 3\n{build}[check]\nfail-if = "warnings > 0"\n')
+    image, typed = log.parent / "m.png", log.parent / "typed.png"
+    assert occmap("build", log, "-o", image).code == 0
+    (log.parent / "occmap.toml").unlink()
+    assert occmap("build", log, "-o", typed, "--light-occupied", "--stride", 3).code == 0
+    assert image.read_bytes() == typed.read_bytes()
+    write(log, '[check]\nfail-if = ["topics == 1", "scans_read > 5"]\n')
+    assert occmap("check", log).code == 3
+    assert occmap("build", log, "-o", image).code == 0
+
+
+def test_options_of_other_commands_are_passed_over(log: Path) -> None:
+    path = write(log, "hit-offset = 0.25\n")
+    told = occmap("check", log)
+    assert told == (0, told.out, f"note: {path}: no option of this command\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("resoluton = 0.1", "no option is called 'resoluton'; did you mean 'resolution'?"),
+        ("max_range = 5", "no option is called 'max_range'; did you mean 'max-range'?"),
+        ("[buidl]\nstride = 2", "no option is called 'buidl'"),
+        ("[check]\nstrid = 2", "no option is called 'strid'; did you mean 'stride'?"),
+        ('resolution = "x"', "'x' is not a valid float"),
+        ('deskew = "of"', "'of' is not one of 'auto', 'on', 'off'"),
+        ("stride = [", "is no TOML ("),
+    ],
+)
+def test_a_wrong_file_is_one_line(log: Path, text: str, found: str) -> None:
+    path = write(log, text)
+    error = read_error(occmap("build", log, "-o", log.parent / "m.pgm"), 2)
+    assert error.startswith(f"{path}: ")
+    assert found in error
+
+
+def test_a_file_that_is_not_there_and_two_that_are(log: Path, tmp_path: Path) -> None:
+    words = ["build", log, "-o", log.parent / "m.pgm"]
+    error = read_error(occmap(*words, "--config", tmp_path / "none.toml"), 2)
+    assert error == f"{tmp_path / 'none.toml'}: cannot be read (No such file or directory)"
+    write(log, "stride = 2")
+    (tmp_path / "other").mkdir()
+    other = Path(shutil.copy(log, tmp_path / "other" / "b.csv"))
+    write(other, "stride = 3")
+    error = read_error(occmap("check", log, other), 2)
+    assert "the logs have several files of options" in error
+    assert error.endswith("name one with --config")

@@ -1,0 +1,114 @@
+"""Folders, patterns, stdin and stdout, where a path stands."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.cli.runner import occmap, read_error
+from tests.samples import SAMPLE_LOGS, write_csv
+
+DRIVE = SAMPLE_LOGS / "drive.csv"
+
+
+def pipe(words: list[str], data: bytes, folder: Path) -> subprocess.CompletedProcess[bytes]:
+    command = [sys.executable, "-m", "occmap", *words]
+    return subprocess.run(
+        command, input=data, capture_output=True, cwd=folder, check=False, timeout=120
+    )
+
+
+def test_a_log_on_stdin_and_a_map_on_stdout(tmp_path: Path) -> None:
+    assert occmap("build", DRIVE, "-o", tmp_path / "m.pgm").code == 0
+    done = pipe(["build", "-", "-o", "-"], DRIVE.read_bytes(), tmp_path)
+    assert done.returncode == 0
+    assert done.stdout == (tmp_path / "m.pgm").read_bytes()
+    assert b"414 of 414 used" in done.stderr
+    assert b"stdout.pgm" not in done.stderr
+    done = pipe(["render", "map.npz", "-o", "-.png"], b"", tmp_path)
+    assert b"map.npz" in done.stderr
+    assert occmap("build", DRIVE, "-o", tmp_path / "map.npz", "-o", tmp_path / "m.png").code == 0
+    done = pipe(["render", "map.npz", "-o", "-.png"], b"", tmp_path)
+    assert done.stdout == (tmp_path / "m.png").read_bytes()
+
+
+def test_check_reads_stdin(tmp_path: Path) -> None:
+    done = pipe(["check", "-"], DRIVE.read_bytes(), tmp_path)
+    assert done.returncode == 0
+    assert b"414 in " in done.stdout
+
+
+def test_an_empty_stdin_is_said(tmp_path: Path) -> None:
+    done = pipe(["build", "-", "-o", "m.pgm"], b"", tmp_path)
+    assert (done.returncode, done.stderr) == (1, b"error: stdin: is empty; pipe a log into it\n")
+
+
+@pytest.mark.parametrize("more", [["-o", "-.png"], ["--json"]])
+def test_stdout_takes_one_map_alone(tmp_path: Path, more: list[str]) -> None:
+    told = occmap("build", DRIVE, "-o", "-", *more)
+    assert told.code == 2
+    assert told.err.startswith("error: stdout takes one map and nothing else")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_gets_a_map_named_after_the_log(tmp_path: Path) -> None:
+    assert occmap("build", DRIVE, "-o", f"{tmp_path}/", "-r", "0.1").code == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"drive.pgm", "drive.yaml"}
+
+
+def test_the_recordings_of_a_folder_are_built_as_one(tmp_path: Path) -> None:
+    day = tmp_path / "day"
+    day.mkdir()
+    for name in ("a", "b"):
+        write_csv(day / f"{name}.csv", [(0.0, 0.0, 0.0)] * 3, [1.0, 1.0], 0.1)
+    told = occmap("build", day, "-o", tmp_path / "m.pgm", "--json")
+    note = f"{day}: 2 recordings, in the order of their time: a.csv, b.csv"
+    assert f"note: {note}\n" in told.err
+    printed = json.loads(told.out)
+    assert printed["notes"][0] == note
+    assert printed["scans"]["used"] == 6
+    for command in ("check", "tune", "compare"):
+        assert f"note: {note}\n" in occmap(command, day).err
+
+
+def test_what_is_to_be_added_to_may_not_be_there_yet(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "a.csv", [(0.0, 0.0, 0.0)] * 3, [1.0, 1.0], 0.1)
+    other = write_csv(tmp_path / "b.csv", [(0.0, 0.0, 0.0)] * 4, [1.0, 1.0], 0.1)
+    site = tmp_path / "site.npz"
+    words = ["--resume-if-there", site, "-o", site, "--json"]
+    first = occmap("build", log, *words)
+    assert json.loads(first.out)["resumed"] is None
+    assert f"note: {site}: no such file, so this build adds to nothing\n" in first.err
+    second = occmap("build", other, *words)
+    assert json.loads(second.out)["resumed"] == {"file": str(site), "read": 3, "used": 3}
+    assert "no such file" not in second.err
+    error = read_error(occmap("build", log, "--resume", site, *words[:-1]), 2)
+    assert error == "--resume and --resume-if-there are both given; leave one out"
+
+
+@pytest.mark.parametrize(
+    ("words", "note"),
+    [
+        (["--end", "1700000000"], "--end 1700000000 leaves nothing out"),
+        (["--start", "1", "--end", "1700000000"], "--end 1700000000 leaves nothing out"),
+        (["--end", "1e3"], "--end 1000 leaves nothing out"),
+        (["--end", "50"], ""),
+        (["--start", "1"], ""),
+    ],
+)
+def test_an_end_that_leaves_nothing_out_is_said(
+    tmp_path: Path, words: list[str], note: str
+) -> None:
+    told = occmap("build", DRIVE, "-o", tmp_path / "m.pgm", *words)
+    assert ("leaves nothing out" in told.err) == bool(note)
+    assert note in told.err
+
+
+def test_a_quiet_check_prints_its_problems(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("hello\n")
+    told = occmap("check", "-q", tmp_path / "notes.txt")
+    assert (told.code, told.out) == (1, "")
+    assert told.err.startswith(f"error: {tmp_path / 'notes.txt'}: a text file of no known log")
+    assert occmap("check", "-q", DRIVE) == (0, "", "")

@@ -1,0 +1,87 @@
+"""What a map covers: a box or a margin, to whole cells; beyond what was observed it is unknown."""
+
+import math
+
+import numpy as np
+import pytest
+
+from occmap.errors import MapError, UsageError
+from occmap.grid.framing import Framing, frame
+from occmap.types import Box, OccupancyMap
+
+LOG_ODDS = np.arange(12, dtype=np.float32).reshape(3, 4)
+GRID = OccupancyMap(LOG_ODDS, LOG_ODDS > 0, 0.05, (0.05, -0.05))
+"""Columns 1 to 4 and rows -1 to 1 of the lattice"""
+
+
+def show(framing: Framing, prior: float = 0.5, max_cells: int = 100) -> OccupancyMap:
+    return frame(GRID, framing, prior, max_cells)
+
+
+@pytest.mark.parametrize(
+    ("box", "rows", "cols", "origin"),
+    [
+        ((0.1, -0.05, 0.25, 0.05), slice(0, 2), slice(1, 4), (0.1, -0.05)),  # edges of cells
+        ((0.11, 0.01, 0.12, 0.02), slice(1, 2), slice(1, 2), (0.1, 0.0)),  # within a cell
+        ((0.05, -0.05, 0.25, 0.1), slice(0, 3), slice(0, 4), (0.05, -0.05)),  # all
+    ],
+)
+def test_an_extent_is_the_cells_that_the_box_touches(
+    box: Box, rows: slice, cols: slice, origin: tuple[float, float]
+) -> None:
+    part = show(Framing(extent=box))
+    assert np.array_equal(part.log_odds, LOG_ODDS[rows, cols])
+    assert np.array_equal(part.observed, LOG_ODDS[rows, cols] > 0)
+    assert part.origin == origin
+
+
+def test_an_extent_is_filled_up_with_unknown_cells() -> None:
+    part = show(Framing(extent=(-0.05, 0.0, 0.15, 0.15)), prior=0.2)
+    # Columns -1 to 2 of which the map has 1 and 2, rows 0 to 2 of which it has 0 and 1.
+    unknown = math.log(0.2 / 0.8)
+    expected = [[unknown, unknown, 4, 5], [unknown, unknown, 8, 9], [unknown] * 4]
+    assert part.log_odds == pytest.approx(np.array(expected))
+    assert part.observed.tolist() == [[False, False, True, True]] * 2 + [[False] * 4]
+    assert (part.origin, part.extent) == ((-0.05, 0.0), (-0.05, 0.0, 0.15, 0.15))
+
+
+@pytest.mark.parametrize(("margin", "cells"), [(0.05, 1), (0.15, 3), (0.11, 3), (0.0, 0)])
+def test_a_margin_goes_all_round(margin: float, cells: int) -> None:
+    shown = show(Framing(margin=margin))
+    assert shown.log_odds.tolist() == np.pad(LOG_ODDS, cells).tolist()
+    assert np.array_equal(shown.observed, np.pad(LOG_ODDS > 0, cells))
+    assert shown.origin == pytest.approx((0.05 - 0.05 * cells, -0.05 - 0.05 * cells))
+
+
+def test_without_a_choice_the_map_stays_as_it_is() -> None:
+    assert show(Framing()) is GRID
+
+
+def test_an_extent_beside_the_map_is_refused() -> None:
+    with pytest.raises(MapError, match=r"in `extent`; the map's own box is 0.05, -0.05, 0.25, 0.1"):
+        show(Framing(extent=(1.0, 0.0, 2.0, 1.0)))
+
+
+def test_a_frame_of_too_many_cells_is_refused() -> None:
+    with pytest.raises(MapError, match="10 x 9 cells, more than `max_cells=89`"):
+        show(Framing(margin=0.15), max_cells=89)
+    assert show(Framing(margin=0.15), max_cells=90).shape == (9, 10)
+
+
+@pytest.mark.parametrize(
+    "box", [(0, 0, 0, 1), (0, 1, 1, 0), (0, math.nan, 1, 1), (math.nan, 0, 1, 1), (0, 0, 1e9, 1)]
+)
+def test_what_is_no_box_is_refused(box: Box) -> None:
+    with pytest.raises(UsageError, match="is no box; write x_min"):
+        Framing(extent=box)
+
+
+@pytest.mark.parametrize("margin", [-0.1, math.nan, math.inf])
+def test_what_is_no_margin_is_refused(margin: float) -> None:
+    with pytest.raises(UsageError, match="give 0 or more"):
+        Framing(margin=margin)
+
+
+def test_a_margin_around_an_extent_is_refused() -> None:
+    with pytest.raises(UsageError, match="leave out `margin` or `extent`"):
+        Framing(extent=(0, 0, 1, 1), margin=1.0)

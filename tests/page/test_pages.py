@@ -1,0 +1,199 @@
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from selenium.webdriver import Chrome
+
+from occmap import api
+from occmap.maps import Map
+from occmap.page.layers import CLASS_COLOURS
+from occmap.page.plots import SCAN_COLOUR
+from occmap.page.raster import make_raster
+from tests.page.browser import Shown, open_browser
+
+DRIVE = Path("sample_logs/drive.mcap")
+RESOLUTION = 0.1
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Chrome]:
+    yield from open_browser()
+
+
+@dataclass
+class Drive:
+    """A map and its page."""
+
+    map: Map
+    page: Shown
+
+
+@pytest.fixture(scope="module")
+def drive(browser: Chrome, tmp_path_factory: pytest.TempPathFactory) -> Drive:
+    path = tmp_path_factory.mktemp("drive") / "map.html"
+    made = api.build_map(DRIVE, resolution=RESOLUTION, outputs=path)
+    page = Shown(browser, path)
+    page.calibrate()
+    return Drive(made, page)
+
+
+def to_rgb(colour: str) -> list[int]:
+    return list(bytes.fromhex(colour.removeprefix("#")))
+
+
+def find_middle(grid: Map, row: int, col: int) -> tuple[float, float]:
+    """The middle of a cell (m)."""
+    return (
+        grid.origin[0] + (col + 0.5) * grid.resolution,
+        grid.origin[1] + (row + 0.5) * grid.resolution,
+    )
+
+
+def test_the_pointer_says_what_the_map_holds(drive: Drive) -> None:
+    made = drive.map
+    rng = np.random.default_rng(1)
+    names = {"occupied": made.occupied, "free": made.free, "unknown": ~made.observed}
+    for name, mask in names.items():
+        for row, col in rng.permutation(np.argwhere(mask))[:3].tolist():
+            said = drive.page.point(*find_middle(made, row, col))
+            x, y = (float(text) for text in said["x, y"].removesuffix(" m").split(", "))
+            assert int((x - made.origin[0]) / made.resolution) == col
+            assert int((y - made.origin[1]) / made.resolution) == row
+            assert said["class"] == name
+            if name == "unknown":
+                assert said["hits"] == said["probability"] == "–"
+                continue
+            assert float(said["probability"]) == pytest.approx(made.probability[row, col], abs=0.01)
+            assert float(said["hits"].replace(",", "")) == pytest.approx(
+                made.hits[row, col], abs=0.051
+            )
+            assert float(said["misses"].replace(",", "")) == pytest.approx(
+                made.misses[row, col], abs=0.051
+            )
+            assert said["visits"] != "0" or made.hits[row, col] + made.misses[row, col] == 0
+
+
+def test_the_picture_is_the_map(drive: Drive) -> None:
+    page, made = drive.page, drive.map
+    page.click("#way")
+    page.point_px(5, 5)
+    page.rest()
+    picture = page.photograph()
+    classes = np.where(made.occupied, 3, np.where(made.free, 1, np.where(made.observed, 2, 0)))
+    wrong = 0
+    for row, col in np.ndindex(*made.shape):
+        right, down = page.to_px(*find_middle(made, row, col))
+        wrong += picture[round(down), round(right)].tolist() != to_rgb(
+            CLASS_COLOURS[classes[row, col]]
+        )
+    page.click("#way")
+    assert wrong <= made.log_odds.size // 1000
+
+
+def test_each_layer_is_painted_and_named(drive: Drive) -> None:
+    page, made = drive.page, drive.map
+    row, col = divmod(int(made.hits.argmax()), made.shape[1])
+    right, down = page.to_px(*find_middle(made, row, col))
+    seen = set()
+    for key in ("p", "hits", "misses", "visits", "last", "class"):
+        page.click(f"[data-key={key}]")
+        page.wait(f"document.body.dataset.layer === '{key}'")
+        page.rest()
+        seen.add(tuple(page.photograph()[round(down), round(right)].tolist()))
+        assert page.text("#layer")
+    assert len(seen) == 6
+    assert page.text("#legend").split("\n") == ["unknown", "free", "undecided", "occupied"]
+
+
+def test_the_slider_lays_a_scan_over_the_map(drive: Drive) -> None:
+    page = drive.page
+    page.run(
+        "const s = document.getElementById('scan'); s.value = 0;s.dispatchEvent(new Event('input'))"
+    )
+    page.wait("document.body.dataset.scan === '0'")
+    page.rest()
+    assert page.text("#when").startswith("0.0 s (2023-11-14 22:13:20)")
+    hits = page.run("return Bokeh.documents[0].get_model_by_name('scan').data_source.data.x.length")
+    assert hits > 100
+    x, y = page.run(
+        "const d = Bokeh.documents[0].get_model_by_name('scan').data_source.data;"
+        "return [d.x[50], d.y[50]]"
+    )
+    right, down = page.to_px(x, y)
+    painted = page.photograph()[round(down), round(right)].astype(int)
+    np.testing.assert_allclose(painted, to_rgb(SCAN_COLOUR), atol=8)  # its edge is smoothed
+
+
+def test_nothing_is_complained_of_and_nothing_asked_of_the_network(drive: Drive) -> None:
+    assert drive.page.complaints == []
+    asked = drive.page.run("return performance.getEntriesByType('resource').map(e => e.name)")
+    assert [name for name in asked if not name.startswith(("data:", "blob:"))] == []
+
+
+def test_maps_of_a_comparison_are_linked_and_its_table_sorts(
+    browser: Chrome, tmp_path: Path
+) -> None:
+    path = tmp_path / "c.html"
+    made = api.compare(DRIVE, models=["simple", "counting"], resolution=0.2, picture=path)
+    page = Shown(browser, path)
+    ranges = page.run(
+        "const d = Bokeh.documents[0], n = document.querySelectorAll('figure').length;"
+        "return [n, new Set([...Array(n).keys()].map("
+        "i => d.get_model_by_name(`map-${i}`).x_range)).size]"
+    )
+    assert ranges == [len(made.results), 1]
+    page.click("th.number:nth-child(4) button")
+    column = (
+        "return [...document.querySelectorAll('tbody tr td:nth-child(4)')].map(e => +e.textContent)"
+    )
+    figures = [round(each.score.log_likelihood, 3) for each in made.results]
+    assert page.run(column) == sorted(figures)
+    page.click("th.number:nth-child(4) button")
+    assert page.run(column) == sorted(figures, reverse=True)
+    assert page.complaints == []
+
+
+def test_a_difference_has_before_and_after_by_a_switch(browser: Chrome, tmp_path: Path) -> None:
+    maps = tmp_path / "a.pgm", tmp_path / "b.pgm"
+    api.build_map(DRIVE, resolution=0.1, end_s=40, outputs=maps[0])
+    api.build_map(DRIVE, resolution=0.1, outputs=maps[1])
+    found = api.diff(*maps, picture=tmp_path / "d.html")
+    page = Shown(browser, tmp_path / "d.html")
+    page.calibrate()
+    row, col = np.argwhere((found.before == 0) & (found.after == 2))[0].tolist()
+    place = found.place
+    x, y = place.x + (col + 0.5) * place.resolution, place.y + (row + 0.5) * place.resolution
+    said = page.point(x, y)
+    assert (said["change"], said["before"], said["after"]) == (
+        "neither to occupied",
+        "neither",
+        "occupied",
+    )
+    colours = []
+    right, down = page.to_px(x, y)
+    for key in ("change", "before", "after"):
+        page.click(f"[data-key={key}]")
+        page.rest()
+        colours.append(page.photograph()[round(down), round(right)].tolist())
+    assert colours == [to_rgb("#e69f00"), to_rgb(CLASS_COLOURS[0]), to_rgb(CLASS_COLOURS[3])]
+
+
+def test_a_page_that_had_to_be_made_smaller_says_so_and_still_points(
+    browser: Chrome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "occmap.page.product.make_raster", lambda grid, evidence: make_raster(grid, evidence, 1)
+    )
+    path = tmp_path / "m.html"
+    made = api.build_map(DRIVE, resolution=0.05, stride=10, outputs=path)
+    page = Shown(browser, path)
+    assert "of each 64 x 64 cells the one most likely occupied" in page.text(".note")
+    assert "counts are off by up to 12%" in page.text(".note")
+    page.calibrate()
+    row, col = divmod(int(made.probability.argmax()), made.shape[1])
+    said = page.point(*find_middle(made, row, col))
+    assert said["class"] == "occupied"
+    assert float(said["probability"]) == pytest.approx(made.probability.max(), abs=0.01)
+    assert float(said["misses"]) == pytest.approx(made.misses[row, col], rel=0.125, abs=0.05)

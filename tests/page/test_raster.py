@@ -1,0 +1,119 @@
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from occmap import api
+from occmap.grid.lattice import CellBox
+from occmap.grid.rendering import read_cells
+from occmap.maps import Map
+from occmap.page.raster import MOST_CELLS, Raster, classify, make_raster, round_counts
+from occmap.types import OccupancyMap
+from tests.page.test_packing import unpack
+from tests.writers.maps import map_of
+
+
+@cache
+def build(folder: str) -> Map:
+    return api.build_map("sample_logs/drive.csv", resolution=0.1, outputs=f"{folder}/m.npz")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Map:
+    return build(str(tmp_path_factory.getbasetemp()))
+
+
+def layer(raster: Raster, name: str) -> np.ndarray[tuple[int, ...], np.dtype[np.uint32]]:
+    return unpack(raster.layers[name])
+
+
+def test_layers_are_those_of_the_map(made: Map) -> None:
+    raster = make_raster(made, made.evidence)
+    assert (raster.x, raster.y, raster.size, raster.step) == (*made.origin, 0.1, 1)
+    assert min(made.origin) < 0
+    np.testing.assert_array_equal(layer(raster, "class") == 3, made.occupied)
+    np.testing.assert_array_equal(layer(raster, "class") == 1, made.free)
+    np.testing.assert_array_equal(layer(raster, "class") == 0, ~made.observed)
+    np.testing.assert_allclose(
+        layer(raster, "p")[made.observed] / 100, made.probability[made.observed], atol=0.005
+    )
+    np.testing.assert_array_equal(layer(raster, "hits") / raster.unit, made.hits)
+    np.testing.assert_array_equal(layer(raster, "misses") / raster.unit, made.misses)
+
+
+def test_visits_and_last_sights_are_those_of_the_log(made: Map) -> None:
+    raster = make_raster(made, made.evidence)
+    seen = layer(raster, "visits") > 0
+    np.testing.assert_array_equal(seen, (made.hits > 0) | (made.misses > 0))
+    np.testing.assert_array_equal(layer(raster, "last") > 0, seen)
+    first, last = 1_700_000_000.0, 1_700_000_082.6
+    assert raster.start_s <= first < raster.start_s + raster.slice_s
+    ends = raster.start_s + layer(raster, "last").max() * raster.slice_s
+    assert ends - raster.slice_s <= last < ends
+
+
+def test_a_cropped_map_has_its_own_part_of_the_evidence(made: Map) -> None:
+    part = OccupancyMap.take(made, slice(7, 30), slice(3, 90))
+    raster = make_raster(part, made.evidence)
+    np.testing.assert_array_equal(layer(raster, "hits") / raster.unit, made.hits[7:30, 3:90])
+
+
+@pytest.mark.parametrize("step", [2, 8])
+def test_a_coarse_cell_is_the_one_most_likely_occupied(
+    step: int, made: Map, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("occmap.page.raster.MOST_CELLS", made.log_odds.size / step**2)
+    raster = make_raster(made, made.evidence)
+    assert raster.step == step
+    row, col = made.place.tolist()
+    begin, left = row // step * step, col // step * step
+    assert (raster.x, raster.y) == pytest.approx((left * 0.1, begin * 0.1))
+    classes, hits = layer(raster, "class"), layer(raster, "hits") / raster.unit
+    rows, cols = made.shape
+    assert classes.shape == (-(-(row + rows - begin) // step), -(-(col + cols - left) // step))
+    box = CellBox(begin, left, begin + step * len(classes), left + step * classes.shape[1])
+    whole = read_cells(made.tiles, box)[0]
+    log_odds = np.full(whole.shape, -np.inf)
+    log_odds[row - begin :, col - left :][:rows, :cols] = np.where(
+        made.observed, made.log_odds, -np.inf
+    )
+    for i, j in [(0, 0), (3, 5), (len(classes) - 1, 2), (len(classes) // 2, classes.shape[1] - 1)]:
+        block = slice(i * step, (i + 1) * step), slice(j * step, (j + 1) * step)
+        best = np.unravel_index(log_odds[block].argmax(), (step, step))
+        assert hits[i, j] == whole[block][best]
+        occupied = log_odds[block][best] > np.log(0.32 / 0.68)
+        assert (classes[i, j] == 3) == occupied
+
+
+def test_a_page_that_would_be_too_large_is_rounded_then_thinned(made: Map) -> None:
+    exact = make_raster(made, made.evidence)
+    size = sum(len(each.data) for each in exact.layers.values())
+    rounded = make_raster(made, made.evidence, size - 1)
+    assert (rounded.step, rounded.rounding) == (1, 0.5 / 16)
+    misses = layer(exact, "misses").astype(float)
+    off = np.abs(layer(rounded, "misses") - misses)
+    assert off.any()
+    assert (off <= rounded.rounding * misses).all()
+    np.testing.assert_array_equal(layer(rounded, "class"), layer(exact, "class"))
+    thinned = make_raster(made, made.evidence, size // 4)
+    assert thinned.step > 1
+    assert sum(len(each.data) for each in thinned.layers.values()) <= size // 4
+
+
+def test_small_counts_stay_exact() -> None:
+    counts = np.array([[0, 1, 15, 31, 33, 34, 1000]])
+    assert round_counts(counts, 16).tolist() == [[0, 1, 15, 31, 32, 34, 992]]
+
+
+def test_a_map_without_evidence_has_classes_and_probabilities() -> None:
+    grid = map_of([[0.9, 0.1, np.nan, 0.5]], origin=(-0.05, 3.0))
+    raster = make_raster(grid, None)
+    assert layer(raster, "class").tolist() == [[3, 1, 0, 2]]
+    assert layer(raster, "p").tolist() == [[90, 10, 255, 50]]
+    assert (raster.x, raster.y) == (-0.05, 3.0)
+
+
+def test_16_million_cells_are_not_thinned_for_their_number() -> None:
+    assert MOST_CELLS >= 4000 * 4000
+    assert classify(replace(map_of([[0.9]]))).tolist() == [[3]]

@@ -1,0 +1,101 @@
+"""Corrections of odometry that take the robot elsewhere: found, timed, and mended by options."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from occmap.posing.attach import Poser
+from occmap.posing.concerns import Concern
+from occmap.types import Pose, PoseSample
+from tests.posing.scenes import SECOND, at, batch_at, bolted, build, drive, turned
+
+SECONDS = range(101)
+MOUNT = bolted("base_link", "laser", Pose.planar(0, 0, 0))
+NOWHERE = Pose.planar(0, 0, 0)
+
+
+def correct(pose: Callable[[int], Pose]) -> list[PoseSample]:
+    """The drive along x in `odom`, with a correction every second."""
+    return [at(second, "map", "odom", pose(second)) for second in SECONDS]
+
+
+def watch(poser: Poser, first_s: float = 0.0, last_s: float = 100.0) -> list[Concern]:
+    """What there is to say when scans between two times were attached."""
+    stamps = [half / 2 for half in range(201) if first_s <= half / 2 <= last_s]
+    for some in np.array_split(np.array(stamps), 7):
+        poser.attach(batch_at(some.tolist()))
+    return [concern for _, concern in poser.list_concerns(0, math.inf)]
+
+
+def test_a_jump_is_told_with_its_time_and_the_option_that_keeps_the_longer_part() -> None:
+    samples = correct(lambda second: turned(100, 11.0) if second >= 12 else NOWHERE)
+    (concern,) = watch(build(*drive("odom", "base_link", seconds=SECONDS), MOUNT, *samples))
+    # The robot is at (12, 0) by then. Turned about the origin and moved, it is at
+    # (11 + 12 cos 100, 12 sin 100).
+    away = math.hypot(11 + 12 * math.cos(math.radians(100)) - 12, 12 * math.sin(math.radians(100)))
+    assert concern.text == (
+        f"map -> odom jumps by {away:.3g} m and 100 deg 12.000 s after the first scan: scans from "
+        "before and after do not fit together; `start_s=12` keeps the longest part, 88% of them"
+    )
+    assert concern.remedy == {"start_s": "12"}
+
+
+def test_what_is_kept_may_lie_between_two_jumps() -> None:
+    places = {0: 0.0, 20: 5.0, 90: 50.0}
+    samples = correct(
+        lambda second: Pose.planar(max(x for t, x in places.items() if t <= second), 0, 0)
+    )
+    (concern,) = watch(build(*drive("odom", "base_link", seconds=SECONDS), MOUNT, *samples))
+    assert "jumps by 45 m and 0 deg 90.000 s after the first scan: " in concern.text
+    assert concern.remedy == {"start_s": "20", "end_s": "90"}
+
+
+def test_a_plateau_of_wrong_corrections_is_told_with_both_its_ends() -> None:
+    samples = correct(lambda second: turned(40, 7.0, -3.0) if 60 <= second < 65 else NOWHERE)
+    (concern,) = watch(build(*drive("odom", "base_link", seconds=SECONDS), MOUNT, *samples))
+    assert " 60.000 s after the first scan, and back at 65.000 s: " in concern.text
+    assert concern.remedy == {"end_s": "60"}
+
+
+@pytest.mark.parametrize(("first_s", "last_s"), [(12, 100), (0, 11.5)])
+def test_a_jump_beside_the_scans_that_are_used_is_none(first_s: float, last_s: float) -> None:
+    samples = correct(lambda second: turned(100, 11.0) if second >= 12 else NOWHERE)
+    poser = build(*drive("odom", "base_link", seconds=SECONDS), MOUNT, *samples)
+    assert not watch(poser, first_s, last_s)
+
+
+def test_the_options_are_by_the_clock_of_the_scans() -> None:
+    samples = correct(lambda second: Pose.planar(11.0 * (second >= 12), 0, 0))
+    driven = drive("odom", "base_link", seconds=SECONDS)
+    poser = build(*driven, MOUNT, *samples, time_offset_s=2.0)
+    poser.attach(batch_at(range(5, 90)))
+    ((_, concern),) = poser.list_concerns(5 * SECOND, math.inf)
+    # The jump at 12 s is at 10 s by the scans, 5 s after the first of them.
+    assert concern.remedy == {"start_s": "5"}
+
+
+def drift(second: int) -> Pose:
+    return Pose.planar(0.05 * second, 0, math.radians(0.2) * second)
+
+
+def close_loop(second: int) -> Pose:
+    return Pose.planar(0.8 * (second >= 50), 0, 0)
+
+
+def swing(second: int) -> Pose:
+    """A correction about a far origin: `odom` leaps, and the robot, which is there, does not."""
+    angle = math.radians(4) * (second >= 50)
+    return Pose.planar(50 - 50 * math.cos(angle), -50 * math.sin(angle), angle)
+
+
+@pytest.mark.parametrize("pose", [lambda _: NOWHERE, drift, close_loop, swing])
+def test_what_corrections_do_every_day_is_no_jump(pose: Callable[[int], Pose]) -> None:
+    assert not watch(build(*drive("odom", "base_link", seconds=SECONDS), MOUNT, *correct(pose)))
+
+
+def test_a_single_wrong_correction_turns_back_at_once() -> None:
+    samples = correct(lambda second: turned(90) if second == 30 else NOWHERE)
+    (concern,) = watch(build(*drive("odom", "base_link", seconds=SECONDS), MOUNT, *samples))
+    assert "30.000 s after the first scan, and back at 31.000 s: " in concern.text

@@ -1,0 +1,99 @@
+"""Logs in frames of their own, put into one map by --transform; evidence that stays whole."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from occmap.evidence.merging import merge
+from occmap.grid.framing import Framing
+from occmap.pipeline import build
+from occmap.posing.options import Deskew, PosingOptions
+from occmap.types import Pose, Update
+from occmap.writers.npz import read_evidence
+from tests.inspection_logs import Drive
+from tests.posing.scenes import batch_at, bolted, drive, yaw_of
+from tests.posing.scenes import build as make_poser
+from tests.samples import PLAIN, Planar
+
+DRIVE = [Drive().pose(index) for index in range(20)]
+SHIFT = (16.0, -8.5, math.pi / 2)
+"""A frame so far away that binary fractions of a metre are moved exactly, a quarter turn round."""
+
+
+def write_log(path: Path, poses: Sequence[Planar], first: int = 0) -> Path:
+    """Write scans of the room with poses beside them, which may be in another frame."""
+    beams = Drive().bearings
+    head = f"# angle_min: 0\n# angle_increment: {beams[1]}\n# range_max: 30\nstamp,x,y,yaw,"
+    lines = [head + ",".join(f"r{beam}" for beam in range(len(beams)))]
+    for index, (x, y, yaw) in enumerate(poses, first):
+        lines.append(",".join(map(str, (100 + index, x, y, yaw, *Drive().ranges(index)))))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def move_back(pose: Planar) -> Planar:
+    """Say where a pose is in a frame that lies at SHIFT."""
+    x, y, yaw = pose
+    right, up, turn = SHIFT
+    return y - up, right - x, yaw - turn
+
+
+@pytest.mark.parametrize("update", list(Update))
+def test_two_sessions_in_different_frames_make_one_map(tmp_path: Path, update: Update) -> None:
+    whole = write_log(tmp_path / "whole.csv", DRIVE)
+    first = write_log(tmp_path / "first.csv", DRIVE[:8])
+    second = write_log(tmp_path / "second.csv", [move_back(pose) for pose in DRIVE[8:]], first=8)
+    options = replace(PLAIN, update=update)
+    moved = replace(options, posing=PosingOptions(transform=Pose.planar(*SHIFT)))
+
+    expected = build([whole], options).map
+    build([first], options, [tmp_path / "first.npz"])
+    resumed = build([second], replace(moved, resume=tmp_path / "first.npz")).map
+    assert resumed.place.tolist() == expected.place.tolist()
+    assert np.array_equal(resumed.log_odds, expected.log_odds)
+    unmoved = build([second], replace(options, resume=tmp_path / "first.npz")).map
+    assert unmoved.shape != expected.shape
+
+    build([second], moved, [tmp_path / "second.npz"])
+    halves = [read_evidence(tmp_path / f"{name}.npz") for name in ("first", "second")]
+    build([whole], options, [tmp_path / "whole.npz"])
+    assert np.array_equal(merge(halves).cells, read_evidence(tmp_path / "whole.npz").cells)
+
+
+def test_a_transform_moves_the_sensor_of_every_source_of_poses() -> None:
+    samples = [*drive("odom", "base_link"), bolted("base_link", "laser", Pose.planar(0.5, 0, 0))]
+    poser = make_poser(*samples, transform=Pose.planar(10.0, 20.0, math.pi / 2))
+    (posed,), _ = poser.attach(batch_at([0, 4]))
+    # On the way along x, 0.5 m ahead of the base; along y in the frame of the map.
+    assert posed.position == pytest.approx(np.array([[10, 20.5, 0], [10, 24.5, 0]]))
+    assert yaw_of(posed.rotation) == pytest.approx([math.pi / 2] * 2)
+
+
+def test_a_given_angle_turns_the_map_after_the_transform() -> None:
+    samples = [*drive("odom", "base_link"), bolted("base_link", "laser", Pose.planar(0, 0, 0))]
+    poser = make_poser(*samples, transform=Pose.planar(10.0, 0.0, 0.0), align=90.0)
+    (posed,), _ = poser.attach(batch_at([0, 4]))
+    assert posed.position == pytest.approx(np.array([[0, 10, 0], [0, 14, 0]]))
+    assert yaw_of(posed.rotation) == pytest.approx([math.pi / 2] * 2)
+
+
+def test_each_beam_of_a_deskewed_scan_is_moved() -> None:
+    samples = [*drive("odom", "base_link"), bolted("base_link", "laser", Pose.planar(0, 0, 0))]
+    poser = make_poser(*samples, deskew=Deskew.ON, transform=Pose.planar(0.0, 5.0, 0.0))
+    (posed,), _ = poser.attach(batch_at([2], beams=3, time_increment=1.0))
+    assert posed.position == pytest.approx(np.array([[[2, 5, 0], [3, 5, 0], [4, 5, 0]]]))
+
+
+def test_an_extent_leaves_the_evidence_whole(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log.csv", DRIVE)
+    whole = build([log], PLAIN, [tmp_path / "whole.npz"])
+    framed = replace(PLAIN, framing=Framing(extent=(0.0, 0.0, 2.0, 1.0)))
+    made = build([log], framed, [tmp_path / "framed.npz", tmp_path / "framed.pgm"])
+    assert (made.report.columns, made.report.rows) == (40, 20)
+    assert made.report.extent == made.map.extent == (0.0, 0.0, 2.0, 1.0)
+    assert (tmp_path / "framed.npz").read_bytes() == (tmp_path / "whole.npz").read_bytes()
+    assert made.report.agreement == whole.report.agreement

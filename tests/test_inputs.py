@@ -1,0 +1,79 @@
+"""A folder or a pattern stands for the recordings in it, in the order of their time."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+import occmap
+from occmap.inputs import find_inputs
+from occmap.readers.options import ReaderOptions
+from tests.samples import SAMPLE_LOGS, write_csv
+
+
+@pytest.fixture
+def day(tmp_path: Path) -> Path:
+    """A folder of three recordings, the last by name the first by time, and of other files."""
+    folder = tmp_path / "day"
+    folder.mkdir()
+    for name, first in (("c.csv", 0), ("a.csv", 100), ("b.csv", 200)):
+        write_csv(folder / name, [(0.0, 0.0, 0.0)] * 3, [1.0, 1.0], 0.1, first)
+    (folder / "notes.txt").write_text("hello\n")
+    (folder / ".hidden.csv").write_text("stamp\n")
+    return folder
+
+
+def find(*paths: Path, others: tuple[Path, ...] = ()) -> tuple[list[str], list[str]]:
+    logs, notes = find_inputs(paths, ReaderOptions(), others)
+    return [log.name for log in logs], notes
+
+
+def test_a_folder_is_its_recordings_in_the_order_of_their_time(day: Path) -> None:
+    note = f"{day}: 3 recordings, in the order of their time: c.csv, a.csv, b.csv"
+    assert find(day) == (["c.csv", "a.csv", "b.csv"], [f"{note}; 1 other file passed over"])
+
+
+def test_a_pattern_is_what_it_matches(day: Path) -> None:
+    pattern = day / "[ab].csv"
+    note = f"{pattern}: 2 recordings, in the order of their time: a.csv, b.csv"
+    assert find(pattern) == (["a.csv", "b.csv"], [note])
+
+
+def test_what_else_the_user_names_is_no_recording(day: Path) -> None:
+    names, notes = find(day, others=(day / "a.csv",))
+    assert names == ["c.csv", "b.csv"]
+    assert notes[0].endswith("2 other files passed over")
+
+
+@pytest.mark.parametrize("name", ["drive.csv", "drive_ros2"])
+def test_a_recording_stays_as_it_is(name: str) -> None:
+    assert find(SAMPLE_LOGS / name) == ([name], [])
+
+
+def test_files_of_one_split_recording_stay_one(tmp_path: Path) -> None:
+    for part in range(2):
+        shutil.copy(SAMPLE_LOGS / "drive.mcap", tmp_path / f"drive_{part}.mcap")
+    assert find(tmp_path) == ([tmp_path.name], [])
+    shutil.copy(SAMPLE_LOGS / "drive.bag", tmp_path / "other.bag")
+    names, _ = find(tmp_path)
+    assert sorted(names) == ["drive_0.mcap", "drive_1.mcap", "other.bag"]
+
+
+def test_bags_of_ros2_in_a_folder_are_recordings(tmp_path: Path) -> None:
+    for name in ("monday", "tuesday"):
+        shutil.copytree(SAMPLE_LOGS / "drive_ros2", tmp_path / name)
+    names, _ = find(tmp_path)
+    assert names == ["monday", "tuesday"]
+
+
+def test_what_holds_no_recording_is_left_to_the_readers(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("hello\n")
+    for path in (tmp_path, tmp_path / "*.bag", tmp_path / "none.csv"):
+        assert find(path) == ([path.name], [])
+
+
+def test_a_notebook_may_give_a_folder(day: Path) -> None:
+    made = occmap.build_map(day)
+    assert made.report.scans_used == 9
+    assert "3 recordings, in the order of their time" in made.report.notes[0]
+    assert [Path(log.path).name for log in occmap.check(day).logs] == ["c.csv", "a.csv", "b.csv"]

@@ -1,0 +1,66 @@
+from pathlib import Path
+
+import numpy as np
+
+from occmap.journey import JourneyRecorder
+from occmap.posing.options import DropReason
+from occmap.sensor.returns import ReturnOptions
+from occmap.types import PosedScans, ScanBatch
+
+LOG = Path("a.bag")
+
+
+def batch_of(*stamps: int, beams: int = 3) -> ScanBatch:
+    ranges = np.full((len(stamps), beams), 2.0, np.float32)
+    turn = np.pi / 2
+    return ScanBatch(
+        *("laser", 0.0, turn, 0.0, 10.0), np.array(stamps), ranges, np.zeros(len(stamps))
+    )
+
+
+def pose(batch: ScanBatch, x: float) -> PosedScans:
+    scans = len(batch.stamp_ns)
+    position = np.tile([x, 1.0, 0.0], (scans, 1))
+    return PosedScans(batch, position, np.tile(np.eye(3), (scans, 1, 1)))
+
+
+def test_poses_hits_and_lost_scans_are_kept() -> None:
+    recorder = JourneyRecorder(1, ReturnOptions())
+    whole = batch_of(1, 2, 3)
+    recorder.follow(
+        LOG, "odom", whole, ([pose(whole.take(np.array([1])), 5.0)], {DropReason.GAP: 2})
+    )
+    recorder.follow(LOG, "odom", batch_of(4), ([pose(batch_of(4), 6.0)], {}))
+    journey = recorder.finish()
+    (way,) = journey.trajectories
+    assert (way.log, way.parent, way.frame) == ("a.bag", "odom", "laser")
+    assert way.stamp_ns.tolist() == [2, 4]
+    assert way.pose.tolist() == [[5, 1, 0, 0, 0, 0, 1], [6, 1, 0, 0, 0, 0, 1]]
+    assert way.dropped == ((1, DropReason.GAP.value), (3, DropReason.GAP.value))
+    first = journey.scans[0]
+    assert first.stamp_ns == 2
+    np.testing.assert_allclose(first.x, [7, 5, 3], atol=1e-6)
+    np.testing.assert_allclose(first.y, [1, 3, 1], atol=1e-6)
+
+
+def test_a_sample_is_spread_over_all_scans_and_their_beams() -> None:
+    recorder = JourneyRecorder(10, ReturnOptions())
+    for start in range(0, 4000, 250):
+        batch = batch_of(*range(start, start + 250), beams=1200)
+        recorder.follow(LOG, None, batch, ([pose(batch, 0.0)], {}))
+    scans = recorder.finish().scans
+    assert [scan.stamp_ns for scan in scans] == list(range(0, 4000, 10))
+    assert {len(scan.x) for scan in scans} == {400}
+
+
+def test_parts_of_a_log_add_up_and_a_second_reading_forgets_the_first() -> None:
+    first = JourneyRecorder(1, ReturnOptions())
+    first.follow(LOG, None, batch_of(1), ([pose(batch_of(1), 0.0)], {}))
+    second = first.start_over()
+    assert second.finish().trajectories == ()
+    second.follow(LOG, None, batch_of(2, 3), ([pose(batch_of(2), 0.0)], {DropReason.GAP: 1}))
+    first.add(second)
+    (way,) = first.finish().trajectories
+    assert way.stamp_ns.tolist() == [1, 2]
+    assert [stamp_ns for stamp_ns, _ in way.dropped] == [3]
+    assert len(first.finish().scans) == 2

@@ -1,0 +1,128 @@
+"""What publishes occmap, and what others use of its repository, agrees with the project."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ruamel.yaml import YAML
+
+from tests.samples import ROOT, SAMPLE_LOGS
+
+HIDDEN = ROOT / ".github"
+ACTION = HIDDEN / "actions" / "occmap"
+
+
+def load(path: Path) -> Any:
+    return YAML(typ="safe").load(path.read_text(encoding="utf-8"))
+
+
+def test_the_recipe_is_that_of_the_project() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    recipe = load(HIDDEN / "conda" / "recipe.yaml")
+    assert recipe["context"]["version"] == project["version"]
+    assert recipe["about"]["summary"] == project["description"]
+    assert recipe["about"]["license"] == project["license"]
+    wanted = [f"python {project['requires-python']}"]
+    wanted += [re.sub(r"(?=>=)", " ", line) for line in project["dependencies"]]
+    assert recipe["requirements"]["run"] == wanted
+    (script,) = recipe["build"]["python"]["entry_points"]
+    name, _, target = script.partition(" = ")
+    assert project["scripts"] == {name: target}
+
+
+def test_the_container_is_made_of_files_that_are_there() -> None:
+    kept = (HIDDEN / "docker" / "Dockerfile.dockerignore").read_text().splitlines()
+    assert kept[0] == "*"
+    assert all((ROOT / line.removeprefix("!")).exists() for line in kept[1:])
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    needed = {"occmap", "pyproject.toml", project["readme"], *project["license-files"]}
+    assert needed == {line.removeprefix("!") for line in kept[1:]}
+
+
+def test_links_of_the_page_lead_to_the_tag(tmp_path: Path) -> None:
+    page = tmp_path / "README.md"
+    page.write_text("![map](a/b.png) [docs](docs/x.md#y) [site](https://x.org) [here](#here)\n")
+    command = [
+        sys.executable,
+        str(HIDDEN / "links.py"),
+        str(page),
+        "https://github.com/me/occmap",
+        "v1",
+    ]
+    subprocess.run(command, check=True, timeout=60)
+    home = "https://github.com/me/occmap"
+    assert page.read_text() == (
+        f"![map]({home}/raw/v1/a/b.png) [docs]({home}/blob/v1/docs/x.md#y) [site](https://x.org) "
+        "[here](#here)\n"
+    )
+
+
+def test_the_release_is_published_by_trust_alone() -> None:
+    jobs = load(HIDDEN / "workflows" / "release.yml")["jobs"]
+    assert jobs["publish"]["permissions"] == {"id-token": "write"}
+    assert "password" not in (HIDDEN / "workflows" / "release.yml").read_text().replace(
+        "there is no password", ""
+    )
+
+
+def act(at: Path, **inputs: str) -> subprocess.CompletedProcess[str]:
+    """Do what the action does with some inputs; others are at their defaults."""
+    action = load(ACTION / "action.yml")
+    defaults = {name: each.get("default", "") for name, each in action["inputs"].items()}
+    (step,) = (step for step in action["runs"]["steps"] if step.get("name", "").startswith("Check"))
+    values = {name.replace("_", "-"): value for name, value in inputs.items()}
+    given = {
+        variable: {**defaults, **values}[re.findall(r"inputs\.([\w-]+)", expression)[0]]
+        for variable, expression in step["env"].items()
+    }
+    home = Path(sys.executable).parent
+    path = f"{home}{os.pathsep}{os.environ['PATH']}"
+    return subprocess.run(
+        ["bash", ACTION / "run.sh"],
+        cwd=at,
+        env={**os.environ, **given, "PATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs bash")
+def test_the_action_maps_a_log_and_compares_it(tmp_path: Path) -> None:
+    log = str(SAMPLE_LOGS / "drive.csv")
+    done = act(tmp_path, log=log, options="--resolution 0.1", fail_if="agreement < 60%\n\n")
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
+    folder = tmp_path / "occmap-map"
+    assert {path.name for path in folder.iterdir()} == {
+        *("check.json", "build.json", "map.pgm", "map.yaml", "map.png", "map.npz")
+    }
+    assert json.loads((folder / "build.json").read_text())["map"]["resolution"] == 0.1
+    again = act(tmp_path, log=log, reference="occmap-map/map.yaml", folder="fine")
+    assert again.returncode == 1
+    assert "build both with one --resolution" in again.stderr
+    same = act(
+        tmp_path,
+        log=log,
+        options="--resolution 0.1",
+        reference="occmap-map/map.yaml",
+        folder="same",
+    )
+    assert same.returncode == 0
+    assert json.loads((tmp_path / "same" / "diff.json").read_text())["changed"] == 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs bash")
+@pytest.mark.parametrize(
+    "limits", [{"check_fail_if": "topics == 1"}, {"fail_if": "hits > 1%\nunknown > 1%"}]
+)
+def test_the_action_fails_where_a_limit_is_not_kept(tmp_path: Path, limits: dict[str, str]) -> None:
+    done = act(tmp_path, log=str(SAMPLE_LOGS / "drive.csv"), **limits)
+    assert done.returncode == 3
+    assert "--fail-if says" in done.stderr

@@ -1,0 +1,68 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from occmap import api
+from occmap.cli import run
+from occmap.errors import UsageError
+from occmap.types import Evidence, Journey, Trajectory
+from occmap.writers import Product, WriteOptions, write_outputs
+from tests.writers.maps import map_of
+
+DRIVE = "sample_logs/drive.csv"
+TURNED = [1.0, 2.0, 0.5, 0.0, 0.0, 0.6, 0.8]
+WAY = Trajectory(
+    *("a.bag", "/scan\nx", "map", "laser"),
+    stamp_ns=np.array([1_700_000_000_123_456_789, -1_500_000_000]),
+    pose=np.array([TURNED, [-3.25, 0, 0, 0, 0, 0, 1.0]]),
+)
+
+
+def keep_nothing() -> Evidence:
+    raise AssertionError("nobody asked for evidence")
+
+
+def write(path: Path) -> list[str]:
+    product = Product(map_of([[0.9]]), keep_nothing, Journey((WAY,), ()))
+    write_outputs([path], product, WriteOptions())
+    return path.read_text().splitlines()
+
+
+def test_tum_is_in_seconds_by_ascending_time(tmp_path: Path) -> None:
+    assert write(tmp_path / "t.tum") == [
+        "# stamp x y z qx qy qz qw (s, m)",
+        "# laser in map, at the scans of /scan?x",
+        "-1.500000000 -3.25 0 0 0 0 0 1",
+        "1700000000.123456789 1 2 0.5 0 0 0.6 0.8",
+    ]
+
+
+def test_csv_is_as_euroc_has_it(tmp_path: Path) -> None:
+    assert write(tmp_path / "t.csv") == [
+        "#timestamp [ns],p_x [m],p_y [m],p_z [m],q_w [],q_x [],q_y [],q_z []",
+        "# laser in map, at the scans of /scan?x",
+        "-1500000000,-3.25,0,0,1,0,0,0",
+        "1700000000123456789,1,2,0.5,0.8,0,0,0.6",
+    ]
+
+
+def test_a_trajectory_makes_the_same_map_again(tmp_path: Path) -> None:
+    first = api.build_map(DRIVE, resolution=0.1, outputs=tmp_path / "t.tum")
+    again = api.build_map(DRIVE, resolution=0.1, poses=tmp_path / "t.tum")
+    assert again.report.scans_used >= first.report.scans_used - 2
+    assert again.agreement == pytest.approx(first.agreement, abs=0.002)
+
+
+def test_saved_evidence_has_none_and_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = api.build_map(DRIVE, resolution=0.2, outputs=tmp_path / "m.npz")
+    assert run(["render", str(tmp_path / "m.npz"), "-o", str(tmp_path / "t.tum")]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1
+    assert "t.tum: evidence does not say where the robot went" in told
+    assert "build it from the logs: `occmap build`" in told
+    with pytest.raises(UsageError, match="the map does not say where the robot went"):
+        made.save(tmp_path / "t.tum")
+    assert not (tmp_path / "t.tum").exists()
