@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
 from occmap.grid.engine import GridEngine
@@ -22,7 +22,13 @@ MIXED = [(0.1, 0.1, 0.8), (0.3, 0.3, 0.4), (0.02, 0.08, 0.9)]
 STAMPS = st.integers(-20, 30)
 """Some scans then are of one time, or of one second before zero and after it."""
 
-FEW = settings(max_examples=50, deadline=None, derandomize=True, database=None)
+FEW = settings(
+    max_examples=50,
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],  # as for the deadline: machines are noisy
+)
 MANY = settings(FEW, max_examples=150)
 
 

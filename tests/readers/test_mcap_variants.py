@@ -253,7 +253,11 @@ def test_a_channel_that_is_described_in_two_ways_is_told_of(tmp_path: Path) -> N
     log = open_log(path)
     list(log.poses())
 
-    assert [note.text for note in log.notes] == ["channel 3 is described in two ways: /scan"]
+    assert [note.text for note in log.notes] == [
+        "30 messages on /scan are of 'xensor_msgs/msg/LaserScan', which may be meant to be "
+        "sensor_msgs/msg/LaserScan: they are not used",
+        "channel 3 is described in two ways: /scan",
+    ]
 
 
 def test_an_index_without_checksum_is_not_relied_on(tmp_path: Path) -> None:
