@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from occmap.grid.kernels.beams import Cells, Profile, trace_beams
+from occmap.grid.kernels.beams import Cells, Profile, note_beams, trace_beams
 from occmap.grid.kernels.outline import Surfaces
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
@@ -155,6 +155,10 @@ class BeamWindow(DenseWindow):
 
     def trace(self, projected: Projected) -> None:
         corner = self.corner - projected.anchor
+        if self.spec.radial is None:
+            hit = int(self.tables.hit[0])
+            note_beams(projected.beams, hit, corner, self.cells, self.changes)
+            return
         trace_beams(projected.beams, self.make_profile(), corner, self.list_cells(), self.changes)
 
 

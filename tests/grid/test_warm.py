@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from occmap import jit
-from occmap.grid.kernels.beams import trace_beams
+from occmap.grid.kernels.beams import note_beams, trace_beams
 from occmap.grid.kernels.polygon import trace_polygons
 from occmap.grid.kernels.project import project_ends
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
@@ -21,6 +21,7 @@ from occmap.types import Update
 
 KERNELS: list[Any] = [
     project_ends,
+    note_beams,
     trace_beams,
     trace_polygons,
     trace_radial_polygons,

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.lines import clip_line, count_steps, draw_line, note_line
+from occmap.grid.kernels.lines import clip_line, count_steps, draw_line, lies_inside, note_line
 from occmap.grid.kernels.sums import Changes
 from occmap.grid.kernels.units import (
     BETWEEN,
@@ -90,6 +90,62 @@ class Cells(NamedTuple):
 
 
 @kernel
+def note_beams(beams: Beams, hit: int, corner: Int64, cells: Int64, changes: Changes) -> None:
+    """Note what every beam says to a model that counts, and those drawn between it and the next.
+
+    It does what `trace_beams` does. As all cells but the end are plain, none of them is visited.
+
+    Parameters
+    ----------
+    hit
+        What the end cell of a HIT beam is told.
+    cells
+        (H, W + PAD) what cells were told that were visited: the ends.
+    """
+    origins, ends_x, ends_y, kinds = beams.origins, beams.ends_x, beams.ends_y, beams.kinds
+    weights, between = beams.weights, beams.between
+    row_runs, row_steps = changes.row_runs, changes.row_steps
+    col_runs, col_steps = changes.col_runs, changes.col_steps
+    rows, cols = cells.shape[0], cells.shape[1] - PAD
+    scans, count = kinds.shape
+    viewpoints = origins.shape[1]
+    for s in range(scans):
+        for b in range(count):
+            if kinds[s, b] == SKIP:
+                continue
+            k = b if viewpoints > 1 else 0
+            at_x, at_y = origins[s, k, 0] - corner[0], origins[s, k, 1] - corner[1]
+            x, y = at_x, at_y
+            to_x, to_y = ends_x[s, b] - corner[0], ends_y[s, b] - corner[1]
+            weight = np.int64(weights[s, b])
+            parts, step_x, step_y = np.int64(between[s, b]) + 1, np.int64(0), np.int64(0)
+            for part in range(1, parts + 1):  # the beam itself, then those between it and the next
+                col, row = x >> CELL_SHIFT, y >> CELL_SHIFT
+                end_col, end_row = to_x >> CELL_SHIFT, to_y >> CELL_SHIFT
+                line = draw_line(col, row, end_col, end_row)
+                first, end = 0, line.n + 1
+                if not lies_inside(col, row, end_col, end_row, rows, cols):
+                    first, end = clip_line(line, rows, cols)
+                if kinds[s, b] == HIT and end == line.n + 1:
+                    end = line.n
+                    if first <= end:
+                        cells[np.uint64(end_row), np.uint64(end_col)] += weight * hit
+                if first < end:
+                    if line.steep:
+                        note_line(line, first, end, col_runs, col_steps, rows + PAD, int(weight))
+                    else:
+                        note_line(line, first, end, row_runs, row_steps, cols + PAD, int(weight))
+                if part < parts:
+                    if part == 1:
+                        c = b + 1 if b + 1 < count else 0
+                        step_x = np.int64(ends_x[s, c] - ends_x[s, b]) // parts
+                        step_y = np.int64(ends_y[s, c] - ends_y[s, b]) // parts
+                    to_x, to_y = to_x + step_x, to_y + step_y
+                    x, y = (3 * at_x + 5 * to_x) >> 3, (3 * at_y + 5 * to_y) >> 3
+                    weight = np.int64(BETWEEN)
+
+
+@kernel
 def trace_beams(
     beams: Beams, profile: Profile, corner: Int64, cells: Cells, changes: Changes
 ) -> None:
@@ -126,11 +182,13 @@ def trace_beams(
             begun, weight = 0.0, np.int64(weights[s, b])
             parts, step_x, step_y = np.int64(between[s, b]) + 1, np.int64(0), np.int64(0)
             for part in range(1, parts + 1):  # the beam itself, then those between it and the next
-                line = draw_line(
-                    x >> CELL_SHIFT, y >> CELL_SHIFT, to_x >> CELL_SHIFT, to_y >> CELL_SHIFT
-                )
+                col, row = x >> CELL_SHIFT, y >> CELL_SHIFT
+                end_col, end_row = to_x >> CELL_SHIFT, to_y >> CELL_SHIFT
+                line = draw_line(col, row, end_col, end_row)
                 n, m = line.n, line.m
-                i, end = clip_line(line, rows, cols)
+                i, end = 0, n + 1
+                if not lies_inside(col, row, end_col, end_row, rows, cols):
+                    i, end = clip_line(line, rows, cols)
                 # The first so many cells are plain.
                 plain = n + (not is_hit)
                 before = max(r - depth, 0.0)
@@ -140,7 +198,6 @@ def trace_beams(
                         min(max(int(near * n / np.sqrt(float(n * n + m * m))), 0), n) if n else 0
                     )
                 elif is_hit and i < end == n + 1:
-                    end_col, end_row = to_x >> CELL_SHIFT, to_y >> CELL_SHIFT
                     block = table[end_row >> bits, end_col >> bits]
                     if block < 0:
                         block = used[0]

@@ -65,18 +65,20 @@ def find_step(line: Line, j: int) -> int:
 
 
 @kernel
+def lies_inside(col: int, row: int, end_col: int, end_row: int, rows: int, cols: int) -> bool:
+    """Whether a window has both ends of a line, and so all of it: nearly always."""
+    return (
+        min(row, end_row, col, end_col) >= 0
+        and max(row, end_row) < rows
+        and max(col, end_col) < cols
+    )
+
+
+@kernel
 def clip_line(line: Line, rows: int, cols: int) -> tuple[int, int]:
     """Which cells of a line a window has: from the first number up to, and without, the second."""
     width, height = (rows, cols) if line.steep else (cols, rows)
-    u, v, n, m = line.u, line.v, line.n, line.m
-    u_end, v_end = u + line.u_sign * n, v + line.v_sign * m
-    if (
-        min(u, u_end) >= 0
-        and max(u, u_end) < width
-        and min(v, v_end) >= 0
-        and max(v, v_end) < height
-    ):
-        return 0, n + 1  # nearly always
+    u, v, n = line.u, line.v, line.n
     before_u, beyond_u = (-u, width - u) if line.u_sign > 0 else (u - width + 1, u + 1)
     before_v, beyond_v = (-v, height - v) if line.v_sign > 0 else (v - height + 1, v + 1)
     first = max(before_u, find_step(line, before_v), 0)
