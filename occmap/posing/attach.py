@@ -10,15 +10,16 @@ from typing import Self
 import numpy as np
 
 from occmap.errors import PoseError
-from occmap.posing.chain import REASONS, Chain, Found, Status
+from occmap.posing.chain import REASONS, Chain, Found, Status, make_chain
 from occmap.posing.concerns import Concern
 from occmap.posing.course import STANDS, Course, list_tilts
+from occmap.posing.frames import Edge, Source, Step
 from occmap.posing.jumps import JumpWatch
 from occmap.posing.leaps import Ends, LeapFilter
-from occmap.posing.options import Deskew, DropReason, PosingOptions
+from occmap.posing.options import Deskew, DropReason, PosingOptions, Stamps
 from occmap.posing.resolve import resolve
 from occmap.posing.sources import Sources, gather
-from occmap.posing.tracks import MAX_STAMP_NS, Track, find_usable
+from occmap.posing.tracks import MAX_STAMP_NS, Track, TrackBuilder, find_usable
 from occmap.types import (
     Bool,
     Float64,
@@ -75,6 +76,7 @@ class Poser:
         self._leaps = LeapFilter(self.options.max_speed, self.notes)
         self._noted = set(self.notes)
         self._watches: dict[str, JumpWatch] = {}
+        self._stated: defaultdict[str, TrackBuilder] = defaultdict(TrackBuilder)
         self._above = _find_above(self.options)
 
     @classmethod
@@ -155,13 +157,32 @@ class Poser:
 
     def _watch(self, scans: PosedScans) -> None:
         """Take note of where the sensor was."""
-        frame = scans.batch.frame
-        self.courses[scans.batch.topic].see(scans)
+        frame, topic, pose = scans.batch.frame, scans.batch.topic, scans.batch.pose
+        self.courses[topic].see(scans)
+        stamp_ns = scans.batch.stamp_ns + self._offset_ns
         chain = self.chains.get(frame)
-        if chain is not None:
+        if pose is not None and self.sources.trajectory is None:
+            stated = PoseBatch(stamp_ns, stamp_ns, pose, "", "", static=False, topic=topic)
+            self._stated[topic].add_batch(stated, Stamps.HEADER)
+        elif chain is not None:
             if frame not in self._watches:
                 self._watches[frame] = JumpWatch(chain)
-            self._watches[frame].see(scans.batch.stamp_ns + self._offset_ns)
+            self._watches[frame].see(stamp_ns)
+
+    def _list_watches(self) -> dict[str, JumpWatch]:
+        """List what watches the poses, by topic; of poses beside scans all were needed first."""
+        watches = {
+            topic: self._watches[course.frame]
+            for topic, course in self.courses.items()
+            if course.frame in self._watches
+        }
+        for topic, builder in self._stated.items():
+            track = builder.build()
+            if track is not None:
+                watch = JumpWatch(make_chain([Step(Edge("", "", track, Source.ODOMETRY))], None))
+                watch.see(track.stamp_ns)
+                watches[topic] = watch
+        return watches
 
     def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
         """Say what of the poses that were given so far spoils a map, and of which topic.
@@ -175,13 +196,13 @@ class Poser:
         max_range
             Beams are used up to here (m).
         """
-        jumped = False
+        jumped, watches = False, self._list_watches()
         for topic, course in sorted(self.courses.items()):
             if course.stands:
                 self._note(f"{topic}: {STANDS}")
             if course.stance:
                 yield from ((topic, tilt) for tilt in list_tilts(course.stance, max_range))
-            watch = self._watches.get(course.frame)
+            watch = watches.get(topic)
             if watch and not jumped:  # of several sensors on one robot, one tells it
                 for concern in watch.list_concerns(first_ns + self._offset_ns):
                     jumped = True
@@ -189,8 +210,8 @@ class Poser:
 
     @property
     def jumps(self) -> bool:
-        """Whether a correction of odometry takes the robot elsewhere at once."""
-        return any(watch.edges_ns.size for watch in self._watches.values())
+        """Whether any pose takes the robot elsewhere at once."""
+        return any(watch.edges_ns.size for watch in self._list_watches().values())
 
     def find_ends(self) -> dict[str, Ends]:
         """Where the posed scans so far begin and end, by topic."""

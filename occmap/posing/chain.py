@@ -1,6 +1,6 @@
 """Chains: the poses of a sensor in the map frame, through any number of frames in between."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple, Self
@@ -78,6 +78,14 @@ def turn(rotation: Float64, position: Float64) -> Float64:
     return turned
 
 
+class Break(NamedTuple):
+    """Two moments that a jump lies between, by the clock of the poses."""
+
+    after_ns: int
+    before_ns: int
+    step: Step
+
+
 @dataclass(frozen=True, eq=False)
 class _Moving:
     """A step that is interpolated between the two samples around a stamp."""
@@ -108,6 +116,15 @@ class _Moving:
         found.status[stamp_ns > stamps[-1]] = Status.AFTER
         return found.invert() if self.step.inverted else found
 
+    def find_breaks(self) -> Iterator[Break]:
+        """Find where a correction jumps, and where a body does what no robot can."""
+        stamps = self.step.edge.track.stamp_ns
+        for at in np.flatnonzero(self.holds[:-1]).tolist():
+            yield Break(int(stamps[at + 1]), int(stamps[at + 1]) - 1, self.step)
+        strides = self.step.edge.track.strides
+        for at in strides[~self.holds[strides]].tolist():
+            yield Break(int(stamps[at + 1]), int(stamps[at]), self.step)
+
 
 @dataclass(frozen=True, eq=False)
 class Chain:
@@ -127,11 +144,11 @@ class Chain:
         return (self.steps[0].upper, *(step.lower for step in self.steps)) if self.steps else ()
 
     @property
-    def jumps_ns(self) -> Int64:
-        """(J,) when a correction of odometry jumps, in ascending order."""
+    def breaks(self) -> list[Break]:
+        """Where a leg jumps, in ascending order and each moment once."""
         legs = [leg for leg in self.legs if isinstance(leg, _Moving)]
-        stamps = [leg.step.edge.track.stamp_ns[1:][leg.holds[:-1]] for leg in legs]
-        return np.unique(np.concatenate([np.zeros(0, np.int64), *stamps]))
+        found = {each.after_ns: each for leg in legs for each in leg.find_breaks()}
+        return [found[stamp_ns] for stamp_ns in sorted(found)]
 
     def is_dense(self, duration_s: Float64) -> Bool:
         """Whether the poses show how the sensor moved within durations (N,)."""

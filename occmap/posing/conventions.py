@@ -7,7 +7,7 @@ from occmap.posing.frames import FrameTree, last_part
 
 FIXED_NAMES = ("map", "odom")
 BASE_NAMES = ("base_link", "base_footprint")
-MAX_NAMES = 12
+MAX_NAMES = 6
 """People do not read longer lists."""
 
 

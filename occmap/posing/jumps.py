@@ -1,7 +1,8 @@
-"""Jumps: a correction of odometry (`map -> odom`) that takes the robot elsewhere at once.
+"""Jumps: poses that take the robot elsewhere at once.
 
-REP 105 allows them, and live navigation recovers. A map does not: what was traced before such a
-jump and what is traced after it belong to different places.
+REP 105 allows them in the correction of odometry (`map -> odom`), and live navigation recovers. A
+map does not: what was traced before such a jump and what is traced after it belong to different
+places. Other poses jump where a robot was carried, or where two trajectories were joined.
 """
 
 import math
@@ -32,6 +33,8 @@ class Jump(NamedTuple):
     """(3,) ... and where it is"""
     rotation: Float64
     """(3, 3) how it turned, in the frame of the map"""
+    name: str
+    """What jumped"""
 
     @property
     def metres(self) -> float:
@@ -55,7 +58,6 @@ class JumpWatch:
     """Counts the scans between the jumps of a chain, to know which part is worth keeping."""
 
     def __init__(self, chain: Chain) -> None:
-        self._frames = " -> ".join(chain.frames[:2])
         self._jumps = list(find_jumps(chain))
         self.edges_ns: Int64 = np.array([jump.stamp_ns for jump in self._jumps], np.int64)
         """When the sensor jumps, by the clock of the poses"""
@@ -87,34 +89,38 @@ class JumpWatch:
         keep = " and ".join(f"`{name}={value}`" for name, value in remedy.items())
         share = self._scans[longest] / self._scans.sum()
         yield Concern(
-            f"{self._frames} jumps {describe_jump(jumps, first_ns)}: scans from before and after "
-            f"do not fit together; {keep} keeps the longest part, {share:.0%} of them",
+            f"{describe_jump(jumps, first_ns)}: scans from before and after do not fit together; "
+            f"{keep} keeps the longest part, {share:.0%} of them",
             remedy,
         )
 
 
 def find_jumps(chain: Chain) -> Iterator[Jump]:
     """Find the jumps that the sensor at the end of a chain makes."""
-    stamp_ns = chain.jumps_ns
-    before, after = chain.at(stamp_ns - 1), chain.at(stamp_ns)
+    breaks = chain.breaks
+    before = chain.at(np.array([each.before_ns for each in breaks], np.int64))
+    after = chain.at(np.array([each.after_ns for each in breaks], np.int64))
     known = (before.status == Status.POSED) & (after.status == Status.POSED)
-    for at in np.flatnonzero(known):
+    for at in np.flatnonzero(known).tolist():
         rotation = after.rotation[at] @ before.rotation[at].T
-        jump = Jump(int(stamp_ns[at]), before.position[at], after.position[at], rotation)
+        place = before.position[at], after.position[at]
+        step = breaks[at].step
+        name = f"{step.upper} -> {step.lower}" if step.lower else "the pose beside the scans"
+        jump = Jump(breaks[at].after_ns, *place, rotation, name)
         if jump.metres > JUMP_M or jump.radians > JUMP_RAD:
             yield jump
 
 
 def describe_jump(jumps: Sequence[Jump], first_ns: int) -> str:
-    """Say how far and when the largest jump leads, and whether the next one undoes it."""
+    """Say what jumps, how far and when, of the largest jump, and whether the next undoes it."""
     worst = max(range(len(jumps)), key=lambda at: jumps[at].metres + jumps[at].radians)
     if worst and jumps[worst - 1].is_undone_by(jumps[worst]):
         worst -= 1
     jump, later = jumps[worst], jumps[worst + 1 : worst + 2]
     seconds = (jump.stamp_ns - first_ns) / 1e9
     text = (
-        f"by {jump.metres:.3g} m and {math.degrees(jump.radians):.0f} deg {seconds:.3f} s after "
-        "the first scan"
+        f"{jump.name} jumps by {jump.metres:.3g} m and {math.degrees(jump.radians):.0f} deg "
+        f"{seconds:.3f} s after the first scan"
     )
     if later and jump.is_undone_by(later[0]):
         text += f", and back at {(later[0].stamp_ns - first_ns) / 1e9:.3f} s"

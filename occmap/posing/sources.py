@@ -163,6 +163,8 @@ def _find_trajectory(options: PosingOptions, poses: Sequence[Edge], notes: list[
             return edge
     if name.strip("/") in TF_TOPICS - {""}:
         raise PoseError("transforms are not a topic of poses", where=name, fix=USE_TF)
+    if Path(name).suffix:  # no topic has one
+        raise PoseError("no such file", where=name)
     topics = ", ".join(sorted({edge.topic for edge in poses}))
     raise PoseError(
         "neither a file nor a topic with poses",

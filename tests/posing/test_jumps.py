@@ -2,14 +2,18 @@
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from occmap.inspection import inspect
+from occmap.pipeline import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.concerns import Concern
 from occmap.types import Pose, PoseSample
 from tests.posing.scenes import SECOND, at, batch_at, bolted, build, drive, turned
+from tests.samples import write_csv
 
 SECONDS = range(101)
 MOUNT = bolted("base_link", "laser", Pose.planar(0, 0, 0))
@@ -74,6 +78,30 @@ def test_the_options_are_by_the_clock_of_the_scans() -> None:
     ((_, concern),) = poser.list_concerns(5 * SECOND, math.inf)
     # The jump at 12 s is at 10 s by the scans, 5 s after the first of them.
     assert concern.remedy == {"start_s": "5"}
+
+
+def test_odometry_that_is_carried_elsewhere_is_told() -> None:
+    driven = [
+        at(s, "odom", "base_link", Pose.planar(0.1 * s + 4 * (s >= 30), 0, 0)) for s in SECONDS
+    ]
+    (concern,) = watch(build(*driven, MOUNT))
+    # From 2.9 m to 7 m between the samples at 29 and 30 s.
+    assert (
+        "odom -> base_link jumps by 4.1 m and 0 deg 30.000 s after the first scan" in concern.text
+    )
+    assert concern.remedy == {"start_s": "30"}
+
+
+@pytest.mark.parametrize(("every", "jumps"), [(1, 1), (4, 1), (20, 0)])
+def test_poses_beside_the_scans_are_watched(tmp_path: Path, every: int, jumps: int) -> None:
+    """A robot at 0.2 m a second, carried by 4 m: in 20 s it may have driven there."""
+    poses = [(0.2 * every * scan + 4.0 * (scan >= 30), 0.0, 0.0) for scan in range(40)]
+    log = write_csv(tmp_path / "log.csv", poses, [1.0, 1.5, 2.0], step=0.1)
+    head, *rows = log.read_text().rsplit("\n", len(poses) + 1)
+    sparse = [f"{scan * every},{row.partition(',')[2]}" for scan, row in enumerate(rows[:-1])]
+    log.write_text("\n".join([head, *sparse]) + "\n")
+    warnings = inspect([log], BuildOptions()).warnings
+    assert sum("the pose beside the scans jumps by" in text for text in warnings) == jumps
 
 
 def drift(second: int) -> Pose:
