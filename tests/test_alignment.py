@@ -95,7 +95,8 @@ def test_what_is_added_is_turned_as_what_is_there(tmp_path: Path) -> None:
     made = build([first], ALIGNED, [kept])
     assert read_evidence(kept).manifest.align == made.report.align
     assert build([second], replace(ALIGNED, resume=kept)).report.align == made.report.align
-    refused = rf"first.npz: its align is {made.report.align}, .* is 0.0; build both with the same"
+    found = rf"first.npz: its align is {made.report.align}, .* is 0.0"
+    refused = f"{found}; build both with `align=0.0`, or both with `align={made.report.align}`"
     with pytest.raises(MapError, match=refused):
         build([second], replace(PLAIN, resume=kept))
 

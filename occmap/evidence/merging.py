@@ -134,14 +134,15 @@ def refuse_different(manifest: Manifest, other: Described) -> None:
     Raises
     ------
     MapError
-        Naming what differs.
+        Naming what differs, and the option to give where it is one number.
     """
     for name in MEANING:
         mine, its = getattr(manifest, name), getattr(other.manifest, name)
         if mine != its:
+            given = f"`{name}={mine}`, or both with `{name}={its}`"
             raise MapError(
                 f"its {name} is {'none' if its == '' else its}, that of what it is to be combined "
                 f"with is {'none' if mine == '' else mine}",
                 where=other.where,
-                fix="build both with the same options",
+                fix=f"build both with {given if isinstance(mine, float) else 'the same options'}",
             )
