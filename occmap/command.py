@@ -87,6 +87,15 @@ def compose_build(
     return (*start, *logs, *words, "-o", f"{name_map(logs[0])}.pgm")
 
 
+def chain_builds(lines: Sequence[tuple[str, ...]]) -> Iterator[tuple[str, ...]]:
+    """Let each of several `occmap build` lines add to what the lines before it observed."""
+    saved = Path(lines[0][-1]).with_suffix(".npz").name
+    kept: tuple[str, ...] = ()
+    for line in lines:
+        yield (*line[:-2], *kept, "-o", saved, *line[-2:])
+        kept = (spell_flag("resume"), saved)
+
+
 def list_beside(name: str, texts: Sequence[str], text: str) -> list[str]:
     """List the given values of an option that a new one leaves: transforms to other frames."""
     if name != "static_transforms":

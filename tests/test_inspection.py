@@ -219,6 +219,21 @@ def test_what_check_recommends_is_then_buildable(tmp_path: Path) -> None:
     assert found.command == look(path).command
 
 
+def test_logs_that_need_different_options_get_a_line_each(tmp_path: Path) -> None:
+    right = write_bag(tmp_path / "right.bag", Drive(), mount=[(0.0, 0.0)])
+    bare = write_bag(tmp_path / "bare.bag", Drive(mount=math.pi))
+    lost = tmp_path / "lost.bag"
+    lost.write_bytes(b"no bag")
+    seen = inspect([right, lost, bare], BuildOptions())
+    assert not seen.command
+    head, first, second, left = seen.warnings[-4:]
+    assert head.startswith("the logs need different options")
+    assert first == f"occmap build {right} -o right.npz -o right.pgm"
+    mount = f"--sensor-pose 0,0,{math.pi:.5f} --resume right.npz -o right.npz -o bare.pgm"
+    assert second == f"occmap build {bare} {mount}"
+    assert left == f"the line leaves out what cannot be mapped: {lost}"
+
+
 def test_a_wrong_mount_is_suspected(tmp_path: Path) -> None:
     found = look(write_bag(tmp_path / "room.bag", Drive(math.pi), mount=[(0.0, 0.0)]))
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from occmap.command import format_mount, spell_flag
 from occmap.errors import LogError, OccmapError
 from occmap.grid.lattice import MOST_CELLS_OF_BEAM
-from occmap.inspection.advice import compose_command, list_concerns
+from occmap.inspection.advice import compose_command, list_apart, list_concerns
 from occmap.inspection.extent import Extent
 from occmap.inspection.findings import (
     Inspection,
@@ -59,15 +59,20 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
     too_large = _list_size_problems(grid, options) or _list_beam_problems(extent, options)
     unseen = _list_unseen(logs, grid)
     problems += _list_pose_problems(logs, options.posing.stamps) or too_large or unseen
-    usable = any(_is_usable(topic, options) for log in logs for topic in log.scans)
-    command = compose_command(logs, options, concerns) if usable and not too_large else ()
+    mapped = [look for look in looks if any(_is_usable(topic, options) for topic in look[0].scans)]
+    apart = () if too_large else tuple(list_apart(mapped, options))
+    usable = mapped and not too_large and not apart
+    command = compose_command([log for log, _ in mapped], options, concerns) if usable else ()
+    left = [log.path for log in logs if all(log is not each for each, _ in mapped)]
+    if left and (command or apart):
+        apart += (f"the line leaves out what cannot be mapped: {', '.join(left)}",)
     if unseen and spell_flag("no_return") not in command:
         command = ()  # nothing that is known makes anything of these logs
     return Inspection(
         logs=tuple(logs),
         map=grid,
         problems=tuple(problems),
-        warnings=tuple(concern.text for concern in concerns),
+        warnings=(*(concern.text for concern in concerns), *apart),
         command=command,
     )
 

@@ -1,9 +1,10 @@
 """From findings to advice: warnings, and the command line that makes the best of the logs."""
 
-from collections.abc import Sequence
+import shlex
+from collections.abc import Iterator, Sequence
 
 from occmap.batching import find_oddity
-from occmap.command import compose_build
+from occmap.command import chain_builds, compose_build
 from occmap.inspection.findings import LogFindings, ScanFindings
 from occmap.mounts import describe_misfit
 from occmap.pipeline import BuildOptions
@@ -34,6 +35,20 @@ def compose_command(
     if all(ASK_TUNE in concern.text for concern in hopeless):
         return ("occmap", "tune", *command[2:-2]) if hopeless else command
     return ()
+
+
+def list_apart(
+    looks: Sequence[tuple[LogFindings, Sequence[Concern]]], options: BuildOptions
+) -> Iterator[str]:
+    """Say which lines build logs that need different options, each added to those before."""
+    lines = [compose_command([log], options, concerns) for log, concerns in looks]
+    if len({(*line[:2], *line[3:-2]) for line in lines}) < 2:
+        return
+    if any(line[1:2] != ("build",) for line in lines):
+        yield "the logs need different options: check them one by one"
+        return
+    yield "the logs need different options: build one after the other"
+    yield from map(shlex.join, chain_builds(lines))
 
 
 def list_advised(logs: Sequence[LogFindings], options: BuildOptions) -> dict[str, str]:
