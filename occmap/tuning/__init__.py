@@ -8,7 +8,7 @@ import numpy as np
 
 from occmap.pipeline import BuildOptions, Progress, count_scans, ignore_progress
 from occmap.readers import open_log
-from occmap.report import Remarks, Tally
+from occmap.report import LEAST_AGREEMENT, Remarks, Tally
 from occmap.scoring.compare import FEW_SCANS
 from occmap.tuning.kept import MOST_SCANS, KeptLog, find_mount, keep_logs
 from occmap.tuning.result import Tuning
@@ -74,6 +74,7 @@ def tune(
         before=before,
         after=course.score(both.correction),
         tried=course.tried,
+        agreement=course.measure_agreement(both.correction),
     )
     remarks.notes += [*list_unsearched(logs, mount, motion), *list_doubts(tuning)]
     return tuning
@@ -132,6 +133,12 @@ def list_unsearched(logs: Sequence[KeptLog], mount: Pose | None, motion: Motion)
 
 def list_doubts(tuning: Tuning) -> Iterator[str]:
     """Say what makes the result less sure."""
+    if tuning.is_doubtful:
+        yield (
+            f"with the best that was found only {tuning.agreement:.0%} of the hits lie in occupied "
+            f"cells, still below {LEAST_AGREEMENT:.0%}: the search may have ended far from what is "
+            "right; measure the mount and give it by `sensor_pose`, or see `occmap check`"
+        )
     if tuning.time.verdict is Verdict.DISAGREE:
         yield "the mount is not searched: it would make up for times that change within the log"
     half = tuning.held_out // 2

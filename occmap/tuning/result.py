@@ -6,7 +6,7 @@ from typing import Any, TypedDict
 from occmap.command import compose_build
 from occmap.pipeline import BuildOptions
 from occmap.plain import Count, Finite, Share, Told, to_plain
-from occmap.report import Remarks, Tally
+from occmap.report import LEAST_AGREEMENT, Remarks, Tally
 from occmap.scoring.compare import HeldOutScans, describe_run
 from occmap.scoring.score import Trial
 from occmap.tuning.search import Correction
@@ -117,6 +117,13 @@ class Tuning:
     before: Trial
     after: Trial
     tried: dict[Correction, Trial]
+    agreement: float | None
+    """Share of the hits in cells that the map of the best calls occupied; None without any"""
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether scans contradict each other even with the best that was found."""
+        return self.agreement is not None and self.agreement < LEAST_AGREEMENT
 
     @property
     def correction(self) -> Correction:

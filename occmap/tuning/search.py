@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from occmap.command import to_rpy
-from occmap.pipeline import BuildOptions
+from occmap.evidence import render
+from occmap.pipeline import BuildOptions, make_engine
 from occmap.posing.options import PosingOptions
 from occmap.scoring.compare import refuse_unscored
 from occmap.scoring.score import Trial
@@ -92,6 +93,14 @@ class Course:
         """Turn all scans, posed with a correction, into rays."""
         posing = correction.apply(self._posing, self._mount)
         return trace_rays(self._logs, posing, self._options.returns)
+
+    def measure_agreement(self, correction: Correction) -> float | None:
+        """Measure the share of hits in occupied cells, in a map with a correction; None: no hit."""
+        options = self._options
+        engine = make_engine(options)
+        for rays in self.trace(correction):
+            engine.add(rays)
+        return render(engine.finish(), options.model, options.max_cells).agreement
 
     def _score(self, scans: Iterable[Rays]) -> Trial:
         options = self._options

@@ -73,7 +73,8 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
     yield f"share    {before.share:.4f}{gained}"
     yield f"scored   by {held}; {count(len(tuning.tried), 'map')} of {count(tuning.kept, 'scan')}"
     disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
-    nothing = "nothing is recommended" if disagree else "nothing to gain"
+    unsure = disagree or tuning.is_doubtful
+    nothing = "nothing is recommended" if unsure else "nothing to gain"
     yield write_command(tuning.command) or nothing
 
 
