@@ -24,6 +24,14 @@ def write_box(box: Sequence[float]) -> str:
     return f"x {low_x} to {high_x} m, y {low_y} to {high_y} m"
 
 
+def write_duration(seconds: float) -> str:
+    """Write a time of either sign in seconds, a long one also in hours and minutes."""
+    if seconds < 100:
+        return f"{seconds:.3g} s"
+    hours, minutes = divmod(round(seconds / 60), 60)
+    return f"{seconds:,.0f} s" + (f" ({hours:,} h {minutes} min)" if seconds >= 3600 else "")
+
+
 def write_time(stamp_ns: int) -> str:
     """Write a stamp in seconds as in the log, and as a date where it is one."""
     return f"{stamp_ns / 1e9:.3f} s{_date(stamp_ns)}"

@@ -17,7 +17,7 @@ from occmap.inspection.findings import (
 )
 from occmap.posing.coverage import Coverage
 from occmap.readers import Role
-from occmap.wording import count, write_box, write_counts, write_span
+from occmap.wording import count, write_box, write_counts, write_duration, write_span
 
 LABEL = 10
 """Width of the first column."""
@@ -114,15 +114,19 @@ def list_ranges(ranges: RangeFindings) -> Iterator[Row]:
         meaning = "no return, by the limit" if item.is_no_return else "may mean no return"
         yield "", f"{item.value:<12.6g} repeated: {item.share:.1%} of the ranges; {meaning}"
     if ranges.crossed is not None:
-        yield "", f"{ranges.crossed:.0%} of beams without return lead through what others hit"
+        text = f"{ranges.crossed:.0%} of beams without return lead through what others hit"
+        advised = any(special.no_return == "clear" for special in ranges.specials)
+        yield "", text if advised else f"{text}: leave --no-return as it is"
 
 
 def format_times(times: TimeFindings) -> str:
     """Say how the stamps run, beside the record times."""
-    parts = [f"{times.offset_s:.3g} s from the record times, drift {times.drift_s:.2g} s"]
+    side = {-1: "before", 0: "from", 1: "after"}[(times.offset_s > 0) - (times.offset_s < 0)]
+    offset = f"{write_duration(abs(times.offset_s))} {side} the record times"
+    parts = [f"{offset}, drift {times.drift_s:.2g} s"]
     if times.simulated:
         parts = ["simulated time"]
-    parts += [f"largest gap {times.largest_gap_s:.3g} s"]
+    parts += [f"largest gap {write_duration(times.largest_gap_s)}"]
     if times.time_increment_s:
         parts.append(f"{1e3 * times.time_increment_s:.3g} ms between beams")
     if times.jumps_back:
@@ -172,7 +176,7 @@ def list_sources(log: LogFindings) -> Iterator[Row]:
 
 def format_source(source: Coverage) -> str:
     """Say what a pose source knows."""
-    name = f"{source.parent} > {source.child or '?'}"
+    name = f"{source.parent} > {source.child or 'a body'}"
     step = f"{source.largest_step_m:.3g} m, {math.degrees(source.largest_step_rad):.3g} deg"
     return (
         f"{name} on {source.topic}: {count(source.samples, 'sample')}, "

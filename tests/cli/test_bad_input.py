@@ -207,7 +207,7 @@ def test_wrong_usage(words: str, found: str) -> None:
     ("words", "found"),
     [
         ("--scan-topic /front", "log.csv: has no scans on the topic /front"),
-        ("--poses nowhere.tum", "nowhere.tum: neither a file nor a topic with poses"),
+        ("--poses nowhere.tum", "nowhere.tum: no such file"),
         ("--start 7", "none of 1 scans can be used: 1 outside --start and --end"),
         ("--max-cells 2", "more than --max-cells 2"),
         ("--min-range 1", "no beam of any scan observed a cell"),
