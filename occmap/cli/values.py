@@ -59,22 +59,6 @@ def parse_static(text: str) -> PoseSample:
     return PoseSample(0, words[0], words[1], pose, static=True)
 
 
-def parse_share(text: str) -> float:
-    """Read a share such as 0.05 or 5%.
-
-    Raises
-    ------
-    UsageError
-        It is no number from 0 to 1.
-    """
-    where, form = f"--fail-above {text}", "write a share such as 0.05 or 5%"
-    (number,) = read_numbers([text.removesuffix("%")], where, form)
-    share = number / 100 if text.endswith("%") else number
-    if not 0 <= share <= 1:
-        raise UsageError("is no share of a whole", where=where, fix=form)
-    return share
-
-
 def parse_size(text: str) -> int:
     """Read a number of bytes such as 256MB; raises UsageError where it is none of at least 1 kB."""
     where, form = f"--slice {text}", "write a size such as 256MB or 1GB"

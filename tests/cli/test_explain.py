@@ -180,3 +180,15 @@ def test_what_is_not_explained_is_noted() -> None:
 )
 def test_bad_input_is_one_line(words: list[str], code: int, found: str) -> None:
     assert found in read_error(occmap("explain", *words), code)
+
+
+@pytest.mark.parametrize("point", [["0.37,0.05"], ["3.7e-1,.05"], ["-4,-2"], ["4,-2."]])
+def test_a_point_may_have_a_comma(point: list[str]) -> None:
+    apart = point[0].split(",")
+    assert occmap("explain", "a.npz", *point) == occmap("explain", "a.npz", *apart)
+    assert occmap("explain", "a.npz", "0.37,0.05").code == 0
+
+
+def test_what_is_missing_comes_with_an_example() -> None:
+    error = read_error(occmap("explain", "a.npz"), 2)
+    assert error == "Missing argument 'X'; write, for example, occmap explain map.npz 1.5 -0.25"

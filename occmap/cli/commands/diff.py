@@ -10,9 +10,9 @@ from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.summary import LABEL
-from occmap.cli.values import PATH, parse_share, read_by
+from occmap.cli.values import PATH, read_by
 from occmap.difference import MapDifference, compare_files
-from occmap.gates import Limit
+from occmap.gates import Limit, parse_bound
 from occmap.gates.measures import DIFF
 from occmap.keywords import take
 from occmap.wording import count
@@ -38,7 +38,7 @@ became neither pink; stronger colours are contradictions, paler ones news.
 
 def limit_change(text: str) -> Limit:
     """Read how much may have changed; raises UsageError where that is no share."""
-    bound = parse_share(text)
+    bound = parse_bound(text.strip(), DIFF[0], f"--fail-above {text}")
     return Limit(DIFF[0], ">", bound, in_percent=text.endswith("%"), option="--fail-above")
 
 
