@@ -101,6 +101,12 @@
 
   // Looking: all maps show one layer and one part of the world.
   const maps = (DATA.maps || []).map((raster, index) => ({raster, index}));
+  // Until it is drawn a map is there as a picture: for pages that are printed, or photographed.
+  maps.forEach(({raster}, index) => {
+    const poster = makeElement("div", "", "poster");
+    poster.style.backgroundImage = `url(data:image/png;base64,${raster.poster})`;
+    document.querySelectorAll("figure")[index].prepend(poster);
+  });
   let current = null, asked = false;
   function repaint() {
     if (asked) return;
@@ -117,6 +123,7 @@
       if (!document.body.dataset.drawn)
         requestAnimationFrame(() => requestAnimationFrame(() => {
           document.body.dataset.drawn = Math.round(performance.now());
+          document.querySelectorAll(".poster").forEach(poster => poster.remove());
           prepare();
         }));
     });
@@ -184,13 +191,15 @@
   function describe(layer, value) {
     if (layer.kind === "classes") return layer.names[value];
     if (value === layer.none && layer.kind !== "log") return "\u2013";
-    if (layer.kind === "time") return writeTime(layer.start + (value - 0.5) * layer.scale);
+    if (layer.kind === "time") return writeSlice(layer.start + value * layer.scale, layer.scale);
     return number(value * layer.scale, layer.digits);
   }
-  function writeTime(seconds) {
-    const since = `${number(seconds - DATA.start, 1)} s`;
-    if (seconds < 1e9) return since;
-    return `${since} (${new Date(seconds * 1e3).toISOString().slice(0, 19).replace("T", " ")})`;
+  // Stamps as in the log, so that `occmap explain` has them, too; and dates, where they are some.
+  const writeTime = seconds => `${seconds.toFixed(3)} s${date(seconds)}`;
+  const writeSlice = (end, length) => `${(end - length).toFixed(3)} to ${end.toFixed(3)} s${date(end - length)}`;
+  function date(seconds) {
+    if (seconds < 631152000 || seconds >= 4102444800) return "";
+    return ` (${new Date(seconds * 1e3).toISOString().slice(0, 19).replace("T", " ")} UTC)`;
   }
 
   // The whole map in the middle, a metre as long in x as in y.
@@ -215,7 +224,7 @@
     const take = (cells, start) => Float64Array.from(cells.subarray(from, to), value => start + value * unit);
     source.data = {x: take(xs, origin[0]), y: take(ys, origin[1])};
     robot.data = index < 0 ? {x: [], y: []} : {x: [scans.x[index]], y: [scans.y[index]]};
-    find("when").textContent = index < 0 ? "move to lay one scan over the map" : writeTime(DATA.start + scans.t[index]);
+    find("when").textContent = index < 0 ? "move to lay one scan over the map" : writeTime(scans.t[index]);
     document.body.dataset.scan = index;
   }
 
