@@ -120,13 +120,19 @@
         if (layer === current) paint(map, cells, {...layer, table: tableOf(layer)});
       }
       document.body.dataset.layer = layer.key;
-      if (!document.body.dataset.drawn)
-        requestAnimationFrame(() => requestAnimationFrame(() => {
-          document.body.dataset.drawn = Math.round(performance.now());
-          document.querySelectorAll(".poster").forEach(poster => poster.remove());
-          prepare();
-        }));
+      if (!settled) {
+        settled = true;
+        setTimeout(() => requestAnimationFrame(() => requestAnimationFrame(settle)), SETTLING_MS);
+      }
     });
+  }
+  // Bokeh paints at its own pace and says nothing of it.
+  const SETTLING_MS = 150;
+  let settled = false;
+  function settle() {
+    document.querySelectorAll(".poster").forEach(poster => poster.remove());
+    document.body.dataset.drawn = Math.round(performance.now());
+    prepare();
   }
   // What the pointer will ask for is unpacked once the map is there, a layer after the other.
   async function prepare() {
@@ -215,6 +221,13 @@
     set(figure.y_range, (box[1] + box[3]) / 2, scale * figure.inner_height / 2);
   }
 
+  // Where a window, or a scrollbar, changes the size: the same width in metres, and the shape.
+  function keepShape({x_range, y_range, inner_width, inner_height}) {
+    const middle = (y_range.start + y_range.end) / 2;
+    const half = (x_range.end - x_range.start) / inner_width * inner_height / 2;
+    y_range.setv({start: middle - half, end: middle + half});
+  }
+
   // The slider: one scan over the map.
   async function layScan(index) {
     const {scans, origin, unit} = DATA.journey, document_ = maps[0].figure.document;
@@ -238,6 +251,8 @@
     if (maps.some(map => !(map.figure.inner_width > 0))) return setTimeout(start, 20);
     fit(maps[0]);
     for (const range of [maps[0].figure.x_range, maps[0].figure.y_range]) range.change.connect(repaint);
+    const {inner_width, inner_height} = maps[0].figure.properties;
+    for (const side of [inner_width, inner_height]) side.change.connect(() => keepShape(maps[0].figure));
     find("whole").onclick = () => fit(maps[0]);
     for (const layer of DATA.layers) {
       const button = makeElement("button", layer.label);

@@ -134,6 +134,24 @@ def test_nothing_is_complained_of_and_nothing_asked_of_the_network(drive: Drive)
     assert [name for name in asked if not name.startswith(("data:", "blob:"))] == []
 
 
+def test_in_a_narrow_window_a_metre_is_as_long_in_y_and_the_plot_has_the_shape_of_the_map(
+    browser: Chrome, tmp_path: Path
+) -> None:
+    api.build_map(DRIVE, resolution=0.2, outputs=tmp_path / "m.html")
+    page = Shown(browser, tmp_path / "m.html")
+    size = browser.get_window_size()
+    browser.set_window_size(600, 1000)
+    page.rest()
+    page.rest()
+    wide, high, metres_x, metres_y = page.run(
+        "const f = Bokeh.documents[0].get_model_by_name('map-0'), x = f.x_range, y = f.y_range;"
+        "return [f.inner_width, f.inner_height, x.end - x.start, y.end - y.start]"
+    )
+    browser.set_window_size(size["width"], size["height"])
+    assert wide / metres_x == pytest.approx(high / metres_y)
+    assert metres_y < 20  # of a map of 16 x 12 m; a tall strip has 24 m
+
+
 def test_a_photograph_of_the_page_shows_the_map(drive: Drive, tmp_path: Path) -> None:
     assert BROWSER
     made = tmp_path / "map.html"
