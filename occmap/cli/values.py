@@ -159,6 +159,17 @@ def read_by(parse: Callable[[str], Any]) -> dict[str, Any]:
     return {"callback": convert}
 
 
+def take_one(_ctx: click.Context, param: click.Parameter, values: tuple[Any, ...]) -> Any:
+    """Take what an option was given once, or None; raises UsageError where it was given twice."""
+    if len(values) > 1:
+        given = ", ".join(map(str, values))
+        raise UsageError(
+            f"{param.opts[-1]} takes one file, and is given {len(values)}: {given}",
+            fix="run the command once for each",
+        )
+    return next(iter(values), None)
+
+
 def one_of(kind: type[StrEnum]) -> dict[str, Any]:
     """Return the settings of an option whose values are the members of an enum."""
     return {

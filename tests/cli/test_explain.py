@@ -42,6 +42,18 @@ def test_a_cell_in_lines() -> None:
     ]
 
 
+def test_eighths_are_told_as_observations_and_json_says_the_unit() -> None:
+    words = ["--resolution", "0.1", "--hit-offset", "0", "--model", "simple:spread=0"]
+    assert occmap("build", "surface", "a.csv", *words, "-o", "s.npz").code == 0
+    question = ["explain", "s.npz", "0.37", "0.05"]
+    found = json.loads(occmap(*question, "--json").out)
+    hits, misses = (found["seen"][name] / 8 for name in ("hits", "misses"))
+    assert found["unit"] == 8
+    assert hits > 0
+    seen = occmap(*question).out.splitlines()[2].split()
+    assert (float(seen[1]), float(seen[4])) == (hits, misses)
+
+
 def test_scans_in_lines() -> None:
     result = occmap("explain", "a.npz", "0.37", "0.05", "--log", "a.csv")
     assert (result.code, result.err) == (0, "")

@@ -28,7 +28,8 @@ A cell that is neither occupied nor free is unknown or undecided; images do not 
 other, so both count as neither.
 
 In the picture, cells that became occupied are orange, cells that became free blue, and cells that
-became neither pink; stronger colours are contradictions, paler ones news.
+became neither wine where they were occupied and pink where they were free; of orange and blue,
+stronger colours are contradictions, paler ones news.
 
 \b
   occmap diff yesterday.pgm today.pgm
@@ -42,13 +43,8 @@ def limit_change(text: str) -> Limit:
     return Limit(DIFF[0], ">", bound, in_percent=text.endswith("%"), option="--fail-above")
 
 
-picture = option(
-    options.FILES,
-    "-o",
-    "--output",
-    type=PATH,
-    metavar="FILE",
-    help="Write the changes here: .png is a picture, .html a page.",
+picture = options.one_output(
+    "output", "FILE", "Write the changes here: .png is a picture, .html a page."
 )
 fail_above = option(
     limits.LIMITS,
