@@ -28,7 +28,21 @@ def kernel(function: F) -> F:
 
     Where no folder can be written it still works, and compiles anew in every process.
     """
-    compiled: Any = numba.njit(nogil=True, error_model="numpy")(function)
+    return compile_kept(function, forceinline=False)
+
+
+def step(function: F) -> F:
+    """Compile a function that is a step of kernels' innermost loops, so that it is no call there.
+
+    A call of its own would count references to each array that is handed over.
+    """
+    return compile_kept(function, forceinline=True)
+
+
+def compile_kept(function: F, forceinline: bool) -> F:
+    """Compile a function at its first call, as `kernel` says."""
+    inlining = numba.njit(nogil=True, error_model="numpy", forceinline=forceinline)
+    compiled: Any = inlining(function)
     compiled._cache = KeptCode(function)
     return compiled  # type: ignore[no-any-return]  # called like the function it was made of
 

@@ -7,10 +7,10 @@ DATES_S = range(631_152_000, 4_102_444_800)
 """1990 to 2100: such stamps are dates; others count from the start of something"""
 
 
-def count(number: int, noun: str) -> str:
-    """Write how many there are: 1 beam, 2,000 beams, 2 misses."""
+def count(number: float, noun: str) -> str:
+    """Write how many there are: 1 beam, 2,000 beams, 2.875 misses."""
     ending = "" if number == 1 else "es" if noun.endswith("s") else "s"
-    return f"{number:,} {noun}{ending}"
+    return f"{number:,.15g} {noun}{ending}"
 
 
 def write_counts(counts: Mapping[str, int]) -> str:

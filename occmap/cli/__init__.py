@@ -119,7 +119,13 @@ def describe_misuse(error: click.ClickException) -> OccmapError:
     """Say what click found, and where to read on."""
     found = " ".join(error.format_message().split()).removesuffix(".")
     context = error.ctx if isinstance(error, click.UsageError) else None
-    return UsageError(found, fix=f"see `{context.command_path} --help`" if context else "")
+    if context is None:
+        return UsageError(found)
+    help_lines = map(str.strip, (context.command.help or "").splitlines())
+    examples = [line for line in help_lines if line.startswith(context.command_path)]
+    if examples and isinstance(error, click.MissingParameter):
+        return UsageError(found, fix=f"write, for example, {examples[0]}")
+    return UsageError(found, fix=f"see `{context.command_path} --help`")
 
 
 def answer_unforeseen(error: BaseException, console: Console) -> int:

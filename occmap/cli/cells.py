@@ -5,7 +5,7 @@ from pathlib import Path
 
 from occmap.cli.summary import LABEL
 from occmap.explanation import Explanation, describe_numbers
-from occmap.explanation.history import Visits
+from occmap.explanation.history import CellHistory, Visits
 from occmap.explanation.provenance import shorten
 from occmap.explanation.sightings import Numbers, Sighting, add_up
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
@@ -41,9 +41,7 @@ def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
     else:
         yield "class", "unknown: nothing observed this cell"
     if history.observed:
-        seen = describe_numbers((history.first, history.second), history.kind)
-        parts = "" if history.unit == 1 else f"; a beam among its neighbours counts {history.unit}"
-        yield "seen", seen + parts
+        yield "seen", describe_numbers((history.first, history.second), history)
         yield from list_builds(explanation)
     if explanation.extent:
         low_x, low_y, high_x, high_y = explanation.extent
@@ -79,26 +77,26 @@ def describe_visits(visits: Visits, kind: EvidenceKind) -> str:
 
 def list_around(explanation: Explanation) -> Iterator[tuple[str, str]]:
     """Write the cell and its eight neighbours as they lie on a map, y upwards."""
-    kind = explanation.history.kind
-    names = "log-odds/observations" if kind is EvidenceKind.LOG_ODDS else "hits/misses"
-    rows = explanation.history.around[::-1].tolist()
-    table = [tuple(format_pair((cell[0], cell[1]), kind) for cell in row) for row in rows]
+    history = explanation.history
+    names = "log-odds/observations" if history.kind is EvidenceKind.LOG_ODDS else "hits/misses"
+    rows = history.around[::-1].tolist()
+    table = [tuple(format_pair((cell[0], cell[1]), history) for cell in row) for row in rows]
     yield "around", f"{names} of the cells beside it, y upwards"
     for line in align(table):
         yield "", line
 
 
-def format_pair(numbers: Numbers, kind: EvidenceKind) -> str:
+def format_pair(numbers: Numbers, history: CellHistory) -> str:
     """Write the two numbers of a cell in as little space as possible."""
-    return "/".join(split_pair(numbers, kind)) if any(numbers) else "-"
+    return "/".join(split_pair(numbers, history)) if any(numbers) else "-"
 
 
-def split_pair(numbers: Numbers, kind: EvidenceKind) -> Row:
-    """Write the two numbers of a cell."""
-    first, second = numbers
-    if kind is EvidenceKind.LOG_ODDS:
-        return f"{first * LOG_ODDS_UNIT:.2f}", f"{second}"
-    return f"{first}", f"{second}"
+def split_pair(numbers: Numbers, history: CellHistory) -> Row:
+    """Write the two numbers of a cell, in observations."""
+    first, second = (each / history.unit for each in numbers)
+    if history.kind is EvidenceKind.LOG_ODDS:
+        return f"{first * LOG_ODDS_UNIT:.2f}", f"{second:.15g}"
+    return f"{first:.15g}", f"{second:.15g}"
 
 
 def list_scans(explanation: Explanation) -> Iterator[tuple[str, str]]:
@@ -108,10 +106,10 @@ def list_scans(explanation: Explanation) -> Iterator[tuple[str, str]]:
     if not scans:
         yield "scans", f"none {used} observed the cell"
         return
-    kind = explanation.history.kind
-    yield "scans", f"{len(scans):,} {used}: {describe_sum(scans, kind)}"
+    history = explanation.history
+    yield "scans", f"{len(scans):,} {used}: {describe_sum(scans, history)}"
     shown = choose_shown(scans)
-    table = [name_columns(kind), *(describe_scan(each, kind) for each in shown)]
+    table = [name_columns(history.kind), *(describe_scan(each, history) for each in shown)]
     for index, line in enumerate(align(table)):
         if index == MOST_SCANS // 2 + 1 and len(shown) < len(scans):
             yield "", f"... {len(scans) - len(shown):,} more: --json lists all ..."
@@ -125,10 +123,10 @@ def choose_shown(scans: Sequence[Sighting]) -> list[Sighting]:
     return [*scans[: MOST_SCANS // 2], *scans[-MOST_SCANS // 2 :]]
 
 
-def describe_sum(scans: Sequence[Sighting], kind: EvidenceKind) -> str:
+def describe_sum(scans: Sequence[Sighting], history: CellHistory) -> str:
     """Say how many scans spoke for what, and what they add up to."""
-    sums = describe_numbers(add_up(scans), kind)
-    if kind is EvidenceKind.LOG_ODDS:
+    sums = describe_numbers(add_up(scans), history)
+    if history.kind is EvidenceKind.LOG_ODDS:
         raised = sum(each.numbers[0] > 0 for each in scans)
         lowered = sum(each.numbers[0] < 0 for each in scans)
         return f"{raised:,} for occupied, {lowered:,} for free; {sums}"
@@ -142,11 +140,11 @@ def name_columns(kind: EvidenceKind) -> Row:
     return ("stamp (s)", *names, "sensor at (m)", "away (m)", "from")
 
 
-def describe_scan(scan: Sighting, kind: EvidenceKind) -> Row:
+def describe_scan(scan: Sighting, history: CellHistory) -> Row:
     """Write what one scan did as a row of that table."""
     x, y = scan.sensor
     where = f"{x:.3f}, {y:.3f}", f"{scan.distance:.3f}", f"{Path(scan.log).name} {scan.topic}"
-    return (f"{scan.stamp_ns / 1e9:.3f}", *split_pair(scan.numbers, kind), *where)
+    return (f"{scan.stamp_ns / 1e9:.3f}", *split_pair(scan.numbers, history), *where)
 
 
 def align(table: Sequence[Row]) -> Iterator[str]:

@@ -1,6 +1,7 @@
 """A file of options, beside the logs or named by --config: what a team would type each time."""
 
 import json
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
@@ -12,7 +13,9 @@ from typing import Any, NamedTuple
 import click
 
 from occmap.cli import COMMANDS
+from occmap.cli.console import spell
 from occmap.errors import UsageError
+from occmap.plugins import suggest
 
 NAME = "occmap.toml"
 SOURCES = ("words", "logs")
@@ -22,7 +25,7 @@ OTHER_COMMANDS = ("build", "compare")
 
 
 class Config(NamedTuple):
-    """What a file says of the options of one command."""
+    """What a file says of those options of one command that are not typed."""
 
     path: Path
     values: dict[str, Any]
@@ -50,6 +53,16 @@ def find_config(command: click.Command, typed: Mapping[str, Any]) -> Config | No
     return next((read_config(path, command) for path in there), None)
 
 
+def place_error(config: Config, command: click.Command, error: UsageError) -> UsageError:
+    """Say that an error lies in a file of options, where it names one that is taken from there."""
+    text = spell(str(error))
+    taken = [param for param in command.params if param.name in config.values]
+    if not any(re.search(rf"{flag}(?![\w-])", text) for param in taken for flag in param.opts):
+        return error
+    where = f"{config.path}: {error.where}" if error.where else config.path
+    return UsageError(error.found, where=where, fix=error.fix)
+
+
 def list_beside(log: Path) -> list[Path]:
     """List the file of options in a folder of logs, or else beside a log."""
     if not (log.exists() or has_magic(str(log))):
@@ -69,10 +82,14 @@ def read_config(path: Path, command: click.Command) -> Config:
         with path.open("rb") as file:
             values = tomllib.load(file)
     except OSError as error:
-        raise UsageError(f"cannot be read ({error.strerror})", where=path) from None
+        found = f"cannot be read ({error.strerror})"
+        raise UsageError(found, where=path, fix="check the path of --config") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"is no TOML ({error})", where=path) from None
     tables = {name: values.pop(name) for name in COMMANDS if isinstance(values.get(name), dict)}
+    for name in (name for name, value in values.items() if isinstance(value, dict)):
+        fix = suggest(name, list(COMMANDS), "occmap --help")
+        raise UsageError(f"no command is called {name!r}", where=f"{path}: [{name}]", fix=fix)
     values |= tables.pop(command.name or "", {})
     own = list_options(command)
     refuse_unknown(path, [*values, *(name for table in tables.values() for name in table)], own)

@@ -17,6 +17,7 @@ from occmap.cli.values import (
     parse_extent,
     read_by,
     set_verbosity,
+    take_one,
 )
 from occmap.pipeline import BuildOptions
 from occmap.sensor.models import describe_model
@@ -57,6 +58,20 @@ output = option(
     "Foxglove and RViz, .tum or .csv for the trajectory, or .npz for what can be "
     "rendered, merged and resumed (.zarr and .tiles: in parts). May repeat.",
 )
+
+
+def one_output(name: str, metavar: str, text: str) -> Any:
+    """Declare the option that names the one file that a command writes."""
+    return option(
+        *(FILES, "-o", "--output", name),
+        type=PATH,
+        multiple=True,
+        callback=take_one,
+        metavar=metavar,
+        help=text,
+    )
+
+
 thresholds = join(
     option(
         FILES,

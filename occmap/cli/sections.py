@@ -1,6 +1,8 @@
 """Options under headings: what makes the --help of a command with many options readable."""
 
+import re
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import zip_longest
 from typing import Any, TypeVar
 
@@ -9,6 +11,9 @@ import click
 from occmap.cli.console import Console
 from occmap.errors import UsageError
 
+PLACE = "occmap.cli.config.place_error"
+"""Where a context keeps what names the file of options in an error."""
+SHORT_EQUALS = re.compile("-[a-z]=")
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
@@ -47,27 +52,47 @@ class SectionCommand(click.Command):
     """Where --help itself is listed."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Take what is not typed from a file of options, where there is one."""
+        """Take what is not typed from a file of options, where there is one.
+
+        Raises
+        ------
+        UsageError
+            The file is wrong, or a short option is typed as a long one is.
+        """
+        refuse_equals(args)
         for param in self.get_params(ctx):
             if isinstance(param, BareOption):
                 args = param.fill_in(args)
         if ctx.resilient_parsing or all(param.name != "config" for param in self.params):
             return super().parse_args(ctx, args)
-        from occmap.cli.config import find_config  # noqa: PLC0415  late: for few commands
+        from occmap.cli.config import find_config, place_error  # noqa: PLC0415  late: for few commands
 
         typed, _, _ = self.make_parser(ctx).parse_args(list(args))
         config = find_config(self, typed)
         if config is None:
             return super().parse_args(ctx, args)
         ctx.default_map = config.values
+        untyped = {name: value for name, value in config.values.items() if name not in typed}
+        ctx.meta[PLACE] = partial(place_error, config._replace(values=untyped), self)
         try:
             rest = super().parse_args(ctx, args)
         except click.BadParameter as error:
-            if error.param and error.param.name in config.values.keys() - typed.keys():
-                raise UsageError(error.format_message(), where=config.path) from None
-            raise
+            fix = f"see `{ctx.command_path} --help`"
+            found = error.format_message().removesuffix(".")
+            raise ctx.meta[PLACE](UsageError(found, fix=fix)) from None
+        except UsageError as error:
+            raise ctx.meta[PLACE](error) from None
         ctx.ensure_object(Console).announce([config.note])
         return rest
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; an error that a file of options makes names that file."""
+        try:
+            return super().invoke(ctx)
+        except UsageError as error:
+            if PLACE not in ctx.meta:
+                raise
+            raise ctx.meta[PLACE](error) from None
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write one list for each section."""
@@ -90,6 +115,20 @@ def option(section: str, *names: str, **settings: Any) -> Callable[[Command], Co
 def bare_option(section: str, *names: str, **settings: Any) -> Callable[[Command], Command]:
     """Declare an option whose value may be left out under a heading."""
     return click.option(*names, cls=BareOption, section=section, **settings)
+
+
+def refuse_equals(words: Sequence[str]) -> None:
+    """Refuse `-o=map.pgm`, which would be a file called `=map.pgm`.
+
+    Raises
+    ------
+    UsageError
+        Saying what to write instead.
+    """
+    for word in words:
+        if SHORT_EQUALS.match(word):
+            fix = f"write {word[:2]} {word[3:]}"
+            raise UsageError("a short option takes no =", where=word, fix=fix)
 
 
 def is_number(word: str) -> bool:

@@ -59,22 +59,6 @@ def parse_static(text: str) -> PoseSample:
     return PoseSample(0, words[0], words[1], pose, static=True)
 
 
-def parse_share(text: str) -> float:
-    """Read a share such as 0.05 or 5%.
-
-    Raises
-    ------
-    UsageError
-        It is no number from 0 to 1.
-    """
-    where, form = f"--fail-above {text}", "write a share such as 0.05 or 5%"
-    (number,) = read_numbers([text.removesuffix("%")], where, form)
-    share = number / 100 if text.endswith("%") else number
-    if not 0 <= share <= 1:
-        raise UsageError("is no share of a whole", where=where, fix=form)
-    return share
-
-
 def parse_size(text: str) -> int:
     """Read a number of bytes such as 256MB; raises UsageError where it is none of at least 1 kB."""
     where, form = f"--slice {text}", "write a size such as 256MB or 1GB"
@@ -173,6 +157,17 @@ def read_by(parse: Callable[[str], Any]) -> dict[str, Any]:
         return None if value is None else parse(value)
 
     return {"callback": convert}
+
+
+def take_one(_ctx: click.Context, param: click.Parameter, values: tuple[Any, ...]) -> Any:
+    """Take what an option was given once, or None; raises UsageError where it was given twice."""
+    if len(values) > 1:
+        given = ", ".join(map(str, values))
+        raise UsageError(
+            f"{param.opts[-1]} takes one file, and is given {len(values)}: {given}",
+            fix="run the command once for each",
+        )
+    return next(iter(values), None)
 
 
 def one_of(kind: type[StrEnum]) -> dict[str, Any]:

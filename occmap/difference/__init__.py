@@ -29,11 +29,11 @@ COLOURS = {
     (NEITHER, OCCUPIED): (230, 159, 0),
     (OCCUPIED, FREE): (0, 114, 178),
     (NEITHER, FREE): (86, 180, 233),
-    (OCCUPIED, NEITHER): (204, 121, 167),
+    (OCCUPIED, NEITHER): (136, 34, 85),
     (FREE, NEITHER): (204, 121, 167),
 }
-"""Of what a cell was and is: warm is new and occupied, blue new and free, pink lost. These are told
-apart by colour-blind people, too (Okabe and Ito, 2008)."""
+"""Of what a cell was and is: warm is new and occupied, blue new and free, wine a lost wall, pink
+lost floor. Colour-blind people tell these apart, too (Okabe and Ito, 2008; wine: Tol, 2021)."""
 
 
 @dataclass(frozen=True)

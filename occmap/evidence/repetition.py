@@ -13,15 +13,23 @@ def list_repeated(builds: Sequence[BuildRecord]) -> Iterator[str]:
     for build in builds:
         hashes = [entry["sha256"] for entry in list_inputs(build)]
         again = (e for i, e in enumerate(list_inputs(build)) if e["sha256"] in hashes[:i])
-        said |= dict.fromkeys(f"{entry['name']} is in it twice" for entry in again)
+        said |= dict.fromkeys(tell_repeated(entry["name"]) for entry in again)
     for one, other in combinations(builds, 2):
         mine, its = one["options"]["selection"], other["options"]["selection"]
         hashes = [entry["sha256"] for entry in list_inputs(one)]
         again = (entry for entry in list_inputs(other) if entry["sha256"] in hashes)
         if overlap(mine, its):
             part = "" if mine == its else ", in part"
-            said |= dict.fromkeys(f"{entry['name']} is in it twice{part}" for entry in again)
+            said |= dict.fromkeys(tell_repeated(entry["name"], part) for entry in again)
     yield from said
+
+
+def tell_repeated(name: str, part: str = "") -> str:
+    """Say that a log counts twice, and how to take it out."""
+    return (
+        f"{name} is in it twice{part}, and what it observed counts as often; to take it out once, "
+        "build it again alone, and let `occmap merge` subtract that"
+    )
 
 
 def overlap(one: dict[str, Any], other: dict[str, Any]) -> bool:

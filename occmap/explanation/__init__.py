@@ -228,7 +228,7 @@ def list_unexplained(
     found, held = add_up(sightings), (history.first, history.second)
     if found == held:
         return
-    sums = f"{describe_numbers(found, history.kind)} of {describe_numbers(held, history.kind)}"
+    sums = f"{describe_numbers(found, history)} of {describe_numbers(held, history)}"
     missing = list_missing(evidence, uses)
     if missing:
         yield f"these logs explain {sums}; the rest is in {shorten(missing)}"
@@ -239,9 +239,9 @@ def list_unexplained(
         yield f"the scans explain {sums}: the occmap that built it ({makers}) read them otherwise"
 
 
-def describe_numbers(numbers: Numbers, kind: EvidenceKind) -> str:
-    """Spell out the two numbers of a cell."""
-    first, second = numbers
-    if kind is EvidenceKind.LOG_ODDS:
+def describe_numbers(numbers: Numbers, history: CellHistory) -> str:
+    """Spell out the two numbers of a cell, in observations."""
+    first, second = (each / history.unit for each in numbers)
+    if history.kind is EvidenceKind.LOG_ODDS:
         return f"log-odds {first * LOG_ODDS_UNIT:.3f} of {count(second, 'observation')}"
     return f"{count(first, 'hit')} and {count(second, 'miss')}"

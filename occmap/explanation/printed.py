@@ -96,7 +96,8 @@ class PrintedExplanation(TypedDict):
     model: str
     """The sensor model that says so, with its parameters"""
     unit: Count
-    """What one beam among its neighbours counts in hits and misses, or one scan"""
+    """What one observation counts in hits, misses, log_odds and observations: divide these by
+    it"""
     seen: PrintedSeen
     """What observed the cell"""
     around: list[list[PrintedSeen]]

@@ -156,17 +156,24 @@ def parse_bound(text: str, measure: Measure[Any], where: str) -> float:
     except ValueError:
         bound = math.nan
     if not math.isfinite(bound):
-        raise UsageError(f"{text!r} is not a number", where=where)
+        fix = "write a share such as 5% or 0.05" if measure.unit == SHARE else ""
+        raise UsageError(f"{text!r} is not a number", where=where, fix=fix)
     if measure.unit != SHARE and in_percent:
         raise UsageError(
             f"{measure.name} is no share ({measure.meaning})", where=where, fix="leave out the %"
         )
+    if measure.unit == SHARE and not in_percent and bound == 1:  # most who write 1 mean 1%
+        found = "1 is the whole, not 1%"
+        raise UsageError(found, where=where, fix="write 1% or 0.01, or else 100%")
     if in_percent:
         bound /= 100
     if measure.unit == SHARE and not 0 <= bound <= 1:
-        raise UsageError(
-            f"{text} is no share of a whole", where=where, fix="write a share such as 5% or 0.05"
+        fix = (
+            f"write {bound:g}% or {bound / 100:g}"
+            if not in_percent and 1 < bound <= 100
+            else "write 0% to 100%"
         )
+        raise UsageError(f"{text} is no share of a whole", where=where, fix=fix)
     return bound
 
 

@@ -62,13 +62,24 @@ class TileGrid:
         bound
             No value in them is larger than this, either way.
         """
-        for key, tile in tiles.items():
-            self._add_tile(key, tile, bound)
+        self._add_tiles(tiles, dict.fromkeys(tiles, bound))
 
     def merge(self, other: Self) -> None:
         """Take over the evidence of another grid of the same lattice and kind."""
-        for key, tile in other.tiles.items():
-            self._add_tile(key, tile, other._bounds.get(key, INT32_LIMIT + 1))
+        wide = INT32_LIMIT + 1
+        self._add_tiles(other.tiles, {key: other._bounds.get(key, wide) for key in other.tiles})
+
+    def _add_tiles(self, tiles: Mapping[Key, Tile], bounds: Mapping[Key, int]) -> None:
+        """Add tiles to their like.
+
+        They may be parts of one large array, which stays in memory while any of them is kept: so
+        where some are not, the others are copied.
+        """
+        kept_whole = self.tiles.keys().isdisjoint(tiles)
+        for key, tile in tiles.items():
+            self._add_tile(
+                key, tile if kept_whole or key in self.tiles else tile.copy(), bounds[key]
+            )
 
     def _add_tile(self, key: Key, tile: Tile, bound: int) -> None:
         """Add a tile to its like, made 64 bits wide before a sum could overflow 32.

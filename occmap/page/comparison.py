@@ -21,7 +21,7 @@ from occmap.types import Box
 
 HEAD = (
     *("variant", "#share", "#error", "#log-likelihood", "#entropy", "#free", "#occupied"),
-    *("#time (s)", "#memory (MB)", "as good"),
+    *("#time (s)", "#memory (MB)", "as good within the error"),
 )
 
 
@@ -43,8 +43,8 @@ def write_comparison(path: Path, comparison: VariantComparison) -> None:
     results = comparison.results
     inputs = [entry for log in found["logs"] for entry in describe_files(Path(log))]
     sections = [
-        tell_verdict(found),
-        Section("Scores", [Block("table", list_rows(found["variants"]), HEAD)], wide=True),
+        tell_verdict(found, comparison.preference),
+        Section("Scores", [Block("table", list_rows(found), HEAD)], wide=True),
         Section("Do probabilities mean what they say?", [tell_reliability(results)], wide=True),
         tell_notes(found["notes"], found["damage"]),
         describe_maker(inputs),
@@ -52,9 +52,11 @@ def write_comparison(path: Path, comparison: VariantComparison) -> None:
     write_page(path, Page(f"Comparison of maps of {names}", subtitle, sections, stage(results)))
 
 
-def tell_verdict(found: dict[str, Any]) -> Section:
+def tell_verdict(found: dict[str, Any], preference: str) -> Section:
     """Say which variant to use, and how."""
     rows = [("best", found["best"])]
+    if preference:
+        rows.append(("as good within the error", preference))
     blocks = [Block("facts", rows), Block("code", texts=[" ".join(found["command"])])]
     if found["likeliest"] != found["best"]:
         rows = [("where probabilities matter", found["likeliest"])]
@@ -63,7 +65,7 @@ def tell_verdict(found: dict[str, Any]) -> Section:
     return Section("Verdict", blocks, wide=True)
 
 
-def list_rows(variants: Sequence[dict[str, Any]]) -> list[list[str]]:
+def list_rows(found: dict[str, Any]) -> list[list[str]]:
     """A row of the table of scores for each variant, as the JSON has them."""
     return [
         [
@@ -74,9 +76,9 @@ def list_rows(variants: Sequence[dict[str, Any]]) -> list[list[str]]:
             *(f"{each[name]:.3f}" for name in ("cross_entropy", "free_cost", "occupied_cost")),
             f"{each['seconds']:.2f}",
             f"{each['bytes'] / 1e6:.1f}",
-            "yes" if each["as_good"] else "",
+            "preferred" if each["name"] == found["best"] else "yes" if each["as_good"] else "",
         ]
-        for each in variants
+        for each in found["variants"]
     ]
 
 
@@ -122,7 +124,7 @@ def stage(results: Sequence[Result]) -> Stage:
     note = f"Large maps are shown thinned, up to one of {coarse} x {coarse} cells."
     return Stage(
         plots=plots,
-        titles=[f"{each.variant.name} \u2013 share {each.score.share:.3f}" for each in results],
+        titles=[f"share {each.score.share:.3f} \u2013 {each.variant.name}" for each in results],
         data=data,
         arrays=arrays,
         note=note if coarse > 1 else "",

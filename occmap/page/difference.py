@@ -22,7 +22,7 @@ CHANGES = (
 """What a cell was and is, the more important the later: of cells that share a pixel, that shows."""
 UNCHANGED = 3
 """So many of them are no change."""
-CLASSES = ("neither", "free", "occupied")
+CLASSES = ("unknown", "free", "occupied")
 
 
 def write_difference(path: Path, difference: MapDifference, maps: tuple[Path, Path]) -> None:
@@ -38,8 +38,13 @@ def write_difference(path: Path, difference: MapDifference, maps: tuple[Path, Pa
     subtitle = (
         f"{found['changed']:,} cells changed, {found['share']:.3%} of {found['known']:,} known ones"
     )
-    rows = [(name, f"{cells:,}") for name, cells in found["by_class"].items() if cells]
+    rows = [
+        (name.replace("neither", CLASSES[NEITHER]), f"{cells:,}")
+        for name, cells in found["by_class"].items()
+        if cells
+    ]
     facts = [("before", str(before)), ("after", str(after))]
+    facts.append((CLASSES[NEITHER], "or undecided: what is neither occupied nor free"))
     if found["largest_blob"]:
         blob = found["largest_blob"]
         facts.append(("largest", f"{blob['cells']:,} connected cells, {write_box(blob['extent'])}"))

@@ -90,7 +90,7 @@ def require_bokeh(path: Path) -> None:
         import jinja2  # noqa: F401, PLC0415  likewise
     except ImportError:
         found = "a page is drawn by Bokeh, which is not installed"
-        raise UsageError(found, where=path, fix="type: pip install 'bokeh>=3.6'") from None
+        raise UsageError(found, where=path, fix="install it: pip install '.[report]'") from None
 
 
 def write_page(path: Path, page: Page) -> None:

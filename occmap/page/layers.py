@@ -1,18 +1,24 @@
 """What a page's script must know of layers: how numbers are coloured, and what they mean."""
 
+from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
 from bokeh.palettes import Blues256, Greys256, Oranges256, Purples256, Viridis256
 
+from occmap.page.packing import Packed
 from occmap.page.raster import NOT_OBSERVED, Raster
 from occmap.types import Box
+from occmap.writers.images import encode_png
 
 CLASS_NAMES = ("unknown", "free", "undecided", "occupied")
 CLASS_COLOURS = ("#d5d9de", "#ffffff", "#f2c879", "#1f2430")
 SHADES = 64
 """Of a ramp of colours: an eye tells fewer."""
+POSTER_PX = 800
+"""The longer side of what a page shows until it has drawn."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +114,7 @@ def pick(colours: Sequence[str]) -> list[str]:
 def describe_rasters(
     rasters: Sequence[Raster], layers: Sequence[Layer], box: Box
 ) -> tuple[dict[str, Any], Mapping[str, str]]:
-    """What the script knows of maps, and their packed arrays by name."""
+    """What the script knows of maps, and their packed arrays by name; the first is of classes."""
     arrays: dict[str, str] = {}
     maps = []
     for index, raster in enumerate(rasters):
@@ -116,10 +122,22 @@ def describe_rasters(
         for name, packed in raster.layers.items():
             arrays[f"map-{index}-{name}"] = packed.text
             specs[name] = packed.to_json() | {"id": f"map-{index}-{name}"}
-        maps.append({"x": raster.x, "y": raster.y, "size": raster.size, "layers": specs})
+        poster = draw_poster(raster.layers[layers[0].key], layers[0].colours)
+        place = {"x": raster.x, "y": raster.y, "size": raster.size}
+        maps.append({**place, "layers": specs, "poster": poster})
     return {
         "maps": maps,
         "layers": [vars(each) for each in layers],
         "box": box,
-        "start": 0.0,
     }, arrays
+
+
+def draw_poster(classes: Packed, colours: Sequence[str]) -> str:
+    """Draw a small PNG, in base 64: of the cells that share a pixel the largest, y upwards."""
+    cells = classes.unpack_bytes()
+    step = -(-max(cells.shape) // POSTER_PX)
+    rows, cols = (-side % step for side in cells.shape)
+    padded = np.pad(cells, ((0, rows), (0, cols)))
+    small = padded.reshape(padded.shape[0] // step, step, -1, step).max(axis=(1, 3))
+    table = np.array([list(bytes.fromhex(each[1:])) for each in colours], np.uint8)
+    return b64encode(encode_png(table[small[::-1]])).decode()

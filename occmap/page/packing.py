@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from occmap.types import UInt8
+
 LEVEL = 6
 
 
@@ -31,6 +33,10 @@ class Packed(NamedTuple):
     def text(self) -> str:
         """The data as text, in base 64."""
         return b64encode(self.data).decode()
+
+    def unpack_bytes(self) -> UInt8:
+        """(H, W) the numbers, where none is above 255 and no table stands between."""
+        return np.frombuffer(zlib.decompress(self.data), np.uint8).reshape(self.rows, self.columns)
 
     def to_json(self) -> dict[str, Any]:
         """What the page's script must know to unpack the text."""

@@ -101,6 +101,12 @@
 
   // Looking: all maps show one layer and one part of the world.
   const maps = (DATA.maps || []).map((raster, index) => ({raster, index}));
+  // Until it is drawn a map is there as a picture: for pages that are printed, or photographed.
+  maps.forEach(({raster}, index) => {
+    const poster = makeElement("div", "", "poster");
+    poster.style.backgroundImage = `url(data:image/png;base64,${raster.poster})`;
+    document.querySelectorAll("figure")[index].prepend(poster);
+  });
   let current = null, asked = false;
   function repaint() {
     if (asked) return;
@@ -114,12 +120,19 @@
         if (layer === current) paint(map, cells, {...layer, table: tableOf(layer)});
       }
       document.body.dataset.layer = layer.key;
-      if (!document.body.dataset.drawn)
-        requestAnimationFrame(() => requestAnimationFrame(() => {
-          document.body.dataset.drawn = Math.round(performance.now());
-          prepare();
-        }));
+      if (!settled) {
+        settled = true;
+        setTimeout(() => requestAnimationFrame(() => requestAnimationFrame(settle)), SETTLING_MS);
+      }
     });
+  }
+  // Bokeh paints at its own pace and says nothing of it.
+  const SETTLING_MS = 150;
+  let settled = false;
+  function settle() {
+    document.querySelectorAll(".poster").forEach(poster => poster.remove());
+    document.body.dataset.drawn = Math.round(performance.now());
+    prepare();
   }
   // What the pointer will ask for is unpacked once the map is there, a layer after the other.
   async function prepare() {
@@ -184,13 +197,15 @@
   function describe(layer, value) {
     if (layer.kind === "classes") return layer.names[value];
     if (value === layer.none && layer.kind !== "log") return "\u2013";
-    if (layer.kind === "time") return writeTime(layer.start + (value - 0.5) * layer.scale);
+    if (layer.kind === "time") return writeSlice(layer.start + value * layer.scale, layer.scale);
     return number(value * layer.scale, layer.digits);
   }
-  function writeTime(seconds) {
-    const since = `${number(seconds - DATA.start, 1)} s`;
-    if (seconds < 1e9) return since;
-    return `${since} (${new Date(seconds * 1e3).toISOString().slice(0, 19).replace("T", " ")})`;
+  // Stamps as in the log, so that `occmap explain` has them, too; and dates, where they are some.
+  const writeTime = seconds => `${seconds.toFixed(3)} s${date(seconds)}`;
+  const writeSlice = (end, length) => `${(end - length).toFixed(3)} to ${end.toFixed(3)} s${date(end - length)}`;
+  function date(seconds) {
+    if (seconds < 631152000 || seconds >= 4102444800) return "";
+    return ` (${new Date(seconds * 1e3).toISOString().slice(0, 19).replace("T", " ")} UTC)`;
   }
 
   // The whole map in the middle, a metre as long in x as in y.
@@ -206,6 +221,13 @@
     set(figure.y_range, (box[1] + box[3]) / 2, scale * figure.inner_height / 2);
   }
 
+  // Where a window, or a scrollbar, changes the size: the same width in metres, and the shape.
+  function keepShape({x_range, y_range, inner_width, inner_height}) {
+    const middle = (y_range.start + y_range.end) / 2;
+    const half = (x_range.end - x_range.start) / inner_width * inner_height / 2;
+    y_range.setv({start: middle - half, end: middle + half});
+  }
+
   // The slider: one scan over the map.
   async function layScan(index) {
     const {scans, origin, unit} = DATA.journey, document_ = maps[0].figure.document;
@@ -215,7 +237,7 @@
     const take = (cells, start) => Float64Array.from(cells.subarray(from, to), value => start + value * unit);
     source.data = {x: take(xs, origin[0]), y: take(ys, origin[1])};
     robot.data = index < 0 ? {x: [], y: []} : {x: [scans.x[index]], y: [scans.y[index]]};
-    find("when").textContent = index < 0 ? "move to lay one scan over the map" : writeTime(DATA.start + scans.t[index]);
+    find("when").textContent = index < 0 ? "move to lay one scan over the map" : writeTime(scans.t[index]);
     document.body.dataset.scan = index;
   }
 
@@ -229,6 +251,8 @@
     if (maps.some(map => !(map.figure.inner_width > 0))) return setTimeout(start, 20);
     fit(maps[0]);
     for (const range of [maps[0].figure.x_range, maps[0].figure.y_range]) range.change.connect(repaint);
+    const {inner_width, inner_height} = maps[0].figure.properties;
+    for (const side of [inner_width, inner_height]) side.change.connect(() => keepShape(maps[0].figure));
     find("whole").onclick = () => fit(maps[0]);
     for (const layer of DATA.layers) {
       const button = makeElement("button", layer.label);

@@ -12,8 +12,8 @@ from bokeh.transform import linear_cmap
 from occmap.types import Float64, Trajectory
 
 UNKNOWN_COLOUR = "#d5d9de"
-WAY_COLOURS = Plasma256[20:225]
-"""Without the lightest: floors are white."""
+WAY_COLOURS = Plasma256[20:165]
+"""Without the lightest: floors are white, and undecided cells yellow."""
 MOST_STEPS = 5000
 """Of a way: more are not told apart."""
 SCAN_COLOUR, LOST_COLOUR = "#e8590c", "#c92a2a"
@@ -78,7 +78,7 @@ def add_way(plot: Any, trajectories: Sequence[Trajectory], start_ns: int) -> Non
         line_cap="round",
         name="way",
     )
-    lost = [place_lost(each, start_ns) for each in trajectories if len(each.stamp_ns)]
+    lost = [place_lost(each) for each in trajectories if len(each.stamp_ns)]
     columns = {
         name: [value for each in lost for value in each[name]] for name in ("x", "y", "t", "why")
     }
@@ -91,7 +91,7 @@ def add_way(plot: Any, trajectories: Sequence[Trajectory], start_ns: int) -> Non
         color=LOST_COLOUR,
         name="dropped",
     )
-    tips = [("dropped", "@why"), ("time", "@t{0.0} s"), ("drawn at", "the scan before")]
+    tips = [("dropped", "@why"), ("stamp", "@t{0.000} s"), ("drawn at", "the scan before")]
     plot.add_tools(HoverTool(renderers=[crosses], tooltips=tips))
 
 
@@ -118,7 +118,7 @@ def add_scan(plot: Any) -> None:
     )
 
 
-def place_lost(trajectory: Trajectory, start_ns: int) -> dict[str, list[Any]]:
+def place_lost(trajectory: Trajectory) -> dict[str, list[Any]]:
     """Place scans without a pose where the laser was at the scan before, or else at the first."""
     stamps = np.array([stamp_ns for stamp_ns, _ in trajectory.dropped], np.int64)
     order = np.argsort(trajectory.stamp_ns, kind="stable")
@@ -127,7 +127,7 @@ def place_lost(trajectory: Trajectory, start_ns: int) -> dict[str, list[Any]]:
     return {
         "x": places[:, 0].tolist(),
         "y": places[:, 1].tolist(),
-        "t": ((stamps - start_ns) / 1e9).tolist(),
+        "t": (stamps / 1e9).tolist(),
         "why": [why for _, why in trajectory.dropped],
     }
 

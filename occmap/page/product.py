@@ -57,13 +57,12 @@ def stage_map(product: Product, evidence: Evidence, options: WriteOptions) -> St
     journey = product.journey or Journey((), ())
     starts = [each.stamp_ns.min() for each in journey.trajectories if each.stamp_ns.size]
     start_ns = int(min(starts, default=raster.start_s * 1e9))
-    data["start"] = start_ns / 1e9
     if journey.trajectories:
         add_way(plot, journey.trajectories, start_ns)
         data["journey"] = {"ramp": describe_ramp(journey, start_ns)}
     if journey.scans:
         add_scan(plot)
-        scans, packed = pack_scans(journey, start_ns)
+        scans, packed = pack_scans(journey)
         data["journey"] |= scans | {name: each.to_json() for name, each in packed.items()}
         arrays = {**arrays, **{name: each.text for name, each in packed.items()}}
     return Stage(
@@ -101,10 +100,10 @@ def list_losses(raster: Raster, product: Product, evidence: Evidence) -> list[st
 def describe_ramp(journey: Journey, start_ns: int) -> tuple[list[str], str, str]:
     """The colours of the way, and what stands at their ends."""
     end_ns = max(int(each.stamp_ns.max()) for each in journey.trajectories if each.stamp_ns.size)
-    return list(WAY_COLOURS[::4]), "0 s", f"{(end_ns - start_ns) / 1e9:,.1f} s"
+    return list(WAY_COLOURS[::4]), f"{start_ns / 1e9:.3f} s", f"{end_ns / 1e9:.3f} s"
 
 
-def pack_scans(journey: Journey, start_ns: int) -> tuple[dict[str, Any], dict[str, Packed]]:
+def pack_scans(journey: Journey) -> tuple[dict[str, Any], dict[str, Packed]]:
     """Pack the hits of scans, and say when and where each was taken."""
     scans = sorted(journey.scans, key=lambda each: each.stamp_ns)
     hits = [np.concatenate([getattr(each, axis) for each in scans]) for axis in ("x", "y")]
@@ -114,7 +113,7 @@ def pack_scans(journey: Journey, start_ns: int) -> tuple[dict[str, Any], dict[st
         for name, axis, low in zip(("scan-x", "scan-y"), hits, origin, strict=True)
     }
     known = {
-        "t": [round((each.stamp_ns - start_ns) / 1e9, 3) for each in scans],
+        "t": [round(each.stamp_ns / 1e9, 3) for each in scans],
         "ends": np.cumsum([len(each.x) for each in scans]).tolist(),
         "x": [round(each.origin[0], 3) for each in scans],
         "y": [round(each.origin[1], 3) for each in scans],

@@ -148,7 +148,7 @@ class _Search:
         if self.options.sensor_pose is None:
             return []
         if self.frame in self.tree:
-            self.notes.append(f"the given sensor pose goes before the log's of {self.frame!r}")
+            self.notes.append(f"the given sensor pose replaces the log's of {self.frame!r}")
         track = Track.fixed(self.options.sensor_pose)
         return [Step(Edge(anchor, self.frame, track, Source.GIVEN))]
 

@@ -132,7 +132,7 @@ def _list_overruled(given: Sequence[Edge], edges: Sequence[Edge]) -> list[str]:
     """Say where the log knew a transform that the user gave."""
     known = {edge.child for edge in edges if edge.source is Source.TF}
     return [
-        f"the given transform {edge.parent} -> {edge.child} goes before the log's"
+        f"the given transform {edge.parent} -> {edge.child} replaces the log's"
         for edge in given
         if edge.child in known
     ]

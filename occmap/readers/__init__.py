@@ -7,7 +7,9 @@ A reader is a class with a `name`, a one-line `description`, a `recognises(probe
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from difflib import get_close_matches
 from enum import StrEnum
+from glob import has_magic
 from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -18,6 +20,8 @@ from occmap.readers.options import ReaderOptions
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
 PROBE_BYTES = 4096
+SIMILAR = 0.85
+"""Of two names: a letter is wrong or missing, and they are no others of a series."""
 _MAP = "a map, not a log: `occmap diff` compares maps"
 OTHER_FILES = {
     b"PK\x03\x04": "not a log but an archive: "
@@ -228,10 +232,22 @@ def probe_path(path: Path) -> Probe:
         with path.open("rb") as file:
             raw = file.read(PROBE_BYTES)
     except FileNotFoundError:
-        raise LogError("no such file or directory", where=path, fix="check the path") from None
+        raise _miss(path) from None
     except OSError as error:
         raise LogError(f"cannot be read ({error.strerror})", where=path) from None
     return Probe(path, raw, _peek_gzip(path) if raw.startswith(b"\x1f\x8b") else raw)
+
+
+def _miss(path: Path) -> LogError:
+    """Say that there is no such file, and which one may be meant."""
+    if has_magic(str(path)):
+        return LogError("no file matches", where=path, fix="check the pattern and its folder")
+    there = []
+    with suppress(OSError):
+        there = [each.name for each in path.parent.iterdir()]
+    close = get_close_matches(path.name, there, n=1, cutoff=SIMILAR)
+    fix = f"did you mean {path.parent / close[0]}?" if close else "check the path"
+    return LogError("no such file or directory", where=path, fix=fix)
 
 
 def _peek_gzip(path: Path) -> bytes:

@@ -270,8 +270,9 @@ class CarmenLog:
         used = {*FRAMES, "ODOM"}
         others = Counter({word: n for word, n in self._words.items() if word not in used})
         if others:
-            top = ", ".join(f"{n} {_name_word(word)}" for word, n in others.most_common(5))
-            text = f"{others.total()} lines without scan or pose are passed over: {top}"
+            top = ", ".join(_count_lines(word, n) for word, n in others.most_common(5))
+            lines = "1 line" if others.total() == 1 else f"{others.total()} lines"
+            text = f"{lines} without scan or pose passed over: {top}"
             add_note(self.notes, Note(text + (", ..." if len(others) > 5 else "")))
 
 
@@ -291,11 +292,11 @@ def _parse_together(block: list[_KindOfLine]) -> dict[str, ScanRun | None]:
     return runs
 
 
-def _name_word(word: str) -> str:
-    """Name a keyword for a note; garbage is quoted."""
+def _count_lines(word: str, lines: int) -> str:
+    """Say how many lines have a keyword, for a note; garbage is quoted."""
     if word == "#":
-        return "comments"
-    return word if word.isascii() and word.isprintable() else shorten(word)
+        return "1 comment" if lines == 1 else f"{lines} comments"
+    return f"{lines} {word if word.isascii() and word.isprintable() else shorten(word)}"
 
 
 def _starts_message(head: list[str]) -> bool:

@@ -38,7 +38,7 @@ def make_protobuf_decoder(channel: Channel) -> Callable[[memoryview], Any]:
         raise LogError(
             f"{channel.type} is written in protobuf",
             where=channel.topic,
-            fix="pip install 'occmap[foxglove]' reads it",
+            fix="install what reads it: pip install '.[foxglove]'",
         ) from None
     try:
         make = _load_message(channel)

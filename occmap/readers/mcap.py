@@ -239,8 +239,9 @@ class McapSource:
         if position == self._span.end < self._size:
             return
         lost = self._size - position
-        rest = f"{lost} bytes before its end" if lost else "where more belongs"
-        add_note(self.notes, f"the file breaks off at byte {position}, {rest}")
+        unread = f"from byte {position} on, the last {lost} bytes hold no whole record"
+        breaks_off = f"the file breaks off at byte {position}, where more belongs"
+        add_note(self.notes, unread if lost else breaks_off)
 
     def _read_head(self, file: BinaryIO, position: int) -> tuple[int, int]:
         """Read kind and length of a record; those of a chunk can be told from its body, too.

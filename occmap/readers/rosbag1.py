@@ -228,9 +228,8 @@ class Bag1Source:
                 break
         if position < self._span.end:
             lost = self._size - position
-            add_note(
-                self.notes, f"the bag breaks off at byte {position}, {lost} bytes before its end"
-            )
+            unread = f"from byte {position} on, the last {lost} bytes hold no whole record"
+            add_note(self.notes, unread)
 
     def _find_length(self, file: BinaryIO, header: Header, position: int) -> int:
         """Find how long a record's data is, where it states another length than it has."""
@@ -254,7 +253,8 @@ class Bag1Source:
 
     def _note_damage(self, position: int, findings: Findings) -> None:
         if places := findings.damaged:
-            self._note(position, f"is damaged in {len(places)} places, first at byte {places[0]}")
+            more = f" and in {len(places) - 1} more of its places" if len(places) > 1 else ""
+            self._note(position, f"is damaged at byte {places[0]}{more}")
         for key, other in findings.connections.items():
             known = self._by_id.get(key, other)
             if known.description != other.description:

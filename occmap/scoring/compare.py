@@ -150,6 +150,15 @@ class VariantComparison:
         """The best one, and those whose share is as good."""
         return [each for each in self.results if each.as_good]
 
+    @property
+    def preference(self) -> str:
+        """Which are as good, and why one of them is recommended; nothing where there is one."""
+        if len(self.equals) == 1:
+            return ""
+        names = ", ".join(each.variant.name for each in self.equals)
+        why = "the default" if self._find_default() else "the best log-likelihood"
+        return f"{names}; of these, {why} is preferred"
+
     def build_command(self, result: Result) -> tuple[str, ...]:
         """Compose the command line that builds the map of a variant from all scans."""
         variant, options = result.variant, self.options

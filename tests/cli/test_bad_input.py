@@ -217,6 +217,14 @@ def test_options_that_leave_no_map(words: str, found: str) -> None:
     assert found in fail(1, "log.csv", "-o", "m.pgm", *words.split())
 
 
+def test_a_log_that_is_not_there_is_guessed(tmp_path: Path) -> None:
+    shutil.copy("log.csv", tmp_path / "drive.csv")
+    guess = f"no such file or directory; did you mean {tmp_path}/drive.csv?"
+    assert fail(1, tmp_path / "drve.csv", "-o", "m.pgm") == f"{tmp_path}/drve.csv: {guess}"
+    found = f"{tmp_path}/*.bag: no file matches; check the pattern and its folder"
+    assert fail(1, tmp_path / "*.bag", "-o", "m.pgm") == found
+
+
 def test_one_bad_log_of_two_stops_the_build() -> None:
     assert fail(1, "log.csv", "nowhere.csv", "-o", "m.pgm").startswith("nowhere.csv: no such file")
 

@@ -39,7 +39,8 @@ def test_the_table_names_the_best_and_how_to_build_it(log: Path) -> None:
     assert lines[7:9] == ["", "cells of surface counting, as held-out beams look at them"]
     assert lines[12:14] == ["", "scored by 4 beams of 2 held-out scans; 10 of 10 used"]
     build = f"occmap build surface '{log}' --resolution 0.1 --model counting -o 'my room.pgm'"
-    assert lines[14] == f"as good: {', '.join(names[:4])}"  # two scans tell little
+    equals = ", ".join(names[:4])  # two scans tell little
+    assert lines[14] == f"as good within the error: {equals}; of these, the default is preferred"
     assert lines[15:17] == ["best: surface counting", build]
     likely = build.replace("surface", "beam")
     assert lines[17:] == ["where probabilities matter: beam counting", likely]
@@ -114,6 +115,7 @@ def test_the_picture_shows_every_map_and_the_disagreement(log: Path, tmp_path: P
     [
         ([], "no log is given; type: occmap compare LOG"),
         ([DRIVE, "-o", "map.pgm"], "map.pgm: is no picture; give it a name that ends in"),
+        ([DRIVE, "-o", "a.png", "-o", "a.html"], "--output takes one file, and is given 2: a.png,"),
         ([DRIVE, "--update", "polygn"], "--update"),
         ([DRIVE, "--model", "simpel"], "did you mean 'simple'?"),
         ([DRIVE, "--model", "counting:p_hit=0.7"], "has no parameter 'p_hit'"),

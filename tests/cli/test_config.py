@@ -105,9 +105,11 @@ def test_options_of_other_commands_are_passed_over(log: Path) -> None:
     [
         ("resoluton = 0.1", "no option is called 'resoluton'; did you mean 'resolution'?"),
         ("max_range = 5", "no option is called 'max_range'; did you mean 'max-range'?"),
-        ("[buidl]\nstride = 2", "no option is called 'buidl'"),
+        ("[buidl]\nstride = 2", "[buidl]: no command is called 'buidl'; did you mean 'build'?"),
+        ("extent = [0, 0, 1]", "--extent 0,0,1: 3 values where 4 belong"),
+        ("fail-if = 'unknown > 5'", "5 is no share of a whole; write 5% or 0.05"),
         ("[check]\nstrid = 2", "no option is called 'strid'; did you mean 'stride'?"),
-        ('resolution = "x"', "'x' is not a valid float"),
+        ('resolution = "x"', "'x' is not a valid float; see `occmap build --help`"),
         ('deskew = "of"', "'of' is not one of 'auto', 'on', 'off'"),
         ("stride = [", "is no TOML ("),
     ],
@@ -119,10 +121,25 @@ def test_a_wrong_file_is_one_line(log: Path, text: str, found: str) -> None:
     assert found in error
 
 
+def test_a_value_that_is_refused_later_names_the_file(log: Path) -> None:
+    path = write(log, "resolution = 0")
+    told = occmap("build", log, "-o", log.parent / "m.pgm")
+    assert f"error: {path}: a resolution of 0.0 m is not possible" in told.err
+
+
+def test_what_is_typed_wrong_is_not_laid_on_the_file(log: Path) -> None:
+    write(log, "resolution = 0.1\nstride = 2")
+    error = read_error(occmap("build", log, "-o", log.parent / "m.pgm", "-r", "x"), 2)
+    assert error.startswith("Invalid value for '-r' / '--resolution'")
+    told = occmap("build", log, "-o", log.parent / "m.pgm", "-r", "0")
+    assert (told.code, "error: a resolution of 0.0 m" in told.err) == (2, True)
+
+
 def test_a_file_that_is_not_there_and_two_that_are(log: Path, tmp_path: Path) -> None:
     words = ["build", log, "-o", log.parent / "m.pgm"]
     error = read_error(occmap(*words, "--config", tmp_path / "none.toml"), 2)
-    assert error == f"{tmp_path / 'none.toml'}: cannot be read (No such file or directory)"
+    found = "cannot be read (No such file or directory); check the path of --config"
+    assert error == f"{tmp_path / 'none.toml'}: {found}"
     write(log, "stride = 2")
     (tmp_path / "other").mkdir()
     other = Path(shutil.copy(log, tmp_path / "other" / "b.csv"))

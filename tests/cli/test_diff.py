@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from occmap.cli.values import parse_share
+from occmap.cli.commands.diff import limit_change
 from occmap.errors import UsageError
 from occmap.writers import WriteOptions
 from occmap.writers.pgm import PgmWriter
@@ -73,6 +73,7 @@ def test_the_limit_is_held(limit: str, code: int) -> None:
         (["a.pgm", "a.log"], 2, "a.log: the suffix '.log' is none of a map"),
         (["a.pgm"], 2, "Missing argument 'B'"),
         (["a.pgm", "b.pgm", "-o", "d.jpg"], 2, "d.jpg: is no picture"),
+        (["a.pgm", "b.pgm", "-o", "d.png", "-o", "d.html"], 2, "--output takes one file"),
         (["a.pgm", "b.pgm", "-o", "no/d.png"], 1, "the folder no does not exist"),
         (["a.pgm", "b.pgm", "--fail-above", "lots"], 2, "'lots' is not a number"),
         (["a.pgm", "b.pgm", "--occupied-thresh", "0.1"], 2, "0 < free < occupied < 1"),
@@ -82,12 +83,25 @@ def test_bad_input_is_one_line(words: list[str], code: int, found: str) -> None:
     assert found in read_error(occmap("diff", *words), code)
 
 
-@pytest.mark.parametrize(("text", "share"), [("0.05", 0.05), ("5%", 0.05), ("0", 0), ("100%", 1)])
+@pytest.mark.parametrize(
+    ("text", "share"), [("0.05", 0.05), ("5%", 0.05), ("0", 0), ("100%", 1), ("1%", 0.01)]
+)
 def test_shares(text: str, share: float) -> None:
-    assert parse_share(text) == pytest.approx(share)
+    assert limit_change(text).bound == pytest.approx(share)
 
 
-@pytest.mark.parametrize("text", ["5", "-1%", "nan", "%", "101%"])
-def test_what_is_no_share(text: str) -> None:
-    with pytest.raises(UsageError, match=r"write a share such as 0\.05 or 5%"):
-        parse_share(text)
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("1", "1 is the whole, not 1%; write 1% or 0.01, or else 100%"),
+        ("5", "5 is no share of a whole; write 5% or 0.05"),
+        ("-1%", "-1% is no share of a whole; write 0% to 100%"),
+        ("101%", "101% is no share of a whole; write 0% to 100%"),
+        ("nan", "'nan' is not a number; write a share such as 5% or 0.05"),
+        ("%", "'%' is not a number; write a share such as 5% or 0.05"),
+    ],
+)
+def test_what_is_no_share(text: str, found: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        limit_change(text)
+    assert str(caught.value) == f"--fail-above {text}: {found}"

@@ -42,6 +42,18 @@ def test_a_cell_in_lines() -> None:
     ]
 
 
+def test_eighths_are_told_as_observations_and_json_says_the_unit() -> None:
+    words = ["--resolution", "0.1", "--hit-offset", "0", "--model", "simple:spread=0"]
+    assert occmap("build", "surface", "a.csv", *words, "-o", "s.npz").code == 0
+    question = ["explain", "s.npz", "0.37", "0.05"]
+    found = json.loads(occmap(*question, "--json").out)
+    hits, misses = (found["seen"][name] / 8 for name in ("hits", "misses"))
+    assert found["unit"] == 8
+    assert hits > 0
+    seen = occmap(*question).out.splitlines()[2].split()
+    assert (float(seen[1]), float(seen[4])) == (hits, misses)
+
+
 def test_scans_in_lines() -> None:
     result = occmap("explain", "a.npz", "0.37", "0.05", "--log", "a.csv")
     assert (result.code, result.err) == (0, "")
@@ -180,3 +192,15 @@ def test_what_is_not_explained_is_noted() -> None:
 )
 def test_bad_input_is_one_line(words: list[str], code: int, found: str) -> None:
     assert found in read_error(occmap("explain", *words), code)
+
+
+@pytest.mark.parametrize("point", [["0.37,0.05"], ["3.7e-1,.05"], ["-4,-2"], ["4,-2."]])
+def test_a_point_may_have_a_comma(point: list[str]) -> None:
+    apart = point[0].split(",")
+    assert occmap("explain", "a.npz", *point) == occmap("explain", "a.npz", *apart)
+    assert occmap("explain", "a.npz", "0.37,0.05").code == 0
+
+
+def test_what_is_missing_comes_with_an_example() -> None:
+    error = read_error(occmap("explain", "a.npz"), 2)
+    assert error == "Missing argument 'X'; write, for example, occmap explain map.npz 1.5 -0.25"

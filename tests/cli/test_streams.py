@@ -112,3 +112,10 @@ def test_a_quiet_check_prints_its_problems(tmp_path: Path) -> None:
     assert (told.code, told.out) == (1, "")
     assert told.err.startswith(f"error: {tmp_path / 'notes.txt'}: a text file of no known log")
     assert occmap("check", "-q", DRIVE) == (0, "", "")
+
+
+def test_a_short_option_takes_no_equals_sign(tmp_path: Path) -> None:
+    error = read_error(occmap("build", DRIVE, f"-o={tmp_path}/m.pgm"), 2)
+    found = f"-o={tmp_path}/m.pgm: a short option takes no =; write -o {tmp_path}/m.pgm"
+    assert error == found
+    assert not list(tmp_path.iterdir())

@@ -8,7 +8,6 @@ from occmap.cli.values import (
     parse_extent,
     parse_sector,
     parse_sensor_pose,
-    parse_share,
     parse_static,
     parse_transform,
 )
@@ -69,8 +68,6 @@ def test_degrees_are_refused_and_turned_to_radians(
         (parse_sector, "1", "--ignore-sector 1: 1 value where 2 belong; write FROM,TO in radians"),
         (parse_sector, "1,one", "--ignore-sector 1,one: 'one' is not a number"),
         (parse_box, "1,2,3", "--footprint 1,2,3: 3 values where 4 belong; write x_min,y_min"),
-        (parse_share, "lots", "--fail-above lots: 'lots' is not a number; write a share such as"),
-        (parse_share, "5", "--fail-above 5: is no share of a whole; write a share such as 0.05"),
         (parse_extent, "1", "--extent 1: 1 value where 4 belong; write x_min"),
         (parse_transform, "1,2", "--transform 1,2: 2 values where 3 belong; write x,y,yaw"),
     ],

@@ -161,7 +161,8 @@ def test_a_report_sums_up_what_an_older_occmap_counted(tmp_path: Path) -> None:
     report = publish(replace(evidence, manifest=manifest), RenderOptions(), [tmp_path / "m.pgm"])
     assert report.beams == ReturnCounts(hit=10)
     assert report.scans_used == 2 * made["scans"]["used"]
-    assert report.notes == ("drive.csv is in it twice",)
+    (note,) = report.notes
+    assert note.startswith("drive.csv is in it twice, and ")
 
 
 def test_each_observation_adds_what_it_says_beyond_the_prior_by_hand() -> None:

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from occmap.evidence.repetition import list_repeated
+from occmap.evidence.repetition import list_repeated, tell_repeated
 
 ALL = {"topics": [], "start_s": "-inf", "end_s": "inf", "stride": 1}
 
@@ -34,7 +34,7 @@ def build_of(*names: str, poses: str | None = None, **selection: Any) -> dict[st
 def test_shared_scans_count_twice(one: dict[str, Any], other: dict[str, Any], part: str) -> None:
     for first, second in ((one, other), (other, one)):
         builds = [build_of("a.csv", "b.csv", **first), build_of("b.csv", "c.csv", **second)]
-        assert list(list_repeated(builds)) == [f"b.csv is in it twice{part}"]
+        assert list(list_repeated(builds)) == [tell_repeated("b.csv", part)]
 
 
 @pytest.mark.parametrize(
@@ -54,8 +54,8 @@ def test_parts_that_share_no_scan_are_no_repetition(
 
 def test_a_log_is_named_once_however_often_it_counts() -> None:
     twice = build_of("a.csv", "a.csv")
-    assert list(list_repeated([twice])) == ["a.csv is in it twice"]
-    assert list(list_repeated([twice, twice, build_of("a.csv")])) == ["a.csv is in it twice"]
+    assert list(list_repeated([twice])) == [tell_repeated("a.csv")]
+    assert list(list_repeated([twice, twice, build_of("a.csv")])) == [tell_repeated("a.csv")]
     assert list(list_repeated([])) == []
 
 

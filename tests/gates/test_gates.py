@@ -92,7 +92,10 @@ def test_a_limit_is_written_as_it_is_read(text: str) -> None:
         ("lots > 5%", "nothing is called 'lots'; did you mean 'lost'? there are lost, scans, gap"),
         ("zzz > 5", "nothing is called 'zzz'; there are lost, scans, gap"),
         ("scans > 5%", "scans is no share (scans there are); leave out the %"),
-        ("lost > 5", "5 is no share of a whole; write a share such as 5% or 0.05"),
+        ("lost > 1", "1 is the whole, not 1%; write 1% or 0.01, or else 100%"),
+        ("lost < 1", "1 is the whole, not 1%"),
+        ("lost > 5", "5 is no share of a whole; write 5% or 0.05"),
+        ("lost > 500", "500 is no share of a whole; write 0% to 100%"),
         ("lost > -1%", "-1% is no share of a whole"),
     ],
 )

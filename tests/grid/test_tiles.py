@@ -55,6 +55,15 @@ def test_a_sum_that_was_widened_is_never_narrowed() -> None:
     assert read_cells(grid) == ({(0, 0): 3_000_000_001}, {(0, 0): 4})
 
 
+def test_a_tile_does_not_keep_the_window_that_it_is_a_part_of() -> None:
+    """Of three tiles of a window only two are new: the third need not stay in memory with them."""
+    grid, window = make_grid(), np.ones((3, 2, TILE, TILE), np.int32)
+    add_cell(grid, 0, 0, 1, 0)
+    grid.add(dict(zip([(0, 0), (0, 1), (0, 2)], window, strict=True)), 1)
+    assert grid.tiles[0, 0][:, 0, 0].tolist() == [2, 1]
+    assert not any(np.shares_memory(tile, window) for tile in grid.tiles.values())
+
+
 def test_a_grid_takes_over_what_was_stacked_in_another() -> None:
     cells = np.zeros((1, 2, TILE, TILE), np.int64)
     cells[0, 0, 0, 0] = 3_000_000_000

@@ -1,9 +1,11 @@
+import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from selenium.webdriver import Chrome
 
 from occmap import api
@@ -11,7 +13,7 @@ from occmap.maps import Map
 from occmap.page.layers import CLASS_COLOURS
 from occmap.page.plots import SCAN_COLOUR
 from occmap.page.raster import make_raster
-from tests.page.browser import Shown, open_browser
+from tests.page.browser import BROWSER, FLAGS, Shown, open_browser
 
 DRIVE = Path("sample_logs/drive.mcap")
 RESOLUTION = 0.1
@@ -114,7 +116,7 @@ def test_the_slider_lays_a_scan_over_the_map(drive: Drive) -> None:
     )
     page.wait("document.body.dataset.scan === '0'")
     page.rest()
-    assert page.text("#when").startswith("0.0 s (2023-11-14 22:13:20)")
+    assert page.text("#when").startswith("1700000000.000 s (2023-11-14 22:13:20 UTC)")
     hits = page.run("return Bokeh.documents[0].get_model_by_name('scan').data_source.data.x.length")
     assert hits > 100
     x, y = page.run(
@@ -130,6 +132,40 @@ def test_nothing_is_complained_of_and_nothing_asked_of_the_network(drive: Drive)
     assert drive.page.complaints == []
     asked = drive.page.run("return performance.getEntriesByType('resource').map(e => e.name)")
     assert [name for name in asked if not name.startswith(("data:", "blob:"))] == []
+
+
+def test_in_a_narrow_window_a_metre_is_as_long_in_y_and_the_plot_has_the_shape_of_the_map(
+    browser: Chrome, tmp_path: Path
+) -> None:
+    api.build_map(DRIVE, resolution=0.2, outputs=tmp_path / "m.html")
+    page = Shown(browser, tmp_path / "m.html")
+    size = browser.get_window_size()
+    browser.set_window_size(600, 1000)
+    page.rest()
+    page.rest()
+    wide, high, metres_x, metres_y = page.run(
+        "const f = Bokeh.documents[0].get_model_by_name('map-0'), x = f.x_range, y = f.y_range;"
+        "return [f.inner_width, f.inner_height, x.end - x.start, y.end - y.start]"
+    )
+    browser.set_window_size(size["width"], size["height"])
+    assert wide / metres_x == pytest.approx(high / metres_y)
+    assert metres_y < 20  # of a map of 16 x 12 m; a tall strip has 24 m
+
+
+def test_a_photograph_of_a_page_that_has_not_drawn_yet_shows_the_map(
+    drive: Drive, tmp_path: Path
+) -> None:
+    assert BROWSER
+    made = tmp_path / "map.html"
+    drive.map.save(made)
+    html = made.read_text(encoding="utf-8")
+    made.write_text(html.replace("new DecompressionStream", "new Never"), encoding="utf-8")
+    shot = f"--screenshot={tmp_path / 'page.png'}"
+    subprocess.run([BROWSER, *FLAGS, shot, made.as_uri()], check=True, capture_output=True)
+    with Image.open(tmp_path / "page.png") as image:
+        pixels = np.asarray(image.convert("RGB"))[150:600, 100:800]
+    walls = (pixels == to_rgb(CLASS_COLOURS[3])).all(axis=-1)
+    assert walls.mean() > 0.01
 
 
 def test_maps_of_a_comparison_are_linked_and_its_table_sorts(
@@ -167,8 +203,8 @@ def test_a_difference_has_before_and_after_by_a_switch(browser: Chrome, tmp_path
     x, y = place.x + (col + 0.5) * place.resolution, place.y + (row + 0.5) * place.resolution
     said = page.point(x, y)
     assert (said["change"], said["before"], said["after"]) == (
-        "neither to occupied",
-        "neither",
+        "unknown to occupied",
+        "unknown",
         "occupied",
     )
     colours = []

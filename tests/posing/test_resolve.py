@@ -98,7 +98,7 @@ def test_the_given_mount_hangs_on_base_link() -> None:
 def test_the_given_mount_goes_before_the_log() -> None:
     poser = build(*drive("odom", "base_link"), MOUNT, sensor_pose=turned(0, x=-1))
     assert place(poser) == [3, 0, 0]
-    assert "the given sensor pose goes before the log's of 'laser'" in poser.notes
+    assert "the given sensor pose replaces the log's of 'laser'" in poser.notes
 
 
 @pytest.mark.parametrize("base", ["base_footprint", "r2d2/base_link", "hull"])
@@ -126,7 +126,7 @@ def test_a_given_static_transform_fills_the_tree_or_goes_before_it() -> None:
     assert place(build(*drive("odom", "base_link"), static_transforms=(given,))) == [4, 3, 0]
     poser = build(*drive("odom", "base_link"), MOUNT, static_transforms=(given,))
     assert place(poser) == [4, 3, 0]
-    assert "the given transform base_link -> laser goes before the log's" in poser.notes
+    assert "the given transform base_link -> laser replaces the log's" in poser.notes
 
 
 def test_a_given_transform_that_closes_a_loop_is_told() -> None:

@@ -109,8 +109,10 @@ def test_scans_of_no_beams_are_passed_over(tmp_path: Path) -> None:
 def test_other_lines_are_counted(tmp_path: Path) -> None:
     content = flaser(1) + "# a\n#b\n" + "VERTEX2 0 0 0 0\n" * 3 + "gr\u00fcn 1\n"
     log = open_text(tmp_path, content)
-    expected = "6 lines without scan or pose are passed over: 3 VERTEX2, 2 comments, 1 'gr\u00fcn'"
+    expected = "6 lines without scan or pose passed over: 3 VERTEX2, 2 comments, 1 'gr\u00fcn'"
     assert Note(expected) in log.notes
+    log = open_text(tmp_path, flaser(1) + "# a\n")
+    assert Note("1 line without scan or pose passed over: 1 comment") in log.notes
 
 
 def test_garbage_words_do_not_fill_the_memory(tmp_path: Path) -> None:

@@ -120,7 +120,7 @@ def test_without_protobuf_the_extra_is_named(
     log = open_log(path)
 
     assert read(log) == ([], [])
-    assert any("pip install 'occmap[foxglove]'" in note.text for note in log.notes)
+    assert any("pip install '.[foxglove]'" in note.text for note in log.notes)
     with pytest.raises(LogError):
         build([path], BuildOptions())
 

@@ -8,7 +8,7 @@ import click
 from occmap.cli import COMMANDS, limits, log_options, options
 from occmap.cli.console import Console, Verbosity, tell
 from occmap.cli.findings import format_inspection
-from occmap.cli.sections import SectionCommand, join, option
+from occmap.cli.sections import SectionCommand, join
 from occmap.cli.streams import gather_logs
 from occmap.cli.values import PATH
 from occmap.errors import UsageError
@@ -30,14 +30,7 @@ command line that it recommends. Exits with 1 where a build with the options giv
 """
 
 
-page = option(
-    options.FILES,
-    "-o",
-    "--output",
-    type=PATH,
-    metavar="FILE.html",
-    help="Write the findings as a page, too.",
-)
+page = options.one_output("output", "FILE.html", "Write the findings as a page, too.")
 
 
 @click.command("check", cls=SectionCommand, help=HELP, short_help=COMMANDS["check"])

@@ -64,14 +64,10 @@ variants = join(
         help="How evidence is weighed: see `occmap models`. May repeat.",
     ),
 )
-picture = option(
-    options.FILES,
-    "-o",
-    "--output",
+picture = options.one_output(
     "picture",
-    type=PATH,
-    metavar="FILE",
-    help="Write all maps here: .png is a picture with where they disagree, .html a page.",
+    "FILE",
+    "Write all maps here: .png is a picture with where they disagree, .html a page.",
 )
 
 
@@ -109,8 +105,11 @@ def collect_variants(values: dict[str, Any]) -> list[Variant]:
 
 def format_comparison(comparison: VariantComparison) -> list[str]:
     """Write the table, on what it rests, and the command line of the best."""
-    best, equals, likeliest = comparison.recommended, comparison.equals, comparison.likeliest
-    names = ", ".join(result.variant.name for result in equals)
+    best, likeliest, preference = (
+        comparison.recommended,
+        comparison.likeliest,
+        comparison.preference,
+    )
     held = count(comparison.held_out, "held-out scan")
     rest = f"scored by {count(best.score.beams, 'beam')} of {held}"
     return [
@@ -120,7 +119,7 @@ def format_comparison(comparison: VariantComparison) -> list[str]:
         "",
         f"{rest}; {comparison.tally.scans_used:,} of {comparison.tally.scans_read:,} used",
         *(f"picture: {file}" for file in comparison.remarks.files),
-        *([f"as good: {names}"] if len(equals) > 1 else []),
+        *([f"as good within the error: {preference}"] if preference else []),
         f"best: {best.variant.name}",
         write_command(comparison.build_command(best)),
         *([] if likeliest is best else recommend(comparison, likeliest)),

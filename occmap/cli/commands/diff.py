@@ -10,9 +10,9 @@ from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.summary import LABEL
-from occmap.cli.values import PATH, parse_share, read_by
+from occmap.cli.values import PATH, read_by
 from occmap.difference import MapDifference, compare_files
-from occmap.gates import Limit
+from occmap.gates import Limit, parse_bound
 from occmap.gates.measures import DIFF
 from occmap.keywords import take
 from occmap.wording import count
@@ -28,7 +28,8 @@ A cell that is neither occupied nor free is unknown or undecided; images do not 
 other, so both count as neither.
 
 In the picture, cells that became occupied are orange, cells that became free blue, and cells that
-became neither pink; stronger colours are contradictions, paler ones news.
+became neither wine where they were occupied and pink where they were free; of orange and blue,
+stronger colours are contradictions, paler ones news.
 
 \b
   occmap diff yesterday.pgm today.pgm
@@ -38,17 +39,12 @@ became neither pink; stronger colours are contradictions, paler ones news.
 
 def limit_change(text: str) -> Limit:
     """Read how much may have changed; raises UsageError where that is no share."""
-    bound = parse_share(text)
+    bound = parse_bound(text.strip(), DIFF[0], f"--fail-above {text}")
     return Limit(DIFF[0], ">", bound, in_percent=text.endswith("%"), option="--fail-above")
 
 
-picture = option(
-    options.FILES,
-    "-o",
-    "--output",
-    type=PATH,
-    metavar="FILE",
-    help="Write the changes here: .png is a picture, .html a page.",
+picture = options.one_output(
+    "output", "FILE", "Write the changes here: .png is a picture, .html a page."
 )
 fail_above = option(
     limits.LIMITS,

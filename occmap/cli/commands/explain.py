@@ -31,15 +31,18 @@ it lies now.
   occmap explain map.npz 1.5 -0.25 --log scans.csv --poses trajectory.txt --json
 """
 
-NEGATIVE = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+NUMBER = r"(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?"
+NEGATIVE = re.compile(f"-{NUMBER}")
+POINT = re.compile(f"-?{NUMBER},-?{NUMBER}")
 
 
 class PointCommand(SectionCommand):
     """A command whose arguments may be negative numbers, which look like options."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put a space before negative numbers: no option begins with one, and a number may."""
-        return super().parse_args(ctx, [f" {a}" if NEGATIVE.fullmatch(a) else a for a in args])
+        """Part X,Y, and put a space before negative numbers: no option begins with one."""
+        words = [w for word in args for w in (word.split(",") if POINT.fullmatch(word) else [word])]
+        return super().parse_args(ctx, [f" {w}" if NEGATIVE.fullmatch(w) else w for w in words])
 
 
 logs = option(

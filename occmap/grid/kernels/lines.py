@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.jit import kernel
+from occmap.jit import kernel, step
 from occmap.types import Int32
 
 FRACTION_BITS = 36
@@ -38,7 +38,7 @@ class Line(NamedTuple):
     m: int
 
 
-@kernel
+@step
 def draw_line(col: int, row: int, end_col: int, end_row: int) -> Line:
     """The line from one cell to another."""
     n, m = abs(end_col - col), abs(end_row - row)
@@ -48,7 +48,7 @@ def draw_line(col: int, row: int, end_col: int, end_row: int) -> Line:
     return Line(False, col, row, right, up, n, m)
 
 
-@kernel
+@step
 def count_steps(line: Line, i: int) -> int:
     """How many steps along v a line has made after i cells."""
     if i in (0, line.n):  # nearly always
@@ -64,7 +64,7 @@ def find_step(line: Line, j: int) -> int:
     return (line.n * (2 * j - 1) + 2 * line.m - 1) // (2 * line.m) if j <= line.m else line.n + 1
 
 
-@kernel
+@step
 def lies_inside(col: int, row: int, end_col: int, end_row: int, rows: int, cols: int) -> bool:
     """Whether a window has both ends of a line, and so all of it: nearly always."""
     return (
@@ -86,7 +86,7 @@ def clip_line(line: Line, rows: int, cols: int) -> tuple[int, int]:
     return first, max(first, end)
 
 
-@kernel
+@step
 def note_line(
     line: Line, first: int, end: int, runs: Int32, steps: Int32, stride: int, weight: int
 ) -> None:
