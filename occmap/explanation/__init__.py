@@ -11,7 +11,7 @@ from occmap.errors import UsageError
 from occmap.evidence import choose_tiles, read_model, refuse_other_profile, to_grid, weigh
 from occmap.evidence.persistence import check_passes, keep_lasting
 from occmap.evidence.publishing import list_notes
-from occmap.explanation.history import CellHistory, Visits, look_at, refuse_far_point
+from occmap.explanation.history import CellHistory, Visits, find_cell, look_at
 from occmap.explanation.printed import (
     PrintedExplanation,
     describe_seen,
@@ -215,9 +215,7 @@ def read_around(saved: Saved, x: float, y: float) -> Evidence:
     UsageError
         No map reaches so far.
     """
-    lattice = Lattice(saved.manifest.resolution)
-    refuse_far_point(lattice, x, y)
-    row, col = lattice.to_cell(x, y)
+    row, col = find_cell(Lattice(saved.manifest.resolution), x, y)
     return read_part(saved, CellBox(row, col, row + 1, col + 1))
 
 

@@ -75,8 +75,7 @@ def look_at(evidence: Evidence, x: float, y: float) -> CellHistory:
         No map reaches so far.
     """
     lattice = Lattice(evidence.manifest.resolution)
-    refuse_far_point(lattice, x, y)
-    row, col = lattice.to_cell(x, y)
+    row, col = find_cell(lattice, x, y)
     low_x, low_y, high_x, high_y = (lattice.to_metres(at) for at in (col, row, col + 1, row + 1))
     steps, slice_ns = (-1, 0, 1), round(evidence.manifest.pass_gap_s * 1e9)
     tile = row // TILE, col // TILE
@@ -96,8 +95,8 @@ def look_at(evidence: Evidence, x: float, y: float) -> CellHistory:
     )
 
 
-def refuse_far_point(lattice: Lattice, x: float, y: float) -> None:
-    """Refuse a point that lies in no cell.
+def find_cell(lattice: Lattice, x: float, y: float) -> tuple[int, int]:
+    """Row and column of the cell that holds a point (m).
 
     Raises
     ------
@@ -109,6 +108,7 @@ def refuse_far_point(lattice: Lattice, x: float, y: float) -> None:
         raise UsageError(
             f"the point ({x:g}, {y:g}) is in no map", fix="give x and y in metres, in the map frame"
         )
+    return lattice.to_cell(x, y)
 
 
 def read_visits(slices: Slices, row: int, col: int, slice_ns: int) -> Visits | None:
