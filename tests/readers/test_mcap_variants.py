@@ -285,7 +285,7 @@ def test_bytes_that_are_lost_or_added_take_what_lies_there(path: Path, has: set[
         assert log.notes
 
 
-@pytest.mark.parametrize("has", [(), ("chunks",), INDEXED], ids=str)
+@pytest.mark.parametrize("has", [(), ("chunks",), INDEXED], ids=len)
 @pytest.mark.parametrize("word", [b"sensor_msgs/msg/LaserScan", b"tf2_msgs/msg/TFMessage", b"cdr"])
 def test_a_type_or_encoding_with_a_changed_letter_is_told_of(
     word: bytes, has: Collection[str], path: Path
