@@ -13,7 +13,16 @@ import numpy as np
 
 from occmap.sensor.rules import occupancy, probability, visibility
 from occmap.types import Kind, Rays
-from tests.grid.reference import Cell, Point, all_beams, bresenham, cell_of, list_beams, point
+from tests.grid.reference import (
+    Cell,
+    Point,
+    all_beams,
+    bresenham,
+    cell_of,
+    list_beams,
+    point,
+    reach,
+)
 
 MILLIONTH = 1e-6
 """A distance this near to a limit, as a share of it, may fall on either side."""
@@ -81,8 +90,8 @@ def trace_radial_beams(rays: Rays, resolution: float, model: Quadratic) -> Obser
         if kind == Kind.SKIP:
             continue
         sensor = point(rays, s, b, 0.0, resolution)
-        reach = r + (model.depth if kind == Kind.HIT else 0.0)
-        for cell in bresenham(cell_of(sensor), cell_of(point(rays, s, b, reach, resolution))):
+        end = point(rays, s, b, reach(rays, s, b, model.depth), resolution)
+        for cell in bresenham(cell_of(sensor), cell_of(end)):
             d = math.hypot(*centre_from(sensor, cell, resolution))
             observed.note(cell, model.observe(d, r, kind))
             if model.is_on_limit(d, r):
@@ -166,7 +175,7 @@ def find_sectors(rays: Rays, s: int) -> dict[int, Sector]:
         else 0.0
         for b in range(beams)
     ]
-    sense = 1 if sum(math.sin(turn) for turn in turns[:-1]) >= 0 else -1
+    sense = 1 if sum(math.sin(turn) for turn in turns[:-1]) >= -MILLIONTH else -1
     # A neighbour on the far side counts as one ahead, whichever way round to it is shorter.
     halves = [WIDEST if abs(turn) > 2 * WIDEST else sense * turn / 2 for turn in turns]
     sectors = {}
@@ -177,7 +186,7 @@ def find_sectors(rays: Rays, s: int) -> dict[int, Sector]:
         elif not rays.full_circle and b == beams - 1:
             after = before
         width = before + after
-        if width > 0 and any(directions[b]) and rays.kind[s, b] != Kind.SKIP:
+        if width > MILLIONTH and any(directions[b]) and rays.kind[s, b] != Kind.SKIP:
             sectors[b] = Sector(bearings[b] - (before if sense > 0 else after), width)
     return sectors
 
@@ -188,8 +197,8 @@ def turn_between(a: float, b: float) -> float:
     return turn - 2 * math.pi if turn > math.pi else turn
 
 
-def cells_within(sensor: Point, reach: float, resolution: float) -> list[Cell]:
-    """All cells whose centres may be within reach of the sensor."""
+def cells_within(sensor: Point, far: float, resolution: float) -> list[Cell]:
+    """All cells whose centres may be so far (m) from the sensor."""
     row, col = cell_of(sensor)
-    n = math.ceil(reach / resolution) + 1
+    n = math.ceil(far / resolution) + 1
     return [(r, c) for r in range(row - n, row + n + 1) for c in range(col - n, col + n + 1)]

@@ -30,6 +30,16 @@ def point(rays: Rays, s: int, b: int, distance: float, resolution: float) -> Poi
     )
 
 
+def reach(rays: Rays, s: int, b: int, depth: float) -> float:
+    """How far to follow a beam: a hit to `depth` (m on the map) behind its range.
+
+    One straight up or down has no direction on the map, and no depth.
+    """
+    slant = math.hypot(*rays.direction[s, b])
+    is_followed = rays.kind[s, b] == Kind.HIT and slant > 0
+    return float(rays.distance[s, b]) + (depth / slant if is_followed else 0.0)
+
+
 def cell_of(spot: Point) -> Cell:
     return spot[1] // 256, spot[0] // 256
 
@@ -99,8 +109,7 @@ def list_beams(
     kinds = [Kind(kind) for kind in rays.kind[s].tolist()]
     distance = [float(each) for each in rays.distance[s]]
     sensors = [point(rays, s, b, 0.0, resolution) for b in range(beams)]
-    reach = [r + depth if kind == Kind.HIT else r for r, kind in zip(distance, kinds, strict=True)]
-    ends = [point(rays, s, b, reach[b], resolution) for b in range(beams)]
+    ends = [point(rays, s, b, reach(rays, s, b, depth), resolution) for b in range(beams)]
     weights = [2] * beams
     for a in range(beams if rays.full_circle and beams > 1 else beams - 1):
         b = (a + 1) % beams

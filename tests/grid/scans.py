@@ -170,11 +170,17 @@ def drives(
 
 @st.composite
 def upright_drives(draw: st.DrawFn) -> Drive:
-    """Scans of an upright lidar, some of whose beams point exactly straight up or down."""
+    """Scans of an upright lidar, some of whose beams point exactly straight up or down.
+
+    In some all others point one of two ways on the map, as its beams lie in one plane.
+    """
     rays, resolution = draw(drives())
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
-    vertical = rng.random(rays.kind.shape) < draw(st.sampled_from([0.05, 0.5, 1.0]))
+    vertical = rng.random(rays.kind.shape) < draw(st.sampled_from([0.05, 0.5, 1.0, 0.0]))
     direction = np.where(vertical[..., None], 0.0, rays.direction)
+    if draw(st.booleans()):
+        plane = draw(st.sampled_from([0.0, 1.0, math.pi / 2, -2.5, math.pi]))
+        direction = direction[..., :1] * np.array([math.cos(plane), math.sin(plane)])
     turn = np.stack([direction, np.zeros_like(direction)], axis=-1)
     return Drive(replace(rays, turn=turn), resolution)
 

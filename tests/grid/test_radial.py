@@ -80,16 +80,16 @@ def test_random_scans_follow_the_rule(
     check(observe(spec, [rays], window_cells), expected, model)
 
 
-@pytest.mark.parametrize("update", [Update.BEAM, Update.SURFACE])
+@pytest.mark.parametrize("update", list(Update))
 @FEW
 @given(drive=upright_drives(), cells_deep=st.sampled_from([0.5, 3.3]))
 def test_beams_straight_up_and_down_follow_the_rule(
     update: Update, drive: Drive, cells_deep: float
 ) -> None:
-    """Not by polygon: where all beams lie in one plane, rounding decides whose sector a cell is."""
     rays, resolution = drive
     model = Quadratic(cells_deep * resolution, 0.1)
-    expected = TRACES[update](rays, resolution, model)
+    seen = join_viewpoints(rays) if update is Update.POLYGON else rays
+    expected = TRACES[update](seen, resolution, model)
     check(observe(make_spec(update, resolution, model), [rays]), expected, model)
 
 
@@ -164,6 +164,24 @@ def test_a_gap_in_the_scan_is_not_observed() -> None:
         (280, 1),
     ):
         at = 0.5 + 4 * math.cos(math.radians(bearing)), 0.5 + 4 * math.sin(math.radians(bearing))
+        assert observed[Lattice(1.0).to_cell(*at)] == count, bearing
+
+
+def test_a_beam_that_points_back_speaks_for_what_others_cover_too() -> None:
+    """Nineteen beams reach 12 m; a last one, which points between two of them, reaches 2 m."""
+    bearings = np.radians([*range(-120, 61, 10), -105])
+    rays = Rays.along(
+        np.full((1, 1, 2), 0.5),
+        np.stack([np.cos(bearings), np.sin(bearings)], axis=-1)[None],
+        np.array([[12.0] * 19 + [2.0]], np.float32),
+        np.array([[Kind.HIT] * 18 + [Kind.SKIP, Kind.HIT]], np.uint8),
+        np.zeros(1, np.int64),
+        full_circle=False,
+    )
+    observed = observe(make_spec(Update.POLYGON, 1.0, Quadratic(0.5, 0.1)), [rays]).second
+    # It covers 60 degrees to each side, as the one before it points 165 degrees away.
+    for bearing, count in ((-105, 0), (-60, 0), (-35, 1), (0, 1), (40, 1)):
+        at = 0.5 + 5 * math.cos(math.radians(bearing)), 0.5 + 5 * math.sin(math.radians(bearing))
         assert observed[Lattice(1.0).to_cell(*at)] == count, bearing
 
 

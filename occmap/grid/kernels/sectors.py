@@ -9,8 +9,10 @@ from occmap.types import Bool, Float64, Int32, Int64, UInt8
 BEARINGS = 1 << 14
 """Steps of a full turn to which the bearing of a cell is known."""
 COS_60, SIN_60 = 0.5, 0.75**0.5
-OPPOSITE = 1e-6
-"""Beams whose unit vectors add up to less have nothing but rounding half-way between them."""
+ROUNDING = 1e-6
+"""Unit vectors that add up to less are opposite and have nothing but rounding half-way between
+them; a scan that turns by less (rad) turns neither way; and a sector this narrow covers nothing.
+An upright laser, whose beams lie in one vertical plane, has all of these."""
 
 
 @kernel
@@ -27,18 +29,18 @@ def find_sectors(
 
     Returns
     -------
-    1 where the scan turns counter-clockwise, -1 where clockwise.
+    1 where the scan turns counter-clockwise or neither way, -1 where clockwise.
     """
     beams = kinds.size
     turn = 0.0
     for b in range(1, beams):
         turn += direction[b - 1, 0] * direction[b, 1] - direction[b - 1, 1] * direction[b, 0]
-    sign = 1.0 if turn >= 0 else -1.0
+    sign = 1.0 if turn >= -ROUNDING else -1.0
     for b in range(beams):
         after = b + 1 if b < beams - 1 else 0
         x, y = direction[b, 0] + direction[after, 0], direction[b, 1] + direction[after, 1]
         length = np.sqrt(x * x + y * y)
-        share = 1 / length if length > OPPOSITE else 0.0
+        share = 1 / length if length > ROUNDING else 0.0
         sides[b, 2], sides[b, 3] = share * x, share * y
         sides[after, 0], sides[after, 1] = share * x, share * y
     if not full_circle:
@@ -58,7 +60,7 @@ def find_sectors(
                 sides[b, side] = COS_60 * along_x - sine * along_y
                 sides[b, side + 1] = COS_60 * along_y + sine * along_x
         widening = sides[b, 0] * sides[b, 3] - sides[b, 1] * sides[b, 2]
-        covers[b] = kinds[b] != 0 and sign * widening > 0
+        covers[b] = kinds[b] != 0 and sign * widening > ROUNDING
     return sign
 
 
@@ -86,7 +88,7 @@ def cover_bearings(
     """
     covering[:] = -1
     right = 0 if sign > 0 else 2
-    side_by_side, covered = True, np.int64(0)
+    side_by_side, given = True, np.int64(0)
     for b in range(covers.size):
         first = bearing_of(sides[b, right], sides[b, right + 1])
         last = bearing_of(sides[b, 2 - right], sides[b, 3 - right])
@@ -95,11 +97,14 @@ def cover_bearings(
         elif last < first:
             covering[first:] = b
             covering[:last] = b
-            covered += BEARINGS - first + last
+            given += BEARINGS - first + last
         else:
             covering[first:last] = b
-            covered += last - first
-    return bool(side_by_side and covered <= BEARINGS)
+            given += last - first
+    covered = np.int64(0)
+    for step in range(BEARINGS):
+        covered += covering[step] >= 0
+    return bool(side_by_side and given == covered)
 
 
 @kernel
