@@ -19,7 +19,7 @@ from occmap.cli.values import (
     set_verbosity,
     take_one,
 )
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.sensor.models import describe_model
 from occmap.types import Update
 from occmap.writers import MapMode, Shade

@@ -23,7 +23,7 @@ from occmap.explanation.sightings import Numbers, Sighting, add_up, find_sightin
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import measure_bounds
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
-from occmap.pipeline import Progress, ignore_progress
+from occmap.observing import Progress, ignore_progress
 from occmap.plain import to_plain
 from occmap.sensor.models import SensorModel, describe_model, find_decision
 from occmap.store.reading import Store

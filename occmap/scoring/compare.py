@@ -8,20 +8,16 @@ from typing import Any, TypedDict
 
 from occmap.command import compose_build
 from occmap.errors import LogError
-from occmap.pipeline import (
-    DEFAULT_UPDATE,
-    BuildOptions,
-    Progress,
-    count_scans,
-    ignore_progress,
-    trace_logs,
-)
+from occmap.observing import Progress, ignore_progress
+from occmap.opening import count_scans
+from occmap.options import DEFAULT_UPDATE, BuildOptions
 from occmap.plain import Count, Finite, ScanCounts, Share, Told, to_plain
 from occmap.readers import open_log
 from occmap.report import Remarks, Tally, refuse_unused
 from occmap.scoring.score import ReliabilityBin
 from occmap.scoring.trials import SMALL, HoldOut, Result, Trials
 from occmap.scoring.variants import Variant, shorten_model
+from occmap.tracing import trace_logs
 from occmap.types import Update
 from occmap.wording import count
 from occmap.writers import check_picture, is_page

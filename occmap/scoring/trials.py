@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from occmap.evidence import render
-from occmap.pipeline import BuildOptions, make_engine
+from occmap.options import BuildOptions
 from occmap.scoring.score import Score, estimate_error, score_map
 from occmap.scoring.variants import Variant
+from occmap.tracing import make_engine
 from occmap.types import Float64, Kind, OccupancyMap, Rays
 from occmap.workers import Workers
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from occmap.batching import Batcher
 from occmap.errors import PoseError
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
 from occmap.readers import Log, read_scans

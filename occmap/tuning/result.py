@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypedDict
 
 from occmap.command import compose_build
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.plain import Count, Finite, Share, Told, to_plain
 from occmap.report import LEAST_AGREEMENT, Remarks, Tally
 from occmap.scoring.compare import HeldOutScans, describe_run

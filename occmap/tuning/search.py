@@ -7,12 +7,13 @@ from typing import NamedTuple
 
 from occmap.command import to_rpy
 from occmap.evidence import render
-from occmap.pipeline import BuildOptions, make_engine
+from occmap.options import BuildOptions
 from occmap.posing.options import PosingOptions
 from occmap.scoring.compare import refuse_unscored
 from occmap.scoring.score import Trial
 from occmap.scoring.trials import Trials
 from occmap.scoring.variants import Variant
+from occmap.tracing import make_engine
 from occmap.tuning.kept import MOST_OFFSET_S, KeptLog, trace_rays
 from occmap.types import Pose, Rays
 

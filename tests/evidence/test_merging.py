@@ -14,7 +14,8 @@ from occmap.evidence.publishing import RenderOptions, publish
 from occmap.explanation.history import look_at
 from occmap.grid.slices import count_visits, split_tiles, unite
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
 from occmap.types import Evidence, Manifest, Slices, Update
 from occmap.writers.npz import read_evidence

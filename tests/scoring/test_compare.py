@@ -8,7 +8,8 @@ import pytest
 
 from occmap.batching import Selection
 from occmap.errors import LogError, UsageError
-from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
+from occmap.options import DEFAULT_UPDATE, BuildOptions
+from occmap.pipeline import build
 from occmap.report import Remarks, Tally
 from occmap.scoring.compare import VariantComparison, compare
 from occmap.scoring.score import Score, estimate_error

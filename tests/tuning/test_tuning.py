@@ -9,7 +9,7 @@ import pytest
 
 from occmap.command import to_rpy
 from occmap.errors import LogError, PoseError
-from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, choose_model
+from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing.options import PosingOptions
 from occmap.readers import open_log
 from occmap.report import Remarks, Tally

@@ -17,7 +17,8 @@ from occmap.cli.values import PATH, parse_size, read_by
 from occmap.errors import LogError, UsageError
 from occmap.gates.measures import BUILD
 from occmap.grid.framing import Framing
-from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
+from occmap.options import DEFAULT_UPDATE, BuildOptions
+from occmap.pipeline import build
 from occmap.report import Report
 
 HELP = f"""{COMMANDS["build"]}

@@ -15,7 +15,7 @@ from occmap.errors import UsageError
 from occmap.gates.measures import CHECK
 from occmap.inspection import inspect
 from occmap.keywords import take
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.writers import check_picture
 
 HELP = f"""{COMMANDS["check"]}

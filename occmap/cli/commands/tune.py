@@ -16,7 +16,7 @@ from occmap.cli.values import PATH
 from occmap.errors import UsageError
 from occmap.gates.measures import TUNE
 from occmap.keywords import take
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.tuning import Tuning, tune
 from occmap.tuning.search import Correction
 from occmap.tuning.verdict import Finding, Gain, Verdict
