@@ -1,6 +1,8 @@
 """Comparing variants: what is held out, what is shared, and the scores of rooms known by heart."""
 
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +31,31 @@ from tests.samples import PLAIN, REAL_LOGS, SAMPLE_LOGS, write_csv
 DRIVE = SAMPLE_LOGS / "drive.csv"
 
 
+LATE_KERNELS = """
+import sys
+import occmap
+from occmap import jit
+from occmap.scoring.trials import Trials
+
+loaded = []
+load, begin = jit.KeptCode.load_overload, Trials.begin
+
+def load_and_note(self, *args):
+    loaded.append(self._name)
+    return load(self, *args)
+
+def begin_and_forget(self, workers):
+    observe = begin(self, workers)
+    loaded.clear()
+    return observe
+
+jit.KeptCode.load_overload, Trials.begin = load_and_note, begin_and_forget
+occmap.compare(sys.argv[1], stride=10)
+print(*(name for name in loaded if not name.startswith("cast.")))
+"""
+"""Prints the kernels that are loaded or compiled while variants are traced and timed."""
+
+
 def make_scans(scans: int) -> Rays:
     """Scans that are told apart by their x."""
     origin = np.zeros((scans, 1, 2))
@@ -54,6 +81,11 @@ def test_every_fifth_scan_is_held_out_however_they_are_batched(sizes: list[int])
     assert list_x(hold_out.held) == [2, 7, 12, 17]
     assert hold_out.scans == 4
     assert sorted(list_x(seen) + list_x(hold_out.held)) == list(range(20))
+
+
+def test_no_variant_is_charged_for_loading_or_compiling_kernels() -> None:
+    words = [sys.executable, "-c", LATE_KERNELS, str(SAMPLE_LOGS / "drive.mcap")]
+    assert subprocess.run(words, capture_output=True, text=True, check=True).stdout == "\n"
 
 
 def test_nine_variants_need_six_pieces_of_evidence() -> None:
