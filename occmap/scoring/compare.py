@@ -13,7 +13,7 @@ from occmap.opening import count_scans
 from occmap.options import DEFAULT_UPDATE, BuildOptions
 from occmap.plain import Count, Finite, ScanCounts, Share, Told, to_plain
 from occmap.readers import open_log
-from occmap.report import Remarks, Tally, refuse_unused
+from occmap.report import Remarks, Tally, list_frames, refuse_unused
 from occmap.scoring.score import ReliabilityBin
 from occmap.scoring.trials import SMALL, HoldOut, Result, Trials
 from occmap.scoring.variants import Variant, shorten_model
@@ -218,6 +218,7 @@ def compare(
     hold_out = trials.hold_out
     refuse_unused(paths, tally)
     refuse_unscored(remarks.logs, hold_out)
+    remarks.notes += list_frames(tally)
     if hold_out.scans < FEW_SCANS:
         held_out = count(hold_out.scans, "held-out scan")
         remarks.notes.append(f"{held_out}: too few to tell variants apart; give a longer log")
