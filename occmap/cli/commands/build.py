@@ -38,23 +38,6 @@ strict = option(
     options.RUN, "--strict", is_flag=True, help="Exit with 1 where a log is damaged; map it first."
 )
 
-resume = join(
-    option(
-        options.FILES,
-        "--resume",
-        type=PATH,
-        metavar="NPZ",
-        help="Add to the evidence in this file, which -o may name again.",
-    ),
-    option(
-        options.FILES,
-        "--resume-if-there",
-        type=PATH,
-        metavar="NPZ",
-        help="The same, and start anew where there is no such file.",
-    ),
-)
-
 fleet = join(
     option(
         options.RUN,
@@ -95,7 +78,7 @@ class Request(NamedTuple):
 
 @click.command("build", cls=SectionCommand, help=HELP, short_help=COMMANDS["build"])
 @click.argument("words", nargs=-1, metavar="[beam|polygon|surface] LOG...")
-@join(options.writing, resume, options.lattice, options.align)
+@join(options.writing, options.resume, options.lattice, options.align)
 @join(options.framing, options.min_passes, options.pass_gap)
 @join(log_options.ranges, options.model)
 @join(log_options.selection, log_options.posing)
