@@ -194,7 +194,7 @@ def make_result(
     """Of scans of so many beams each."""
     by_scan = np.array([(beams, near) for near in predicted], float)
     share = sum(predicted) / (beams * len(predicted))
-    score = Score(beams * len(predicted), share, 0.0, log_likelihood, 0.0, 0.0)
+    score = Score(beams * len(predicted), share, 0.0, log_likelihood, 0.0, 0.0, 0.0)
     grid = OccupancyMap(np.zeros((1, 1), np.float32), np.ones((1, 1), bool), 0.05, (0.0, 0.0))
     return Result(Variant(Update.SURFACE, model), grid, score, 0.0, 0, by_scan)
 

@@ -68,7 +68,7 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
     yield f"time     {format_finding(tuning.time, ['time_s'])}"
     yield f"mount    {format_finding(tuning.mount, ['yaw', 'x', 'y'])}"
     if tuning.together.verdict is Verdict.FOUND:
-        together = format_finding(tuning.together, list(Correction._fields))
+        together = format_finding(tuning.together, ["time_s", "yaw", "x", "y"])
         yield f"together {together}"
     yield f"share    {before.share:.4f}{gained}"
     yield f"scored   by {held}; {count(len(tuning.tried), 'map')} of {count(tuning.kept, 'scan')}"
