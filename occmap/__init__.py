@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     from occmap.api import build_map, check, compare, diff, merge, read_log, tune
     from occmap.errors import OccmapError
     from occmap.maps import Map
-    from occmap.pipeline import Build, BuildOptions, build
+    from occmap.options import BuildOptions
+    from occmap.pipeline import Build, build
     from occmap.readers import Log
     from occmap.types import OccupancyMap
 
@@ -37,7 +38,7 @@ __all__ = [
 
 _HOMES = {
     "Build": "occmap.pipeline",
-    "BuildOptions": "occmap.pipeline",
+    "BuildOptions": "occmap.options",
     "Log": "occmap.readers",
     "Map": "occmap.maps",
     "OccmapError": "occmap.errors",

@@ -11,7 +11,8 @@ from occmap.evidence import merging, publishing, to_grid
 from occmap.inputs import find_inputs
 from occmap.keywords import list_options, read_option, read_options
 from occmap.maps import Map
-from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build, choose_model, list_inputs
+from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
+from occmap.pipeline import build, list_inputs
 from occmap.readers import Log, open_log
 from occmap.scoring import compare as scoring
 from occmap.scoring.variants import combine

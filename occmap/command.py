@@ -3,13 +3,13 @@
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from occmap.keywords import list_options
+from occmap.keywords import list_options, list_values
 from occmap.options import BuildOptions
 from occmap.types import Pose, PoseSample
+from occmap.writers import WriteOptions
 
 FLAGS = {
     "ignore_sectors": "--ignore-sector",
@@ -35,14 +35,8 @@ MARK = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
 """How texts outside of the command line name an option, and what to give it"""
 
 NOT_WRITTEN = (
-    "jobs",
-    "min_passes",
-    "model",
-    "pass_gap_s",
-    "resume",
-    "resume_if_there",
-    "update",
-    "writing",
+    *("jobs", "update", "model", "min_passes", "pass_gap_s", "resume", "resume_if_there"),
+    *list_options(WriteOptions),
 )
 """Options that say nothing of how logs are read, or that a caller names by itself."""
 
@@ -79,7 +73,7 @@ def compose_build(
     changes
         Values of options by name, which go before those of `options`.
     """
-    given = {name: list_texts(value) for name, value in list_changed(options, BuildOptions())}
+    given = {name: list_texts(value) for name, value in list_changed(options).items()}
     for name, text in changes.items():
         given[name] = [*list_beside(name, given.get(name, []), text), text]
     words = [w for name, texts in given.items() for text in texts for w in (spell_flag(name), text)]
@@ -109,14 +103,11 @@ def name_map(path: str) -> str:
     return Path(name).stem or "map"
 
 
-def list_changed(given: Any, usual: Any) -> Iterator[tuple[str, Any]]:
-    """Give each option that differs from its default, those in groups, too."""
-    for name in (each.name for each in fields(given) if each.name not in NOT_WRITTEN):
-        value, default = getattr(given, name), getattr(usual, name)
-        if is_dataclass(default):
-            yield from list_changed(value, default)
-        elif value != default:
-            yield name, value
+def list_changed(options: BuildOptions) -> dict[str, Any]:
+    """List the options that differ from their defaults and belong into a build line."""
+    usual = list_values(BuildOptions())
+    given = list_values(options).items()
+    return {name: v for name, v in given if v != usual[name] and name not in NOT_WRITTEN}
 
 
 def list_texts(value: Any) -> list[str]:

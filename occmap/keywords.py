@@ -62,6 +62,21 @@ def list_options(kind: Any) -> dict[str, Any]:
     return found
 
 
+def list_values(options: Any) -> dict[str, Any]:
+    """List the value of each option by its name; a group gives way to what is in it."""
+    found: dict[str, Any] = {}
+    for name, hint in get_type_hints(type(options)).items():
+        value = getattr(options, name)
+        found |= list_values(value) if is_dataclass(hint) else {name: value}
+    return found
+
+
+def drop_none(hint: Any) -> Any:
+    """The type of an option that is given, where it may also be None."""
+    kinds = [each for each in get_args(hint) if each is not NoneType]
+    return reduce(operator.or_, kinds) if NoneType in get_args(hint) else hint
+
+
 def take(kind: type[Options], values: Mapping[str, Any]) -> Options:
     """Make options of the values that are named like its fields, or like those of its groups."""
     made = {}
@@ -81,10 +96,9 @@ def read_option(name: str, hint: Any, value: Any) -> Any:
     UsageError
         It is nothing of the kind.
     """
-    if NoneType in get_args(hint):
-        if value is None:
-            return None
-        hint = reduce(operator.or_, (each for each in get_args(hint) if each is not NoneType))
+    if value is None and NoneType in get_args(hint):
+        return None
+    hint = drop_none(hint)
     if hint not in FORMS:
         return _read_member(name, hint, value)
     read, form = FORMS[hint]
@@ -104,13 +118,13 @@ def _read_member(name: str, kind: type[StrEnum], value: Any) -> StrEnum:
     return kind(value)
 
 
-def refuse_degrees(angles: Iterable[float], where: str = "") -> None:
+def refuse_degrees(angles: Iterable[float]) -> None:
     """Refuse an angle of more than a turn; raises UsageError with what it is in radians."""
     for angle in angles:
         if abs(angle) > LARGEST_ANGLE:
             found = f"an angle of {angle:g} rad is more than a turn"
             fix = f"write radians: {angle:g} degrees are {math.radians(angle):.6g}"
-            raise UsageError(found, where=where, fix=fix)
+            raise UsageError(found, fix=fix)
 
 
 def _read_number(value: Any) -> float:
@@ -126,7 +140,8 @@ def _read_numbers(value: Iterable[Any], *sizes: int) -> tuple[float, ...]:
     return numbers
 
 
-def _read_mount(value: Any) -> Pose:
+def read_pose(value: Any) -> Pose:
+    """Make a pose of (x, y, yaw) or (x, y, yaw, roll, pitch), in metres and radians."""
     if isinstance(value, Pose):
         return value
     x, y, yaw, roll, pitch, *_ = (*_read_numbers(value, 3, 5), 0.0, 0.0)
@@ -134,7 +149,8 @@ def _read_mount(value: Any) -> Pose:
     return Pose.from_xyzrpy((x, y, 0.0), (roll, pitch, yaw))
 
 
-def _read_transform(value: Any) -> PoseSample:
+def read_transform(value: Any) -> PoseSample:
+    """Make a fixed transform of (parent, child, x, y, z, roll, pitch, yaw)."""
     if isinstance(value, PoseSample):
         return value
     parent, child, *numbers = value
@@ -144,7 +160,8 @@ def _read_transform(value: Any) -> PoseSample:
     return PoseSample(0, os.fspath(parent), os.fspath(child), pose, static=True)
 
 
-def _read_sector(value: Any) -> tuple[float, ...]:
+def read_sector(value: Any) -> tuple[float, ...]:
+    """Make a sector of two bearings in radians."""
     sector = _read_numbers(value, 2)
     refuse_degrees(sector)
     return sector
@@ -167,16 +184,16 @@ FORMS: dict[Any, tuple[Callable[[Any], Any], str]] = {
     int: (operator.index, "a whole number"),
     str: (os.fspath, "text"),
     Path: (Path, "a path"),
-    Pose: (_read_mount, "(x, y, yaw) or (x, y, yaw, roll, pitch) in metres and radians"),
+    Pose: (read_pose, "(x, y, yaw) or (x, y, yaw, roll, pitch) in metres and radians"),
     Box: (lambda box: _read_numbers(box, 4), "(x_min, y_min, x_max, y_max) in metres"),
     SensorModel: (_read_model, 'text such as "simple:p_hit=0.8", or a model'),
     tuple[str, ...]: (_read_topics, "a topic or a list of topics"),
     tuple[Sector, ...]: (
-        lambda sectors: tuple(map(_read_sector, sectors)),
+        lambda sectors: tuple(map(read_sector, sectors)),
         "a list of (from, to) in radians, counter-clockwise",
     ),
     tuple[PoseSample, ...]: (
-        lambda transforms: tuple(map(_read_transform, transforms)),
+        lambda transforms: tuple(map(read_transform, transforms)),
         "a list of (parent, child, x, y, z, roll, pitch, yaw) in metres and radians",
     ),
 }

@@ -19,8 +19,7 @@ from occmap.grid.tiles import TileGrid
 from occmap.mounts import list_misfits
 from occmap.observing import Keep, Observe, Observed, Progress, ignore_progress
 from occmap.observing import observe as observe_here
-from occmap.opening import choose_topics, count_messages, count_scans, make_poser, take_first
-from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
+from occmap.options import BuildOptions
 from occmap.report import (
     MapFacts,
     Remarks,
@@ -29,35 +28,16 @@ from occmap.report import (
     describe_map,
     list_dates,
     list_disagreement,
+    list_frames,
     list_lacking,
     list_requested,
     refuse_unseen,
     refuse_unused,
 )
 from occmap.sensor.models import describe_model
-from occmap.tracing import make_engine, plan_grid, trace_logs
 from occmap.types import Evidence, Manifest, OccupancyMap
 from occmap.writers import Product, check_outputs, want_evidence, want_journey, write_outputs
 from occmap.writers.atomic import hold_alone
-
-__all__ = [
-    "DEFAULT_UPDATE",
-    "Build",
-    "BuildOptions",
-    "Progress",
-    "build",
-    "choose_model",
-    "choose_topics",
-    "count_messages",
-    "count_scans",
-    "ignore_progress",
-    "list_inputs",
-    "make_engine",
-    "make_poser",
-    "plan_grid",
-    "take_first",
-    "trace_logs",
-]
 
 
 class Build(NamedTuple):
@@ -143,6 +123,7 @@ def build_alone(
         *unaligned,
         *options.list_idle(),
         *list_dates(options.selection, tally),
+        *list_frames(tally),
         *list_lacking(tally, resumed),
         *lost,
         *disagreement,

@@ -1,10 +1,14 @@
 """How readers, sensor models and writers are found: through entry points, loaded on use."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal
+
+from occmap.errors import UsageError
 
 Group = Literal["occmap.readers", "occmap.models", "occmap.writers"]
 
@@ -46,6 +50,29 @@ def load_plugin(group: Group, name: str) -> Any:
             except Exception:  # noqa: BLE001  as above
                 return None
     return None
+
+
+@contextmanager
+def need_extra(extra: str, use: str, where: object = "") -> Iterator[None]:
+    """Say how to install what the block imports, where that is missing.
+
+    Parameters
+    ----------
+    extra
+        Which of occmap's extras has it.
+    use
+        What it is for, such as "a store needs zarr".
+
+    Raises
+    ------
+    UsageError
+        An import of the block fails.
+    """
+    try:
+        yield
+    except ImportError:
+        fix = f"install it: pip install '.[{extra}]'"
+        raise UsageError(f"{use}, which is not installed", where=where, fix=fix) from None
 
 
 def suggest(word: str, known: list[str], command: str) -> str:

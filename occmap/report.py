@@ -60,6 +60,8 @@ class Tally:
         self.scans_read = self.scans_used = 0
         self.dropped: dict[str, int] = {}
         self.beams = ReturnCounts()
+        self.frames: dict[str, str | None] = {}
+        """In which frame each log is mapped; None where it states poses and names no frame"""
 
     @property
     def scans_wanted(self) -> int:
@@ -79,6 +81,7 @@ class Tally:
         """Count what another one counted, too."""
         if self.recorder and other.recorder:
             self.recorder.add(other.recorder)
+        self.frames |= other.frames
         self.scans_read += other.scans_read
         self.drop(other.dropped)
         self.use(other.scans_used, other.beams)
@@ -341,6 +344,18 @@ def list_requested(
     for log, times in Counter(map(str, logs)).items():
         if times > 1:
             yield f"{log}: given {times} times, and counted as often"
+
+
+def list_frames(tally: Tally) -> Iterator[str]:
+    """Say that logs are mapped in frames of different names, which may lie anywhere."""
+    first = {frame: log for log, frame in reversed(tally.frames.items()) if frame}
+    if len(first) > 1:
+        named = ", ".join(f"{log} in {frame}" for frame, log in reversed(first.items()))
+        yield (
+            f"the logs are mapped in different frames: {named}; where these do not lie on each "
+            "other, choose one with `map_frame`, or build each log alone with its own `transform` "
+            "and merge them"
+        )
 
 
 def refuse_unused(logs: Sequence[object], tally: Tally) -> None:

@@ -119,6 +119,7 @@ def trace(
                 tally.use(len(rays.kind), beams)
                 workers.give(rays)
             tally.advance(len(batch.stamp_ns))
+    tally.frames[str(drive.log.path)] = drive.poser.fixed
     tally.scans_read += batcher.read
     tally.drop(dict(batcher.left_out))
     concerns = drive.poser.list_concerns(batcher.first_ns, options.returns.max_range)

@@ -4,7 +4,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.sensor.models import SimpleModel
 from occmap.types import Update
 

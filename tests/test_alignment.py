@@ -10,7 +10,8 @@ import pytest
 
 from occmap.alignment import COMMON_SHARE, find_turn
 from occmap.errors import MapError
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
 from occmap.types import Float64, OccupancyMap
 from occmap.writers.npz import read_evidence

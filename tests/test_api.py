@@ -24,7 +24,8 @@ from occmap.errors import MapError, OccmapError, OutputError, UsageError
 from occmap.evidence.publishing import RenderOptions
 from occmap.grid.framing import Framing
 from occmap.keywords import list_options, read_options
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions, Stamps
 from occmap.readers.options import Echo, ReaderOptions
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel

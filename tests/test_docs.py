@@ -15,7 +15,8 @@ from PIL import Image
 from ruamel.yaml import YAML
 
 from occmap.gates.measures import BUILD, CHECK, COMPARE, DIFF, SAVED, TUNE, Measures
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.readers import Probe, Role, open_log
 from occmap.types import Pose
 from tests.documents import PAGES, Session, list_blocks, list_steps, matches, read_page

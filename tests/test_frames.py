@@ -12,9 +12,11 @@ from occmap.evidence.merging import merge
 from occmap.grid.framing import Framing
 from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions
+from occmap.scoring.compare import compare
+from occmap.scoring.variants import combine
 from occmap.types import Pose, Update
 from occmap.writers.npz import read_evidence
-from tests.inspection_logs import Drive
+from tests.inspection_logs import Drive, write_bag
 from tests.posing.scenes import batch_at, bolted, drive, yaw_of
 from tests.posing.scenes import build as make_poser
 from tests.samples import PLAIN, Planar
@@ -40,6 +42,22 @@ def move_back(pose: Planar) -> Planar:
     x, y, yaw = pose
     right, up, turn = SHIFT
     return y - up, right - x, yaw - turn
+
+
+def test_logs_in_frames_of_different_names_are_noted(tmp_path: Path) -> None:
+    level = [(0.0, 0.0)]
+    first = write_bag(tmp_path / "first.bag", Drive(), level)
+    second = write_bag(tmp_path / "second.bag", Drive(), level, correct=lambda _: (0.0, 0.0, 0.0))
+    note = (
+        f"the logs are mapped in different frames: {first} in odom, {second} in map; where these "
+        "do not lie on each other, choose one with `map_frame`, or build each log alone with its "
+        "own `transform` and merge them"
+    )
+    assert note in build([first, second], PLAIN).report.notes
+    one_frame = replace(PLAIN, posing=PosingOptions(map_frame="odom"))
+    for made in (build([first, second], one_frame), build([first, first], PLAIN)):
+        assert not [each for each in made.report.notes if "different frames" in each]
+    assert note in compare([first, second], combine([Update.BEAM], []), PLAIN).remarks.notes
 
 
 @pytest.mark.parametrize("update", list(Update))

@@ -20,7 +20,8 @@ from occmap.inspection.findings import ScanFindings
 from occmap.inspection.ranges import BLOCK_RANGES, RangeCensus, find_repeated
 from occmap.inspection.times import StampLog
 from occmap.mounts import correct_mount
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import Float32, Float64, Pose, Scan, ScanBatch

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 
 PACKAGE = Path(__file__).parent.parent / "occmap"
 MODULES = sorted(PACKAGE.rglob("*.py"))

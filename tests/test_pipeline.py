@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from occmap import batching, observing, tracing
-from occmap.pipeline import BuildOptions, build, choose_model
+from occmap.options import BuildOptions, choose_model
+from occmap.pipeline import build
 from occmap.sensor.models import parse_model
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import Bool, Decision, OccupancyMap, Update

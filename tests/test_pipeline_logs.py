@@ -14,7 +14,8 @@ import pytest
 import occmap
 from occmap.batching import Selection
 from occmap.errors import LogError, MapError, OccmapError, OutputError, PoseError, UsageError
-from occmap.pipeline import Build, BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import Build, build
 from occmap.report import Report
 from occmap.types import OccupancyMap, Update
 from tests.readers.ros import ROS2, Written, drive, write_mcap

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from tests.documents import PAGES, Session, read_page
 from tests.samples import ROOT
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from occmap.errors import PoseError
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
 from occmap.types import Pose
 from tests.samples import REAL_LOGS

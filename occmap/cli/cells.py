@@ -58,19 +58,17 @@ def list_builds(explanation: Explanation) -> Iterator[tuple[str, str]]:
     """Say on how many visits each build observed the cell, and when; and then all together."""
     shown = explanation.builds[:MOST_BUILDS]
     for index, build in enumerate(shown):
-        visits = describe_visits(build.visits, explanation.history.kind)
-        yield "" if index else "visits", f"{shorten(build.logs)}: {visits}"
+        yield "" if index else "visits", f"{shorten(build.logs)}: {describe_visits(build)}"
     if len(shown) < len(explanation.builds):
         yield "", f"and {len(explanation.builds) - len(shown):,} more builds: --json lists all"
     if len(shown) > 1 and explanation.history.visits:
-        together = describe_visits(explanation.history.visits, explanation.history.kind)
-        yield "", f"together: {together}"
+        yield "", f"together: {describe_visits(explanation.history.visits)}"
 
 
-def describe_visits(visits: Visits, kind: EvidenceKind) -> str:
+def describe_visits(visits: Visits) -> str:
     """Write on how many visits a cell was observed, and between which ends of slices."""
     found = count(visits.seen_visits, "visit")
-    if kind is EvidenceKind.COUNTS:
+    if visits.hit_visits is not None:
         found = f"hit on {visits.hit_visits:,} of {found}"
     return f"{found}, between {write_time(visits.since_ns)} and {write_time(visits.until_ns)}"
 

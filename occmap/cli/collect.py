@@ -9,7 +9,7 @@ from typing import Any
 from occmap.command import MODEL_PARAMETERS, spell_flag
 from occmap.errors import UsageError
 from occmap.keywords import take
-from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, choose_model
+from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.sensor.models import SensorModel, describe_model, parse_model
 from occmap.types import Update
 

@@ -4,7 +4,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -62,6 +62,8 @@ class Console:
     """It has got it"""
     stdout_is_taken: bool = False
     """A map goes there: all else goes to stderr"""
+    stdin_file: str = ""
+    """Where a log that came on stdin is kept meanwhile; texts call it `-`"""
     announced: list[str] = field(default_factory=list)
     """What was said of the command line itself: the first notes of a result"""
 
@@ -71,9 +73,20 @@ class Console:
             return
         if self.stdout_is_taken:
             for line in lines:
-                tell(line)
+                self.tell(line)
         else:
-            put_line("\n".join(clean(line) for line in lines))
+            put_line("\n".join(clean(self.spell(line)) for line in lines))
+
+    def spell(self, text: str) -> str:
+        """Spell the options that a text names as flags, and a log on stdin as `-`."""
+        return spell(text.replace(self.stdin_file, "-") if self.stdin_file else text)
+
+    def tell(self, text: str) -> None:
+        """Print a line to stderr; where that is closed there is nobody to tell."""
+        try:
+            click.echo(clean(self.spell(text)), err=True)
+        except OSError:
+            discard(sys.stderr.fileno())
 
     def put_json(self, kind: str, value: dict[str, Any]) -> None:
         """Print a result as one JSON object that names its schema."""
@@ -82,14 +95,14 @@ class Console:
         self.answered = True
         if "notes" in value:
             value = {**value, "notes": [*self.announced, *value["notes"]]}
-        named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **spell_all(value)}
+        named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **spell_all(value, self.spell)}
         text = json.dumps(named, indent=2, allow_nan=False)
         put_line(text.replace("##", r"\u0023#"))  # the same to who reads JSON, and no order
 
     def note(self, text: str) -> None:
         """Print something worth knowing."""
         if self.verbosity > Verbosity.QUIET:
-            tell(f"note: {text}")
+            self.tell(f"note: {text}")
 
     def announce(self, notes: Iterable[str]) -> None:
         """Print what is worth knowing of the command line, and keep it for the result."""
@@ -99,7 +112,7 @@ class Console:
 
     def fail(self, error: OccmapError, code: int) -> int:
         """Print an error, for a program that still waits as JSON, too; return its exit code."""
-        tell(f"error: {error}")
+        self.tell(f"error: {error}")
         if self.as_json and not self.answered:
             parts: ErrorParts = {
                 "exit_code": code,
@@ -117,7 +130,7 @@ class Console:
             import traceback  # noqa: PLC0415  late: rarely wanted
 
             for text in "".join(traceback.format_exception(error)).splitlines():
-                tell(text)
+                self.tell(text)
         found = f"{type(error).__name__}: {error} (at {find_place(error)})"
         advice = "this is a fault in occmap: please report it, with what the same command prints"
         return self.fail(OccmapError(found, fix=f"{advice} with -v"), 1)
@@ -175,29 +188,20 @@ def spell(text: str) -> str:
     return spell_flags(text)
 
 
-def spell_all(value: Any) -> Any:
+def spell_all(value: Any, spell: Callable[[str], str] = spell) -> Any:
     """Spell the options that any text of a result names."""
     if isinstance(value, str):
         return spell(value)
     if isinstance(value, dict):
-        return {spell_all(key): spell_all(item) for key, item in value.items()}
-    return list(map(spell_all, value)) if isinstance(value, list | tuple) else value
+        return {spell(key): spell_all(item, spell) for key, item in value.items()}
+    return [spell_all(item, spell) for item in value] if isinstance(value, list | tuple) else value
 
 
 def clean(line: str) -> str:
-    """Make one line of text of what logs and paths say: it moves no cursor and orders nothing."""
-    line = spell(line)
+    """Escape what moves the cursor, or is an order to a runner of pipelines."""
     if not line.isprintable():
         line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
     return ORDER.sub(lambda found: f"{found[1] or ''}\\x{ord(found[0][-1]):x}", line)
-
-
-def tell(text: str) -> None:
-    """Print a line to stderr; where that is closed there is nobody to tell."""
-    try:
-        click.echo(clean(text), err=True)
-    except OSError:
-        discard(sys.stderr.fileno())
 
 
 def discard_stdout() -> None:

@@ -1,9 +1,12 @@
-"""What is installed of one kind of plugin, for the commands that list it."""
+"""The commands that list what is installed of one kind of plugin."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields
 from typing import Any, TypedDict
 
+import click
+
+from occmap.cli import COMMANDS, options
 from occmap.cli.console import Console
 from occmap.plain import to_plain
 from occmap.plugins import Broken, Group, load_plugins
@@ -17,29 +20,8 @@ class Listed:
     """Its name"""
     description: str
     """What it does"""
-    parameters: dict[str, float | str | None] = field(default_factory=dict)
+    parameters: dict[str, float | str | None]
     """Those of a sensor model with their defaults; empty for readers and writers"""
-
-
-@dataclass(frozen=True)
-class Listing:
-    """All plugins of a group."""
-
-    kind: str
-    """In the plural."""
-    working: Sequence[Listed]
-    broken: Sequence[Broken]
-
-    def list_lines(self) -> Iterator[str]:
-        """One line a plugin, aligned; parameters and faults below."""
-        width = max((len(plugin.name) for plugin in self.working), default=0) + 2
-        for plugin in self.working:
-            yield f"{plugin.name:<{width}}{plugin.description}"
-            if plugin.parameters:
-                pairs = (f"{key}={value}" for key, value in plugin.parameters.items())
-                yield f"{'':<{width}}{', '.join(pairs)}"
-        for fault in self.broken:
-            yield f"{fault.name} is installed but does not load: {' '.join(fault.reason.split())}"
 
 
 class PrintedReaders(TypedDict):
@@ -69,17 +51,40 @@ class PrintedWriters(TypedDict):
     """Plugins that do not load"""
 
 
-def list_group(kind: str, group: Group) -> Listing:
-    """List a group whose plugins have only a description."""
-    loaded, broken = load_plugins(group)
-    working = [Listed(name, plugin.description) for name, plugin in loaded.items()]
-    return Listing(kind, working, broken)
+def make_command(kind: str, group: Group) -> click.Command:
+    """Make the command that lists a group of plugins; `kind` is what they are called."""
+
+    @click.command(kind, help=COMMANDS[kind])
+    @options.as_json
+    @options.verbosity
+    @click.pass_obj
+    def command(console: Console, /, as_json: bool) -> None:
+        """List what is installed."""
+        loaded, broken = load_plugins(group)
+        working = [
+            Listed(name, plugin.description, list_parameters(plugin) if kind == "models" else {})
+            for name, plugin in loaded.items()
+        ]
+        if as_json:
+            console.put_json(kind, to_plain({kind: working, "broken": broken}))
+        else:
+            console.put(format_plugins(working, broken))
+
+    return command
 
 
-def show(console: Console, listing: Listing, values: dict[str, Any]) -> None:
-    """Print a listing in the form that was asked for."""
-    if values["as_json"]:
-        found = {listing.kind: listing.working, "broken": listing.broken}
-        console.put_json(listing.kind, to_plain(found))
-    else:
-        console.put(listing.list_lines())
+def list_parameters(model: Any) -> dict[str, Any]:
+    """List the parameters that `--model NAME:KEY=NUMBER` takes, with their defaults."""
+    return {each.name: each.default for each in fields(model)}
+
+
+def format_plugins(working: Sequence[Listed], broken: Sequence[Broken]) -> Iterator[str]:
+    """Write one line for each plugin, with its parameters below; last what does not load."""
+    width = max((len(plugin.name) for plugin in working), default=0) + 2
+    for plugin in working:
+        yield f"{plugin.name:<{width}}{plugin.description}"
+        if plugin.parameters:
+            pairs = (f"{key}={value}" for key, value in plugin.parameters.items())
+            yield f"{'':<{width}}{', '.join(pairs)}"
+    for fault in broken:
+        yield f"{fault.name} is installed but does not load: {' '.join(fault.reason.split())}"

@@ -1,56 +1,63 @@
 """The options that commands share, so that a flag means the same everywhere.
 
-Each is named like the field that it sets; defaults come from the classes that hold the fields.
+Most set a field of `BuildOptions`: they are spelt like it, and take its type and its default.
 """
 
+import math
+from pathlib import Path
 from typing import Any
 
 import click
 
 from occmap.cli.console import Verbosity
-from occmap.cli.sections import bare_option, join, option
+from occmap.cli.sections import BareOption, join, option
 from occmap.cli.values import (
     FROM_SCANS,
+    NUMBERS,
     PATH,
     one_of,
     parse_align,
-    parse_extent,
+    parse_numbers,
     read_by,
     set_verbosity,
     take_one,
 )
-from occmap.pipeline import BuildOptions
+from occmap.command import spell_flag
+from occmap.keywords import drop_none, list_options, list_values
+from occmap.options import BuildOptions
 from occmap.sensor.models import describe_model
 from occmap.types import Update
-from occmap.writers import MapMode, Shade
+from occmap.writers import Shade
 
-DEFAULTS = BuildOptions()
-NO_LIMIT = "no limit"
+HINTS, DEFAULTS = list_options(BuildOptions), list_values(BuildOptions())
+TYPES: dict[Any, Any] = {float: float, int: int, Path: PATH}
 
 MAP, MODEL, RANGES = "Map", "Sensor model", "What a range means"
 SCANS, POSES, FILES, RUN = "Which scans", "Where the scans were taken", "Files", "Run"
 
 
-def metres(section: str, *names: str, **settings: Any) -> Any:
-    """Declare an option that is a length."""
-    return option(section, *names, type=float, metavar="M", **{"show_default": True} | settings)
+def field(
+    section: str, name: str, metavar: str, text: str, *, short: str = "", **settings: Any
+) -> Any:
+    """Declare the option for a field of BuildOptions; `settings` replace what the field says."""
+    names = [short, spell_flag(name), name] if short else [spell_flag(name), name]
+    hint, default = drop_none(HINTS[name]), DEFAULTS[name]
+    usual: dict[str, Any] = {"metavar": metavar, "type": TYPES.get(hint)}
+    if name in NUMBERS:
+        usual |= read_by(lambda value: parse_numbers(name, value))
+    if isinstance(default, int | float):
+        usual |= {"default": default, "show_default": math.isfinite(default)}
+    return option(section, *names, help=text, **usual | settings)
 
 
-def seconds(section: str, *names: str, **settings: Any) -> Any:
-    """Declare an option that is a time."""
-    return option(section, *names, type=float, metavar="S", **settings)
-
-
-def number(name: str, text: str) -> Any:
-    """Declare a shorthand for a parameter of the sensor model."""
-    return option(MODEL, name, type=float, metavar="P", help=text)
+def choice(section: str, name: str, text: str) -> Any:
+    """Declare the option for a field of BuildOptions that is one of some words."""
+    settings = {**one_of(HINTS[name]), "default": DEFAULTS[name].value, "show_default": True}
+    return option(section, spell_flag(name), name, help=text, **settings)
 
 
 output = option(
-    FILES,
-    "-o",
-    "--output",
-    "outputs",
+    *(FILES, "-o", "--output", "outputs"),
     type=PATH,
     multiple=True,
     metavar="FILE",
@@ -62,181 +69,112 @@ output = option(
 
 def one_output(name: str, metavar: str, text: str) -> Any:
     """Declare the option that names the one file that a command writes."""
-    return option(
-        *(FILES, "-o", "--output", name),
-        type=PATH,
-        multiple=True,
-        callback=take_one,
-        metavar=metavar,
-        help=text,
-    )
+    names = FILES, "-o", "--output", name
+    return option(*names, type=PATH, multiple=True, callback=take_one, metavar=metavar, help=text)
 
 
 thresholds = join(
-    option(
-        FILES,
-        "--occupied-thresh",
-        type=float,
-        metavar="P",
+    field(
+        *(FILES, "occupied_thresh", "P", "Occupied above this probability."),
         show_default="the model's --cut; in the YAML 0.65",
-        help="Occupied above this probability.",
     ),
-    option(
-        FILES,
-        "--free-thresh",
-        type=float,
-        metavar="P",
+    field(
+        *(FILES, "free_thresh", "P", "Free below this probability."),
         show_default="the model's --cut; in the YAML 0.196",
-        help="Free below this probability.",
     ),
 )
 writing = join(
     output,
-    option(
-        FILES,
-        "--mode",
-        **one_of(MapMode),
-        default=MapMode.TRINARY.value,
-        show_default=True,
-        help="What the pixels of a PGM mean.",
-    ),
+    choice(FILES, "mode", "What the pixels of a PGM mean."),
     thresholds,
     option(
-        FILES,
-        "--light-occupied",
-        "shade",
+        *(FILES, spell_flag("shade"), "shade"),
         flag_value=Shade.LIGHT_OCCUPIED.value,
         callback=lambda _ctx, _param, value: Shade(value or Shade.DARK_OCCUPIED),
         help="PNG: light is occupied, as in Elfes' figures.",
     ),
 )
-
-resolution = metres(MAP, "-r", "--resolution", default=DEFAULTS.resolution, help="Side of a cell.")
-max_cells = option(
-    MAP,
-    "--max-cells",
-    type=click.IntRange(min=1),
-    metavar="N",
-    default=DEFAULTS.max_cells,
-    show_default=True,
-    help="Refuse to make a larger map.",
+resume = join(
+    field(FILES, "resume", "NPZ", "Add to the evidence in this file, which -o may name again."),
+    field(FILES, "resume_if_there", "NPZ", "The same, and start anew where there is no such file."),
 )
+
+resolution = field(MAP, "resolution", "M", "Side of a cell.", short="-r")
+max_cells = field(MAP, "max_cells", "N", "Refuse to make a larger map.", type=click.IntRange(min=1))
 lattice = join(
     resolution,
-    metres(
-        MAP,
-        "--jump",
-        default=DEFAULTS.jump,
-        help="Neighbouring beams see one surface where ranges differ by less.",
+    field(MAP, "jump", "M", "Neighbouring beams see one surface where ranges differ by less."),
+    field(
+        *(MAP, "hit_offset", "CELLS"),
+        "A hit lies so far behind the measured point, which is on a surface.",
     ),
-    option(
-        MAP,
-        "--hit-offset",
-        type=float,
-        metavar="CELLS",
-        default=DEFAULTS.hit_offset,
-        show_default=True,
-        help="A hit lies so far behind the measured point, which is on a surface.",
-    ),
-    option(
-        MAP,
-        "--border-gap",
-        type=int,
-        metavar="CELLS",
-        default=DEFAULTS.border_gap,
-        show_default=True,
-        help=f"{Update.POLYGON}: close a surface over so many cells between end cells.",
+    field(
+        *(MAP, "border_gap", "CELLS"),
+        f"{Update.POLYGON}: close a surface over so many cells between end cells.",
     ),
     max_cells,
 )
 
-align = bare_option(
-    MAP,
-    "--align",
-    **read_by(parse_align),
+align = field(
+    *(MAP, "align", "[DEG]"),
+    "Turn the map by this angle, counter-clockwise; without a number by the smallest one that "
+    "brings its walls along the axes.",
+    cls=BareOption,
     bare=FROM_SCANS,
+    type=str,
+    **read_by(parse_align),
     default="0",
-    metavar="[DEG]",
     show_default="not turned",
-    help="Turn the map by this angle, counter-clockwise; without a number by the smallest one "
-    "that brings its walls along the axes.",
 )
 framing = join(
-    option(
-        MAP,
-        "--extent",
-        **read_by(parse_extent),
-        metavar="X_MIN,Y_MIN,X_MAX,Y_MAX",
+    field(
+        *(MAP, "extent", "X_MIN,Y_MIN,X_MAX,Y_MAX"),
+        "Cover exactly this box (m), to whole cells; evidence (.npz) stays whole.",
         show_default="what was observed",
-        help="Cover exactly this box (m), to whole cells; evidence (.npz) stays whole.",
     ),
-    metres(MAP, "--margin", default=0.0, help="Add unknown space around what was observed."),
+    field(MAP, "margin", "M", "Add unknown space around what was observed."),
 )
 
-min_passes = option(
-    MAP,
-    "--min-passes",
-    type=int,
-    metavar="K",
-    help="Forget hits of cells that were hit on fewer visits, such as people; keep walls that were "
-    "hit on most.",
+min_passes = field(
+    *(MAP, "min_passes", "K"),
+    "Forget hits of cells that were hit on fewer visits, such as people; keep walls that were hit "
+    "on most.",
 )
-pass_gap = seconds(
-    MAP,
-    "--pass-gap",
-    "pass_gap_s",
-    default=DEFAULTS.pass_gap_s,
-    show_default=True,
-    help="Two visits of a cell lie at least so far apart.",
-)
+pass_gap = field(MAP, "pass_gap_s", "S", "Two visits of a cell lie at least so far apart.")
 
 
-def model_option(**default: str) -> Any:
+def model_option(usual: str) -> Any:
     """Declare the option that names a sensor model."""
     return option(
-        MODEL,
-        "--model",
+        *(MODEL, "--model"),
         metavar="NAME[:KEY=NUMBER,...]",
         help="How evidence is weighed: see `occmap models`.",
-        **default,
+        show_default=usual,
     )
 
 
-model_parameters = join(
-    number("--p-hit", "simple: probability of occupied, given one hit."),
-    number("--p-miss", "simple: probability of occupied, given one miss."),
-    option(MODEL, "--epsilon", type=float, metavar="M", help="quadratic: half the depth of a hit."),
-    number("--p-min", "quadratic: no observation is surer than this."),
-    number("--prior", "Probability of occupied before any observation."),
-    number("--cut", "A cell is occupied above this probability, free below."),
-    option(
-        MODEL,
-        "--spread",
-        type=float,
-        metavar="SHARE",
-        help="How much of a hit counts for each cell beside it.",
-    ),
-    number("--clamp-min", "No observed cell is less probably occupied than this."),
-    number("--clamp-max", "... and none more probably than this."),
-)
-model = join(
-    model_option(show_default=describe_model(DEFAULTS.model)),
-    model_parameters,
-)
-saved_model = join(model_option(show_default="what it was built with"), model_parameters)
+def parameter(name: str, text: str, metavar: str = "P") -> Any:
+    """Declare a shorthand for a parameter of the sensor model."""
+    return option(MODEL, name, type=float, metavar=metavar, help=text)
 
-jobs = option(
-    RUN,
-    "--jobs",
-    type=int,
-    metavar="N",
-    default=DEFAULTS.jobs,
-    show_default="one for each core",
-    help="Threads.",
+
+model_parameters = join(
+    parameter("--p-hit", "simple: probability of occupied, given one hit."),
+    parameter("--p-miss", "simple: probability of occupied, given one miss."),
+    parameter("--epsilon", "quadratic: half the depth of a hit.", "M"),
+    parameter("--p-min", "quadratic: no observation is surer than this."),
+    parameter("--prior", "Probability of occupied before any observation."),
+    parameter("--cut", "A cell is occupied above this probability, free below."),
+    parameter("--spread", "How much of a hit counts for each cell beside it.", "SHARE"),
+    parameter("--clamp-min", "No observed cell is less probably occupied than this."),
+    parameter("--clamp-max", "... and none more probably than this."),
 )
+model = join(model_option(describe_model(DEFAULTS["model"])), model_parameters)
+saved_model = join(model_option("what it was built with"), model_parameters)
+
+jobs = field(RUN, "jobs", "N", "Threads.", show_default="one for each core")
 config = option(
-    RUN,
-    "--config",
+    *(RUN, "--config"),
     type=PATH,
     metavar="FILE",
     expose_value=False,
@@ -244,23 +182,15 @@ config = option(
     "logs.",
 )
 as_json = option(RUN, "--json", "as_json", is_flag=True, help="Print the result as JSON.")
+
+
+def loudness(short: str, long: str, level: Verbosity, text: str) -> Any:
+    """Declare a flag that says how much a command tells."""
+    callback = set_verbosity(level)
+    return option(RUN, short, long, is_flag=True, expose_value=False, callback=callback, help=text)
+
+
 verbosity = join(
-    option(
-        RUN,
-        "-q",
-        "--quiet",
-        is_flag=True,
-        expose_value=False,
-        callback=set_verbosity(Verbosity.QUIET),
-        help="Print errors only, and what --json asks for.",
-    ),
-    option(
-        RUN,
-        "-v",
-        "--verbose",
-        is_flag=True,
-        expose_value=False,
-        callback=set_verbosity(Verbosity.VERBOSE),
-        help="Print the traceback of a fault in occmap.",
-    ),
+    loudness("-q", "--quiet", Verbosity.QUIET, "Print errors only, and what --json asks for."),
+    loudness("-v", "--verbose", Verbosity.VERBOSE, "Print the traceback of a fault in occmap."),
 )

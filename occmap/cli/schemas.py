@@ -6,6 +6,7 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable
+from dataclasses import is_dataclass
 from enum import Enum
 from types import NoneType, UnionType
 from typing import (
@@ -117,7 +118,7 @@ def read_texts(kind: Any) -> dict[str, str]:
     known = vars(sys.modules[kind.__module__])
     texts: dict[str, str] = {}
     for base in (known.get(ast.unparse(base)) for base in tree.bases):
-        if is_typeddict(base):  # which forgets what it extends
+        if is_typeddict(base) or is_dataclass(base):
             texts |= read_texts(base)
     for field, text in zip(tree.body, tree.body[1:], strict=False):
         if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):

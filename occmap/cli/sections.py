@@ -109,12 +109,7 @@ class SectionCommand(click.Command):
 
 def option(section: str, *names: str, **settings: Any) -> Callable[[Command], Command]:
     """Declare an option under a heading."""
-    return click.option(*names, cls=SectionOption, section=section, **settings)
-
-
-def bare_option(section: str, *names: str, **settings: Any) -> Callable[[Command], Command]:
-    """Declare an option whose value may be left out under a heading."""
-    return click.option(*names, cls=BareOption, section=section, **settings)
+    return click.option(*names, **{"cls": SectionOption} | settings, section=section)
 
 
 def refuse_equals(words: Sequence[str]) -> None:

@@ -14,9 +14,10 @@ import click
 from occmap.cli.console import Console
 from occmap.command import name_map
 from occmap.errors import UsageError
-from occmap.inputs import find_inputs, keep_stdin
+from occmap.inputs import STDIN, find_inputs, keep_stdin
 from occmap.options import BuildOptions
 from occmap.report import Report
+from occmap.writers import FolderWriter, find_writer
 
 STDOUT = "-"
 SCRATCH = "occmap-stdout-"
@@ -32,9 +33,11 @@ def gather_logs(
     LogError
         Nothing comes on stdin.
     """
-    paths = click.get_current_context().with_resource(keep_stdin(paths))
+    given = click.get_current_context().with_resource(keep_stdin(paths))
+    if STDIN in paths:
+        console.stdin_file = str(given[paths.index(STDIN)])
     others = [*outputs, Path(options.posing.poses or "")]
-    found = find_inputs(paths, options.reading, others)
+    found = find_inputs(given, options.reading, others)
     console.announce(found.notes)
     return found.logs
 
@@ -69,15 +72,19 @@ def catch_stdout(console: Console, outputs: Sequence[Path]) -> Iterator[tuple[Pa
     Raises
     ------
     UsageError
-        More is meant for stdout than one file.
+        More is meant for stdout than one file, or a format that is a folder.
     """
-    caught = [path for path in outputs if path.stem == STDOUT]
-    if len(caught) > 1 or console.as_json:
+    name, *others = (path for path in outputs if path.stem == STDOUT)
+    if others or console.as_json:
         raise UsageError("stdout takes one map and nothing else", fix="give another name to -o")
+    file_name = name.with_suffix(name.suffix or ".pgm")
+    if isinstance(find_writer(file_name), FolderWriter):
+        found = f"a {name.suffix} is a folder, which stdout cannot take"
+        raise UsageError(found, where=name, fix=f"name the folder, such as -o map{name.suffix}")
     console.stdout_is_taken = True
     with tempfile.TemporaryDirectory(prefix=SCRATCH) as folder:
-        saved = Path(folder) / f"stdout{caught[0].suffix or '.pgm'}"
-        yield tuple(saved if path in caught else path for path in outputs)
+        saved = Path(folder) / f"stdout{file_name.suffix}"
+        yield tuple(saved if path == name else path for path in outputs)
         if saved.exists():
             with saved.open("rb") as file:
                 shutil.copyfileobj(file, sys.stdout.buffer)

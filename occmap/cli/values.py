@@ -1,17 +1,17 @@
 """How the text of an option becomes a value: lists of numbers, and names from an enum."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 
 from occmap.cli.console import Console, Verbosity
+from occmap.command import spell_flag
 from occmap.errors import UsageError
-from occmap.keywords import refuse_degrees
-from occmap.types import Box, Pose, PoseSample
+from occmap.keywords import read_pose, read_sector, read_transform
 from occmap.wording import count
 
 PATH = click.Path(path_type=Path, readable=False)
@@ -19,44 +19,65 @@ PATH = click.Path(path_type=Path, readable=False)
 FROM_SCANS = "auto"
 """The --align that the scans are to tell."""
 SIZES = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
-POSE_FORM = "write x,y,yaw or x,y,yaw,roll,pitch in metres and radians, such as 0.1,0,3.14159"
-TRANSFORM_FORM = "write parent,child,x,y,z,roll,pitch,yaw in metres and radians"
 
 
-def parse_sensor_pose(text: str) -> Pose:
-    """Read where a laser is mounted.
+class Form(NamedTuple):
+    """How an option of several numbers is written, and what it makes of them."""
+
+    sizes: tuple[int, ...]
+    """How many numbers there may be"""
+    read: Callable[[Sequence[Any]], Any]
+    fix: str
+    words: int = 0
+    """So many words go before the numbers"""
+
+
+NUMBERS = {
+    "sensor_pose": Form(
+        (3, 5),
+        read_pose,
+        "write x,y,yaw or x,y,yaw,roll,pitch in metres and radians, such as 0.1,0,3.14159",
+    ),
+    "transform": Form(
+        (3,), read_pose, "write x,y,yaw in metres and radians, such as 12.5,-3,1.5708"
+    ),
+    "static_transforms": Form(
+        (6,),
+        read_transform,
+        "write parent,child,x,y,z,roll,pitch,yaw in metres and radians",
+        words=2,
+    ),
+    "ignore_sectors": Form(
+        (2,), read_sector, "write FROM,TO in radians, counter-clockwise, such as 2.5,-2.5"
+    ),
+    "footprint": Form(
+        (4,), tuple, "write x_min,y_min,x_max,y_max in metres, such as -0.4,-0.3,0.2,0.3"
+    ),
+    "extent": Form((4,), tuple, "write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4"),
+}
+"""By the names of the options"""
+
+
+def parse_numbers(name: str, text: str) -> Any:
+    """Read an option of several numbers with commas between.
 
     Raises
     ------
     UsageError
-        The text is not of the form x,y,yaw[,roll,pitch].
+        There are more numbers or fewer, one is none, or an angle is in degrees.
     """
-    where = f"--sensor-pose {text}"
-    words = text.split(",")
-    if len(words) not in (3, 5):
-        found = f"{count(len(words), 'value')} where 3 or 5 belong"
-        raise UsageError(found, where=where, fix=POSE_FORM)
-    x, y, yaw, roll, pitch, *_ = [*read_numbers(words, where, POSE_FORM), 0.0, 0.0]
-    refuse_degrees((yaw, roll, pitch), where)
-    return Pose.from_xyzrpy((x, y, 0.0), (roll, pitch, yaw))
-
-
-def parse_static(text: str) -> PoseSample:
-    """Read a fixed transform.
-
-    Raises
-    ------
-    UsageError
-        The text is not of the form parent,child,x,y,z,roll,pitch,yaw.
-    """
-    where = f"--static-tf {text}"
-    words = [word.strip() for word in text.split(",")]
-    if len(words) != 8 or not all(words[:2]):
-        raise UsageError("not two frames and six numbers", where=where, fix=TRANSFORM_FORM)
-    x, y, z, roll, pitch, yaw = read_numbers(words[2:], where, TRANSFORM_FORM)
-    refuse_degrees((roll, pitch, yaw), where)
-    pose = Pose.from_xyzrpy((x, y, z), (roll, pitch, yaw))
-    return PoseSample(0, words[0], words[1], pose, static=True)
+    form, where = NUMBERS[name], f"{spell_flag(name)} {text}"
+    values = [value.strip() for value in text.split(",")]
+    words, numbers = values[: form.words], values[form.words :]
+    if len(numbers) not in form.sizes or not all(words):
+        sizes = " or ".join(str(form.words + size) for size in form.sizes)
+        raise UsageError(
+            f"{count(len(values), 'value')} where {sizes} belong", where=where, fix=form.fix
+        )
+    try:
+        return form.read([*words, *read_numbers(numbers, where, form.fix)])
+    except UsageError as error:
+        raise error.placed(where) from None
 
 
 def parse_size(text: str) -> int:
@@ -70,37 +91,6 @@ def parse_size(text: str) -> int:
     return round(size * SIZES[unit])
 
 
-def parse_sector(text: str) -> tuple[float, float]:
-    """Read two bearings; raises UsageError where there are not two numbers, or they are degrees."""
-    form = "write FROM,TO in radians, counter-clockwise, such as 2.5,-2.5"
-    where = f"--ignore-sector {text}"
-    start, end = read_list(text, 2, where, form)
-    refuse_degrees((start, end), where)
-    return start, end
-
-
-def parse_box(text: str) -> Box:
-    """Read the lowest and the highest x and y; raises UsageError where that is no box."""
-    form = "write x_min,y_min,x_max,y_max in metres, such as -0.4,-0.3,0.2,0.3"
-    x_min, y_min, x_max, y_max = read_list(text, 4, f"--footprint {text}", form)
-    return x_min, y_min, x_max, y_max
-
-
-def parse_extent(text: str) -> Box:
-    """Read what a map covers; raises UsageError where there are not four numbers."""
-    form = "write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4"
-    x_min, y_min, x_max, y_max = read_list(text, 4, f"--extent {text}", form)
-    return x_min, y_min, x_max, y_max
-
-
-def parse_transform(text: str) -> Pose:
-    """Read where a log's map frame lies in the map; raises UsageError where that is no pose."""
-    form = "write x,y,yaw in metres and radians, such as 12.5,-3,1.5708"
-    x, y, yaw = read_list(text, 3, f"--transform {text}", form)
-    refuse_degrees((yaw,), f"--transform {text}")
-    return Pose.planar(x, y, yaw)
-
-
 def parse_align(text: str) -> float | None:
     """Read an angle in degrees, or the word that leaves it to the scans.
 
@@ -111,21 +101,6 @@ def parse_align(text: str) -> float | None:
     """
     form = f"write degrees such as 12.5, or {FROM_SCANS}"
     return None if text == FROM_SCANS else read_numbers([text], f"--align {text}", form)[0]
-
-
-def read_list(text: str, size: int, where: str, form: str) -> list[float]:
-    """Read so many numbers with commas between.
-
-    Raises
-    ------
-    UsageError
-        There are more or fewer, or one is none.
-    """
-    words = text.split(",")
-    if len(words) != size:
-        found = f"{count(len(words), 'value')} where {size} belong"
-        raise UsageError(found, where=where, fix=form)
-    return read_numbers(words, where, form)
 
 
 def read_numbers(words: list[str], where: str, form: str) -> list[float]:

@@ -8,22 +8,22 @@ import math
 import reprlib
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from occmap.errors import MapError, UsageError
-from occmap.evidence import read_model, render_saved
+from occmap.evidence import read_model
 from occmap.grid.framing import Framing
 from occmap.grid.tiles import MAX_CELLS
 from occmap.store.blocks import digest_evidence
-from occmap.store.reading import open_store
+from occmap.store.reading import Store
 from occmap.store.rendering import View, classify_blocks, open_map
+from occmap.store.sources import as_blocks, open_saved
 from occmap.types import Bool, CellClass, Int64, UInt8
 from occmap.writers import MapMode, WriteOptions
-from occmap.writers.npz import read_evidence
 
 YAML_BYTES = 1 << 16
 """A map's YAML has seven lines."""
@@ -128,34 +128,20 @@ def load_png(path: Path, thresholds: WriteOptions) -> ClassMap:
     return ClassMap(path, classify(path, meta), None)
 
 
-def load_evidence(path: Path, thresholds: WriteOptions) -> ClassMap:
-    """Load evidence as the map that its own model makes of it.
+def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
+    """Load evidence, from a file or a store, as the map that its own model makes of it.
 
     Raises
     ------
     MapError
         It cannot be read, or is damaged.
     """
-    evidence = read_evidence(path)
-    grid = render_saved(evidence, read_model(evidence), MAX_CELLS)
-    grid = replace(grid, decision=thresholds.decide(grid.decision))
-    place = Place(grid.resolution, *grid.origin)
-    return ClassMap(path, grid.classes, place, digest=digest_evidence(evidence))
-
-
-def load_store(path: Path, thresholds: WriteOptions) -> ClassMap:
-    """Load a store as `load_evidence` would, block by block.
-
-    Raises
-    ------
-    MapError
-        It cannot be read, or is damaged.
-    """
-    store = open_store(path)
-    made = open_map(View(store, read_model(store)), Framing())
-    x, y, _, _ = made.extent
+    saved = open_saved(path)
+    made = open_map(View(as_blocks(saved), read_model(saved)), Framing())
+    x, y, *_ = made.extent
     classes = classify_blocks(made, thresholds, MAX_CELLS)
-    return ClassMap(path, classes, Place(made.resolution, x, y), digest=store.digest)
+    digest = saved.digest if isinstance(saved, Store) else digest_evidence(saved)
+    return ClassMap(path, classes, Place(made.resolution, x, y), digest=digest)
 
 
 LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {
@@ -163,8 +149,8 @@ LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {
     ".yaml": load_yaml,
     ".yml": load_yaml,
     ".png": load_png,
-    ".npz": load_evidence,
-    ".zarr": load_store,
+    ".npz": load_saved,
+    ".zarr": load_saved,
 }
 
 

@@ -11,19 +11,19 @@ from occmap.errors import UsageError
 from occmap.evidence import choose_tiles, read_model, refuse_other_profile, to_grid, weigh
 from occmap.evidence.persistence import check_passes, keep_lasting
 from occmap.evidence.publishing import list_notes
-from occmap.explanation.history import CellHistory, Visits, find_cell, look_at
+from occmap.explanation.history import CellHistory, find_cell, look_at
 from occmap.explanation.printed import (
+    BuildVisits,
     PrintedExplanation,
     describe_seen,
     describe_sighting,
-    describe_visits,
 )
 from occmap.explanation.provenance import Use, find_uses, list_logs, list_missing, shorten
 from occmap.explanation.sightings import Numbers, Sighting, add_up, find_sightings
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import measure_bounds
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
-from occmap.pipeline import Progress, ignore_progress
+from occmap.observing import Progress, ignore_progress
 from occmap.plain import to_plain
 from occmap.sensor.models import SensorModel, describe_model, find_decision
 from occmap.store.reading import Store
@@ -51,17 +51,6 @@ class Question:
     """The cell keeps its hits only if they came on so many visits; None: it keeps all"""
     writing: WriteOptions = field(default_factory=WriteOptions)
     """For its thresholds"""
-
-
-@dataclass(frozen=True)
-class BuildVisits:
-    """When one build observed the cell."""
-
-    build: int
-    """Which of `Manifest.builds`"""
-    logs: tuple[str, ...]
-    """Their names"""
-    visits: Visits
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +107,8 @@ class Explanation:
             "seen": describe_seen((history.first, history.second), kind),
             "around": around[::-1],
             "min_passes": self.question.min_passes,
-            "visits": describe_visits(history.visits, kind) if history.visits else None,
-            "builds": [
-                {"build": b.build, "logs": list(b.logs), **describe_visits(b.visits, kind)}
-                for b in self.builds
-            ],
+            "visits": history.visits,
+            "builds": self.builds,
             "scans_used": self.scans_used,
             "scans": [describe_sighting(each, kind) for each in self.sightings],
             "notes": list(self.notes),
@@ -189,7 +175,7 @@ def list_visits(evidence: Evidence, history: CellHistory) -> Iterator[BuildVisit
     for index, visits in enumerate(history.builds):
         if visits is not None:
             logs = list_logs(evidence.manifest.builds[index])
-            yield BuildVisits(index, tuple(logs), visits)
+            yield BuildVisits(**vars(visits), build=index, logs=logs)
 
 
 def measure_extent(saved: Saved, model: SensorModel) -> Box | None:

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -11,23 +10,25 @@ from occmap.grid.lattice import Lattice
 from occmap.grid.slices import count_visits, take, unite, unpack
 from occmap.grid.spec import find_unit
 from occmap.grid.tiles import TILE, EvidenceKind
-from occmap.types import Box, Evidence, Int64, Slices, Update
+from occmap.plain import Count
+from occmap.types import Box, Evidence, Int64, Manifest, Slices, Update
 
 FARTHEST_CELL = 1 << 44
 """Beyond this a float cannot tell the parts of a cell apart."""
 
 
-class Visits(NamedTuple):
-    """When a cell was observed, to slices of time."""
+@dataclass(frozen=True)
+class Visits:
+    """When a cell was observed."""
 
     since_ns: int
-    """When the first slice begins that observed the cell"""
+    """When the first slice of time (`pass_gap_s`) begins in which the cell was observed (ns)"""
     until_ns: int
-    """When the last one ends"""
-    hit_visits: int
-    """On how many visits the cell was hit; 0 where the evidence is log-odds"""
-    seen_visits: int
-    """On how many it was observed at all"""
+    """When the last slice of time ends in which the cell was observed (ns)"""
+    hit_visits: Count | None
+    """Visits that hit the cell; null for evidence in log-odds"""
+    seen_visits: Count
+    """Visits that observed the cell"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +78,7 @@ def look_at(evidence: Evidence, x: float, y: float) -> CellHistory:
     lattice = Lattice(evidence.manifest.resolution)
     row, col = find_cell(lattice, x, y)
     low_x, low_y, high_x, high_y = (lattice.to_metres(at) for at in (col, row, col + 1, row + 1))
-    steps, slice_ns = (-1, 0, 1), round(evidence.manifest.pass_gap_s * 1e9)
+    steps = -1, 0, 1
     tile = row // TILE, col // TILE
     layers = [
         take(layer, np.flatnonzero((layer.tiles == tile).all(axis=1))) for layer in evidence.slices
@@ -90,8 +91,8 @@ def look_at(evidence: Evidence, x: float, y: float) -> CellHistory:
         kind=EvidenceKind(evidence.manifest.kind),
         unit=find_unit(Update(evidence.manifest.update)),
         around=np.array(around),
-        visits=read_visits(unite(layers), row, col, slice_ns),
-        builds=tuple(read_visits(layer, row, col, slice_ns) for layer in layers),
+        visits=read_visits(unite(layers), (row, col), evidence.manifest),
+        builds=tuple(read_visits(layer, (row, col), evidence.manifest) for layer in layers),
     )
 
 
@@ -111,14 +112,16 @@ def find_cell(lattice: Lattice, x: float, y: float) -> tuple[int, int]:
     return lattice.to_cell(x, y)
 
 
-def read_visits(slices: Slices, row: int, col: int, slice_ns: int) -> Visits | None:
-    """When slices of its tile observed a cell; None where none of them did."""
-    row, col = row % TILE, col % TILE
+def read_visits(slices: Slices, cell: tuple[int, int], manifest: Manifest) -> Visits | None:
+    """Read when slices of its tile observed a cell (row, col); None where none of them did."""
+    row, col = cell[0] % TILE, cell[1] % TILE
     seen = np.unpackbits(unpack(slices)[:, 1, row], axis=1)[:, col].astype(np.bool_)
     if not seen.any():
         return None
     numbers = slices.numbers[seen].tolist()
-    hit_visits, seen_visits = count_visits(slices)[:, row, col].tolist()
+    slice_ns = round(manifest.pass_gap_s * 1e9)
+    hit, seen_visits = count_visits(slices)[:, row, col].tolist()
+    hit_visits = hit if manifest.kind == EvidenceKind.COUNTS else None
     return Visits(numbers[0] * slice_ns, (numbers[-1] + 1) * slice_ns, hit_visits, seen_visits)
 
 

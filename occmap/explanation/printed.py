@@ -1,5 +1,6 @@
 """The form in which an explanation is printed."""
 
+from dataclasses import dataclass
 from typing import Literal, TypedDict
 
 from occmap.explanation.history import Visits
@@ -54,20 +55,8 @@ class PrintedSighting(TypedDict):
     """From there to the middle of the cell (m)"""
 
 
-class PrintedVisits(TypedDict):
-    """When a cell was observed."""
-
-    since_ns: int
-    """When the first slice of time (`pass_gap_s`) begins in which the cell was observed (ns)"""
-    until_ns: int
-    """When the last slice of time ends in which the cell was observed (ns)"""
-    hit_visits: Count | None
-    """Visits that hit the cell; null for evidence in log-odds"""
-    seen_visits: Count
-    """Visits that observed the cell"""
-
-
-class PrintedBuildVisits(PrintedVisits):
+@dataclass(frozen=True, kw_only=True)
+class BuildVisits(Visits):
     """When one build observed the cell."""
 
     build: Count
@@ -106,9 +95,9 @@ class PrintedExplanation(TypedDict):
     min_passes: Count | None
     """On how many visits the cell has to be hit to keep its hits (`min_passes`); null where
     nobody asked"""
-    visits: PrintedVisits | None
+    visits: Visits | None
     """When all builds together observed the cell; null where nothing did"""
-    builds: list[PrintedBuildVisits]
+    builds: tuple[BuildVisits, ...]
     """The builds that observed the cell"""
     scans_used: Count
     """Scans of the logs given that their builds used"""
@@ -139,14 +128,4 @@ def describe_sighting(sighting: Sighting, kind: EvidenceKind) -> PrintedSighting
         "x": x,
         "y": y,
         "distance": sighting.distance,
-    }
-
-
-def describe_visits(visits: Visits, kind: EvidenceKind) -> PrintedVisits:
-    """Give when a cell was observed."""
-    return {
-        "since_ns": visits.since_ns,
-        "until_ns": visits.until_ns,
-        "hit_visits": None if kind is EvidenceKind.LOG_ODDS else visits.hit_visits,
-        "seen_visits": visits.seen_visits,
     }

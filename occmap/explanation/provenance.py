@@ -9,7 +9,7 @@ from typing import Any
 from occmap.errors import LogError, PoseError
 from occmap.evidence.manifest import BuildRecord, describe_files, find_trajectory, list_inputs
 from occmap.explanation.recall import recall_options
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.types import Evidence
 
 MOST_NAMES = 5

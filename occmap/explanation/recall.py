@@ -5,7 +5,7 @@ from types import UnionType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from occmap.errors import MapError, OccmapError
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.sensor.models import parse_model
 
 Value = TypeVar("Value")

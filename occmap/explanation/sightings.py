@@ -9,10 +9,12 @@ import numpy as np
 from occmap.batching import Batcher
 from occmap.explanation.history import CellHistory
 from occmap.explanation.provenance import Use
-from occmap.pipeline import Progress, choose_topics, count_scans, make_poser, plan_grid
+from occmap.observing import Progress
+from occmap.opening import choose_topics, count_scans, make_poser
 from occmap.readers import Log, open_log, read_scans
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret
+from occmap.tracing import plan_grid
 from occmap.types import Int64, PosedScans
 
 Numbers = tuple[int, int]

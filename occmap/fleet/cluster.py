@@ -7,7 +7,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from occmap.errors import FleetError, OccmapError, UsageError
+from occmap.errors import FleetError, OccmapError
+from occmap.plugins import need_extra
 from occmap.wording import count
 
 if TYPE_CHECKING:
@@ -141,12 +142,8 @@ def open_cluster(
 @contextmanager
 def connect(address: str, processes: int) -> Iterator["Client"]:
     """Connect to a scheduler, or start one; what they log is not for the user of a map."""
-    try:
+    with need_extra("dask", "`dask` needs the library distributed"):
         import distributed  # noqa: PLC0415  late: an extra, and it takes half a second
-    except ImportError:
-        raise UsageError(
-            "`dask` needs a library that is not installed", fix="install it: pip install '.[dask]'"
-        ) from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     with ExitStack() as stack:
         place: Any = address

@@ -10,7 +10,7 @@ from typing import Any, Generic, TypedDict, TypeVar
 
 from occmap.errors import UsageError
 
-Result = TypeVar("Result")
+Result_contra = TypeVar("Result_contra", contravariant=True)
 
 SIGNS: dict[str, Callable[[float, float], bool]] = {
     "<": operator.lt,
@@ -30,15 +30,15 @@ EXPRESSION = re.compile(r"\s*([^\s<>=!]+)\s*([<>=!]+)\s*([^\s%]+)\s*(%?)\s*")
 
 
 @dataclass(frozen=True)
-class Measure(Generic[Result]):
+class Measure(Generic[Result_contra]):
     """Something about the result of a command that a limit can be set on."""
 
     name: str
     unit: str
     """Such as s, or m2; SHARE or COUNT"""
     meaning: str
-    """Without the unit, to follow the name in a list"""
-    take: Callable[[Result], float]
+    """What is counted or measured; of a share, the part"""
+    take: Callable[[Result_contra], float]
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 A name means the same wherever it stands.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
@@ -29,229 +29,156 @@ def share_dropped(scans: "Report | Tally") -> float:
     return divide(scans.scans_wanted - scans.scans_used, scans.scans_wanted)
 
 
-def share_beams(kind: str) -> "Callable[[Report], float]":
-    """Measure the share of beams that were read as one kind."""
-    return lambda report: divide(getattr(report.beams, kind), sum(report.beams))
-
-
-def measure_area(report: "Report") -> float:
-    """Area of the cells that something observed (m2)."""
-    return report.columns * report.rows * (1 - report.shares.unknown) * report.resolution**2
-
-
 SAVED: "tuple[Measure[Report], ...]" = (
-    Measure("scans_read", COUNT, "scans in the logs", lambda report: report.scans_read),
-    Measure("scans_used", COUNT, "scans in the map", lambda report: report.scans_used),
+    Measure("scans_read", COUNT, "scans in the logs", lambda made: made.scans_read),
+    Measure("scans_used", COUNT, "scans in the map", lambda made: made.scans_used),
+    Measure("dropped_scans", SHARE, "scans asked for that are not used", share_dropped),
     Measure(
-        "dropped_scans", SHARE, "of the scans asked for, those that are not used", share_dropped
-    ),
-    Measure("hits", SHARE, "of the beams, those that hit something", share_beams("hit")),
-    Measure(
-        "no_return",
-        SHARE,
-        "of the beams, those that nothing came back to",
-        share_beams("no_return"),
-    ),
-    Measure("occupied", SHARE, "of the map's cells", lambda report: report.shares.occupied),
-    Measure("free", SHARE, "of the map's cells", lambda report: report.shares.free),
-    Measure(
-        "unknown",
-        SHARE,
-        "of the map's cells, those that nothing observed",
-        lambda report: report.shares.unknown,
+        *("hits", SHARE, "beams that hit something"),
+        lambda made: divide(made.beams.hit, sum(made.beams)),
     ),
     Measure(
-        "undecided",
-        SHARE,
-        "of the map's cells, those observed, but neither occupied nor free",
-        lambda report: report.undecided,
+        *("no_return", SHARE, "beams that nothing came back to"),
+        lambda made: divide(made.beams.no_return, sum(made.beams)),
+    ),
+    Measure("occupied", SHARE, "cells of the map", lambda made: made.shares.occupied),
+    Measure("free", SHARE, "cells of the map", lambda made: made.shares.free),
+    Measure("unknown", SHARE, "cells that nothing observed", lambda made: made.shares.unknown),
+    Measure(
+        *("undecided", SHARE, "cells observed, but neither occupied nor free"),
+        lambda made: made.undecided,
     ),
     Measure(
-        "agreement",
-        SHARE,
-        "of the hits, those that lie in cells called occupied; 0 where hits are not kept",
-        lambda report: report.agreement or 0.0,
+        *("agreement", SHARE, "hits that lie in cells called occupied; 0 where hits are not kept"),
+        lambda made: made.agreement or 0.0,
     ),
+    Measure("cells", COUNT, "columns times rows", lambda made: made.columns * made.rows),
     Measure(
-        "cells",
-        COUNT,
-        "columns times rows of the map",
-        lambda report: report.columns * report.rows,
+        *("area", "m2", "area of the cells that are not unknown, in m2"),
+        lambda made: made.columns * made.rows * (1 - made.shares.unknown) * made.resolution**2,
     ),
-    Measure("area", "m2", "area of the cells that are not unknown, in m2", measure_area),
-    Measure("notes", COUNT, "notes on stderr", lambda report: len(report.notes)),
+    Measure("notes", COUNT, "notes on stderr", lambda made: len(made.notes)),
 )
 """Of what `occmap render` and `occmap merge` make."""
 
 BUILD: "tuple[Measure[Report], ...]" = (
     *SAVED,
-    Measure("damage", COUNT, "notes on damage to a log", lambda report: len(report.damage)),
+    Measure("damage", COUNT, "notes on damage to a log", lambda made: len(made.damage)),
 )
 
 
-def list_topics(inspection: "Inspection") -> "list[ScanFindings]":
-    """All topics of scans, of all logs."""
-    return [topic for log in inspection.logs for topic in log.scans]
+def over_topics(
+    combine: Callable[[list[Any]], float], take: "Callable[[ScanFindings], Any]"
+) -> "Callable[[Inspection], float]":
+    """Measure something of each topic of scans of all logs, and combine that."""
+    return lambda found: combine([take(topic) for log in found.logs for topic in log.scans])
 
 
-def sum_topics(count: "Callable[[ScanFindings], int]") -> "Callable[[Inspection], int]":
-    """Measure something that adds up over topics."""
-    return lambda inspection: sum(count(topic) for topic in list_topics(inspection))
+def take_largest(values: Sequence[float]) -> float:
+    """The largest of some numbers; 0 where there are none."""
+    return max(values, default=0.0)
 
 
-def measure_largest(time: "Callable[[ScanFindings], float]") -> "Callable[[Inspection], float]":
-    """Measure the largest of all topics."""
-    return lambda inspection: max(map(time, list_topics(inspection)), default=0.0)
-
-
-def share_ranges(inspection: "Inspection") -> float:
-    """Of all range values, those that are a measurement."""
-    topics = list_topics(inspection)
-    measured = sum(topic.ranges.measured for topic in topics)
-    return divide(measured, sum(topic.ranges.total for topic in topics))
-
-
-def share_lost(inspection: "Inspection") -> float:
-    """Of the scans asked for, those that a build with the same options would drop."""
-    topics = list_topics(inspection)
-    wanted, posed = sum(topic.wanted for topic in topics), sum(each.poses.posed for each in topics)
-    return divide(wanted - posed, wanted)
+def divide_sums(pairs: Sequence[tuple[int, int]]) -> float:
+    """The sum of the first numbers of pairs, as a share of the sum of the second ones."""
+    return divide(sum(part for part, _ in pairs), sum(whole for _, whole in pairs))
 
 
 CHECK: "tuple[Measure[Inspection], ...]" = (
-    Measure("scans_read", COUNT, "scans in the logs", sum_topics(lambda topic: topic.scans)),
-    Measure("topics", COUNT, "topics with scans", lambda inspection: len(list_topics(inspection))),
-    Measure("dropped_scans", SHARE, "of the scans asked for, those that a build drops", share_lost),
-    Measure("hits", SHARE, "of the ranges, those that measure something", share_ranges),
+    Measure("scans_read", COUNT, "scans in the logs", over_topics(sum, lambda each: each.scans)),
+    Measure("topics", COUNT, "topics with scans", over_topics(len, lambda each: each.topic)),
     Measure(
-        "largest_gap",
-        "s",
-        "longest time between two scans of a topic, in s",
-        measure_largest(lambda topic: topic.times.largest_gap_s),
+        *("dropped_scans", SHARE, "scans asked for that a build drops"),
+        over_topics(divide_sums, lambda each: (each.wanted - each.poses.posed, each.wanted)),
     ),
     Measure(
-        "drift",
-        "s",
-        "growth of the stamps against the record times, in s",
-        measure_largest(lambda topic: abs(topic.times.drift_s)),
+        *("hits", SHARE, "ranges that measure something"),
+        over_topics(divide_sums, lambda each: (each.ranges.measured, each.ranges.total)),
     ),
     Measure(
-        "jumps_back",
-        COUNT,
-        "stamps earlier than the one before",
-        sum_topics(lambda topic: topic.times.jumps_back),
+        *("largest_gap", "s", "longest time between two scans of a topic, in s"),
+        over_topics(take_largest, lambda each: each.times.largest_gap_s),
     ),
     Measure(
-        "cells",
-        COUNT,
-        "columns times rows of the map",
-        lambda inspection: inspection.map.columns * inspection.map.rows if inspection.map else 0,
+        *("drift", "s", "growth of the stamps against the record times, in s"),
+        over_topics(take_largest, lambda each: abs(each.times.drift_s)),
     ),
-    Measure("warnings", COUNT, "warnings", lambda inspection: len(inspection.warnings)),
     Measure(
-        "damage",
-        COUNT,
-        "notes on damage to a log",
-        lambda inspection: sum(len(log.damage) for log in inspection.logs),
+        *("jumps_back", COUNT, "stamps earlier than the one before"),
+        over_topics(sum, lambda each: each.times.jumps_back),
+    ),
+    Measure(
+        *("cells", COUNT, "columns times rows of the map"),
+        lambda found: found.map.columns * found.map.rows if found.map else 0,
+    ),
+    Measure("warnings", COUNT, "warnings", lambda found: len(found.warnings)),
+    Measure(
+        *("damage", COUNT, "notes on damage to a log"),
+        lambda found: sum(len(log.damage) for log in found.logs),
     ),
 )
 
+SCORED: "tuple[Measure[VariantComparison | Tuning], ...]" = (
+    Measure("scans_read", COUNT, "scans in the logs", lambda run: run.tally.scans_read),
+    Measure("scans_used", COUNT, "scans with a pose", lambda run: run.tally.scans_used),
+    Measure(
+        *("dropped_scans", SHARE, "scans asked for that are not used"),
+        lambda run: share_dropped(run.tally),
+    ),
+    Measure("damage", COUNT, "notes on damage to a log", lambda run: len(run.remarks.damage)),
+)
+"""Of whatever is scored on held-out scans"""
+
 COMPARE: "tuple[Measure[VariantComparison], ...]" = (
     Measure(
-        "share",
-        SHARE,
-        "of the held-out beams, those that the recommended variant predicts",
-        lambda comparison: comparison.recommended.score.share,
+        *("share", SHARE, "held-out beams that the recommended variant predicts"),
+        lambda run: run.recommended.score.share,
     ),
     Measure(
-        "log_likelihood",
-        "nat",
-        "mean of the held-out ranges under the recommended variant",
-        lambda comparison: comparison.recommended.score.log_likelihood,
+        *("log_likelihood", "nat", "mean of the held-out ranges under the recommended variant"),
+        lambda run: run.recommended.score.log_likelihood,
     ),
     Measure(
-        "cross_entropy",
-        "nat",
-        "mean of the cells found free and found occupied",
-        lambda comparison: comparison.recommended.score.cross_entropy,
+        *("cross_entropy", "nat", "mean of the cells found free and found occupied"),
+        lambda run: run.recommended.score.cross_entropy,
     ),
     Measure(
-        "seconds",
-        "s",
-        "processor time of the recommended variant, in s",
-        lambda comparison: comparison.recommended.seconds,
+        *("seconds", "s", "processor time of the recommended variant, in s"),
+        lambda run: run.recommended.seconds,
     ),
-    Measure(
-        "scans_read", COUNT, "scans in the logs", lambda comparison: comparison.tally.scans_read
-    ),
-    Measure(
-        "scans_used", COUNT, "scans with a pose", lambda comparison: comparison.tally.scans_used
-    ),
-    Measure(
-        "dropped_scans",
-        SHARE,
-        "of the scans asked for, those that are not used",
-        lambda comparison: share_dropped(comparison.tally),
-    ),
-    Measure(
-        "damage",
-        COUNT,
-        "notes on damage to a log",
-        lambda comparison: len(comparison.remarks.damage),
-    ),
+    *SCORED,
 )
 
 TUNE: "tuple[Measure[Tuning], ...]" = (
     Measure(
-        "gain",
-        SHARE,
-        "by how much more of the held-out beams are predicted with what is recommended",
-        lambda tuning: tuning.gain.share,
+        *("gain", SHARE, "by how much more of the held-out beams are predicted"),
+        lambda run: run.gain.share,
     ),
     Measure(
-        "share",
-        SHARE,
-        "of the held-out beams, those that are predicted with what is recommended",
-        lambda tuning: tuning.after.score.share,
+        *("share", SHARE, "held-out beams that the recommended correction predicts"),
+        lambda run: run.after.score.share,
     ),
-    Measure("scans_read", COUNT, "scans in the logs", lambda tuning: tuning.tally.scans_read),
-    Measure("scans_used", COUNT, "scans with a pose", lambda tuning: tuning.tally.scans_used),
-    Measure(
-        "dropped_scans",
-        SHARE,
-        "of the scans asked for, those that are not used",
-        lambda tuning: share_dropped(tuning.tally),
-    ),
-    Measure("damage", COUNT, "notes on damage to a log", lambda tuning: len(tuning.remarks.damage)),
+    *SCORED,
 )
 
 
 def share_pair(pair: str) -> "Callable[[MapDifference], float]":
     """Measure the share of known cells that changed from one class to another."""
-    return lambda difference: divide(difference.changed[pair], difference.known)
+    return lambda found: divide(found.changed[pair], found.known)
 
 
 PAIRS = [f"{was} to {now}" for was, now in permutations(("neither", "free", "occupied"), 2)]
 
 DIFF: "tuple[Measure[MapDifference], ...]" = (
+    Measure("changed", SHARE, "cells known in either map", lambda found: found.share),
+    *(Measure(pair.replace(" ", "_"), SHARE, "the same cells", share_pair(pair)) for pair in PAIRS),
     Measure(
-        "changed", SHARE, "of the cells known in either map", lambda difference: difference.share
-    ),
-    *(
-        Measure(pair.replace(" ", "_"), SHARE, "of the same cells", share_pair(pair))
-        for pair in PAIRS
-    ),
-    Measure(
-        "changed_cells",
-        COUNT,
-        "cells that changed",
-        lambda difference: sum(difference.changed.values()),
+        *("changed_cells", COUNT, "cells that changed"),
+        lambda found: sum(found.changed.values()),
     ),
     Measure(
-        "largest_blob",
-        COUNT,
-        "cells of the largest connected change",
-        lambda difference: difference.largest.cells if difference.largest else 0,
+        *("largest_blob", COUNT, "cells of the largest connected change"),
+        lambda found: found.largest.cells if found.largest else 0,
     ),
-    Measure("known", COUNT, "cells known in either map", lambda difference: difference.known),
+    Measure("known", COUNT, "cells known in either map", lambda found: found.known),
 )

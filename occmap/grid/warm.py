@@ -10,15 +10,18 @@ from occmap.types import Kind, Rays, Update
 
 def compile_kernels() -> None:
     """Trace few scans and many by every update, for counts and for a radial model."""
-    one = make_scans(1)
-    many = make_scans(500)
     tables = tabulate(lambda u: 0.4 + 0.1 * u, lambda w: 0.6 - 0.1 * w, depth=0.05)
     for update in Update:
         for radial in (None, tables):
-            engine = GridEngine(GridSpec(update, Lattice(0.05), radial=radial))
-            for rays in (one, many):
-                engine.add(rays)
-            engine.finish()
+            warm_up(GridSpec(update, Lattice(0.05), radial=radial))
+
+
+def warm_up(spec: GridSpec) -> None:
+    """Compile or load the kernels of one grid: those for few scans, and those for many."""
+    engine = GridEngine(spec)
+    for scans in (1, 500):
+        engine.add(make_scans(scans))
+    engine.finish()
 
 
 def make_scans(scans: int) -> Rays:

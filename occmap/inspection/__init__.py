@@ -26,7 +26,8 @@ from occmap.inspection.poses import Posing, find_moving_stamp, prepare, suggest_
 from occmap.inspection.sample import estimate_agreement, measure_crossing
 from occmap.inspection.survey import Survey, TopicSurvey
 from occmap.mounts import find_better
-from occmap.pipeline import BuildOptions, choose_topics, count_messages
+from occmap.opening import choose_topics, count_messages
+from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.concerns import Concern
 from occmap.posing.coverage import list_coverage

@@ -7,7 +7,7 @@ from occmap.batching import find_oddity
 from occmap.command import chain_builds, compose_build
 from occmap.inspection.findings import LogFindings, ScanFindings
 from occmap.mounts import describe_misfit
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.posing.concerns import Concern
 from occmap.report import LEAST_AGREEMENT
 from occmap.wording import count

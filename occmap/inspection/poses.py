@@ -9,7 +9,8 @@ from occmap.command import format_mount
 from occmap.errors import MountError, PoseError
 from occmap.inspection.survey import TopicSurvey
 from occmap.mounts import UNTURNED, guess_mount
-from occmap.pipeline import BuildOptions, take_first
+from occmap.opening import take_first
+from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.chain import Status
 from occmap.posing.options import PosingOptions, Stamps

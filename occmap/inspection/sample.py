@@ -7,10 +7,11 @@ import numpy as np
 
 from occmap.errors import MapError
 from occmap.evidence import render
-from occmap.pipeline import BuildOptions, make_engine
+from occmap.options import BuildOptions
 from occmap.sampling import encode_cells
 from occmap.sensor.models import CountingModel
 from occmap.sensor.returns import NoReturn, ReturnOptions, interpret
+from occmap.tracing import make_engine
 from occmap.types import Bool, Float64, Int64, Kind, PosedScans, as_float32
 
 HIT_CELL_M = 0.2

@@ -11,7 +11,7 @@ from platform import python_version
 from typing import Any, Literal, TypeAlias
 
 from occmap.command import spell_flags
-from occmap.errors import UsageError
+from occmap.plugins import need_extra
 from occmap.writers.atomic import open_atomic
 
 HERE = Path(__file__).parent
@@ -85,12 +85,9 @@ def require_bokeh(path: Path) -> None:
     UsageError
         Bokeh is not installed.
     """
-    try:
+    with need_extra("report", "a page is drawn by Bokeh", where=path):
         import bokeh  # noqa: F401, PLC0415  an extra
         import jinja2  # noqa: F401, PLC0415  likewise
-    except ImportError:
-        found = "a page is drawn by Bokeh, which is not installed"
-        raise UsageError(found, where=path, fix="install it: pip install '.[report]'") from None
 
 
 def write_page(path: Path, page: Page) -> None:

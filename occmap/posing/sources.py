@@ -152,7 +152,7 @@ def _find_trajectory(options: PosingOptions, poses: Sequence[Edge], notes: list[
     """Take the chosen trajectory: from a file where there is one of that name, else by topic."""
     name = options.poses or ""
     if Path(name).is_file():
-        tracks, unusable = _build_tracks(read_trajectory(Path(name)), Stamps.HEADER)
+        tracks, unusable = _build_tracks(read_trajectory(Path(name), notes), Stamps.HEADER)
         notes.extend(unusable)
         if not tracks:
             raise PoseError("holds no usable pose: none is finite", where=name)

@@ -74,12 +74,17 @@ class _Line:
         return repr(self.text[:60])
 
 
-def read_trajectory(path: Path) -> Iterator[PoseSample]:
+def read_trajectory(path: Path, notes: list[str] | None = None) -> Iterator[PoseSample]:
     """Read the poses of a body in the map, in file order.
 
     The samples' `child` is "", for such files do not name the body. Empty lines and lines that
     start with # are passed over. A pose with a nan or inf in it is yielded as it is: trackers
     write them where they were lost.
+
+    Parameters
+    ----------
+    notes
+        Grows by how the axes of KITTI poses were understood, since the file does not say it.
 
     Raises
     ------
@@ -91,7 +96,7 @@ def read_trajectory(path: Path) -> Iterator[PoseSample]:
     if first is None:
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
     if len(first.text.split()) == MATRIX:
-        poses = _read_matrices(path, chain([first], lines))
+        poses = _read_matrices(path, chain([first], lines), [] if notes is None else notes)
     else:
         layout, is_header = _find_layout(first)
         rest = lines if is_header else chain([first], lines)
@@ -143,7 +148,9 @@ def _number(
     return _Layout({name: i for i, name in enumerate(names)}, separator, read_stamp)
 
 
-def _read_matrices(path: Path, lines: Iterable[_Line]) -> Iterator[tuple[int, Pose]]:
+def _read_matrices(
+    path: Path, lines: Iterable[_Line], notes: list[str]
+) -> Iterator[tuple[int, Pose]]:
     """Read KITTI's poses, each with its time.
 
     Those of a camera, whose z is ahead and whose y is down, are turned to the axes of a robot. They
@@ -156,7 +163,12 @@ def _read_matrices(path: Path, lines: Iterable[_Line]) -> Iterator[tuple[int, Po
         found = f"it holds {len(rows):,} poses, and {TIMES} beside it {len(times):,} times"
         raise LogError(found, where=path, fix="there must be one for each pose")
     finite = rows[np.isfinite(rows).all(axis=(1, 2))]
-    if len(finite) and np.ptp(finite[:, 2, 3]) > np.ptp(finite[:, 1, 3]):
+    y, z = (np.ptp(finite[:, axis, 3]) if len(finite) else 0.0 for axis in (1, 2))
+    notes.append(
+        f"{path}: its poses go {y:.3g} m along y and {z:.3g} m along z, so they are taken as those "
+        + ("of a camera (z is ahead, y down)" if z > y else "of a robot (x is ahead, z up)")
+    )
+    if z > y:
         rows = np.einsum("ij,njk,kl->nil", FROM_CAMERA, rows, TO_CAMERA)
     for stamp_ns, row in zip(times, rows, strict=True):
         x, y, z = row[:, 3].tolist()

@@ -4,24 +4,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 from occmap.command import compose_build
 from occmap.errors import LogError
-from occmap.pipeline import (
-    DEFAULT_UPDATE,
-    BuildOptions,
-    Progress,
-    count_scans,
-    ignore_progress,
-    trace_logs,
-)
+from occmap.observing import Progress, ignore_progress
+from occmap.opening import count_scans
+from occmap.options import DEFAULT_UPDATE, BuildOptions
 from occmap.plain import Count, Finite, ScanCounts, Share, Told, to_plain
 from occmap.readers import open_log
-from occmap.report import Remarks, Tally, refuse_unused
-from occmap.scoring.score import ReliabilityBin
+from occmap.report import Remarks, Tally, list_frames, refuse_unused
+from occmap.scoring.score import Score
 from occmap.scoring.trials import SMALL, HoldOut, Result, Trials
 from occmap.scoring.variants import Variant, shorten_model
+from occmap.tracing import trace_logs
 from occmap.types import Update
 from occmap.wording import count
 from occmap.writers import check_picture, is_page
@@ -48,7 +44,8 @@ class Scored(Told):
     """Side of a cell (m)"""
 
 
-class PrintedVariant(TypedDict):
+@dataclass(frozen=True, kw_only=True)
+class PrintedVariant(Score):
     """One way to make the map, and how well that map predicts the held-out scans."""
 
     name: str
@@ -57,13 +54,6 @@ class PrintedVariant(TypedDict):
     """How scans became observations of cells"""
     model: str
     """Sensor model, as `model` takes it"""
-    beams: Count
-    """Held-out beams that measured a range"""
-    share: Share
-    """Share of these whose first occupied cell is within two cells of the range"""
-    share_error: Finite
-    """Standard error of the share, the held-out scans taken as independent draws; null where
-    one scan is all there is"""
     behind: Share
     """How much lower the share is than the best one"""
     behind_error: Finite
@@ -71,17 +61,6 @@ class PrintedVariant(TypedDict):
     there is"""
     as_good: bool
     """The share is behind the best one by at most two standard errors, or half a percent"""
-    log_likelihood: float
-    """Mean log-likelihood of the measured ranges (nat)"""
-    occupied_cost: float
-    """Mean cross-entropy of the cells that beams ended in (nat)"""
-    free_cost: float
-    """Mean cross-entropy of the cells that beams crossed before (nat)"""
-    cross_entropy: float
-    """Mean of both (nat)"""
-    reliability: tuple[ReliabilityBin, ...]
-    """What the map says of cells beside what beams found in them: a bin for each tenth of
-    probability, without those that nothing was in; unknown cells do not count"""
     columns: Count
     """Cells of the map from left to right (along x)"""
     rows: Count
@@ -222,6 +201,7 @@ def compare(
     hold_out = trials.hold_out
     refuse_unused(paths, tally)
     refuse_unscored(remarks.logs, hold_out)
+    remarks.notes += list_frames(tally)
     if hold_out.scans < FEW_SCANS:
         held_out = count(hold_out.scans, "held-out scan")
         remarks.notes.append(f"{held_out}: too few to tell variants apart; give a longer log")
@@ -285,25 +265,17 @@ def describe_run(options: BuildOptions, remarks: Remarks, tally: Tally, held_out
 
 def describe_result(result: Result) -> PrintedVariant:
     """Give one variant in the form that is printed."""
-    score = result.score
-    cols, rows = reversed(result.map.shape)
-    return {
-        "name": result.variant.name,
-        "update": result.variant.update,
-        "model": shorten_model(result.variant.model),
-        "beams": score.beams,
-        "share": score.share,
-        "share_error": score.share_error,
-        "behind": result.behind,
-        "behind_error": result.behind_error,
-        "as_good": result.as_good,
-        "log_likelihood": score.log_likelihood,
-        "occupied_cost": score.occupied_cost,
-        "free_cost": score.free_cost,
-        "cross_entropy": score.cross_entropy,
-        "reliability": score.reliability,
-        "columns": cols,
-        "rows": rows,
-        "seconds": round(result.seconds, 4),
-        "bytes": result.bytes,
-    }
+    rows, columns = result.map.shape
+    return PrintedVariant(
+        **vars(result.score),
+        name=result.variant.name,
+        update=result.variant.update,
+        model=shorten_model(result.variant.model),
+        behind=result.behind,
+        behind_error=result.behind_error,
+        as_good=result.as_good,
+        columns=columns,
+        rows=rows,
+        seconds=round(result.seconds, 4),
+        bytes=result.bytes,
+    )

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.plain import Count, Finite, Share
 from occmap.types import Float64, OccupancyMap, Rays
 from occmap.workers import Workers
 
@@ -29,28 +30,27 @@ class ReliabilityBin:
 
 @dataclass(frozen=True)
 class Score:
-    """Of one map, by the beams of held-out scans. An unknown cell has probability 0.5."""
+    """How well a map predicts the beams of held-out scans. An unknown cell has probability 0.5."""
 
-    beams: int
-    """That measured a range; the first two figures are of these"""
-    share: float
-    """Whose first cell that the map calls occupied is within two cells of the range"""
-    share_error: float
-    """Standard error of the share (`estimate_error`); inf where that is not known"""
+    beams: Count
+    """Held-out beams that measured a range"""
+    share: Share
+    """Share of these whose first occupied cell is within two cells of the range"""
+    share_error: Finite
+    """Standard error of the share, the held-out scans taken as independent draws; null where
+    one scan is all there is"""
     log_likelihood: float
-    """Mean ln of the probability that the beam stops within two cells of the range, mixed with 5%
-    of returns from anywhere (nat)"""
+    """Mean log-likelihood of the measured ranges: that the beam stops within two cells of its
+    range, mixed with 5% of returns from anywhere (nat)"""
     occupied_cost: float
-    """Mean cross-entropy of the cells that the beams ended in (nat)"""
+    """Mean cross-entropy of the cells that beams ended in (nat)"""
     free_cost: float
-    """... and of those that they crossed before (nat)"""
+    """Mean cross-entropy of the cells that beams crossed before (nat)"""
+    cross_entropy: float
+    """Mean of both, so that the cells found occupied weigh as much as the many found free (nat)"""
     reliability: tuple[ReliabilityBin, ...] = ()
-    """By tenths of probability, without those that nothing was in; unknown cells do not count"""
-
-    @property
-    def cross_entropy(self) -> float:
-        """Mean of both: cells found occupied weigh as much as the many found free (nat)."""
-        return (self.occupied_cost + self.free_cost) / 2
+    """What the map says of cells beside what beams found in them: a bin for each tenth of
+    probability, without those that nothing was in; unknown cells do not count"""
 
 
 class Trial(NamedTuple):
@@ -97,13 +97,15 @@ def score_map(grid: OccupancyMap, held_out: Sequence[Rays], jobs: int) -> Trial:
 def sum_up(totals: Float64) -> Score:
     """Turn (N, 6) totals of N scans, as `cast_beams` writes them, into means."""
     beams, near, log_likelihood, occupied, cells, free = (math.fsum(each) for each in totals.T)
+    occupied_cost, free_cost = occupied / beams, free / max(cells, 1)
     return Score(
         beams=int(beams),
         share=near / beams,
         share_error=estimate_error(totals[:, 1], totals[:, 0]),
         log_likelihood=log_likelihood / beams,
-        occupied_cost=occupied / beams,
-        free_cost=free / max(cells, 1),
+        occupied_cost=occupied_cost,
+        free_cost=free_cost,
+        cross_entropy=(occupied_cost + free_cost) / 2,
     )
 
 

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from occmap.evidence import render
-from occmap.pipeline import BuildOptions, make_engine
+from occmap.options import BuildOptions
 from occmap.scoring.score import Score, estimate_error, score_map
 from occmap.scoring.variants import Variant
+from occmap.tracing import make_engine, plan_grid
 from occmap.types import Float64, Kind, OccupancyMap, Rays
 from occmap.workers import Workers
 
 if TYPE_CHECKING:
-    from occmap.grid.engine import GridEngine
     from occmap.grid.tiles import TileGrid
 
 EVERY = 5
@@ -64,7 +64,9 @@ class SharedEvidence:
     """What one or more variants are rendered from, and the processor time that it took (s)."""
 
     def __init__(self, options: BuildOptions) -> None:
-        observe_nothing(make_engine(options))  # so that no time is spent on loading kernels
+        from occmap.grid.warm import warm_up  # noqa: PLC0415  late: it brings numba
+
+        warm_up(plan_grid(options))  # so that no variant is charged for compiling
         self._engine = make_engine(options)
         self._seconds: list[float] = []
 
@@ -85,15 +87,6 @@ class SharedEvidence:
     def seconds(self) -> float:
         """Of processor time, all threads together."""
         return sum(self._seconds)
-
-
-def observe_nothing(engine: "GridEngine") -> None:
-    """Make an engine load or compile its kernels."""
-    beam = np.array([[[1.0, 0.0]]])
-    kind = np.full((1, 1), Kind.HIT, np.uint8)
-    reach, stamp_ns = np.zeros((1, 1), np.float32), np.zeros(1, np.int64)
-    engine.add(Rays.along(0 * beam, beam, reach, kind, stamp_ns, full_circle=False))
-    engine.finish()
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 from occmap.evidence.manifest import describe_profile
-from occmap.pipeline import choose_model
+from occmap.options import choose_model
 from occmap.sensor.models import SensorModel, make_model, parse_model
 from occmap.types import Update
 

@@ -18,8 +18,9 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from occmap.errors import MapError, OutputError, UsageError
+from occmap.errors import MapError, OutputError
 from occmap.grid.tiles import EvidenceKind
+from occmap.plugins import need_extra
 from occmap.store.blocks import BLOCK, Block
 from occmap.types import Manifest
 
@@ -47,12 +48,8 @@ def import_zarr() -> Any:
     UsageError
         It is not installed.
     """
-    try:
+    with need_extra("dask", "a store needs zarr"):
         import zarr  # noqa: PLC0415  as above
-    except ImportError:
-        raise UsageError(
-            "a store needs zarr, which is not installed", fix="install it: pip install '.[dask]'"
-        ) from None
     return zarr
 
 

@@ -6,7 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.pipeline import BuildOptions, Progress, count_scans, ignore_progress
+from occmap.observing import Progress, ignore_progress
+from occmap.opening import count_scans
+from occmap.options import BuildOptions
 from occmap.readers import open_log
 from occmap.report import LEAST_AGREEMENT, Remarks, Tally
 from occmap.scoring.compare import FEW_SCANS

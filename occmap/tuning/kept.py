@@ -7,11 +7,11 @@ import numpy as np
 
 from occmap.batching import Batcher
 from occmap.errors import PoseError
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
 from occmap.readers import Log, read_scans
-from occmap.report import Remarks, Tally, name_logs, refuse_unused
+from occmap.report import Remarks, Tally, list_frames, name_logs, refuse_unused
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.tracing import open_drive
@@ -64,6 +64,7 @@ def keep_logs(
     most = max(MOST_SCANS // len(logs), 1)
     kept = [keep_log(log, options, most, tally, remarks) for log in logs]
     refuse_unused(remarks.logs, tally)
+    remarks.notes += list_frames(tally)
     read, used = sum(log.scans for log in kept), tally.scans_used
     if read < used:
         remarks.notes.append(f"{read:,} of {used:,} scans are tried, spread over the logs")
@@ -100,6 +101,7 @@ def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: 
         while sum(len(part.stamp_ns) for part in kept) > most:
             kept, every = take_every(kept, 2), 2 * every
         tally.advance(len(batch.stamp_ns))
+    tally.frames[str(log.path)] = poser.fixed
     tally.scans_used += seen
     tally.scans_read += batcher.read
     tally.drop(dict(batcher.left_out))

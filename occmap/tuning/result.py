@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypedDict
 
 from occmap.command import compose_build
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.plain import Count, Finite, Share, Told, to_plain
 from occmap.report import LEAST_AGREEMENT, Remarks, Tally
 from occmap.scoring.compare import HeldOutScans, describe_run
@@ -52,17 +52,10 @@ class PrintedFinding(PrintedGain):
     """The first half of the held-out scans and the second; none where nothing was searched"""
 
 
-class PrintedTrial(TypedDict):
+@dataclass(frozen=True, kw_only=True)
+class PrintedTrial(Correction):
     """A correction that was tried."""
 
-    time_s: float
-    """Added to the stamps of scans (s)"""
-    yaw: float
-    """Added to the laser's yaw on its body (rad)"""
-    x: float
-    """Added to its x on the body (m)"""
-    y: float
-    """Added to its y on the body (m)"""
     share: Share
     """Share of held-out beams that the map predicts"""
 
@@ -163,14 +156,8 @@ class Tuning:
             "mount": describe_finding(self.mount),
             "together": describe_finding(self.together),
             "tried": [
-                {
-                    "time_s": each.time_s,
-                    "yaw": each.yaw,
-                    "x": each.x,
-                    "y": each.y,
-                    "share": trial.score.share,
-                }
-                for each, trial in self.tried.items()
+                PrintedTrial(**vars(correction), share=trial.score.share)
+                for correction, trial in self.tried.items()
             ],
             "command": list(self.command),
         }

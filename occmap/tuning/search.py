@@ -3,21 +3,22 @@
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 from occmap.command import to_rpy
 from occmap.evidence import render
-from occmap.pipeline import BuildOptions, make_engine
+from occmap.options import BuildOptions
 from occmap.posing.options import PosingOptions
 from occmap.scoring.compare import refuse_unscored
 from occmap.scoring.score import Trial
 from occmap.scoring.trials import Trials
 from occmap.scoring.variants import Variant
+from occmap.tracing import make_engine
 from occmap.tuning.kept import MOST_OFFSET_S, KeptLog, trace_rays
 from occmap.types import Pose, Rays
 
 
-class Correction(NamedTuple):
+@dataclass(frozen=True)
+class Correction:
     """What is added to the stamps of scans, and to the laser's place on its body."""
 
     time_s: float = 0.0
@@ -31,12 +32,12 @@ class Correction(NamedTuple):
 
     def move(self, name: str, step: float) -> "Correction":
         """Change one number."""
-        return self._replace(**{name: round(getattr(self, name) + step, 9)})
+        return replace(self, **{name: round(getattr(self, name) + step, 9)})
 
     def apply(self, options: PosingOptions, mount: Pose | None) -> PosingOptions:
         """Correct options, of which `mount` is the sensor's pose as it is now."""
         options = replace(options, time_offset_s=round(options.time_offset_s + self.time_s, 9))
-        if mount is None or not any(self[1:]):
+        if mount is None or not any((self.yaw, self.x, self.y)):
             return options
         roll, pitch, yaw = to_rpy(mount)
         # Rounded as `sensor_pose` is written.

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from occmap.errors import OutputError, UsageError
+from occmap.errors import OutputError
+from occmap.plugins import need_extra
 from occmap.types import OccupancyMap
 from occmap.writers import Windows, WriteOptions
 from occmap.writers.atomic import check_target, follow_links, open_atomic
@@ -69,14 +70,9 @@ def import_rasterio() -> Any:
     UsageError
         It is not installed.
     """
-    try:
+    with need_extra("geotiff", "a GeoTIFF needs rasterio"):
         import rasterio  # noqa: PLC0415  as above
         import rasterio.shutil  # noqa: PLC0415  as above
-    except ImportError:
-        raise UsageError(
-            "a GeoTIFF needs rasterio, which is not installed",
-            fix="install it: pip install '.[geotiff]'",
-        ) from None
     return rasterio
 
 

@@ -9,7 +9,8 @@ from time import perf_counter, process_time
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.types import Update
 from tests.bench.engine import COUNTS, trace
 from tests.bench.measuring import Times, time_in_turn

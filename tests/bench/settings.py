@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from occmap.pipeline import BuildOptions, choose_model
+from occmap.options import BuildOptions, choose_model
 from occmap.posing.options import Deskew, PosingOptions
 from occmap.sensor.models import parse_model
 from occmap.sensor.returns import NoReturn, ReturnOptions

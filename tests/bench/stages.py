@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from time import perf_counter
 
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.types import Update
 from tests.bench.logs import FORMATS
 from tests.bench.workloads import Workload

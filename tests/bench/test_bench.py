@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from occmap.grid.lattice import CellBox
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from tests.bench.__main__ import QUICK, Results
 from tests.bench.engine import DisagreementError, check_equal
 from tests.bench.limits import Row

@@ -9,7 +9,7 @@ import pytest
 from occmap.grid.engine import GridEngine
 from occmap.grid.lattice import Lattice
 from occmap.grid.spec import GridSpec
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.sensor.models import CountingModel
 from occmap.types import Kind, OccupancyMap, Rays, Update
 from tests.bench import quality

@@ -11,7 +11,8 @@ from occmap.batching import Selection
 from occmap.cli import progress
 from occmap.cli.commands.build import collect_request
 from occmap.cli.console import Console, Verbosity
-from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build, choose_model
+from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
+from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
 from occmap.sensor.models import CountingModel, SimpleModel
 from occmap.sensor.returns import NoReturn, ReturnOptions

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from occmap.cli import run
-from occmap.cli.values import parse_sensor_pose, parse_static
+from occmap.cli.values import parse_numbers
 from occmap.command import format_mount, format_static
 from tests.inspection_logs import SCANS, Drive, write_bag, write_csv
 from tests.readers.ros import RANGES, ROS2, Written, drive, scan, write_mcap
@@ -124,12 +124,12 @@ def test_usage_errors(capsys: Capture) -> None:
 
 @pytest.mark.parametrize("text", ["0,0,3.14159", "0.1,-0.2,1.5708", "0,0,-1.5708,3.14159,0"])
 def test_mounts_are_written_as_they_are_read(text: str) -> None:
-    assert format_mount(parse_sensor_pose(text)) == text
+    assert format_mount(parse_numbers("sensor_pose", text)) == text
 
 
 def test_transforms_are_written_as_they_are_read() -> None:
     text = "base_link,laser,0.1,0.2,0.3,0.1,-0.2,1.5"
-    sample = parse_static(text)
+    sample = parse_numbers("static_transforms", text)
     assert format_static(sample.parent, sample.child, sample.pose) == text
 
 

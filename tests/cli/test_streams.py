@@ -38,6 +38,31 @@ def test_check_reads_stdin(tmp_path: Path) -> None:
     done = pipe(["check", "-"], DRIVE.read_bytes(), tmp_path)
     assert done.returncode == 0
     assert b"414 in " in done.stdout
+    lines = done.stdout.decode().splitlines()
+    assert lines[0] == "-"
+    assert lines[-1].startswith("occmap build - ")
+
+
+def test_a_log_on_stdin_is_called_by_what_was_typed(tmp_path: Path) -> None:
+    words = ["check", "-", "--json"]
+    found = json.loads(pipe(words, DRIVE.read_bytes(), tmp_path).stdout)
+    assert [log["path"] for log in found["logs"]] == ["-"]
+    done = pipe(["check", "-"], b"no log", tmp_path)
+    assert (done.returncode, done.stdout.count(b"occmap-")) == (1, 0)
+    done = pipe(["build", "-", "-o", "m.pgm", "--json"], DRIVE.read_bytes(), tmp_path)
+    assert json.loads(done.stdout)["logs"] == ["-"]
+    done = pipe(["build", "-", "-o", "m.pgm"], b"no log", tmp_path)
+    assert done.stderr.startswith(b"error: -: ")
+
+
+@pytest.mark.parametrize("suffix", [".zarr", ".tiles"])
+def test_a_folder_does_not_fit_through_stdout(tmp_path: Path, suffix: str) -> None:
+    told = occmap("build", tmp_path / "no log", "-o", f"-{suffix}")
+    assert told.code == 2
+    assert told.err == (
+        f"error: -{suffix}: a {suffix} is a folder, which stdout cannot take; "
+        f"name the folder, such as -o map{suffix}\n"
+    )
 
 
 def test_an_empty_stdin_is_said(tmp_path: Path) -> None:

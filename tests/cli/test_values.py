@@ -1,16 +1,8 @@
 import math
-from collections.abc import Callable
 
 import pytest
 
-from occmap.cli.values import (
-    parse_box,
-    parse_extent,
-    parse_sector,
-    parse_sensor_pose,
-    parse_static,
-    parse_transform,
-)
+from occmap.cli.values import parse_numbers
 from occmap.errors import UsageError
 from occmap.types import Pose
 
@@ -18,13 +10,13 @@ from occmap.types import Pose
 def test_a_sensor_pose_in_the_plane() -> None:
     half = math.sqrt(0.5)
     expected = (0.1, -0.2, 0.0, 0.0, 0.0, half, half)
-    assert parse_sensor_pose(f"0.1, -.2,{math.pi / 2}") == pytest.approx(expected)
+    assert parse_numbers("sensor_pose", f"0.1, -.2,{math.pi / 2}") == pytest.approx(expected)
 
 
 def test_a_sensor_pose_upside_down() -> None:
     # Half a turn about x.
     expected = (0, 0, 0, 1, 0, 0, 0)
-    assert parse_sensor_pose(f"0,0,0,{math.pi},0") == pytest.approx(expected, abs=1e-12)
+    assert parse_numbers("sensor_pose", f"0,0,0,{math.pi},0") == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -42,46 +34,46 @@ def test_a_sensor_pose_upside_down() -> None:
 )
 def test_a_wrong_sensor_pose_says_what_to_write(text: str, found: str) -> None:
     with pytest.raises(UsageError, match=found) as caught:
-        parse_sensor_pose(text)
+        parse_numbers("sensor_pose", text)
     assert "write x,y,yaw or x,y,yaw,roll,pitch in metres" in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("parse", "text"),
+    ("name", "text"),
     [
-        (parse_sensor_pose, "0,0,180"),
-        (parse_static, "base,laser,0,0,0,0,180,0"),
-        (parse_transform, "1,2,180"),
-        (parse_sector, "-1,180"),
+        ("sensor_pose", "0,0,180"),
+        ("static_transforms", "base,laser,0,0,0,0,180,0"),
+        ("transform", "1,2,180"),
+        ("ignore_sectors", "-1,180"),
     ],
 )
-def test_degrees_are_refused_and_turned_to_radians(
-    parse: Callable[[str], object], text: str
-) -> None:
+def test_degrees_are_refused_and_turned_to_radians(name: str, text: str) -> None:
     with pytest.raises(UsageError, match=r"write radians: 180 degrees are 3.14159"):
-        parse(text)
+        parse_numbers(name, text)
 
 
 @pytest.mark.parametrize(
-    ("parse", "text", "found"),
+    ("name", "text", "found"),
     [
-        (parse_sector, "1", "--ignore-sector 1: 1 value where 2 belong; write FROM,TO in radians"),
-        (parse_sector, "1,one", "--ignore-sector 1,one: 'one' is not a number"),
-        (parse_box, "1,2,3", "--footprint 1,2,3: 3 values where 4 belong; write x_min,y_min"),
-        (parse_extent, "1", "--extent 1: 1 value where 4 belong; write x_min"),
-        (parse_transform, "1,2", "--transform 1,2: 2 values where 3 belong; write x,y,yaw"),
+        (
+            "ignore_sectors",
+            "1",
+            "--ignore-sector 1: 1 value where 2 belong; write FROM,TO in radians",
+        ),
+        ("ignore_sectors", "1,one", "--ignore-sector 1,one: 'one' is not a number"),
+        ("footprint", "1,2,3", "--footprint 1,2,3: 3 values where 4 belong; write x_min,y_min"),
+        ("extent", "1", "--extent 1: 1 value where 4 belong; write x_min"),
+        ("transform", "1,2", "--transform 1,2: 2 values where 3 belong; write x,y,yaw"),
     ],
 )
-def test_a_refused_value_names_its_option(
-    parse: Callable[[str], object], text: str, found: str
-) -> None:
+def test_a_refused_value_names_its_option(name: str, text: str, found: str) -> None:
     with pytest.raises(UsageError) as caught:
-        parse(text)
+        parse_numbers(name, text)
     assert str(caught.value).startswith(found)
 
 
 def test_a_transform() -> None:
-    sample = parse_static("base_link, laser,1,2,3,0,0,0")
+    sample = parse_numbers("static_transforms", "base_link, laser,1,2,3,0,0,0")
     assert (sample.parent, sample.child, sample.static) == ("base_link", "laser", True)
     assert sample.pose == Pose(1, 2, 3, 0, 0, 0, 1)
 
@@ -91,4 +83,4 @@ def test_a_transform() -> None:
 )
 def test_a_wrong_transform_says_what_to_write(text: str) -> None:
     with pytest.raises(UsageError, match="write parent,child,x,y,z,roll,pitch,yaw in metres"):
-        parse_static(text)
+        parse_numbers("static_transforms", text)

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from occmap.batching import Selection
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.sensor.models import parse_model
 from occmap.types import Evidence, Update
 from occmap.writers.npz import NpzWriter, read_evidence

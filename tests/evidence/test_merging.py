@@ -11,10 +11,11 @@ from occmap.batching import Selection
 from occmap.errors import MapError
 from occmap.evidence.merging import merge, subtract
 from occmap.evidence.publishing import RenderOptions, publish
-from occmap.explanation.history import look_at
+from occmap.explanation.history import Visits, look_at
 from occmap.grid.slices import count_visits, split_tiles, unite
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
 from occmap.types import Evidence, Manifest, Slices, Update
 from occmap.writers.npz import read_evidence
@@ -94,7 +95,8 @@ def test_logs_of_the_same_hours_are_one_visit_however_they_are_built(
     apart = merge([save(tmp_path / "m.npz", BuildOptions(), log) for log in logs])
     for evidence in (read_evidence(tmp_path / "both.npz"), apart):
         found = look_at(evidence, 0.35, 0.05).visits
-        assert found == (0, (other_start + 8) // 10 * 10**10 + 10**10, visits, visits)
+        until_ns = (other_start + 8) // 10 * 10**10 + 10**10
+        assert found == Visits(0, until_ns, visits, visits)
 
 
 def test_what_was_no_build_leaves_visits_that_are_bounds(tmp_path: Path) -> None:

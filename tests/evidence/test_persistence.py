@@ -16,7 +16,8 @@ from occmap.evidence.persistence import keep_lasting, list_lost
 from occmap.grid.lattice import Lattice
 from occmap.grid.slices import pack
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.sensor.models import parse_model
 from occmap.sensor.returns import ReturnOptions
 from occmap.types import Slices, Update

@@ -15,7 +15,8 @@ from occmap.evidence.merging import merge, subtract
 from occmap.evidence.persistence import keep_lasting
 from occmap.explanation import Explanation, Question, explain
 from occmap.explanation.sightings import add_up
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions
 from occmap.sensor.models import (
     CountingModel,

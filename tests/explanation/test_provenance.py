@@ -11,7 +11,8 @@ from occmap.batching import Selection
 from occmap.errors import LogError, PoseError
 from occmap.evidence.merging import merge
 from occmap.explanation.provenance import Use, find_uses, list_logs, list_missing
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
 from occmap.types import Evidence
 from occmap.writers.npz import read_evidence

@@ -13,7 +13,7 @@ from occmap.batching import Selection
 from occmap.errors import MapError
 from occmap.evidence.manifest import NO_OPTIONS, describe_build
 from occmap.explanation.recall import recall_options
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.posing.options import Deskew, PosingOptions, Stamps
 from occmap.readers.options import Echo, ReaderOptions
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel

@@ -7,7 +7,8 @@ import pytest
 
 from occmap.batching import Selection
 from occmap.fleet import Fleet
-from occmap.pipeline import Build, BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import Build, build
 from tests.samples import DRIVES
 
 LOGS = [*DRIVES, DRIVES[0]]

@@ -16,7 +16,8 @@ from distributed import Client, LocalCluster
 from occmap.errors import FleetError, LogError, UsageError
 from occmap.fleet import Fleet, cluster
 from occmap.fleet.cluster import open_cluster
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from tests.samples import DRIVES
 
 resource = pytest.importorskip("resource", reason="Windows has neither SIGKILL nor such limits")

@@ -8,7 +8,8 @@ import pytest
 from occmap.fleet import Fleet
 from occmap.fleet.storing import build_store
 from occmap.observing import ignore_progress
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.sensor.models import parse_model
 from occmap.store.reading import open_store
 from occmap.types import Update

@@ -30,7 +30,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from occmap.errors import OccmapError
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.readers import Role, open_log
 from occmap.types import Scan
 from tests.readers import foxglove_logs as foxglove

@@ -15,7 +15,8 @@ from occmap.grid.kernels.project import project_ends
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.kernels.sums import read_tiles
 from occmap.grid.warm import compile_kernels
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.sensor.models import parse_model
 from occmap.types import Update
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from occmap.inspection import inspect
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.concerns import Concern
 from occmap.types import Pose, PoseSample

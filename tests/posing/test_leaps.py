@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from occmap.inspection import inspect
-from occmap.pipeline import Build, BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import Build, build
 from occmap.posing.options import PosingOptions
 from occmap.types import Pose
 from tests.posing.scenes import at, batch_at, bolted, drive

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from occmap.errors import LogError
+from occmap.posing.attach import Poser
+from occmap.posing.options import PosingOptions
 from occmap.posing.trajectory import parse_stamp_ns, read_trajectory, to_quaternion
 from occmap.types import PoseSample
 
@@ -177,6 +179,24 @@ def test_kitti_of_a_camera_is_turned_to_a_robots_axes(tmp_path: Path) -> None:
     half = math.sqrt(0.5)
     sign = math.copysign(1, second.pose.qw)
     assert [sign * part for part in second.pose[3:]] == pytest.approx([0, 0, -half, half])
+
+
+@pytest.mark.parametrize(
+    ("goal", "whose"),
+    [((9, 2, 0.5), "robot (x is ahead, z up)"), ((2, -1, 9), "camera (z is ahead, y down)")],
+)
+def test_kitti_axes_are_a_guess_that_is_told(
+    tmp_path: Path, goal: tuple[float, float, float], whose: str
+) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_text(f"{LEVEL.format(0, 0, 0)}\n{LEVEL.format(*goal)}\n")
+    (tmp_path / "times.txt").write_text("1\n2\n")
+    poser = Poser.build([], PosingOptions(poses=str(path)))
+    _, y, z = map(abs, goal)
+    assert poser.notes == [
+        f"{path}: its poses go {y:g} m along y and {z:g} m along z, so they are taken as those of "
+        f"a {whose}"
+    ]
 
 
 @pytest.mark.parametrize(

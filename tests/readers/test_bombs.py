@@ -12,7 +12,8 @@ import pytest
 import zstandard
 
 from occmap.errors import LogError
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.readers import Log, open_log, text
 from tests.readers.ros import ROS1, ROS2, drive, write_bag1, write_mcap
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.readers.carmen import CarmenReader
 
 SCANS = 40

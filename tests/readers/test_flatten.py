@@ -9,7 +9,8 @@ import pytest
 from rosbags.typesys.store import Typestore
 
 from occmap.errors import LogError, UsageError
-from occmap.pipeline import BuildOptions, choose_topics
+from occmap.opening import choose_topics
+from occmap.options import BuildOptions
 from occmap.readers import Role, open_log
 from occmap.readers.flatten import BEARINGS, convert_cloud
 from occmap.readers.messages import convert_multi_echo

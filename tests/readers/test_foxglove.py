@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from occmap.errors import LogError
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.readers import Log, Role, open_log
 from occmap.readers.foxglove import POSE_SCHEMAS, SCAN_SCHEMAS, find_foxglove_role
 from occmap.types import Pose, PoseSample

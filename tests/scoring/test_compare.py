@@ -1,6 +1,8 @@
 """Comparing variants: what is held out, what is shared, and the scores of rooms known by heart."""
 
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +10,8 @@ import pytest
 
 from occmap.batching import Selection
 from occmap.errors import LogError, UsageError
-from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
+from occmap.options import DEFAULT_UPDATE, BuildOptions
+from occmap.pipeline import build
 from occmap.report import Remarks, Tally
 from occmap.scoring.compare import VariantComparison, compare
 from occmap.scoring.score import Score, estimate_error
@@ -26,6 +29,31 @@ from occmap.types import Kind, OccupancyMap, Rays, Update
 from tests.samples import PLAIN, REAL_LOGS, SAMPLE_LOGS, write_csv
 
 DRIVE = SAMPLE_LOGS / "drive.csv"
+
+
+LATE_KERNELS = """
+import sys
+import occmap
+from occmap import jit
+from occmap.scoring.trials import Trials
+
+loaded = []
+load, begin = jit.KeptCode.load_overload, Trials.begin
+
+def load_and_note(self, *args):
+    loaded.append(self._name)
+    return load(self, *args)
+
+def begin_and_forget(self, workers):
+    observe = begin(self, workers)
+    loaded.clear()
+    return observe
+
+jit.KeptCode.load_overload, Trials.begin = load_and_note, begin_and_forget
+occmap.compare(sys.argv[1], stride=10)
+print(*(name for name in loaded if not name.startswith("cast.")))
+"""
+"""Prints the kernels that are loaded or compiled while variants are traced and timed."""
 
 
 def make_scans(scans: int) -> Rays:
@@ -53,6 +81,11 @@ def test_every_fifth_scan_is_held_out_however_they_are_batched(sizes: list[int])
     assert list_x(hold_out.held) == [2, 7, 12, 17]
     assert hold_out.scans == 4
     assert sorted(list_x(seen) + list_x(hold_out.held)) == list(range(20))
+
+
+def test_no_variant_is_charged_for_loading_or_compiling_kernels() -> None:
+    words = [sys.executable, "-c", LATE_KERNELS, str(SAMPLE_LOGS / "drive.mcap")]
+    assert subprocess.run(words, capture_output=True, text=True, check=True).stdout == "\n"
 
 
 def test_nine_variants_need_six_pieces_of_evidence() -> None:
@@ -161,7 +194,7 @@ def make_result(
     """Of scans of so many beams each."""
     by_scan = np.array([(beams, near) for near in predicted], float)
     share = sum(predicted) / (beams * len(predicted))
-    score = Score(beams * len(predicted), share, 0.0, log_likelihood, 0.0, 0.0)
+    score = Score(beams * len(predicted), share, 0.0, log_likelihood, 0.0, 0.0, 0.0)
     grid = OccupancyMap(np.zeros((1, 1), np.float32), np.ones((1, 1), bool), 0.05, (0.0, 0.0))
     return Result(Variant(Update.SURFACE, model), grid, score, 0.0, 0, by_scan)
 

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from occmap import batching
 from occmap.inspection import inspect
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.sensor.no_return import Band, RangeLimits, RangeTally, settle
 from occmap.sensor.returns import ReturnOptions
 from occmap.types import Scan, ScanBatch

@@ -9,7 +9,7 @@ import pytest
 
 from occmap.command import to_rpy
 from occmap.errors import LogError, PoseError
-from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, choose_model
+from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing.options import PosingOptions
 from occmap.readers import open_log
 from occmap.report import Remarks, Tally
@@ -170,7 +170,7 @@ def test_only_what_the_motion_shows_is_searched(
 ) -> None:
     log = write_csv(tmp_path / "log.csv", poses, [1.0, 2.0, 1.5], 0.3)
     tuning = tune([log], BuildOptions())
-    changed = {name for each in tuning.tried for name in each._fields if getattr(each, name)}
+    changed = {name for each in tuning.tried for name, value in vars(each).items() if value}
     assert changed == searched
     assert any(text.startswith(note) for text in tuning.remarks.notes)
 
@@ -229,7 +229,7 @@ def make_trial(predicted: list[int]) -> Trial:
     """Scans of ten beams each."""
     share = sum(predicted) / (10 * len(predicted))
     by_scan = np.array([(10, near) for near in predicted], float)
-    return Trial(Score(10 * len(predicted), share, 0.0, 0.0, 0.0, 0.0), by_scan)
+    return Trial(Score(10 * len(predicted), share, 0.0, 0.0, 0.0, 0.0, 0.0), by_scan)
 
 
 def test_a_gain_is_measured_scan_by_scan() -> None:

@@ -6,7 +6,8 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from occmap.pipeline import BuildOptions, build
+from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.posing.rotations import rotate_by
 from occmap.types import Evidence, Journey, OccupancyMap, Pose, Trajectory
 from occmap.writers import MapMode, Product, WriteOptions, write_outputs

@@ -17,7 +17,8 @@ from occmap.cli.values import PATH, parse_size, read_by
 from occmap.errors import LogError, UsageError
 from occmap.gates.measures import BUILD
 from occmap.grid.framing import Framing
-from occmap.pipeline import DEFAULT_UPDATE, BuildOptions, build
+from occmap.options import DEFAULT_UPDATE, BuildOptions
+from occmap.pipeline import build
 from occmap.report import Report
 
 HELP = f"""{COMMANDS["build"]}
@@ -35,23 +36,6 @@ lies between them (surface). Without it: {DEFAULT_UPDATE}. A log that is called 
 
 strict = option(
     options.RUN, "--strict", is_flag=True, help="Exit with 1 where a log is damaged; map it first."
-)
-
-resume = join(
-    option(
-        options.FILES,
-        "--resume",
-        type=PATH,
-        metavar="NPZ",
-        help="Add to the evidence in this file, which -o may name again.",
-    ),
-    option(
-        options.FILES,
-        "--resume-if-there",
-        type=PATH,
-        metavar="NPZ",
-        help="The same, and start anew where there is no such file.",
-    ),
 )
 
 fleet = join(
@@ -94,7 +78,7 @@ class Request(NamedTuple):
 
 @click.command("build", cls=SectionCommand, help=HELP, short_help=COMMANDS["build"])
 @click.argument("words", nargs=-1, metavar="[beam|polygon|surface] LOG...")
-@join(options.writing, resume, options.lattice, options.align)
+@join(options.writing, options.resume, options.lattice, options.align)
 @join(options.framing, options.min_passes, options.pass_gap)
 @join(log_options.ranges, options.model)
 @join(log_options.selection, log_options.posing)

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from occmap.cli import COMMANDS, limits, log_options, options
-from occmap.cli.console import Console, Verbosity, tell
+from occmap.cli.console import Console, Verbosity
 from occmap.cli.findings import format_inspection
 from occmap.cli.sections import SectionCommand, join
 from occmap.cli.streams import gather_logs
@@ -15,7 +15,7 @@ from occmap.errors import UsageError
 from occmap.gates.measures import CHECK
 from occmap.inspection import inspect
 from occmap.keywords import take
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.writers import check_picture
 
 HELP = f"""{COMMANDS["check"]}
@@ -53,7 +53,7 @@ def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> Non
         write_inspection(values["output"], inspection)
     if console.verbosity is Verbosity.QUIET:
         for problem in inspection.problems:
-            tell(f"error: {problem}")
+            console.tell(f"error: {problem}")
     failed = limits.answer(console, "check", inspection, format_inspection(inspection), values)
     if not inspection.buildable:
         ctx.exit(1)

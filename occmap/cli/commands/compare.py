@@ -16,7 +16,7 @@ from occmap.cli.values import PATH
 from occmap.errors import UsageError
 from occmap.gates.measures import COMPARE
 from occmap.keywords import take
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.scoring.compare import VariantComparison, compare
 from occmap.scoring.trials import Result
 from occmap.scoring.variants import DEFAULT_MODELS, Variant, combine

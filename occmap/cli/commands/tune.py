@@ -16,7 +16,7 @@ from occmap.cli.values import PATH
 from occmap.errors import UsageError
 from occmap.gates.measures import TUNE
 from occmap.keywords import take
-from occmap.pipeline import BuildOptions
+from occmap.options import BuildOptions
 from occmap.tuning import Tuning, tune
 from occmap.tuning.search import Correction
 from occmap.tuning.verdict import Finding, Gain, Verdict
@@ -68,7 +68,7 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
     yield f"time     {format_finding(tuning.time, ['time_s'])}"
     yield f"mount    {format_finding(tuning.mount, ['yaw', 'x', 'y'])}"
     if tuning.together.verdict is Verdict.FOUND:
-        together = format_finding(tuning.together, list(Correction._fields))
+        together = format_finding(tuning.together, ["time_s", "yaw", "x", "y"])
         yield f"together {together}"
     yield f"share    {before.share:.4f}{gained}"
     yield f"scored   by {held}; {count(len(tuning.tried), 'map')} of {count(tuning.kept, 'scan')}"

@@ -1,18 +1,5 @@
 """`occmap writers`: the map formats that can be written."""
 
-from typing import Any
+from occmap.cli.listing import make_command
 
-import click
-
-from occmap.cli import COMMANDS, options
-from occmap.cli.console import Console
-from occmap.cli.listing import list_group, show
-
-
-@click.command("writers", help=COMMANDS["writers"])
-@options.as_json
-@options.verbosity
-@click.pass_obj
-def command(console: Console, /, **values: Any) -> None:
-    """List what is installed."""
-    show(console, list_group("writers", "occmap.writers"), values)
+command = make_command("writers", "occmap.writers")
