@@ -34,6 +34,12 @@ LEAST_BYTES = 512 << 20
 """Of memory for a worker: a third of it is gone before the first scan"""
 MUST_EQUAL = ("occmap", "numpy", "numba")
 """What would make other cells in another version"""
+ALLOCATOR = {
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 64 << 20,
+    "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 32 << 20,
+}
+"""For workers of this machine: Dask has the C library give back every array at once, and new pages
+for the next cost a third of a worker's time"""
 
 
 class Cluster:
@@ -143,11 +149,13 @@ def open_cluster(
 def connect(address: str, processes: int) -> Iterator["Client"]:
     """Connect to a scheduler, or start one; what they log is not for the user of a map."""
     with need_extra("dask", "`dask` needs the library distributed"):
-        import distributed  # noqa: PLC0415  late: an extra, and it takes half a second
+        import dask  # noqa: PLC0415  late: an extra, and it takes half a second
+        import distributed  # noqa: PLC0415
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     with ExitStack() as stack:
         place: Any = address
         if address == LOCAL:
+            stack.enter_context(dask.config.set(ALLOCATOR))
             place = stack.enter_context(
                 distributed.LocalCluster(
                     n_workers=processes,

@@ -1,9 +1,10 @@
 """A store that the workers write themselves, block by block: the driver never holds the map."""
 
 import shutil
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial, reduce
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,7 +35,7 @@ from occmap.report import (
     tell_disagreement,
 )
 from occmap.sensor.models import find_decision
-from occmap.store.blocks import Block, BlockContent, BlockRecord
+from occmap.store.blocks import BLOCK, Block, BlockContent, BlockRecord
 from occmap.store.layout import import_zarr, refuse_unwritable
 from occmap.store.pictures import read_around
 from occmap.store.writing import (
@@ -201,14 +202,16 @@ def store_block(job: StoreJob) -> BlockRecord:
 def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> MapFacts:
     """Paint the pictures of all blocks, and sum up what the report tells of them."""
     written = {record.block for record in records}
-    around = {
-        Block(block.row + up, block.col + right)
-        for block in written
-        for up in (-1, 0, 1)
-        for right in (-1, 0, 1)
-    }
+    around = {block for record in records for block in list_touched(record.reach)}
     jobs = [PaintJob(work.setting, store, block, block in written) for block in sorted(around)]
     return sum_up(work.cluster.run("paint", paint_block, jobs), work.setting.options)
+
+
+def list_touched(reach: CellBox) -> Iterator[Block]:
+    """The blocks that the cells of a box lie in or beside."""
+    wide = CellBox(reach.row - 1, reach.col - 1, reach.row_end + 1, reach.col_end + 1)
+    row, col, row_end, col_end = wide.align(BLOCK).shrink(BLOCK)
+    return (Block(*place) for place in product(range(row, row_end), range(col, col_end)))
 
 
 def paint_block(job: PaintJob) -> Measured:
