@@ -22,6 +22,7 @@ from occmap.observing import observe as observe_here
 from occmap.options import BuildOptions
 from occmap.report import (
     MapFacts,
+    MapSummary,
     Remarks,
     Report,
     Tally,
@@ -34,7 +35,6 @@ from occmap.report import (
     refuse_unseen,
     refuse_unused,
 )
-from occmap.sensor.models import describe_model
 from occmap.types import Evidence, Manifest, OccupancyMap
 from occmap.writers import Product, check_outputs, want_evidence, want_journey, write_outputs
 from occmap.writers.atomic import hold_alone
@@ -142,7 +142,7 @@ def build_alone(
     )
     with tally.time("write"):
         files = write_outputs(outputs, product, options.writing)
-    report = replace(report, files=tuple(files), seconds=dict(tally.seconds))
+    report = replace(report, files=tuple(files), seconds=tally.list_seconds())
     return Build(grid, report, tiles, product.evidence() if want_evidence(outputs) else None)
 
 
@@ -182,25 +182,17 @@ def add_build(plan: Manifest, saved: Evidence | None, build: BuildRecord) -> Man
 
 def make_report(facts: MapFacts, options: BuildOptions, tally: Tally, remarks: Remarks) -> Report:
     """Sum up what was done."""
-    rows, cols = facts.shape
     return Report(
         logs=tuple(remarks.logs),
-        scans_read=tally.scans_read,
-        scans_used=tally.scans_used,
-        dropped=dict(tally.dropped),
+        scans=tally.scans,
+        builds=1,
+        resumed=None,
         beams=tally.beams,
+        map=MapSummary.describe(
+            facts, options.resolution, plan_manifest(options), options.min_passes
+        ),
         notes=tuple(remarks.notes),
         damage=tuple(remarks.damage),
-        update=options.update.value,
-        model=describe_model(options.model),
-        min_passes=options.min_passes,
-        resolution=options.resolution,
-        columns=cols,
-        rows=rows,
-        extent=facts.extent,
-        align=options.posing.align or 0.0,
-        shares=facts.shares,
-        agreement=facts.agreement,
-        seconds=dict(tally.seconds),
         files=tuple(remarks.files),
+        seconds=tally.list_seconds(),
     )

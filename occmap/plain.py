@@ -24,17 +24,6 @@ class Told(TypedDict):
     """Those of the notes that tell of damage to a log"""
 
 
-class ScanCounts(TypedDict):
-    """What became of the scans."""
-
-    read: Count
-    """Scans in the logs"""
-    used: Count
-    """Scans in the map, or, where maps are scored, scans with a pose"""
-    dropped: dict[str, Count]
-    """Scans that are not used, by reason"""
-
-
 def to_plain(value: Any) -> Any:  # noqa: PLR0911  a line for each kind
     """Turn nested values into what JSON has; a number that is not finite becomes None.
 

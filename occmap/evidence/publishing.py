@@ -1,5 +1,6 @@
 """Saved evidence made into files again, and what the report says of it."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -15,8 +16,10 @@ from occmap.grid.framing import Framing, frame
 from occmap.grid.tiles import MAX_CELLS
 from occmap.report import (
     MapFacts,
+    MapSummary,
     Report,
     Resumed,
+    ScanCounts,
     describe_map,
     list_disagreement,
     list_unreached,
@@ -234,46 +237,37 @@ def summarise(
 ) -> Report:
     """Sum up all builds of evidence, and the map that was made of it."""
     scans = [build["scans"] for build in manifest.builds]
-    read, used = sum_scans(manifest)
-    dropped: dict[str, int] = {}
-    for reason, count in (pair for each in scans for pair in each["dropped"].items()):
-        dropped[reason] = dropped.get(reason, 0) + count
-    rows, cols = seen.facts.shape
     return Report(
         logs=tuple(entry["name"] for build in manifest.builds for entry in build["inputs"]),
-        scans_read=read,
-        scans_used=used,
+        scans=sum_scans(manifest),
         builds=len(scans),
-        dropped=dropped,
+        resumed=None,
         beams=sum((read_counts(each["beams"]) for each in scans), ReturnCounts()),
+        map=MapSummary.describe(seen.facts, seen.resolution, manifest, options.min_passes),
         notes=(
             *list_notes(manifest),
             *list_idle(outputs, options.writing),
             *list_unreached(model, options.writing),
             *seen.notes,
         ),
-        update=manifest.update,
-        model=manifest.model,
-        min_passes=options.min_passes,
-        resolution=seen.resolution,
-        columns=cols,
-        rows=rows,
-        extent=seen.facts.extent,
-        align=manifest.align or 0.0,
-        shares=seen.facts.shares,
-        agreement=seen.facts.agreement,
     )
 
 
-def sum_scans(manifest: Manifest) -> tuple[int, int]:
-    """How many scans all builds of evidence read, and how many they used."""
+def sum_scans(manifest: Manifest) -> ScanCounts:
+    """Add up what became of the scans of all builds of evidence."""
     scans = [build["scans"] for build in manifest.builds]
-    return sum(each["read"] for each in scans), sum(each["used"] for each in scans)
+    dropped: Counter[str] = Counter()
+    for each in scans:
+        dropped.update(each["dropped"])
+    return ScanCounts(
+        sum(each["read"] for each in scans), sum(each["used"] for each in scans), dict(dropped)
+    )
 
 
 def describe_resumed(evidence: Evidence) -> Resumed:
     """Say what a build was added to."""
-    return Resumed(evidence.where, *sum_scans(evidence.manifest))
+    scans = sum_scans(evidence.manifest)
+    return Resumed(evidence.where, scans.read, scans.used)
 
 
 def read_counts(beams: dict[str, int]) -> ReturnCounts:

@@ -8,8 +8,7 @@ import click
 import pytest
 
 from occmap import cli
-from occmap.cli import COMMANDS
-from occmap.cli.commands import readers
+from occmap.cli import COMMANDS, listing
 from occmap.errors import LogError, OccmapError, UsageError
 from tests.cli.runner import occmap, read_error
 
@@ -60,7 +59,7 @@ def fail_with(error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr(readers, "show", fail)
+    monkeypatch.setattr(listing, "load_plugins", fail)
 
 
 @pytest.mark.parametrize(("error", "code"), [(OccmapError, 1), (LogError, 1), (UsageError, 2)])
@@ -108,7 +107,7 @@ def test_a_fault_of_occmap_is_one_line_and_with_v_a_traceback(
 ) -> None:
     fail_with(KeyError("oh\nno"), monkeypatch)
     line = read_error(occmap("readers"), 1)
-    assert line.startswith("KeyError: 'oh\\nno' (at occmap/cli/commands/readers.py:")
+    assert line.startswith("KeyError: 'oh\\nno' (at occmap/cli/listing.py:")
     assert "please report it" in line
     told = occmap("readers", "-v")
     assert told.code == 1
