@@ -31,8 +31,7 @@ def put_out(console: Console, command: str, evidence: Saved, values: dict[str, A
         values.get("overview"),
     )
     report = hide_caught(publish(evidence, options, values["outputs"]))
-    for note in report.notes:
-        console.note(note)
+    console.note(*report.notes)
     limits.leave(limits.answer(console, command, report, format_report(report), values))
 
 

@@ -82,7 +82,7 @@ class SectionCommand(click.Command):
             raise ctx.meta[PLACE](UsageError(found, fix=fix)) from None
         except UsageError as error:
             raise ctx.meta[PLACE](error) from None
-        ctx.ensure_object(Console).announce([config.note])
+        ctx.ensure_object(Console).announce(config.note)
         return rest
 
     def invoke(self, ctx: click.Context) -> Any:
