@@ -35,12 +35,12 @@ of the same logs leaves 0.27 to 0.56."""
 
 
 REASONS = tuple(map(str, (*DropReason, *LeftOut)))
-"""In the order in which they are told"""
+"""Why scans are not used, in the order in which reports list it"""
 _LOCK = Lock()
 
 
 def ignore_advance(_scans: int) -> None:
-    """Tell nobody."""
+    """Show no progress."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +69,10 @@ class Tally:
         recorder: JourneyRecorder | None = None,
     ) -> None:
         self.tell = tell
-        """Told, now and then, how many scans were read since the last call"""
+        """Called now and then with the scans read since the last call"""
         self.told = 0
         self.recorder = recorder
-        """Told where the scans were taken, where an output wants that"""
+        """Learns where the scans were taken, where an output wants that"""
         self.seconds: dict[str, float] = {}
         self.scans_read = self.scans_used = 0
         self.dropped: dict[str, int] = {}
@@ -86,16 +86,16 @@ class Tally:
         return ScanCounts(self.scans_read, self.scans_used, dict(self.dropped))
 
     def start_over(self) -> "Tally":
-        """Make one that has counted nothing yet, to read logs with once more."""
+        """Make an empty tally with the same listeners, to read the logs once more."""
         return Tally(self.tell, self.recorder and self.recorder.start_over())
 
     def advance(self, scans: int) -> None:
-        """Tell that so many more scans were read; fewer, where they are read once more."""
+        """Report that so many more scans were read; a negative number takes some back."""
         self.told += scans
         self.tell(scans)
 
     def add(self, other: "Tally") -> None:
-        """Count what another one counted, too."""
+        """Add the counts and times of another tally."""
         if self.recorder and other.recorder:
             self.recorder.add(other.recorder)
         self.frames |= other.frames
@@ -117,7 +117,7 @@ class Tally:
         self.beams += beams
 
     def to_json(self) -> dict[str, Any]:
-        """What became of the scans, as values that JSON has."""
+        """What became of the scans and their beams, as JSON values."""
         return {**vars(self.scans), "beams": self.beams._asdict()}
 
     def list_seconds(self) -> dict[str, float]:
@@ -136,7 +136,7 @@ class Tally:
                 self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
 
     def time_each(self, stage: str, items: Iterator[Item]) -> Iterator[Item]:
-        """The same items; the time that it takes to get each is added to a stage."""
+        """Pass items on, and add the time that each takes to come to a stage."""
         while True:
             with self.time(stage):
                 item = next(items, None)
@@ -158,7 +158,7 @@ class Resumed:
 
 
 class Shares(NamedTuple):
-    """Of a map's cells, those that are of a class; what is left was observed and is undecided."""
+    """The shares of a map's cells by class; the rest was observed and is undecided."""
 
     occupied: float
     free: float
@@ -166,7 +166,7 @@ class Shares(NamedTuple):
 
 
 class MapFacts(NamedTuple):
-    """What there is to tell of a map."""
+    """What is measured of a map for its report."""
 
     shape: tuple[int, int]
     """Rows and columns"""
@@ -272,7 +272,7 @@ class Report:
 
 
 class Noted(Protocol):
-    """A log, or what stands for one that another process read."""
+    """A log, or what stands for a log that another process read."""
 
     @property
     def path(self) -> Path:
@@ -285,7 +285,7 @@ class Noted(Protocol):
 
 @dataclass
 class Remarks:
-    """What is said of logs beside numbers; grows while they are read."""
+    """What is said of logs beside numbers; it grows while they are read."""
 
     logs: list[str]
     notes: list[str] = field(default_factory=list)
@@ -293,7 +293,7 @@ class Remarks:
     files: list[str] = field(default_factory=list)
 
     def note(self, log: Noted, others: Iterable[str]) -> None:
-        """Keep what a log has to say, and what others have to say of it."""
+        """Keep the notes of a log, and the notes of others on it."""
         self.notes += [f"{log.path}: {text}" for text in (*others, *(n.text for n in log.notes))]
         self.damage += [f"{log.path}: {note.text}" for note in log.notes if note.damage]
 
@@ -373,7 +373,7 @@ def list_lacking(tally: Tally, resumed: Resumed | None) -> Iterator[str]:
 
 
 def list_dates(selection: Selection, tally: Tally) -> Iterator[str]:
-    """Say that the end of the part that is wanted leaves nothing out: it may be meant as a date."""
+    """Say that `end_s` leaves nothing out: it may be meant as a date."""
     end_s = selection.end_s
     if end_s < math.inf and (end_s > LONGEST_LOG_S or str(LeftOut.TIME) not in tally.dropped):
         yield f"`end_s={end_s:.12g}` leaves nothing out: it is in seconds after the first scan"
@@ -385,7 +385,7 @@ def list_disagreement(grid: OccupancyMap) -> Iterator[str]:
 
 
 def tell_disagreement(agreement: float | None, has_walls: bool) -> Iterator[str]:
-    """As `list_disagreement`, of a map that is not at hand."""
+    """Say the same of a map of which only these facts are at hand."""
     if agreement is not None and agreement < LEAST_AGREEMENT and has_walls:
         yield (
             f"only {agreement:.0%} of the hits lie in cells that the map calls occupied: the "
@@ -408,7 +408,7 @@ def describe_map(grid: OccupancyMap, writing: WriteOptions) -> MapFacts:
 
 
 def list_unreached(model: SensorModel, writing: WriteOptions) -> Iterator[str]:
-    """Say which class no cell can be of, for the bounds of the model."""
+    """Say which class no cell can have, because of the bounds of the model."""
     if not isinstance(model, Clamped):
         return
     free, occupied = writing.decide(find_decision(model))

@@ -15,7 +15,7 @@ import click
 from occmap.errors import OccmapError, OutputError
 
 ORDER = re.compile(r"^(\s*):(?=:)|#(?=#\w*\[)")
-"""Starts what runners of pipelines take for an order where they find it in a log (`::error::`)."""
+"""The start of what a runner of pipelines takes for a command in its log, such as `::error::`"""
 RESULT_VERSION = 1
 """Of what --json prints: it grows where a field changes its meaning or goes."""
 
@@ -59,7 +59,7 @@ class Console:
     as_json: bool = False
     """A program reads stdout: it gets one JSON object, whatever happens"""
     answered: bool = False
-    """It has got it"""
+    """That object is printed"""
     stdout_is_taken: bool = False
     """A map goes there: all else goes to stderr"""
     stdin_file: str = ""

@@ -26,9 +26,10 @@ class SectionOption(click.Option):
 
 
 class BareOption(SectionOption):
-    """An option of numbers whose value may be left out, and then is a word that it states.
+    """An option of one number that may be left out; then the word `bare` takes its place.
 
-    click has the like, but would take a log that follows for the value, and no negative number.
+    click has such options, too, but they take a log that follows for their value, and refuse a
+    negative number.
     """
 
     def __init__(self, *args: Any, bare: str, **kwargs: Any) -> None:

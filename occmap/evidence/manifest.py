@@ -22,7 +22,7 @@ BuildRecord = dict[str, Any]
 OF_MAPS = ("prior", "cut", *NO_CLAMP)
 """Parameters of models that change how evidence is rendered, not the evidence itself."""
 MEANING = ("resolution", "update", "kind", "profile", "pass_gap_s", "hit_offset", "align")
-"""What says what the numbers of evidence mean; it is the same of all evidence that is combined."""
+"""What the numbers of evidence depend on: evidence that is combined is equal in all of these."""
 
 
 def describe_build(

@@ -77,7 +77,7 @@ class Rendered(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What a report says of a map, whether it was ever there as a whole or not."""
+    """What a report says of a map, which may never be in memory as a whole."""
 
     resolution: float
     """Side of a cell, or of a pixel of an overview (m)"""
@@ -175,7 +175,7 @@ def settle(saved: Saved, options: RenderOptions) -> tuple[SensorModel, Manifest]
 def paint_saved(
     saved: Saved, model: SensorModel, options: RenderOptions
 ) -> tuple[OccupancyMap, Seen]:
-    """Paint a map, or what is to be shown of it; raises MapError."""
+    """Paint a map, or the part of it that is wanted; raises MapError."""
     framing, most = options.framing, options.max_cells
     if options.overview is not None:
         store = check_overview(saved, options)
@@ -213,7 +213,7 @@ def check_overview(saved: Saved, options: RenderOptions) -> Store:
 def survey_saved(
     saved: Blocks, model: SensorModel, options: RenderOptions
 ) -> tuple[BlockMap, Seen]:
-    """Look at a map that is never there as a whole; raises MapError."""
+    """Measure a map that is never in memory as a whole; raises MapError."""
     made = open_map(View(saved, model, options.min_passes), options.framing)
     facts, lost = survey_blocks(made, options.writing)
     notes = (*lost, *tell_disagreement(facts.agreement, facts.has_walls))
@@ -271,5 +271,5 @@ def describe_resumed(evidence: Evidence) -> Resumed:
 
 
 def read_counts(beams: dict[str, int]) -> ReturnCounts:
-    """What beams meant, as an older occmap may have counted it, with fewer reasons or others."""
+    """Read the counts of beams, of which an older occmap may have had fewer kinds, or others."""
     return ReturnCounts(*(beams.get(name, 0) for name in ReturnCounts._fields))
