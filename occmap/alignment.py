@@ -18,17 +18,17 @@ from occmap.tracing import open_drive
 from occmap.types import Float64, Kind, Rays
 
 GAPS = (2, 4, 8, 16, 32)
-"""A chord of a wall leads from one beam's end to that of a beam so many further on ..."""
+"""A chord of a wall joins the ends of two beams that are so many beams apart."""
 CHORD_M = 0.5
-"""... and is so long, up to twice as much: shorter ones show the noise of ranges ..."""
+"""Chords are this long, up to twice as long (m): shorter ones show the noise of ranges."""
 STRAIGHT_M = 0.02
-"""... and the end of the beam in the middle lies so near to it, or the wall is not straight."""
+"""Where a wall is straight, the beam in the middle ends at most so far from the chord (m)."""
 BINS = 360
-"""In which a quarter turn is searched first"""
+"""Of the histogram over a quarter turn"""
 BLUR = 9
-"""Bins that are added up, so that noise does not part a direction in two"""
+"""Neighbouring bins that are added up, so that noise does not split a direction"""
 NARROW_DEG = (5.0, 3.0)
-"""Chords so near to the direction found so far make the next mean."""
+"""Only chords so near to the direction found so far count in the next mean."""
 COMMON_SHARE = 1 / 3
 """Of the length of all chords, at least so much lies within 3 degrees of a building's direction; of
 walls in all directions it is a fifteenth. Logs of buildings have 0.5 to 0.74."""
@@ -83,8 +83,8 @@ def find_turn(chords: Float64) -> tuple[float, float]:
     """Find the smallest turn by which walls run along the axes.
 
     Directions count modulo a quarter turn and by length. The fullest part of a histogram is a
-    start; the mean of what lies near, taken of four times the angles so that a quarter turn is
-    none (Mardia and Jupp 2000, directional statistics), is the rest.
+    start. The rest is the mean of what lies near it, taken of four times the angles, so that angles
+    a quarter turn apart are the same (Mardia and Jupp 2000, directional statistics).
 
     Parameters
     ----------
@@ -114,5 +114,5 @@ def find_turn(chords: Float64) -> tuple[float, float]:
 
 
 def wrap(angle: Float64) -> Float64:
-    """Bring angles to within -45 to 45 degrees, a quarter turn being none."""
+    """Reduce angles by quarter turns to -45 to 45 degrees."""
     return np.asarray((angle + 45) % 90 - 45)

@@ -20,25 +20,25 @@ FLAGS = {
     "static_transforms": "--static-tf",
     "topics": "--scan-topic",
 }
-"""Of the options whose flag is another word than their name."""
+"""The flags of options that are not spelt like their names"""
 
 MODEL_PARAMETERS = (
     *("p_hit", "p_miss", "epsilon", "p_min"),
     *("prior", "cut", "spread", "clamp_min", "clamp_max"),
 )
-"""Those of sensor models that are flags, too"""
+"""Parameters of sensor models that are flags as well"""
 
 OPTIONS = {*list_options(BuildOptions), *MODEL_PARAMETERS, *FLAGS, "overview", "dask", "slice"}
 """The names of what can be typed as a flag"""
 
 MARK = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
-"""How texts outside of the command line name an option, and what to give it"""
+"""An option in a text, as libraries write it: `max_range`, or `max_range=6`"""
 
 NOT_WRITTEN = (
     *("jobs", "update", "model", "min_passes", "pass_gap_s", "resume", "resume_if_there"),
     *list_options(WriteOptions),
 )
-"""Options that say nothing of how logs are read, or that a caller names by itself."""
+"""Options that do not change how logs are read, or that a caller names itself"""
 
 
 LEVEL_RAD = 5e-6
@@ -91,7 +91,7 @@ def chain_builds(lines: Sequence[tuple[str, ...]]) -> Iterator[tuple[str, ...]]:
 
 
 def list_beside(name: str, texts: Sequence[str], text: str) -> list[str]:
-    """List the given values of an option that a new one leaves: transforms to other frames."""
+    """List the values of an option that stay beside a new one: transforms to other frames."""
     if name != "static_transforms":
         return []
     return [each for each in texts if each.split(",")[1] != text.split(",")[1]]
@@ -120,7 +120,7 @@ def list_texts(value: Any) -> list[str]:
 
 
 def list_item(value: Any) -> list[str]:
-    """Write a value that is typed at once."""
+    """Write a value, or one item of several, as it is typed."""
     if isinstance(value, PoseSample):
         return [format_static(value.parent, value.child, value.pose)]
     if isinstance(value, tuple):

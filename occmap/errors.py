@@ -29,7 +29,7 @@ class OccmapError(Exception):
         return _revive, (type(self), self.found, self.where, self.fix)
 
     def placed(self, where: object) -> Self:
-        """The same error at a place, where it names none itself."""
+        """The same error with a place, unless it names one already."""
         return type(self)(self.found, where=self.where or where, fix=self.fix)
 
     def __str__(self) -> str:
@@ -40,7 +40,7 @@ class OccmapError(Exception):
 
 
 def _revive(kind: type[OccmapError], found: str, where: str, fix: str) -> OccmapError:
-    """Make an error that another process raised."""
+    """Make an error anew that another process raised."""
     return kind(found, where=where, fix=fix)
 
 
@@ -49,7 +49,7 @@ class LogError(OccmapError):
 
 
 class DamageError(LogError):
-    """One message of a log holds what it cannot hold; the others can be used."""
+    """One message of a log is damaged; the others can be used."""
 
 
 class PoseError(OccmapError):
@@ -57,13 +57,13 @@ class PoseError(OccmapError):
 
 
 class MountError(PoseError):
-    """Scans have no pose since nobody says where their laser sits on the robot."""
+    """Scans have no pose, since neither log nor user says where the laser sits on the robot."""
 
     UNKNOWN = "x,y,yaw"
     """Stands in `fix` for the mount that is to be given"""
 
     def named(self, mount: str) -> Self:
-        """The same error with a mount that suits the scans."""
+        """The same error, which now names a mount that suits the scans."""
         fix = f"{self.fix.replace(self.UNKNOWN, mount)}, which suits the scans; measure x and y"
         return type(self)(self.found, where=self.where, fix=fix)
 
@@ -83,4 +83,4 @@ class UsageError(OccmapError):
 
 
 class FleetError(OccmapError):
-    """The workers that a build was to run on cannot do it."""
+    """The workers cannot run the build."""

@@ -85,7 +85,7 @@ def is_bag(folder: Path, entries: Sequence[Path]) -> bool:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether any reader knows what a path is."""
+    """Whether any reader recognises a path."""
     try:
         probe = probe_path(path)
     except LogError:
@@ -105,7 +105,7 @@ def find_start(path: Path, options: ReaderOptions) -> tuple[int, str]:
 
 
 def describe_found(path: Path, logs: Sequence[Path], others: int) -> str:
-    """Say what is taken of a folder, and what is not."""
+    """Say which recordings a folder holds, and how many other files."""
     names = ", ".join(log.name for log in logs[:MOST_NAMES])
     more = f" and {len(logs) - MOST_NAMES:,} more" if len(logs) > MOST_NAMES else ""
     passed = f"; {count(others, 'other file')} passed over" if others else ""
@@ -115,12 +115,12 @@ def describe_found(path: Path, logs: Sequence[Path], others: int) -> str:
 
 @contextmanager
 def keep_stdin(paths: Sequence[Path]) -> Iterator[list[Path]]:
-    """Save what comes on stdin to a file while the block runs, where a path says `-`.
+    """Save what comes on stdin to a file while the block runs, where a path is `-`.
 
     Raises
     ------
     LogError
-        Nothing comes.
+        Nothing comes on stdin.
     """
     if STDIN not in paths:
         yield list(paths)

@@ -1,4 +1,4 @@
-"""What is kept of the way of the robot while a map is built, for outputs that show it."""
+"""What a build keeps of where the robot went, for the outputs that show it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,11 +12,11 @@ from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Float64, Int64, Journey, Kind, PosedScans, ScanBatch, ScanHits, Trajectory
 
 SHOWN_SCANS = 400
-"""Of all logs together: a hand finds no more steps of a slider again."""
+"""Of all logs together: nobody can set a slider to more steps."""
 SHOWN_HITS = 400
-"""Of one scan: they draw a wall, however many beams a laser has."""
+"""Of one scan: enough to draw its walls, however many beams it has."""
 STATED_FRAME, STATED_LASER = "map", "laser"
-"""Frames of logs that state poses beside their scans, and name none."""
+"""What the frames are called of logs that state poses beside their scans and name no frame."""
 
 
 @dataclass(eq=False)
@@ -41,11 +41,11 @@ class JourneyRecorder:
         self._seen = 0
 
     def start_over(self) -> "JourneyRecorder":
-        """Make one that has seen nothing yet."""
+        """Make an empty recorder with the same settings."""
         return JourneyRecorder(self._every, self._returns)
 
     def add(self, other: "JourneyRecorder") -> None:
-        """Take what another one took."""
+        """Add what another recorder took."""
         for key, theirs in other._ways.items():
             way = self._ways.setdefault(key, _Way(theirs.parent))
             way.stamps += theirs.stamps
@@ -60,7 +60,7 @@ class JourneyRecorder:
         batch: ScanBatch,
         attached: tuple[Sequence[PosedScans], Mapping[Any, int]],
     ) -> None:
-        """Take a batch and what became of it.
+        """Record the poses of a batch, and hits of some of its scans.
 
         Parameters
         ----------
@@ -79,7 +79,7 @@ class JourneyRecorder:
         if reasons:
             kept = [scans.batch.stamp_ns for scans in posed]
             lost = np.setdiff1d(batch.stamp_ns, np.concatenate([*kept, np.zeros(0, np.int64)]))
-            why = ", or ".join(map(str, reasons))  # which of them, nobody keeps for each scan
+            why = ", or ".join(map(str, reasons))  # nobody keeps which reason is that of which scan
             way.dropped += [(stamp_ns, why) for stamp_ns in lost.tolist()]
 
     def _sample(self, scans: PosedScans) -> None:
@@ -97,7 +97,7 @@ class JourneyRecorder:
             self._scans.append(ScanHits(stamp_ns, (x, y), hits[:, 0], hits[:, 1]))
 
     def finish(self) -> Journey:
-        """Give what was kept, laser by laser, in the order in which it was recorded."""
+        """Return what was kept, laser by laser, in the order in which it was recorded."""
         trajectories = tuple(
             Trajectory(
                 *(log, topic, way.parent, frame if frame != way.parent else STATED_LASER),

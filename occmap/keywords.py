@@ -21,11 +21,11 @@ from occmap.types import Box, Pose, PoseSample
 Options = TypeVar("Options")
 
 LARGEST_ANGLE = 7.0
-"""A little more than a turn (rad), for people round."""
+"""A little more than a full turn (rad), since people round."""
 
 
 def read_options(kind: type[Options], given: Mapping[str, Any], call: str) -> Options:
-    """Make options of what a caller gave by name.
+    """Make options of the values that a caller gave by name.
 
     None leaves an option at its default, unless None is one of its values.
 
@@ -89,12 +89,12 @@ def take(kind: type[Options], values: Mapping[str, Any]) -> Options:
 
 
 def read_option(name: str, hint: Any, value: Any) -> Any:
-    """Make what an option of this type holds of what a caller gave.
+    """Convert what a caller gave to the type of an option.
 
     Raises
     ------
     UsageError
-        It is nothing of the kind.
+        The value is not of that type.
     """
     if value is None and NoneType in get_args(hint):
         return None
@@ -119,7 +119,7 @@ def _read_member(name: str, kind: type[StrEnum], value: Any) -> StrEnum:
 
 
 def refuse_degrees(angles: Iterable[float]) -> None:
-    """Refuse an angle of more than a turn; raises UsageError with what it is in radians."""
+    """Refuse angles of more than a turn, which are degrees; raises UsageError with the radians."""
     for angle in angles:
         if abs(angle) > LARGEST_ANGLE:
             found = f"an angle of {angle:g} rad is more than a turn"
@@ -197,4 +197,4 @@ FORMS: dict[Any, tuple[Callable[[Any], Any], str]] = {
         "a list of (parent, child, x, y, z, roll, pitch, yaw) in metres and radians",
     ),
 }
-"""How a value of each type is read, and what to give; an enum is read by the text of a member."""
+"""How a value of each type is read, and what to give; enums are read by the text of a member."""

@@ -76,11 +76,11 @@ class Map(OccupancyMap):
         return tuple(map(Path, write_outputs(outputs, product, self.writing)))
 
     def __repr__(self) -> str:
-        (rows, cols), shares = self.shape, self.report.shares
+        grid, scans = self.report.map, self.report.scans
         return (
-            f"<Map of {cols} x {rows} cells of {self.resolution:g} m: {shares.occupied:.1%} "
-            f"occupied, {shares.free:.1%} free, {shares.unknown:.1%} unknown; "
-            f"{self.report.scans_used:,} of {self.report.scans_read:,} scans used>"
+            f"<Map of {grid.columns} x {grid.rows} cells of {grid.resolution:g} m: "
+            f"{grid.occupied:.1%} occupied, {grid.free:.1%} free, {grid.unknown:.1%} unknown; "
+            f"{scans.used:,} of {scans.read:,} scans used>"
         )
 
     def _repr_html_(self) -> str:
@@ -102,9 +102,9 @@ class Map(OccupancyMap):
 
     def _read_counts(self) -> CellNumbers:
         if self.tiles.kind is not EvidenceKind.COUNTS:
+            name, _, _ = self.report.map.model.partition(":")
             raise UsageError(
-                f"the model {self.report.model.partition(':')[0]} sums up log-odds: it keeps no "
-                "hits and misses",
+                f"the model {name} sums up log-odds: it keeps no hits and misses",
                 fix='build with model="counting" or model="simple"',
             )
         (row, col), (rows, cols) = self.place.tolist(), self.shape

@@ -43,7 +43,7 @@ def name_mount(
 
 
 def list_misfits(paths: Sequence[Path], options: BuildOptions) -> Iterator[str]:
-    """Say for which lasers of logs, whose scans do not fit each other, another mount is better.
+    """Say which lasers of logs, whose scans do not fit each other, are better mounted otherwise.
 
     The logs are read once more: this is for maps that are spoiled anyway.
     """
@@ -73,7 +73,7 @@ def find_better(poser: Poser, parts: Sequence[PosedScans], options: ReturnOption
 
 
 def describe_misfit(better: str) -> str:
-    """Say that a sensor is mounted otherwise than is believed."""
+    """Say which mount suits the scans better."""
     return f"the scans would fit each other better with `{better}`"
 
 

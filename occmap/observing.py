@@ -1,4 +1,4 @@
-"""What all logs of a build show together: on this machine log by log, each by several threads."""
+"""Trace all logs of a build on this machine: one after the other, each with several threads."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -21,11 +21,11 @@ if TYPE_CHECKING:  # as in tracing
     from occmap.grid.sliced import SlicedEngine
 
 Progress: TypeAlias = Callable[[int, int], None]
-"""Told, now and then, how many scans were read since the last call and how many there are."""
+"""Called now and then with the scans read since the last call, and with all that there are"""
 
 
 def ignore_progress(_scans: int, _total: int) -> None:
-    """Tell nobody."""
+    """Show no progress."""
 
 
 class Keep(NamedTuple):
@@ -39,13 +39,13 @@ class Keep(NamedTuple):
     def make_recorder(
         self, scans: int, logs: int, returns: ReturnOptions
     ) -> JourneyRecorder | None:
-        """Make what keeps the journey of one of some logs, which has so many scans."""
+        """Make a recorder for a log of `scans` scans, one of `logs`; None where none is wanted."""
         every = max(scans * logs // SHOWN_SCANS, 1)
         return JourneyRecorder(every, returns) if self.journey else None
 
 
 class Observed(NamedTuple):
-    """What logs showed, and what there is to say of them."""
+    """What the logs showed, and what there is to say of them."""
 
     tiles: TileGrid
     slices: tuple[Slices, ...]
@@ -96,7 +96,7 @@ def observe(
 def observe_log(
     log: Log, options: BuildOptions, keep_slices: bool, tally: Tally
 ) -> tuple["GridEngine | SlicedEngine", list[str]]:
-    """Trace a log in an engine of its own; give that, and what there is to say of the log."""
+    """Trace a log in an engine of its own; return the engine, and notes on the log."""
     engine = choose_engine(options, keep_slices)
 
     def begin() -> Callable[[Rays], None]:

@@ -1,4 +1,4 @@
-"""What there is to know of a log before its scans are read: its topics, and where it drove."""
+"""What is known of a log before its scans are read: its topics, and where the robot went."""
 
 from collections.abc import Generator, Sequence
 
@@ -47,7 +47,7 @@ def count_scans(log: Log, wanted: Sequence[str]) -> int:
 
 
 def count_messages(log: Log, topics: Sequence[str]) -> int:
-    """Count the messages of some topics, as the reader has it."""
+    """Count the messages on some topics, by what the reader says of its streams."""
     wanted = set(topics)
     return sum(stream.count for stream in log.streams if stream.topic in wanted)
 
@@ -72,7 +72,7 @@ def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser
 
 
 def take_first(log: Log, topics: Sequence[str]) -> list[Scan]:
-    """The first scan of each topic, read in one go, as there may be very many; then closed."""
+    """Read the first scan of each topic, and stop reading when all are found."""
     first: dict[str, Scan] = {}
     scans = log.scans(set(topics))
     for scan in scans:

@@ -18,12 +18,12 @@ from occmap.workers import count_cores
 from occmap.writers import WriteOptions
 
 MOST_OFFSET = 10
-"""Cells; a hit that lies deeper in a wall is none."""
+"""No hit lies deeper in a wall (cells)"""
 DEFAULT_UPDATE = Update.SURFACE
 
 
 def choose_model(update: Update) -> SensorModel:
-    """The model that an update is used with where nobody names one, by evidence.
+    """Choose the model of an update where nobody names one, as measured on real logs.
 
     A scan counts once in the polygon update, and its joined borders thicken walls by themselves.
     """
@@ -47,7 +47,7 @@ class BuildOptions:
     jump: float = 0.1
     """Neighbouring beams see one surface where ranges differ by at most this (m; not beam)"""
     border_gap: int = 8
-    """... and its border is closed between end cells at most this far apart (cells; polygon)"""
+    """A surface is closed between end cells at most this far apart (cells; polygon)"""
     hit_offset: float = 0.5
     """A hit lies so far behind the measured point, which is on a surface (cells)"""
     max_cells: int = MAX_CELLS
@@ -61,7 +61,7 @@ class BuildOptions:
     resume: Path | None = None
     """An evidence file: its observations are added to those of the logs"""
     resume_if_there: Path | None = None
-    """The same, where there is such a file; else the build starts anew"""
+    """The same where this file exists; where it does not, the build starts anew"""
 
     def __post_init__(self) -> None:
         check_passes(self.min_passes, self.model)
@@ -83,7 +83,7 @@ class BuildOptions:
             )
 
     def list_idle(self) -> Iterator[str]:
-        """Say which options do nothing under the update."""
+        """Name the options that do nothing under the update."""
         if self.update is Update.BEAM and self.jump != BuildOptions.jump:
             yield "`jump` does nothing under `occmap build beam`"
         if self.update is not Update.POLYGON and self.border_gap != BuildOptions.border_gap:

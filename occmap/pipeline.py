@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from occmap.alignment import settle_align
 from occmap.evidence import to_evidence
-from occmap.evidence.manifest import BuildRecord, describe_build, list_mixed, plan_manifest
+from occmap.evidence.manifest import describe_build, list_mixed, plan_manifest
 from occmap.evidence.merging import open_resumed
 from occmap.evidence.persistence import render_lasting
 from occmap.evidence.publishing import describe_resumed
@@ -22,6 +22,7 @@ from occmap.observing import observe as observe_here
 from occmap.options import BuildOptions
 from occmap.report import (
     MapFacts,
+    MapSummary,
     Remarks,
     Report,
     Tally,
@@ -34,8 +35,7 @@ from occmap.report import (
     refuse_unseen,
     refuse_unused,
 )
-from occmap.sensor.models import describe_model
-from occmap.types import Evidence, Manifest, OccupancyMap
+from occmap.types import Evidence, OccupancyMap
 from occmap.writers import Product, check_outputs, want_evidence, want_journey, write_outputs
 from occmap.writers.atomic import hold_alone
 
@@ -92,28 +92,31 @@ def build_alone(
     look: Callable[[], dict[str, Any]],
 ) -> Build:
     """Build and write a map, while nobody else adds to the same evidence."""
-    saved = open_past(options, plan_manifest(options))
+    saved = open_past(options)
     options, unaligned = settle_align(paths, adopt_align(options, saved))
-    plan = plan_manifest(options)
-    keep = Keep(
-        slices=options.min_passes is not None or want_evidence(outputs),
-        journey=want_journey(outputs),
-    )
+    keeps_times = options.min_passes is not None or want_evidence(outputs)
+    keep = Keep(slices=keeps_times, journey=want_journey(outputs))
+
     tiles, slices, tally, remarks = observe(paths, options, keep)
     if saved:
         add_stack(tiles, saved.tiles, saved.cells)
         slices = saved.slices + slices
     refuse_unused(paths, tally)
     refuse_unseen(paths, tally, tiles.keys)
+
     with tally.time("render"):
         grid, lost = render_lasting(
             tiles, slices, options.min_passes, options.model, options.max_cells
         )
         grid = frame(grid, options.framing, options.model.prior, options.max_cells)
-    manifest = plan
+
+    manifest = plan_manifest(options)
     if want_evidence(outputs):  # only then: it takes time to hash the logs
+        past = saved.manifest if saved else manifest
         with tally.time("write"):
-            manifest = add_build(plan, saved, describe_build(paths, options, tally.to_json()))
+            made = describe_build(paths, options, tally.to_json())
+        manifest = replace(manifest, builds=(*past.builds, made), subtracted=past.subtracted)
+
     resumed = describe_resumed(saved) if saved else None
     disagreement = list(list_disagreement(grid))
     notes = [
@@ -133,6 +136,7 @@ def build_alone(
     ]
     facts, remarks = describe_map(grid, options.writing), replace(remarks, notes=notes)
     report = replace(make_report(facts, options, tally, remarks), resumed=resumed)
+
     product = Product(
         grid,
         cache(partial(to_evidence, tiles, manifest, slices, saved.where if saved else "")),
@@ -142,23 +146,22 @@ def build_alone(
     )
     with tally.time("write"):
         files = write_outputs(outputs, product, options.writing)
-    report = replace(report, files=tuple(files), seconds=dict(tally.seconds))
+    report = replace(report, files=tuple(files), seconds=tally.list_seconds())
     return Build(grid, report, tiles, product.evidence() if want_evidence(outputs) else None)
 
 
 def look_into(paths: Sequence[Path], options: BuildOptions) -> dict[str, Any]:
-    """Say what `occmap check` finds in logs."""
+    """Look into the logs as `occmap check` does."""
     from occmap.inspection import inspect  # noqa: PLC0415  late: few builds want it
 
     return inspect(paths, options).to_json()
 
 
-def open_past(options: BuildOptions, plan: Manifest) -> Evidence | None:
+def open_past(options: BuildOptions) -> Evidence | None:
     """Read the evidence that a build is to be added to, if there is any."""
-    if options.resume:
-        return open_resumed(options.resume, plan)
     there = options.resume_if_there
-    return open_resumed(there, plan) if there and there.exists() else None
+    path = options.resume or (there if there and there.exists() else None)
+    return open_resumed(path, plan_manifest(options)) if path else None
 
 
 def list_new(options: BuildOptions, saved: Evidence | None) -> Iterator[str]:
@@ -174,33 +177,19 @@ def adopt_align(options: BuildOptions, saved: Evidence | None) -> BuildOptions:
     return replace(options, posing=replace(options.posing, align=saved.manifest.align))
 
 
-def add_build(plan: Manifest, saved: Evidence | None, build: BuildRecord) -> Manifest:
-    """Say what evidence is made of: of this build, and of those that it was added to."""
-    past = saved.manifest if saved else plan
-    return replace(plan, builds=(*past.builds, build), subtracted=past.subtracted)
-
-
 def make_report(facts: MapFacts, options: BuildOptions, tally: Tally, remarks: Remarks) -> Report:
     """Sum up what was done."""
-    rows, cols = facts.shape
     return Report(
         logs=tuple(remarks.logs),
-        scans_read=tally.scans_read,
-        scans_used=tally.scans_used,
-        dropped=dict(tally.dropped),
+        scans=tally.scans,
+        builds=1,
+        resumed=None,
         beams=tally.beams,
+        map=MapSummary.describe(
+            facts, options.resolution, plan_manifest(options), options.min_passes
+        ),
         notes=tuple(remarks.notes),
         damage=tuple(remarks.damage),
-        update=options.update.value,
-        model=describe_model(options.model),
-        min_passes=options.min_passes,
-        resolution=options.resolution,
-        columns=cols,
-        rows=rows,
-        extent=facts.extent,
-        align=options.posing.align or 0.0,
-        shares=facts.shares,
-        agreement=facts.agreement,
-        seconds=dict(tally.seconds),
         files=tuple(remarks.files),
+        seconds=tally.list_seconds(),
     )

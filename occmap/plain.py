@@ -1,4 +1,4 @@
-"""Results as values that JSON has, and the types that say what these are.
+"""Results as JSON values, and the types that describe them.
 
 `occmap schema` works out a JSON Schema from such types, and takes descriptions from the text below
 each field.
@@ -16,7 +16,7 @@ Finite: TypeAlias = Annotated[float, ("type", ("number", "null"))]
 
 
 class Told(TypedDict):
-    """What is said beside the numbers."""
+    """What a command says beside its numbers."""
 
     notes: list[str]
     """What a user should know, one sentence each, as on stderr"""
@@ -24,21 +24,11 @@ class Told(TypedDict):
     """Those of the notes that tell of damage to a log"""
 
 
-class ScanCounts(TypedDict):
-    """What became of the scans."""
-
-    read: Count
-    """Scans in the logs"""
-    used: Count
-    """Scans in the map, or, where maps are scored, scans with a pose"""
-    dropped: dict[str, Count]
-    """Scans that are not used, by reason"""
-
-
 def to_plain(value: Any) -> Any:  # noqa: PLR0911  a line for each kind
-    """Turn nested values into what JSON has; a number that is not finite becomes None.
+    """Turn a result into JSON values; a number that is not finite becomes None.
 
-    A field that is called as Python calls something ends in an underscore, which is left out.
+    The underscore of a name such as `class_`, which keeps it apart from a word of Python, is left
+    out.
     """
     if isinstance(value, dict):
         return {str(key).removesuffix("_"): to_plain(item) for key, item in value.items()}

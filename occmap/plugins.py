@@ -15,12 +15,12 @@ Group = Literal["occmap.readers", "occmap.models", "occmap.writers"]
 
 @dataclass(frozen=True)
 class Broken:
-    """A plugin that did not import: named and skipped, never fatal."""
+    """A plugin that cannot be imported: it is named and passed over, never fatal."""
 
     name: str
     """Its name"""
     reason: str
-    """Why it does not"""
+    """Why it cannot be imported"""
 
 
 @cache
@@ -30,7 +30,7 @@ def list_plugins(group: Group) -> tuple[EntryPoint, ...]:
 
 
 def load_plugins(group: Group) -> tuple[dict[str, Any], list[Broken]]:
-    """Import every plugin of a group; those that fail are returned with the reason."""
+    """Import every plugin of a group; those that fail come second, with the reason."""
     loaded: dict[str, Any] = {}
     broken: list[Broken] = []
     for entry in list_plugins(group):

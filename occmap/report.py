@@ -8,20 +8,20 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Lock
 from time import perf_counter
-from typing import Any, NamedTuple, Protocol, TypedDict, TypeVar
+from typing import Any, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 
 from occmap.batching import LeftOut, Selection, count_wanted
 from occmap.errors import LogError, MapError, PoseError
 from occmap.journey import JourneyRecorder
-from occmap.plain import Count, ScanCounts, Share, Told, to_plain
+from occmap.plain import Count, Share, to_plain
 from occmap.posing.options import DropReason
 from occmap.readers import Note
 from occmap.sensor.bounds import Clamped
 from occmap.sensor.models import SensorModel, find_decision
 from occmap.sensor.returns import ReturnCounts
-from occmap.types import Box, OccupancyMap, Update
+from occmap.types import Box, Manifest, OccupancyMap, Update
 from occmap.wording import write_counts
 from occmap.writers import WriteOptions, list_idle
 
@@ -35,12 +35,29 @@ of the same logs leaves 0.27 to 0.56."""
 
 
 REASONS = tuple(map(str, (*DropReason, *LeftOut)))
-"""In the order in which they are told"""
+"""Why scans are not used, in the order in which reports list it"""
 _LOCK = Lock()
 
 
 def ignore_advance(_scans: int) -> None:
-    """Tell nobody."""
+    """Show no progress."""
+
+
+@dataclass(frozen=True)
+class ScanCounts:
+    """What became of the scans."""
+
+    read: Count
+    """Scans in the logs"""
+    used: Count
+    """Scans in the map, or, where maps are scored, scans with a pose"""
+    dropped: dict[str, Count]
+    """Scans that are not used, by reason"""
+
+    @property
+    def wanted(self) -> int:
+        """Scans that the user asked for."""
+        return count_wanted(self.read, self.dropped)
 
 
 class Tally:
@@ -52,10 +69,10 @@ class Tally:
         recorder: JourneyRecorder | None = None,
     ) -> None:
         self.tell = tell
-        """Told, now and then, how many scans were read since the last call"""
+        """Called now and then with the scans read since the last call"""
         self.told = 0
         self.recorder = recorder
-        """Told where the scans were taken, where an output wants that"""
+        """Learns where the scans were taken, where an output wants that"""
         self.seconds: dict[str, float] = {}
         self.scans_read = self.scans_used = 0
         self.dropped: dict[str, int] = {}
@@ -64,21 +81,21 @@ class Tally:
         """In which frame each log is mapped; None where it states poses and names no frame"""
 
     @property
-    def scans_wanted(self) -> int:
-        """Scans that the user asked for."""
-        return count_wanted(self.scans_read, self.dropped)
+    def scans(self) -> ScanCounts:
+        """What became of the scans so far."""
+        return ScanCounts(self.scans_read, self.scans_used, dict(self.dropped))
 
     def start_over(self) -> "Tally":
-        """Make one that has counted nothing yet, to read logs with once more."""
+        """Make an empty tally with the same listeners, to read the logs once more."""
         return Tally(self.tell, self.recorder and self.recorder.start_over())
 
     def advance(self, scans: int) -> None:
-        """Tell that so many more scans were read; fewer, where they are read once more."""
+        """Report that so many more scans were read; a negative number takes some back."""
         self.told += scans
         self.tell(scans)
 
     def add(self, other: "Tally") -> None:
-        """Count what another one counted, too."""
+        """Add the counts and times of another tally."""
         if self.recorder and other.recorder:
             self.recorder.add(other.recorder)
         self.frames |= other.frames
@@ -100,13 +117,12 @@ class Tally:
         self.beams += beams
 
     def to_json(self) -> dict[str, Any]:
-        """What became of the scans, as values that JSON has."""
-        return {
-            "read": self.scans_read,
-            "used": self.scans_used,
-            "dropped": dict(self.dropped),
-            "beams": self.beams._asdict(),
-        }
+        """What became of the scans and their beams, as JSON values."""
+        return {**vars(self.scans), "beams": self.beams._asdict()}
+
+    def list_seconds(self) -> dict[str, float]:
+        """The time of each stage (s), as it is printed."""
+        return {stage: round(seconds, 4) for stage, seconds in self.seconds.items()}
 
     @contextmanager
     def time(self, stage: str) -> Iterator[None]:
@@ -120,7 +136,7 @@ class Tally:
                 self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
 
     def time_each(self, stage: str, items: Iterator[Item]) -> Iterator[Item]:
-        """The same items; the time that it takes to get each is added to a stage."""
+        """Pass items on, and add the time that each takes to come to a stage."""
         while True:
             with self.time(stage):
                 item = next(items, None)
@@ -134,18 +150,6 @@ class Resumed:
     """The evidence that a build was added to."""
 
     file: str
-    scans_read: int
-    scans_used: int
-
-    def describe(self) -> "PrintedResumed":
-        """Give it in the form that is printed."""
-        return {"file": self.file, "read": self.scans_read, "used": self.scans_used}
-
-
-class PrintedResumed(TypedDict):
-    """The evidence that a build was added to."""
-
-    file: str
     """The evidence file"""
     read: Count
     """Scans that its builds read"""
@@ -153,7 +157,28 @@ class PrintedResumed(TypedDict):
     """Scans that its builds used"""
 
 
-class PrintedMap(TypedDict):
+class Shares(NamedTuple):
+    """The shares of a map's cells by class; the rest was observed and is undecided."""
+
+    occupied: float
+    free: float
+    unknown: float
+
+
+class MapFacts(NamedTuple):
+    """What is measured of a map for its report."""
+
+    shape: tuple[int, int]
+    """Rows and columns"""
+    extent: Box
+    shares: Shares
+    agreement: float | None
+    has_walls: bool
+    """Whether it calls any cell occupied"""
+
+
+@dataclass(frozen=True)
+class MapSummary:
     """The map."""
 
     update: Update
@@ -185,11 +210,37 @@ class PrintedMap(TypedDict):
     """Share of hits that lie in cells called occupied, low where poses are wrong; null where hits
     are not kept"""
 
+    @property
+    def cells(self) -> int:
+        """How many there are."""
+        return self.columns * self.rows
 
-class PrintedBuild(Told):
+    @classmethod
+    def describe(
+        cls, facts: MapFacts, resolution: float, manifest: Manifest, min_passes: int | None
+    ) -> Self:
+        """Sum up a map of evidence; the cells of an overview are coarser than the evidence's."""
+        rows, columns = facts.shape
+        return cls(
+            update=Update(manifest.update),
+            model=manifest.model,
+            min_passes=min_passes,
+            resolution=resolution,
+            columns=columns,
+            rows=rows,
+            extent=facts.extent,
+            align=manifest.align or 0.0,
+            **facts.shares._asdict(),
+            undecided=max(round(1 - sum(facts.shares), 12), 0.0),  # 0 where all shares add up to 1
+            agreement=facts.agreement,
+        )
+
+
+@dataclass(frozen=True)
+class Report:
     """A map and how it came about: what occmap build, render and merge print."""
 
-    logs: list[str]
+    logs: tuple[str, ...]
     """Logs of the map: as they were given, or, where it is made of evidence, by the names of their
     files"""
     scans: ScanCounts
@@ -197,119 +248,31 @@ class PrintedBuild(Told):
     builds: Count
     """How many builds the logs, scans and beams are of: more than one in evidence that was
     merged"""
-    resumed: PrintedResumed | None
+    resumed: Resumed | None
     """The evidence that the build was added to (`resume`), whose scans and beams are not counted
     here; null where there is none"""
     beams: ReturnCounts
     """What the beams of the used scans were read as (beams)"""
-    map: PrintedMap
+    map: MapSummary
     """The map"""
-    files: list[str]
+    notes: tuple[str, ...]
+    """What a user should know, one sentence each, as on stderr"""
+    damage: tuple[str, ...] = ()
+    """Those of the notes that tell of damage to a log"""
+    files: tuple[str, ...] = ()
     """Files that were written"""
-    seconds: dict[str, float]
+    seconds: dict[str, float] = field(default_factory=dict)
     """Time by stage (s); where threads work at the same time, their times add up; empty where no
     log was read"""
 
-
-class Shares(NamedTuple):
-    """Of a map's cells, those that are of a class; what is left was observed and is undecided."""
-
-    occupied: float
-    free: float
-    unknown: float
-
-
-class MapFacts(NamedTuple):
-    """What there is to tell of a map."""
-
-    shape: tuple[int, int]
-    """Rows and columns"""
-    extent: Box
-    shares: Shares
-    agreement: float | None
-    has_walls: bool
-    """Whether it calls any cell occupied"""
-
-
-@dataclass(frozen=True)
-class Report:
-    """What a build read, used, dropped and made."""
-
-    logs: tuple[str, ...]
-    scans_read: int
-    scans_used: int
-    dropped: dict[str, int]
-    """Scans by reason"""
-    beams: ReturnCounts
-    notes: tuple[str, ...]
-    update: str
-    model: str
-    resolution: float
-    columns: int
-    rows: int
-    extent: Box
-    """Lowest x and y, highest x and y (m)"""
-    shares: Shares
-    agreement: float | None = None
-    """Share of hits that lie in cells called occupied; None where hits are not kept"""
-    seconds: dict[str, float] = field(default_factory=dict)
-    """By stage; where threads work at the same time, their times add up"""
-    files: tuple[str, ...] = ()
-    damage: tuple[str, ...] = ()
-    """Those of the notes that tell of damage to a log"""
-    align: float = 0.0
-    """By what the map is turned (degrees, counter-clockwise)"""
-    min_passes: int | None = None
-    """On how many visits a cell had to be hit to keep its hits; None: nobody asked"""
-    builds: int = 1
-    """How many builds the logs, scans and beams are of: in merged evidence more than one"""
-    resumed: Resumed | None = None
-    """What else is in the map: logs, scans and beams do not count it"""
-
-    @property
-    def scans_wanted(self) -> int:
-        """Scans that the user asked for."""
-        return count_wanted(self.scans_read, self.dropped)
-
-    @property
-    def undecided(self) -> float:
-        """Share of the map's cells that were observed and are neither occupied nor free."""
-        return max(round(1 - sum(self.shares), 12), 0.0)  # 0 where the shares add up to all
-
     def to_json(self) -> dict[str, Any]:
-        """The report as values that JSON has."""
-        printed: PrintedBuild = {
-            "logs": list(self.logs),
-            "scans": {"read": self.scans_read, "used": self.scans_used, "dropped": self.dropped},
-            "builds": self.builds,
-            "resumed": self.resumed.describe() if self.resumed else None,
-            "beams": self.beams,
-            "map": {
-                "update": Update(self.update),
-                "model": self.model,
-                "min_passes": self.min_passes,
-                "resolution": self.resolution,
-                "columns": self.columns,
-                "rows": self.rows,
-                "extent": self.extent,
-                "align": self.align,
-                "occupied": self.shares.occupied,
-                "free": self.shares.free,
-                "unknown": self.shares.unknown,
-                "undecided": self.undecided,
-                "agreement": self.agreement,
-            },
-            "notes": list(self.notes),
-            "damage": list(self.damage),
-            "files": list(self.files),
-            "seconds": {stage: round(seconds, 4) for stage, seconds in self.seconds.items()},
-        }
-        plain: dict[str, Any] = to_plain(printed)
+        """Give the report as values that JSON has."""
+        plain: dict[str, Any] = to_plain(self)
         return plain
 
 
 class Noted(Protocol):
-    """A log, or what stands for one that another process read."""
+    """A log, or what stands for a log that another process read."""
 
     @property
     def path(self) -> Path:
@@ -322,7 +285,7 @@ class Noted(Protocol):
 
 @dataclass
 class Remarks:
-    """What is said of logs beside numbers; grows while they are read."""
+    """What is said of logs beside numbers; it grows while they are read."""
 
     logs: list[str]
     notes: list[str] = field(default_factory=list)
@@ -330,7 +293,7 @@ class Remarks:
     files: list[str] = field(default_factory=list)
 
     def note(self, log: Noted, others: Iterable[str]) -> None:
-        """Keep what a log has to say, and what others have to say of it."""
+        """Keep the notes of a log, and the notes of others on it."""
         self.notes += [f"{log.path}: {text}" for text in (*others, *(n.text for n in log.notes))]
         self.damage += [f"{log.path}: {note.text}" for note in log.notes if note.damage]
 
@@ -410,7 +373,7 @@ def list_lacking(tally: Tally, resumed: Resumed | None) -> Iterator[str]:
 
 
 def list_dates(selection: Selection, tally: Tally) -> Iterator[str]:
-    """Say that the end of the part that is wanted leaves nothing out: it may be meant as a date."""
+    """Say that `end_s` leaves nothing out: it may be meant as a date."""
     end_s = selection.end_s
     if end_s < math.inf and (end_s > LONGEST_LOG_S or str(LeftOut.TIME) not in tally.dropped):
         yield f"`end_s={end_s:.12g}` leaves nothing out: it is in seconds after the first scan"
@@ -422,7 +385,7 @@ def list_disagreement(grid: OccupancyMap) -> Iterator[str]:
 
 
 def tell_disagreement(agreement: float | None, has_walls: bool) -> Iterator[str]:
-    """As `list_disagreement`, of a map that is not at hand."""
+    """Say the same of a map of which only these facts are at hand."""
     if agreement is not None and agreement < LEAST_AGREEMENT and has_walls:
         yield (
             f"only {agreement:.0%} of the hits lie in cells that the map calls occupied: the "
@@ -445,7 +408,7 @@ def describe_map(grid: OccupancyMap, writing: WriteOptions) -> MapFacts:
 
 
 def list_unreached(model: SensorModel, writing: WriteOptions) -> Iterator[str]:
-    """Say which class no cell can be of, for the bounds of the model."""
+    """Say which class no cell can have, because of the bounds of the model."""
     if not isinstance(model, Clamped):
         return
     free, occupied = writing.decide(find_decision(model))

@@ -64,7 +64,7 @@ def pick_rows(posed: PosedScans, rows: Int64) -> PosedScans:
 
 
 def expect_scans(scans: int, selection: Selection) -> int:
-    """Say how many of a log's scans a sample is made for; 0 for a part of a log, all of it counts.
+    """Estimate how many scans a sample will be shown; 0 for a part of a log, of which all are kept.
 
     How many scans lie between two times is not known before they are read.
     """

@@ -1,4 +1,4 @@
-"""From the scans of a log to what they observe: read, posed, interpreted, traced as a stream."""
+"""Read, pose, interpret and trace the scans of a log, as a stream of batches."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than al
     from occmap.grid.sliced import SlicedEngine
 
 Observe = Callable[[Rays], None]
-"""What takes the rays of a trace; any number of threads may call it."""
+"""Takes the rays of a batch; any number of threads may call it"""
 
 
 class Drive(NamedTuple):
@@ -60,7 +60,7 @@ def trace_logs(
     begin: Callable[[], Observe],
     tally: Tally,
 ) -> Iterator[tuple[Log, list[str]]]:
-    """Read logs and trace their scans; give each log with what there is to say of it.
+    """Read logs and trace their scans; yield each log with the notes on it.
 
     What stands for "no return" is known for sure only when a log was read to its end. Where its
     first scans did not show that, all of these logs are read once more.
@@ -68,7 +68,7 @@ def trace_logs(
     Parameters
     ----------
     begin
-        Called before the logs are read; gives what is to observe the rays.
+        Called before the logs are read; returns what observes the rays.
     """
     limits = [RangeLimits(options.returns) for _ in logs]
     for _ in range(2):
@@ -94,7 +94,7 @@ def trace(
     Parameters
     ----------
     limits, tally
-        Grow by what the scans show, and by what became of them; so do the notes of the poser.
+        Learn from the scans, and count them; the notes of the poser grow as well.
     """
     batcher = Batcher(options.selection, options.posing.stamps, limits, drive.seam)
 
@@ -152,7 +152,7 @@ def make_grid(options: BuildOptions) -> TileGrid:
 
 
 def plan_grid(options: BuildOptions) -> GridSpec:
-    """Say how an engine is to turn rays into evidence."""
+    """Plan how an engine turns rays into evidence."""
     lattice = Lattice(options.resolution)
     model = options.model
     radial = None

@@ -29,7 +29,8 @@ Bool: TypeAlias = NDArray[np.bool_]
 
 
 MOST_OBSERVED = 1 << 53
-"""No number of a cell is larger, either way: floats hold it exactly, and sums of a thousand fit."""
+"""The largest number of a cell, of either sign: a float64 holds it exactly, and a thousand of them
+add up without overflow."""
 
 Box: TypeAlias = tuple[float, float, float, float]
 """Lowest x and y, highest x and y (m)"""
@@ -65,7 +66,7 @@ class Pose(NamedTuple):
         return cls(x, y, 0.0, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
 
     def then(self, below: Self) -> Self:
-        """Go on to a pose that is measured in this one."""
+        """Compose with a pose that is given in the frame of this one."""
         x, y, z, w = self[3:]
         bx, by, bz, bw = below[3:]
         # v + 2 w (q x v) + 2 q x (q x v), the rotation of a vector v by a unit quaternion (q, w)
@@ -81,14 +82,14 @@ class Pose(NamedTuple):
         )
 
     def invert(self) -> Self:
-        """Where the frame that it is measured in lies in this one."""
+        """Make the inverse transform."""
         back = type(self)(0.0, 0.0, 0.0, -self.qx, -self.qy, -self.qz, self.qw)
         x, y, z, *_ = back.then(type(self)(-self.x, -self.y, -self.z, 0.0, 0.0, 0.0, 1.0))
         return back._replace(x=x, y=y, z=z)
 
 
 UNKNOWN_POSE = Pose(*[math.nan] * 7)
-"""Stands beside a scan whose pose nobody knew, in a log that states poses beside its scans."""
+"""The pose of a scan of which none is known, in a log that states poses beside its scans."""
 
 
 class _ScanFields(NamedTuple):
@@ -169,10 +170,10 @@ class Scan(_ScanFields):
 
 
 class ScanRun(NamedTuple):
-    """Scans of one log that follow one another and differ in times, ranges and poses alone."""
+    """Consecutive scans of one log that differ only in times, ranges and poses."""
 
     first: Scan
-    """All else is as in this one."""
+    """Its other values hold for all of them."""
     stamp_ns: Int64
     """(S,)"""
     record_ns: Int64
@@ -212,7 +213,7 @@ class _PoseFields(NamedTuple):
     """"" where the source does not name what moved (PoseStamped, Path, a TUM file)."""
     pose: Pose
     static: bool
-    """True: holds at all times, the stamp says nothing."""
+    """True: it holds at all times, and the stamp means nothing."""
     topic: str
     record_ns: int
 
@@ -284,7 +285,7 @@ class ScanBatch:
     """The stream in its log that the scans came from."""
 
     def take(self, scans: Bool | Int64) -> Self:
-        """Some of the scans: (S,) which, or the numbers of those."""
+        """Select scans by a mask (S,) or by their indices."""
         return replace(
             self,
             stamp_ns=self.stamp_ns[scans],
@@ -407,7 +408,7 @@ class Rays:
         return cls(origin, turn, bearing, reach, kind, stamp_ns, full_circle)
 
     def take(self, scans: slice | Bool) -> Self:
-        """Some of the scans: a slice, or (S,) which."""
+        """Select scans by a slice or by a mask (S,)."""
         return replace(
             self,
             origin=self.origin[scans],
@@ -433,13 +434,13 @@ class Rays:
 
 
 def as_float32(values: ArrayLike) -> Float32:
-    """Round as ranges are; what is too large for a float32 becomes infinite, without a warning."""
+    """Convert to float32, as ranges are kept; too large a number becomes infinite."""
     with np.errstate(over="ignore"):
         return np.asarray(values).astype(np.float32)
 
 
 def as_number(value: Any) -> float:
-    """Bring a number, which may be infinite or NaN, to a float; raises DamageError."""
+    """Convert a number, which may be infinite or NaN, to a float; raises DamageError."""
     if type(value) is float:
         return value
     if not isinstance(value, Real) or isinstance(value, bool):
@@ -451,14 +452,14 @@ def as_number(value: Any) -> float:
 
 
 def as_stamp(value: Any) -> int:
-    """Bring a time in whole nanoseconds to an int that fits 64 bits; raises DamageError."""
+    """Convert a time in whole nanoseconds to an int of 64 bits; raises DamageError."""
     if not isinstance(value, (int, np.integer)) or not -(2**63) <= value < 2**63:
         raise DamageError(f"holds {shorten(value)} where a time of 64 bits belongs")
     return int(value)
 
 
 def as_text(value: Any) -> str:
-    """Take text that can be written as UTF-8; raises DamageError."""
+    """Check that text can be written as UTF-8; raises DamageError."""
     if not isinstance(value, str):
         raise DamageError(f"holds {shorten(value)} where text belongs")
     try:
@@ -481,7 +482,7 @@ def as_ranges(values: ArrayLike) -> Float32:
 
 
 def as_pose(pose: Pose) -> Pose:
-    """Bring the seven numbers of a pose to floats; raises DamageError."""
+    """Convert the seven numbers of a pose to floats; raises DamageError."""
     if not isinstance(pose, Pose):
         raise DamageError(f"holds {shorten(pose)} where a Pose belongs")
     is_plain = all(type(number) is float for number in pose)
@@ -489,7 +490,7 @@ def as_pose(pose: Pose) -> Pose:
 
 
 def shorten(value: object) -> str:
-    """Quote what was found, in a few words; a number may have so many digits that none are said."""
+    """Quote a value in at most 40 characters; a huge number is only called one."""
     if isinstance(value, int) and abs(value) >= 2**63:
         return "a number beyond 64 bits"
     text = repr(value) if isinstance(value, str | int | float | None) else type(value).__name__
@@ -502,18 +503,18 @@ def to_log_odds(probability: float) -> float:
 
 
 class CellClass(IntEnum):
-    """What a cell is."""
+    """The class of a cell."""
 
     NEITHER = 0
-    """Nothing observed it, or it is undecided: an image may not tell"""
+    """Unknown or undecided: an image may not tell these apart"""
     FREE = 1
     OCCUPIED = 2
 
 
 class Decision(NamedTuple):
-    """From what probability on a cell is called occupied, and below which free.
+    """The probabilities above which a cell is called occupied, and below which free.
 
-    What lies between, both limits included, is undecided.
+    Between them, both included, it is undecided.
     """
 
     free_below: float
@@ -551,7 +552,7 @@ class OccupancyMap:
 
     @property
     def occupied(self) -> Bool:
-        """(H, W): observed, and surer than the decision asks for."""
+        """(H, W): observed, and more probably occupied than the decision asks for."""
         above: Bool = self.log_odds > np.float32(to_log_odds(self.decision.occupied_above))
         return self.observed & above
 
@@ -641,16 +642,16 @@ class Slices:
     parts: UInt8
     """(R,) a bit for each of the 8 bytes of those R rows: whether it differs"""
     changes: UInt8
-    """(C,) those C bytes, exclusive or the ones of the row before; in the order of `np.packbits`"""
+    """(C,) those bytes, XORed with the bytes of the row before; in the order of `np.packbits`"""
 
     @property
     def nbytes(self) -> int:
-        """What they take in memory."""
+        """Their size in memory (bytes)."""
         return sum(getattr(self, name).nbytes for name in self.__dataclass_fields__)
 
     @classmethod
     def join(cls, parts: Iterable[Self]) -> Self:
-        """Lay slices, if any, end to end."""
+        """Concatenate slices; of none, the result is empty."""
         empty = cls(
             np.zeros((0, 2), np.int64),
             np.zeros(0, np.int64),
@@ -665,7 +666,7 @@ class Slices:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What was observed, as it is kept in a file: integers in tiles, and where they come from."""
+    """What was observed, as a file holds it: integers in tiles, and what they were made of."""
 
     manifest: Manifest
     tiles: Int64

@@ -1,10 +1,10 @@
-"""How numbers of things, and moments, are written for people."""
+"""How counts, boxes and times are written for people."""
 
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 
 DATES_S = range(631_152_000, 4_102_444_800)
-"""1990 to 2100: such stamps are dates; others count from the start of something"""
+"""Stamps from 1990 to 2100 are dates; others count from some start"""
 
 
 def count(number: float, noun: str) -> str:
@@ -14,18 +14,18 @@ def count(number: float, noun: str) -> str:
 
 
 def write_counts(counts: Mapping[str, int]) -> str:
-    """List how many there are of each; nothing is said of what there is none of."""
+    """List how many there are of each kind; zeros are left out."""
     return ", ".join(f"{number:,} {name}" for name, number in counts.items() if number)
 
 
 def write_box(box: Sequence[float]) -> str:
-    """Write from where to where a box reaches: its lowest x and y, its highest x and y (m)."""
+    """Write the edges of a box, given as lowest x and y, highest x and y (m)."""
     low_x, low_y, high_x, high_y = (f"{edge:.6g}" for edge in box)
     return f"x {low_x} to {high_x} m, y {low_y} to {high_y} m"
 
 
 def write_duration(seconds: float) -> str:
-    """Write a time of either sign in seconds, a long one also in hours and minutes."""
+    """Write a duration in seconds, which may be negative; from an hour on in hours, too."""
     if seconds < 100:
         return f"{seconds:.3g} s"
     hours, minutes = divmod(round(seconds / 60), 60)

@@ -64,14 +64,14 @@ def turn_back(index: int, degrees: float) -> tuple[float, float, float]:
 def test_a_room_that_lies_askew_is_turned(tmp_path: Path, degrees: float) -> None:
     log = write_log(tmp_path / "log.csv", [turn_back(index, degrees) for index in range(40)])
     askew, made = build([log], PLAIN), build([log], ALIGNED)
-    assert made.report.align == pytest.approx(-degrees, abs=0.1)
+    assert made.report.map.align == pytest.approx(-degrees, abs=0.1)
     assert not any("common" in note for note in made.report.notes)
     room = (-HALF_WIDTH, -HALF_HEIGHT, HALF_WIDTH, HALF_HEIGHT)
     assert made.map.extent == pytest.approx(room, abs=0.11)
-    assert askew.report.align == 0
+    assert askew.report.map.align == 0
     assert askew.map.extent[3] > HALF_HEIGHT + 1
     # Whoever types the angle that was found gets the same map.
-    typed = build([log], replace(PLAIN, posing=PosingOptions(align=made.report.align)))
+    typed = build([log], replace(PLAIN, posing=PosingOptions(align=made.report.map.align)))
     assert np.array_equal(typed.map.log_odds, made.map.log_odds)
 
 
@@ -84,7 +84,7 @@ def test_a_map_without_a_direction_stays_as_it_is(tmp_path: Path) -> None:
     (note,) = (note for note in made.report.notes if "common" in note)
     assert note.startswith("the walls have no common direction (")
     assert note.endswith("so the map is not turned; give an angle with `align=DEG`")
-    assert made.report.align == 0
+    assert made.report.map.align == 0
     assert np.array_equal(made.map.log_odds, build([log], PLAIN).map.log_odds)
 
 
@@ -94,10 +94,10 @@ def test_what_is_added_is_turned_as_what_is_there(tmp_path: Path) -> None:
     second = write_log(tmp_path / "second.csv", poses[20:], first=20)
     kept = tmp_path / "first.npz"
     made = build([first], ALIGNED, [kept])
-    assert read_evidence(kept).manifest.align == made.report.align
-    assert build([second], replace(ALIGNED, resume=kept)).report.align == made.report.align
-    found = rf"first.npz: its align is {made.report.align}, .* is 0.0"
-    refused = f"{found}; build both with `align=0.0`, or both with `align={made.report.align}`"
+    assert read_evidence(kept).manifest.align == made.report.map.align
+    assert build([second], replace(ALIGNED, resume=kept)).report.map.align == made.report.map.align
+    found = rf"first.npz: its align is {made.report.map.align}, .* is 0.0"
+    refused = f"{found}; build both with `align=0.0`, or both with `align={made.report.map.align}`"
     with pytest.raises(MapError, match=refused):
         build([second], replace(PLAIN, resume=kept))
 
@@ -123,7 +123,7 @@ def test_real_buildings_stand_upright(name: str, turn: float) -> None:
     if not path.exists():
         pytest.skip(f"{path} is not there")
     made = build([path], BuildOptions(posing=PosingOptions(align=None)))
-    assert made.report.align == pytest.approx(turn, abs=0.5)
+    assert made.report.map.align == pytest.approx(turn, abs=0.5)
     assert measure_askew(made.map) == pytest.approx(0, abs=0.5)
 
 

@@ -111,7 +111,7 @@ def test_an_extent_leaves_the_evidence_whole(tmp_path: Path) -> None:
     whole = build([log], PLAIN, [tmp_path / "whole.npz"])
     framed = replace(PLAIN, framing=Framing(extent=(0.0, 0.0, 2.0, 1.0)))
     made = build([log], framed, [tmp_path / "framed.npz", tmp_path / "framed.pgm"])
-    assert (made.report.columns, made.report.rows) == (40, 20)
-    assert made.report.extent == made.map.extent == (0.0, 0.0, 2.0, 1.0)
+    assert (made.report.map.columns, made.report.map.rows) == (40, 20)
+    assert made.report.map.extent == made.map.extent == (0.0, 0.0, 2.0, 1.0)
     assert (tmp_path / "framed.npz").read_bytes() == (tmp_path / "whole.npz").read_bytes()
-    assert made.report.agreement == whole.report.agreement
+    assert made.report.map.agreement == whole.report.map.agreement

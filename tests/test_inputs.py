@@ -74,6 +74,6 @@ def test_what_holds_no_recording_is_left_to_the_readers(tmp_path: Path) -> None:
 
 def test_a_notebook_may_give_a_folder(day: Path) -> None:
     made = occmap.build_map(day)
-    assert made.report.scans_used == 9
+    assert made.report.scans.used == 9
     assert "3 recordings, in the order of their time" in made.report.notes[0]
     assert [Path(log.path).name for log in occmap.check(day).logs] == ["c.csv", "a.csv", "b.csv"]

@@ -367,10 +367,10 @@ def test_a_part_of_a_log_is_what_a_build_takes_of_it(
     options = BuildOptions(selection=selection)
     found, made = look(path, options), build([path], options)
     scans = found.logs[0].scans
-    assert sum(each.poses.posed for each in scans) == made.report.scans_used
-    assert sum(each.kept for each in scans) == made.report.scans_used
+    assert sum(each.poses.posed for each in scans) == made.report.scans.used
+    assert sum(each.kept for each in scans) == made.report.scans.used
     left_out: Counter[str] = sum((Counter(each.left_out) for each in scans), Counter())
-    assert left_out == made.report.dropped
+    assert left_out == made.report.scans.dropped
     assert sum(each.ranges.total for each in scans) == sum(made.report.beams)
     assert found.map is not None
     assert (found.map.rows, found.map.columns) == made.map.shape

@@ -51,7 +51,7 @@ def test_two_sensors_make_one_map(tmp_path: Path) -> None:
     ]
     assert made.map.extent == pytest.approx((-0.4, 0, 0.4, 0.3))
     assert made.report.logs == (str(ahead), str(fan))
-    assert made.report.scans_used == 2
+    assert made.report.scans.used == 2
     assert made.report.beams._asdict() == {
         "hit": 3,
         "beyond_max_range": 0,
@@ -73,9 +73,9 @@ def test_start_end_and_stride_choose_scans(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", path, [0.3])
     report = build([log], choose(Selection(start_s=2, end_s=7, stride=2))).report
     # Of the seconds 2, 3, 4, 5 and 6 every second one.
-    assert (report.scans_read, report.scans_used) == (10, 3)
-    assert report.dropped == {"outside `start_s` and `end_s`": 5, "left out by `stride`": 2}
-    assert (report.columns, report.rows) == (41, 4)
+    assert (report.scans.read, report.scans.used) == (10, 3)
+    assert report.scans.dropped == {"outside `start_s` and `end_s`": 5, "left out by `stride`": 2}
+    assert (report.map.columns, report.map.rows) == (41, 4)
 
 
 @pytest.mark.parametrize("cut_s", [3, 3.5])
@@ -83,7 +83,7 @@ def test_parts_that_meet_share_no_scan_and_lose_none(tmp_path: Path, cut_s: floa
     path = [(float(second), 0.05, QUARTER) for second in range(10)]
     log = write_csv(tmp_path / "log.csv", path, [0.3])
     parts = Selection(end_s=cut_s), Selection(start_s=cut_s)
-    used = [build([log], choose(part)).report.scans_used for part in parts]
+    used = [build([log], choose(part)).report.scans.used for part in parts]
     assert used == ([3, 7] if cut_s == 3 else [4, 6])
 
 
@@ -111,7 +111,7 @@ def test_a_wild_range_is_refused_at_once(tmp_path: Path, update: Update) -> None
 def test_without_the_wild_scan_the_map_is_made(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", [*STILL, (1e7, 1e7, 0.0)], [0.3])
     report = build([log], choose(Selection(end_s=0.5))).report
-    assert (report.columns, report.rows) == (4, 1)
+    assert (report.map.columns, report.map.rows) == (4, 1)
 
 
 def test_max_cells_is_a_limit_that_may_be_met(tmp_path: Path) -> None:
@@ -140,7 +140,7 @@ def test_a_scan_whose_pose_is_unknown_is_dropped(tmp_path: Path, unknown: int) -
     poses = [(0.0, 0.0, 0.0)] * 3
     poses[unknown] = (math.nan, 0.0, 0.0)
     report = build([write_csv(tmp_path / "log.csv", poses, [0.3])], BEAM).report
-    assert (report.scans_used, report.dropped) == (2, {"pose not finite": 1})
+    assert (report.scans.used, report.scans.dropped) == (2, {"pose not finite": 1})
 
 
 def test_a_carmen_scan_whose_pose_nobody_knew_is_dropped_alone(tmp_path: Path) -> None:
@@ -149,7 +149,7 @@ def test_a_carmen_scan_whose_pose_nobody_knew_is_dropped_alone(tmp_path: Path) -
     lines = [f"FLASER 2 1.5 2 {pose} 1 2 0 {stamp} host 0" for stamp, pose in enumerate(poses)]
     path.write_text("".join(f"{line}\n" for line in lines))
     report = build([path], BuildOptions()).report
-    assert (report.scans_used, report.dropped) == (3, {"pose not finite": 1})
+    assert (report.scans.used, report.scans.dropped) == (3, {"pose not finite": 1})
 
 
 def test_a_topic_that_is_not_there_names_those_that_are(tmp_path: Path) -> None:
@@ -210,13 +210,13 @@ def test_damage_is_told_from_other_notes(tmp_path: Path) -> None:
     (lost,) = report.damage
     assert lost in report.notes
     assert lost.startswith(f"{tmp_path / 'cut.csv.gz'}: the gzip data is cut short")
-    assert 0 < report.scans_used < 3000
+    assert 0 < report.scans.used < 3000
 
 
 def test_a_report_is_json(tmp_path: Path) -> None:
     report = build_cut(tmp_path).report
     values = json.loads(json.dumps(report.to_json(), allow_nan=False))
-    assert values["scans"] == {"read": report.scans_read, "used": report.scans_used, "dropped": {}}
+    assert values["scans"] == {"read": report.scans.read, "used": report.scans.used, "dropped": {}}
     assert values["map"]["columns"] == 4
     assert values["map"]["occupied"] == pytest.approx(1 / 4)
     assert values["damage"] == list(report.damage)
@@ -298,4 +298,4 @@ def test_a_log_that_is_given_twice_is_noted() -> None:
     twice = build([DRIVES[0], DRIVES[0]], BuildOptions()).report
     assert once.notes == ()
     assert twice.notes == (f"{DRIVES[0]}: given 2 times, and counted as often",)
-    assert twice.scans_used == 2 * once.scans_used
+    assert twice.scans.used == 2 * once.scans.used

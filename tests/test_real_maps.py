@@ -33,8 +33,8 @@ MAC = REAL_LOGS / "ros2" / "macfirst_floor_take_2"
 )
 def test_a_log_builds_with_no_further_flag(name: str, used: int, dropped: dict[str, int]) -> None:
     report = build([REAL_LOGS / name], BuildOptions()).report
-    assert (report.scans_used, report.dropped) == (used, dropped)
-    occupied, free, unknown = report.shares
+    assert (report.scans.used, report.scans.dropped) == (used, dropped)
+    occupied, free, unknown = report.map.occupied, report.map.free, report.map.unknown
     assert 0.001 < occupied < 0.1
     assert free > 3 * occupied
     assert unknown > 0.3
@@ -47,7 +47,7 @@ def test_a_laser_without_transform_names_its_frame_and_the_flag() -> None:
     ):
         build([log], BuildOptions())
     mounted = PosingOptions(sensor_pose=Pose.planar(0, 0, 3.14159))
-    assert build([log], BuildOptions(posing=mounted)).report.scans_used > 200
+    assert build([log], BuildOptions(posing=mounted)).report.scans.used > 200
 
 
 def test_a_log_without_poses_says_where_it_looked() -> None:

@@ -15,7 +15,7 @@ import click
 from occmap.errors import OccmapError, OutputError
 
 ORDER = re.compile(r"^(\s*):(?=:)|#(?=#\w*\[)")
-"""Starts what runners of pipelines take for an order where they find it in a log (`::error::`)."""
+"""The start of what a runner of pipelines takes for a command in its log, such as `::error::`"""
 RESULT_VERSION = 1
 """Of what --json prints: it grows where a field changes its meaning or goes."""
 
@@ -59,7 +59,7 @@ class Console:
     as_json: bool = False
     """A program reads stdout: it gets one JSON object, whatever happens"""
     answered: bool = False
-    """It has got it"""
+    """That object is printed"""
     stdout_is_taken: bool = False
     """A map goes there: all else goes to stderr"""
     stdin_file: str = ""
@@ -99,16 +99,15 @@ class Console:
         text = json.dumps(named, indent=2, allow_nan=False)
         put_line(text.replace("##", r"\u0023#"))  # the same to who reads JSON, and no order
 
-    def note(self, text: str) -> None:
-        """Print something worth knowing."""
-        if self.verbosity > Verbosity.QUIET:
+    def note(self, *texts: str) -> None:
+        """Print what is worth knowing, unless the user wants quiet."""
+        for text in texts if self.verbosity > Verbosity.QUIET else ():
             self.tell(f"note: {text}")
 
-    def announce(self, notes: Iterable[str]) -> None:
+    def announce(self, *notes: str) -> None:
         """Print what is worth knowing of the command line, and keep it for the result."""
-        for note in notes:
-            self.announced.append(note)
-            self.note(note)
+        self.announced += notes
+        self.note(*notes)
 
     def fail(self, error: OccmapError, code: int) -> int:
         """Print an error, for a program that still waits as JSON, too; return its exit code."""

@@ -35,7 +35,7 @@ def fail_if(measures: Measures) -> Callable[[Command], Command]:
         multiple=True,
         metavar='"NAME > NUMBER"',
         help=f'Exit with 3 where this holds, such as "{suggest_limit(measures)}"; < <= >= == != '
-        f"do, too. May repeat. Names: {names}.",
+        f"work, too. May repeat. Names: {names}.",
     )
 
 

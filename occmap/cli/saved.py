@@ -8,25 +8,15 @@ from occmap.cli import limits
 from occmap.cli.collect import collect_model
 from occmap.cli.console import Console
 from occmap.cli.streams import hide_caught, place_outputs
-from occmap.cli.summary import (
-    LABEL,
-    format_agreement,
-    format_scans,
-    format_shares,
-    format_size,
-    format_update,
-    label_files,
-)
+from occmap.cli.summary import format_report
 from occmap.command import MODEL_PARAMETERS
 from occmap.errors import UsageError
 from occmap.evidence import Described, read_model
 from occmap.evidence.publishing import RenderOptions, publish
 from occmap.grid.framing import Framing
 from occmap.keywords import take
-from occmap.report import Report
 from occmap.sensor.models import SensorModel
 from occmap.store.sources import Saved
-from occmap.wording import write_counts
 from occmap.writers import WriteOptions, check_outputs
 
 
@@ -41,9 +31,8 @@ def put_out(console: Console, command: str, evidence: Saved, values: dict[str, A
         values.get("overview"),
     )
     report = hide_caught(publish(evidence, options, values["outputs"]))
-    for note in report.notes:
-        console.note(note)
-    limits.leave(limits.answer(console, command, report, format_saved(report), values))
+    console.note(*report.notes)
+    limits.leave(limits.answer(console, command, report, format_report(report), values))
 
 
 def choose_outputs(
@@ -74,17 +63,3 @@ def choose_model(evidence: Described, values: dict[str, Any]) -> SensorModel | N
     if all(values.get(name) is None for name in ("model", *MODEL_PARAMETERS)):
         return None
     return collect_model(values, read_model(evidence))
-
-
-def format_saved(report: Report) -> list[str]:
-    """Sum up a map of saved evidence in a few lines."""
-    lines = [
-        ("map", format_size(report)),
-        ("cells", format_shares(report)),
-        ("agree", format_agreement(report)),
-        ("update", format_update(report)),
-        ("scans", format_scans(report)),
-        ("dropped", write_counts(report.dropped)),
-        *label_files(report),
-    ]
-    return [f"{label:<{LABEL}}{text}" for label, text in lines if text]

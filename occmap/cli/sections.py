@@ -26,9 +26,10 @@ class SectionOption(click.Option):
 
 
 class BareOption(SectionOption):
-    """An option of numbers whose value may be left out, and then is a word that it states.
+    """An option of one number that may be left out; then the word `bare` takes its place.
 
-    click has the like, but would take a log that follows for the value, and no negative number.
+    click has such options, too, but they take a log that follows for their value, and refuse a
+    negative number.
     """
 
     def __init__(self, *args: Any, bare: str, **kwargs: Any) -> None:
@@ -82,7 +83,7 @@ class SectionCommand(click.Command):
             raise ctx.meta[PLACE](UsageError(found, fix=fix)) from None
         except UsageError as error:
             raise ctx.meta[PLACE](error) from None
-        ctx.ensure_object(Console).announce([config.note])
+        ctx.ensure_object(Console).announce(config.note)
         return rest
 
     def invoke(self, ctx: click.Context) -> Any:

@@ -22,7 +22,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 class Signals:
-    """What came of the signals, for one process."""
+    """Listens to signals, and remembers the first that came."""
 
     def __init__(self) -> None:
         self.number: int | None = None

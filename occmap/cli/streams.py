@@ -38,7 +38,7 @@ def gather_logs(
         console.stdin_file = str(given[paths.index(STDIN)])
     others = [*outputs, Path(options.posing.poses or "")]
     found = find_inputs(given, options.reading, others)
-    console.announce(found.notes)
+    console.announce(*found.notes)
     return found.logs
 
 

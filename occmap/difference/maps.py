@@ -28,9 +28,9 @@ from occmap.writers import MapMode, WriteOptions
 YAML_BYTES = 1 << 16
 """A map's YAML has seven lines."""
 FARTHEST_M = 1e15
-"""Further out, and for larger cells, a float does not tell one cell from the next."""
+"""Farther out, or with larger cells, a float cannot tell one cell from the next."""
 BYTES = {0xDC80 + byte: 0xE080 + byte for byte in range(128)}
-"""Stands for bytes that are no UTF-8, as names of files may have them: YAML takes no surrogates."""
+"""Private characters for bytes of file names that are not UTF-8: YAML has no surrogates."""
 
 
 class Place(NamedTuple):

@@ -49,14 +49,14 @@ def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
 
 
 def choose_tiles(grid: TileGrid, model: SensorModel) -> TileSource:
-    """The numbers that a model is asked about: those of the grid, or with hits spread."""
+    """Choose what a model reads: the grid as it is, or with its hits spread."""
     if isinstance(model, Spreading) and model.spread > 0:
         return SpreadHits(grid, model.spread)
     return grid
 
 
 def weigh(model: SensorModel) -> Weigh:
-    """What turns the two numbers of observed cells (N,) into log-odds."""
+    """Make the function that turns the two numbers of observed cells (N,) into log-odds."""
     add_up = add_radial(model.prior) if isinstance(model, RadialModel) else model.log_odds
     if not isinstance(model, Clamped):
         return add_up
@@ -66,7 +66,7 @@ def weigh(model: SensorModel) -> Weigh:
 
 
 def add_radial(prior: float) -> Weigh:
-    """What adds up evidence in log-odds, from a prior."""
+    """Make the function that adds the prior to evidence in log-odds."""
     start = to_log_odds(prior)
     return lambda log_odds, observations: start + log_odds * LOG_ODDS_UNIT - observations * start
 
@@ -84,7 +84,7 @@ def render_saved(evidence: Evidence, model: SensorModel, max_cells: int) -> Occu
 
 
 class Described(Protocol):
-    """Evidence, as far as its manifest goes."""
+    """Whatever has the manifest of evidence."""
 
     @property
     def manifest(self) -> Manifest:

@@ -22,7 +22,7 @@ BuildRecord = dict[str, Any]
 OF_MAPS = ("prior", "cut", *NO_CLAMP)
 """Parameters of models that change how evidence is rendered, not the evidence itself."""
 MEANING = ("resolution", "update", "kind", "profile", "pass_gap_s", "hit_offset", "align")
-"""What says what the numbers of evidence mean; it is the same of all evidence that is combined."""
+"""What the numbers of evidence depend on: evidence that is combined is equal in all of these."""
 
 
 def describe_build(
@@ -33,17 +33,20 @@ def describe_build(
 ) -> BuildRecord:
     """Describe what one build used, in values that JSON has.
 
-    Another may `describe` the files of a path than `describe_files`.
+    Files are named without their folders: the hashes say which files they are, and the same build
+    makes the same bytes on every machine.
 
-    Names of files are without their folders: the hashes say which files they are, and the same
-    build makes the same bytes on every machine.
+    Parameters
+    ----------
+    describe
+        Takes the place of `describe_files` where the hashes are known already.
 
     Raises
     ------
     LogError
         A file cannot be read any more.
     """
-    chosen = {name: value for name, value in to_plain(options).items() if name not in NO_OPTIONS}
+    chosen = {name: value for name, value in write_value(options).items() if name not in NO_OPTIONS}
     poses = options.posing.poses
     trajectory = [Path(poses)] if poses and Path(poses).is_file() else []
     if trajectory:
@@ -88,14 +91,14 @@ def list_inputs(build: BuildRecord) -> list[dict[str, Any]]:
     return list(build["inputs"][:-1] if find_trajectory(build) else build["inputs"])
 
 
-def to_plain(value: Any) -> Any:
-    """Turn options into values that JSON has; a number that is not finite becomes its name."""
+def write_value(value: Any) -> Any:
+    """Write an option so that JSON holds it and `recall_options` reads it back: inf as "inf"."""
     if is_dataclass(value):
-        return {field.name: to_plain(getattr(value, field.name)) for field in fields(value)}
+        return {field.name: write_value(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, tuple):
-        return [to_plain(each) for each in value]
+        return [write_value(each) for each in value]
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     return value if isinstance(value, int | float | str | None) else str(value)

@@ -1,5 +1,6 @@
 """Saved evidence made into files again, and what the report says of it."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -15,8 +16,10 @@ from occmap.grid.framing import Framing, frame
 from occmap.grid.tiles import MAX_CELLS
 from occmap.report import (
     MapFacts,
+    MapSummary,
     Report,
     Resumed,
+    ScanCounts,
     describe_map,
     list_disagreement,
     list_unreached,
@@ -74,7 +77,7 @@ class Rendered(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What a report says of a map, whether it was ever there as a whole or not."""
+    """What a report says of a map, which may never be in memory as a whole."""
 
     resolution: float
     """Side of a cell, or of a pixel of an overview (m)"""
@@ -172,7 +175,7 @@ def settle(saved: Saved, options: RenderOptions) -> tuple[SensorModel, Manifest]
 def paint_saved(
     saved: Saved, model: SensorModel, options: RenderOptions
 ) -> tuple[OccupancyMap, Seen]:
-    """Paint a map, or what is to be shown of it; raises MapError."""
+    """Paint a map, or the part of it that is wanted; raises MapError."""
     framing, most = options.framing, options.max_cells
     if options.overview is not None:
         store = check_overview(saved, options)
@@ -210,7 +213,7 @@ def check_overview(saved: Saved, options: RenderOptions) -> Store:
 def survey_saved(
     saved: Blocks, model: SensorModel, options: RenderOptions
 ) -> tuple[BlockMap, Seen]:
-    """Look at a map that is never there as a whole; raises MapError."""
+    """Measure a map that is never in memory as a whole; raises MapError."""
     made = open_map(View(saved, model, options.min_passes), options.framing)
     facts, lost = survey_blocks(made, options.writing)
     notes = (*lost, *tell_disagreement(facts.agreement, facts.has_walls))
@@ -234,48 +237,39 @@ def summarise(
 ) -> Report:
     """Sum up all builds of evidence, and the map that was made of it."""
     scans = [build["scans"] for build in manifest.builds]
-    read, used = sum_scans(manifest)
-    dropped: dict[str, int] = {}
-    for reason, count in (pair for each in scans for pair in each["dropped"].items()):
-        dropped[reason] = dropped.get(reason, 0) + count
-    rows, cols = seen.facts.shape
     return Report(
         logs=tuple(entry["name"] for build in manifest.builds for entry in build["inputs"]),
-        scans_read=read,
-        scans_used=used,
+        scans=sum_scans(manifest),
         builds=len(scans),
-        dropped=dropped,
+        resumed=None,
         beams=sum((read_counts(each["beams"]) for each in scans), ReturnCounts()),
+        map=MapSummary.describe(seen.facts, seen.resolution, manifest, options.min_passes),
         notes=(
             *list_notes(manifest),
             *list_idle(outputs, options.writing),
             *list_unreached(model, options.writing),
             *seen.notes,
         ),
-        update=manifest.update,
-        model=manifest.model,
-        min_passes=options.min_passes,
-        resolution=seen.resolution,
-        columns=cols,
-        rows=rows,
-        extent=seen.facts.extent,
-        align=manifest.align or 0.0,
-        shares=seen.facts.shares,
-        agreement=seen.facts.agreement,
     )
 
 
-def sum_scans(manifest: Manifest) -> tuple[int, int]:
-    """How many scans all builds of evidence read, and how many they used."""
+def sum_scans(manifest: Manifest) -> ScanCounts:
+    """Add up what became of the scans of all builds of evidence."""
     scans = [build["scans"] for build in manifest.builds]
-    return sum(each["read"] for each in scans), sum(each["used"] for each in scans)
+    dropped: Counter[str] = Counter()
+    for each in scans:
+        dropped.update(each["dropped"])
+    return ScanCounts(
+        sum(each["read"] for each in scans), sum(each["used"] for each in scans), dict(dropped)
+    )
 
 
 def describe_resumed(evidence: Evidence) -> Resumed:
     """Say what a build was added to."""
-    return Resumed(evidence.where, *sum_scans(evidence.manifest))
+    scans = sum_scans(evidence.manifest)
+    return Resumed(evidence.where, scans.read, scans.used)
 
 
 def read_counts(beams: dict[str, int]) -> ReturnCounts:
-    """What beams meant, as an older occmap may have counted it, with fewer reasons or others."""
+    """Read the counts of beams, of which an older occmap may have had fewer kinds, or others."""
     return ReturnCounts(*(beams.get(name, 0) for name in ReturnCounts._fields))

@@ -36,7 +36,7 @@ from occmap.writers import WriteOptions
 
 @dataclass(frozen=True)
 class Question:
-    """What a user wants to know about a map."""
+    """Which cell a user asks about, and by what it is judged."""
 
     x: float
     y: float

@@ -1,4 +1,4 @@
-"""From what evidence keeps of a build's options back to the options: `to_plain`, inverted."""
+"""From what evidence keeps of a build's options back to the options: `write_value` undone."""
 
 from dataclasses import fields, is_dataclass
 from types import UnionType

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from occmap.errors import OutputError
-from occmap.evidence.manifest import NO_OPTIONS, to_plain
+from occmap.evidence.manifest import NO_OPTIONS, write_value
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
 from occmap.fleet.runs import BlockKey, Piece, read_pieces
 from occmap.fleet.settling import LogTrace
@@ -151,7 +151,7 @@ def open_scratch(
     """
     what = [
         version("occmap"),
-        {name: value for name, value in to_plain(options).items() if name not in NO_OPTIONS},
+        {name: value for name, value in write_value(options).items() if name not in NO_OPTIONS},
         keep,
         fleet.slice_bytes,
         [[str(path), *describe_state(path)] for path in paths],

@@ -119,7 +119,7 @@ def parse_limit(text: str, measures: Sequence[Measure[Any]]) -> Limit:
     if found is None or found[2] not in SIGNS:
         first = measures[0]
         example = FORM.format(first.name, "5%" if first.unit == SHARE else "5")
-        raise UsageError("is no limit", where=where, fix=example)
+        raise UsageError("is not a limit", where=where, fix=example)
     measure = find_measure(found[1], measures, where)
     bound = parse_bound(found[3] + found[4], measure, where)
     return Limit(measure, found[2], bound, in_percent=bool(found[4]))
@@ -139,7 +139,7 @@ def find_measure(name: str, measures: Sequence[Measure[Any]], where: str) -> Mea
     close = get_close_matches(name, by_name, n=1)
     guess = f"did you mean {close[0]!r}? " if close else ""
     names = ", ".join(by_name)
-    raise UsageError(f"nothing is called {name!r}", where=where, fix=f"{guess}there are {names}")
+    raise UsageError(f"no measure is called {name!r}", where=where, fix=f"{guess}there are {names}")
 
 
 def parse_bound(text: str, measure: Measure[Any], where: str) -> float:
@@ -160,7 +160,7 @@ def parse_bound(text: str, measure: Measure[Any], where: str) -> float:
         raise UsageError(f"{text!r} is not a number", where=where, fix=fix)
     if measure.unit != SHARE and in_percent:
         raise UsageError(
-            f"{measure.name} is no share ({measure.meaning})", where=where, fix="leave out the %"
+            f"{measure.name} is not a share ({measure.meaning})", where=where, fix="leave out the %"
         )
     if measure.unit == SHARE and not in_percent and bound == 1:  # most who write 1 mean 1%
         found = "1 is the whole, not 1%"
@@ -173,7 +173,7 @@ def parse_bound(text: str, measure: Measure[Any], where: str) -> float:
             if not in_percent and 1 < bound <= 100
             else "write 0% to 100%"
         )
-        raise UsageError(f"{text} is no share of a whole", where=where, fix=fix)
+        raise UsageError(f"{text} is not a share between 0 and 1", where=where, fix=fix)
     return bound
 
 

@@ -12,7 +12,7 @@ from occmap.gates import COUNT, SHARE, Measure
 if TYPE_CHECKING:  # each command makes one kind of result, and need not load what makes the others
     from occmap.difference import MapDifference
     from occmap.inspection.findings import Inspection, ScanFindings
-    from occmap.report import Report, Tally
+    from occmap.report import Report, ScanCounts
     from occmap.scoring.compare import VariantComparison
     from occmap.tuning import Tuning
 
@@ -24,15 +24,20 @@ def divide(part: float, whole: float) -> float:
     return part / whole if whole else 0.0
 
 
-def share_dropped(scans: "Report | Tally") -> float:
+def share_dropped(scans: "ScanCounts") -> float:
     """Measure the share of the scans asked for that are not used."""
-    return divide(scans.scans_wanted - scans.scans_used, scans.scans_wanted)
+    return divide(scans.wanted - scans.used, scans.wanted)
 
 
 SAVED: "tuple[Measure[Report], ...]" = (
-    Measure("scans_read", COUNT, "scans in the logs", lambda made: made.scans_read),
-    Measure("scans_used", COUNT, "scans in the map", lambda made: made.scans_used),
-    Measure("dropped_scans", SHARE, "scans asked for that are not used", share_dropped),
+    Measure("scans_read", COUNT, "scans in the logs", lambda made: made.scans.read),
+    Measure("scans_used", COUNT, "scans in the map", lambda made: made.scans.used),
+    Measure(
+        "dropped_scans",
+        SHARE,
+        "scans asked for that are not used",
+        lambda made: share_dropped(made.scans),
+    ),
     Measure(
         *("hits", SHARE, "beams that hit something"),
         lambda made: divide(made.beams.hit, sum(made.beams)),
@@ -41,21 +46,23 @@ SAVED: "tuple[Measure[Report], ...]" = (
         *("no_return", SHARE, "beams that nothing came back to"),
         lambda made: divide(made.beams.no_return, sum(made.beams)),
     ),
-    Measure("occupied", SHARE, "cells of the map", lambda made: made.shares.occupied),
-    Measure("free", SHARE, "cells of the map", lambda made: made.shares.free),
-    Measure("unknown", SHARE, "cells that nothing observed", lambda made: made.shares.unknown),
+    Measure("occupied", SHARE, "cells of the map", lambda made: made.map.occupied),
+    Measure("free", SHARE, "cells of the map", lambda made: made.map.free),
+    Measure("unknown", SHARE, "cells that nothing observed", lambda made: made.map.unknown),
     Measure(
         *("undecided", SHARE, "cells observed, but neither occupied nor free"),
-        lambda made: made.undecided,
+        lambda made: made.map.undecided,
     ),
     Measure(
         *("agreement", SHARE, "hits that lie in cells called occupied; 0 where hits are not kept"),
-        lambda made: made.agreement or 0.0,
+        lambda made: made.map.agreement or 0.0,
     ),
-    Measure("cells", COUNT, "columns times rows", lambda made: made.columns * made.rows),
+    Measure("cells", COUNT, "columns times rows", lambda made: made.map.cells),
     Measure(
         *("area", "m2", "area of the cells that are not unknown, in m2"),
-        lambda made: made.columns * made.rows * (1 - made.shares.unknown) * made.resolution**2,
+        lambda made: (
+            made.map.columns * made.map.rows * (1 - made.map.unknown) * made.map.resolution**2
+        ),
     ),
     Measure("notes", COUNT, "notes on stderr", lambda made: len(made.notes)),
 )
@@ -123,7 +130,7 @@ SCORED: "tuple[Measure[VariantComparison | Tuning], ...]" = (
     Measure("scans_used", COUNT, "scans with a pose", lambda run: run.tally.scans_used),
     Measure(
         *("dropped_scans", SHARE, "scans asked for that are not used"),
-        lambda run: share_dropped(run.tally),
+        lambda run: share_dropped(run.tally.scans),
     ),
     Measure("damage", COUNT, "notes on damage to a log", lambda run: len(run.remarks.damage)),
 )

@@ -22,7 +22,7 @@ Tone: TypeAlias = Literal["", "warning", "problem"]
 
 @dataclass(frozen=True)
 class Block:
-    """A part of a section; what is not given is not shown."""
+    """A part of a section."""
 
     kind: Literal["facts", "table", "list", "code", "plot"]
     rows: Sequence[Sequence[Any]] = ()

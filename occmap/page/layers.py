@@ -2,7 +2,7 @@
 
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -16,7 +16,7 @@ from occmap.writers.images import encode_png
 CLASS_NAMES = ("unknown", "free", "undecided", "occupied")
 CLASS_COLOURS = ("#d5d9de", "#ffffff", "#f2c879", "#1f2430")
 SHADES = 64
-"""Of a ramp of colours: an eye tells fewer."""
+"""Steps of a ramp of colours: no eye tells more apart"""
 POSTER_PX = 800
 """The longer side of what a page shows until it has drawn."""
 
@@ -64,44 +64,15 @@ def name_layers(rasters: Sequence[Raster]) -> list[Layer]:
     counts = {"hits": Oranges256, "misses": Blues256, "looks": Blues256}
     for name in (name for name in counts if name in tops):
         high = f"{tops[name] / first.unit:,.{digits}f}"
-        colours = pick(counts[name][::-1])
-        found.append(
-            Layer(
-                name,
-                name,
-                "log",
-                colours,
-                none=0,
-                top=tops[name],
-                scale=1 / first.unit,
-                digits=digits,
-                high=high,
-            )
-        )
+        shown = Layer(name, name, "log", pick(counts[name][::-1]), none=0, top=tops[name])
+        found.append(replace(shown, scale=1 / first.unit, digits=digits, high=high))
     if "visits" in tops:
         high = f"{tops['visits']:,}"
+        visits = Layer("visits", "visits", "ramp", pick(Purples256[::-1]), none=0, high=high)
+        last = Layer("last", "last seen", "time", pick(Viridis256), none=0, top=tops["last"])
         found += [
-            Layer(
-                "visits",
-                "visits",
-                "ramp",
-                pick(Purples256[::-1]),
-                none=0,
-                top=tops["visits"],
-                high=high,
-            ),
-            Layer(
-                "last",
-                "last seen",
-                "time",
-                pick(Viridis256),
-                none=0,
-                top=tops["last"],
-                scale=first.slice_s,
-                start=first.start_s,
-                low="early",
-                high="late",
-            ),
+            replace(visits, top=tops["visits"]),
+            replace(last, scale=first.slice_s, start=first.start_s, low="early", high="late"),
         ]
     return found
 
@@ -125,11 +96,7 @@ def describe_rasters(
         poster = draw_poster(raster.layers[layers[0].key], layers[0].colours)
         place = {"x": raster.x, "y": raster.y, "size": raster.size}
         maps.append({**place, "layers": specs, "poster": poster})
-    return {
-        "maps": maps,
-        "layers": [vars(each) for each in layers],
-        "box": box,
-    }, arrays
+    return {"maps": maps, "layers": [vars(each) for each in layers], "box": box}, arrays
 
 
 def draw_poster(classes: Packed, colours: Sequence[str]) -> str:

@@ -15,21 +15,16 @@ UNKNOWN_COLOUR = "#d5d9de"
 WAY_COLOURS = Plasma256[20:165]
 """Without the lightest: floors are white, and undecided cells yellow."""
 MOST_STEPS = 5000
-"""Of a way: more are not told apart."""
+"""Pieces of a way: more cannot be told apart on a screen"""
 SCAN_COLOUR, LOST_COLOUR = "#e8590c", "#c92a2a"
 
 
 def plot_map(index: int, shared: Any = None) -> Any:
     """Make the figure that the script fills as map `index`; all share the ranges of the first."""
-    ranges = (
-        (shared.x_range, shared.y_range)
-        if shared
-        else (Range1d(start=0, end=1), Range1d(start=0, end=1))
-    )
     plot = figure(
         name=f"map-{index}",
-        x_range=ranges[0],
-        y_range=ranges[1],
+        x_range=shared.x_range if shared else Range1d(start=0, end=1),
+        y_range=shared.y_range if shared else Range1d(start=0, end=1),
         tools="pan",
         sizing_mode="stretch_both",
         min_height=200,
@@ -66,56 +61,27 @@ def add_way(plot: Any, trajectories: Sequence[Trajectory], start_ns: int) -> Non
         "t": join([time[1:] for time in times]),
     }
     colour = linear_cmap("t", WAY_COLOURS, 0, max((t.max() for t in times if t.size), default=1))
+    line = {"color": colour, "line_width": 2, "line_cap": "round"}
     source = ColumnDataSource(segments)
-    plot.segment(
-        "x0",
-        "y0",
-        "x1",
-        "y1",
-        source=source,
-        color=colour,
-        line_width=2,
-        line_cap="round",
-        name="way",
-    )
+    plot.segment("x0", "y0", "x1", "y1", source=source, name="way", **line)
     lost = [place_lost(each) for each in trajectories if len(each.stamp_ns)]
     columns = {
         name: [value for each in lost for value in each[name]] for name in ("x", "y", "t", "why")
     }
-    crosses = plot.scatter(
-        *("x", "y"),
-        source=ColumnDataSource(columns),
-        marker="x",
-        size=9,
-        line_width=2,
-        color=LOST_COLOUR,
-        name="dropped",
-    )
+    cross = {"marker": "x", "size": 9, "line_width": 2, "color": LOST_COLOUR}
+    source = ColumnDataSource(columns)
+    crosses = plot.scatter("x", "y", source=source, name="dropped", **cross)
     tips = [("dropped", "@why"), ("stamp", "@t{0.000} s"), ("drawn at", "the scan before")]
     plot.add_tools(HoverTool(renderers=[crosses], tooltips=tips))
 
 
 def add_scan(plot: Any) -> None:
     """Prepare what the slider fills: the hits of one scan, and the laser."""
-    plot.scatter(
-        "x",
-        "y",
-        source=ColumnDataSource({"x": [], "y": []}),
-        name="scan",
-        size=3.5,
-        color=SCAN_COLOUR,
-        line_color=None,
-    )
-    plot.scatter(
-        "x",
-        "y",
-        source=ColumnDataSource({"x": [], "y": []}),
-        name="robot",
-        size=11,
-        color=SCAN_COLOUR,
-        line_color="#ffffff",
-        line_width=2,
-    )
+    hits = {"size": 3.5, "color": SCAN_COLOUR, "line_color": None}
+    laser = {"size": 11, "color": SCAN_COLOUR, "line_color": "#ffffff", "line_width": 2}
+    for name, style in (("scan", hits), ("robot", laser)):
+        nothing = ColumnDataSource({"x": [], "y": []})
+        plot.scatter("x", "y", source=nothing, name=name, **style)
 
 
 def place_lost(trajectory: Trajectory) -> dict[str, list[Any]]:

@@ -11,9 +11,9 @@ from occmap.errors import LogError
 from occmap.observing import Progress, ignore_progress
 from occmap.opening import count_scans
 from occmap.options import DEFAULT_UPDATE, BuildOptions
-from occmap.plain import Count, Finite, ScanCounts, Share, Told, to_plain
+from occmap.plain import Count, Finite, Share, Told, to_plain
 from occmap.readers import open_log
-from occmap.report import Remarks, Tally, list_frames, refuse_unused
+from occmap.report import Remarks, ScanCounts, Tally, list_frames, refuse_unused
 from occmap.scoring.score import Score
 from occmap.scoring.trials import SMALL, HoldOut, Result, Trials
 from occmap.scoring.variants import Variant, shorten_model
@@ -26,6 +26,7 @@ FEW_SCANS = 10
 """Fewer draws do not tell how far the next one may lie from them."""
 
 
+@dataclass(frozen=True)
 class HeldOutScans(ScanCounts):
     """What became of the scans."""
 
@@ -251,12 +252,7 @@ def describe_run(options: BuildOptions, remarks: Remarks, tally: Tally, held_out
     """Say what maps were scored on, in the form that is printed."""
     return {
         "logs": remarks.logs,
-        "scans": {
-            "read": tally.scans_read,
-            "used": tally.scans_used,
-            "held_out": held_out,
-            "dropped": tally.dropped,
-        },
+        "scans": HeldOutScans(**vars(tally.scans), held_out=held_out),
         "resolution": options.resolution,
         "notes": remarks.notes,
         "damage": remarks.damage,

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from occmap.grid.tiles import TileGrid
 
 EVERY = 5
-"""Every n-th scan is held out ..."""
+"""Every n-th scan is held out"""
 FIRST = 2
-"""... from this one on."""
+"""The first scan that is held out, counted from 0"""
 NOISE = 2.0
 """Standard errors: a difference that is not larger may be chance."""
 SMALL = 0.005
@@ -61,7 +61,7 @@ class Task(NamedTuple):
 
 
 class SharedEvidence:
-    """What one or more variants are rendered from, and the processor time that it took (s)."""
+    """The evidence of one or more variants, and the processor time that it took."""
 
     def __init__(self, options: BuildOptions) -> None:
         from occmap.grid.warm import warm_up  # noqa: PLC0415  late: it brings numba
@@ -77,7 +77,7 @@ class SharedEvidence:
         self._seconds.append(thread_time() - start)
 
     def finish(self) -> "TileGrid":
-        """Give all evidence."""
+        """Return the evidence of all scans."""
         start = thread_time()
         grid = self._engine.finish()
         self._seconds.append(thread_time() - start)
@@ -134,7 +134,7 @@ class Trials:
         return Workers(lambda task: task.evidence.add(task.rays), self._options.jobs)
 
     def begin(self, workers: Workers[Task]) -> Callable[[Rays], None]:
-        """Forget what was traced; give what keeps some scans and traces the others."""
+        """Start anew; return what holds some scans out and has the others traced."""
         self.hold_out, self.evidence = HoldOut(), {}
         for variant in self.variants:
             if variant.evidence not in self.evidence:

@@ -22,12 +22,12 @@ from occmap.wording import count
 __all__ = ["Tuning", "tune"]
 
 USUAL_SCORINGS = 35
-"""For the progress bar: a search takes so many, or a few less or more."""
+"""About how many maps a search scores, for the progress bar"""
 TRAVEL_M = 0.5
-"""Where a robot stays nearer than this to where it began, no yaw of a mount shows: all of the map
-turns with it, and by chance cells fit the walls better or worse."""
+"""A robot that stays nearer than this to its start does not show the yaw of a mount: the whole map
+turns with it, and cells fit the walls better or worse by chance."""
 TURN_RAD = 0.5
-"""... and where it turns less, the place of a mount does not: all of the map shifts with it."""
+"""A robot that turns less does not show the place of a mount: the whole map shifts with it."""
 
 
 def tune(

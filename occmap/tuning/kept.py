@@ -122,7 +122,7 @@ def take_every(batches: Sequence[ScanBatch], n: int, first: int = 0) -> list[Sca
 
 
 def drop_outer(log: KeptLog, options: PosingOptions) -> KeptLog:
-    """Drop the scans that have no pose at some time offset, so that all maps are of the same."""
+    """Drop the scans without a pose at some time offset, so that all maps are of the same scans."""
     for offset in (-MOST_OFFSET_S, MOST_OFFSET_S):
         shifted = replace(options, time_offset_s=options.time_offset_s + offset)
         log = replace(log, batches=tuple(posed.batch for posed in log.pose(shifted)))

@@ -24,6 +24,7 @@ class PrintedGain(TypedDict):
     there is"""
 
 
+@dataclass(frozen=True)
 class KeptScans(HeldOutScans):
     """What became of the scans."""
 
@@ -146,7 +147,7 @@ class Tuning:
         run = describe_run(self.options, self.remarks, self.tally, self.held_out)
         printed: PrintedTuning = {
             **run,
-            "scans": {**run["scans"], "kept": self.kept},
+            "scans": KeptScans(**vars(run["scans"]), kept=self.kept),
             "beams": self.before.score.beams,
             "share_before": self.before.score.share,
             "share": self.after.score.share,

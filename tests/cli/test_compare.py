@@ -113,7 +113,7 @@ def test_the_picture_shows_every_map_and_the_disagreement(log: Path, tmp_path: P
 @pytest.mark.parametrize(
     ("words", "found"),
     [
-        ([], "no log is given; type: occmap compare LOG"),
+        ([], "Missing argument 'LOG...'; write, for example, occmap compare drive.mcap"),
         ([DRIVE, "-o", "map.pgm"], "map.pgm: is no picture; give it a name that ends in"),
         ([DRIVE, "-o", "a.png", "-o", "a.html"], "--output takes one file, and is given 2: a.png,"),
         ([DRIVE, "--update", "polygn"], "--update"),

@@ -107,7 +107,7 @@ def test_options_of_other_commands_are_passed_over(log: Path) -> None:
         ("max_range = 5", "no option is called 'max_range'; did you mean 'max-range'?"),
         ("[buidl]\nstride = 2", "[buidl]: no command is called 'buidl'; did you mean 'build'?"),
         ("extent = [0, 0, 1]", "--extent 0,0,1: 3 values where 4 belong"),
-        ("fail-if = 'unknown > 5'", "5 is no share of a whole; write 5% or 0.05"),
+        ("fail-if = 'unknown > 5'", "5 is not a share between 0 and 1; write 5% or 0.05"),
         ("[check]\nstrid = 2", "no option is called 'strid'; did you mean 'stride'?"),
         ('resolution = "x"', "'x' is not a valid float; see `occmap build --help`"),
         ('deskew = "of"', "'of' is not one of 'auto', 'on', 'off'"),

@@ -94,9 +94,9 @@ def test_shares(text: str, share: float) -> None:
     ("text", "found"),
     [
         ("1", "1 is the whole, not 1%; write 1% or 0.01, or else 100%"),
-        ("5", "5 is no share of a whole; write 5% or 0.05"),
-        ("-1%", "-1% is no share of a whole; write 0% to 100%"),
-        ("101%", "101% is no share of a whole; write 0% to 100%"),
+        ("5", "5 is not a share between 0 and 1; write 5% or 0.05"),
+        ("-1%", "-1% is not a share between 0 and 1; write 0% to 100%"),
+        ("101%", "101% is not a share between 0 and 1; write 0% to 100%"),
         ("nan", "'nan' is not a number; write a share such as 5% or 0.05"),
         ("%", "'%' is not a number; write a share such as 5% or 0.05"),
     ],

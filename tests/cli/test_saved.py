@@ -184,7 +184,11 @@ def test_an_undecided_cell_is_not_called_unknown() -> None:
         ),
         (["render", "q.npz", "-o", "m.pgm", "--model", "simple"], 1, "q.npz: was summed up for"),
         (["render", "q.npz", "-o", "m.pgm", "--p-min", "0.3"], 1, "no other can read it"),
-        (["merge", "-o", "m.npz"], 2, "no evidence is given"),
+        (
+            ["merge", "-o", "m.npz"],
+            2,
+            "Missing argument 'NPZ|ZARR...'; write, for example, occmap merge monday.npz",
+        ),
         (["merge", "a.npz"], 2, "add -o merged.npz"),
         (["merge", "a.npz", "q.npz", "-o", "m.npz"], 1, "q.npz: its kind is log_odds"),
         (["merge", "a.npz", "--subtract", "b.npz", "-o", "m.npz"], 1, "cells that a.npz lacks"),

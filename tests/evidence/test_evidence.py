@@ -99,7 +99,7 @@ def test_bounds_within_the_thresholds_are_noted(
     for report in (built, rendered):
         assert len(report.notes) == len(notes)
         assert all(note.startswith(text) for note, text in zip(report.notes, notes, strict=True))
-        occupied, free, _ = report.shares
+        occupied, free = report.map.occupied, report.map.free
         assert (occupied > 0, free > 0) == ("=0.64" not in model, "min=0.2" not in model)
 
 
@@ -160,7 +160,7 @@ def test_a_report_sums_up_what_an_older_occmap_counted(tmp_path: Path) -> None:
     manifest = replace(evidence.manifest, builds=(older, older))
     report = publish(replace(evidence, manifest=manifest), RenderOptions(), [tmp_path / "m.pgm"])
     assert report.beams == ReturnCounts(hit=10)
-    assert report.scans_used == 2 * made["scans"]["used"]
+    assert report.scans.used == 2 * made["scans"]["used"]
     (note,) = report.notes
     assert note.startswith("drive.csv is in it twice, and ")
 

@@ -34,7 +34,7 @@ from tests.samples import REAL_LOGS, write_csv
 
 def test_neither_half_is_empty() -> None:
     first, second = (build([DRIVE], each).report for each in halve(choose()))
-    assert min(first.scans_used, second.scans_used) > 20
+    assert min(first.scans.used, second.scans.used) > 20
 
 
 @each_combination

@@ -34,18 +34,18 @@ def map_drive(folder: Path, poses: list[Planar], **posing: float) -> Build:
 @pytest.mark.parametrize("x", [1e3, -2e6, flip(3.5, 57), flip(19.5, 56)])
 def test_a_scan_that_leaps_is_left_out_and_told(tmp_path: Path, scan: int, x: float) -> None:
     report = map_drive(tmp_path, [*DRIVE[:scan], (x, 0.0, 0.0), *DRIVE[scan + 1 :]]).report
-    assert report.dropped == {LEAP: 1}
-    assert (report.scans_read, report.scans_used) == (40, 39)
+    assert report.scans.dropped == {LEAP: 1}
+    assert (report.scans.read, report.scans.used) == (40, 39)
     (note,) = (note for note in report.notes if "`max_speed=inf`" in note)
     assert f"the scan at {scan}.000 s lies" in note
-    assert report.columns < 600
+    assert report.map.columns < 600
 
 
 def test_all_is_kept_on_request(tmp_path: Path) -> None:
     poses = [*DRIVE[:7], (1e3, 0.0, 0.0), *DRIVE[8:]]
     report = map_drive(tmp_path, poses, max_speed=math.inf).report
-    assert not report.dropped
-    assert report.columns > 1000 / 0.05
+    assert not report.scans.dropped
+    assert report.map.columns > 1000 / 0.05
     (note,) = (note for note in report.notes if "max_speed" in note)
     assert "the scan at 7.000 s lies 997 m from its neighbour, 1 s away: the map reaches" in note
 
@@ -62,7 +62,7 @@ def test_all_is_kept_on_request(tmp_path: Path) -> None:
 )
 def test_what_may_be_so_is_kept(tmp_path: Path, poses: list[Planar]) -> None:
     report = map_drive(tmp_path, poses).report
-    assert report.scans_used == len(poses)
+    assert report.scans.used == len(poses)
     assert not any("`max_speed=inf`" in note for note in report.notes)
 
 
@@ -96,7 +96,7 @@ def test_check_sees_the_map_that_build_makes(tmp_path: Path) -> None:
     (topic,) = seen.logs[0].scans
     assert topic.poses.dropped == {LEAP: 1}
     assert seen.map is not None
-    assert abs(seen.map.columns - made.report.columns) <= 2
+    assert abs(seen.map.columns - made.report.map.columns) <= 2
 
 
 @pytest.mark.parametrize("name", ["carmen/intel-corrected.log.gz", "ros1/test_turtlebot.bag"])
@@ -105,4 +105,4 @@ def test_no_scan_of_a_real_log_leaps(name: str) -> None:
     if not path.exists():
         pytest.skip(f"{path} is not there")
     report = build([path], BuildOptions(resolution=0.2)).report
-    assert LEAP not in report.dropped
+    assert LEAP not in report.scans.dropped

@@ -40,8 +40,8 @@ def test_a_deleted_byte_leaves_the_no_return_value_known(tmp_path: Path, index: 
     path = tmp_path / "hand.log"
     path.write_text(delete(index))
     report = build([path], BuildOptions()).report
-    assert report.scans_used >= SCANS - 2
-    assert report.beams.no_return >= len(NOTHING) * report.scans_used - 1
+    assert report.scans.used >= SCANS - 2
+    assert report.beams.no_return >= len(NOTHING) * report.scans.used - 1
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,7 @@ def test_scans_and_transforms(write: Callable[..., Path], tmp_path: Path) -> Non
 def test_a_log_builds_to_the_same_map(write: Callable[..., Path], tmp_path: Path) -> None:
     built = build([write(tmp_path / "drive.mcap", drive())], BuildOptions(resolution=0.5))
 
-    assert built.report.scans_used == 5
+    assert built.report.scans.used == 5
     expected = build([write_json(tmp_path / "j.mcap", drive())], BuildOptions(resolution=0.5))
     np.testing.assert_array_equal(built.map.log_odds, expected.map.log_odds)
 
@@ -77,7 +77,7 @@ def test_a_scan_that_states_its_origin_has_a_frame_of_its_own(
     assert [(p.parent, p.child) for p in poses] == [("laser", "laser:scan")] * 4
     assert poses[2].pose == Pose.planar(1.0, 2.0, 0.2)
     built = build([log.path], BuildOptions(resolution=0.5))
-    assert built.report.scans_used == 4
+    assert built.report.scans.used == 4
 
 
 @each_wire

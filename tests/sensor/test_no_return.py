@@ -322,7 +322,7 @@ def test_a_band_that_shows_late_is_no_return_from_the_first_scan_on(
     np.testing.assert_array_equal(found.map.log_odds, told.map.log_odds)
     assert found.report.beams == told.report.beams
     assert found.report.beams.no_return == 30 * 12 + 1
-    assert (found.report.scans_read, found.report.scans_used) == (60, 60)
+    assert (found.report.scans.read, found.report.scans.used) == (60, 60)
     assert sum("361 of 3,600 ranges (10.0%) read 30 m" in note for note in found.report.notes) == 1
 
 

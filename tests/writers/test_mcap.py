@@ -71,7 +71,7 @@ def test_a_drive_is_the_map_of_its_pgm_with_the_way_of_its_laser(tmp_path: Path)
     assert (corner.x, corner.y) == made.map.origin
     assert min(made.map.origin) < 0
     assert grid.info.resolution == np.float32(0.1)
-    used = made.report.scans_used
+    used = made.report.scans.used
     assert len(path.poses) == len(found["/tf"]) == used
     lines = [
         list(map(float, line.split()))

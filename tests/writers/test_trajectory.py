@@ -50,7 +50,7 @@ def test_csv_is_as_euroc_has_it(tmp_path: Path) -> None:
 def test_a_trajectory_makes_the_same_map_again(tmp_path: Path) -> None:
     first = api.build_map(DRIVE, resolution=0.1, outputs=tmp_path / "t.tum")
     again = api.build_map(DRIVE, resolution=0.1, poses=tmp_path / "t.tum")
-    assert again.report.scans_used >= first.report.scans_used - 2
+    assert again.report.scans.used >= first.report.scans.used - 2
     assert again.agreement == pytest.approx(first.agreement, abs=0.002)
 
 

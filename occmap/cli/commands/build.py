@@ -94,8 +94,7 @@ def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
     start = perf_counter()
     with show_progress(console) as progress:
         report = hide_caught(run_build(request, values, progress))
-    for note in report.notes:
-        console.note(note)
+    console.note(*report.notes)
     lines = format_report(report, perf_counter() - start)
     failed = limits.answer(console, "build", report, lines, values)
     if values["strict"]:

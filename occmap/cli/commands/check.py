@@ -11,7 +11,6 @@ from occmap.cli.findings import format_inspection
 from occmap.cli.sections import SectionCommand, join
 from occmap.cli.streams import gather_logs
 from occmap.cli.values import PATH
-from occmap.errors import UsageError
 from occmap.gates.measures import CHECK
 from occmap.inspection import inspect
 from occmap.keywords import take
@@ -34,15 +33,13 @@ page = options.one_output("output", "FILE.html", "Write the findings as a page, 
 
 
 @click.command("check", cls=SectionCommand, help=HELP, short_help=COMMANDS["check"])
-@click.argument("logs", nargs=-1, type=PATH, metavar="LOG...")
+@click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG...")
 @join(page, options.resolution, options.max_cells, log_options.ranges)
 @join(log_options.selection, log_options.posing)
 @join(limits.fail_if(CHECK), options.config, options.as_json, options.verbosity)
 @click.pass_context
 def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> None:
     """Look into logs, and print what was found."""
-    if not logs:
-        raise UsageError("no log is given", fix="type: occmap check LOG")
     if values["output"]:
         check_picture(values["output"], logs, [".html"])
     console, chosen = ctx.ensure_object(Console), take(BuildOptions, values)

@@ -13,7 +13,6 @@ from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.streams import gather_logs
 from occmap.cli.values import PATH
-from occmap.errors import UsageError
 from occmap.gates.measures import COMPARE
 from occmap.keywords import take
 from occmap.options import BuildOptions
@@ -72,21 +71,18 @@ picture = options.one_output(
 
 
 @click.command("compare", cls=SectionCommand, help=HELP, short_help=COMMANDS["compare"])
-@click.argument("logs", nargs=-1, type=PATH, metavar="LOG...")
+@click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG...")
 @join(variants, picture, options.lattice, log_options.ranges)
 @join(log_options.selection, log_options.posing)
 @join(limits.fail_if(COMPARE), options.jobs, options.config, options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     """Compare variants, and print the table."""
-    if not logs:
-        raise UsageError("no log is given", fix="type: occmap compare LOG")
     chosen, common = collect_variants(values), take(BuildOptions, values)
     found = gather_logs(console, logs, common)
     with show_progress(console) as progress:
         comparison = compare(found, chosen, common, values["picture"], progress)
-    for note in comparison.remarks.notes:
-        console.note(note)
+    console.note(*comparison.remarks.notes)
     lines = format_comparison(comparison)
     limits.leave(limits.answer(console, "compare", comparison, lines, values))
 

@@ -77,8 +77,7 @@ def command(console: Console, /, path: Path, **values: Any) -> None:
     question = take(Question, values | collect_view(evidence, values))
     with show_progress(console) as progress:
         explanation = explain(evidence, question, progress)
-    for note in explanation.notes:
-        console.note(note)
+    console.note(*explanation.notes)
     if values["as_json"]:
         console.put_json("explain", explanation.to_json())
     else:

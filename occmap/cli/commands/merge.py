@@ -10,7 +10,6 @@ from occmap.cli.console import Console
 from occmap.cli.saved import choose_outputs, put_out
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.values import PATH
-from occmap.errors import UsageError
 from occmap.evidence.merging import combine
 from occmap.gates.measures import SAVED
 
@@ -36,14 +35,12 @@ subtracted = option(
 
 
 @click.command("merge", cls=SectionCommand, help=HELP, short_help=COMMANDS["merge"])
-@click.argument("paths", nargs=-1, type=PATH, metavar="NPZ|ZARR...")
+@click.argument("paths", nargs=-1, required=True, type=PATH, metavar="NPZ|ZARR...")
 @join(options.writing, subtracted, options.min_passes, options.max_cells)
 @join(limits.fail_if(SAVED), options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> None:
     """Add and subtract evidence, and write what comes out."""
-    if not paths:
-        raise UsageError("no evidence is given", fix="type: occmap merge A.npz B.npz -o AB.npz")
     inputs = [*paths, *values["subtract"]]
     values["outputs"] = choose_outputs(console, values["outputs"], "merged.npz", inputs)
     put_out(console, "merge", combine(paths, values["subtract"]), values)

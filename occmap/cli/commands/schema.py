@@ -12,15 +12,15 @@ from occmap.cli.schemas import make_schema
 from occmap.gates import PrintedFailed
 
 SCHEMAS = {
-    "build": "occmap.report:PrintedBuild",
+    "build": "occmap.report:Report",
     "check": "occmap.inspection.findings:Inspection",
     "compare": "occmap.scoring.compare:PrintedComparison",
     "diff": "occmap.difference:PrintedDifference",
     "explain": "occmap.explanation.printed:PrintedExplanation",
-    "merge": "occmap.report:PrintedBuild",
+    "merge": "occmap.report:Report",
     "models": "occmap.cli.listing:PrintedModels",
     "readers": "occmap.cli.listing:PrintedReaders",
-    "render": "occmap.report:PrintedBuild",
+    "render": "occmap.report:Report",
     "tune": "occmap.tuning.result:PrintedTuning",
     "writers": "occmap.cli.listing:PrintedWriters",
     "error": "occmap.cli.console:PrintedError",

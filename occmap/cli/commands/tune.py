@@ -13,7 +13,6 @@ from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join
 from occmap.cli.streams import gather_logs
 from occmap.cli.values import PATH
-from occmap.errors import UsageError
 from occmap.gates.measures import TUNE
 from occmap.keywords import take
 from occmap.options import BuildOptions
@@ -40,21 +39,18 @@ where both halves of the held-out scans show it. What is found is added to --tim
 
 
 @click.command("tune", cls=SectionCommand, help=HELP, short_help=COMMANDS["tune"])
-@click.argument("logs", nargs=-1, type=PATH, metavar="LOG...")
+@click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG...")
 @join(options.resolution, options.max_cells, log_options.ranges)
 @join(log_options.selection, log_options.posing)
 @join(limits.fail_if(TUNE), options.jobs, options.config, options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     """Search for what is off, and print what was found."""
-    if not logs:
-        raise UsageError("no log is given", fix="type: occmap tune LOG")
     common = take(BuildOptions, values)
     found = gather_logs(console, logs, common)
     with show_progress(console) as progress:
         tuning = tune(found, common, progress)
-    for note in tuning.remarks.notes:
-        console.note(note)
+    console.note(*tuning.remarks.notes)
     limits.leave(limits.answer(console, "tune", tuning, format_tuning(tuning), values))
 
 
