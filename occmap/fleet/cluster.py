@@ -37,7 +37,7 @@ ALLOCATOR = {
     f"distributed.nanny.pre-spawn-environ.MALLOC_{name}": value
     for name, value in {
         "TRIM_THRESHOLD_": 64 << 20,
-        "MMAP_THRESHOLD_": 32 << 20,
+        "MMAP_THRESHOLD_": 4 << 20,
         "ARENA_MAX": 1,
     }.items()
 }
