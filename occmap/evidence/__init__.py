@@ -120,7 +120,7 @@ def to_evidence(
 
     `where` is what it goes on from, if anything.
     """
-    return Evidence(manifest, *stack_tiles(grid), slices, where)
+    return Evidence(manifest, *stack_tiles(grid.tiles), slices, where)
 
 
 def to_grid(evidence: Evidence) -> TileGrid:

@@ -114,7 +114,7 @@ def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None
     MapError
         Saying in how many cells too much was taken away.
     """
-    _, cells = stack_tiles(grid)
+    _, cells = stack_tiles(grid.tiles)
     if grid.kind is EvidenceKind.COUNTS:
         wrong = (cells < 0).any(axis=1)
     else:  # log-odds may be negative, but not without an observation

@@ -35,11 +35,15 @@ LEAST_BYTES = 512 << 20
 MUST_EQUAL = ("occmap", "numpy", "numba")
 """What would make other cells in another version"""
 ALLOCATOR = {
-    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 64 << 20,
-    "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 32 << 20,
+    f"distributed.nanny.pre-spawn-environ.MALLOC_{name}": value
+    for name, value in {
+        "TRIM_THRESHOLD_": 64 << 20,
+        "MMAP_THRESHOLD_": 4 << 20,
+        "ARENA_MAX": 1,
+    }.items()
 }
-"""For workers of this machine: Dask has the C library give back every array at once, and new pages
-for the next cost a third of a worker's time"""
+"""For workers of this machine: as Dask sets it, the C library gives every array back at once, and
+new pages for the next take a third of a worker's time; and each thread would keep its own"""
 
 
 class Cluster:

@@ -5,7 +5,7 @@ are renamed into place, the stub last: where it is there, the task is done for g
 """
 
 import pickle
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -47,20 +47,15 @@ class Content(NamedTuple):
     """One where slices of time are kept, in order; else none"""
 
 
-def split_blocks(grid: TileGrid, slices: Sequence[Slices]) -> dict[BlockKey, Content]:
-    """Cut evidence into blocks."""
-    tiles, cells = stack_tiles(grid)
-    places = group_tiles(tiles)
+def split_blocks(grid: TileGrid, slices: Sequence[Slices]) -> Iterator[tuple[BlockKey, Content]]:
+    """Cut evidence into blocks, one after the other: a copy of all of it would not fit."""
+    keys = np.array(sorted(grid.keys), np.int64).reshape(-1, 2)
     layers = [(layer, group_tiles(layer.tiles)) for layer in slices]
     nothing = np.zeros(0, np.int64)
-    return {
-        key: Content(
-            tiles[which],
-            cells[which],
-            tuple(take(layer, of_block.get(key, nothing)) for layer, of_block in layers),
-        )
-        for key, which in places.items()
-    }
+    for block, which in group_tiles(keys).items():
+        part = {(row, col): grid.tiles[row, col] for row, col in keys[which].tolist()}
+        of_block = (take(layer, places.get(block, nothing)) for layer, places in layers)
+        yield block, Content(*stack_tiles(part), tuple(of_block))
 
 
 def group_tiles(tiles: Int64) -> dict[BlockKey, Int64]:
@@ -72,7 +67,9 @@ def group_tiles(tiles: Int64) -> dict[BlockKey, Int64]:
     }
 
 
-def write_run(folder: Path, name: str, parts: Mapping[BlockKey, Content]) -> dict[BlockKey, Piece]:
+def write_run(
+    folder: Path, name: str, parts: Iterable[tuple[BlockKey, Content]]
+) -> dict[BlockKey, Piece]:
     """Write a run file; say where each block lies in it.
 
     Raises
@@ -82,7 +79,7 @@ def write_run(folder: Path, name: str, parts: Mapping[BlockKey, Content]) -> dic
     """
     pieces, offset = {}, 0
     with open_atomic(folder / name) as (file,):
-        for key, content in parts.items():
+        for key, content in parts:
             data = pack_content(content)
             file.write(data)
             pieces[key] = Piece(name, offset, len(data))

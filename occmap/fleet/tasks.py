@@ -300,7 +300,7 @@ def reduce_block(job: ReduceJob) -> Piece:
     if (known := read_stub(folder / f"{name}.sum")) is not None:
         done: Piece = known
         return done
-    piece = write_run(folder, f"{name}.run", {job.block: add_up(job)})[job.block]
+    piece = write_run(folder, f"{name}.run", [(job.block, add_up(job))])[job.block]
     write_stub(folder / f"{name}.sum", piece)
     return piece
 
@@ -317,7 +317,7 @@ def add_up(job: ReduceJob) -> Content:
     for content in read_pieces(job.setting.folder, job.pieces):
         add_stack(grid, content.tiles, content.cells)
         layers += content.slices
-    return Content(*stack_tiles(grid), (unite(layers),) if job.setting.keep.slices else ())
+    return Content(*stack_tiles(grid.tiles), (unite(layers),) if job.setting.keep.slices else ())
 
 
 def hash_log(job: SurveyJob) -> list[dict[str, object]]:

@@ -22,7 +22,7 @@ BLOCK = 4096
 
 def mark_observed(grid: TileGrid, number: int) -> Slices:
     """Mark what was hit and seen in a slice, of which `grid` is the evidence."""
-    tiles, cells = stack_tiles(grid)
+    tiles, cells = stack_tiles(grid.tiles)
     bits = np.packbits(cells != 0, axis=-1)
     if grid.kind is EvidenceKind.COUNTS:
         bits[:, 1] |= bits[:, 0]

@@ -1,22 +1,24 @@
 """Tiles as one array, for files and sums; it imports no numba."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from occmap.errors import MapError
-from occmap.grid.tiles import INT32_LIMIT, TILE, TileGrid
+from occmap.grid.tiles import INT32_LIMIT, TILE, Key, Tile, TileGrid
 from occmap.types import MOST_OBSERVED, Int64
 
 
-def stack_tiles(grid: TileGrid) -> tuple[Int64, Int64]:
+def stack_tiles(tiles: Mapping[Key, Tile]) -> tuple[Int64, Int64]:
     """Row and column of each tile (T, 2), in ascending order, and their cells (T, 2, 64, 64).
 
     These are 64 bits wide only where a number needs it.
     """
-    keys = sorted(grid.tiles)
-    fits = all(t.min() >= -INT32_LIMIT and t.max() <= INT32_LIMIT for t in grid.tiles.values())
+    keys = sorted(tiles)
+    fits = all(t.min() >= -INT32_LIMIT and t.max() <= INT32_LIMIT for t in tiles.values())
     cells = np.empty((len(keys), 2, TILE, TILE), np.int32 if fits else np.int64)
     for place, key in enumerate(keys):
-        cells[place] = grid.tiles[key]
+        cells[place] = tiles[key]
     return np.array(keys, np.int64).reshape(-1, 2), cells
 
 

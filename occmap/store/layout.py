@@ -32,10 +32,12 @@ LAYERS = {
     EvidenceKind.LOG_ODDS: ("log_odds", "observations"),
 }
 """Names of the two arrays of numbers"""
-FINE_LEVELS = (1, 4, 16)
+FINE_LEVELS = (1, 4)
 """Sides of the squares of cells in the pictures that a block is a whole shard of"""
+OVERVIEW = 16
+"""The side of those of which there is always a picture, as one of a city is read at once"""
 LEVEL_CELLS = 1024
-"""The coarsest picture has no side that is longer"""
+"""The coarsest picture has no side that is longer, unless it is that"""
 DAMAGE = (OSError, LookupError, ValueError, TypeError, RuntimeError, OverflowError, MemoryError)
 """What zarr, its codecs, json and NumPy raise on damaged files"""
 

@@ -27,6 +27,7 @@ from occmap.store.layout import (
     FINE_LEVELS,
     LAYERS,
     LEVEL_CELLS,
+    OVERVIEW,
     compute_checksum,
     find_place,
     import_zarr,
@@ -91,6 +92,7 @@ def add_picture(group: Any, name: str, shape: tuple[int, ...], side: int, **othe
         compressors=BloscCodec(cname="zstd", clevel=5, shuffle="shuffle"),
         fill_value=0,
         dimension_names=("y", "x"),
+        overwrite=True,  # where what wrote it before was killed
         **others,
     )
 
@@ -188,7 +190,7 @@ def finish_store(
         root = zarr.open_group(path, mode="r+")
         head = make_head(manifest, root.attrs["occmap"]["offset"])
         add_coarse_levels(root, [find_place(record.block, head["offset"]) for record in known])
-        blocks = root.create_group("blocks")
+        blocks = root.require_group("blocks")
         for name, values in table.items():
             add_list(blocks, name, values, {})
         digests = {record.block: record.sha256 for record in known}
@@ -202,7 +204,7 @@ def add_coarse_levels(root: Any, places: Sequence[tuple[slice, slice]]) -> None:
     """Paint the pictures that several blocks share, each from the one before."""
     side, classes = FINE_LEVELS[-1], root["classes"]
     shape = classes[str(FINE_LEVELS[0])].shape
-    while max(shape) > side * LEVEL_CELLS:
+    while side < OVERVIEW or max(shape) > side * LEVEL_CELLS:
         finer, side = classes[str(side)], side * 4
         level = add_level(classes, side, shape, LEVEL_CELLS)
         reach = LEVEL_CELLS * side

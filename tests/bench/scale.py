@@ -4,19 +4,22 @@ import os
 import resource
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
 
+import dask
 import numpy as np
-from distributed import Client, LocalCluster
+from distributed import Client, LocalCluster, Worker
 
 from occmap.fleet import Fleet
+from occmap.fleet.cluster import ALLOCATOR
 from occmap.fleet.storing import build_store
-from occmap.observing import ignore_progress
+from occmap.observing import Keep, ignore_progress
 from occmap.options import BuildOptions
 from occmap.store.layout import import_zarr
 from tests.bench.limits import Row
@@ -25,10 +28,14 @@ from tests.bench.processes import OCCMAP, run
 from tests.bench.tables import draw_rows
 from tests.bench.workloads import Sensor, make_office
 
-LOGS, SCANS, BEAMS = 10, 1500, 541
+LOGS, SCANS, BEAMS = 40, 1500, 541
+FIRST = 4
+"""Logs that workers build from before they are measured, so that all is loaded"""
 SENSOR = Sensor.spanning(BEAMS, 270, 30.0)
-APART = np.array([60.0, 0.0, 0.0])
-"""Metres between two offices that lie beside each other"""
+APART = np.array([60.0, 50.0, 0.0])
+"""Metres between two offices that lie beside each other in x, and in y"""
+ROW = 5
+"""Offices that lie beside each other in x"""
 SLICE = 8_000_000
 MEMORY = "1GB"
 OPTIONS = BuildOptions(jobs=1)
@@ -37,11 +44,19 @@ OPTIONS = BuildOptions(jobs=1)
 class Cost(NamedTuple):
     """What workers needed."""
 
+    start: tuple[float, float]
+    """Until they were there, and the processor time of each by then (s)"""
     seconds: float
     processor_seconds: float
-    """Of workers and driver"""
+    """Of workers, scheduler and driver"""
     worker_bytes: int
     """Of memory that a worker took at most"""
+    driver_bytes: int
+    """The same for a driver, with all that it loads"""
+    shuffled: int
+    """Bytes in the run files of some logs ..."""
+    passed: int
+    """... and those that workers handed to each other and to the driver for them"""
 
 
 def write_fleet(folder: Path, offices: int) -> list[Path]:
@@ -50,8 +65,8 @@ def write_fleet(folder: Path, offices: int) -> list[Path]:
     for number in range(LOGS):
         place = folder / f"{offices}-{number}"
         place.mkdir()
-        shifted = replace(office, poses=office.poses + APART * (number % offices))
-        paths.append(write_mcap(shifted, place))
+        shift = APART * [*divmod(number % offices, ROW)[::-1], 0]
+        paths.append(write_mcap(replace(office, poses=office.poses + shift), place))
     return paths
 
 
@@ -61,10 +76,16 @@ def measure_process() -> tuple[float, int]:
     return usage.ru_utime + usage.ru_stime, usage.ru_maxrss << 10
 
 
+def measure_passed(dask_worker: Worker) -> int:
+    """Bytes that this worker handed to others."""
+    return dask_worker.transfer_outgoing_bytes_total
+
+
 @contextmanager
 def start_workers(number: int) -> Iterator[tuple[Client, str]]:
-    """Start workers that have loaded all that they need."""
+    """Start workers as `occmap build --dask local` does, each with a limit of memory."""
     with (
+        dask.config.set(ALLOCATOR),
         LocalCluster(
             n_workers=number,
             threads_per_worker=1,
@@ -79,17 +100,36 @@ def start_workers(number: int) -> Iterator[tuple[Client, str]]:
 
 def build_by(workers: int, logs: Sequence[Path], output: Path) -> Cost:
     """Build a store by new workers, and say what it cost."""
+    start = perf_counter()
     with start_workers(workers) as (client, address):
+        started = perf_counter() - start, measure_workers(client)[0] / workers
         fleet = Fleet(address, output.with_suffix(".scratch"), SLICE)
-        build_store(fleet, logs[:4], OPTIONS, output.with_suffix(".warm.zarr"), ignore_progress)
-        before = sum(seconds for seconds, _ in client.run(measure_process).values())
+        shuffled, passed = measure_shuffle(client, fleet, logs[:FIRST])
+        first = output.with_suffix(".first.zarr")
+        build_store(fleet, logs[:FIRST], OPTIONS, first, ignore_progress)
+        before = measure_workers(client)[0]
         start, own = perf_counter(), measure_process()[0]
         build_store(fleet, logs, OPTIONS, output, ignore_progress)
         seconds = perf_counter() - start
-        after = list(client.run(measure_process).values())
-        spent = sum(each for each, _ in after) - before + measure_process()[0] - own
-        peak = max(each for _, each in after)
-        return Cost(seconds, spent, peak)
+        spent, peak = measure_workers(client)
+        spent += measure_process()[0] - before - own
+        flags = ["--dask", address, "--slice", f"{SLICE}B", "-q"]
+        again = run([OCCMAP, "build", *logs, "-o", output.with_suffix(".again.zarr"), *flags])
+        return Cost(started, seconds, spent, peak, again.peak_bytes, shuffled, passed)
+
+
+def measure_workers(client: Client) -> tuple[float, int]:
+    """Processor time of all workers (s), and the highest peak of memory (bytes)."""
+    times, peaks = zip(*client.run(measure_process).values(), strict=True)
+    return sum(times), max(peaks)
+
+
+def measure_shuffle(client: Client, fleet: Fleet, logs: Sequence[Path]) -> tuple[int, int]:
+    """Bytes in the run files of logs, and those that workers handed to others meanwhile."""
+    before = sum(client.run(measure_passed).values())
+    with fleet.work(logs, OPTIONS, Keep(slices=True), ignore_progress) as work:
+        shuffled = sum(each.stat().st_size for each in work.setting.folder.glob("*.run"))
+        return shuffled, sum(client.run(measure_passed).values()) - before
 
 
 def measure_size(path: Path) -> int:
@@ -97,24 +137,32 @@ def measure_size(path: Path) -> int:
     return sum(each.stat().st_size for each in path.rglob("*") if each.is_file())
 
 
-def measure(folder: Path) -> list[Row]:
-    """Measure all that has a limit."""
+def time_shortest(action: Callable[[], object], rounds: int = 5) -> float:
+    """The shortest of some times that it takes (s)."""
+    times = []
+    for _ in range(rounds):
+        start = perf_counter()
+        action()
+        times.append(perf_counter() - start)
+    return min(times)
+
+
+def measure(folder: Path) -> tuple[list[Row], str]:
+    """Measure all that has a limit; and say what the start of workers costs, which has none."""
     small, large = write_fleet(folder, 1), write_fleet(folder, 10)
-    flags = ["--jobs", "1", "-q"]
+    archive, flags = folder / "alone.npz", ["--jobs", "1", "-q"]
     alone = run([OCCMAP, "build", *large, "-o", folder / "alone.zarr", *flags])
-    archive = folder / "alone.npz"
     run([OCCMAP, "build", *large, "-o", archive, *flags])
     few = build_by(2, small, folder / "few.zarr")
     two = build_by(2, large, folder / "two.zarr")
     one = build_by(1, large, folder / "one.zarr")
-    start = perf_counter()
     levels = import_zarr().open_group(folder / "two.zarr", mode="r")["classes"]
-    levels["16"][:]
-    overview = perf_counter() - start
-    start = perf_counter()
-    levels["1"][:]
-    whole = perf_counter() - start
-    mega = 1e-6
+    overview, whole = (time_shortest(partial(levels[n].__getitem__, ...)) for n in ("16", "1"))
+    store, mega = measure_size(folder / "two.zarr"), 1e-6
+    what_started = (
+        f"\nTwo workers are there after {two.start[0]:.1f} s, which takes {two.start[1]:.1f} s of "
+        "processor time each; the figures above are without it.\n"
+    )
     return [
         Row(
             "processor time, two workers / one process",
@@ -126,7 +174,9 @@ def measure(folder: Path) -> list[Row]:
             "time, two workers / one",
             0.6,
             two.seconds / one.seconds,
-            f"{two.seconds:.1f} / {one.seconds:.1f} s, {os.cpu_count()} cores",
+            f"{two.seconds:.1f} / {one.seconds:.1f} s, {os.cpu_count()} cores, of which "
+            f"{two.processor_seconds / two.seconds:.1f} and "
+            f"{one.processor_seconds / one.seconds:.1f} were at work",
         ),
         Row(
             "a worker's peak of memory, ten times the map",
@@ -135,11 +185,22 @@ def measure(folder: Path) -> list[Row]:
             f"{two.worker_bytes * mega:.0f} / {few.worker_bytes * mega:.0f} MB",
         ),
         Row(
+            "the driver's peak of memory, ten times the map",
+            1.2,
+            two.driver_bytes / few.driver_bytes,
+            f"{two.driver_bytes * mega:.0f} / {few.driver_bytes * mega:.0f} MB",
+        ),
+        Row(
+            "bytes from worker to worker and driver / in run files",
+            0.01,
+            two.passed / two.shuffled,
+            f"{two.passed * 1e-3:.0f} / {two.shuffled * 1e-3:.0f} kB",
+        ),
+        Row(
             "store / .npz",
             0.35,
-            measure_size(folder / "two.zarr") / archive.stat().st_size,
-            f"{measure_size(folder / 'two.zarr') * mega:.1f} / "
-            f"{archive.stat().st_size * mega:.1f} MB",
+            store / archive.stat().st_size,
+            f"{store * mega:.1f} / {archive.stat().st_size * mega:.1f} MB",
         ),
         Row(
             "an overview picture / one at full resolution",
@@ -147,13 +208,14 @@ def measure(folder: Path) -> list[Row]:
             overview / whole,
             f"{overview * 1e3:.1f} / {whole * 1e3:.1f} ms",
         ),
-    ]
+    ], what_started
 
 
 def main() -> None:
     """Measure, and print the figures."""
     with tempfile.TemporaryDirectory() as folder:
-        sys.stdout.write(draw_rows(measure(Path(folder))))
+        rows, what_started = measure(Path(folder))
+        sys.stdout.write(draw_rows(rows) + what_started)
 
 
 if __name__ == "__main__":
