@@ -1,15 +1,14 @@
 """What a build keeps of where the robot went, for the outputs that show it."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from occmap.posing.leaps import Attached
 from occmap.posing.rotations import to_quaternions
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.types import Float64, Int64, Journey, Kind, PosedScans, ScanBatch, ScanHits, Trajectory
+from occmap.types import Float64, Int64, Journey, Kind, PosedScans, ScanHits, Trajectory
 
 SHOWN_SCANS = 400
 """Of all logs together: nobody can set a slider to more steps."""
@@ -53,32 +52,24 @@ class JourneyRecorder:
             way.dropped += theirs.dropped
         self._scans += other._scans
 
-    def follow(
-        self,
-        log: Path,
-        parent: str | None,
-        batch: ScanBatch,
-        attached: tuple[Sequence[PosedScans], Mapping[Any, int]],
-    ) -> None:
+    def follow(self, log: Path, parent: str | None, attached: Attached) -> None:
         """Record the poses of a batch, and hits of some of its scans.
 
         Parameters
         ----------
         parent
             The frame of the map; None where the log states poses and names no frames.
-        attached
-            Those of its scans that have poses, and how many have none, by reason.
         """
-        posed, reasons = attached
+        batch, posed, reasons = attached
         key = str(log), batch.topic, batch.frame.lstrip("/")
         way = self._ways.setdefault(key, _Way((parent or STATED_FRAME).lstrip("/")))
-        for scans in posed:
-            way.stamps.append(scans.batch.stamp_ns)
-            way.poses.append(read_poses(scans))
-            self._sample(scans)
+        if posed is not None:
+            way.stamps.append(posed.batch.stamp_ns)
+            way.poses.append(read_poses(posed))
+            self._sample(posed)
         if reasons:
-            kept = [scans.batch.stamp_ns for scans in posed]
-            lost = np.setdiff1d(batch.stamp_ns, np.concatenate([*kept, np.zeros(0, np.int64)]))
+            kept = () if posed is None else posed.batch.stamp_ns
+            lost = np.setdiff1d(batch.stamp_ns, kept)
             why = ", or ".join(map(str, reasons))  # nobody keeps which reason is that of which scan
             way.dropped += [(stamp_ns, why) for stamp_ns in lost.tolist()]
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from threading import Lock
+from threading import Lock, local
 from time import perf_counter
 from typing import Any, NamedTuple, Protocol, Self, TypeVar
 
@@ -37,6 +37,8 @@ of the same logs leaves 0.27 to 0.56."""
 REASONS = tuple(map(str, (*DropReason, *LeftOut)))
 """Why scans are not used, in the order in which reports list it"""
 _LOCK = Lock()
+_WITHIN = local()
+"""How long the stages took that are part of the one that runs in a thread (s)"""
 
 
 def ignore_advance(_scans: int) -> None:
@@ -126,14 +128,16 @@ class Tally:
 
     @contextmanager
     def time(self, stage: str) -> Iterator[None]:
-        """Add the time of a block to a stage; threads add up."""
-        start = perf_counter()
+        """Add the time of a block to a stage, but for stages within it; threads add up."""
+        start, outer = perf_counter(), getattr(_WITHIN, "seconds", 0.0)
+        _WITHIN.seconds = 0.0
         try:
             yield
         finally:
             seconds = perf_counter() - start
+            own, _WITHIN.seconds = seconds - _WITHIN.seconds, outer + seconds
             with _LOCK:
-                self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
+                self.seconds[stage] = self.seconds.get(stage, 0.0) + own
 
     def time_each(self, stage: str, items: Iterator[Item]) -> Iterator[Item]:
         """Pass items on, and add the time that each takes to come to a stage."""

@@ -52,8 +52,8 @@ def sample_scans(
         lambda: Sample(expect_scans(scans // len(topics), options.selection))
     )
     batcher = Batcher(options.selection, options.posing.stamps, RangeLimits(options.returns))
-    for batch in batcher.stack(read_scans(log, topics)):
-        for posed in poser.attach(batch)[0]:
+    for _, posed, _ in poser.attach(batcher.stack(read_scans(log, topics))):
+        if posed is not None:
             samples[posed.batch.topic].take(posed)
     return [part for sample in samples.values() for part in sample.parts]
 

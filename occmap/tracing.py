@@ -106,19 +106,18 @@ def trace(
                 raise error.placed(drive.log.path) from None
 
     with Workers(work, options.jobs) as workers:
-        for batch in tally.time_each("read", batcher.stack(read_scans(drive.log, drive.topics))):
-            # Here, not in a worker: each of many short NumPy calls would wait for the GIL.
-            with tally.time("pose"):
-                posed, dropped = drive.poser.attach(batch)
-            tally.drop(dropped)
+        batches = tally.time_each("read", batcher.stack(read_scans(drive.log, drive.topics)))
+        # Here, not in a worker: each of many short NumPy calls would wait for the GIL.
+        for attached in tally.time_each("pose", drive.poser.attach(batches)):
+            tally.drop(attached.dropped)
             if tally.recorder:
-                tally.recorder.follow(drive.log.path, drive.poser.fixed, batch, (posed, dropped))
-            for scans in posed:
+                tally.recorder.follow(drive.log.path, drive.poser.fixed, attached)
+            if attached.posed is not None:
                 with tally.time("interpret"):
-                    rays, beams = interpret(scans, options.returns)
+                    rays, beams = interpret(attached.posed, options.returns)
                 tally.use(len(rays.kind), beams)
                 workers.give(rays)
-            tally.advance(len(batch.stamp_ns))
+            tally.advance(len(attached.batch.stamp_ns))
     tally.frames[str(drive.log.path)] = drive.poser.fixed
     tally.scans_read += batcher.read
     tally.drop(dict(batcher.left_out))

@@ -17,7 +17,7 @@ from occmap.scoring.variants import combine
 from occmap.types import Pose, Update
 from occmap.writers.npz import read_evidence
 from tests.inspection_logs import Drive, write_bag
-from tests.posing.scenes import batch_at, bolted, drive, yaw_of
+from tests.posing.scenes import attach, batch_at, bolted, drive, yaw_of
 from tests.posing.scenes import build as make_poser
 from tests.samples import PLAIN, Planar
 
@@ -85,7 +85,7 @@ def test_two_sessions_in_different_frames_make_one_map(tmp_path: Path, update: U
 def test_a_transform_moves_the_sensor_of_every_source_of_poses() -> None:
     samples = [*drive("odom", "base_link"), bolted("base_link", "laser", Pose.planar(0.5, 0, 0))]
     poser = make_poser(*samples, transform=Pose.planar(10.0, 20.0, math.pi / 2))
-    (posed,), _ = poser.attach(batch_at([0, 4]))
+    (posed,), _ = attach(poser, batch_at([0, 4]))
     # On the way along x, 0.5 m ahead of the base; along y in the frame of the map.
     assert posed.position == pytest.approx(np.array([[10, 20.5, 0], [10, 24.5, 0]]))
     assert yaw_of(posed.rotation) == pytest.approx([math.pi / 2] * 2)
@@ -94,7 +94,7 @@ def test_a_transform_moves_the_sensor_of_every_source_of_poses() -> None:
 def test_a_given_angle_turns_the_map_after_the_transform() -> None:
     samples = [*drive("odom", "base_link"), bolted("base_link", "laser", Pose.planar(0, 0, 0))]
     poser = make_poser(*samples, transform=Pose.planar(10.0, 0.0, 0.0), align=90.0)
-    (posed,), _ = poser.attach(batch_at([0, 4]))
+    (posed,), _ = attach(poser, batch_at([0, 4]))
     assert posed.position == pytest.approx(np.array([[0, 10, 0], [0, 14, 0]]))
     assert yaw_of(posed.rotation) == pytest.approx([math.pi / 2] * 2)
 
@@ -102,7 +102,7 @@ def test_a_given_angle_turns_the_map_after_the_transform() -> None:
 def test_each_beam_of_a_deskewed_scan_is_moved() -> None:
     samples = [*drive("odom", "base_link"), bolted("base_link", "laser", Pose.planar(0, 0, 0))]
     poser = make_poser(*samples, deskew=Deskew.ON, transform=Pose.planar(0.0, 5.0, 0.0))
-    (posed,), _ = poser.attach(batch_at([2], beams=3, time_increment=1.0))
+    (posed,), _ = attach(poser, batch_at([2], beams=3, time_increment=1.0))
     assert posed.position == pytest.approx(np.array([[[2, 5, 0], [3, 5, 0], [4, 5, 0]]]))
 
 

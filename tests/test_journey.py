@@ -3,6 +3,7 @@ from pathlib import Path
 import numpy as np
 
 from occmap.journey import JourneyRecorder
+from occmap.posing.leaps import Attached
 from occmap.posing.options import DropReason
 from occmap.sensor.returns import ReturnOptions
 from occmap.types import PosedScans, ScanBatch
@@ -27,10 +28,9 @@ def pose(batch: ScanBatch, x: float) -> PosedScans:
 def test_poses_hits_and_lost_scans_are_kept() -> None:
     recorder = JourneyRecorder(1, ReturnOptions())
     whole = batch_of(1, 2, 3)
-    recorder.follow(
-        LOG, "odom", whole, ([pose(whole.take(np.array([1])), 5.0)], {DropReason.GAP: 2})
-    )
-    recorder.follow(LOG, "odom", batch_of(4), ([pose(batch_of(4), 6.0)], {}))
+    second = pose(whole.take(np.array([1])), 5.0)
+    recorder.follow(LOG, "odom", Attached(whole, second, {DropReason.GAP: 2}))
+    recorder.follow(LOG, "odom", Attached(batch_of(4), pose(batch_of(4), 6.0), {}))
     journey = recorder.finish()
     (way,) = journey.trajectories
     assert (way.log, way.parent, way.frame) == ("a.bag", "odom", "laser")
@@ -47,7 +47,7 @@ def test_a_sample_is_spread_over_all_scans_and_their_beams() -> None:
     recorder = JourneyRecorder(10, ReturnOptions())
     for start in range(0, 4000, 250):
         batch = batch_of(*range(start, start + 250), beams=1200)
-        recorder.follow(LOG, None, batch, ([pose(batch, 0.0)], {}))
+        recorder.follow(LOG, None, Attached(batch, pose(batch, 0.0), {}))
     scans = recorder.finish().scans
     assert [scan.stamp_ns for scan in scans] == list(range(0, 4000, 10))
     assert {len(scan.x) for scan in scans} == {400}
@@ -55,10 +55,11 @@ def test_a_sample_is_spread_over_all_scans_and_their_beams() -> None:
 
 def test_parts_of_a_log_add_up_and_a_second_reading_forgets_the_first() -> None:
     first = JourneyRecorder(1, ReturnOptions())
-    first.follow(LOG, None, batch_of(1), ([pose(batch_of(1), 0.0)], {}))
+    first.follow(LOG, None, Attached(batch_of(1), pose(batch_of(1), 0.0), {}))
     second = first.start_over()
     assert second.finish().trajectories == ()
-    second.follow(LOG, None, batch_of(2, 3), ([pose(batch_of(2), 0.0)], {DropReason.GAP: 1}))
+    lost = {DropReason.GAP: 1}
+    second.follow(LOG, None, Attached(batch_of(2, 3), pose(batch_of(2), 0.0), lost))
     first.add(second)
     (way,) = first.finish().trajectories
     assert way.stamp_ns.tolist() == [1, 2]

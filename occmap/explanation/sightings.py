@@ -81,13 +81,13 @@ def look_through(use: Use, log: Log, history: CellHistory) -> Iterator[Look]:
         limits.see(some)
     limits.settle()
     batcher = Batcher(options.selection, options.posing.stamps, limits)
-    for batch in batcher.stack(read_scans(log, topics)):
+    for batch, posed, _ in poser.attach(batcher.stack(read_scans(log, topics))):
         found: list[Sighting] = []
-        posed, _ = poser.attach(batch)
-        for scans in posed:
-            rays, _ = interpret(scans, options.returns)
-            found += list_sightings(use, scans, probe.look(rays), history)
-        used = sum(len(scans.batch.stamp_ns) for scans in posed)
+        used = 0
+        if posed is not None:
+            rays, _ = interpret(posed, options.returns)
+            found += list_sightings(use, posed, probe.look(rays), history)
+            used = len(posed.batch.stamp_ns)
         yield Look(found, used, len(batch.stamp_ns))
 
 

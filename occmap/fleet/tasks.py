@@ -26,7 +26,7 @@ from occmap.grid.stacks import add_stack, stack_tiles
 from occmap.observing import Keep
 from occmap.opening import count_scans
 from occmap.options import BuildOptions
-from occmap.posing.leaps import Ends
+from occmap.posing.leaps import Ends, Shape
 from occmap.readers import Note, open_log, read_scans, split_log
 from occmap.report import Tally
 from occmap.sensor.no_return import RangeLimits
@@ -120,8 +120,8 @@ class Traced:
     depends: bool = False
     """Whether it may be another in the whole log: it is damaged, a frame is seen first, or the
     map frame jumps"""
-    ends: dict[str, Ends] = field(default_factory=dict)
-    """Where the scans of each topic begin and end"""
+    ends: dict[Shape, Ends] = field(default_factory=dict)
+    """Where the scans of each shape begin and end"""
     bounds: dict[str, Float64] = field(default_factory=dict)
     """(2, 3) around the sensor of each topic (m)"""
     pieces: Mapping[BlockKey, tuple[Piece, ...]] = field(default_factory=dict)

@@ -75,12 +75,28 @@ class Survey:
 
     def read(self, scans: Iterable[Scan | ScanRun]) -> None:
         """Read all scans, holding no more than a batch of each topic."""
+        for batch, posed, dropped in self.poser.attach(self._stack(scans)):
+            survey = self.topics[batch.topic]
+            survey.dropped.update({reason.value: count for reason, count in dropped.items()})
+            if posed is not None:
+                survey.posed += len(posed.batch.stamp_ns)
+                survey.sample.take(posed)
+                rays, _ = interpret(posed, self.returns)
+                self.extent.add(rays)
+
+    def _stack(self, scans: Iterable[Scan | ScanRun]) -> Iterator[ScanBatch]:
+        """Stack the scans that a build would use; those without a way to the map are counted."""
         for topic, some in gather_topics(self._select(scans)):
             survey = self.topics[topic]
             for stacked in survey.batcher.stack(some):
                 batch = self.limits.apply(stacked)
                 survey.census.add(batch)
-                self._attach(survey, batch)
+                try:
+                    self.poser.prepare(batch)
+                except PoseError:  # no scan so far has a way to the map
+                    survey.dropped[DropReason.NO_TRANSFORM] += len(batch.stamp_ns)
+                else:
+                    yield batch
 
     def _select(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
         """Give the scans that a build would use; scans that nobody asked for are only counted."""
@@ -105,19 +121,6 @@ class Survey:
         batcher = Batcher(Selection(), self.poser.options.stamps)
         self.topics[topic] = TopicSurvey(topic, Sample(expected), batcher)
         return self.topics[topic]
-
-    def _attach(self, survey: TopicSurvey, batch: ScanBatch) -> None:
-        """See which scans of a batch get a pose, and how far they reach."""
-        try:
-            posed, dropped = self.poser.attach(batch)
-        except PoseError:  # no scan so far has a way to the map
-            posed, dropped = [], {DropReason.NO_TRANSFORM: len(batch.stamp_ns)}
-        survey.dropped.update({reason.value: count for reason, count in dropped.items()})
-        for scans in posed:
-            survey.posed += len(scans.batch.stamp_ns)
-            survey.sample.take(scans)
-            rays, _ = interpret(scans, self.returns)
-            self.extent.add(rays)
 
 
 def gather_topics(

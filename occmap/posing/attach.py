@@ -5,6 +5,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import reduce
+from itertools import chain, starmap
 from typing import Self
 
 import numpy as np
@@ -15,8 +16,8 @@ from occmap.posing.concerns import Concern
 from occmap.posing.course import STANDS, Course, list_tilts
 from occmap.posing.frames import Edge, Source, Step
 from occmap.posing.jumps import JumpWatch
-from occmap.posing.leaps import Ends, LeapFilter
-from occmap.posing.options import Deskew, DropReason, PosingOptions, Stamps
+from occmap.posing.leaps import Attached, Ends, LeapFilter, Shape
+from occmap.posing.options import Deskew, PosingOptions, Stamps
 from occmap.posing.resolve import resolve
 from occmap.posing.sources import Sources, gather
 from occmap.posing.tracks import MAX_STAMP_NS, Track, TrackBuilder, find_usable
@@ -47,9 +48,6 @@ POSES_OF_BODY = (
 
 UNTURNED = (0, 0, 0, 0, 0, 0, 1)
 """Stands in for a pose that is not finite."""
-
-Attached = tuple[list[PosedScans], dict[DropReason, int]]
-"""The scans that have poses, and how many have none, by reason."""
 
 
 @dataclass(eq=False)
@@ -104,7 +102,7 @@ class Poser:
         PoseError
             No frame, of these and earlier ones, has a chain.
         """
-        new = sorted(set(frames) - self.chains.keys())
+        new = sorted(frame for frame in set(frames) if frame not in self.chains)
         failures = self._resolve(new)
         if failures and self.fixed is None:
             raise next(iter(failures.values()))
@@ -128,32 +126,46 @@ class Poser:
                     self._note(f"{frame!r} never moves in {way.fixed!r}, though other frames do")
         return failures
 
-    def attach(self, batch: ScanBatch) -> Attached:
-        """Give each scan the pose of its sensor, or each beam where the scan is de-skewed.
-
-        A pose that the log states beside the scan is used as it is, unless the user named a
-        trajectory; where the user gave the sensor's pose, it is taken to be the body's.
+    def prepare(self, batch: ScanBatch) -> None:
+        """Find the way to the sensor of some scans, unless its poses stand beside them.
 
         Raises
         ------
         PoseError
             No scan frame so far has a chain to the map frame.
         """
-        kept: list[PosedScans] = []
-        counts: Counter[int] = Counter()
-        for part, found in self._look_up(batch) if len(batch.stamp_ns) else ():
-            # The worst of a scan's moments counts.
-            status = found.status.reshape(len(part.stamp_ns), -1).max(axis=1)
-            counts.update(status.tolist())
-            posed = status == Status.POSED
-            if posed.any():
-                placed = self._above.then(found) if self._above else found
-                kept.append(_keep(part, posed, placed))
+        is_stated = batch.pose is not None and self.sources.trajectory is None
+        if not is_stated and batch.frame not in self.chains:
+            self.resolve([batch.frame])
+
+    def attach(self, batches: Iterable[ScanBatch]) -> Iterator[Attached]:
+        """Give each scan the pose of its sensor, or each beam where the scan is de-skewed.
+
+        A pose that the log states beside the scan is used as it is, unless the user named a
+        trajectory; where the user gave the sensor's pose, it is taken to be the body's. Where only
+        some scans of a batch are de-skewed, it comes in two parts.
+
+        Raises
+        ------
+        PoseError
+            As `prepare`.
+        """
+        parts = chain.from_iterable(map(self._look_up, batches))
+        for attached in self._leaps.sift(starmap(self._pose, parts)):
+            if attached.posed is not None:
+                self._watch(attached.posed)
+            yield attached
+
+    def _pose(self, batch: ScanBatch, found: Found) -> Attached:
+        """Keep the scans that were found, at all of their moments."""
+        status = found.status.reshape(len(batch.stamp_ns), -1).max(axis=1)
+        counts = Counter(status.tolist())
         dropped = {why: counts[code] for code, why in REASONS.items() if counts[code]}
-        kept, dropped = self._leaps.drop(kept, dropped)
-        for scans in kept:
-            self._watch(scans)
-        return kept, dropped
+        posed = status == Status.POSED
+        if not posed.any():
+            return Attached(batch, None, dropped)
+        placed = self._above.then(found) if self._above else found
+        return Attached(batch, _keep(batch, posed, placed), dropped)
 
     def _watch(self, scans: PosedScans) -> None:
         """Take note of where the sensor was."""
@@ -213,8 +225,8 @@ class Poser:
         """Whether any pose takes the robot elsewhere at once."""
         return any(watch.edges_ns.size for watch in self._list_watches().values())
 
-    def find_ends(self) -> dict[str, Ends]:
-        """Where the posed scans so far begin and end, by topic."""
+    def find_ends(self) -> dict[Shape, Ends]:
+        """Where the posed scans so far begin and end, by their shape."""
         return self._leaps.find_ends()
 
     def _look_up(self, batch: ScanBatch) -> Iterator[tuple[ScanBatch, Found]]:
@@ -222,25 +234,23 @@ class Poser:
 
         A batch comes in two parts where only some of its scans are de-skewed.
         """
+        self.prepare(batch)
         if batch.pose is not None and self.sources.trajectory is None:
             self._note(*_list_idle(self.options))
             yield batch, _read_stated(batch.pose, self.options.sensor_pose)
             return
-        if batch.frame not in self.chains:
-            self.resolve([batch.frame])
-        chain = self.chains[batch.frame]
-        if chain is None:
+        way = self.chains[batch.frame]
+        if way is None:
             nowhere = np.full(len(batch.stamp_ns), Status.NO_TRANSFORM, np.uint8)
             yield batch, Found(np.empty(0), np.empty(0), nowhere)
             return
-        stamp_ns = np.clip(batch.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS)
-        stamp_ns = stamp_ns + self._offset_ns
-        deskewed = self._choose_deskewed(batch, chain)
+        stamp_ns = np.clip(batch.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS) + self._offset_ns
+        deskewed = self._choose_deskewed(batch, way)
         if deskewed.any():
             part = _take(batch, deskewed)
-            yield part, chain.at((stamp_ns[deskewed, None] + _spread_moments(part)).ravel())
+            yield part, way.at((stamp_ns[deskewed, None] + _spread_moments(part)).ravel())
         if not deskewed.all():
-            yield _take(batch, ~deskewed), chain.at(stamp_ns[~deskewed])
+            yield _take(batch, ~deskewed), way.at(stamp_ns[~deskewed])
 
     @property
     def _offset_ns(self) -> int:

@@ -43,7 +43,7 @@ class KeptLog:
     def pose(self, options: PosingOptions) -> list[PosedScans]:
         """Pose the scans with other options; those that then have no pose are left out."""
         poser = Poser(self.poser.sources, options, self.poser.fixed)
-        return [posed for batch in self.batches for posed in poser.attach(batch)[0]]
+        return [posed for _, posed, _ in poser.attach(self.batches) if posed is not None]
 
     @property
     def scans(self) -> int:
@@ -92,12 +92,11 @@ def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: 
 
     kept: list[ScanBatch] = []
     seen, every = 0, 1
-    for batch in batcher.stack(show(read_scans(log, topics))):
-        posed, dropped = poser.attach(batch)
+    for batch, posed, dropped in poser.attach(batcher.stack(show(read_scans(log, topics)))):
         tally.drop(dropped)
-        for scans in posed:
-            kept += take_every([scans.batch], every, -seen % every)
-            seen += len(scans.batch.stamp_ns)
+        if posed is not None:
+            kept += take_every([posed.batch], every, -seen % every)
+            seen += len(posed.batch.stamp_ns)
         while sum(len(part.stamp_ns) for part in kept) > most:
             kept, every = take_every(kept, 2), 2 * every
         tally.advance(len(batch.stamp_ns))

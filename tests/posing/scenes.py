@@ -1,14 +1,15 @@
 """Small logs for the tests of posing, written down as a person would."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from occmap.posing.attach import Poser
-from occmap.posing.options import PosingOptions
-from occmap.types import Float64, Pose, PoseSample, ScanBatch
+from occmap.posing.options import DropReason, PosingOptions
+from occmap.types import Float64, Pose, PosedScans, PoseSample, ScanBatch
 
 SECOND = 10**9
 
@@ -38,9 +39,18 @@ def batch_at(
     return ScanBatch(frame, 0.0, 0.1, 0.0, 10.0, stamps, ranges, increments)
 
 
+def attach(poser: Poser, *batches: ScanBatch) -> tuple[list[PosedScans], dict[DropReason, int]]:
+    """The scans that get poses, and how many get none, by reason."""
+    parts = list(poser.attach(batches))
+    dropped: Counter[DropReason] = Counter()
+    for part in parts:
+        dropped.update(part.dropped)
+    return [part.posed for part in parts if part.posed is not None], dict(dropped)
+
+
 def positions(poser: Poser, seconds: Sequence[float], frame: str = "laser") -> Float64:
     """Where the sensor is at these moments, all of which must have a pose."""
-    (posed,), dropped = poser.attach(batch_at(seconds, frame))
+    (posed,), dropped = attach(poser, batch_at(seconds, frame))
     assert not dropped
     return posed.position
 

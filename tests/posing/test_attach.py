@@ -10,7 +10,7 @@ from occmap.posing.coverage import list_coverage
 from occmap.posing.frames import Source
 from occmap.posing.options import Deskew, DropReason, PosingOptions, Stamps
 from occmap.types import Float64, Pose, PoseSample, ScanBatch
-from tests.posing.scenes import SECOND, at, batch_at, bolted, build, drive, turned, yaw_of
+from tests.posing.scenes import SECOND, at, attach, batch_at, bolted, build, drive, turned, yaw_of
 
 MOUNT = bolted("base_link", "laser", Pose.planar(0.5, 0, 0))
 
@@ -19,7 +19,7 @@ def test_scans_without_a_pose_are_left_out_and_counted() -> None:
     log = drive("odom", "base_link", seconds=[0, 1, 2, 6, 7])
     batch = batch_at([-1, 0.5, 3, 4, 6.5, 7.5, 8, 9])
     batch = replace(batch, ranges=np.arange(8, dtype=np.float32)[:, None])
-    (posed,), dropped = build(*log, MOUNT).attach(batch)
+    (posed,), dropped = attach(build(*log, MOUNT), batch)
     assert dropped == {DropReason.BEFORE: 1, DropReason.GAP: 2, DropReason.AFTER: 3}
     assert posed.position[:, 0].tolist() == [1, 7]
     assert posed.batch.stamp_ns.tolist() == [SECOND // 2, 13 * SECOND // 2]
@@ -28,13 +28,13 @@ def test_scans_without_a_pose_are_left_out_and_counted() -> None:
 
 def test_a_batch_without_any_pose_or_any_scan_gives_nothing() -> None:
     poser = build(*drive("odom", "base_link"), MOUNT)
-    assert poser.attach(batch_at([20, 30])) == ([], {DropReason.AFTER: 2})
-    assert poser.attach(batch_at([])) == ([], {})
+    assert attach(poser, batch_at([20, 30])) == ([], {DropReason.AFTER: 2})
+    assert attach(poser, batch_at([])) == ([], {})
 
 
 def test_the_gap_limit_may_be_lifted() -> None:
     poser = build(*drive("odom", "base_link", seconds=[0, 60]), MOUNT, max_pose_gap_s=None)
-    (posed,), dropped = poser.attach(batch_at([30]))
+    (posed,), dropped = attach(poser, batch_at([30]))
     assert not dropped
     assert posed.position.tolist() == [[30.5, 0, 0]]
 
@@ -44,7 +44,7 @@ def test_the_gap_limit_is_for_what_moves_and_not_for_its_correction() -> None:
     corrections = [at(t, "map", "odom", Pose.planar(0, t / 100, 0)) for t in range(0, 61, 5)]
     tenths = [t / 10 for t in range(601)]
     poser = build(*corrections, *drive("odom", "laser", seconds=tenths))
-    (posed,), dropped = poser.attach(batch_at(tenths))
+    (posed,), dropped = attach(poser, batch_at(tenths))
     assert (len(posed.position), dropped) == (601, {})
     # Between two corrections the small one grows as the time does.
     np.testing.assert_allclose(posed.position[125], [12.5, 0.125, 0], atol=1e-12)
@@ -53,27 +53,27 @@ def test_the_gap_limit_is_for_what_moves_and_not_for_its_correction() -> None:
 def test_odometry_that_stops_between_two_corrections_is_a_gap() -> None:
     corrections = [at(t, "map", "odom", Pose.planar(0, t / 100, 0)) for t in (0, 5, 10)]
     poser = build(*corrections, *drive("odom", "laser", seconds=(0, 1, 2, 6, 7, 8, 9, 10)))
-    _, dropped = poser.attach(batch_at([1.5, 2.0, 3.0, 5.9, 6.0]))
+    _, dropped = attach(poser, batch_at([1.5, 2.0, 3.0, 5.9, 6.0]))
     assert dropped == {DropReason.GAP: 2}
 
 
 def test_the_time_offset_is_added_to_the_stamps_of_scans() -> None:
     poser = build(*drive("odom", "base_link"), MOUNT, time_offset_s=-100.25)
-    (posed,), _ = poser.attach(batch_at([104.25]))
+    (posed,), _ = attach(poser, batch_at([104.25]))
     assert posed.position.tolist() == [[4.5, 0, 0]]
     assert posed.batch.stamp_ns.tolist() == [104.25 * SECOND]
 
 
 def test_pose_samples_may_be_dated_by_the_recorder() -> None:
     late = [sample._replace(stamp_ns=0) for sample in drive("odom", "base_link")]
-    (posed,), _ = build(*late, MOUNT, stamps=Stamps.RECORD).attach(batch_at([4]))
+    (posed,), _ = attach(build(*late, MOUNT, stamps=Stamps.RECORD), batch_at([4]))
     assert posed.position.tolist() == [[4.5, 0, 0]]
 
 
 def test_the_order_of_the_log_changes_nothing() -> None:
     log = [*drive("odom", "base_link"), MOUNT, *drive("map", "odom")]
-    (forward,), _ = build(*log).attach(batch_at([3.3]))
-    (backward,), _ = build(*log[::-1]).attach(batch_at([3.3]))
+    (forward,), _ = attach(build(*log), batch_at([3.3]))
+    (backward,), _ = attach(build(*log[::-1]), batch_at([3.3]))
     assert forward.position.tolist() == backward.position.tolist()
 
 
@@ -81,7 +81,7 @@ def test_the_order_of_the_log_changes_nothing() -> None:
 def test_stamps_that_are_damage_harm_nothing(stamp_ns: int) -> None:
     poser = build(*drive("odom", "base_link"), MOUNT, time_offset_s=-1e9)
     batch = replace(batch_at([0]), stamp_ns=np.array([stamp_ns]))
-    posed, dropped = poser.attach(batch)
+    posed, dropped = attach(poser, batch)
     assert posed == []
     assert sum(dropped.values()) == 1
 
@@ -89,9 +89,9 @@ def test_stamps_that_are_damage_harm_nothing(stamp_ns: int) -> None:
 def test_a_laser_without_transform_is_refused_alone_and_counted_beside_another() -> None:
     poser = build(*drive("odom", "base_link"), MOUNT)
     with pytest.raises(PoseError, match="'bumper'"):
-        poser.attach(batch_at([1], "bumper"))
-    assert len(poser.attach(batch_at([1]))[0]) == 1
-    assert poser.attach(batch_at([1, 2], "bumper")) == ([], {DropReason.NO_TRANSFORM: 2})
+        attach(poser, batch_at([1], "bumper"))
+    assert len(attach(poser, batch_at([1]))[0]) == 1
+    assert attach(poser, batch_at([1, 2], "bumper")) == ([], {DropReason.NO_TRANSFORM: 2})
 
 
 # Poses that the log states beside its scans
@@ -102,7 +102,7 @@ def stated(*poses: Pose) -> ScanBatch:
 
 
 def test_a_stated_pose_is_used_as_it_is() -> None:
-    (posed,), dropped = build().attach(stated(turned(90, x=1, y=2), turned(0)))
+    (posed,), dropped = attach(build(), stated(turned(90, x=1, y=2), turned(0)))
     assert not dropped
     assert posed.position.tolist() == [[1, 2, 0], [0, 0, 0]]
     np.testing.assert_allclose(yaw_of(posed.rotation), [math.pi / 2, 0])
@@ -110,7 +110,7 @@ def test_a_stated_pose_is_used_as_it_is() -> None:
 
 def test_a_stated_pose_that_is_not_finite_is_left_out() -> None:
     bad = Pose.planar(math.nan, 0, 0), Pose(0, 0, 0, 0, 0, 0, 0), turned(0, x=math.inf)
-    (posed,), dropped = build().attach(stated(turned(0, x=5), *bad))
+    (posed,), dropped = attach(build(), stated(turned(0, x=5), *bad))
     assert dropped == {DropReason.NOT_FINITE: 3}
     assert posed.position.tolist() == [[5, 0, 0]]
     assert posed.batch.pose is not None
@@ -118,14 +118,14 @@ def test_a_stated_pose_that_is_not_finite_is_left_out() -> None:
 
 
 def test_a_stated_pose_is_the_bodys_where_the_sensors_is_given() -> None:
-    (posed,), _ = build(sensor_pose=turned(90, x=2)).attach(stated(turned(90, x=1)))
+    (posed,), _ = attach(build(sensor_pose=turned(90, x=2)), stated(turned(90, x=1)))
     np.testing.assert_allclose(posed.position, [[1, 2, 0]], atol=1e-12)
     np.testing.assert_allclose(np.abs(yaw_of(posed.rotation)), [math.pi])
 
 
 def test_what_means_nothing_to_stated_poses_is_told() -> None:
     poser = build(map_frame="m", deskew=Deskew.ON)
-    poser.attach(stated(turned(0)))
+    attach(poser, stated(turned(0)))
     assert poser.notes == [
         "`map_frame` does nothing: the poses stand beside the scans",
         "`deskew=on` does nothing: the poses stand beside the scans",
@@ -135,7 +135,7 @@ def test_what_means_nothing_to_stated_poses_is_told() -> None:
 def test_whose_stated_poses_are_is_said_once_and_only_where_it_was_decided() -> None:
     mounted, plain = build(sensor_pose=turned(90, x=2)), build()
     for poser in (mounted, mounted, plain):
-        poser.attach(stated(turned(90, x=1)))
+        attach(poser, stated(turned(90, x=1)))
     assert mounted.notes == [
         "the poses beside the scans are taken as the robot's, with the laser at `sensor_pose` on "
         "it; leave that out if they are the laser's own"
@@ -145,7 +145,7 @@ def test_whose_stated_poses_are_is_said_once_and_only_where_it_was_decided() -> 
 
 def test_a_chosen_trajectory_goes_before_stated_poses() -> None:
     log = drive("map", "", "/slam")
-    (posed,), _ = build(*log, poses="/slam").attach(stated(turned(0, x=5)))
+    (posed,), _ = attach(build(*log, poses="/slam"), stated(turned(0, x=5)))
     assert posed.position.tolist() == [[0, 0, 0]]
 
 
@@ -177,7 +177,7 @@ def see_wall(start_s: float, beams: int, time_increment: float) -> ScanBatch:
 
 def points(poser: Poser, batch: ScanBatch) -> Float64:
     """(B, 3) ends of the beams in the map."""
-    (posed,), _ = poser.attach(batch)
+    (posed,), _ = attach(poser, batch)
     ends: Float64
     bearings = batch.angle_min + batch.angle_increment * np.arange(batch.ranges.shape[1])
     beams = np.stack([np.cos(bearings), np.sin(bearings), np.zeros_like(bearings)], axis=-1)
@@ -200,8 +200,8 @@ def test_deskewing_straightens_a_wall_seen_in_a_fast_turn(beams: int) -> None:
 
 
 def test_deskewed_beams_have_the_shapes_of_a_pose_each() -> None:
-    (posed,), _ = build(*spin(), deskew=Deskew.ON).attach(
-        batch_at([0.5, 1.0], beams=100, time_increment=0.001)
+    (posed,), _ = attach(
+        build(*spin(), deskew=Deskew.ON), batch_at([0.5, 1.0], beams=100, time_increment=0.001)
     )
     assert posed.position.shape == (2, 100, 3)
     assert posed.rotation.shape == (2, 100, 3, 3)
@@ -226,7 +226,7 @@ def test_auto_deskews_where_the_log_allows(
     rate_hz: int, time_increment: float, expected: bool
 ) -> None:
     poser = build(*spin(4, rate_hz), deskew=Deskew.AUTO)
-    (posed,), _ = poser.attach(batch_at([2.0], beams=100, time_increment=time_increment))
+    (posed,), _ = attach(poser, batch_at([2.0], beams=100, time_increment=time_increment))
     assert (posed.position.ndim == 3) is expected
     assert ("de-skewed: each beam of 'laser' has a pose of its own" in poser.notes) is expected
 
@@ -234,7 +234,7 @@ def test_auto_deskews_where_the_log_allows(
 def test_where_nothing_can_be_deskewed_it_is_said() -> None:
     asked, unasked = build(*spin(), deskew=Deskew.ON), build(*spin(), deskew=Deskew.AUTO)
     for poser in (asked, unasked):
-        poser.attach(batch_at([0.5], beams=10))
+        attach(poser, batch_at([0.5], beams=10))
     assert asked.notes == [
         "scans of 'laser' that state no believable time between beams are not de-skewed"
     ]
@@ -265,7 +265,7 @@ def test_scans_of_one_batch_are_deskewed_each_by_its_own_time(deskew: Deskew) ->
     poser = build(*spin(), deskew=deskew)
     batch = batch_at([0.5, 1.0, 1.0, 1.95, 3.0], beams=101)
     increments = np.array([0.001, math.nan, 0.002, 0.001, 0.0])
-    (turning, still), dropped = poser.attach(replace(batch, time_increment=increments))
+    (turning, still), dropped = attach(poser, replace(batch, time_increment=increments))
     assert dropped == {DropReason.AFTER: 2}
     assert still.batch.stamp_ns.tolist() == [SECOND]
     assert still.position.tolist() == [[1, 0, 0]]
@@ -279,16 +279,16 @@ def test_scans_of_one_batch_are_deskewed_each_by_its_own_time(deskew: Deskew) ->
 @pytest.mark.parametrize("time_increment", [math.inf, -math.inf, math.nan, 1e308])
 def test_a_single_beam_takes_no_time_whatever_is_stated(time_increment: float) -> None:
     batch = batch_at([0.5], beams=1, time_increment=time_increment)
-    (posed,), _ = build(*spin(), deskew=Deskew.ON).attach(batch)
+    (posed,), _ = attach(build(*spin(), deskew=Deskew.ON), batch)
     assert posed.position.shape == (1, 3)
 
 
 def test_a_scan_that_ends_after_the_last_pose_is_left_out_when_deskewed() -> None:
     late = batch_at([0.5, 1.95], beams=101, time_increment=0.001)
-    (posed,), dropped = build(*spin(), deskew=Deskew.ON).attach(late)
+    (posed,), dropped = attach(build(*spin(), deskew=Deskew.ON), late)
     assert posed.batch.stamp_ns.tolist() == [SECOND // 2]
     assert dropped == {DropReason.AFTER: 1}
-    assert build(*spin(), deskew=Deskew.OFF).attach(late)[1] == {}
+    assert attach(build(*spin(), deskew=Deskew.OFF), late)[1] == {}
 
 
 # Coverage
@@ -321,5 +321,5 @@ def test_the_defaults_bridge_a_second_and_deskew_nothing() -> None:
 def test_a_note_appears_once_however_many_batches_there_are() -> None:
     poser = build(*drive("odom", "base_link", "/wheels"), MOUNT)
     for second in range(3):
-        poser.attach(batch_at([second]))
+        attach(poser, batch_at([second]))
     assert poser.notes == ["tf does not give odom -> base_link: taken from /wheels"]

@@ -6,7 +6,7 @@ import pytest
 
 from occmap.posing.attach import Poser
 from occmap.types import Pose
-from tests.posing.scenes import at, batch_at, bolted, build, drive
+from tests.posing.scenes import at, attach, batch_at, bolted, build, drive
 
 
 def mount(roll: float = 0.0, pitch: float = 0.0, height: float = 0.3) -> Poser:
@@ -15,7 +15,7 @@ def mount(roll: float = 0.0, pitch: float = 0.0, height: float = 0.3) -> Poser:
     sensor = bolted("base_link", "laser", Pose.from_xyzrpy((0, 0, height), angles))
     poser = build(*drive("odom", "base_link", seconds=range(41)), sensor)
     for first in (0, 10, 20, 30):
-        poser.attach(batch_at(range(first, first + 10)))
+        attach(poser, batch_at(range(first, first + 10)))
     return poser
 
 
@@ -73,7 +73,7 @@ def stand(*poses: Pose, scans: int = 41) -> list[str]:
     sensor = bolted("base_link", "laser", Pose.planar(0.2, 0, 0))
     poser = build(*samples, sensor)
     batch = batch_at(range(scans))
-    poser.attach(batch)
+    attach(poser, batch)
     assert not list(poser.list_concerns(0, math.inf))
     return [note for note in poser.notes if "never moves" in note]
 

@@ -12,7 +12,7 @@ from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.concerns import Concern
 from occmap.types import Pose, PoseSample
-from tests.posing.scenes import SECOND, at, batch_at, bolted, build, drive, turned
+from tests.posing.scenes import SECOND, at, attach, batch_at, bolted, build, drive, turned
 from tests.samples import write_csv
 
 SECONDS = range(101)
@@ -29,7 +29,7 @@ def watch(poser: Poser, first_s: float = 0.0, last_s: float = 100.0) -> list[Con
     """What there is to say when scans between two times were attached."""
     stamps = [half / 2 for half in range(201) if first_s <= half / 2 <= last_s]
     for some in np.array_split(np.array(stamps), 7):
-        poser.attach(batch_at(some.tolist()))
+        attach(poser, batch_at(some.tolist()))
     return [concern for _, concern in poser.list_concerns(0, math.inf)]
 
 
@@ -74,7 +74,7 @@ def test_the_options_are_by_the_clock_of_the_scans() -> None:
     samples = correct(lambda second: Pose.planar(11.0 * (second >= 12), 0, 0))
     driven = drive("odom", "base_link", seconds=SECONDS)
     poser = build(*driven, MOUNT, *samples, time_offset_s=2.0)
-    poser.attach(batch_at(range(5, 90)))
+    attach(poser, batch_at(range(5, 90)))
     ((_, concern),) = poser.list_concerns(5 * SECOND, math.inf)
     # The jump at 12 s is at 10 s by the scans, 5 s after the first of them.
     assert concern.remedy == {"start_s": "5"}

@@ -2,16 +2,19 @@
 
 import math
 import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from occmap.inspection import inspect
 from occmap.options import BuildOptions
 from occmap.pipeline import Build, build
 from occmap.posing.options import PosingOptions
-from occmap.types import Pose
-from tests.posing.scenes import at, batch_at, bolted, drive
+from occmap.types import Pose, ScanBatch
+from tests.posing.scenes import at, attach, batch_at, bolted, drive
 from tests.posing.scenes import build as make_poser
 from tests.samples import REAL_LOGS, Planar, write_csv
 
@@ -72,22 +75,83 @@ def test_a_transform_that_leaps_takes_its_scans_along() -> None:
     samples[20] = at(20, "odom", "base_link", Pose.planar(4000.0, 0.0, 0.0))
     poser = make_poser(*samples, bolted("base_link", "laser", Pose.planar(0, 0, 0)))
     seconds = [half / 2 for half in range(81)]
-    (posed,), dropped = poser.attach(batch_at(seconds))
+    (posed,), dropped = attach(poser, batch_at(seconds))
     assert {str(reason): scans for reason, scans in dropped.items()} == {LEAP: 3}
     assert posed.position[:, 0].tolist() == [s for s in seconds if not 19 < s < 21]
 
 
-def test_how_scans_are_batched_changes_nothing() -> None:
-    samples = drive("odom", "base_link", seconds=range(61))
-    samples[50] = at(50, "odom", "base_link", Pose.planar(4000.0, 0.0, 0.0))
-    mount = bolted("base_link", "laser", Pose.planar(0, 0, 0))
-    together, apart = (make_poser(*samples, mount) for _ in range(2))
-    whole, dropped = together.attach(batch_at(range(61)))
-    parts = [apart.attach(batch_at(range(at, min(at + 8, 61)))) for at in range(0, 61, 8)]
-    assert sum(sum(each.values()) for _, each in parts) == sum(dropped.values()) == 1
-    assert together.notes == apart.notes
-    places = [x for posed, _ in parts for each in posed for x in each.position[:, 0]]
-    assert places == whole[0].position[:, 0].tolist()
+def state(xs: Sequence[float], seconds: Sequence[float] | None = None) -> ScanBatch:
+    """Scans whose poses stand beside them, one a second unless told otherwise."""
+    batch = batch_at(range(len(xs)) if seconds is None else seconds)
+    return replace(batch, pose=np.array([Pose.planar(x, 0.0, 0.0) for x in xs]))
+
+
+def sift(whole: ScanBatch, size: int) -> tuple[list[int], list[str]]:
+    """Which scans are used, where so many are a batch; and what is said."""
+    poser = make_poser()
+    rows = np.arange(len(whole.stamp_ns))
+    posed, _ = attach(poser, *(whole.take(rows[at : at + size]) for at in rows[::size]))
+    stamps = np.concatenate([each.batch.stamp_ns for each in posed])
+    return np.flatnonzero(np.isin(whole.stamp_ns, stamps)).tolist(), poser.notes
+
+
+HERE = [0.5 * second for second in range(20)]
+THERE = [x + 300 for x in HERE]
+WAYS = {
+    "carried": (state([*HERE, *THERE]), []),
+    "one scan": (state([*HERE[:9], 4e3, *HERE[10:]]), [9]),
+    "near each other": (state([*HERE[:7], 4e3, 3.5, -2e3, *HERE[10:]]), [7, 8, 9]),
+    "from afar and back": (state([*HERE[:9], 2e3, 4e3, 2e3, *HERE[12:]]), [9, 10, 11]),
+    "a while elsewhere": (state([*HERE[:6], *THERE[6:12], *HERE[12:]]), [*range(6, 12)]),
+    "long elsewhere": (state([*HERE, *THERE, *(x + 20 for x in HERE)]), []),
+    "a first and a last one": (state([9e3, *HERE[1:-1], 9e3]), [0, 19]),
+    "the second and the last but one": (state([0, 9e3, *HERE[2:-2], 9e3, 9.5]), [1, 18]),
+    "beside a pause": (state([*HERE, 9e3, *HERE], [*range(20), *range(99, 120)]), [20]),
+    "two by turns": (state([x for pair in zip(HERE, THERE, strict=True) for x in pair]), []),
+    "a train": (state([80.0 * second for second in range(40)]), []),
+    "three scans": (state([0, 1e3, 0]), []),
+}
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 5, 8, 60])
+@pytest.mark.parametrize("way", WAYS)
+def test_how_scans_are_batched_changes_nothing(way: str, size: int) -> None:
+    whole, astray = WAYS[way]
+    used, notes = sift(whole, size)
+    assert sorted({*range(len(whole.stamp_ns))} - {*used}) == astray
+    assert len(notes) == (1 if astray else 0)
+    assert notes == sift(whole, 60)[1]
+
+
+def test_scans_by_turns_of_two_shapes_do_not_depend_on_batches() -> None:
+    """A batch holds scans of one shape, so that those of two come in another order."""
+    whole = state([*HERE, *THERE])
+    rows = np.arange(40)
+    used = []
+    for size in (4, 10, 40):
+        windows = (whole.take(rows[at : at + size]) for at in rows[::size])
+        parts = [
+            replace(window.take(np.arange(first, len(window.stamp_ns), 2)), angle_min=angle)
+            for window in windows
+            for first, angle in ((0, -1.0), (1, 1.0))
+        ]
+        posed, _ = attach(make_poser(), *parts)
+        used.append(sum(len(each.batch.stamp_ns) for each in posed))
+    assert used == [40, 40, 40]
+
+
+def test_scans_are_held_back_only_where_they_may_be_astray() -> None:
+    poser = make_poser()
+    given: list[int] = []
+
+    def give() -> Iterator[ScanBatch]:
+        for first in range(0, 40, 4):
+            given.append(first)
+            seconds = range(first, first + 4)
+            yield state([0.5 * second for second in seconds], seconds)
+
+    for count, _ in enumerate(poser.attach(give()), start=1):
+        assert len(given) == count
 
 
 def test_check_sees_the_map_that_build_makes(tmp_path: Path) -> None:
