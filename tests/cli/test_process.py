@@ -104,17 +104,22 @@ def test_a_signal_leaves_one_line_and_no_file(
     tmp_path: Path, name: str, jobs: str, code: int
 ) -> None:
     words = [*[DRIVE] * 500, "-o", str(tmp_path / "m.pgm"), "--jobs", jobs]
-    process = subprocess.Popen(
+    sent = signal.Signals[name]
+    with subprocess.Popen(
         [sys.executable, "-c", ANNOUNCED_BUILD, *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-    )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "begins\n"
-    time.sleep(0.5)  # so many logs take far longer
-    process.send_signal(signal.Signals[name])
-    out, err = process.communicate(timeout=30)
+        preexec_fn=lambda: signal.signal(sent, signal.SIG_DFL),  # background jobs ignore some
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "begins\n"
+        time.sleep(0.5)  # so many logs take far longer
+        process.send_signal(sent)
+        try:
+            out, err = process.communicate(timeout=30)
+        finally:
+            process.kill()
     assert (process.returncode, out) == (code, "")
     assert err == "error: interrupted: nothing more is written\n"
     assert list(tmp_path.iterdir()) == []

@@ -1,8 +1,5 @@
-"""Kernels are compiled once, for all logs; where they cannot be kept, once a process."""
+"""Kernels are compiled once, for all logs, and kept for the sources they were made of."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +16,7 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.sensor.models import parse_model
 from occmap.types import Update
+from tests.samples import SAMPLE_LOGS
 
 KERNELS: list[Any] = [
     project_ends,
@@ -28,15 +26,6 @@ KERNELS: list[Any] = [
     trace_radial_polygons,
     read_tiles,
 ]
-SAMPLE = Path(__file__).parents[2] / "sample_logs" / "drive.mcap"
-NOWHERE_TO_KEEP = """
-from pathlib import Path
-from occmap import jit
-jit.list_bases = lambda _: [Path("/dev/null/below a file")]
-from occmap.grid.warm import compile_kernels
-compile_kernels()
-print("compiled")
-"""
 
 
 @pytest.mark.parametrize("update", Update)
@@ -48,7 +37,7 @@ def test_a_build_needs_no_kernel_that_was_not_compiled_before(
     compiled = [len(kernel.signatures) for kernel in KERNELS]
     assert min(compiled) >= 1
     options = BuildOptions(update=update, model=parse_model(model), jobs=1)
-    build([SAMPLE], options, [tmp_path / "m.npz"])
+    build([SAMPLE_LOGS / "drive.mcap"], options, [tmp_path / "m.npz"])
     assert [len(kernel.signatures) for kernel in KERNELS] == compiled
 
 
@@ -66,36 +55,3 @@ def test_machine_code_is_kept_for_just_these_sources_and_settings(
     assert folders[0] == folders[1]
     assert len({*folders}) == 3
     assert all(folder.parent == tmp_path for folder in folders)
-
-
-def test_kernels_that_cannot_be_kept_work_and_say_so_once() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", NOWHERE_TO_KEEP], capture_output=True, text=True, check=True
-    )
-    assert done.stdout == "compiled\n"
-    assert done.stderr.count("\n") == 1
-    assert "NUMBA_CACHE_DIR" in done.stderr
-
-
-LOADED = """
-import sys
-from occmap.cli import run
-assert run(["build", "polygon", *sys.argv[1:], "-q"]) == 0
-print("numba.np.linalg" in sys.modules)
-"""
-
-
-def test_kept_machine_code_is_loaded_without_preparing_to_compile(tmp_path: Path) -> None:
-    maps = [tmp_path / "compiled.pgm", tmp_path / "kept.pgm"]
-    prepared = [
-        subprocess.run(
-            [sys.executable, "-c", LOADED, SAMPLE, "-o", path],
-            capture_output=True,
-            text=True,
-            check=True,
-            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
-        ).stdout
-        for path in maps
-    ]
-    assert prepared == ["True\n", "False\n"]
-    assert maps[0].read_bytes() == maps[1].read_bytes()

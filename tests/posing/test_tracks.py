@@ -1,11 +1,12 @@
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
 from occmap.posing.options import Stamps
 from occmap.posing.tracks import Track, TrackBuilder
-from occmap.types import Pose, PoseSample
+from occmap.types import Pose, PoseBatch, PoseSample
 
 HERE = Pose(1, 2, 3, 0, 0, 0, 1)
 
@@ -19,7 +20,27 @@ def build(*samples: PoseSample, stamps: Stamps = Stamps.HEADER) -> tuple[Track |
     for one in samples:
         builder.add(one, stamps)
     track = builder.build()
+    whole = TrackBuilder()
+    whole.add_batch(stack(samples), stamps)
+    as_batch = whole.build()
+    assert whole.unusable == builder.unusable
+    assert (as_batch is None) == (track is None)
+    if track is not None and as_batch is not None:
+        for name in ("stamp_ns", "position", "quaternion"):
+            np.testing.assert_array_equal(getattr(as_batch, name), getattr(track, name))
     return track, builder.unusable
+
+
+def stack(samples: Sequence[PoseSample]) -> PoseBatch:
+    """The same samples as one batch."""
+    return PoseBatch(
+        np.array([one.stamp_ns for one in samples]),
+        np.array([one.record_ns for one in samples]),
+        np.array([one.pose for one in samples]),
+        *("odom", "base_link"),
+        static=False,
+        topic="",
+    )
 
 
 def stamps_of(track: Track | None) -> list[int]:
@@ -71,9 +92,22 @@ def test_a_pose_that_is_none_is_left_out_and_counted(pose: Pose) -> None:
     assert build(sample(10, pose)) == (None, 1)
 
 
+def test_a_pose_a_light_hour_away_is_the_last_that_is_one() -> None:
+    far = HERE._replace(x=1e12)
+    track, unusable = build(sample(0, far), sample(1, far._replace(x=-1.0001e12)))
+    assert (stamps_of(track), unusable) == ([0], 1)
+
+
+@pytest.mark.parametrize("stamp_ns", [2**62, -(2**62)])
+def test_a_stamp_of_2116_is_the_last_that_is_one(stamp_ns: int) -> None:
+    track, unusable = build(sample(stamp_ns, record_ns=stamp_ns))
+    assert (stamps_of(track), unusable) == ([stamp_ns], 0)
+
+
 @pytest.mark.parametrize("stamp_ns", [2**62 + 1, -(2**63), 2**63 - 1])
 def test_a_stamp_that_is_damage_is_left_out(stamp_ns: int) -> None:
     assert build(sample(stamp_ns)) == (None, 1)
+    assert build(sample(5, record_ns=stamp_ns)) == (None, 1)
 
 
 def test_quaternions_get_unit_length() -> None:
@@ -96,3 +130,88 @@ def test_steps_and_intervals_lie_between_samples() -> None:
     assert track.interval_s.tolist() == [2]
     assert track.step_m.tolist() == [5]
     np.testing.assert_allclose(track.step_rad, [math.pi / 2])
+
+
+@pytest.mark.parametrize(
+    ("other", "changes"),
+    [
+        (HERE, False),
+        (HERE._replace(x=1.01), True),
+        (HERE._replace(qx=1), True),
+        (HERE._replace(qw=2), False),
+        (HERE._replace(x=math.nan), False),
+    ],
+)
+def test_whether_samples_of_one_stamp_differ(other: Pose, changes: bool) -> None:
+    builder = TrackBuilder()
+    for pose in (HERE, other):
+        builder.add(sample(10, pose), Stamps.HEADER)
+    assert builder.changes is changes
+
+
+def test_a_rotation_that_is_not_of_length_one_is_no_other() -> None:
+    builder = TrackBuilder()
+    for length in (1, 2):
+        builder.add(sample(10, HERE._replace(qx=length, qw=length)), Stamps.HEADER)
+    assert not builder.changes
+
+
+def find_strides(usual: tuple[float, float], **others: tuple[float, float]) -> list[int]:
+    """Drive 300 steps of so many metres and seconds along x, others where `at_N` says."""
+    steps = np.array([others.get(f"at_{at}", usual) for at in range(300)])
+    place, time = np.append(np.zeros((1, 2)), steps.cumsum(axis=0), axis=0).T
+    position = np.stack([place, np.zeros(301), np.zeros(301)], axis=1)
+    quaternion = np.tile([0.0, 0.0, 0.0, 1.0], (301, 1))
+    track = Track(np.rint(time * 1e9).astype(np.int64), position, quaternion)
+    return [int(at) for at in track.strides]
+
+
+CREEP = (0.2, 1.0)
+"""At 0.2 m/s, steps are strides above 1 m and above 2.5 * 0.3 m/s"""
+WALK = (1.0, 1.0)
+"""At 1 m/s, steps are strides above 2 m, twice the usual, and above 2.5 * 1 m/s"""
+
+
+@pytest.mark.parametrize(
+    ("usual", "step", "is_stride"),
+    [
+        (CREEP, (0.99, 1.0), False),
+        (CREEP, (1.01, 1.0), True),
+        (CREEP, (1.2, 1.62), False),
+        (CREEP, (1.2, 1.58), True),
+        (CREEP, (8.0, 10.0), True),
+        (CREEP, (8.5, 10.1), False),
+        (WALK, (2.4, 1.0), False),
+        (WALK, (2.6, 1.0), True),
+        (WALK, (1.9, 0.5), False),
+        (WALK, (2.1, 0.5), True),
+    ],
+)
+def test_a_stride_is_long_and_fast(
+    usual: tuple[float, float], step: tuple[float, float], is_stride: bool
+) -> None:
+    assert find_strides(usual, at_150=step) == ([150] if is_stride else [])
+
+
+@pytest.mark.parametrize(
+    ("at", "faster", "is_stride"),
+    [
+        (150, [140, 141, 142], False),
+        (150, [139, 140, 141], True),
+        (150, [158, 159, 160], False),
+        (150, [159, 160, 161], True),
+        (150, [149, 151], True),
+        (150, [148, 149, 151], False),
+        (150, [149, 151, 152], False),
+        (1, [0], True),
+        (3, [0, 1, 2], False),
+        (297, [298, 299], True),
+        (296, [297, 298, 299], False),
+    ],
+)
+def test_a_stride_is_faster_than_the_third_fastest_of_ten_steps_to_either_side(
+    at: int, faster: list[int], is_stride: bool
+) -> None:
+    """1.2 m/s is 2 times as fast as 0.6 m/s, and 6 times as fast as 0.2 m/s."""
+    steps = {f"at_{other}": (0.6, 1.0) for other in faster}
+    assert find_strides(CREEP, **steps, **{f"at_{at}": (1.2, 1.0)}) == ([at] if is_stride else [])

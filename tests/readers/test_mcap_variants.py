@@ -1,5 +1,10 @@
-"""MCAP files in every variant of the specification, and each fault that once went untold."""
+"""MCAP files in every variant of the specification, and each fault that once went untold.
 
+With OCCMAP_FAULTS set, all variants; without, those that have or lack at most two features, and so
+every pair together and apart.
+"""
+
+import os
 import struct
 from collections.abc import Collection, Iterator
 from io import BytesIO
@@ -68,7 +73,11 @@ def test_every_variant_is_read_whole_and_has_no_note(compression: str, tmp_path:
     variants = set(list_variants())
     assert len(variants) == 5 * 2 ** len(ALONE)
     chosen = sorted(map(sorted, variants))
-    for has in chosen if not compression else chosen[:: len(chosen) // 200]:
+    if compression:
+        chosen = chosen[:: len(chosen) // 200]
+    elif "OCCMAP_FAULTS" not in os.environ:
+        chosen = [has for has in chosen if min(len({*ALONE} & {*has}), len({*ALONE} - {*has})) <= 2]
+    for has in chosen:
         path.write_bytes(write_variant(SMALL, has, compression))
         log, stamps = read(path)
 

@@ -110,6 +110,8 @@ def test_models_are_found_by_name_and_described_as_they_are_written(name: str, k
 def test_bounds_are_described_where_they_bound_anything() -> None:
     usual = "counting:prior=0.5,strength=0.02,hit_weight=1.0,cut=0.32,spread=0.08"
     assert describe_model(CountingModel()) == usual
+    usual = "simple:p_hit=0.7,p_miss=0.4,prior=0.5,cut=0.5,spread=0.08"
+    assert describe_model(SimpleModel()) == usual
     model = QuadraticModel(clamp_max=0.97)
     assert (
         describe_model(model) == "quadratic:epsilon=0.0,p_min=0.4,prior=0.5,cut=0.5,clamp_max=0.97"
@@ -173,6 +175,14 @@ def test_what_is_wrong_is_said_in_one_line(text: str, words: list[str]) -> None:
     assert "\n" not in message
     for word in words:
         assert word in message
+
+
+def test_a_model_that_is_installed_and_does_not_load_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("occmap.sensor.models.load_plugin", lambda *_: None)
+    with pytest.raises(UsageError, match="the model simple does not load; `occmap models` says"):
+        make_model("simple", {})
 
 
 def test_the_probability_of_extreme_log_odds_is_certain_and_warns_of_nothing() -> None:

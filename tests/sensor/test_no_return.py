@@ -118,6 +118,12 @@ def test_ten_times_as_many_as_just_below_are_a_band() -> None:
     assert band.limit == pytest.approx(39, rel=1e-4)
 
 
+@pytest.mark.parametrize(("different", "found"), [(15, False), (16, True)])
+def test_sixteen_different_ranges_tell_enough(different: int, found: bool) -> None:
+    ranges = [1 + number / 10 for number in range(different - 1)]
+    assert (find([*ranges, *[30.0] * 50]) is not None) == found
+
+
 def test_a_limit_that_the_scans_state_is_none_of_the_values() -> None:
     """What is at the limit or above it is no return without being looked for."""
     assert find(MEASURED + [30.0] * 50, stated=30.0) is None
@@ -277,6 +283,14 @@ def test_the_users_limit_is_asked_for_nothing() -> None:
                 "used as measured: `range_max` sets a limit"
             ],
         ),
+        (
+            [0.3, 0.8],
+            0.5,
+            [
+                "scan states 0.5 m as its range limit; 1 of 2 ranges (50.0%) are above it, up to "
+                "0.8 m, taken as no return: `range_max` overrides"
+            ],
+        ),
         ([*MEASURED, 50.0, math.inf], 50.0, []),
     ],
 )
@@ -284,6 +298,44 @@ def test_what_was_found_is_said(ranges: list[float], stated: float, expected: li
     limits = RangeLimits(ReturnOptions())
     limits.see(scan(ranges, range_max=stated))
     assert list(limits.list_notes()) == expected
+
+
+@pytest.mark.parametrize(
+    ("parts", "expected"),
+    [
+        (
+            [
+                scan([*range(1, 9), *[50.0] * 6], range_max=60.0),
+                scan([*range(9, 16), *[50.0] * 6], range_max=60.0),
+            ],
+            "scan states 60 m as its range limit; 12 of 27 ranges (44.4%) read 50 m",
+        ),
+        (
+            [
+                scan([1.0, 51.15], range_max=40.0),
+                scan([3.0, 52.0, 53.0], range_max=50.0),
+                scan([1.0, 2.0, 3.0]),
+            ],
+            "scan states no range limit; 3 of 8 ranges (37.5%) are above it, up to 53 m",
+        ),
+    ],
+    ids=["band", "above"],
+)
+def test_parts_of_a_log_tell_together_what_the_whole_tells(
+    parts: list[Scan], expected: str
+) -> None:
+    """Neither part of the first log shows a band: each has too few readings and too few ranges."""
+    for order in (parts, parts[::-1]):
+        merged, whole = RangeLimits(ReturnOptions()), RangeLimits(ReturnOptions())
+        for part in order:
+            seen = RangeLimits(ReturnOptions())
+            seen.see(part)
+            merged.merge(seen)
+            whole.see(part)
+        for limits in (merged, whole):
+            assert list(limits.list_notes()) == [
+                f"{expected}, taken as no return: `range_max` overrides"
+            ]
 
 
 def write_late(path: Path, scans: int, marked_from: int) -> Path:

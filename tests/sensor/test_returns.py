@@ -16,8 +16,9 @@ from occmap.sensor.returns import (
     classify,
     goes_round,
     interpret,
+    read_limits,
 )
-from occmap.types import Float64, Kind, Pose, PosedScans, ScanBatch
+from occmap.types import Float64, Kind, Pose, PosedScans, Scan, ScanBatch
 
 INF, NAN = math.inf, math.nan
 HIT, FREE, SKIP = Kind.HIT, Kind.FREE, Kind.SKIP
@@ -165,6 +166,24 @@ def test_every_beam_is_counted_once(
 def test_tallies_add_up() -> None:
     total = ReturnCounts(1, 2, 3, 4, 5, 6) + ReturnCounts(10, 20, 30, 40, 50, 60)
     assert total == (11, 22, 33, 44, 55, 66)
+    assert ReturnCounts() + total == total
+
+
+@pytest.mark.parametrize(
+    ("stated", "read"),
+    [
+        ((0.1, 0.8), (0.1, 0.8)),
+        ((0.0, 30.0), (0.0, 30.0)),
+        ((-0.1, 0.0), (0.0, INF)),
+        ((NAN, NAN), (0.0, INF)),
+        ((-INF, -1.0), (0.0, INF)),
+    ],
+)
+def test_a_limit_that_no_range_is_within_is_none(
+    stated: tuple[float, float], read: tuple[float, float]
+) -> None:
+    ranges = np.ones(1, np.float32)
+    assert read_limits(Scan(0, "laser", 0.0, 0.1, ranges, *stated)) == read
 
 
 @pytest.mark.parametrize(

@@ -17,10 +17,10 @@ def test_visibility_is_nowhere_where_the_hit_reaches_the_sensor() -> None:
 
 
 def test_occupancy_is_highest_at_the_range() -> None:
-    """Range 5, epsilon 1: O = 1 - (d - 5)^2 from 4 to 6."""
-    d = np.array([3.9, 4.0, 4.5, 5.0, 5.25, 6.0, 6.1])
+    """Range 5, epsilon 2: O = 1 - ((d - 5) / 2)^2 from 3 to 7."""
+    d = np.array([2.9, 3.0, 4.0, 5.0, 5.5, 7.0, 7.1])
     expected = [0, 0, 3 / 4, 1, 15 / 16, 0, 0]
-    np.testing.assert_allclose(occupancy(d, 5.0, 1.0), expected, atol=1e-12)
+    np.testing.assert_allclose(occupancy(d, 5.0, 2.0), expected, atol=1e-12)
 
 
 def test_probability_is_even_where_nothing_is_known() -> None:

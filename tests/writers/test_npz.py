@@ -189,7 +189,8 @@ def test_an_altered_file_is_refused_or_says_the_same(tmp_path: Path) -> None:
     path = write(tmp_path / "m.npz")
     whole = path.read_bytes()
     refused = 0
-    for position in range(0, len(whole), 3):
+    positions = range(0, len(whole), 7)
+    for position in positions:
         path.write_bytes(whole[:position] + bytes([whole[position] ^ 0x41]) + whole[position + 1 :])
         try:
             back = read_evidence(path)
@@ -199,7 +200,7 @@ def test_an_altered_file_is_refused_or_says_the_same(tmp_path: Path) -> None:
             assert np.array_equal(back.cells, SMALL.cells)
             assert back.manifest == MANIFEST
             assert_equal_slices(back, SMALL)
-    assert refused > 0.8 * len(whole) / 3
+    assert refused > 0.8 * len(positions)
 
 
 def rewrite(path: Path, **changed: Any) -> bytes:

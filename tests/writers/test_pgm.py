@@ -89,6 +89,12 @@ def test_numbers_are_python_floats_in_full() -> None:
     assert fields["origin"] == [1 / 3, 0.30000000000000004, 0.0]
 
 
+def test_numbers_are_numbers_to_yaml_1_1_too(tmp_path: Path) -> None:
+    """It takes 1e-05, without a dot, for text."""
+    yaml = write(tmp_path, map_of([[0.5]], origin=(1e-05, -2.5e-07)), TRINARY)
+    assert "origin: [1.0e-05, -2.5e-07, 0.0]\n" in yaml.read_text()
+
+
 # A quarter per cent around the default thresholds, and well inside each class.
 AROUND = [0.01, 0.19, 0.1935, 0.1985, 0.2, 0.5, 0.6475, 0.6525, 0.66, 0.99, np.nan]
 
@@ -184,12 +190,21 @@ def test_scale_classes_survive_both_loaders(
 
 
 def test_scale_has_nav2s_greys(tmp_path: Path) -> None:
-    # nav2: grey = (100 - per cent) / 100 of 255 = 229.5, 127.5, 25.5, each rounded down by its
-    # image library; unknown is half, for PGM has no transparency.
-    yaml = write(tmp_path, map_of([[0.1, 0.5, 0.9, np.nan]]), WriteOptions(MapMode.SCALE))
+    # nav2: grey = (100 - per cent) / 100 of 255 = 229.5, 206.55, 127.5, 25.5, rounded by its image
+    # library, halves down; unknown is half, for PGM has no transparency.
+    yaml = write(tmp_path, map_of([[0.1, 0.19, 0.5, 0.9, np.nan]]), WriteOptions(MapMode.SCALE))
     pixels = read_pgm(yaml.with_suffix(".pgm"))[0].tolist()
-    assert pixels == [229, 127, 25, 127]
-    assert load_nav2(yaml)[0].tolist() == [0, 67, 100, 67]
+    assert pixels == [229, 207, 127, 25, 127]
+    assert load_nav2(yaml)[0].tolist() == [0, 0, 67, 100, 67]
+
+
+def test_scale_goes_as_near_to_a_threshold_as_greys_allow(tmp_path: Path) -> None:
+    # By 0.65 and 0.196 occupied is below 255 * 0.35 = 89.25 and free above 255 * 0.804 = 205.02;
+    # nav2 takes half a per cent of the span between, 0.58, to either side. Rounded to per cents,
+    # 0.646 and 0.1955 are 65 and 20, whose greys 89 and 204 are of the next class.
+    grid = map_of([[0.6505, 0.646, 0.197, 0.1955]])
+    yaml = write(tmp_path, grid, WriteOptions(MapMode.SCALE))
+    assert read_pgm(yaml.with_suffix(".pgm")).tolist() == [[89, 90, 204, 206]]
 
 
 def test_scale_with_thresholds_at_the_ends(tmp_path: Path) -> None:
