@@ -308,17 +308,18 @@ def read_build(options: Mapping[str, Any], call: str = "build_map") -> BuildOpti
 def read_request(
     logs: Sequence[AnyPath], options: Mapping[str, Any], call: str
 ) -> tuple[list[Path], BuildOptions]:
-    """Find the recordings that a caller means, and make the options that do not concern one map."""
-    paths, common = list_logs(logs, call), read_common(options, call)
-    return find_inputs(paths, common.reading).logs, common
+    """Find the recordings that a caller means, and make the options that concern all maps of them.
 
-
-def read_common(options: Mapping[str, Any], call: str) -> BuildOptions:
-    """Make the options that do not concern one map alone; raises UsageError for all others."""
+    Raises
+    ------
+    UsageError
+        No log is given, or an option is unknown, out of its range, or concerns one map alone.
+    """
     for name in options:
         if name in OF_ONE_MAP or name in WriteOptions.__dataclass_fields__:
             raise UsageError(f"{call} has no option {name!r}", fix="build_map takes it")
-    return read_build(options, call)
+    paths, common = list_logs(logs, call), read_build(options, call)
+    return find_inputs(paths, common.reading).logs, common
 
 
 def list_logs(logs: Sequence[AnyPath], call: str) -> list[Path]:

@@ -87,7 +87,11 @@ def observe(
         tally.add(counts)
         remarks.note(log, notes)
         with tally.time("fold"):
-            add_log(tiles, engine.finish(), options.max_cells, log.path)
+            tiles.merge(engine.finish())
+            try:
+                tiles.refuse_outgrown(options.max_cells)
+            except MapError as error:
+                raise error.placed(log.path) from None
             slices += engine.read_slices()
     with tally.time("fold"):
         return Observed(tiles, (unite(slices),) if keep.slices else (), tally, remarks)
@@ -106,18 +110,3 @@ def observe_log(
 
     ((_, notes),) = trace_logs([log], options, begin, tally)
     return engine, notes
-
-
-def add_log(tiles: TileGrid, others: TileGrid, max_cells: int, path: Path) -> None:
-    """Add what a log showed to what others did.
-
-    Raises
-    ------
-    MapError
-        The map would be too large.
-    """
-    tiles.merge(others)
-    try:
-        tiles.refuse_outgrown(max_cells)
-    except MapError as error:
-        raise error.placed(path) from None

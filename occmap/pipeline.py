@@ -1,6 +1,6 @@
 """The whole tool on one page: logs in, an occupancy map and a report out."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -117,12 +117,12 @@ def build_alone(
             made = describe_build(paths, options, tally.to_json())
         manifest = replace(manifest, builds=(*past.builds, made), subtracted=past.subtracted)
 
-    resumed = describe_resumed(saved) if saved else None
+    new, resumed = options.resume_if_there, describe_resumed(saved) if saved else None
     disagreement = list(list_disagreement(grid))
     notes = [
         *list_requested(paths, outputs, options.writing, options.model),
         *remarks.notes,
-        *list_new(options, saved),
+        *([f"{new}: no such file, so this build adds to nothing"] if new and not saved else ()),
         *unaligned,
         *options.list_idle(),
         *list_dates(options.selection, tally),
@@ -162,12 +162,6 @@ def open_past(options: BuildOptions) -> Evidence | None:
     there = options.resume_if_there
     path = options.resume or (there if there and there.exists() else None)
     return open_resumed(path, plan_manifest(options)) if path else None
-
-
-def list_new(options: BuildOptions, saved: Evidence | None) -> Iterator[str]:
-    """Say that a build that was to be added to others is the first of them."""
-    if options.resume_if_there and not saved:
-        yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
 
 
 def adopt_align(options: BuildOptions, saved: Evidence | None) -> BuildOptions:

@@ -398,16 +398,12 @@ def tell_disagreement(agreement: float | None, has_walls: bool) -> Iterator[str]
         )
 
 
-def measure_shares(grid: OccupancyMap, writing: WriteOptions) -> Shares:
-    """Measure how much of a map is what, as it is written."""
-    written = replace(grid, decision=writing.decide(grid.decision))
-    masks = written.occupied, written.free, ~written.observed
-    return Shares(*(int(np.count_nonzero(mask)) / mask.size for mask in masks))
-
-
 def describe_map(grid: OccupancyMap, writing: WriteOptions) -> MapFacts:
     """Measure a map, as it is written."""
-    shares, has_walls = measure_shares(grid, writing), bool(grid.occupied.any())
+    written = replace(grid, decision=writing.decide(grid.decision))
+    masks = written.occupied, written.free, ~written.observed
+    shares = Shares(*(int(np.count_nonzero(mask)) / mask.size for mask in masks))
+    has_walls = bool(grid.occupied.any())
     return MapFacts(grid.shape, grid.extent, shares, grid.agreement, has_walls)
 
 

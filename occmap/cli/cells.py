@@ -7,7 +7,7 @@ from occmap.cli.summary import LABEL
 from occmap.explanation import Explanation, describe_numbers
 from occmap.explanation.history import CellHistory, Visits
 from occmap.explanation.provenance import shorten
-from occmap.explanation.sightings import Numbers, Sighting, add_up
+from occmap.explanation.sightings import Sighting, add_up
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.wording import count, write_box, write_time
 
@@ -78,18 +78,16 @@ def list_around(explanation: Explanation) -> Iterator[tuple[str, str]]:
     history = explanation.history
     names = "log-odds/observations" if history.kind is EvidenceKind.LOG_ODDS else "hits/misses"
     rows = history.around[::-1].tolist()
-    table = [tuple(format_pair((cell[0], cell[1]), history) for cell in row) for row in rows]
+    table = [
+        tuple("/".join(split_pair(cell, history)) if any(cell) else "-" for cell in row)
+        for row in rows
+    ]
     yield "around", f"{names} of the cells beside it, y upwards"
     for line in align(table):
         yield "", line
 
 
-def format_pair(numbers: Numbers, history: CellHistory) -> str:
-    """Write the two numbers of a cell in as little space as possible."""
-    return "/".join(split_pair(numbers, history)) if any(numbers) else "-"
-
-
-def split_pair(numbers: Numbers, history: CellHistory) -> Row:
+def split_pair(numbers: Sequence[int], history: CellHistory) -> Row:
     """Write the two numbers of a cell, in observations."""
     first, second = (each / history.unit for each in numbers)
     if history.kind is EvidenceKind.LOG_ODDS:
@@ -106,19 +104,15 @@ def list_scans(explanation: Explanation) -> Iterator[tuple[str, str]]:
         return
     history = explanation.history
     yield "scans", f"{len(scans):,} {used}: {describe_sum(scans, history)}"
-    shown = choose_shown(scans)
-    table = [name_columns(history.kind), *(describe_scan(each, history) for each in shown)]
+    half = MOST_SCANS // 2
+    shown = scans if len(scans) <= MOST_SCANS else (*scans[:half], *scans[-half:])
+    names = ("log-odds", "obs.") if history.kind is EvidenceKind.LOG_ODDS else ("hits", "misses")
+    head = ("stamp (s)", *names, "sensor at (m)", "away (m)", "from")
+    table = [head, *(describe_scan(each, history) for each in shown)]
     for index, line in enumerate(align(table)):
-        if index == MOST_SCANS // 2 + 1 and len(shown) < len(scans):
+        if index == half + 1 and len(shown) < len(scans):
             yield "", f"... {len(scans) - len(shown):,} more: --json lists all ..."
         yield "", line
-
-
-def choose_shown(scans: Sequence[Sighting]) -> list[Sighting]:
-    """Choose the first and the last, or all where there are few."""
-    if len(scans) <= MOST_SCANS:
-        return list(scans)
-    return [*scans[: MOST_SCANS // 2], *scans[-MOST_SCANS // 2 :]]
 
 
 def describe_sum(scans: Sequence[Sighting], history: CellHistory) -> str:
@@ -130,12 +124,6 @@ def describe_sum(scans: Sequence[Sighting], history: CellHistory) -> str:
         return f"{raised:,} for occupied, {lowered:,} for free; {sums}"
     hit, cleared = (sum(each.numbers[part] > 0 for each in scans) for part in (0, 1))
     return f"{hit:,} hit it, {cleared:,} cleared it; {sums}"
-
-
-def name_columns(kind: EvidenceKind) -> Row:
-    """Write the head of the table of scans."""
-    names = ("log-odds", "obs.") if kind is EvidenceKind.LOG_ODDS else ("hits", "misses")
-    return ("stamp (s)", *names, "sensor at (m)", "away (m)", "from")
 
 
 def describe_scan(scan: Sighting, history: CellHistory) -> Row:

@@ -67,22 +67,10 @@ def split_words(words: Sequence[str]) -> tuple[Update, list[Path]]:
     if words and words[0] in updates:
         update, words = Update(words[0]), words[1:]
     elif words and words[0].isalpha() and not Path(words[0]).exists():
-        refuse_mistyped(words[0], updates)
+        close = get_close_matches(words[0].lower(), updates, n=1)
+        if close:
+            found = f"{words[0]!r} is neither a log nor an update"
+            raise UsageError(found, fix=f"did you mean {close[0]!r}?")
     if not words:
         raise UsageError("no log is given", fix="type: occmap build LOG -o map.pgm")
     return update, [Path(word) for word in words]
-
-
-def refuse_mistyped(word: str, updates: list[str]) -> None:
-    """Answer a mistyped update with the one that was meant.
-
-    Raises
-    ------
-    UsageError
-        If the word is close to an update.
-    """
-    close = get_close_matches(word.lower(), updates, n=1)
-    if close:
-        raise UsageError(
-            f"{word!r} is neither a log nor an update", fix=f"did you mean {close[0]!r}?"
-        )

@@ -22,7 +22,7 @@ from occmap.store.blocks import digest_evidence
 from occmap.store.reading import Store
 from occmap.store.rendering import View, classify_blocks, open_map
 from occmap.store.sources import as_blocks, open_saved
-from occmap.types import Bool, CellClass, Int64, UInt8
+from occmap.types import CellClass, UInt8
 from occmap.writers import MapMode, WriteOptions
 
 YAML_BYTES = 1 << 16
@@ -272,18 +272,12 @@ def classify(image: Path, meta: Meta) -> UInt8:
     grey, visible = read_grey(image)
     levels = np.arange(256)
     if meta.mode is MapMode.RAW:
-        occupied, free = classify_percent(levels, meta)
+        known = levels <= 100  # above, a value says nothing
+        occupied = known & (levels >= 100 * meta.occupied_thresh)
+        free = known & (levels <= 100 * meta.free_thresh)
     else:
         occupancy = (levels if meta.negate else 255 - levels) / 255
         occupied, free = occupancy > meta.occupied_thresh, occupancy < meta.free_thresh
     table = np.select([occupied, free], [CellClass.OCCUPIED, CellClass.FREE], CellClass.NEITHER)
     classes: UInt8 = np.where(visible, table.astype(np.uint8)[grey], np.uint8(CellClass.NEITHER))
     return classes[::-1]
-
-
-def classify_percent(levels: Int64, meta: Meta) -> tuple[Bool, Bool]:
-    """Which values of a raw map are occupied, and which free; above 100 they are neither."""
-    known = levels <= 100
-    occupied: Bool = known & (levels >= 100 * meta.occupied_thresh)
-    free: Bool = known & (levels <= 100 * meta.free_thresh)
-    return occupied, free

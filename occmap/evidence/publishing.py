@@ -100,16 +100,17 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
     if options.overview is not None:
         refuse_layers(outputs)
     model, manifest = settle(saved, options)
+    writers = list(map(find_writer, outputs))
+    in_parts = all(isinstance(writer, ZarrWriter | WindowWriter) for writer in writers)
     grid: OccupancyMap | BlockMap
-    if isinstance(saved, Evidence) or options.overview or not all(map(is_in_parts, outputs)):
+    if isinstance(saved, Evidence) or options.overview or not in_parts:
         grid, seen = paint_saved(saved, model, options)
     else:
         grid, seen = survey_saved(saved, model, options)
     report = summarise(manifest, model, seen, options, outputs)
     keep = cache(lambda: replace(read_all(saved), manifest=manifest))
     files: list[str] = []
-    for path in outputs:
-        writer = find_writer(path)
+    for path, writer in zip(outputs, writers, strict=True):
         if isinstance(writer, ZarrWriter):
             files += map(str, writer.write_blocks(path, as_blocks(saved), manifest))
         elif isinstance(writer, WindowWriter):
@@ -136,11 +137,6 @@ def refuse_layers(outputs: Sequence[Path]) -> None:
                 where=path,
                 fix="leave out `overview`, or write a .png",
             )
-
-
-def is_in_parts(path: Path) -> bool:
-    """Whether an output is written part by part, so that there need not be a whole map."""
-    return isinstance(find_writer(path), ZarrWriter | WindowWriter)
 
 
 def render_kept(saved: Saved, options: RenderOptions, outputs: Sequence[Path] = ()) -> Rendered:

@@ -135,12 +135,17 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
     history = look_at(evidence, question.x, question.y)
     uses = find_uses(evidence, question.logs, question.poses)
     sightings, scans_used = find_sightings(uses, history, progress)
+    builds = evidence.manifest.builds
     return Explanation(
         question,
         history,
         describe_model(model),
         judge_cell(evidence, history, model, question.min_passes),
-        tuple(list_visits(evidence, history)),
+        tuple(
+            BuildVisits(**vars(visits), build=index, logs=list_logs(build))
+            for index, (visits, build) in enumerate(zip(history.builds, builds, strict=True))
+            if visits is not None
+        ),
         measure_extent(saved, model),
         saved.digest if isinstance(saved, Store) else None,
         scans_used,
@@ -168,14 +173,6 @@ def judge_cell(
     low_x, low_y, high_x, _ = history.extent
     place = high_x - low_x, (low_x, low_y)
     return OccupancyMap(log_odds.astype(np.float32), observed, *place, find_decision(model))
-
-
-def list_visits(evidence: Evidence, history: CellHistory) -> Iterator[BuildVisits]:
-    """List the builds that observed the cell."""
-    for index, visits in enumerate(history.builds):
-        if visits is not None:
-            logs = list_logs(evidence.manifest.builds[index])
-            yield BuildVisits(**vars(visits), build=index, logs=logs)
 
 
 def measure_extent(saved: Saved, model: SensorModel) -> Box | None:

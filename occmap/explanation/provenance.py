@@ -56,7 +56,9 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Sequence[Path]) -
                     wanted.add(trajectory["sha256"])
                     options = follow(options, log, trajectory, given)
                 uses += [Use(log, index, options)] * times
-    refuse_idle([path for digest, path in given.items() if digest not in wanted])
+    if idle := [path for digest, path in given.items() if digest not in wanted]:
+        found = "is no trajectory that these logs were built with"
+        raise PoseError(found, where=idle[0], fix="leave it out")
     return uses
 
 
@@ -148,20 +150,6 @@ def refuse_stranger(evidence: Evidence, log: Path) -> None:
         where=log,
         fix=f"it was made of {shorten(names)}: give `logs` with one of these",
     )
-
-
-def refuse_idle(poses: Sequence[Path]) -> None:
-    """Refuse a trajectory that none of the builds used.
-
-    Raises
-    ------
-    PoseError
-        Naming it.
-    """
-    if poses:
-        raise PoseError(
-            "is no trajectory that these logs were built with", where=poses[0], fix="leave it out"
-        )
 
 
 def shorten(names: Sequence[str]) -> str:

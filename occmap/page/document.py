@@ -108,7 +108,8 @@ def compose(page: Page) -> str:
     from bokeh.resources import Resources  # noqa: PLC0415  likewise
     from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415  likewise
 
-    figures = [*(page.stage.plots if page.stage else ()), *list_figures(page.sections)]
+    of_sections = [b.plot for each in page.sections for b in each.blocks if b.kind == "plot"]
+    figures = [*(page.stage.plots if page.stage else ()), *of_sections]
     script, divs = components(figures) if figures else ("", ())
     of_stage = len(page.stage.plots) if page.stage else 0
     resources = Resources("inline", components=["bokeh"], minified=True)
@@ -125,11 +126,6 @@ def compose(page: Page) -> str:
         script=(HERE / "page.js").read_text(),
         data=to_script(page.stage.data if page.stage else {}),
     )
-
-
-def list_figures(sections: Iterable[Section]) -> list[Any]:
-    """The figures of sections, in their order."""
-    return [block.plot for each in sections for block in each.blocks if block.kind == "plot"]
 
 
 def to_script(value: Any) -> str:

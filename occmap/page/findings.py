@@ -85,21 +85,16 @@ def list_log(log: Json) -> Iterator[Block]:
         yield Block("list", title="Notes", texts=notes)
     if log["streams"]:
         rows = [
-            (each["topic"], each["type"], f"{each['count']:,}", name_role(each["role"]))
+            (each["topic"], each["type"], f"{each['count']:,}", each["role"].replace("other", ""))
             for each in log["streams"]
         ]
-        yield Block("table", rows, ("topic", "type", "#messages", "used for"), title="Topics")
+        yield Block("table", rows, ("topic", "type", "#messages", "used as"), title="Topics")
     for topic in log["scans"]:
         yield from list_topic(topic)
     moving = [each for each in log["coverage"] if each["moves"]]
     if moving:
         head = ("transform", "topic", "#samples", "#largest gap (s)", "#largest step (m)", "#(deg)")
         yield Block("table", [list_source(each) for each in moving], head, title="Pose sources")
-
-
-def name_role(role: str) -> str:
-    """Say what a stream is good for."""
-    return "" if role == "other" else f"{role}s"
 
 
 def list_source(source: Json) -> tuple[str, ...]:

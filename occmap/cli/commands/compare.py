@@ -18,7 +18,7 @@ from occmap.keywords import take
 from occmap.options import BuildOptions
 from occmap.scoring.compare import VariantComparison, compare
 from occmap.scoring.trials import Result
-from occmap.scoring.variants import DEFAULT_MODELS, Variant, combine
+from occmap.scoring.variants import DEFAULT_MODELS, combine
 from occmap.sensor.models import parse_model
 from occmap.types import Update
 from occmap.wording import count
@@ -78,7 +78,9 @@ picture = options.one_output(
 @click.pass_obj
 def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     """Compare variants, and print the table."""
-    chosen, common = collect_variants(values), take(BuildOptions, values)
+    models = [parse_model(text) for text in values["model_texts"]]
+    chosen = combine([Update(text) for text in values["updates"]], models)
+    common = take(BuildOptions, values)
     found = gather_logs(console, logs, common)
     with show_progress(console) as progress:
         comparison = compare(found, chosen, common, values["picture"], progress)
@@ -87,28 +89,13 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     limits.leave(limits.answer(console, "compare", comparison, lines, values))
 
 
-def collect_variants(values: dict[str, Any]) -> list[Variant]:
-    """Gather what is to be compared.
-
-    Raises
-    ------
-    UsageError
-        No such model, or a parameter that it does not have or allow.
-    """
-    models = [parse_model(text) for text in values["model_texts"]]
-    return combine([Update(text) for text in values["updates"]], models)
-
-
 def format_comparison(comparison: VariantComparison) -> list[str]:
     """Write the table, on what it rests, and the command line of the best."""
-    best, likeliest, preference = (
-        comparison.recommended,
-        comparison.likeliest,
-        comparison.preference,
-    )
+    best, likeliest = comparison.recommended, comparison.likeliest
+    preference = comparison.preference
     held = count(comparison.held_out, "held-out scan")
     rest = f"scored by {count(best.score.beams, 'beam')} of {held}"
-    return [
+    lines = [
         *format_table(comparison.results),
         "",
         *format_reliability(best),
@@ -118,14 +105,11 @@ def format_comparison(comparison: VariantComparison) -> list[str]:
         *([f"as good within the error: {preference}"] if preference else []),
         f"best: {best.variant.name}",
         write_command(comparison.build_command(best)),
-        *([] if likeliest is best else recommend(comparison, likeliest)),
     ]
-
-
-def recommend(comparison: VariantComparison, likeliest: Result) -> Iterator[str]:
-    """Name what to use where a map's probabilities matter, and the command line of it."""
-    yield f"where probabilities matter: {likeliest.variant.name}"
-    yield write_command(comparison.build_command(likeliest))
+    if likeliest is not best:
+        lines.append(f"where probabilities matter: {likeliest.variant.name}")
+        lines.append(write_command(comparison.build_command(likeliest)))
+    return lines
 
 
 def format_reliability(result: Result) -> Iterator[str]:

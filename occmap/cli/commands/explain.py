@@ -13,7 +13,6 @@ from occmap.cli.progress import show_progress
 from occmap.cli.saved import choose_model
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.values import PATH
-from occmap.evidence import Described
 from occmap.explanation import Question, explain
 from occmap.keywords import take
 from occmap.store.sources import open_saved
@@ -74,7 +73,8 @@ poses = option(
 def command(console: Console, /, path: Path, **values: Any) -> None:
     """Look at a cell, and print what was found."""
     evidence = open_saved(path)
-    question = take(Question, values | collect_view(evidence, values))
+    view = {"model": choose_model(evidence, values), "writing": take(WriteOptions, values)}
+    question = take(Question, values | view)
     with show_progress(console) as progress:
         explanation = explain(evidence, question, progress)
     console.note(*explanation.notes)
@@ -82,14 +82,3 @@ def command(console: Console, /, path: Path, **values: Any) -> None:
         console.put_json("explain", explanation.to_json())
     else:
         console.put(format_explanation(explanation))
-
-
-def collect_view(evidence: Described, values: dict[str, Any]) -> dict[str, Any]:
-    """Gather what a cell is to be judged by.
-
-    Raises
-    ------
-    UsageError
-        A value is out of its range, or does not fit another.
-    """
-    return {"model": choose_model(evidence, values), "writing": take(WriteOptions, values)}
