@@ -131,10 +131,8 @@ def check(*logs: AnyPath, **options: Any) -> inspection.Inspection:
 
     Parameters
     ----------
-    logs
-        Paths to recordings of any installed format.
-    options
-        Those of `build_map` that concern scans, poses, ranges and the size of the map.
+    logs, options
+        As for `build_map`; options that concern one map alone are refused.
 
     Returns
     -------
@@ -161,14 +159,12 @@ def compare(
 
     Parameters
     ----------
-    logs
-        Paths to recordings of any installed format.
+    logs, options
+        As for `check`.
     updates, models
         What to combine; without them, all updates and the usual models.
     picture
         A PNG to draw all maps in, and where they disagree; or a page (.html).
-    options
-        Those of `build_map` that concern scans, poses, ranges and the lattice.
 
     Returns
     -------
@@ -195,10 +191,8 @@ def tune(*logs: AnyPath, **options: Any) -> tuning.Tuning:
 
     Parameters
     ----------
-    logs
-        Paths to recordings of any installed format.
-    options
-        Those of `build_map` that concern scans, poses, ranges and the lattice.
+    logs, options
+        As for `check`.
 
     Returns
     -------

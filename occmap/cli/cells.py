@@ -119,18 +119,21 @@ def describe_sum(scans: Sequence[Sighting], history: CellHistory) -> str:
     """Say how many scans spoke for what, and what they add up to."""
     sums = describe_numbers(add_up(scans), history)
     if history.kind is EvidenceKind.LOG_ODDS:
-        raised = sum(each.numbers[0] > 0 for each in scans)
-        lowered = sum(each.numbers[0] < 0 for each in scans)
+        raised = sum(each.seen.numbers[0] > 0 for each in scans)
+        lowered = sum(each.seen.numbers[0] < 0 for each in scans)
         return f"{raised:,} for occupied, {lowered:,} for free; {sums}"
-    hit, cleared = (sum(each.numbers[part] > 0 for each in scans) for part in (0, 1))
+    hit, cleared = (sum(each.seen.numbers[part] > 0 for each in scans) for part in (0, 1))
     return f"{hit:,} hit it, {cleared:,} cleared it; {sums}"
 
 
 def describe_scan(scan: Sighting, history: CellHistory) -> Row:
     """Write what one scan did as a row of that table."""
-    x, y = scan.sensor
-    where = f"{x:.3f}, {y:.3f}", f"{scan.distance:.3f}", f"{Path(scan.log).name} {scan.topic}"
-    return (f"{scan.stamp_ns / 1e9:.3f}", *split_pair(scan.numbers, history), *where)
+    where = (
+        f"{scan.x:.3f}, {scan.y:.3f}",
+        f"{scan.distance:.3f}",
+        f"{Path(scan.log).name} {scan.topic}",
+    )
+    return (f"{scan.stamp_ns / 1e9:.3f}", *split_pair(scan.seen.numbers, history), *where)
 
 
 def align(table: Sequence[Row]) -> Iterator[str]:

@@ -11,15 +11,13 @@ from occmap.errors import UsageError
 from occmap.evidence import choose_tiles, read_model, refuse_other_profile, to_grid, weigh
 from occmap.evidence.persistence import check_passes, keep_lasting
 from occmap.evidence.publishing import list_notes
-from occmap.explanation.history import CellHistory, find_cell, look_at
+from occmap.explanation.history import CellHistory, Numbers, Seen, find_cell, look_at
 from occmap.explanation.printed import (
     BuildVisits,
     PrintedExplanation,
-    describe_seen,
-    describe_sighting,
 )
 from occmap.explanation.provenance import Use, find_uses, list_logs, list_missing, shorten
-from occmap.explanation.sightings import Numbers, Sighting, add_up, find_sightings
+from occmap.explanation.sightings import Sighting, add_up, find_sightings
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import measure_bounds
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
@@ -94,7 +92,7 @@ class Explanation:
         """The explanation as values that JSON has."""
         history, kind = self.history, self.history.kind
         rows = history.around.tolist()
-        around = [[describe_seen((a, b), kind) for a, b in row] for row in rows]
+        around = [[Seen.read((a, b), kind) for a, b in row] for row in rows]
         printed: PrintedExplanation = {
             "point": (self.question.x, self.question.y),
             "cell": {"row": history.row, "column": history.col, "extent": history.extent},
@@ -104,13 +102,13 @@ class Explanation:
             "probability": self.probability,
             "model": self.model,
             "unit": history.unit,
-            "seen": describe_seen((history.first, history.second), kind),
+            "seen": Seen.read((history.first, history.second), kind),
             "around": around[::-1],
             "min_passes": self.question.min_passes,
             "visits": history.visits,
             "builds": self.builds,
             "scans_used": self.scans_used,
-            "scans": [describe_sighting(each, kind) for each in self.sightings],
+            "scans": self.sightings,
             "notes": list(self.notes),
         }
         plain: dict[str, Any] = to_plain(printed)

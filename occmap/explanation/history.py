@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Self, TypeAlias
 
 import numpy as np
 
@@ -9,12 +10,45 @@ from occmap.errors import UsageError
 from occmap.grid.lattice import Lattice
 from occmap.grid.slices import count_visits, take, unite, unpack
 from occmap.grid.spec import find_unit
-from occmap.grid.tiles import TILE, EvidenceKind
+from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
 from occmap.plain import Count
 from occmap.types import Box, Evidence, Int64, Manifest, Slices, Update
 
 FARTHEST_CELL = 1 << 44
 """Beyond this a float cannot tell the parts of a cell apart."""
+
+
+Numbers: TypeAlias = tuple[int, int]
+"""Hits and misses, or log-odds in units of 1/65536 and observations"""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What observed a cell."""
+
+    hits: Count | None
+    """Hits; null for evidence in log-odds"""
+    misses: Count | None
+    """Misses; null for evidence in log-odds"""
+    log_odds: float | None
+    """Sum of log-odds (natural logarithm); null for evidence in counts"""
+    observations: Count
+    """Observations: hits and misses, or those that the sum is of"""
+
+    @classmethod
+    def read(cls, numbers: Numbers, kind: EvidenceKind) -> Self:
+        """Read the two numbers of a cell."""
+        first, second = numbers
+        if kind is EvidenceKind.LOG_ODDS:
+            return cls(None, None, first * LOG_ODDS_UNIT, second)
+        return cls(first, second, None, first + second)
+
+    @property
+    def numbers(self) -> Numbers:
+        """The two numbers of the cell."""
+        if self.log_odds is not None:
+            return round(self.log_odds / LOG_ODDS_UNIT), self.observations
+        return self.hits or 0, self.misses or 0
 
 
 @dataclass(frozen=True)

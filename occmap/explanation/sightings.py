@@ -7,18 +7,16 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.batching import Batcher
-from occmap.explanation.history import CellHistory
+from occmap.explanation.history import CellHistory, Numbers, Seen
 from occmap.explanation.provenance import Use
 from occmap.observing import Progress
 from occmap.opening import choose_topics, count_scans, make_poser
+from occmap.plain import Count
 from occmap.readers import Log, open_log, read_scans
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret
 from occmap.tracing import plan_grid
 from occmap.types import Int64, PosedScans
-
-Numbers = tuple[int, int]
-"""Hits and misses, or log-odds in units of 1/65536 and observations."""
 
 
 @dataclass(frozen=True)
@@ -26,14 +24,19 @@ class Sighting:
     """What one scan did to the cell."""
 
     stamp_ns: int
+    """When the scan was taken, as its log says it (ns)"""
     log: str
-    build: int
-    """Which of `Manifest.builds`"""
+    """The log, as it was given"""
+    build: Count
+    """Which build of the evidence used it, counted from 0 as in the manifest"""
     topic: str
-    numbers: Numbers
-    """That it added to the cell's"""
-    sensor: tuple[float, float]
-    """Where it was, x and y (m)"""
+    """The topic, or the kind of line"""
+    seen: Seen
+    """What the scan added to the cell"""
+    x: float
+    """Where the sensor was (m)"""
+    y: float
+    """Where the sensor was (m)"""
     distance: float
     """From there to the middle of the cell (m)"""
 
@@ -105,13 +108,14 @@ def list_sightings(
             str(use.log),
             use.build,
             posed.batch.topic,
-            numbers=(int(numbers[scan, 0]), int(numbers[scan, 1])),
-            sensor=(float(sensor[0]), float(sensor[1])),
+            Seen.read((int(numbers[scan, 0]), int(numbers[scan, 1])), history.kind),
+            x=float(sensor[0]),
+            y=float(sensor[1]),
             distance=float(np.hypot(*(sensor - middle))),
         )
 
 
 def add_up(sightings: Sequence[Sighting]) -> Numbers:
     """Sum up what scans added to the cell."""
-    first, second = (sum(each.numbers[part] for each in sightings) for part in (0, 1))
+    first, second = (sum(each.seen.numbers[part] for each in sightings) for part in (0, 1))
     return first, second

@@ -114,13 +114,13 @@ def test_one_beam(tmp_path: Path) -> None:
     pose = (0.05, 0.05, 0.0)  # across cells 0, 1 and 2 to x = 0.37
     found = ask(tmp_path, [pose], (0.37, 0.05))
     (scan,) = found.sightings
-    assert (scan.stamp_ns, scan.topic, scan.build, scan.numbers) == (0, "scan", 0, (1, 0))
-    assert (scan.log, scan.sensor) == (str(tmp_path / "log.csv"), (0.05, 0.05))
+    assert (scan.stamp_ns, scan.topic, scan.build, scan.seen.numbers) == (0, "scan", 0, (1, 0))
+    assert (scan.log, scan.x, scan.y) == (str(tmp_path / "log.csv"), 0.05, 0.05)
     assert scan.distance == pytest.approx(0.3)  # to the middle of the cell, x = 0.35
     assert found.verdict == "occupied"
     assert found.probability == pytest.approx(0.7)
     on_the_way = ask(tmp_path, [pose], (0.15, 0.05))
-    assert [each.numbers for each in on_the_way.sightings] == [(0, 1)]
+    assert [each.seen.numbers for each in on_the_way.sightings] == [(0, 1)]
     assert on_the_way.verdict == "free"
     assert on_the_way.probability == pytest.approx(0.4)
 
@@ -130,8 +130,8 @@ def test_a_wall_seen_twice_and_then_crossed(tmp_path: Path) -> None:
     found = ask(tmp_path, poses, (0.35, 0.05))
     seconds = [each.stamp_ns / 1e9 for each in found.sightings]
     assert seconds == [0, 1, 3]  # the scan at 2 s was elsewhere
-    assert [each.numbers for each in found.sightings] == [(1, 0), (1, 0), (0, 1)]
-    assert [each.sensor for each in found.sightings] == [(0.05, 0.05), (0.65, 0.05), (0.25, 0.05)]
+    assert [each.seen.numbers for each in found.sightings] == [(1, 0), (1, 0), (0, 1)]
+    assert [each.x for each in found.sightings] == [0.05, 0.65, 0.25]
     odds = (0.7 / 0.3) ** 2 * 0.4 / 0.6
     assert found.probability == pytest.approx(odds / (1 + odds))
     assert found.scans_used == 4
