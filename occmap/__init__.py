@@ -1,7 +1,7 @@
 """occmap: 2D occupancy grid maps from recorded laser scans with known poses.
 
-What is public is imported on first use: the command line imports this package, too, and its
-help must not wait for NumPy.
+Public names are imported when they are first used: the command line imports this package as well,
+and its help must not wait for NumPy.
 """
 
 from importlib import import_module

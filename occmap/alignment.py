@@ -24,20 +24,20 @@ CHORD_M = 0.5
 STRAIGHT_M = 0.02
 """Where a wall is straight, the beam in the middle ends at most so far from the chord (m)."""
 BINS = 360
-"""Of the histogram over a quarter turn"""
+"""Bins of the histogram over a quarter turn"""
 BLUR = 9
 """Neighbouring bins that are added up, so that noise does not split a direction"""
 NARROW_DEG = (5.0, 3.0)
 """Only chords so near to the direction found so far count in the next mean."""
 COMMON_SHARE = 1 / 3
-"""Of the length of all chords, at least so much lies within 3 degrees of a building's direction; of
-walls in all directions it is a fifteenth. Logs of buildings have 0.5 to 0.74."""
+"""In a building, at least this share of the length of all chords lies within 3 degrees of one
+direction. Logs of buildings have 0.5 to 0.74; walls in all directions would have a fifteenth."""
 DIGITS = 2
 """The angle is rounded to hundredths of a degree, so that a map can be made again by hand."""
 
 
 def settle_align(paths: Sequence[Path], options: BuildOptions) -> tuple[BuildOptions, list[str]]:
-    """Find the turn of a map where the user left it to the scans; a note says where there is none.
+    """Find the turn of a map where the user leaves it to the scans; a note says if they show none.
 
     Raises
     ------

@@ -324,10 +324,10 @@ def list_logs(logs: Sequence[AnyPath], call: str) -> list[Path]:
 
 
 def list_paths(paths: Iterable[AnyPath]) -> list[Path]:
-    """Make paths of what a caller gave; raises UsageError where one of them is no path."""
+    """Make paths of what a caller gave; raises UsageError where one of them is not a path."""
     found = list(paths)
     for path in found:
         if not isinstance(path, AnyPath):
             fix = "give text or a Path; the paths of a list are given with a star: build_map(*logs)"
-            raise UsageError(f"{path!r} is no path", fix=fix)
+            raise UsageError(f"{path!r} is not a path", fix=fix)
     return list(map(Path, found))

@@ -11,11 +11,11 @@ from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Float64, Int64, Journey, Kind, PosedScans, ScanHits, Trajectory
 
 SHOWN_SCANS = 400
-"""Of all logs together: nobody can set a slider to more steps."""
+"""How many scans of all logs are shown: nobody can set a slider to more steps."""
 SHOWN_HITS = 400
-"""Of one scan: enough to draw its walls, however many beams it has."""
+"""How many hits of a scan are shown: enough to draw its walls, however many beams it has."""
 STATED_FRAME, STATED_LASER = "map", "laser"
-"""What the frames are called of logs that state poses beside their scans and name no frame."""
+"""Names for the frames of logs that state poses beside their scans and name no frame."""
 
 
 @dataclass(eq=False)

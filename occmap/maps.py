@@ -24,11 +24,11 @@ class Map(OccupancyMap):
     writing: WriteOptions
     """How it is saved"""
     inputs: tuple[Path, ...]
-    """What it was made of, which is never written over"""
+    """The files it was made of, which are never written over"""
     tiles: TileGrid
     """What was observed, in tiles"""
     evidence: Evidence | None
-    """The same as an .npz holds it; None where the build was not asked for one"""
+    """What an .npz of it holds; None where the build was not asked for one"""
 
     @classmethod
     def wrap(cls, grid: OccupancyMap, **others: Any) -> Self:

@@ -48,7 +48,7 @@ class Build(NamedTuple):
     observed: TileGrid
     """What the map was made of, before `min_passes` forgets anything"""
     evidence: Evidence | None
-    """The same to write and to merge, with its slices of time; None where no output is of it"""
+    """The same with its slices of time, to write and to merge; None where no output needs it"""
 
 
 def build(

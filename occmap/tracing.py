@@ -33,10 +33,10 @@ class Drive(NamedTuple):
 
     log: Log
     topics: Sequence[str]
-    """Those whose scans are used"""
+    """The topics whose scans are used"""
     poser: Poser
     seam: Seam = FROM_THE_START
-    """What came before"""
+    """What the parts before this one were"""
 
 
 def open_drive(log: Log, options: BuildOptions) -> Drive:

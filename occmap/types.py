@@ -315,7 +315,7 @@ class Trajectory:
     parent: str
     """The frame of the map"""
     frame: str
-    """That of the laser"""
+    """The frame of the laser"""
     stamp_ns: Int64
     """(N,)"""
     pose: Float64
@@ -537,7 +537,7 @@ class OccupancyMap:
     origin: tuple[float, float]
     """x, y of the lower-left corner of cell (0, 0) (m)"""
     decision: Decision = EVEN_ODDS
-    """What makes a cell occupied or free"""
+    """The probabilities that make a cell occupied or free"""
     agreement: float | None = None
     """Share of all hits that lie in cells called occupied: low where poses are wrong. None where
     the evidence keeps no hits"""

@@ -219,7 +219,7 @@ def test_an_option_that_would_do_nothing_is_refused(call: Any, name: str) -> Non
 def test_paths_are_given_one_by_one(call: Any) -> None:
     with pytest.raises(UsageError, match=r"no (log|evidence) is given; try \w+\("):
         call()
-    with pytest.raises(UsageError, match=r"\['a.bag'\] is no path; .* build_map\(\*logs\)"):
+    with pytest.raises(UsageError, match=r"\['a.bag'\] is not a path; .* build_map\(\*logs\)"):
         call(["a.bag"])
 
 

@@ -67,7 +67,7 @@ class CommandTable(click.Group):
 
 
 def suggest_command(word: str) -> str:
-    """Say what to type where a word is no command."""
+    """Say what to type instead of a word that is not a command."""
     from occmap.plugins import suggest  # noqa: PLC0415  late: --help needs no plugins
 
     if os.path.exists(word):  # noqa: PTH110  pathlib takes as long to import as all else here
@@ -91,7 +91,7 @@ def cli() -> None:
 def run(args: Sequence[str], signals: Signals | None = None) -> int:
     """Run a command line and return its exit code; no error leaves this function."""
     signals = signals or Signals()
-    console = Console(as_json="--json" in args)  # so that errors in the other words are JSON, too
+    console = Console(as_json="--json" in args)  # so that any error is JSON as well
     try:
         with cli.make_context("occmap", list(args) or ["--help"], obj=console) as context:
             cli.invoke(context)

@@ -14,7 +14,7 @@ from occmap.sensor.models import SensorModel, describe_model, parse_model
 from occmap.types import Update
 
 Values = Mapping[str, Any]
-"""What click read, by the names of the options."""
+"""What click has read, by the names of the options."""
 
 
 def collect_options(update: Update, values: Values) -> BuildOptions:
@@ -60,7 +60,7 @@ def split_words(words: Sequence[str]) -> tuple[Update, list[Path]]:
     Raises
     ------
     UsageError
-        There is no log, or the first word is neither a path nor quite an update.
+        There is no log, or the first word looks like a mistyped update.
     """
     updates = [update.value for update in Update]
     update = DEFAULT_UPDATE

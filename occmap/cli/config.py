@@ -25,13 +25,13 @@ OTHER_COMMANDS = ("build", "compare")
 
 
 class Config(NamedTuple):
-    """What a file says of those options of one command that are not typed."""
+    """The options of one command that a file states."""
 
     path: Path
     values: dict[str, Any]
     """By the names that click has for the options"""
     note: str
-    """What is taken from it"""
+    """Says what is taken from it"""
 
 
 def find_config(command: click.Command, typed: Mapping[str, Any]) -> Config | None:

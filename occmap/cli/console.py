@@ -17,7 +17,7 @@ from occmap.errors import OccmapError, OutputError
 ORDER = re.compile(r"^(\s*):(?=:)|#(?=#\w*\[)")
 """The start of what a runner of pipelines takes for a command in its log, such as `::error::`"""
 RESULT_VERSION = 1
-"""Of what --json prints: it grows where a field changes its meaning or goes."""
+"""The version of what --json prints: it grows when a field changes its meaning or goes"""
 
 
 class Verbosity(IntEnum):
@@ -34,7 +34,7 @@ class ErrorParts(TypedDict):
     """What went wrong; the same is on stderr, in one line."""
 
     exit_code: int
-    """That of the process: 1 the log or the data failed, 2 wrong usage, from 128 on interrupted"""
+    """Exit code: 1 the log or the data failed, 2 wrong usage, from 128 on interrupted"""
     where: str
     """The file with line or byte, the option or the topic; empty where the command line as a whole
     is wrong"""
@@ -110,7 +110,7 @@ class Console:
         self.note(*notes)
 
     def fail(self, error: OccmapError, code: int) -> int:
-        """Print an error, for a program that still waits as JSON, too; return its exit code."""
+        """Print an error, as JSON as well where a program waits for it; return the exit code."""
         self.tell(f"error: {error}")
         if self.as_json and not self.answered:
             parts: ErrorParts = {
@@ -148,7 +148,7 @@ def find_place(error: BaseException) -> str:
 
 
 def put_line(text: str) -> None:
-    """Print to stdout; where nobody reads it any more, the work goes on and counts.
+    """Print to stdout; where its reader is gone, the work goes on and its exit code counts.
 
     Raises
     ------

@@ -96,7 +96,7 @@ writing = join(
 )
 resume = join(
     field(FILES, "resume", "NPZ", "Add to the evidence in this file, which -o may name again."),
-    field(FILES, "resume_if_there", "NPZ", "The same, and start anew where there is no such file."),
+    field(FILES, "resume_if_there", "NPZ", "The same where the file exists; else start anew."),
 )
 
 resolution = field(MAP, "resolution", "M", "Side of a cell.", short="-r")

@@ -38,7 +38,7 @@ def put_out(console: Console, command: str, evidence: Saved, values: dict[str, A
 def choose_outputs(
     console: Console, outputs: tuple[Path, ...], example: str, inputs: Sequence[Path]
 ) -> tuple[Path, ...]:
-    """Refuse, before anything is read, work that nobody would see or that cannot be written.
+    """Refuse, before anything is read, to make no output, or one that cannot be made.
 
     Raises
     ------

@@ -26,12 +26,12 @@ class Signals:
 
     def __init__(self) -> None:
         self.number: int | None = None
-        """Of the first that came"""
+        """The first signal that came"""
         self._raised_at = 0.0
 
     @property
     def exit_code(self) -> int:
-        """As shells have it: 128 and the number of the signal."""
+        """128 plus the number of the signal, as in shells."""
         return 128 + (self.number or signal.SIGINT)
 
     def listen(self) -> None:

@@ -64,7 +64,7 @@ def parse_numbers(name: str, text: str) -> Any:
     Raises
     ------
     UsageError
-        There are more numbers or fewer, one is none, or an angle is in degrees.
+        There are too many or too few numbers, one is not a number, or an angle is in degrees.
     """
     form, where = NUMBERS[name], f"{spell_flag(name)} {text}"
     values = [value.strip() for value in text.split(",")]
@@ -81,13 +81,13 @@ def parse_numbers(name: str, text: str) -> Any:
 
 
 def parse_size(text: str) -> int:
-    """Read a number of bytes such as 256MB; raises UsageError where it is none of at least 1 kB."""
+    """Read a number of bytes such as 256MB; raises UsageError where it is not 1 kB or more."""
     where, form = f"--slice {text}", "write a size such as 256MB or 1GB"
     number = text.upper().rstrip("KMGTB")
     unit = text.upper().removeprefix(number).removesuffix("B")
     (size,) = read_numbers([number], where, form)
     if unit not in SIZES or not size * SIZES[unit] >= 1000:
-        raise UsageError("is no size of a part of a log", where=where, fix=form)
+        raise UsageError("is not a size of 1 kB or more", where=where, fix=form)
     return round(size * SIZES[unit])
 
 
@@ -109,7 +109,7 @@ def read_numbers(words: list[str], where: str, form: str) -> list[float]:
     Raises
     ------
     UsageError
-        Naming the first word that is none, and the form that is expected.
+        Naming the first word that is not a number, and the form that is expected.
     """
     numbers = []
     for word in words:

@@ -88,7 +88,7 @@ class MapDifference:
 
     @property
     def share(self) -> float:
-        """Of the known cells, those that changed."""
+        """The share of the known cells that changed."""
         return sum(self.changed.values()) / self.known if self.known else 0.0
 
     def to_json(self) -> dict[str, Any]:
@@ -189,7 +189,7 @@ def align(before: ClassMap, after: ClassMap) -> tuple[Place, tuple[int, int]]:
     Raises
     ------
     MapError
-        There is none, or a bare image has another size than what it is compared with.
+        There is no such cell, or a bare image differs in size from the other map.
     """
     a, b = before.place, after.place
     if a is None or b is None:

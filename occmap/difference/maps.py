@@ -78,7 +78,7 @@ def load_map(path: Path, thresholds: WriteOptions) -> ClassMap:
     loader = LOADERS.get(path.suffix.lower())
     if loader is None:
         raise UsageError(
-            f"the suffix {path.suffix!r} is none of a map",
+            f"the suffix {path.suffix!r} is not that of a map",
             where=path,
             fix=f"maps are {', '.join(LOADERS)}",
         )
@@ -106,7 +106,7 @@ def load_pgm(path: Path, _thresholds: WriteOptions) -> ClassMap:
     Raises
     ------
     MapError
-        There is no such YAML, or as `load_yaml`.
+        There is no such YAML, or `load_yaml` fails.
     """
     beside = path.with_suffix(".yaml")
     if not beside.is_file():
@@ -179,7 +179,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     Raises
     ------
     MapError
-        It is none.
+        It is not YAML.
     """
     from ruamel.yaml import YAML  # noqa: PLC0415  late: it takes long to load
     from ruamel.yaml.error import YAMLError  # noqa: PLC0415  late: rarely wanted
@@ -211,7 +211,7 @@ def parse_meta(path: Path, values: dict[str, Any]) -> Meta:
         raise MapError("names no image", where=path, fix="add a line such as `image: map.pgm`")
     if mode not in list(MapMode):
         raise MapError(
-            f"{brief(mode)} is no mode of a map", where=path, fix="trinary, scale or raw"
+            f"{brief(mode)} is not a mode of a map", where=path, fix="trinary, scale or raw"
         )
     resolution, occupied, free = (
         parse_number(path, name, values.get(name))

@@ -15,7 +15,7 @@ from occmap.types import Int64, OccupancyMap, Slices
 
 SHORTEST_GAP_S, LONGEST_GAP_S = 1e-3, 1e9
 MUCH = 0.25
-"""Of the occupied cells: people are seldom so many."""
+"""A note says where at least this share of the occupied cells goes: people are seldom so many."""
 
 
 def keep_lasting(grid: TileGrid, layers: Sequence[Slices], min_passes: int | None) -> TileGrid:
@@ -56,7 +56,7 @@ def refuse_nothing_left(min_passes: int) -> NoReturn:
 
 
 def drop_passing(grid: TileGrid, layers: Sequence[Slices], min_passes: int) -> TileGrid:
-    """As `keep_lasting`, where maybe nothing is left."""
+    """Do the same, though nothing may be left."""
     lasting = TileGrid(grid.lattice, grid.kind, grid.unit)
     for key, slices in split_tiles(unite(layers)):
         if key in grid.tiles:

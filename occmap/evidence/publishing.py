@@ -88,7 +88,7 @@ class Seen(NamedTuple):
 def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Report:
     """Render evidence and write it, as a map or as evidence; the report sums up its builds.
 
-    Where no output is of the whole map, there is none: evidence is written block by block.
+    Where no output needs the whole map, it is never made: evidence is written block by block.
 
     Raises
     ------

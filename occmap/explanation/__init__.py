@@ -59,7 +59,7 @@ class Explanation:
     history: CellHistory
     model: str
     cell: OccupancyMap
-    """Of this one cell: nothing is observed where `min_passes` leaves nothing"""
+    """The map of this one cell; not observed where `min_passes` leaves nothing"""
     builds: tuple[BuildVisits, ...]
     """Those that observed the cell"""
     extent: Box | None
@@ -74,7 +74,7 @@ class Explanation:
 
     @property
     def probability(self) -> float:
-        """Of being occupied."""
+        """The probability that the cell is occupied."""
         return float(self.cell.probability[0, 0])
 
     @property

@@ -81,7 +81,7 @@ class CellHistory:
     """(3, 3, 2) the two numbers of the cell, in the middle, and its neighbours; row 0 is the lowest
     y"""
     visits: Visits | None
-    """Of all builds together; None where nothing observed the cell"""
+    """When all builds together observed the cell; None where nothing did"""
     builds: tuple[Visits | None, ...]
     """For each of the manifest's builds; None where it did not observe the cell"""
 

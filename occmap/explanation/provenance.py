@@ -57,7 +57,7 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Sequence[Path]) -
                     options = follow(options, log, trajectory, given)
                 uses += [Use(log, index, options)] * times
     if idle := [path for digest, path in given.items() if digest not in wanted]:
-        found = "is no trajectory that these logs were built with"
+        found = "is not a trajectory that these logs were built with"
         raise PoseError(found, where=idle[0], fix="leave it out")
     return uses
 

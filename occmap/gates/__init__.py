@@ -148,7 +148,7 @@ def parse_bound(text: str, measure: Measure[Any], where: str) -> float:
     Raises
     ------
     UsageError
-        It is none, or none that the measure can reach.
+        It is not a number, or not one that the measure can reach.
     """
     in_percent = text.endswith("%")
     try:

@@ -66,7 +66,7 @@ SAVED: "tuple[Measure[Report], ...]" = (
     ),
     Measure("notes", COUNT, "notes on stderr", lambda made: len(made.notes)),
 )
-"""Of what `occmap render` and `occmap merge` make."""
+"""What can be limited of what `occmap render` and `occmap merge` make"""
 
 BUILD: "tuple[Measure[Report], ...]" = (
     *SAVED,
@@ -134,7 +134,7 @@ SCORED: "tuple[Measure[VariantComparison | Tuning], ...]" = (
     ),
     Measure("damage", COUNT, "notes on damage to a log", lambda run: len(run.remarks.damage)),
 )
-"""Of whatever is scored on held-out scans"""
+"""What can be limited of anything that is scored on held-out scans"""
 
 COMPARE: "tuple[Measure[VariantComparison], ...]" = (
     Measure(

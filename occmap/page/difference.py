@@ -19,7 +19,7 @@ CHANGES = (
     *((FREE, NEITHER), (OCCUPIED, NEITHER), (NEITHER, FREE), (NEITHER, OCCUPIED)),
     *((OCCUPIED, FREE), (FREE, OCCUPIED)),
 )
-"""What a cell was and is, the more important the later: of cells that share a pixel, that shows."""
+"""What a cell was and is. Of cells that share a pixel, the latest in this list shows."""
 UNCHANGED = 3
 """So many of them are no change."""
 CLASSES = ("unknown", "free", "occupied")

@@ -16,7 +16,7 @@ from occmap.writers.atomic import open_atomic
 
 HERE = Path(__file__).parent
 MOST_NAMES = 3
-"""Of logs, in a title"""
+"""So many logs are named in a title"""
 Tone: TypeAlias = Literal["", "warning", "problem"]
 
 
@@ -26,9 +26,9 @@ class Block:
 
     kind: Literal["facts", "table", "list", "code", "plot"]
     rows: Sequence[Sequence[Any]] = ()
-    """Of a table, or names and values"""
+    """The rows of a table, or names and values"""
     head: Sequence[str] = ()
-    """Of a table: a column whose name begins with # holds numbers"""
+    """Names of the columns of a table; one that begins with # holds numbers"""
     texts: Sequence[str] = ()
     """Items of a list, or lines of code"""
     tone: Tone = ""
@@ -44,7 +44,7 @@ class Section:
     title: str
     blocks: Sequence[Block]
     wide: bool = False
-    """As wide as the page"""
+    """Whether it is as wide as the page"""
 
 
 @dataclass(frozen=True)

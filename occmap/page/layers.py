@@ -30,7 +30,7 @@ class Layer:
     kind: Literal["classes", "ramp", "log", "time"]
     colours: Sequence[str]
     names: Sequence[str] = ()
-    """Of classes; one that is "" does not stand in the legend"""
+    """Names of classes; the legend leaves out those that are empty"""
     none: int = -1
     """The number that stands for nothing"""
     top: int = 1
@@ -85,7 +85,7 @@ def pick(colours: Sequence[str]) -> list[str]:
 def describe_rasters(
     rasters: Sequence[Raster], layers: Sequence[Layer], box: Box
 ) -> tuple[dict[str, Any], Mapping[str, str]]:
-    """What the script knows of maps, and their packed arrays by name; the first is of classes."""
+    """Describe maps for the script, with their packed arrays by name; classes come first."""
     arrays: dict[str, str] = {}
     maps = []
     for index, raster in enumerate(rasters):

@@ -21,7 +21,7 @@ from occmap.types import Bool, Evidence, Float32, Int64, OccupancyMap, Slices, U
 MOST_CELLS = 4100 * 4100
 """A page with more of them takes long to open."""
 MOST_BYTES = 9_500_000
-"""Of all layers of a page together, compressed: as text they take a third more."""
+"""Of all layers of a page together, compressed; as text they take a third more"""
 COUNTS = {"hits", "misses", "looks"}
 UNKNOWN, FREE, UNDECIDED, OCCUPIED = range(4)
 NOT_OBSERVED = 255
@@ -44,16 +44,16 @@ class Raster:
     size: float
     """Side of what is shown as one cell (m)"""
     step: int
-    """... which is so many cells of the map wide"""
+    """How many cells of the map that is wide"""
     layers: dict[str, Packed]
     rounding: float
     """By what share of itself a count may be off"""
     unit: int = 1
     """What one observation counts in the layers of hits and misses"""
     slice_s: float = 0.0
-    """How long a slice of time is, in which the layer of last sights counts ..."""
+    """How long the slices of time are that the layer of last sights counts (s)"""
     start_s: float = 0.0
-    """... and where the first one begins"""
+    """When the first of these slices begins (s)"""
 
 
 def make_raster(

@@ -132,7 +132,7 @@ class VariantComparison:
 
     @property
     def preference(self) -> str:
-        """Which are as good, and why one of them is recommended; nothing where there is one."""
+        """Which variants are as good, and why one is preferred; "" where there is only one."""
         if len(self.equals) == 1:
             return ""
         names = ", ".join(each.variant.name for each in self.equals)

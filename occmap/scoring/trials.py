@@ -25,8 +25,8 @@ FIRST = 2
 NOISE = 2.0
 """Standard errors: a difference that is not larger may be chance."""
 SMALL = 0.005
-"""A difference of shares that is smaller is none that anybody sees in a map, certain as it may be:
-variants are asked about the same scans, which tells of a thousandth."""
+"""A smaller difference of shares does not show in a map, however certain it is: as all variants are
+asked about the same scans, a difference of a thousandth may well be certain."""
 
 
 class HoldOut:
@@ -85,7 +85,7 @@ class SharedEvidence:
 
     @property
     def seconds(self) -> float:
-        """Of processor time, all threads together."""
+        """Processor time of all threads together (s)."""
         return sum(self._seconds)
 
 
@@ -97,9 +97,9 @@ class Result:
     map: OccupancyMap
     score: Score
     seconds: float
-    """Of processor time, to trace and render"""
+    """Processor time to trace and render (s)"""
     bytes: int
-    """Of the evidence"""
+    """Size of the evidence"""
     predicted: Float64
     """(N, 2) of each held-out scan: beams that measured a range, and those of them it predicted"""
     behind: float = 0.0

@@ -76,7 +76,7 @@ class PrintedTuning(Told, PrintedGain):
     """Share of these whose first occupied cell is within two cells of the range, with the
     options given"""
     share: Share
-    """That share with what is recommended"""
+    """The same share with what is recommended"""
     correction: Correction
     """All that is recommended; zeros where nothing is"""
     time: PrintedFinding
@@ -126,12 +126,12 @@ class Tuning:
 
     @property
     def held_out(self) -> int:
-        """Of the scans kept, those that scored."""
+        """How many of the kept scans score the maps."""
         return len(self.before.predicted)
 
     @property
     def gain(self) -> Gain:
-        """Of all corrections together, in a map of all scans."""
+        """What all corrections together gain, in a map of all scans."""
         return Gain.measure(self.before, self.after)
 
     @property

@@ -57,7 +57,7 @@ class Finding:
     correction: Correction
     """The best there is: what was found, or else what the search began with"""
     gain: Gain = NO_GAIN
-    """Of the best that was tried, by all held-out scans"""
+    """What the best that was tried gains, by all held-out scans"""
     halves: tuple[tuple[Correction, Gain], ...] = ()
     """What the first half of the held-out scans and the second gain, and by what: by the best for
     both, or, where they disagree, each by what is best for itself"""

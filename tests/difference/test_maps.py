@@ -78,7 +78,7 @@ def test_negate_turns_black_and_white(tmp_path: Path) -> None:
         (META.replace("0.05", "0") + THRESHOLDS, "a resolution of 0.0 m is not possible"),
         (META.replace("2.0, 0.0", "2.0") + THRESHOLDS, "where [x, y, yaw] belongs"),
         (META.replace("2.0, 0.0", "2.0, 0.1") + THRESHOLDS, "the map is turned by 0.1 rad"),
-        (META + THRESHOLDS + "mode: grey\n", "'grey' is no mode of a map"),
+        (META + THRESHOLDS + "mode: grey\n", "'grey' is not a mode of a map"),
         (META.replace("m.pgm", "x.pgm") + THRESHOLDS, "x.pgm: no such file"),
     ],
 )
@@ -91,7 +91,7 @@ def test_a_yaml_that_does_not_do_is_one_line(tmp_path: Path, text: str, found: s
 
 
 def test_a_file_that_is_no_map_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"suffix '.txt' is none of a map; maps are .pgm"):
+    with pytest.raises(UsageError, match=r"suffix '.txt' is not that of a map; maps are .pgm"):
         load_map(tmp_path / "m.txt", OPTIONS)
     with pytest.raises(MapError, match=r"m.png: no such file"):
         load_map(tmp_path / "m.png", OPTIONS)

@@ -137,8 +137,16 @@ def test_each_build_gets_its_own_trajectory() -> None:
     [
         ("bare.csv", [], "bare.csv: its poses came from path.txt, which is needed again; add `po"),
         ("bare.csv", ["a.csv"], "needed again (the SHA-256 of a.csv is another); add `poses=path"),
-        ("bare.csv", ["path.txt", "a.csv"], "a.csv: is no trajectory that these logs were built"),
-        ("a.csv", ["path.txt"], "path.txt: is no trajectory that these logs were built with; leav"),
+        (
+            "bare.csv",
+            ["path.txt", "a.csv"],
+            "a.csv: is not a trajectory that these logs were built",
+        ),
+        (
+            "a.csv",
+            ["path.txt"],
+            "path.txt: is not a trajectory that these logs were built with; leav",
+        ),
     ],
 )
 def test_a_trajectory_too_few_or_too_many_is_refused(

@@ -29,7 +29,7 @@ command line that it recommends. Exits with 1 where a build with the options giv
 """
 
 
-page = options.one_output("output", "FILE.html", "Write the findings as a page, too.")
+page = options.one_output("output", "FILE.html", "Write the findings as a page as well.")
 
 
 @click.command("check", cls=SectionCommand, help=HELP, short_help=COMMANDS["check"])

@@ -29,11 +29,11 @@ Every fifth scan is kept from the maps. Each map is then asked what these scans 
 of beams whose first occupied cell is within two cells of the measured range, the log-likelihood of
 the range, and the cross-entropy of the cells found free and found occupied. A share that is behind
 by two standard errors or half a percent counts as good as the best; of those the default is named,
-or the best log-likelihood. That one is named, too, where it is another: its probabilities are the
-ones to plan and localise with.
+or the best log-likelihood. Where that is another one, it is named as well: its probabilities are
+the ones to plan and localise with.
 
-Of the recommended map it is told, too, whether its probabilities mean what they say: of the cells
-that it gives a probability, by tenths, the share that beams found occupied.
+A table says whether the probabilities of the recommended map mean what they say: for cells of each
+tenth of probability, the share that beams found occupied.
 
 \b
   occmap compare drive.mcap

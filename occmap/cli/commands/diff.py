@@ -38,7 +38,7 @@ stronger colours are contradictions, paler ones news.
 
 
 def limit_change(text: str) -> Limit:
-    """Read how much may have changed; raises UsageError where that is no share."""
+    """Read how much may have changed; raises UsageError where that is not a share."""
     bound = parse_bound(text.strip(), DIFF[0], f"--fail-above {text}")
     return Limit(DIFF[0], ">", bound, in_percent=text.endswith("%"), option="--fail-above")
 
