@@ -3,11 +3,15 @@
 import numpy as np
 
 from occmap.grid.kernels.units import SKIP
-from occmap.jit import kernel
+from occmap.jit import kernel, step
 from occmap.types import Bool, Float64, Int32, Int64, UInt8
 
 BEARINGS = 1 << 14
 """Steps of a full turn to which the bearing of a cell is known."""
+STEP = 5e-4
+"""More than the angle of such a step (rad), which is twice as wide on diagonals as along axes."""
+BESIDE = 2.0
+"""Lattice units that rounding may take a corner to the side."""
 COS_60, SIN_60 = 0.5, 0.75**0.5
 ROUNDING = 1e-6
 """Unit vectors that add up to less are opposite and have nothing but rounding half-way between
@@ -102,8 +106,8 @@ def cover_bearings(
             covering[first:last] = b
             given += last - first
     covered = np.int64(0)
-    for step in range(BEARINGS):
-        covered += covering[step] >= 0
+    for i in range(BEARINGS):
+        covered += covering[i] >= 0
     return bool(side_by_side and given == covered)
 
 
@@ -142,6 +146,89 @@ def outline_sectors(
         if b == beams - 1 or not (covers[b + 1] and _share_side(sides, b, b + 1)):
             x[corners], y[corners], begins[corners] = at_x, at_y, False
             corners += 1
+    return corners
+
+
+@kernel
+def outline_inside(
+    at_x: int,
+    at_y: int,
+    sides: Float64,
+    sign: float,
+    lengths: Float64,
+    covers: Bool,
+    x: Int64,
+    y: Int64,
+    begins: Bool,
+) -> int:
+    """Write corners around cells that surely lie in sectors, each no longer than `lengths` (B,).
+
+    As `outline_sectors`, but where neighbours differ the outline runs within the longer, so far
+    from their side that no cell of it is the shorter's. A sector that is too narrow for that goes
+    only as far as both of its neighbours.
+    """
+    beams = covers.size
+    reach, inward = np.empty(beams, np.float64), np.empty(beams, np.float64)
+    for b in range(beams):
+        after = b + 1 if b + 1 < beams else 0
+        width = abs(sides[b, 0] * sides[b, 3] - sides[b, 1] * sides[b, 2])
+        is_wide = lengths[b] * width > 2 * (BESIDE + STEP * lengths[b])
+        inward[b] = sign if is_wide else 0.0
+        reach[b] = lengths[b] if is_wide else min(lengths[b - 1], lengths[b], lengths[after])
+    corners = 0
+    for b in range(beams):
+        if not covers[b]:
+            continue
+        begun = b > 0 and covers[b - 1] and _share_side(sides, b - 1, b)
+        if not begun:
+            x[corners], y[corners], begins[corners] = at_x, at_y, True
+            corners += 1
+        before = reach[b - 1] if begun else 0.0
+        shift = inward[b] if reach[b] > before else -inward[b - 1]
+        corners = _add_side(
+            x, y, begins, corners, at_x, at_y, sides[b, 0], sides[b, 1], before, reach[b], shift
+        )
+        if b == beams - 1 or not (covers[b + 1] and _share_side(sides, b, b + 1)):
+            corners = _add_side(
+                x,
+                y,
+                begins,
+                corners,
+                at_x,
+                at_y,
+                sides[b, 2],
+                sides[b, 3],
+                reach[b],
+                0.0,
+                -inward[b],
+            )
+            x[corners], y[corners], begins[corners] = at_x, at_y, False
+            corners += 1
+    return corners
+
+
+@step
+def _add_side(
+    x: Int64,
+    y: Int64,
+    begins: Bool,
+    corners: int,
+    at_x: int,
+    at_y: int,
+    side_x: float,
+    side_y: float,
+    before: float,
+    after: float,
+    shift: float,
+) -> int:
+    """Go from so far along one side of a side to so far along the other, shifted to a wide one."""
+    least = min(before, after)
+    for length in (before, after) if shift else (least, least):
+        away = shift * (min(BESIDE, length) + STEP * length)
+        x[corners] = at_x + int(np.rint(length * side_x - away * side_y))
+        y[corners] = at_y + int(np.rint(length * side_y + away * side_x))
+        begins[corners] = False
+        corners += 1
     return corners
 
 
