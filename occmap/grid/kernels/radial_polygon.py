@@ -14,8 +14,8 @@ from occmap.grid.kernels.sectors import (
     COS_60,
     cover_bearings,
     find_sectors,
-    outline_inside,
     outline_sectors,
+    stay_inside,
 )
 from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT, PAD
 from occmap.jit import kernel
@@ -62,11 +62,11 @@ def trace_radial_polygons(
     free, hit, depth, plain = profile.free, profile.hit, profile.depth, profile.plain
     direction, ranges = np.empty((beams, 2), np.float64), np.empty(beams, np.float64)
     sides, covers = np.empty((beams, 4), np.float64), np.empty(beams, np.bool_)
-    lengths, covering = np.empty((beams, 2), np.float64), np.empty(BEARINGS + 1, np.int32)
+    lengths, covering = np.empty((beams, 4), np.float64), np.empty(BEARINGS + 1, np.int32)
     limits, within = np.empty((beams + 1, 4), np.float64), np.empty(beams, np.float64)
     entries = np.concatenate((free, hit, np.zeros(1, np.int64)))
-    x, y = np.empty(6 * beams + 4, np.int64), np.empty(6 * beams + 4, np.int64)
-    begins = np.empty(6 * beams + 4, np.bool_)
+    x, y = np.empty(4 * beams + 4, np.int64), np.empty(4 * beams + 4, np.int64)
+    begins = np.empty(4 * beams + 4, np.bool_)
     starts, counts = np.empty(rows, np.int32), np.empty(rows, np.int32)
     inner_starts, inner_counts = np.empty(rows, np.int32), np.empty(rows, np.int32)
     found = np.empty((2, 4 * rows), np.int32)
@@ -87,7 +87,8 @@ def trace_radial_polygons(
         if side_by_side:
             for b in range(beams):
                 within[b] = max(plain * (ranges[b] - depth) * (1 - 1e-6) - ROUNDED, 0.0)
-            corners = outline_inside(at_x, at_y, sides, sign, within, covers, x, y, begins)
+            stay_inside(within, sides, sign, covers, lengths)
+            corners = outline_sectors(at_x, at_y, sides, lengths, covers, x, y, begins)
             found, inner = fill_outline(
                 x, y, begins, corners, touched, cols, inner_starts, inner_counts, found, inner
             )
@@ -136,9 +137,10 @@ def reach_out(
         reach = ranges[b] + (depth if kinds[b] == HIT else 0.0) + 4
         for side in range(2):
             cosine = sides[b, 2 * side] * direction[b, 0] + sides[b, 2 * side + 1] * direction[b, 1]
-            lengths[b, side] = reach / max(cosine, COS_60 / 2)
+            lengths[b, 2 * side] = reach / max(cosine, COS_60 / 2)
+            lengths[b, 2 * side + 1] = 0.0
     for b in range(0 if full_circle else 1, kinds.size):
-        lengths[b - 1, 1] = lengths[b, 0] = max(lengths[b - 1, 1], lengths[b, 0])
+        lengths[b - 1, 2] = lengths[b, 0] = max(lengths[b - 1, 2], lengths[b, 0])
 
 
 @kernel

@@ -112,6 +112,36 @@ def cover_bearings(
 
 
 @kernel
+def stay_inside(own: Float64, sides: Float64, sign: float, covers: Bool, lengths: Float64) -> None:
+    """Write how far sectors go so that what is outlined is surely theirs and no longer than `own`.
+
+    Where neighbours differ (B,), the outline runs within the longer, so far from their side that no
+    cell of it is the shorter's. A sector that is too narrow for that goes only as far as both of
+    its neighbours do.
+    """
+    beams = covers.size
+    reach, inward = np.empty(beams, np.float64), np.empty(beams, np.float64)
+    for b in range(beams):
+        after = b + 1 if b + 1 < beams else 0
+        width = abs(sides[b, 0] * sides[b, 3] - sides[b, 1] * sides[b, 2])
+        is_wide = own[b] * width > 2 * (BESIDE + STEP * own[b])
+        inward[b] = sign if is_wide else 0.0
+        reach[b] = own[b] if is_wide else min(own[b - 1], own[b], own[after])
+    for b in range(beams):
+        least, shift_before, shift = 0.0, -inward[b - 1], inward[b]
+        if _goes_on(sides, covers, b):
+            least = min(reach[b - 1], reach[b])
+            shift_before = shift = shift if reach[b] > reach[b - 1] else shift_before
+        _set_side(lengths[b - 1, 2:], reach[b - 1] if shift_before else least, shift_before)
+        _set_side(lengths[b, :2], reach[b] if shift else least, shift)
+
+
+@step
+def _set_side(side: Float64, length: float, shift: float) -> None:
+    side[0], side[1] = length, shift * (min(BESIDE, length) + STEP * length)
+
+
+@kernel
 def outline_sectors(
     at_x: int,
     at_y: int,
@@ -124,115 +154,31 @@ def outline_sectors(
 ) -> int:
     """Write corners around the sectors of beams; returns their number.
 
-    `lengths` (B, 2) says how far each sector goes along its two sides, in lattice units from the
-    sensor at `at_x`, `at_y`; neighbours agree on the side between them, which makes one corner. A
-    run of sectors that share their sides is closed at the sensor.
+    `lengths` (B, 4) says, for each of the two sides of a sector, how far it goes along that, and
+    how far to the left of it, in lattice units from the sensor at `at_x`, `at_y`. A run of sectors
+    that share their sides is closed at the sensor.
     """
-    beams = covers.size
     corners = 0
-    for b in range(beams):
+    for b in range(covers.size):
         if not covers[b]:
             continue
-        if b == 0 or not (covers[b - 1] and _share_side(sides, b - 1, b)):
+        if not _goes_on(sides, covers, b):
             x[corners], y[corners], begins[corners] = at_x, at_y, True
-            x[corners + 1] = at_x + int(np.rint(lengths[b, 0] * sides[b, 0]))
-            y[corners + 1] = at_y + int(np.rint(lengths[b, 0] * sides[b, 1]))
-            begins[corners + 1] = False
-            corners += 2
-        x[corners] = at_x + int(np.rint(lengths[b, 1] * sides[b, 2]))
-        y[corners] = at_y + int(np.rint(lengths[b, 1] * sides[b, 3]))
-        begins[corners] = False
-        corners += 1
-        if b == beams - 1 or not (covers[b + 1] and _share_side(sides, b, b + 1)):
+            corners += 1
+        for i in range(0, 4, 2):
+            along, left = lengths[b, i], lengths[b, i + 1]
+            x[corners] = at_x + int(np.rint(along * sides[b, i] - left * sides[b, i + 1]))
+            y[corners] = at_y + int(np.rint(along * sides[b, i + 1] + left * sides[b, i]))
+            begins[corners] = False
+            corners += 1
+        if b + 1 == covers.size or not _goes_on(sides, covers, b + 1):
             x[corners], y[corners], begins[corners] = at_x, at_y, False
             corners += 1
     return corners
 
 
 @kernel
-def outline_inside(
-    at_x: int,
-    at_y: int,
-    sides: Float64,
-    sign: float,
-    lengths: Float64,
-    covers: Bool,
-    x: Int64,
-    y: Int64,
-    begins: Bool,
-) -> int:
-    """Write corners around cells that surely lie in sectors, each no longer than `lengths` (B,).
-
-    As `outline_sectors`, but where neighbours differ the outline runs within the longer, so far
-    from their side that no cell of it is the shorter's. A sector that is too narrow for that goes
-    only as far as both of its neighbours.
-    """
-    beams = covers.size
-    reach, inward = np.empty(beams, np.float64), np.empty(beams, np.float64)
-    for b in range(beams):
-        after = b + 1 if b + 1 < beams else 0
-        width = abs(sides[b, 0] * sides[b, 3] - sides[b, 1] * sides[b, 2])
-        is_wide = lengths[b] * width > 2 * (BESIDE + STEP * lengths[b])
-        inward[b] = sign if is_wide else 0.0
-        reach[b] = lengths[b] if is_wide else min(lengths[b - 1], lengths[b], lengths[after])
-    corners = 0
-    for b in range(beams):
-        if not covers[b]:
-            continue
-        begun = b > 0 and covers[b - 1] and _share_side(sides, b - 1, b)
-        if not begun:
-            x[corners], y[corners], begins[corners] = at_x, at_y, True
-            corners += 1
-        before = reach[b - 1] if begun else 0.0
-        shift = inward[b] if reach[b] > before else -inward[b - 1]
-        corners = _add_side(
-            x, y, begins, corners, at_x, at_y, sides[b, 0], sides[b, 1], before, reach[b], shift
-        )
-        if b == beams - 1 or not (covers[b + 1] and _share_side(sides, b, b + 1)):
-            corners = _add_side(
-                x,
-                y,
-                begins,
-                corners,
-                at_x,
-                at_y,
-                sides[b, 2],
-                sides[b, 3],
-                reach[b],
-                0.0,
-                -inward[b],
-            )
-            x[corners], y[corners], begins[corners] = at_x, at_y, False
-            corners += 1
-    return corners
-
-
-@step
-def _add_side(
-    x: Int64,
-    y: Int64,
-    begins: Bool,
-    corners: int,
-    at_x: int,
-    at_y: int,
-    side_x: float,
-    side_y: float,
-    before: float,
-    after: float,
-    shift: float,
-) -> int:
-    """Go from so far along one side of a side to so far along the other, shifted to a wide one."""
-    least = min(before, after)
-    for length in (before, after) if shift else (least, least):
-        away = shift * (min(BESIDE, length) + STEP * length)
-        x[corners] = at_x + int(np.rint(length * side_x - away * side_y))
-        y[corners] = at_y + int(np.rint(length * side_y + away * side_x))
-        begins[corners] = False
-        corners += 1
-    return corners
-
-
-@kernel
-def _share_side(sides: Float64, a: int, b: int) -> bool:
-    """Whether one sector goes on where the other ends; not where 60 degrees ended one before."""
-    return bool(sides[a, 2] == sides[b, 0] and sides[a, 3] == sides[b, 1])
+def _goes_on(sides: Float64, covers: Bool, b: int) -> bool:
+    """Whether a sector begins where the one before ends; not where 60 degrees ended that."""
+    shared = sides[b - 1, 2] == sides[b, 0] and sides[b - 1, 3] == sides[b, 1]
+    return bool(b > 0 and covers[b - 1] and covers[b] and shared)
