@@ -89,17 +89,28 @@ class Bench:
         return self.results
 
     def _measure_engines(self, office: Workload) -> None:
-        """Trace every workload; the first has limits."""
+        """Trace every workload."""
         times = self._measure_engine(office)
         self.results.rows += limits.compare_engine(times, office.scans)
         self.results.rows.append(limits.compare_updates(times, office.scans, "office"))
         scans = self._settings.scans
-        self._measure_engine(
-            make_office("office, 360 beams", Sensor.spanning(360, 360, 30.0), scans)
+        others = (
+            (
+                make_office("office, 360 beams", Sensor.spanning(360, 360, 30.0), scans),
+                limits.FEW_BEAMS_LIMITS,
+            ),
+            (
+                make_yard("yard, 80 m range", Sensor.spanning(180, 180, 80.0), scans),
+                limits.YARD_LIMITS,
+            ),
+            (
+                make_yard("861 scans of a yard", Sensor.spanning(181, 180, 50.0), 861, 0.05),
+                limits.SPARSE_LIMITS,
+            ),
         )
-        self._measure_engine(make_yard("yard, 80 m range", Sensor.spanning(180, 180, 80.0), scans))
-        sparse = make_yard("861 scans of a yard", Sensor.spanning(181, 180, 50.0), 861, 0.05)
-        self.results.rows += limits.compare_sparse(self._measure_engine(sparse), sparse)
+        for workload, engine_limits in others:
+            times = self._measure_engine(workload)
+            self.results.rows += limits.compare_workload(times, workload, engine_limits)
         if FREIBURG.exists():
             freiburg = read_workload(FREIBURG, 0.05)
             times = self._measure_engine(freiburg)

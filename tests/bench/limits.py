@@ -23,6 +23,9 @@ ENGINE_LIMITS = {
     "beam x quadratic": 1.5,
     "polygon x quadratic": 1.5,
 }
+FEW_BEAMS_LIMITS = {"polygon x quadratic": 1.5}
+"""The cost of a scan is its area, while that of the yardstick is its beams."""
+YARD_LIMITS = {"polygon x simple, counting": 0.5, "polygon x quadratic": 3.0}
 SPARSE_LIMITS = {"beam x simple, counting": 1.0}
 """Few scans of a large place: what nothing crosses costs nothing."""
 BEAM, SURFACE = "beam x simple, counting", "surface x simple, counting"
@@ -49,9 +52,11 @@ class Row:
         return "met" if self.value <= self.limit else "NOT MET"
 
 
-def compare_sparse(times: Times, workload: Workload) -> list[Row]:
-    """One thread where scans are few for the place, as `compare_engine`."""
-    rows = compare_engine(times, workload.scans, SPARSE_LIMITS)
+def compare_workload(
+    times: Times, workload: Workload, engine_limits: Mapping[str, float]
+) -> list[Row]:
+    """One thread on scans of another kind, as `compare_engine`."""
+    rows = compare_engine(times, workload.scans, engine_limits)
     return [replace(row, what=f"{row.what}, {workload.name}") for row in rows]
 
 

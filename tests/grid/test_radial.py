@@ -149,6 +149,26 @@ def test_a_scan_of_more_than_a_turn_has_its_ranges_where_they_were_measured(beam
     assert observed[0, -4] == observed[0, 10] == 0
 
 
+def test_a_full_circle_leaves_no_cell_out_where_it_closes() -> None:
+    """A cell half-way between the last beam and the first belongs to one of them."""
+    rng = np.random.default_rng(7)
+    scans, beams, near = 2000, 48, 30
+    headings = (
+        rng.integers(0, 4, scans) * math.pi / 2 + math.pi / beams + rng.normal(0, 1e-4, scans)
+    )
+    rays = Rays.along(
+        np.full((scans, 1, 2), 0.5),
+        np.stack([aim(heading, 2 * math.pi / beams, beams) for heading in headings]),
+        rng.uniform(near + 1, near + 4, (scans, beams)).astype(np.float32),
+        np.full((scans, beams), Kind.HIT, np.uint8),
+        np.zeros(scans, np.int64),
+        full_circle=True,
+    )
+    observed = observe(make_spec(Update.POLYGON, 1.0, Quadratic(0.5, 0.1)), [rays]).second
+    disc = [(row, col) for row in range(-near, near) for col in range(-near, near)]
+    assert {observed[cell] for cell in disc if math.hypot(*cell) < near} == {scans}
+
+
 def test_a_gap_in_the_scan_is_not_observed() -> None:
     """Three beams 140 degrees apart: each speaks for 60 degrees to each side and no more."""
     rays = look_around([6.0] * 3, 140.0)

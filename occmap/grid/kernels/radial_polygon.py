@@ -15,11 +15,14 @@ from occmap.grid.kernels.sectors import (
     cover_bearings,
     find_sectors,
     outline_sectors,
+    stay_inside,
 )
 from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT, PAD
 from occmap.jit import kernel
-from occmap.types import Bool, Float32, Float64, Int32, Int64, UInt8
+from occmap.types import Float32, Float64, Int32, Int64, UInt8
 
+ROUNDED = 4
+"""Lattice units by which corners may lie farther out than the sectors that they are made for."""
 NEAR, FAR, SCALE, RANGE = range(4)
 """Columns of what `limit_ranges` writes."""
 
@@ -59,8 +62,8 @@ def trace_radial_polygons(
     free, hit, depth, plain = profile.free, profile.hit, profile.depth, profile.plain
     direction, ranges = np.empty((beams, 2), np.float64), np.empty(beams, np.float64)
     sides, covers = np.empty((beams, 4), np.float64), np.empty(beams, np.bool_)
-    lengths, covering = np.empty((beams, 2), np.float64), np.empty(BEARINGS + 1, np.int32)
-    limits = np.empty((beams + 1, 4), np.float64)
+    lengths, covering = np.empty((beams, 4), np.float64), np.empty(BEARINGS + 1, np.int32)
+    limits, within = np.empty((beams + 1, 4), np.float64), np.empty(beams, np.float64)
     entries = np.concatenate((free, hit, np.zeros(1, np.int64)))
     x, y = np.empty(4 * beams + 4, np.int64), np.empty(4 * beams + 4, np.int64)
     begins = np.empty(4 * beams + 4, np.bool_)
@@ -74,7 +77,7 @@ def trace_radial_polygons(
         aim(turn[s], bearing, distance[s], units_per_metre, direction, ranges)
         sign = find_sectors(direction, kinds[s], full_circle, sides, covers)
         side_by_side = cover_bearings(sides, kinds[s], covers, sign, covering)
-        reach_out(direction, ranges, kinds[s], depth, sides, lengths)
+        reach_out(direction, ranges, kinds[s], full_circle, depth, sides, lengths)
         corners = outline_sectors(at_x, at_y, sides, lengths, covers, x, y, begins)
         touched = find_rows(y, corners, rows)
         found, spans = fill_outline(
@@ -82,7 +85,9 @@ def trace_radial_polygons(
         )
         inner_counts[:] = 0
         if side_by_side:
-            stay_within(ranges, covers, full_circle, depth, plain, lengths)
+            for b in range(beams):
+                within[b] = max(plain * (ranges[b] - depth) * (1 - 1e-6) - ROUNDED, 0.0)
+            stay_inside(within, sides, sign, covers, lengths)
             corners = outline_sectors(at_x, at_y, sides, lengths, covers, x, y, begins)
             found, inner = fill_outline(
                 x, y, begins, corners, touched, cols, inner_starts, inner_counts, found, inner
@@ -118,6 +123,7 @@ def reach_out(
     direction: Float64,
     ranges: Float64,
     kinds: UInt8,
+    full_circle: bool,
     depth: float,
     sides: Float64,
     lengths: Float64,
@@ -131,36 +137,10 @@ def reach_out(
         reach = ranges[b] + (depth if kinds[b] == HIT else 0.0) + 4
         for side in range(2):
             cosine = sides[b, 2 * side] * direction[b, 0] + sides[b, 2 * side + 1] * direction[b, 1]
-            lengths[b, side] = reach / max(cosine, COS_60 / 2)
-    for b in range(1, kinds.size):
-        lengths[b - 1, 1] = lengths[b, 0] = max(lengths[b - 1, 1], lengths[b, 0])
-
-
-@kernel
-def stay_within(
-    ranges: Float64,
-    covers: Bool,
-    full_circle: bool,
-    depth: float,
-    plain: float,
-    lengths: Float64,
-) -> None:
-    """Write how far sectors may go so that each cell in them gets the first entry of `free`.
-
-    The bearing of a cell is known to a step: it may belong to a neighbour, so the nearest of three
-    ranges counts, and a sector beside a bearing that nobody covers is left out.
-    """
-    beams = ranges.size
-    for b in range(beams):
-        before, after = b - 1 if b > 0 else beams - 1, b + 1 if b < beams - 1 else 0
-        alone = (b == 0 or b == beams - 1) and not full_circle
-        if alone or not (covers[before] and covers[after]):
-            lengths[b, 0] = lengths[b, 1] = 0.0
-        else:
-            nearest = min(ranges[b], ranges[before], ranges[after]) - depth
-            lengths[b, 0] = lengths[b, 1] = max(plain * nearest - 2, 0.0)
-    for b in range(1, beams):
-        lengths[b - 1, 1] = lengths[b, 0] = min(lengths[b - 1, 1], lengths[b, 0])
+            lengths[b, 2 * side] = reach / max(cosine, COS_60 / 2)
+            lengths[b, 2 * side + 1] = 0.0
+    for b in range(0 if full_circle else 1, kinds.size):
+        lengths[b - 1, 2] = lengths[b, 0] = max(lengths[b - 1, 2], lengths[b, 0])
 
 
 @kernel

@@ -3,11 +3,15 @@
 import numpy as np
 
 from occmap.grid.kernels.units import SKIP
-from occmap.jit import kernel
+from occmap.jit import kernel, step
 from occmap.types import Bool, Float64, Int32, Int64, UInt8
 
 BEARINGS = 1 << 14
 """Steps of a full turn to which the bearing of a cell is known."""
+STEP = 5e-4
+"""More than the angle of such a step (rad), which is twice as wide on diagonals as along axes."""
+BESIDE = 2.0
+"""Lattice units that rounding may take a corner to the side."""
 COS_60, SIN_60 = 0.5, 0.75**0.5
 ROUNDING = 1e-6
 """Unit vectors that add up to less are opposite and have nothing but rounding half-way between
@@ -102,9 +106,39 @@ def cover_bearings(
             covering[first:last] = b
             given += last - first
     covered = np.int64(0)
-    for step in range(BEARINGS):
-        covered += covering[step] >= 0
+    for i in range(BEARINGS):
+        covered += covering[i] >= 0
     return bool(side_by_side and given == covered)
+
+
+@kernel
+def stay_inside(own: Float64, sides: Float64, sign: float, covers: Bool, lengths: Float64) -> None:
+    """Write how far sectors go so that what is outlined is surely theirs and no longer than `own`.
+
+    Where neighbours differ (B,), the outline runs within the longer, so far from their side that no
+    cell of it is the shorter's. A sector that is too narrow for that goes only as far as both of
+    its neighbours do.
+    """
+    beams = covers.size
+    reach, inward = np.empty(beams, np.float64), np.empty(beams, np.float64)
+    for b in range(beams):
+        after = b + 1 if b + 1 < beams else 0
+        width = abs(sides[b, 0] * sides[b, 3] - sides[b, 1] * sides[b, 2])
+        is_wide = own[b] * width > 2 * (BESIDE + STEP * own[b])
+        inward[b] = sign if is_wide else 0.0
+        reach[b] = own[b] if is_wide else min(own[b - 1], own[b], own[after])
+    for b in range(beams):
+        least, shift_before, shift = 0.0, -inward[b - 1], inward[b]
+        if _goes_on(sides, covers, b):
+            least = min(reach[b - 1], reach[b])
+            shift_before = shift = shift if reach[b] > reach[b - 1] else shift_before
+        _set_side(lengths[b - 1, 2:], reach[b - 1] if shift_before else least, shift_before)
+        _set_side(lengths[b, :2], reach[b] if shift else least, shift)
+
+
+@step
+def _set_side(side: Float64, length: float, shift: float) -> None:
+    side[0], side[1] = length, shift * (min(BESIDE, length) + STEP * length)
 
 
 @kernel
@@ -120,32 +154,31 @@ def outline_sectors(
 ) -> int:
     """Write corners around the sectors of beams; returns their number.
 
-    `lengths` (B, 2) says how far each sector goes along its two sides, in lattice units from the
-    sensor at `at_x`, `at_y`; neighbours agree on the side between them, which makes one corner. A
-    run of sectors that share their sides is closed at the sensor.
+    `lengths` (B, 4) says, for each of the two sides of a sector, how far it goes along that, and
+    how far to the left of it, in lattice units from the sensor at `at_x`, `at_y`. A run of sectors
+    that share their sides is closed at the sensor.
     """
-    beams = covers.size
     corners = 0
-    for b in range(beams):
+    for b in range(covers.size):
         if not covers[b]:
             continue
-        if b == 0 or not (covers[b - 1] and _share_side(sides, b - 1, b)):
+        if not _goes_on(sides, covers, b):
             x[corners], y[corners], begins[corners] = at_x, at_y, True
-            x[corners + 1] = at_x + int(np.rint(lengths[b, 0] * sides[b, 0]))
-            y[corners + 1] = at_y + int(np.rint(lengths[b, 0] * sides[b, 1]))
-            begins[corners + 1] = False
-            corners += 2
-        x[corners] = at_x + int(np.rint(lengths[b, 1] * sides[b, 2]))
-        y[corners] = at_y + int(np.rint(lengths[b, 1] * sides[b, 3]))
-        begins[corners] = False
-        corners += 1
-        if b == beams - 1 or not (covers[b + 1] and _share_side(sides, b, b + 1)):
+            corners += 1
+        for i in range(0, 4, 2):
+            along, left = lengths[b, i], lengths[b, i + 1]
+            x[corners] = at_x + int(np.rint(along * sides[b, i] - left * sides[b, i + 1]))
+            y[corners] = at_y + int(np.rint(along * sides[b, i + 1] + left * sides[b, i]))
+            begins[corners] = False
+            corners += 1
+        if b + 1 == covers.size or not _goes_on(sides, covers, b + 1):
             x[corners], y[corners], begins[corners] = at_x, at_y, False
             corners += 1
     return corners
 
 
 @kernel
-def _share_side(sides: Float64, a: int, b: int) -> bool:
-    """Whether one sector goes on where the other ends; not where 60 degrees ended one before."""
-    return bool(sides[a, 2] == sides[b, 0] and sides[a, 3] == sides[b, 1])
+def _goes_on(sides: Float64, covers: Bool, b: int) -> bool:
+    """Whether a sector begins where the one before ends; not where 60 degrees ended that."""
+    shared = sides[b - 1, 2] == sides[b, 0] and sides[b - 1, 3] == sides[b, 1]
+    return bool(b > 0 and covers[b - 1] and covers[b] and shared)
