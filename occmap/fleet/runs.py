@@ -7,6 +7,7 @@ are renamed into place, the stub last: where it is there, the task is done for g
 import pickle
 from collections.abc import Iterable, Iterator, Sequence
 from io import BytesIO
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -22,6 +23,8 @@ from occmap.writers.atomic import open_atomic
 
 BLOCK_TILES = 16
 """Tiles along the side of a block"""
+ALIGNED = 64
+"""Arrays begin at multiples of so many bytes"""
 
 BlockKey: TypeAlias = tuple[int, int]
 """Row and column of a block in the lattice of blocks."""
@@ -124,6 +127,35 @@ def unpack_content(data: bytes) -> Content:
         names = Slices.__dataclass_fields__
         slices = tuple(Slices(*(arrays[f"{n}.{name}"] for name in names)) for n in layers)
         return Content(arrays["tiles"], arrays["cells"], slices)
+
+
+def write_mapped(path: Path, value: Any) -> None:
+    """Keep a value with large arrays, which lie beside it: who reads it loads what it looks at.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    buffers: list[pickle.PickleBuffer] = []
+    head, spans = pickle.dumps(value, protocol=5, buffer_callback=buffers.append), []
+    with open_atomic(path.with_suffix(".arrays")) as (file,):
+        file.write(bytes(ALIGNED))  # an empty file cannot be mapped
+        for buffer in buffers:
+            file.write(bytes(-file.tell() % ALIGNED))
+            spans.append((file.tell(), buffer.raw().nbytes))
+            file.write(buffer)
+    write_stub(path, (head, spans))
+
+
+def read_mapped(path: Path) -> Any:
+    """A value that `write_mapped` kept, with arrays that cannot be altered; None: there is none."""
+    if (known := read_stub(path)) is None:
+        return None
+    head, spans = known
+    with path.with_suffix(".arrays").open("rb") as file:
+        data = memoryview(mmap(file.fileno(), 0, access=ACCESS_READ))
+    return pickle.loads(head, buffers=[data[start : start + size] for start, size in spans])
 
 
 def write_stub(path: Path, value: Any) -> None:

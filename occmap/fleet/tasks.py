@@ -15,9 +15,11 @@ from occmap.fleet.runs import (
     BlockKey,
     Content,
     Piece,
+    read_mapped,
     read_pieces,
     read_stub,
     split_blocks,
+    write_mapped,
     write_run,
     write_stub,
 )
@@ -161,7 +163,10 @@ def survey_log(job: SurveyJob) -> Survey:
         return Survey(job.log, job.path, scans, 1, 0, (), None, error)
     parts = split_log(log, setting.slice_bytes)
     if parts:
-        write_stub(stub.with_suffix(".parts"), [drive._replace(log=part) for part in parts])
+        for chain in filter(None, drive.poser.chains.values()):
+            _ = chain.breaks  # it looks at all poses, and tracks keep what that shows
+        drives = [drive._replace(log=part) for part in parts]
+        write_mapped(stub.with_suffix(".parts"), drives)
     first_ns = find_first(drive, options)
     survey = Survey(
         job.log,
@@ -195,7 +200,7 @@ def open_part(job: TraceJob) -> Drive:
     setting, options = job.setting, job.setting.options
     parts: Sequence[Drive] | None = None
     if job.part is not None:
-        parts = read_stub(setting.folder / f"log{job.survey.log:05}.parts")
+        parts = read_mapped(setting.folder / f"log{job.survey.log:05}.parts")
     if parts is None:
         return open_drive(open_log(job.survey.path, options.reading), options)
     return parts[job.part or 0]._replace(seam=job.seam)

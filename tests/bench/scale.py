@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import dask
 import numpy as np
-from distributed import Client, LocalCluster, Worker
+from distributed import Client, LocalCluster
 
 from occmap.fleet import Fleet
 from occmap.fleet.cluster import ALLOCATOR
@@ -55,8 +55,8 @@ class Cost(NamedTuple):
     """The same for a driver, with all that it loads"""
     shuffled: int
     """Bytes in the run files of some logs ..."""
-    passed: int
-    """... and those that workers handed to each other and to the driver for them"""
+    told: int
+    """... and in what workers told the driver of them; nothing passes between workers"""
 
 
 def write_fleet(folder: Path, offices: int) -> list[Path]:
@@ -74,11 +74,6 @@ def measure_process() -> tuple[float, int]:
     """Processor time of this process (s), and its peak of memory (bytes)."""
     usage = resource.getrusage(resource.RUSAGE_SELF)
     return usage.ru_utime + usage.ru_stime, usage.ru_maxrss << 10
-
-
-def measure_passed(dask_worker: Worker) -> int:
-    """Bytes that this worker handed to others."""
-    return dask_worker.transfer_outgoing_bytes_total
 
 
 @contextmanager
@@ -104,7 +99,7 @@ def build_by(workers: int, logs: Sequence[Path], output: Path) -> Cost:
     with start_workers(workers) as (client, address):
         started = perf_counter() - start, measure_workers(client)[0] / workers
         fleet = Fleet(address, output.with_suffix(".scratch"), SLICE)
-        shuffled, passed = measure_shuffle(client, fleet, logs[:FIRST])
+        shuffled, told = measure_shuffle(fleet, logs[:FIRST])
         first = output.with_suffix(".first.zarr")
         build_store(fleet, logs[:FIRST], OPTIONS, first, ignore_progress)
         before = measure_workers(client)[0]
@@ -115,7 +110,7 @@ def build_by(workers: int, logs: Sequence[Path], output: Path) -> Cost:
         spent += measure_process()[0] - before - own
         flags = ["--dask", address, "--slice", f"{SLICE}B", "-q"]
         again = run([OCCMAP, "build", *logs, "-o", output.with_suffix(".again.zarr"), *flags])
-        return Cost(started, seconds, spent, peak, again.peak_bytes, shuffled, passed)
+        return Cost(started, seconds, spent, peak, again.peak_bytes, shuffled, told)
 
 
 def measure_workers(client: Client) -> tuple[float, int]:
@@ -124,12 +119,13 @@ def measure_workers(client: Client) -> tuple[float, int]:
     return sum(times), max(peaks)
 
 
-def measure_shuffle(client: Client, fleet: Fleet, logs: Sequence[Path]) -> tuple[int, int]:
-    """Bytes in the run files of logs, and those that workers handed to others meanwhile."""
-    before = sum(client.run(measure_passed).values())
+def measure_shuffle(fleet: Fleet, logs: Sequence[Path]) -> tuple[int, int]:
+    """Bytes in the run files of logs, and in the stubs, which are what the driver is told."""
     with fleet.work(logs, OPTIONS, Keep(slices=True), ignore_progress) as work:
-        shuffled = sum(each.stat().st_size for each in work.setting.folder.glob("*.run"))
-        return shuffled, sum(client.run(measure_passed).values()) - before
+        files = list(work.setting.folder.iterdir())
+        shuffled = sum(each.stat().st_size for each in files if each.suffix == ".run")
+        told = sum(each.stat().st_size for each in files if each.suffix in (".survey", ".trace"))
+        return shuffled, told
 
 
 def measure_size(path: Path) -> int:
@@ -191,10 +187,10 @@ def measure(folder: Path) -> tuple[list[Row], str]:
             f"{two.driver_bytes * mega:.0f} / {few.driver_bytes * mega:.0f} MB",
         ),
         Row(
-            "bytes from worker to worker and driver / in run files",
+            "bytes that pass between processes / in run files",
             0.01,
-            two.passed / two.shuffled,
-            f"{two.passed * 1e-3:.0f} / {two.shuffled * 1e-3:.0f} kB",
+            two.told / two.shuffled,
+            f"{two.told * 1e-3:.0f} / {two.shuffled * 1e-3:.0f} kB",
         ),
         Row(
             "store / .npz",

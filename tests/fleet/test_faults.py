@@ -6,6 +6,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from threading import Thread
 from typing import NamedTuple
@@ -16,8 +18,12 @@ from distributed import Client, LocalCluster
 from occmap.errors import FleetError, LogError, UsageError
 from occmap.fleet import Fleet, cluster
 from occmap.fleet.cluster import open_cluster
+from occmap.fleet.storing import build_store
+from occmap.observing import ignore_progress
 from occmap.options import BuildOptions
 from occmap.pipeline import build
+from occmap.store.blocks import digest_evidence
+from occmap.store.reading import open_store
 from tests.samples import DRIVES
 
 resource = pytest.importorskip("resource", reason="Windows has neither SIGKILL nor such limits")
@@ -49,13 +55,11 @@ def wait_for(scratch: Path, pattern: str) -> list[Path]:
     raise TimeoutError(pattern)
 
 
-@pytest.mark.parametrize("phase", ["*.survey", "*.trace", "*.sum"])
-def test_a_worker_is_killed(
-    workers: LocalCluster, tmp_path: Path, expected: bytes, phase: str
-) -> None:
+@contextmanager
+def kill_worker(workers: LocalCluster, scratch: Path, phase: str) -> Iterator[None]:
+    """Kill one of the workers as soon as some result of a kind is there."""
     with Client(workers) as client:
         victim = next(iter(client.run(os.getpid).values()))
-    scratch = tmp_path / "scratch"
 
     def kill() -> None:
         wait_for(scratch, phase)
@@ -63,10 +67,35 @@ def test_a_worker_is_killed(
 
     killer = Thread(target=kill)
     killer.start()
-    observe = Fleet(workers.scheduler_address, scratch, SLICE).observe
-    build(DRIVES, OPTIONS, [tmp_path / "map.npz"], observe=observe)
+    yield
     killer.join()
+
+
+@pytest.mark.parametrize("phase", ["*.survey", "*.trace", "*.sum"])
+def test_a_worker_is_killed(
+    workers: LocalCluster, tmp_path: Path, expected: bytes, phase: str
+) -> None:
+    scratch = tmp_path / "scratch"
+    with kill_worker(workers, scratch, phase):
+        observe = Fleet(workers.scheduler_address, scratch, SLICE).observe
+        build(DRIVES, OPTIONS, [tmp_path / "map.npz"], observe=observe)
     assert (tmp_path / "map.npz").read_bytes() == expected
+
+
+@pytest.mark.parametrize("phase", ["*.stored", ".occmap-*/classes/1/c/*"])
+def test_a_worker_is_killed_while_it_writes_a_store(
+    workers: LocalCluster, tmp_path: Path, phase: str
+) -> None:
+    logs, options = DRIVES[:1], replace(OPTIONS, resolution=0.01)
+    build(logs, options, [tmp_path / "alone.zarr"])
+    fleet = Fleet(workers.scheduler_address, tmp_path / "scratch", SLICE)
+    with kill_worker(workers, fleet.scratch, phase):
+        build_store(fleet, logs, options, tmp_path / "fleet.zarr", ignore_progress)
+    one, other = (open_store(tmp_path / f"{name}.zarr") for name in ("alone", "fleet"))
+    assert one.read_evidence().tiles.size
+    assert one.digest == digest_evidence(other.read_evidence())
+    for level in one.root["classes"]:
+        assert (one.root["classes"][level][:] == other.root["classes"][level][:]).all()
 
 
 @pytest.mark.parametrize("phase", ["*.survey", "*.trace", "*.sum"])

@@ -1,0 +1,73 @@
+"""All real logs in one build, some of them cut short, by workers: what one process makes."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from distributed import LocalCluster
+
+from tests.cli.runner import occmap
+from tests.samples import REAL_LOGS
+
+pytestmark = pytest.mark.skipif(
+    not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}: set OCCMAP_REAL_LOGS"
+)
+WITH_POSES = [
+    "carmen/intel-corrected.log.gz",
+    "carmen/csail-corrected.log.gz",
+    "carmen/fr079-robotlaser.log.gz",
+    "carmen/freiburg-079-corrected.log.gz",
+    "ros1/test_turtlebot.bag",
+    "ros1/test_replay_crash.bag",
+    "ros1/mylaserdata2.bag",
+    "ros2/macfirst_floor_take_2",
+    "ros1/test_turtlebot.bag",
+]
+"""All but one that has none; one of them twice"""
+MOUNT = ("--static-tf", "base_link,laser,0,0,0,0,0,3.14159")
+"""Of the one log that does not state it"""
+CUT_SHORT = ["ros1/test_turtlebot.bag", "carmen/intel-corrected.log.gz"]
+PART = ("--stride", "3", "--start", "2.5", "--end", "100", "--min-passes", "2")
+
+UNCUT = "is traced by one worker"
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("damaged")
+    damaged = []
+    for name in CUT_SHORT:
+        whole = (REAL_LOGS / name).read_bytes()
+        path = folder / Path(name).name
+        path.write_bytes(whole[: len(whole) * 2 // 3])
+        damaged.append(path)
+    return [*(REAL_LOGS / name for name in WITH_POSES), *damaged]
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.mark.parametrize("options", [(), PART])
+def test_files_and_text_are_those_of_one_process(
+    logs: list[Path], address: str, tmp_path: Path, options: tuple[str, ...]
+) -> None:
+    fleet = ("--dask", address, "--slice", "500kB")
+    done, files = [], []
+    for flags in (("--jobs", "1"), fleet):
+        output = tmp_path / "map.npz"
+        done.append(occmap("build", *logs, "-o", output, *MOUNT, *options, *flags))
+        assert done[-1].code == 0, done[-1].err
+        files.append(output.read_bytes())
+    assert files[0] == files[1]
+    one, other = ([*strip(each.out), *strip(each.err)] for each in done)
+    assert "is damaged" in " ".join(one)
+    assert one == other
+
+
+def strip(text: str) -> list[str]:
+    """Lines but that of times, and the note that a log is one task."""
+    lines = text.splitlines()
+    return [each for each in lines if not each.startswith("time ") and UNCUT not in each]

@@ -1,0 +1,32 @@
+"""What tasks leave for each other."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from occmap.fleet.runs import read_mapped, write_mapped
+
+
+def test_large_arrays_lie_beside_the_value_and_are_read_from_there(tmp_path: Path) -> None:
+    path = tmp_path / "log.parts"
+    value: dict[str, Any] = {
+        "name": "tf",
+        "stamps": np.arange(5),
+        "odd": np.arange(3, dtype=np.uint8),
+    }
+    value |= {"none": np.zeros((0, 7)), "poses": np.arange(70.0).reshape(10, 7)}
+    write_mapped(path, value)
+    read = read_mapped(path)
+    assert read.pop("name") == value.pop("name")
+    for name, array in read.items():
+        assert np.array_equal(array, value[name])
+        assert array.dtype == value[name].dtype
+        assert array.flags.aligned
+        assert not array.flags.owndata
+    assert read_mapped(tmp_path / "other.parts") is None
+
+
+def test_a_log_without_poses_of_its_own_keeps_no_arrays(tmp_path: Path) -> None:
+    write_mapped(tmp_path / "log.parts", ["part"])
+    assert read_mapped(tmp_path / "log.parts") == ["part"]
