@@ -40,7 +40,7 @@ class Sample:
         self._seen += scans
         if len(rows) and self._beams < MAX_SAMPLE_BEAMS:
             self._beams += len(rows) * beams
-            self.parts.append(pick_rows(posed, rows))
+            self.parts.append(posed.take(rows))
 
 
 def sample_scans(
@@ -56,11 +56,6 @@ def sample_scans(
         if posed is not None:
             samples[posed.batch.topic].take(posed)
     return [part for sample in samples.values() for part in sample.parts]
-
-
-def pick_rows(posed: PosedScans, rows: Int64) -> PosedScans:
-    """Keep some scans of a batch."""
-    return PosedScans(posed.batch.take(rows), posed.position[rows], posed.rotation[rows])
 
 
 def expect_scans(scans: int, selection: Selection) -> int:
