@@ -79,8 +79,7 @@ class JourneyRecorder:
         self._seen += len(scans.batch.stamp_ns)
         if not which.size:
             return
-        some = PosedScans(scans.batch.take(which), scans.position[which], scans.rotation[which])
-        rays, _ = interpret(some, self._returns)
+        rays, _ = interpret(scans.take(which), self._returns)
         columns = rays.stamp_ns.tolist(), rays.origin[:, 0].tolist(), rays.end, rays.kind
         for stamp_ns, (x, y), end, kind in zip(*columns, strict=True):
             hits = end[kind == Kind.HIT].astype(np.float32)

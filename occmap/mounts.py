@@ -66,7 +66,7 @@ def find_better(poser: Poser, parts: Sequence[PosedScans], options: ReturnOption
     str
         Such as "sensor_pose=0,0,3.14159"; "" where they fit as they are.
     """
-    turn = guess_mount(parts, options)
+    turn = guess_mount(parts, options) if parts else None
     if turn is None or turn == UNTURNED:
         return ""
     return correct_mount(poser, parts[0].batch.frame, turn)

@@ -40,8 +40,7 @@ class Sample:
         self._seen += scans
         if len(rows) and self._beams < MAX_SAMPLE_BEAMS:
             self._beams += len(rows) * beams
-            kept = posed.batch.take(rows), posed.position[rows], posed.rotation[rows]
-            self.parts.append(PosedScans(*kept))
+            self.parts.append(posed.take(rows))
 
 
 def sample_scans(

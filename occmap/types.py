@@ -305,6 +305,10 @@ class PosedScans:
     rotation: Float64
     """(S, 3, 3) from the sensor to the map frame, or (S, B, 3, 3)."""
 
+    def take(self, scans: Bool | Int64) -> Self:
+        """Some of the scans: (S,) which, or the numbers of those."""
+        return type(self)(self.batch.take(scans), self.position[scans], self.rotation[scans])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:

@@ -207,8 +207,8 @@ def time_limit(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-Scans = dict[int, bytes]
-"""Ranges by stamp."""
+Scans = dict[tuple[int, int], bytes]
+"""Ranges by the two times of a scan: one of them may be damaged to that of another scan."""
 
 
 def read_scans(path: Path) -> tuple[Scans, str]:
@@ -222,12 +222,12 @@ def read_scans(path: Path) -> tuple[Scans, str]:
             topics = {stream.topic for stream in log.streams if stream.role is Role.SCAN}
             count = 0
             for scan in log.scans(topics):
-                scans[scan.stamp_ns] = scan.ranges.tobytes()
+                scans[scan.stamp_ns, scan.record_ns] = scan.ranges.tobytes()
                 count += 1
         except OccmapError as error:
             return scans, str(error)
     notes = "; ".join(note.text for note in log.notes if note.damage)
-    assert count == len(scans) or notes, "scans that have one stamp went untold"
+    assert count == len(scans) or notes, "a scan that is there twice went untold"
     return scans, notes
 
 
@@ -236,7 +236,7 @@ def form(request: pytest.FixtureRequest) -> Format:
     return FORMATS[request.param]
 
 
-def check_before(form: Format, found: Scans, before: set[int]) -> None:
+def check_before(form: Format, found: Scans, before: set[tuple[int, int]]) -> None:
     """See that of the scans that lie before the damage enough were found."""
     kept = before.intersection(found)
     assert len(kept) >= form.share * len(before), f"{len(kept)} of {len(before)}"
@@ -262,7 +262,7 @@ def test_a_log_cut_anywhere(form: Format, tmp_path: Path) -> None:
         cut = int((step + dice.random()) * len(data) / CUTS)
         file.write_bytes(data[:cut])
         found, damage = read_scans(path)
-        before = {stamp for stamp, (_, end) in zip(whole, zones, strict=True) if end <= cut}
+        before = {times for times, (_, end) in zip(whole, zones, strict=True) if end <= cut}
         check_before(form, found, before)
         assert damage or found == whole or not form.is_container, cut
 
@@ -279,7 +279,7 @@ def test_a_log_with_a_flipped_byte_anywhere(form: Format, tmp_path: Path) -> Non
         flipped[at] ^= dice.randrange(1, 256)
         file.write_bytes(flipped)
         found, _ = read_scans(path)
-        before = {stamp for stamp, (_, end) in zip(whole, zones, strict=True) if end <= at}
+        before = {times for times, (_, end) in zip(whole, zones, strict=True) if end <= at}
         check_before(form, found, before)
 
 
@@ -339,8 +339,8 @@ def test_nothing_is_lost_without_a_word_and_nothing_beside_the_damage(
         assert told or len(found) == len(whole), where
         if form.concerns_all in data[first // 4096 * 4096 : -(-last // 4096) * 4096]:
             continue
-        beside = {stamp for stamp, (start, end) in zones.items() if end <= first or last <= start}
-        lost = {stamp for stamp in beside if found.get(stamp) != whole[stamp]}
+        beside = {times for times, (start, end) in zones.items() if end <= first or last <= start}
+        lost = {times for times in beside if found.get(times) != whole[times]}
         assert not lost or refuses(path), f"{len(lost)} lost by {where}"
 
 

@@ -52,16 +52,27 @@ def many_topics() -> list[Written]:
 def test_a_log_of_very_many(tmp_path: Path, log: Callable[[], list[Written]], used: str) -> None:
     path = write_mcap(tmp_path / "log.mcap", log())
     words = ["build", str(path), "-o", str(tmp_path / "map.pgm"), "--resolution", "0.5"]
-    run = subprocess.run(
-        [sys.executable, "-m", "occmap", *words, "--jobs", "1"],
+    run = run_bounded([*words, "--jobs", "1"])
+    assert run.returncode == 0, run.stderr[-400:]
+    assert f"{used} used" in run.stdout
+
+
+def test_check_of_a_log_of_very_many_topics(tmp_path: Path) -> None:
+    run = run_bounded(["check", str(write_mcap(tmp_path / "log.mcap", many_topics()))])
+    assert run.returncode == 0, run.stderr[-400:]
+    assert "agreement are estimated for 100 of 4,001 topics with scans" in run.stderr + run.stdout
+
+
+def run_bounded(words: list[str]) -> subprocess.CompletedProcess[str]:
+    """Run a command that may take neither much memory nor much time."""
+    return subprocess.run(
+        [sys.executable, "-m", "occmap", *words],
         check=False,
         capture_output=True,
         text=True,
         timeout=SECONDS,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY)),
     )
-    assert run.returncode == 0, run.stderr[-400:]
-    assert f"{used} used" in run.stdout
 
 
 def test_a_note_is_found_at_once() -> None:

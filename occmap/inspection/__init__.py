@@ -127,7 +127,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
         streams=tuple(log.streams),
         scans=scans,
         coverage=tuple(list_coverage(posing.poser.sources)),
-        notes=(*notes, *posing.poser.notes, *limits.list_notes()),
+        notes=(*notes, *posing.poser.notes, *limits.list_notes(), *survey.list_notes()),
         damage=damage,
         problem=problem or ("" if scans else f"{log.path}: {_explain_nothing(seen)}"),
     )

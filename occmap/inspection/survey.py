@@ -27,6 +27,8 @@ from occmap.types import Scan, ScanBatch, ScanRun
 
 MAX_SHAPES = 1000
 """Shapes that are told apart; a log whose every scan has another must not fill the memory."""
+SAMPLED_TOPICS = 100
+"""Topics whose scans are sampled: no robot has more lasers, and a map of each takes its time."""
 
 
 @dataclass
@@ -36,6 +38,7 @@ class TopicSurvey:
     topic: str
     sample: Sample
     batcher: Batcher
+    is_sampled: bool = True
     stamps: StampLog = field(default_factory=StampLog)
     census: RangeCensus = field(default_factory=RangeCensus)
     shapes: Counter[Shape] = field(default_factory=Counter)
@@ -80,7 +83,8 @@ class Survey:
             survey.dropped.update({reason.value: count for reason, count in dropped.items()})
             if posed is not None:
                 survey.posed += len(posed.batch.stamp_ns)
-                survey.sample.take(posed)
+                if survey.is_sampled:
+                    survey.sample.take(posed)
                 rays, _ = interpret(posed, self.returns)
                 self.extent.add(rays)
 
@@ -119,8 +123,17 @@ class Survey:
     def _begin(self, topic: str) -> TopicSurvey:
         expected = expect_scans(self.expected, self.selection)
         batcher = Batcher(Selection(), self.poser.options.stamps)
-        self.topics[topic] = TopicSurvey(topic, Sample(expected), batcher)
+        is_sampled = len(self.topics) < SAMPLED_TOPICS
+        self.topics[topic] = TopicSurvey(topic, Sample(expected), batcher, is_sampled)
         return self.topics[topic]
+
+    def list_notes(self) -> Iterator[str]:
+        """Say of how many topics no scans are sampled."""
+        if len(self.topics) > SAMPLED_TOPICS:
+            yield (
+                f"the mount and the agreement are estimated for {SAMPLED_TOPICS} of "
+                f"{len(self.topics):,} topics with scans"
+            )
 
 
 def gather_topics(

@@ -150,7 +150,7 @@ class Poser:
         PoseError
             As `prepare`.
         """
-        parts = chain.from_iterable(map(self._look_up, batches))
+        parts = chain.from_iterable(self._look_up(each) for each in batches if len(each.stamp_ns))
         for attached in self._leaps.sift(starmap(self._pose, parts)):
             if attached.posed is not None:
                 self._watch(attached.posed)

@@ -76,28 +76,47 @@ class JumpWatch:
         first_ns
             Stamp of the first scan of the log, by the clock of the poses.
         """
-        used = np.flatnonzero(self._scans)
+        jumps, scans = self._list_parts()
+        used = np.flatnonzero(scans)
         if len(used) < 2:
             return
-        jumps = self._jumps[used[0] : used[-1]]
-        longest = int(self._scans.argmax())
+        longest = int(np.argmax(scans))
         remedy = {}
         if longest > used[0]:  # rounded so that no scan of another part is kept
-            remedy["start_s"] = write_ms(-(-(int(self.edges_ns[longest - 1]) - first_ns) // MS_NS))
+            remedy["start_s"] = write_ms(-(-(jumps[longest - 1].stamp_ns - first_ns) // MS_NS))
         if longest < used[-1]:
-            remedy["end_s"] = write_ms((int(self.edges_ns[longest]) - first_ns) // MS_NS)
+            remedy["end_s"] = write_ms((jumps[longest].stamp_ns - first_ns) // MS_NS)
         keep = " and ".join(f"`{name}={value}`" for name, value in remedy.items())
-        share = self._scans[longest] / self._scans.sum()
+        text = describe_jump(jumps[used[0] : used[-1]], first_ns)
         yield Concern(
-            f"{describe_jump(jumps, first_ns)}: scans from before and after do not fit together; "
-            f"{keep} keeps the longest part, {share:.0%} of them",
+            f"{text}: scans from before and after do not fit together; {keep} keeps the longest "
+            f"part, {scans[longest] / sum(scans):.0%} of them",
             remedy,
         )
+
+    def _list_parts(self) -> tuple[list[Jump], list[int]]:
+        """List the jumps, and how many scans lie before the first, between them and after the last.
+
+        A jump that the next one undoes, without any scan in between, harms nothing.
+        """
+        jumps: list[Jump] = []
+        scans = [int(self._scans[0])]
+        for jump, following in zip(self._jumps, self._scans[1:].tolist(), strict=True):
+            if jumps and not scans[-1] and jumps[-1].is_undone_by(jump):
+                jumps.pop()
+                scans.pop()
+                scans[-1] += following
+            else:
+                jumps.append(jump)
+                scans.append(following)
+        return jumps, scans
 
 
 def find_jumps(chain: Chain) -> Iterator[Jump]:
     """Find the jumps that the sensor at the end of a chain makes."""
     breaks = chain.breaks
+    if not breaks:
+        return
     before = chain.at(np.array([each.before_ns for each in breaks], np.int64))
     after = chain.at(np.array([each.after_ns for each in breaks], np.int64))
     known = (before.status == Status.POSED) & (after.status == Status.POSED)

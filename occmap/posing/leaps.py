@@ -150,7 +150,8 @@ class _Path:
                     # The first scan of a part may be the one that is astray.
                     self._step, self._decided = step, step + (step > part.start)
                     return
-                self._note(step, found)
+                if found and not self.first_astray:
+                    self.first_astray = self._describe(step, found)
                 self._astray[found.start : found.stop] = True
                 self._step = max(found.stop, step + 1)
         is_alone = not near[-1:].any()  # nothing is known of a scan that has no neighbour yet
@@ -193,13 +194,11 @@ class _Path:
             return range(step, step + 1)
         return range(step + 1, part.stop) if before >= ROW and len(seconds) == 1 else range(0)
 
-    def _note(self, step: int, astray: range) -> None:
-        """Say what the first of the scans that are astray did."""
-        if not astray or self.first_astray:
-            return
+    def _describe(self, step: int, astray: range) -> str:
+        """Say what the first of the scans that a leap leads astray did."""
         metres = np.linalg.norm(self._place[step + 1] - self._place[step])
         seconds = (self._stamp_ns[step + 1] - self._stamp_ns[step]) / 1e9
-        self.first_astray = (
+        return (
             f"the scan at {self._stamp_ns[astray.start] / 1e9:.3f} s lies {metres:,.6g} m from its "
             f"neighbour, {seconds:.3g} s away"
         )
@@ -216,8 +215,8 @@ class LeapFilter:
         self._max_speed = max_speed
         self._notes = notes
         """Grows by what the first scan of each topic that is left out did"""
-        self._paths: dict[Shape, _Path] = {}
         self._noted: set[str] = set()
+        self._paths: dict[Shape, _Path] = {}
 
     def find_ends(self) -> dict[Shape, Ends]:
         """Where the scans that were seen begin and end, by their shape."""
@@ -230,19 +229,17 @@ class LeapFilter:
         order.
         """
         for some in attached:
-            path = self._find_path(some.posed)
-            if path is None or some.posed is None:
+            path = self._find_path(some.posed) if some.posed else None
+            if some.posed and path:
+                path.go_on(some, some.posed)
+                yield from self._release(path, is_over=False)
+            else:
                 yield some
-                continue
-            path.go_on(some, some.posed)
-            yield from self._release(path, is_over=False)
         for path in self._paths.values():
             yield from self._release(path, is_over=True)
 
-    def _find_path(self, posed: PosedScans | None) -> _Path | None:
-        """Find the path that scans are on; None where they are on none that is judged."""
-        if posed is None:
-            return None
+    def _find_path(self, posed: PosedScans) -> _Path | None:
+        """Find the path that scans are on; None where it is one too many to be judged."""
         batch, kind = posed.batch, (posed.batch.ranges.shape[1], posed.position.ndim)
         shape = batch.topic, batch.frame, batch.angle_min, batch.angle_increment, kind
         if shape not in self._paths and len(self._paths) < MOST_PATHS:
@@ -250,31 +247,17 @@ class LeapFilter:
         return self._paths.get(shape)
 
     def _release(self, path: _Path, is_over: bool) -> Iterator[Attached]:
-        for attached, posed, astray in path.release(is_over):
-            if not astray.any():
-                yield attached
-                continue
-            self._tell(posed.batch.topic, path.first_astray)
-            if self._max_speed == np.inf:
-                yield attached
-                continue
-            dropped = {**attached.dropped, DropReason.LEAP: int(np.count_nonzero(astray))}
-            yield Attached(attached.batch, take_posed(posed, ~astray), dropped)
-
-    def _tell(self, topic: str, found: str) -> None:
-        """Note what the first scan of a topic that is astray did."""
-        if topic in self._noted:
-            return
-        self._noted.add(topic)
-        keeps_all = self._max_speed == np.inf
         outcome = "it and others that leap so are left out; `max_speed=inf` keeps them"
+        keeps_all = self._max_speed == np.inf
         if keeps_all:
             outcome = "the map reaches there, as `max_speed=inf` keeps such scans"
-        self._notes.append(f"{topic}: {found}: {outcome}")
-
-
-def take_posed(posed: PosedScans, which: Bool) -> PosedScans | None:
-    """Some of the scans (S,); None where these are none."""
-    if not which.any():
-        return None
-    return PosedScans(posed.batch.take(which), posed.position[which], posed.rotation[which])
+        for attached, posed, astray in path.release(is_over):
+            topic, leaps = posed.batch.topic, int(np.count_nonzero(astray))
+            if leaps and topic not in self._noted:
+                self._noted.add(topic)
+                self._notes.append(f"{topic}: {path.first_astray}: {outcome}")
+            if keeps_all or not leaps:
+                yield attached
+            else:
+                rest = posed.take(~astray) if leaps < len(astray) else None
+                yield Attached(attached.batch, rest, {**attached.dropped, DropReason.LEAP: leaps})

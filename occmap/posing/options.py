@@ -79,8 +79,8 @@ class PosingOptions:
     static_transforms: tuple[PoseSample, ...] = ()
     """Fixed transforms that the log lacks; each goes before what the log says of its child."""
     max_speed: float = 50.0
-    """Scans that lie further from their neighbours in time are left out (m/s; inf: none). The
-    fastest step of nine logs of robots, with rounded stamps, is 8; cars reach 50."""
+    """Scans are left out that leap away faster than this, and back (m/s; inf: none). The fastest
+    step of nine logs of robots, with rounded stamps, is 8; cars reach 50."""
     transform: Pose | None = None
     """Where the log's map frame lies in the frame to map in; None: they are one."""
     align: float | None = 0.0

@@ -11,6 +11,7 @@ from occmap.inspection import inspect
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.concerns import Concern
+from occmap.posing.options import DropReason
 from occmap.types import Pose, PoseSample
 from tests.posing.scenes import SECOND, at, attach, batch_at, bolted, build, drive, turned
 from tests.samples import write_csv
@@ -57,10 +58,20 @@ def test_what_is_kept_may_lie_between_two_jumps() -> None:
 
 
 def test_a_plateau_of_wrong_corrections_is_told_with_both_its_ends() -> None:
-    samples = correct(lambda second: turned(40, 7.0, -3.0) if 60 <= second < 65 else NOWHERE)
+    samples = correct(lambda second: turned(5, 7.0, -3.0) if 60 <= second < 65 else NOWHERE)
     (concern,) = watch(build(*drive("odom", "base_link", seconds=SECONDS), MOUNT, *samples))
     assert " 60.000 s after the first scan, and back at 65.000 s: " in concern.text
     assert concern.remedy == {"end_s": "60"}
+
+
+def test_a_plateau_whose_scans_are_left_out_is_no_jump() -> None:
+    samples = correct(lambda second: turned(0, 300.0) if 60 <= second < 65 else NOWHERE)
+    poser = build(*drive("odom", "base_link", seconds=SECONDS), MOUNT, *samples)
+    posed, dropped = attach(poser, batch_at([half / 2 for half in range(201)]))
+    assert dropped == {DropReason.LEAP: 10}
+    assert sum(len(each.batch.stamp_ns) for each in posed) == 191
+    assert not list(poser.list_concerns(0, math.inf))
+    assert any("the scan at 60.000 s lies 30" in note for note in poser.notes)
 
 
 @pytest.mark.parametrize(("first_s", "last_s"), [(12, 100), (0, 11.5)])
@@ -124,6 +135,6 @@ def test_what_corrections_do_every_day_is_no_jump(pose: Callable[[int], Pose]) -
 
 
 def test_a_single_wrong_correction_turns_back_at_once() -> None:
-    samples = correct(lambda second: turned(90) if second == 30 else NOWHERE)
+    samples = correct(lambda second: turned(10) if second == 30 else NOWHERE)
     (concern,) = watch(build(*drive("odom", "base_link", seconds=SECONDS), MOUNT, *samples))
     assert "30.000 s after the first scan, and back at 31.000 s: " in concern.text
