@@ -110,8 +110,7 @@ def test_a_signal_leaves_one_line_and_no_file(
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        # Background jobs ignore some signals; no thread runs yet.
-        preexec_fn=lambda: signal.signal(sent, signal.SIG_DFL),  # noqa: PLW1509
+        preexec_fn=lambda: signal.signal(sent, signal.SIG_DFL),  # noqa: PLW1509  no threads yet
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "begins\n"
