@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 from occmap.errors import LogError
 from occmap.plugins import list_plugins, load_plugin
-from occmap.readers.gunzip import GUNZIP_ERRORS, GunzipStream
+from occmap.readers.gunzip import GUNZIP_ERRORS, gunzip
 from occmap.readers.options import ReaderOptions
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
@@ -253,10 +253,12 @@ def _miss(path: Path) -> LogError:
 def _peek_gzip(path: Path) -> bytes:
     """Decompress the start of a gzip file: as much as there is, where it is damaged."""
     content = b""
-    with suppress(OSError, *GUNZIP_ERRORS), GunzipStream(path.open("rb")) as file:
-        while len(content) < PROBE_BYTES and (piece := file.read(PROBE_BYTES)):
+    with suppress(OSError, *GUNZIP_ERRORS), path.open("rb") as file:
+        for piece in gunzip(file):
             content += piece
-    return content
+            if len(content) >= PROBE_BYTES:
+                break
+    return content[:PROBE_BYTES]
 
 
 def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
