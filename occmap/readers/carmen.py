@@ -40,6 +40,7 @@ from occmap.readers.text import (
     split_lines,
 )
 from occmap.types import Pose, PoseSample, Scan, ScanRun, shorten
+from occmap.wording import count
 
 Parsed = TypeVar("Parsed")
 
@@ -271,8 +272,7 @@ class CarmenLog:
         others = Counter({word: n for word, n in self._words.items() if word not in used})
         if others:
             top = ", ".join(_count_lines(word, n) for word, n in others.most_common(5))
-            lines = "1 line" if others.total() == 1 else f"{others.total()} lines"
-            text = f"{lines} without scan or pose passed over: {top}"
+            text = f"{count(others.total(), 'line')} without scan or pose passed over: {top}"
             add_note(self.notes, Note(text + (", ..." if len(others) > 5 else "")))
 
 
@@ -297,8 +297,8 @@ def _parse_together(words: list[str], block: Block) -> dict[str, ScanRun | None]
 def _count_lines(word: str, lines: int) -> str:
     """Say how many lines have a keyword, for a note; garbage is quoted."""
     if word == "#":
-        return "1 comment" if lines == 1 else f"{lines} comments"
-    return f"{lines} {word if word.isascii() and word.isprintable() else shorten(word)}"
+        return count(lines, "comment")
+    return f"{lines:,} {word if word.isascii() and word.isprintable() else shorten(word)}"
 
 
 def _starts_message(head: list[str]) -> bool:

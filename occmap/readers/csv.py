@@ -238,12 +238,13 @@ def _parse_rows(layout: Layout, lines: list[bytes]) -> ScanRun:
     if not np.isfinite(increments).all():
         raise ValueError("time_increment is no time")
     pose = [take(name, float(layout.constants.get(name, "nan"))) for name in POSE_NAMES]
+    side_by_side = beams == list(range(beams[0], beams[-1] + 1))  # a slice takes no copy
     stamp_ns = np.full(len(lines), first.stamp_ns) if stamp is None else times[:, stamp].copy()
     return ScanRun(
         first,
         stamp_ns,
         stamp_ns,
-        as_float32(values[:, beams]),
+        as_float32(values[:, beams[0] : beams[-1] + 1] if side_by_side else values[:, beams]),
         increments,
         stack_planar(*pose) if layout.has_pose else None,
     )

@@ -46,6 +46,7 @@ from occmap.readers.mcap_records import (
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_log import RosLog
 from occmap.readers.ros_source import Channel, RawMessages, add_note, put_together
+from occmap.wording import count
 
 T = TypeVar("T")
 
@@ -187,7 +188,7 @@ class McapSource:
         counts = statistics.channel_message_counts if statistics else {}
         channels = self._summary.channels | table.build(counts or held)
         if lost := sum(count for key, count in held.items() if key not in channels):
-            add_note(self.notes, f"{lost} messages belong to no channel that the file names")
+            add_note(self.notes, f"the file names no channel for {count(lost, 'message')}")
         return channels
 
     def _iterate_blocks(
@@ -239,7 +240,7 @@ class McapSource:
         if position == self._span.end < self._size:
             return
         lost = self._size - position
-        unread = f"from byte {position} on, the last {lost} bytes hold no whole record"
+        unread = f"from byte {position} on, the last {count(lost, 'byte')} hold no whole record"
         breaks_off = f"the file breaks off at byte {position}, where more belongs"
         add_note(self.notes, unread if lost else breaks_off)
 
@@ -280,7 +281,7 @@ class McapSource:
             return _Block(position, b"")
         block, problem = inflate(chunk.data, chunk.compression, chunk.size)
         if chunk.left > _LONGEST_PADDING:
-            problem = problem or f"has {chunk.left} bytes that it does not state"
+            problem = problem or f"has {count(chunk.left, 'byte')} that it does not state"
         if chunk.crc and not problem and position not in self._verified:
             self._verified.add(position)
             if zlib.crc32(block) != chunk.crc:

@@ -18,6 +18,7 @@ from occmap.errors import LogError
 from occmap.readers import Note, NoteList, Span, cut_evenly
 from occmap.readers.ros_source import Channel, Encoding, RawMessages, Syntax, add_note, put_together
 from occmap.readers.sqlite_pages import Row, count_lost_frames, find_rows
+from occmap.wording import count
 
 MAGIC = b"SQLite format 3\x00"
 
@@ -57,7 +58,7 @@ class SqliteSource:
             ) from None
         self._by_id = {key: replace(item, count=counts[key]) for key, item in topics.items()}
         if lost := counts.total() - sum(channel.count for channel in self.channels):
-            add_note(self.notes, f"{lost} messages belong to no topic that the file names")
+            add_note(self.notes, f"the file names no topic for {count(lost, 'message')}")
 
     @property
     def channels(self) -> Sequence[Channel]:
@@ -213,8 +214,8 @@ def _refuse_imitations(database: apsw.Connection) -> None:
     columns = "SELECT count(*), total(hidden) FROM pragma_table_xinfo(?)"
     for name in ("topics", "messages", "message_definitions"):
         ((real,),) = database.execute(is_table, (name,))
-        ((count, hidden),) = database.execute(columns, (name,))
-        if not real and (count or name != "message_definitions"):
+        ((found, hidden),) = database.execute(columns, (name,))
+        if not real and (found or name != "message_definitions"):
             raise apsw.SQLError(f"no such table: {name}")
         if hidden:
             raise apsw.SQLError(f"the table {name} has generated columns")

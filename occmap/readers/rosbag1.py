@@ -36,6 +36,7 @@ from occmap.readers.rosbag1_records import (
     read_header,
     split_messages,
 )
+from occmap.wording import count
 
 _EVERY_ID = range(1 << 32)
 
@@ -180,7 +181,7 @@ class Bag1Source:
     ) -> dict[int, Channel]:
         """Say of each connection how many messages it has, and note those of no connection."""
         if lost := sum(count for key, count in counts.items() if key not in connections):
-            add_note(self.notes, f"{lost} messages belong to no connection that the bag names")
+            add_note(self.notes, f"the bag names no connection for {count(lost, 'message')}")
         return {key: replace(item, count=counts[key]) for key, item in connections.items()}
 
     def _iterate_blocks(self, file: BinaryIO) -> Iterator[tuple[int, Buffer]]:
@@ -228,7 +229,7 @@ class Bag1Source:
                 break
         if position < self._span.end:
             lost = self._size - position
-            unread = f"from byte {position} on, the last {lost} bytes hold no whole record"
+            unread = f"from byte {position} on, the last {count(lost, 'byte')} hold no whole record"
             add_note(self.notes, unread)
 
     def _find_length(self, file: BinaryIO, header: Header, position: int) -> int:
