@@ -5,12 +5,11 @@ import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
-from copy import copy
 from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
-from occmap.readers import Note, NoteList, Probe, Role, Stream
+from occmap.readers import Note, NoteList, Probe, Role, Stream, make_part
 from occmap.readers.carmen_lines import (
     FRAMES,
     FRONT,
@@ -147,12 +146,7 @@ class CarmenLog:
         spans = [ALL] if any(note.damage for note in self.notes) else split_lines(self.path, size)
         if len(spans) == 1:
             return [self]
-        parts = []
-        for span in spans:
-            part = copy(self)
-            part._span, part.notes, part._kept = span, self.notes.copy(), None
-            parts.append(part)
-        return parts
+        return [make_part(self, _span=span, _kept=None) for span in spans]
 
     def _walk(self) -> Iterator[tuple[list[str], Block]]:
         """Yield lines, some at a time, and before them the keyword of each."""

@@ -4,14 +4,13 @@ import math
 from codecs import BOM_UTF8
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
-from copy import copy
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList, Probe, Role, Stream
+from occmap.readers import Note, NoteList, Probe, Role, Stream, make_part
 from occmap.readers.csv_layout import (
     POSE_NAMES,
     Layout,
@@ -134,12 +133,7 @@ class CsvLog:
         """Cut the log into parts of about so many bytes, as `occmap.readers.Splittable` has it."""
         damaged = any(note.damage for note in self.notes)
         spans = [ALL] if damaged else split_lines(self.path, size, _is_heading)
-        parts = []
-        for span in spans:
-            part = copy(self)
-            part._span, part.notes = span, self.notes.copy()
-            parts.append(part)
-        return parts
+        return [make_part(self, _span=span) for span in spans]
 
     def _walk(self) -> Iterator[list[Line]]:
         """Yield the rows without the header, some at a time."""

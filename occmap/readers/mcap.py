@@ -8,7 +8,6 @@ they say at once where each lies.
 import zlib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from copy import copy
 from dataclasses import replace
 from io import BytesIO
 from itertools import pairwise
@@ -19,7 +18,7 @@ from typing import BinaryIO, NamedTuple, TypeVar
 from mcap.opcode import Opcode
 
 from occmap.errors import LogError
-from occmap.readers import DEFAULT_OPTIONS, Note, NoteList, Probe, Role, Span
+from occmap.readers import Note, NoteList, Probe, Role, Span, make_part
 from occmap.readers.inflate import Buffer, inflate
 from occmap.readers.mcap_index import (
     LATEST_NS,
@@ -43,8 +42,7 @@ from occmap.readers.mcap_records import (
     parse_chunk,
     read_summary,
 )
-from occmap.readers.options import ReaderOptions
-from occmap.readers.ros_log import RosLog
+from occmap.readers.ros_log import RosReader
 from occmap.readers.ros_source import Channel, RawMessages, add_note, put_together
 from occmap.wording import count
 
@@ -73,31 +71,6 @@ class _Block(NamedTuple):
     last_ns: int = _NEVER_NS
     is_chunk: bool = False
     indexes: Indexes = Indexes()
-
-
-class McapReader:
-    """Reads MCAP files, as https://mcap.dev/spec has them."""
-
-    name = "mcap"
-    description = "MCAP with ROS 2, ROS 1 or Foxglove messages (uncompressed, lz4, zstd)"
-
-    def recognises(self, probe: Probe) -> bool:
-        """Say whether a file starts as MCAP files do."""
-        return probe.raw.startswith(MAGIC)
-
-    def open(self, path: Path) -> RosLog:
-        """Open a log.
-
-        Raises
-        ------
-        LogError
-            Nothing in the file can be read.
-        """
-        return self.open_tuned(path, DEFAULT_OPTIONS)
-
-    def open_tuned(self, path: Path, options: ReaderOptions) -> RosLog:
-        """Open a log; echoes and clouds become scans as the user chose. Raises what `open` does."""
-        return RosLog(McapSource(path), options)
 
 
 class McapSource:
@@ -161,12 +134,7 @@ class McapSource:
             if gathered >= size:
                 cuts.append(end)
                 gathered = 0
-        return [self._take(Span(*ends)) for ends in pairwise([*cuts, self._span.end])]
-
-    def _take(self, span: Span) -> "McapSource":
-        part = copy(self)
-        part._span, part.notes = span, self.notes.copy()
-        return part
+        return [make_part(self, _span=Span(*ends)) for ends in pairwise([*cuts, self._span.end])]
 
     def _survey(self, file: BinaryIO) -> dict[int, Channel]:
         """Find the channels and count their messages by reading the whole file."""
@@ -333,3 +301,15 @@ class McapSource:
 
     def _note(self, position: int, problem: str) -> None:
         add_note(self.notes, f"the chunk at byte {position} {problem}")
+
+
+class McapReader(RosReader):
+    """Reads MCAP files, as https://mcap.dev/spec has them."""
+
+    name = "mcap"
+    description = "MCAP with ROS 2, ROS 1 or Foxglove messages (uncompressed, lz4, zstd)"
+    open_source = McapSource
+
+    def recognises(self, probe: Probe) -> bool:
+        """Say whether a file starts as MCAP files do."""
+        return probe.raw.startswith(MAGIC)

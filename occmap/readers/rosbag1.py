@@ -7,14 +7,13 @@ A walk over the records needs no index, so sound and damaged bags are read the s
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO
 
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList, Span
+from occmap.readers import Note, NoteList, Span, make_part
 from occmap.readers.inflate import Buffer, inflate
 from occmap.readers.ros_source import Channel, RawMessages, add_note, put_together
 from occmap.readers.rosbag1_records import (
@@ -127,12 +126,7 @@ class Bag1Source:
             return [self]
         cuts = [self._span.start]
         cuts += [at for before, at in pairwise(self._chunks) if at // size > before // size]
-        parts = []
-        for ends in pairwise([*cuts, self._span.end]):
-            part = copy(self)
-            part._span, part.notes = Span(*ends), self.notes.copy()
-            parts.append(part)
-        return parts
+        return [make_part(self, _span=Span(*ends)) for ends in pairwise([*cuts, self._span.end])]
 
     def _survey_index(self, file: BinaryIO) -> dict[int, Channel]:
         """Find the connections and their counts in the index; none where it is not whole."""
