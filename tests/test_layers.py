@@ -82,10 +82,10 @@ def list_modules(*layers: str) -> list[Path]:
 
 @pytest.mark.parametrize("path", list_modules(*LAYERS), ids=name_module)
 def test_layers_do_not_know_each_other(path: Path) -> None:
-    assert find_met(path) <= {"types", "errors", "plugins", "jit"}
+    assert find_met(path) <= {"types", "errors", "plugins", "jit", "wording"}
 
 
-@pytest.mark.parametrize("name", ["types", "errors", "plugins", "jit"])
+@pytest.mark.parametrize("name", ["types", "errors", "plugins", "jit", "wording"])
 def test_values_and_errors_know_nobody_but_errors(name: str) -> None:
     assert find_met(PACKAGE / f"{name}.py") <= {"errors"}
 

@@ -6,18 +6,21 @@ A reader is a class with a `name`, a one-line `description`, a `recognises(probe
 
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass
 from difflib import get_close_matches
 from enum import StrEnum
 from glob import has_magic
 from pathlib import Path
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 from occmap.errors import LogError
 from occmap.plugins import list_plugins, load_plugin
-from occmap.readers.gunzip import GUNZIP_ERRORS, GunzipStream
+from occmap.readers.gunzip import GUNZIP_ERRORS, gunzip
 from occmap.readers.options import ReaderOptions
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
+
+Whole = TypeVar("Whole")
 
 PROBE_BYTES = 4096
 SIMILAR = 0.85
@@ -107,6 +110,13 @@ class Span(NamedTuple):
 
     start: int
     end: int
+
+
+def make_part(whole: Whole, **fields: Any) -> Whole:
+    """Copy a log, or a source of one, with other fields and with notes to which it adds its own."""
+    part = copy(whole)
+    vars(part).update(fields, notes=vars(whole)["notes"].copy())
+    return part
 
 
 def cut_evenly(whole: Span, parts: int) -> list[Span]:
@@ -253,10 +263,12 @@ def _miss(path: Path) -> LogError:
 def _peek_gzip(path: Path) -> bytes:
     """Decompress the start of a gzip file: as much as there is, where it is damaged."""
     content = b""
-    with suppress(OSError, *GUNZIP_ERRORS), GunzipStream(path.open("rb")) as file:
-        while len(content) < PROBE_BYTES and (piece := file.read(PROBE_BYTES)):
+    with suppress(OSError, *GUNZIP_ERRORS), path.open("rb") as file:
+        for piece in gunzip(file):
             content += piece
-    return content
+            if len(content) >= PROBE_BYTES:
+                break
+    return content[:PROBE_BYTES]
 
 
 def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:

@@ -5,12 +5,11 @@ import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
-from copy import copy
 from itertools import islice
 from pathlib import Path
-from typing import TypeAlias, TypeVar
+from typing import TypeVar
 
-from occmap.readers import Note, NoteList, Probe, Role, Stream
+from occmap.readers import Note, NoteList, Probe, Role, Stream, make_part
 from occmap.readers.carmen_lines import (
     FRAMES,
     FRONT,
@@ -29,22 +28,20 @@ from occmap.readers.carmen_lines import (
 )
 from occmap.readers.text import (
     ALL,
+    Block,
     Line,
     LineTally,
     add_note,
-    cut_blocks,
     is_worthwhile,
     note_cut_line,
     probe_lines,
-    read_lines,
-    shorten,
+    read_blocks,
     split_lines,
 )
-from occmap.types import Pose, PoseSample, Scan, ScanRun
+from occmap.types import Pose, PoseSample, Scan, ScanRun, shorten
+from occmap.wording import count
 
 Parsed = TypeVar("Parsed")
-_KindOfLine: TypeAlias = tuple[str, Line]
-_SeeOther: TypeAlias = Callable[[str, Line, LineTally], None]
 
 # fmt: off
 OTHER_WORDS = frozenset({
@@ -125,9 +122,10 @@ class CarmenLog:
         if not self._words["ODOM"]:
             return
         tally = LineTally()
-        for word, line in self._walk(self.notes):
-            if word == "ODOM" and (sample := self._parse(line, parse_odometry, tally)):
-                yield sample
+        for words, block in self._walk():
+            for line in (block.get_line(at) for at, word in enumerate(words) if word == "ODOM"):
+                if sample := self._parse(line, parse_odometry, tally):
+                    yield sample
         tally.judge(self.path, self.notes, FIX)
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
@@ -137,8 +135,10 @@ class CarmenLog:
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The same; those that follow one another and are alike, many at a stroke."""
-        for some in self._stream_scans() if self._kept is None else self._kept:
-            if some.first.topic in topics:
+        judged = LineTally()  # when the log was first read
+        read = (some for block in self._walk() for some in self._parse_block(*block, judged))
+        for some in read if self._kept is None else self._kept:
+            if some.first.topic in topics and some.first.ranges.size:
                 yield some
 
     def split(self, size: int) -> Sequence["CarmenLog"]:
@@ -146,51 +146,41 @@ class CarmenLog:
         spans = [ALL] if any(note.damage for note in self.notes) else split_lines(self.path, size)
         if len(spans) == 1:
             return [self]
-        parts = []
-        for span in spans:
-            part = copy(self)
-            part._span, part.notes, part._kept = span, self.notes.copy(), None
-            parts.append(part)
-        return parts
+        return [make_part(self, _span=span, _kept=None) for span in spans]
 
-    def _walk(self, notes: list[Note]) -> Iterator[_KindOfLine]:
-        """Yield every line that is not blank with its keyword; every comment has `#`."""
-        for line in read_lines(self.path, notes, self._span):
-            if head := line.raw.split(None, 1):
-                word = head[0].decode("utf-8", "replace")
-                yield ("#" if word[0] == "#" else word), line
+    def _walk(self) -> Iterator[tuple[list[str], Block]]:
+        """Yield lines, some at a time, and before them the keyword of each."""
+        for block in read_blocks(self.path, self.notes, self._span):
+            starts = [raw.lstrip().partition(b" ")[0] for raw in block.raw]
+            words = {start: _find_word(start) for start in set(starts)}
+            yield [words[start] for start in starts], block
 
-    def _walk_scans(self, tally: LineTally, see_other: _SeeOther) -> Iterator[Scan | ScanRun]:
-        """Yield the scans, passing over damaged ones; other lines are handed to `see_other`."""
-        notes_at_end: list[Note] = []  # of a damaged file: they must follow those on its lines
-        for block in cut_blocks(self._walk(notes_at_end), _get_raw):
-            if self._split is None:
-                texts = (line.text for word, line in block if word in FRAMES)
-                self._split = next(map(find_split, texts), None)
-            runs = _parse_together(block) if self._split is split_timed else {}
-            items = {
-                word: iter([run] if len(runs) == 1 else run.split())
-                for word, run in runs.items()
-                if run is not None
-            }
-            # Line by line, so that notes and scans come in the order of the log: a run with the
-            # first line of its kind, single scans each with their own.
-            for word, line in block:
-                if word not in FRAMES:
-                    see_other(word, line, tally)
-                elif word in items:
-                    tally.add(line)
-                    yield from islice(items[word], 1)
-                elif scan := self._parse(line, self._parse_scan, tally):
+    def _parse_block(
+        self, words: list[str], block: Block, tally: LineTally
+    ) -> Iterator[Scan | ScanRun]:
+        """Yield the scans in some lines, passing over damaged ones."""
+        if self._split is None:
+            scans = (block.get_line(at).text for at, word in enumerate(words) if word in FRAMES)
+            self._split = next(map(find_split, scans), None)
+        runs = _parse_together(words, block) if self._split is split_timed else {}
+        items = {
+            word: iter([run] if len(runs) == 1 else run.split())
+            for word, run in runs.items()
+            if run is not None
+        }
+        # Line by line, so that notes and scans come in the order of the log: a run with the first
+        # line of its kind, single scans each with their own.
+        for at, word in enumerate(words):
+            if word in items:
+                tally.total += 1
+                yield from islice(items[word], 1)
+            elif word in FRAMES:
+                if scan := self._parse(block.get_line(at), self._parse_scan, tally):
                     yield scan
-        for note in notes_at_end:
-            add_note(self.notes, note)
-
-    def _stream_scans(self) -> Iterator[Scan | ScanRun]:
-        judged = LineTally()  # when the log was first read
-        for some in self._walk_scans(judged, lambda *_: None):
-            if some.ranges.size:
-                yield some
+            elif word == "PARAM" and self._front_offset is None:
+                line = block.get_line(at)
+                if not _is_cut(word, line):
+                    self._front_offset = self._parse(line, parse_front_offset, tally)
 
     def _parse(self, line: Line, parse: Callable[[str], Parsed], tally: LineTally) -> Parsed | None:
         """Parse a line; one that is damaged gives None, and a note where the file ends in it."""
@@ -211,11 +201,25 @@ class CarmenLog:
     def _survey(self) -> None:
         """Read the log once: count its lines, tally its ranges, keep its scans if they are few."""
         tally = LineTally()
-        for some in self._walk_scans(tally, self._survey_other):
-            self._survey_scans(some)
+        for words, block in self._walk():
+            self._count_words(words, block)
+            for some in self._parse_block(words, block, tally):
+                self._survey_scans(some)
+        self._words = +self._words
         tally.judge(self.path, self.notes, FIX)
         if len(self._stamps) == 1 and sum(self._words[word] for word in POSED_FRAMES) > 1:
             add_note(self.notes, Note("all scans have one time: they are taken in their order"))
+
+    def _count_words(self, words: list[str], block: Block) -> None:
+        """Count lines by their keyword; scans are counted when they have been parsed."""
+        for word, lines in Counter(filter(None, words)).items():
+            if word in FRAMES:
+                self._words[word] += 0  # streams are listed in the order in which they appear
+            elif _is_cut(word, block.get_line(0)):
+                note_cut_line(self.notes, block.get_line(0))
+            else:
+                known = word in self._words or len(self._words) < MAX_WORDS
+                self._words[word[:40] if known else "other"] += lines
 
     def _survey_scans(self, some: Scan | ScanRun) -> None:
         first, scans = some.first, some.scans
@@ -233,15 +237,6 @@ class CarmenLog:
         if self._kept is not None:
             self._kept.append(some)
         self._note_angles(first)
-
-    def _survey_other(self, word: str, line: Line, tally: LineTally) -> None:
-        if not line.ended and _is_cut(word, line.text):
-            note_cut_line(self.notes, line)
-            return
-        if word == "PARAM" and self._front_offset is None:
-            self._front_offset = self._parse(line, parse_front_offset, tally)
-        known = word in self._words or len(self._words) < MAX_WORDS
-        self._words[word[:40] if known else "other"] += 1
 
     def _note_angles(self, scan: Scan) -> None:
         beams = scan.ranges.size
@@ -271,21 +266,22 @@ class CarmenLog:
         others = Counter({word: n for word, n in self._words.items() if word not in used})
         if others:
             top = ", ".join(_count_lines(word, n) for word, n in others.most_common(5))
-            lines = "1 line" if others.total() == 1 else f"{others.total()} lines"
-            text = f"{lines} without scan or pose passed over: {top}"
+            text = f"{count(others.total(), 'line')} without scan or pose passed over: {top}"
             add_note(self.notes, Note(text + (", ..." if len(others) > 5 else "")))
 
 
-def _get_raw(item: _KindOfLine) -> bytes:
-    return item[1].raw
+def _find_word(start: bytes) -> str:
+    """Find the keyword in the start of a line: `#` for every comment, "" for a blank line."""
+    word = b"".join(start.split(None, 1)[:1])
+    return "#" if word[:1] == b"#" else word.decode("utf-8", "replace")
 
 
-def _parse_together(block: list[_KindOfLine]) -> dict[str, ScanRun | None]:
+def _parse_together(words: list[str], block: Block) -> dict[str, ScanRun | None]:
     """Parse the scans of a block, by kind; None where one is damaged, or differs."""
     runs: dict[str, ScanRun | None] = {}
-    for kind in {word for word, _ in block}.intersection(FRAMES):
+    for kind in FRAMES.keys() & words:
         runs[kind] = None
-        lines = [line.raw for word, line in block if word == kind]
+        lines = [raw for word, raw in zip(words, block.raw, strict=True) if word == kind]
         with suppress(ValueError):
             if is_worthwhile(lines):
                 runs[kind] = parse_scans(lines)
@@ -295,8 +291,8 @@ def _parse_together(block: list[_KindOfLine]) -> dict[str, ScanRun | None]:
 def _count_lines(word: str, lines: int) -> str:
     """Say how many lines have a keyword, for a note; garbage is quoted."""
     if word == "#":
-        return "1 comment" if lines == 1 else f"{lines} comments"
-    return f"{lines} {word if word.isascii() and word.isprintable() else shorten(word)}"
+        return count(lines, "comment")
+    return f"{lines:,} {word if word.isascii() and word.isprintable() else shorten(word)}"
 
 
 def _starts_message(head: list[str]) -> bool:
@@ -306,11 +302,13 @@ def _starts_message(head: list[str]) -> bool:
     return head[1].lstrip("-").replace(".", "", 1)[:1].isdigit()
 
 
-def _is_cut(word: str, text: str) -> bool:
-    """Whether a last line without a line end is not whole."""
+def _is_cut(word: str, line: Line) -> bool:
+    """Whether a line that is no scan is not whole, which a last line may be."""
+    if line.ended:
+        return False
     try:
         if word == "ODOM":
-            parse_odometry(text)
-        return WHOLE_MESSAGE.fullmatch(text) is None
+            parse_odometry(line.text)
+        return WHOLE_MESSAGE.fullmatch(line.text) is None
     except ValueError:
         return True

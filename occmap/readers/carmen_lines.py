@@ -27,8 +27,9 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from occmap.readers.text import parse_stamp, parse_table, round_limit, shorten, stack_planar
-from occmap.types import UNKNOWN_POSE, Float64, Pose, PoseSample, Scan, ScanRun, as_float32
+from occmap.readers.kernels import ANY, NUMBER, SECONDS
+from occmap.readers.text import parse_stamp, parse_table, round_limit, stack_planar
+from occmap.types import UNKNOWN_POSE, Float64, Pose, PoseSample, Scan, ScanRun, as_float32, shorten
 
 FRONT, REAR = "front_laser", "rear_laser"
 PLAIN_FRAMES = {"FLASER": FRONT, "RLASER": REAR}
@@ -74,23 +75,23 @@ def parse_scans(lines: Sequence[bytes]) -> ScanRun:
 
     Raises ValueError where one is malformed or unlike the others: `parse_scan` tells which.
     """
-    words = lines[0].split(None, 1)[0]
-    table = parse_table(lines, b" ", 1, len(lines[0].split()) - 4)
-    ends = table.places[:, 1].tolist()
-    times = [_parse_times(line[end:].split()) for line, end in zip(lines, ends, strict=True)]
-    first = _Message(words.decode(), table.values[0], *times[0])
+    word, *others = lines[0].split()
+    kinds = [ANY, *[NUMBER] * (len(others) - 3), SECONDS, ANY, SECONDS]
+    table = parse_table(lines, b" ", kinds)
+    values, stamp_ns, logged_ns = table.values[:, 1:-3], table.times[:, -3], table.times[:, -1]
+    record_ns = np.where(logged_ns, logged_ns, stamp_ns)
+    first = _Message(word.decode(), values[0], int(stamp_ns[0]), int(record_ns[0]))
     layout = _lay_out(first.word, first.values)
-    fixed = table.values[:, layout.fixed]
+    fixed = values[:, layout.fixed]
     if (fixed != fixed[0]).any():
         raise ValueError("the lines differ in more than numbers that are measured")
-    stamp_ns, record_ns = np.array(times, np.int64).T
     return ScanRun(
         _make_scan(first),
-        stamp_ns,
+        stamp_ns.copy(),
         record_ns,
-        as_float32(table.values[:, layout.ranges]),
+        as_float32(values[:, layout.ranges]),
         np.zeros(len(lines)),
-        stack_planar(*table.values[:, layout.pose].T) if layout.pose else None,
+        stack_planar(*values[:, layout.pose].T) if layout.pose else None,
     )
 
 
@@ -152,18 +153,9 @@ def split_timed(text: str) -> _Message:
     words = head.split(None, 1)
     if len(tail) < 3 or len(words) < 2:
         raise ValueError("it is too short")
-    times = _parse_times([word.encode() for word in tail])
-    return _Message(words[0], _parse_numbers(words[1]), *times)
-
-
-def _parse_times(words: Sequence[bytes]) -> tuple[int, int]:
-    """Parse the end of a line, a time, a host and a time; give both times (ns)."""
-    if len(words) != 3:
-        raise ValueError(f"{len(words)} words behind the numbers where 3 belong")
-    stamp, _, logged = words
-    stamp_ns = parse_stamp(stamp.decode())
+    stamp_ns, logged_ns = parse_stamp(tail[0]), parse_stamp(tail[2])
     # Converters write 0 where they know no second time.
-    return stamp_ns, (stamp_ns if logged == stamp else parse_stamp(logged.decode())) or stamp_ns
+    return _Message(words[0], _parse_numbers(words[1]), stamp_ns, logged_ns or stamp_ns)
 
 
 def _parse_numbers(text: str) -> Float64:

@@ -1,16 +1,16 @@
 """Reads occmap's own CSV: one scan a row, beams as r0, r1, ..., constants in comments."""
 
 import math
+from codecs import BOM_UTF8
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
-from copy import copy
-from operator import attrgetter
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList, Probe, Role, Stream
+from occmap.readers import Note, NoteList, Probe, Role, Stream, make_part
 from occmap.readers.csv_layout import (
     POSE_NAMES,
     Layout,
@@ -22,24 +22,25 @@ from occmap.readers.csv_layout import (
     split_constant,
     split_names,
 )
+from occmap.readers.kernels import ANY, NANOSECONDS, NUMBER, SECONDS
 from occmap.readers.text import (
     ALL,
+    Block,
     Line,
     LineTally,
     add_note,
-    cut_blocks,
     is_worthwhile,
     note_cut_line,
     parse_nanoseconds,
     parse_stamp,
     parse_table,
     probe_lines,
-    read_lines,
+    read_blocks,
     round_limit,
     split_lines,
     stack_planar,
 )
-from occmap.types import UNKNOWN_POSE, Float32, Pose, PoseSample, Scan, ScanRun, as_float32
+from occmap.types import UNKNOWN_POSE, Float32, Float64, Pose, PoseSample, Scan, ScanRun, as_float32
 
 TOPIC = "scan"
 VARIABLE = frozenset(("stamp", "time_increment", *POSE_NAMES))
@@ -116,49 +117,41 @@ class CsvLog:
             The first row, or so many that this is no damage, has a word for a number or too few or
             many cells.
         """
-        rows = self._walk_rows() if TOPIC in topics else ()
-        yield from filter(None, map(self._parse, rows))
+        for rows in self._walk() if TOPIC in topics else ():
+            yield from filter(None, map(self._parse, rows))
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The same; rows that differ in stamps, ranges and poses alone, many at a stroke."""
-        rows = self._walk_rows() if TOPIC in topics else ()
-        for block in cut_blocks(rows, attrgetter("raw")):
-            lines = [line.raw for line in block]
+        for rows in self._walk() if TOPIC in topics else ():
+            lines = [line.raw for line in rows]
             run: ScanRun | None = None
             with suppress(ValueError):  # damage, or another geometry: row by row it is seen which
                 run = _parse_rows(self._layout, lines) if is_worthwhile(lines) else None
-            yield from filter(None, map(self._parse, block)) if run is None else (run,)
+            yield from filter(None, map(self._parse, rows)) if run is None else (run,)
 
     def split(self, size: int) -> Sequence["CsvLog"]:
         """Cut the log into parts of about so many bytes, as `occmap.readers.Splittable` has it."""
         damaged = any(note.damage for note in self.notes)
         spans = [ALL] if damaged else split_lines(self.path, size, _is_heading)
-        parts = []
-        for span in spans:
-            part = copy(self)
-            part._span, part.notes = span, self.notes.copy()
-            parts.append(part)
-        return parts
+        return [make_part(self, _span=span) for span in spans]
 
-    def _walk(self) -> Iterator[Line]:
-        """Yield every line that is not blank."""
-        lines = read_lines(self.path, self.notes, self._span)
-        return (line for line in lines if line.raw.strip())
-
-    def _walk_rows(self) -> Iterator[Line]:
-        """Yield the rows, without the header."""
-        rows = (line for line in self._walk() if not _is_comment(line))
-        if self._span.start == 0:
-            next(rows, None)
-        return rows
+    def _walk(self) -> Iterator[list[Line]]:
+        """Yield the rows without the header, some at a time."""
+        header = 1 if self._span.start == 0 else 0
+        for block in read_blocks(self.path, self.notes, self._span):
+            rows = [line for line in block.list_lines() if not _is_heading(line.raw)]
+            if rows[header:]:
+                yield rows[header:]
+            header = 0 if rows else header
 
     def _survey(self) -> Layout:
         """Find the header, and the constants wherever they stand, and count the rows."""
         header: Line | None = None
         comments: dict[str, Line] = {}
         unused: dict[str, None] = {}
-        for line in self._walk():
-            if _is_comment(line):
+        blocks = read_blocks(self.path, self.notes)
+        for line in chain.from_iterable(map(Block.list_lines, blocks)):
+            if _is_heading(line.raw):
                 constant = split_constant(line.text)
                 if constant is not None:
                     comments.setdefault(constant[0], line)
@@ -200,7 +193,7 @@ class CsvLog:
     def _judge(self) -> None:
         """Look at all rows, as one is malformed: it may be damage, or the file no log."""
         tally = LineTally()
-        for line in self._walk_rows():
+        for line in chain.from_iterable(self._walk()):
             try:
                 _parse_row(self._layout, line.text)
                 tally.add(line)
@@ -213,43 +206,41 @@ class CsvLog:
 
 
 def _is_heading(raw: bytes) -> bool:
-    """Whether a line can stand before the header."""
-    text = raw.removeprefix(b"\xef\xbb\xbf").strip()
-    return not text or text.startswith(b"#")
-
-
-def _is_comment(line: Line) -> bool:
-    return line.raw.lstrip().startswith(b"#")
+    """Whether a line is a comment or blank, as lines before the header are."""
+    return raw.removeprefix(BOM_UTF8).lstrip()[:1] in {b"", b"#"}
 
 
 def _parse_rows(layout: Layout, lines: list[bytes]) -> ScanRun:
     """Parse rows together; raises ValueError where one is malformed or unlike the first."""
     first = _parse_row(layout, lines[0].decode())
-    before = layout.beams[0]
-    if layout.beams != tuple(range(before, before + len(layout.beams))):
-        raise ValueError("the beams stand apart")
-    table = parse_table(lines, b",", before, len(layout.header) - before)
-    spans = zip(lines, table.places.tolist(), strict=True)
-    if any(end < len(line) for line, (_, end) in spans):
-        raise ValueError("there are more cells than in the header")
-    starts = table.places[:, 0].tolist()
-    heads = [line[:at].decode() for line, at in zip(lines, starts, strict=True)]
-    if any('"' in text for text in heads):
-        raise ValueError("there are quotes in it")
-    rows = [text.split(",") for text in heads]
-    for name, at in layout.columns.items():
-        if at >= before or (name not in VARIABLE and len({row[at] for row in rows}) > 1):
-            raise ValueError(f"{name} is not the same in all rows, or stands behind the beams")
-    stamp_ns = np.array([_read_stamp(layout, row) for row in rows], np.int64)
-    increments = [_read_finite(layout, row, "time_increment") for row in rows]
-    poses = [_read_place(layout, row) for row in rows] if layout.has_pose else None
+    places, beams = dict(layout.columns), list(layout.beams)
+    stamp, frame = places.pop("stamp", None), places.pop("frame", None)
+    kinds = np.full(len(layout.header), ANY)
+    kinds[[*places.values(), *beams]] = NUMBER
+    if stamp is not None:
+        kinds[stamp] = NANOSECONDS if layout.stamp_unit == "ns" else SECONDS
+    values, times = parse_table(lines, b",", kinds.tolist())
+    fixed = values[:, [at for name, at in places.items() if name not in VARIABLE]]
+    frames = {line.split(b",", frame + 1)[frame] for line in lines} if frame is not None else {b""}
+    if (fixed != fixed[0]).any() or len(frames) > 1:
+        raise ValueError("the rows differ in more than what is measured")
+
+    def take(name: str, constant: float) -> Float64:
+        return values[:, places[name]].copy() if name in places else np.full(len(lines), constant)
+
+    increments = take("time_increment", first.time_increment)
+    if not np.isfinite(increments).all():
+        raise ValueError("time_increment is no time")
+    pose = [take(name, float(layout.constants.get(name, "nan"))) for name in POSE_NAMES]
+    side_by_side = beams == list(range(beams[0], beams[-1] + 1))  # a slice takes no copy
+    stamp_ns = np.full(len(lines), first.stamp_ns) if stamp is None else times[:, stamp].copy()
     return ScanRun(
         first,
         stamp_ns,
         stamp_ns,
-        as_float32(table.values[:, : len(layout.beams)]),
-        np.array(increments, np.float64),
-        None if poses is None else stack_planar(*np.array(poses).T),
+        as_float32(values[:, beams[0] : beams[-1] + 1] if side_by_side else values[:, beams]),
+        increments,
+        stack_planar(*pose) if layout.has_pose else None,
     )
 
 
@@ -298,13 +289,9 @@ def _read_limit(layout: Layout, cells: list[str], name: str) -> float:
 
 def _read_pose(layout: Layout, cells: list[str]) -> Pose:
     """Read x, y and yaw; all nan where one is empty or not finite, as nobody knew it."""
-    x, y, yaw = _read_place(layout, cells)
-    return Pose.planar(x, y, yaw) if math.isfinite(x + y + yaw) else UNKNOWN_POSE
-
-
-def _read_place(layout: Layout, cells: list[str]) -> list[float]:
     texts = [layout.pick(name, cells).strip() or "nan" for name in POSE_NAMES]
-    return list(map(read_number, POSE_NAMES, texts))
+    x, y, yaw = map(read_number, POSE_NAMES, texts)
+    return Pose.planar(x, y, yaw) if math.isfinite(x + y + yaw) else UNKNOWN_POSE
 
 
 def _read_beams(layout: Layout, cells: list[str]) -> Float32:

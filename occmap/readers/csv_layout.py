@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from occmap.errors import LogError
-from occmap.readers.text import Line, parse_stamp, shorten
+from occmap.readers.text import Line, parse_stamp
+from occmap.types import shorten
 
 POSE_NAMES = ("x", "y", "yaw")
 REQUIRED = ("stamp", "angle_min", "angle_increment")

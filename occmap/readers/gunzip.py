@@ -1,83 +1,50 @@
 """Gzip read so that everything before damage comes out, to the last byte that is certain."""
 
-import io
 import zlib
+from collections.abc import Iterator
 from contextlib import suppress
-from typing import TYPE_CHECKING, BinaryIO
-
-if TYPE_CHECKING:
-    from _typeshed import WriteableBuffer
+from typing import BinaryIO
 
 MAGIC = b"\x1f\x8b"
 GUNZIP_ERRORS = (zlib.error, EOFError)
 
 _GZIP_BITS = 31
 """zlib's code for gzip with its header and checksum."""
-_STEP = 1 << 14
-_MOST_AT_ONCE = 1 << 16
+_STEP = 1 << 17
+_MOST_AT_ONCE = 1 << 20
 """Bytes of output: a bomb comes out a piece at a time."""
 
 
-class GunzipStream(io.RawIOBase):
-    """Decompressed bytes of a file.
+def gunzip(file: BinaryIO) -> Iterator[bytes]:
+    """Decompress a file piece by piece.
 
-    Where the data is corrupt, all before comes out first; only then is an error raised: zlib.error,
-    or EOFError where the file is cut. The gzip module loses up to a block before the damage.
+    Where the data is corrupt, all before comes out first; the gzip module loses up to a block.
+
+    Raises
+    ------
+    zlib.error, EOFError
+        The data is corrupt, or the file ends within it.
     """
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-        self._inflater = zlib.decompressobj(_GZIP_BITS)
-        self._input = b""
-        self._output = b""
-        self._fault: Exception | None = None
-
-    def readable(self) -> bool:
-        """Yes."""
-        return True
-
-    def readinto(self, buffer: "WriteableBuffer", /) -> int:
-        """Give some bytes; none at the end.
-
-        Raises
-        ------
-        zlib.error, EOFError
-            Nothing more comes out, though the file does not end here.
-        """
-        while not self._output:
-            if self._fault is not None:
-                raise self._fault
-            if not self._advance():
-                return 0
-        view = memoryview(buffer).cast("B")
-        size = min(len(view), len(self._output))
-        view[:size] = self._output[:size]
-        self._output = self._output[size:]
-        return size
-
-    def close(self) -> None:
-        """Close the file, too."""
-        self._file.close()
-        super().close()
-
-    def _advance(self) -> bool:
-        """Decompress a piece; false where the file ends as it should."""
-        if self._inflater.eof:
-            rest = (self._inflater.unused_data + self._file.read(_STEP)).lstrip(b"\0")
-            if not rest:
-                return False
-            self._inflater, self._input = zlib.decompressobj(_GZIP_BITS), rest
-        data = self._input or self._file.read(_STEP)
-        before = self._inflater.copy()
+    inflater = zlib.decompressobj(_GZIP_BITS)
+    data = b""
+    while data := data or file.read(_STEP):
+        if inflater.eof:
+            data = data.lstrip(b"\0")  # padding, or one more member
+            inflater = zlib.decompressobj(_GZIP_BITS) if data else inflater
+            continue
+        before = inflater.copy()
         try:
-            self._output = self._inflater.decompress(data, _MOST_AT_ONCE)
-            self._input = self._inflater.unconsumed_tail
-        except zlib.error as error:
-            self._output, self._fault = _salvage(before, data), error
-            return True
-        if not (data or self._output or self._inflater.eof):
-            self._fault = EOFError("the file ends within the gzip data")
-        return True
+            piece = inflater.decompress(data, _MOST_AT_ONCE)
+        except zlib.error:
+            yield _salvage(before, data)
+            raise
+        yield piece
+        data = inflater.unconsumed_tail or inflater.unused_data
+    while not inflater.eof:
+        piece = inflater.decompress(b"", _MOST_AT_ONCE)
+        if not piece:
+            raise EOFError("the file ends within the gzip data")
+        yield piece
 
 
 def _salvage(inflater: "zlib._Decompress", data: bytes) -> bytes:

@@ -8,7 +8,6 @@ they say at once where each lies.
 import zlib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from copy import copy
 from dataclasses import replace
 from io import BytesIO
 from itertools import pairwise
@@ -19,7 +18,7 @@ from typing import BinaryIO, NamedTuple, TypeVar
 from mcap.opcode import Opcode
 
 from occmap.errors import LogError
-from occmap.readers import DEFAULT_OPTIONS, Note, NoteList, Probe, Role, Span
+from occmap.readers import Note, NoteList, Probe, Role, Span, make_part
 from occmap.readers.inflate import Buffer, inflate
 from occmap.readers.mcap_index import (
     LATEST_NS,
@@ -43,9 +42,9 @@ from occmap.readers.mcap_records import (
     parse_chunk,
     read_summary,
 )
-from occmap.readers.options import ReaderOptions
-from occmap.readers.ros_log import RosLog
+from occmap.readers.ros_log import RosReader
 from occmap.readers.ros_source import Channel, RawMessages, add_note, put_together
+from occmap.wording import count
 
 T = TypeVar("T")
 
@@ -72,31 +71,6 @@ class _Block(NamedTuple):
     last_ns: int = _NEVER_NS
     is_chunk: bool = False
     indexes: Indexes = Indexes()
-
-
-class McapReader:
-    """Reads MCAP files, as https://mcap.dev/spec has them."""
-
-    name = "mcap"
-    description = "MCAP with ROS 2, ROS 1 or Foxglove messages (uncompressed, lz4, zstd)"
-
-    def recognises(self, probe: Probe) -> bool:
-        """Say whether a file starts as MCAP files do."""
-        return probe.raw.startswith(MAGIC)
-
-    def open(self, path: Path) -> RosLog:
-        """Open a log.
-
-        Raises
-        ------
-        LogError
-            Nothing in the file can be read.
-        """
-        return self.open_tuned(path, DEFAULT_OPTIONS)
-
-    def open_tuned(self, path: Path, options: ReaderOptions) -> RosLog:
-        """Open a log; echoes and clouds become scans as the user chose. Raises what `open` does."""
-        return RosLog(McapSource(path), options)
 
 
 class McapSource:
@@ -160,12 +134,7 @@ class McapSource:
             if gathered >= size:
                 cuts.append(end)
                 gathered = 0
-        return [self._take(Span(*ends)) for ends in pairwise([*cuts, self._span.end])]
-
-    def _take(self, span: Span) -> "McapSource":
-        part = copy(self)
-        part._span, part.notes = span, self.notes.copy()
-        return part
+        return [make_part(self, _span=Span(*ends)) for ends in pairwise([*cuts, self._span.end])]
 
     def _survey(self, file: BinaryIO) -> dict[int, Channel]:
         """Find the channels and count their messages by reading the whole file."""
@@ -187,7 +156,7 @@ class McapSource:
         counts = statistics.channel_message_counts if statistics else {}
         channels = self._summary.channels | table.build(counts or held)
         if lost := sum(count for key, count in held.items() if key not in channels):
-            add_note(self.notes, f"{lost} messages belong to no channel that the file names")
+            add_note(self.notes, f"the file names no channel for {count(lost, 'message')}")
         return channels
 
     def _iterate_blocks(
@@ -239,7 +208,7 @@ class McapSource:
         if position == self._span.end < self._size:
             return
         lost = self._size - position
-        unread = f"from byte {position} on, the last {lost} bytes hold no whole record"
+        unread = f"from byte {position} on, the last {count(lost, 'byte')} hold no whole record"
         breaks_off = f"the file breaks off at byte {position}, where more belongs"
         add_note(self.notes, unread if lost else breaks_off)
 
@@ -280,7 +249,7 @@ class McapSource:
             return _Block(position, b"")
         block, problem = inflate(chunk.data, chunk.compression, chunk.size)
         if chunk.left > _LONGEST_PADDING:
-            problem = problem or f"has {chunk.left} bytes that it does not state"
+            problem = problem or f"has {count(chunk.left, 'byte')} that it does not state"
         if chunk.crc and not problem and position not in self._verified:
             self._verified.add(position)
             if zlib.crc32(block) != chunk.crc:
@@ -332,3 +301,15 @@ class McapSource:
 
     def _note(self, position: int, problem: str) -> None:
         add_note(self.notes, f"the chunk at byte {position} {problem}")
+
+
+class McapReader(RosReader):
+    """Reads MCAP files, as https://mcap.dev/spec has them."""
+
+    name = "mcap"
+    description = "MCAP with ROS 2, ROS 1 or Foxglove messages (uncompressed, lz4, zstd)"
+    open_source = McapSource
+
+    def recognises(self, probe: Probe) -> bool:
+        """Say whether a file starts as MCAP files do."""
+        return probe.raw.startswith(MAGIC)

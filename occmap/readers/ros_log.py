@@ -24,6 +24,27 @@ from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
 T = TypeVar("T")
 
+
+class RosReader:
+    """What readers of ROS messages share; each says how its container is opened."""
+
+    open_source: Callable[[Path], Source]
+
+    def open(self, path: Path) -> "RosLog":
+        """Open a log.
+
+        Raises
+        ------
+        LogError
+            Nothing in it can be read.
+        """
+        return self.open_tuned(path, DEFAULT_OPTIONS)
+
+    def open_tuned(self, path: Path, options: ReaderOptions) -> "RosLog":
+        """Open a log; echoes and clouds become scans as the user chose. Raises what `open` does."""
+        return RosLog(self.open_source(path), options)
+
+
 STACK_BYTES = 1 << 19
 """Messages of one channel and length that are held, to be read at a stroke."""
 MOST_STACKS = 64

@@ -7,7 +7,6 @@ import struct
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
-from copy import copy
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -15,9 +14,10 @@ from pathlib import Path
 import apsw
 
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList, Span, cut_evenly
+from occmap.readers import Note, NoteList, Span, cut_evenly, make_part
 from occmap.readers.ros_source import Channel, Encoding, RawMessages, Syntax, add_note, put_together
 from occmap.readers.sqlite_pages import Row, count_lost_frames, find_rows
+from occmap.wording import count
 
 MAGIC = b"SQLite format 3\x00"
 
@@ -57,7 +57,7 @@ class SqliteSource:
             ) from None
         self._by_id = {key: replace(item, count=counts[key]) for key, item in topics.items()}
         if lost := counts.total() - sum(channel.count for channel in self.channels):
-            add_note(self.notes, f"{lost} messages belong to no topic that the file names")
+            add_note(self.notes, f"the file names no topic for {count(lost, 'message')}")
 
     @property
     def channels(self) -> Sequence[Channel]:
@@ -81,12 +81,8 @@ class SqliteSource:
         with closing(self._connect()) as database:
             ((first, last),) = database.execute("SELECT min(rowid), max(rowid) FROM messages")
         rows = Span(first or 0, (last or 0) + 1)
-        parts = []
-        for start, end in cut_evenly(rows, -(-self.path.stat().st_size // size)):
-            part = copy(self)
-            part._rows, part.notes = (start, end - 1), self.notes.copy()
-            parts.append(part)
-        return parts
+        spans = cut_evenly(rows, -(-self.path.stat().st_size // size))
+        return [make_part(self, _rows=(start, end - 1)) for start, end in spans]
 
     def _read_rows(self, database: apsw.Connection, topics: Collection[int]) -> Iterator[Row]:
         """Give the rows of some topics; behind damage those of all topics."""
@@ -213,8 +209,8 @@ def _refuse_imitations(database: apsw.Connection) -> None:
     columns = "SELECT count(*), total(hidden) FROM pragma_table_xinfo(?)"
     for name in ("topics", "messages", "message_definitions"):
         ((real,),) = database.execute(is_table, (name,))
-        ((count, hidden),) = database.execute(columns, (name,))
-        if not real and (count or name != "message_definitions"):
+        ((found, hidden),) = database.execute(columns, (name,))
+        if not real and (found or name != "message_definitions"):
             raise apsw.SQLError(f"no such table: {name}")
         if hidden:
             raise apsw.SQLError(f"the table {name} has generated columns")

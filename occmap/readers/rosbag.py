@@ -4,9 +4,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from occmap.errors import LogError
-from occmap.readers import DEFAULT_OPTIONS, Probe, probe_path
-from occmap.readers.options import ReaderOptions
-from occmap.readers.ros_log import RosLog
+from occmap.readers import Probe, probe_path
+from occmap.readers.ros_log import RosReader
 from occmap.readers.ros_source import Source
 from occmap.readers.ros_sqlite import MAGIC as SQLITE_MAGIC
 from occmap.readers.ros_sqlite import SqliteSource
@@ -15,35 +14,6 @@ from occmap.readers.rosbag1_records import MAGIC as BAG_MAGIC
 from occmap.readers.rosbag2 import METADATA, Bag2Source, list_storage
 
 _OLD_MAGICS = (b"#ROSRECORD V", b"#ROSBAG V1")
-
-
-class RosbagReader:
-    """Reads ROS 1 bags, and ROS 2 bags with SQLite or MCAP storage."""
-
-    name = "rosbag"
-    description = "ROS 1 .bag (none, bz2, lz4); ROS 2 folder or .db3 (SQLite, MCAP, zstd)"
-
-    def recognises(self, probe: Probe) -> bool:
-        """Say whether a file starts as bags do, or a folder holds storage files."""
-        if probe.path.is_dir():
-            with suppress(PermissionError):
-                return (probe.path / METADATA).exists() or bool(list_storage(probe.path))
-            return False
-        return probe.raw.startswith((BAG_MAGIC, SQLITE_MAGIC, *_OLD_MAGICS))
-
-    def open(self, path: Path) -> RosLog:
-        """Open a log.
-
-        Raises
-        ------
-        LogError
-            Nothing in it can be read.
-        """
-        return self.open_tuned(path, DEFAULT_OPTIONS)
-
-    def open_tuned(self, path: Path, options: ReaderOptions) -> RosLog:
-        """Open a log; echoes and clouds become scans as the user chose. Raises what `open` does."""
-        return RosLog(_open_source(path), options)
 
 
 def _open_source(path: Path) -> Source:
@@ -60,3 +30,19 @@ def _open_source(path: Path) -> Source:
             fix="convert it with ROS 1's `rosbag fix old.bag new.bag` (or `rosbag migrate`)",
         )
     return Bag1Source(path)
+
+
+class RosbagReader(RosReader):
+    """Reads ROS 1 bags, and ROS 2 bags with SQLite or MCAP storage."""
+
+    name = "rosbag"
+    description = "ROS 1 .bag (none, bz2, lz4); ROS 2 folder or .db3 (SQLite, MCAP, zstd)"
+    open_source = staticmethod(_open_source)
+
+    def recognises(self, probe: Probe) -> bool:
+        """Say whether a file starts as bags do, or a folder holds storage files."""
+        if probe.path.is_dir():
+            with suppress(PermissionError):
+                return (probe.path / METADATA).exists() or bool(list_storage(probe.path))
+            return False
+        return probe.raw.startswith((BAG_MAGIC, SQLITE_MAGIC, *_OLD_MAGICS))

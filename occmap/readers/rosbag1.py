@@ -7,14 +7,13 @@ A walk over the records needs no index, so sound and damaged bags are read the s
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO
 
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList, Span
+from occmap.readers import Note, NoteList, Span, make_part
 from occmap.readers.inflate import Buffer, inflate
 from occmap.readers.ros_source import Channel, RawMessages, add_note, put_together
 from occmap.readers.rosbag1_records import (
@@ -36,6 +35,7 @@ from occmap.readers.rosbag1_records import (
     read_header,
     split_messages,
 )
+from occmap.wording import count
 
 _EVERY_ID = range(1 << 32)
 
@@ -126,12 +126,7 @@ class Bag1Source:
             return [self]
         cuts = [self._span.start]
         cuts += [at for before, at in pairwise(self._chunks) if at // size > before // size]
-        parts = []
-        for ends in pairwise([*cuts, self._span.end]):
-            part = copy(self)
-            part._span, part.notes = Span(*ends), self.notes.copy()
-            parts.append(part)
-        return parts
+        return [make_part(self, _span=Span(*ends)) for ends in pairwise([*cuts, self._span.end])]
 
     def _survey_index(self, file: BinaryIO) -> dict[int, Channel]:
         """Find the connections and their counts in the index; none where it is not whole."""
@@ -180,7 +175,7 @@ class Bag1Source:
     ) -> dict[int, Channel]:
         """Say of each connection how many messages it has, and note those of no connection."""
         if lost := sum(count for key, count in counts.items() if key not in connections):
-            add_note(self.notes, f"{lost} messages belong to no connection that the bag names")
+            add_note(self.notes, f"the bag names no connection for {count(lost, 'message')}")
         return {key: replace(item, count=counts[key]) for key, item in connections.items()}
 
     def _iterate_blocks(self, file: BinaryIO) -> Iterator[tuple[int, Buffer]]:
@@ -228,7 +223,7 @@ class Bag1Source:
                 break
         if position < self._span.end:
             lost = self._size - position
-            unread = f"from byte {position} on, the last {lost} bytes hold no whole record"
+            unread = f"from byte {position} on, the last {count(lost, 'byte')} hold no whole record"
             add_note(self.notes, unread)
 
     def _find_length(self, file: BinaryIO, header: Header, position: int) -> int:

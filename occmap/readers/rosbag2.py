@@ -9,7 +9,6 @@ import tempfile
 import weakref
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList
+from occmap.readers import Note, NoteList, make_part
 from occmap.readers.inflate import unzip_file
 from occmap.readers.mcap import McapSource
 from occmap.readers.mcap_records import MAGIC as MCAP_MAGIC
@@ -105,13 +104,11 @@ class Bag2Source:
             return ()
         if self.notes:
             return [self]
-        parts = []
-        for source, outer in zip(self._parts, self._by_part, strict=True):
-            for inner in source.split(size):
-                part = copy(self)
-                part._parts, part._by_part, part.notes = [inner], [outer], self.notes.copy()
-                parts.append(part)
-        return parts
+        return [
+            make_part(self, _parts=[inner], _by_part=[outer])
+            for source, outer in zip(self._parts, self._by_part, strict=True)
+            for inner in source.split(size)
+        ]
 
     def _find_files(self, metadata: _Metadata) -> list[Path]:
         """Find the storage files that the metadata names, or those that are there."""

@@ -1,24 +1,23 @@
 """What the text formats share: lines of a plain or gzip file, exact times, notes on damage."""
 
-import io
 import math
 import sys
 from codecs import BOM_UTF8
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from decimal import Decimal
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from occmap.errors import LogError
 from occmap.readers import Note, Probe, Span
-from occmap.readers.gunzip import GUNZIP_ERRORS, MAGIC, GunzipStream
-from occmap.types import UNKNOWN_POSE, Float64, Int64, as_float32
-
-Item = TypeVar("Item")
+from occmap.readers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
+from occmap.readers.kernels import NUMBER, SECONDS
+from occmap.types import UNKNOWN_POSE, Float64, Int64, as_float32, shorten
 
 MAX_LINE_BYTES = 1 << 24
 """A scan of a million beams is shorter; a longer line is no text log."""
@@ -36,9 +35,6 @@ SOUND_START = 20
 
 BLOCK_BYTES = 1 << 20
 """Lines are parsed so many at a time."""
-READ_BYTES = 1 << 20
-LINE_BYTES = 200
-"""What a `Line` takes in memory beside its text."""
 
 NUMBER_CHARACTERS = b"+-.0123456789Ee naif"
 """What programs write numbers with; where there is more, Python and NumPy differ."""
@@ -62,13 +58,32 @@ class Line(NamedTuple):
         return self.raw.decode("utf-8", "replace")
 
 
+class Block(NamedTuple):
+    """Lines of a text log that follow one another."""
+
+    number: int
+    """Of the first line"""
+    raw: list[bytes]
+    """The lines without their line ends"""
+    ended: bool
+    """False for a block of only the last line, where that has no line end"""
+
+    def get_line(self, at: int) -> Line:
+        """Get one of the lines."""
+        return Line(self.number + at, self.raw[at], self.ended)
+
+    def list_lines(self) -> list[Line]:
+        """List the lines."""
+        return [self.get_line(at) for at in range(len(self.raw))]
+
+
 class Table(NamedTuple):
-    """The numbers of lines that hold as many each."""
+    """What S lines of N words each say."""
 
     values: Float64
-    """(S, N)"""
-    places: Int64
-    """(S, 2) where in their lines the numbers begin and end"""
+    """(S, N), where a word is a number; NaN where nothing stands between two commas"""
+    times: Int64
+    """(S, N) ns, where a word is a time"""
 
 
 class LineTally:
@@ -121,9 +136,10 @@ def split_lines(
         The file cannot be read.
     """
     try:
-        with _open_bytes(path) as file:
-            if not isinstance(file.raw, io.FileIO):
+        with path.open("rb") as file:
+            if file.read(2) == MAGIC:
                 return [ALL]
+            file.seek(0)
             while is_heading(file.readline(MAX_LINE_BYTES)):
                 pass
             heading, length = file.tell(), file.seek(0, 2)
@@ -137,85 +153,109 @@ def split_lines(
     return [Span(*ends) for ends in pairwise([*cuts, length])]
 
 
-def read_lines(path: Path, notes: list[Note], span: Span = ALL) -> Iterator[Line]:
-    """Yield the lines of a UTF-8 text file, plain or gzip, or of a part of it, one at a time.
+def read_blocks(path: Path, notes: list[Note], span: Span = ALL) -> Iterator[Block]:
+    """Yield the lines of a UTF-8 text file, plain or gzip, or of a part of it, some at a time.
 
-    Where gzip data is cut or corrupt, every complete line before the damage is given and a note
-    says the rest.
+    Where gzip data is cut or corrupt, every complete line before the damage is given, and then a
+    note says the rest.
 
     Raises
     ------
     LogError
         The file cannot be read, has a line beyond reason, or is a gzip bomb.
     """
-    number = 0
+    number, total, rest = 1, 0, b""
     try:
-        with _open_bytes(path) as file:
-            if span.start:
-                file.seek(span.start)
-            for number, raw in enumerate(_split_lines(file, path, span), start=1):
-                line = raw.removeprefix(BOM_UTF8) if number == 1 else raw
-                yield Line(number, line.rstrip(b"\r\n"), raw.endswith(b"\n"))
+        size = path.stat().st_size
+        limit, most_lines = max(FREE_EXPANSION_BYTES, MAX_EXPANSION * size), max(FREE_LINES, size)
+        for piece in _read_pieces(path, span):
+            start = 0 if total else len(piece) - len(piece.removeprefix(BOM_UTF8))
+            total += len(piece)
+            if end := piece.rfind(b"\n") + 1:
+                lines = _split(piece[start : end - 1])
+                lines[0] = rest + lines[0]
+                yield Block(number, lines, ended=True)
+                number, rest = number + len(lines), b""
+            rest += piece[max(start, end) :]
+            if len(rest) >= MAX_LINE_BYTES:
+                raise LogError(f"no end of line within {len(rest)} bytes", where=path, fix=NO_LOG)
+            if total > limit or number > most_lines:
+                raise LogError(f"grows more than {MAX_EXPANSION}-fold", where=path, fix=NO_LOG)
+        if rest:
+            yield Block(number, _split(rest), ended=False)
     except GUNZIP_ERRORS as error:
         reason = "cut short" if isinstance(error, EOFError) else f"corrupt: {error}"
-        text = f"the gzip data is {reason}; all after line {number} is lost"
+        text = f"the gzip data is {reason}; all after line {number - 1} is lost"
         add_note(notes, Note(text, damage=True))
     except OSError as error:
         raise LogError(f"cannot be read ({error.strerror})", where=path) from None
 
 
-def cut_blocks(items: Iterable[Item], get_raw: Callable[[Item], bytes]) -> Iterator[list[Item]]:
-    """Cut items that hold a line each into lists that take a bounded part of the memory."""
-    block: list[Item] = []
-    size = 0
-    for item in items:
-        block.append(item)
-        size += LINE_BYTES + len(get_raw(item))
-        if size >= BLOCK_BYTES:
-            yield block
-            block, size = [], 0
-    if block:
-        yield block
+def _split(text: bytes) -> list[bytes]:
+    lines = text.split(b"\n")
+    return [line.rstrip(b"\r") for line in lines] if b"\r" in text else lines
+
+
+def _read_pieces(path: Path, span: Span) -> Iterator[bytes]:
+    with path.open("rb", 0) as file:
+        if file.read(len(MAGIC)) == MAGIC:
+            file.seek(0)
+            yield from gunzip(file)
+            return
+        file.seek(span.start)
+        while piece := file.read(min(BLOCK_BYTES, span.end - file.tell())):
+            yield piece
 
 
 def is_worthwhile(lines: Sequence[bytes]) -> bool:
-    """Whether to parse lines together: numba takes as long to load as 3 MB one by one."""
+    """Whether to parse lines together: of few, it takes longer to load numba."""
     return "numba" in sys.modules or sum(map(len, lines)) > BLOCK_BYTES // 2
 
 
-def parse_table(lines: Sequence[bytes], separator: bytes, head: int, columns: int) -> Table:
-    """Parse the numbers in lines.
+def parse_table(lines: Sequence[bytes], separator: bytes, kinds: Sequence[int]) -> Table:
+    """Parse lines that hold the same kinds of words.
 
     Parameters
     ----------
     separator
         What stands between two words: one comma, or any number of blanks.
-    head, columns
-        How many words come before the numbers, and how many numbers there are.
+    kinds
+        What each word of a line is, as `occmap.readers.kernels` lists them.
 
     Raises
     ------
     ValueError
-        A line has fewer numbers, or one that is written as few programs write numbers.
+        A line has more or fewer words, or one that is written as few programs write it.
     """
     from occmap.readers.kernels.decimals import PADDING, POWERS, parse_rows  # noqa: PLC0415  late
 
     data = b"\n".join(lines) + PADDING
+    if b'"' in data:
+        raise ValueError("there are quotes in it")
     eights = np.ndarray(len(data) - 7, "<u8", data, strides=(1,))
-    values = np.empty((len(lines), columns))
-    places = np.empty((len(lines), 2), np.int64)
+    values = np.empty((len(lines), len(kinds)))
+    times = values.view(np.int64)
     left = np.empty((values.size // 8 + 64, 4), np.int64)
-    raw = np.frombuffer(data, np.uint8)
-    count = parse_rows(raw, eights, ord(separator), head, POWERS, values, places, left)
+    raw, each = np.frombuffer(data, np.uint8), np.array(kinds, np.uint8)
+    count = parse_rows(raw, eights, ord(separator), each, POWERS, values, times, left)
     if count < 0:
-        raise ValueError("there are too few numbers in a line, or too many that are odd")
+        raise ValueError("there are too few or too many words in a line, or many that are odd")
     for row, col, start, end in left[:count].tolist():
         word = data[start:end]
-        if word.translate(None, NUMBER_CHARACTERS):
-            raise ValueError(f"{shorten(word.decode(errors='replace'))} where a number belongs")
-        values[row, col] = float(word.strip() or "nan")
-    lengths = np.fromiter(map(len, lines), np.int64, len(lines))
-    return Table(values, places - (np.cumsum(lengths + 1) - lengths - 1)[:, None])
+        if kinds[col] == NUMBER:
+            values[row, col] = _parse_odd(word)
+        else:
+            parse = parse_stamp if kinds[col] == SECONDS else parse_nanoseconds
+            times[row, col] = parse(word.decode("utf-8", "replace"))
+    return Table(values, times)
+
+
+@lru_cache(maxsize=64)
+def _parse_odd(word: bytes) -> float:
+    """Parse a number that few programs write so; a log repeats those of its laser in every line."""
+    if word.translate(None, NUMBER_CHARACTERS):
+        raise ValueError(f"{shorten(word.decode(errors='replace'))} where a number belongs")
+    return float(word.strip() or "nan")
 
 
 def stack_planar(x: Float64, y: Float64, yaw: Float64) -> Float64:
@@ -230,30 +270,6 @@ def stack_planar(x: Float64, y: Float64, yaw: Float64) -> Float64:
     poses[:, 5], poses[:, 6] = list(map(math.sin, half)), list(map(math.cos, half))
     poses[~is_known] = UNKNOWN_POSE
     return poses
-
-
-def _open_bytes(path: Path) -> io.BufferedReader:
-    file: io.BufferedReader = io.BufferedReader(path.open("rb", 0), READ_BYTES)
-    if not file.peek(2).startswith(MAGIC):
-        return file
-    return io.BufferedReader(GunzipStream(file), READ_BYTES)
-
-
-def _split_lines(file: BinaryIO, path: Path, span: Span) -> Iterator[bytes]:
-    """Read line by line within bounds, as a bomb may hide in one line or in many."""
-    size = path.stat().st_size
-    limit, most_lines = max(FREE_EXPANSION_BYTES, MAX_EXPANSION * size), max(FREE_LINES, size)
-    total = lines = 0
-    while raw := file.readline(MAX_LINE_BYTES):
-        total += len(raw)
-        lines += 1
-        if len(raw) == MAX_LINE_BYTES:
-            raise LogError(f"no end of line within {len(raw)} bytes", where=path, fix=NO_LOG)
-        if total > limit or lines > most_lines:
-            raise LogError(f"grows more than {MAX_EXPANSION}-fold", where=path, fix=NO_LOG)
-        yield raw
-        if span.start + total >= span.end:
-            return
 
 
 def parse_stamp(text: str) -> int:
@@ -297,11 +313,6 @@ def parse_nanoseconds(text: str) -> int:
 def round_limit(limit: float) -> float:
     """Round a range limit as the ranges are, so that a range at the limit compares as equal."""
     return float(as_float32(limit))
-
-
-def shorten(text: str) -> str:
-    """Quote what was found, for a message of one line."""
-    return repr(text if len(text) <= 40 else f"{text[:37]}...")
 
 
 def add_note(notes: list[Note], note: Note) -> None:

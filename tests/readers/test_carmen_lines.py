@@ -192,7 +192,7 @@ def test_scans_of_another_laser_are_not_parsed_together(other: str) -> None:
     ],
 )
 def test_lines_that_differ_are_not_parsed_together(other: str) -> None:
-    with pytest.raises(ValueError, match=r"number|time|short|convert|announces"):
+    with pytest.raises(ValueError, match=r"words|number|time|short|convert|announces"):
         parse_together(*LINES, other)
 
 

@@ -1,12 +1,14 @@
 """Numbers that are parsed many at a time are what Python's float makes of them one by one."""
 
 import struct
+from decimal import Decimal
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from occmap.readers.kernels import ANY, NANOSECONDS, NUMBER, SECONDS
 from occmap.readers.text import parse_stamp, parse_table
 from occmap.types import Float64
 
@@ -34,13 +36,10 @@ def to_bytes(values: Float64) -> list[bytes]:
 def test_every_number_is_the_nearest_float(separator: str, words: list[str], head: int) -> None:
     line = separator.join([*["x"] * head, *words]).encode()
 
-    table = parse_table([line, line], separator[:1].encode(), head, len(words))
+    kinds = [ANY] * head + [NUMBER] * len(words)
+    values, _ = parse_table([line, line], separator[:1].encode(), kinds)
 
-    assert to_bytes(table.values) == 2 * [struct.pack("<d", float(word)) for word in words]
-    start = len(line) - len(separator.join(words))
-    assert (table.places[:, 1] == len(line)).all()
-    assert set(line[: table.places[0, 0]].replace(b"x", b"")) <= set(separator.encode())
-    assert table.places[0, 0] <= start
+    assert to_bytes(values[:, head:]) == 2 * [struct.pack("<d", float(word)) for word in words]
 
 
 @pytest.mark.parametrize("word", ["", "1_0", "one", "1 2", "1.2.3", "--1", "1-2", "0x10", "\u0661"])
@@ -49,24 +48,48 @@ def test_what_few_programs_write_is_refused(word: str, at: int) -> None:
     words = ["1.5", "2", "2.25"]
     words[at] = word or "-"
     with pytest.raises(ValueError, match=r"number|float"):
-        parse_table([",".join(words).encode()], b",", 0, 3)
+        parse_table([",".join(words).encode()], b",", 3 * [NUMBER])
 
 
 def test_an_empty_cell_is_nan_between_commas_and_nothing_between_blanks() -> None:
-    values = parse_table([b",2,", b"1.5, ,inf"], b",", 0, 3).values
+    values = parse_table([b",2,", b"1.5, ,inf"], b",", 3 * [NUMBER]).values
     np.testing.assert_array_equal(values, [[np.nan, 2, np.nan], [1.5, np.nan, np.inf]])
-    assert parse_table([b"1  -inf nan"], b" ", 0, 2).values.tolist() == [[1.0, -np.inf]]
+    assert parse_table([b"1  -inf "], b" ", 2 * [NUMBER]).values.tolist() == [[1.0, -np.inf]]
 
 
-@pytest.mark.parametrize("line", [b"a 1 2", b"a 1 2 ", b"a", b"", b"   "])
-def test_a_line_with_too_few_numbers_is_refused(line: bytes) -> None:
-    with pytest.raises(ValueError, match="number"):
-        parse_table([b"a 1 2 3", line], b" ", 1, 3)
+@pytest.mark.parametrize(
+    "line", [b"a 1 2", b"a 1 2 ", b"a", b"", b"   ", b"a 1 2 3 4", b"a 1 2 3 x"]
+)
+def test_a_line_with_too_few_or_too_many_words_is_refused(line: bytes) -> None:
+    with pytest.raises(ValueError, match="words"):
+        parse_table([b"a 1 2 3", line], b" ", [ANY, NUMBER, NUMBER, NUMBER])
 
 
-def test_places_are_those_within_each_line() -> None:
-    table = parse_table([b"x 1.5 2 z", b"long 1 2 and more"], b" ", 1, 2)
-    assert table.places.tolist() == [[2, 7], [5, 8]]
+STAMPS = st.decimals(-(10**9), 10**10, allow_nan=False, places=12)
+
+
+@given(st.lists(st.tuples(STAMPS, st.integers(0, 12)), min_size=1, max_size=9))
+@example([("9223372036.854775807", 9), ("8999999999.999999999", 9), ("0", 0)])
+@settings(deadline=None)
+def test_times_of_many_lines_are_those_of_each(stamps: list[tuple[Decimal, int]]) -> None:
+    words = [f"{Decimal(seconds):.{places}f}" for seconds, places in stamps]
+    whole = [str(int(Decimal(seconds) * 10**8)) for seconds, _ in stamps]
+    lines = [f"{word} x {each}".encode() for word, each in zip(words, whole, strict=True)]
+    try:
+        expected = list(map(parse_stamp, words))
+    except ValueError:
+        with pytest.raises(ValueError, match="no time"):
+            parse_table(lines, b" ", [SECONDS, ANY, NANOSECONDS])
+        return
+    times = parse_table(lines, b" ", [SECONDS, ANY, NANOSECONDS]).times
+    assert times[:, 0].tolist() == expected
+    assert times[:, 2].tolist() == list(map(int, whole))
+
+
+@pytest.mark.parametrize("word", ["", "1.2.3", "one", "1 2", "9999999999"])
+def test_what_is_no_time_is_refused(word: str) -> None:
+    with pytest.raises(ValueError, match="no time"):
+        parse_table([f"1,{word}".encode()], b",", [NUMBER, SECONDS])
 
 
 @given(st.decimals(-(10**9), 10**10, allow_nan=False, places=12), st.integers(0, 12))

@@ -227,7 +227,7 @@ def test_a_message_of_an_unknown_channel_is_told_of(path: Path) -> None:
 
     log, _ = read(path)
 
-    text = "1 messages belong to no channel that the file names"
+    text = "the file names no channel for 1 message"
     assert [note.text for note in log.notes] == [text]
 
 

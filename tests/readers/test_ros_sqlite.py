@@ -139,7 +139,7 @@ def test_rows_of_an_unknown_topic_are_told_of(tmp_path: Path) -> None:
     log = open_log(path)
 
     assert len(read_stamps(log)) == SCANS - 5
-    assert log.notes == [Note("5 messages belong to no topic that the file names", damage=True)]
+    assert log.notes == [Note("the file names no topic for 5 messages", damage=True)]
 
 
 @pytest.fixture
@@ -257,7 +257,7 @@ def test_a_topic_without_a_number_is_told_of(tmp_path: Path, key: str) -> None:
     database.commit()
     database.close()
 
-    text = f"{SCANS} messages belong to no topic that the file names"
+    text = f"the file names no topic for {SCANS} messages"
     assert open_log(path).notes == [Note(text, damage=True)]
 
 

@@ -281,7 +281,7 @@ def test_messages_of_a_connection_that_is_not_named_are_told_of(
     (tmp_path / "log.bag").write_bytes(data)
     log = open_log(tmp_path / "log.bag")
 
-    assert any("belong to no connection" in note.text for note in log.notes if note.damage)
+    assert any("names no connection for" in note.text for note in log.notes if note.damage)
 
 
 def test_a_chunk_that_is_gone_is_told_of(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Decimal numbers in text, parsed as fast as the text can be read.
+"""Decimal numbers and times in text, parsed as fast as the text can be read.
 
 A number of up to 15 digits is an integer divided by a power of ten. Both are exact in the 53 bits
 of a float and their quotient is rounded once, so it is what Python's `float` gives. Every other
@@ -8,12 +8,15 @@ word is left to the caller.
 import numpy as np
 
 from occmap.jit import kernel
+from occmap.readers.kernels import ANY, NUMBER, SECONDS
 from occmap.types import Float64, Int64, UInt8, UInt64
 
 PADDING = b"\n" * 8
 """What must follow the last line: words are looked at eight bytes at a time."""
 MOST_DIGITS = 15
 """Every integer of so many digits is below 2 to the power of 53."""
+MOST_TIME_DIGITS = 19
+"""Whole nanoseconds of so many digits fit 64 bits where the first is not 9."""
 POWERS: Float64 = np.array([float(10**n) for n in range(MOST_DIGITS + 1)])
 _ZERO, _NINE, _DOT, _MINUS, _BLANK, _END = 48, 57, 46, 45, 32, 10
 _I, _N, _F = 105, 110, 102
@@ -37,13 +40,13 @@ def parse_rows(
     text: UInt8,
     eights: UInt64,
     separator: int,
-    head: int,
+    kinds: UInt8,
     powers: Float64,
     values: Float64,
-    places: Int64,
+    times: Int64,
     left: Int64,
 ) -> int:
-    """Parse the numbers in lines of words.
+    """Parse the words of lines that hold as many each.
 
     Parameters
     ----------
@@ -53,39 +56,31 @@ def parse_rows(
         (L - 7,) the eight bytes from each byte on, the first one lowest.
     separator
         What stands between two words: one comma, or any number of blanks.
-    head
-        How many words of a line come before its numbers.
+    kinds
+        (N,) what each word of a line is.
     powers
         `POWERS`.
     values
         (S, N) filled with the numbers, and with NaN where nothing stands between two commas.
-    places
-        (S, 2) filled with where the numbers of a line begin and end; words may follow them.
+    times
+        (S, N) filled with the times (ns); it may be the same memory, since no word is both.
     left
         (M, 4) filled with row, column, start and end of each word that is left to the caller.
 
     Returns
     -------
     int
-        How many words are left; -1 where a line has fewer numbers than N, or where more words are
-        left than there is room for.
+        How many words are left; -1 where a line has more or fewer words than N, or where more words
+        are left than there is room for.
     """
     rows, cols = values.shape
     lefts = 0
     at: int | np.int64 = 0
     for row in range(rows):
-        for _ in range(head):
-            while separator == _BLANK and text[at] == _BLANK:
-                at += 1
-            while text[at] != separator:
-                if text[at] == _END:
-                    return -1
-                at += 1
-            at += 1
-        places[row, 0] = at
         for col in range(cols):
             while separator == _BLANK and text[at] == _BLANK:
                 at += 1
+            kind = kinds[col]
             # The usual number, of digits with a dot between and up to seven bytes, at a stroke.
             eight = eights[at] ^ _ZEROS
             others = ((eight + _BEYOND_NINE) | eight) & _HIGHEST
@@ -95,7 +90,8 @@ def parse_rows(
             digits = np.int64((dot * _PLACES) >> _SEVEN_BYTES)
             length = np.int64((end * _PLACES) >> _SEVEN_BYTES)
             after = text[at + length]
-            if length > 1 and text[at + digits] == _DOT and after in (separator, _END):
+            is_usual = length > 1 and text[at + digits] == _DOT and after in (separator, _END)
+            if kind == NUMBER and is_usual:
                 before = dot - _ONE
                 eight = (eight & before) | (((eight & (end - _ONE)) >> _BYTE) & ~before)
                 eight = (eight * _BY_10 + (eight >> _BYTE)) & _PAIRS
@@ -118,29 +114,45 @@ def parse_rows(
                     else:
                         break
                     at += 1
-                count, value = at - first - dots, np.nan
+                count, is_read = at - first - dots, True
                 if text[at] != separator and text[at] != _END:
                     count = 0
                     while text[at] != separator and text[at] != _END:
                         at += 1
-                if 0 < count <= MOST_DIGITS:
-                    value = number / powers[decimals]
-                elif at - first == 3 and (text[first], text[at - 2], text[at - 1]) == (_I, _N, _F):
-                    value = np.inf
-                elif at > start or separator == _BLANK:
-                    if at == start or lefts == len(left):
+                if at == start and separator == _BLANK:
+                    return -1
+                if kind == NUMBER:
+                    value = np.nan
+                    if 0 < count <= MOST_DIGITS:
+                        value = number / powers[decimals]
+                    elif at - first == 3 and text[first] == _I and text[at - 1] == _F:
+                        is_read = text[at - 2] == _N
+                        value = np.inf
+                    else:
+                        is_read = at == start
+                    values[row, col] = -value if start < first else value
+                elif kind != ANY:
+                    more = 9 - decimals if kind == SECONDS else 0
+                    is_plain = start == first and more >= 0 and (kind == SECONDS or dots == 0)
+                    room = MOST_TIME_DIGITS - more - (text[first] == _NINE)
+                    is_read = is_plain and 0 < count <= room
+                    if is_read:
+                        for _ in range(more):
+                            number *= 10
+                        times[row, col] = number
+                if not is_read:
+                    if lefts == len(left):
                         return -1
                     left[lefts, 0], left[lefts, 1] = row, col
                     left[lefts, 2], left[lefts, 3] = start, at
                     lefts += 1
-                values[row, col] = -value if start < first else value
-            if col == cols - 1:
-                break
-            if text[at] == _END:
-                return -1
+            if col < cols - 1:
+                if text[at] == _END:
+                    return -1
+                at += 1
+        while separator == _BLANK and text[at] == _BLANK:
             at += 1
-        places[row, 1] = at
-        while text[at] != _END:
-            at += 1
+        if text[at] != _END:
+            return -1
         at += 1
     return lefts
