@@ -1,5 +1,8 @@
 """The polygon update of a radial sensor model: what a scan says about each cell it covers, once.
 
+A cell at distance d is told what the model says of d and the range of the beam that covers the
+cell's bearing.
+
 Clipped at p_min, such a model says the same about all cells up to some share of the range. These
 are noted as spans, as in `polygon`; only the cells beyond are visited.
 """

@@ -1,4 +1,8 @@
-"""Which beam of a scan covers which bearing, and outlines around the sectors of beams."""
+"""Which beam of a scan covers which bearing, and outlines around the sectors of beams.
+
+A beam covers the bearings from half-way to the beam before it to half-way to the beam after it, at
+most 60 degrees to either side. Where two cover one bearing, the later counts.
+"""
 
 import numpy as np
 
