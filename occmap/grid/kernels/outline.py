@@ -1,4 +1,10 @@
-"""The outline of a scan: which neighbouring beams belong together, and the corners around them."""
+"""The polygon update's region and border, beam by beam.
+
+Each run of beams that are not SKIP makes a region, closed through the sensor; a scan that goes all
+the way round closes on itself. Between neighbours whose ranges differ by more than the jump the
+edge steps, at the nearer range. The border is every HIT end cell and, between two HIT neighbours of
+one surface, the cells of Bresenham's line between their ends.
+"""
 
 from typing import NamedTuple
 

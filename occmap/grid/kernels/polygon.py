@@ -1,5 +1,8 @@
 """The polygon update: a whole scan at once, its measured cells the border, the inside free.
 
+Each border cell gets one hit a scan, however many beams end there. Every other cell whose centre is
+inside gets one miss a scan.
+
 The inside is not visited: a span of free cells is +1 at its first column and -1 after its last,
 and one running sum along the rows turns thousands of scans' spans into counts. The cost of a scan
 is thus its border. A border cell gets no miss from its own scan, so it counts how often it lay in

@@ -1,5 +1,8 @@
 """The polygon update of a radial sensor model: what a scan says about each cell it covers, once.
 
+A cell at distance d is told what the model says of d and the range of the beam that covers the
+cell's bearing.
+
 Clipped at p_min, such a model says the same about all cells up to some share of the range. These
 are noted as spans, as in `polygon`; only the cells beyond are visited.
 """
@@ -61,7 +64,8 @@ def trace_radial_polygons(
     rows, cols = cells.shape[0], cells.shape[1] - PAD
     free, hit, depth, plain = profile.free, profile.hit, profile.depth, profile.plain
     direction, ranges = np.empty((beams, 2), np.float64), np.empty(beams, np.float64)
-    sides, covers = np.empty((beams, 4), np.float64), np.empty(beams, np.bool_)
+    sides = np.empty((beams, 4), np.float64)
+    covers, joined = np.empty(beams, np.bool_), np.empty(beams, np.bool_)
     lengths, covering = np.empty((beams, 4), np.float64), np.empty(BEARINGS + 1, np.int32)
     limits, within = np.empty((beams + 1, 4), np.float64), np.empty(beams, np.float64)
     entries = np.concatenate((free, hit, np.zeros(1, np.int64)))
@@ -75,10 +79,10 @@ def trace_radial_polygons(
         at_x = round_to_units(origin[s, 0, 0], units_per_metre) - corner[0]
         at_y = round_to_units(origin[s, 0, 1], units_per_metre) - corner[1]
         aim(turn[s], bearing, distance[s], units_per_metre, direction, ranges)
-        sign = find_sectors(direction, kinds[s], full_circle, sides, covers)
+        sign = find_sectors(direction, kinds[s], full_circle, sides, covers, joined)
         side_by_side = cover_bearings(sides, kinds[s], covers, sign, covering)
         reach_out(direction, ranges, kinds[s], full_circle, depth, sides, lengths)
-        corners = outline_sectors(at_x, at_y, sides, lengths, covers, x, y, begins)
+        corners = outline_sectors(at_x, at_y, sides, lengths, covers, joined, x, y, begins)
         touched = find_rows(y, corners, rows)
         found, spans = fill_outline(
             x, y, begins, corners, touched, cols, starts, counts, found, spans
@@ -87,8 +91,8 @@ def trace_radial_polygons(
         if side_by_side:
             for b in range(beams):
                 within[b] = max(plain * (ranges[b] - depth) * (1 - 1e-6) - ROUNDED, 0.0)
-            stay_inside(within, sides, sign, covers, lengths)
-            corners = outline_sectors(at_x, at_y, sides, lengths, covers, x, y, begins)
+            stay_inside(within, sides, sign, joined, lengths)
+            corners = outline_sectors(at_x, at_y, sides, lengths, covers, joined, x, y, begins)
             found, inner = fill_outline(
                 x, y, begins, corners, touched, cols, inner_starts, inner_counts, found, inner
             )

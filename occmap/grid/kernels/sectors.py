@@ -1,9 +1,13 @@
-"""Which beam of a scan covers which bearing, and outlines around the sectors of beams."""
+"""Which beam of a scan covers which bearing, and outlines around the sectors of beams.
+
+A beam covers the bearings from half-way to the beam before it to half-way to the beam after it, at
+most 60 degrees to either side. Where two cover one bearing, the later counts.
+"""
 
 import numpy as np
 
 from occmap.grid.kernels.units import SKIP
-from occmap.jit import kernel, step
+from occmap.jit import kernel
 from occmap.types import Bool, Float64, Int32, Int64, UInt8
 
 BEARINGS = 1 << 14
@@ -21,7 +25,12 @@ An upright laser, whose beams lie in one vertical plane, has all of these."""
 
 @kernel
 def find_sectors(
-    direction: Float64, kinds: UInt8, full_circle: bool, sides: Float64, covers: Bool
+    direction: Float64,
+    kinds: UInt8,
+    full_circle: bool,
+    sides: Float64,
+    covers: Bool,
+    joined: Bool,
 ) -> float:
     """Find what each beam covers: from half-way to one neighbour to half-way to the other.
 
@@ -29,7 +38,8 @@ def find_sectors(
     that at the side of the beam after, at most 60 degrees away. `covers` (B,) too: False where a
     beam is SKIP, and where its sides lie the wrong way round. That happens where a scan is not seen
     from where it was taken and a nearer thing shifts across a farther one; its neighbours' sectors
-    then overlap.
+    then overlap. `joined` (B,) says whether a sector begins where the one before ends, which 60
+    degrees may have ended earlier.
 
     Returns
     -------
@@ -65,6 +75,9 @@ def find_sectors(
                 sides[b, side + 1] = COS_60 * along_y + sine * along_x
         widening = sides[b, 0] * sides[b, 3] - sides[b, 1] * sides[b, 2]
         covers[b] = kinds[b] != 0 and sign * widening > ROUNDING
+    for b in range(beams):
+        shared = sides[b - 1, 2] == sides[b, 0] and sides[b - 1, 3] == sides[b, 1]
+        joined[b] = b > 0 and covers[b - 1] and covers[b] and shared
     return sign
 
 
@@ -112,14 +125,14 @@ def cover_bearings(
 
 
 @kernel
-def stay_inside(own: Float64, sides: Float64, sign: float, covers: Bool, lengths: Float64) -> None:
+def stay_inside(own: Float64, sides: Float64, sign: float, joined: Bool, lengths: Float64) -> None:
     """Write how far sectors go so that what is outlined is surely theirs and no longer than `own`.
 
     Where neighbours differ (B,), the outline runs within the longer, so far from their side that no
     cell of it is the shorter's. A sector that is too narrow for that goes only as far as both of
     its neighbours do.
     """
-    beams = covers.size
+    beams = joined.size
     reach, inward = np.empty(beams, np.float64), np.empty(beams, np.float64)
     for b in range(beams):
         after = b + 1 if b + 1 < beams else 0
@@ -129,16 +142,14 @@ def stay_inside(own: Float64, sides: Float64, sign: float, covers: Bool, lengths
         reach[b] = own[b] if is_wide else min(own[b - 1], own[b], own[after])
     for b in range(beams):
         least, shift_before, shift = 0.0, -inward[b - 1], inward[b]
-        if _goes_on(sides, covers, b):
+        if joined[b]:
             least = min(reach[b - 1], reach[b])
             shift_before = shift = shift if reach[b] > reach[b - 1] else shift_before
-        _set_side(lengths[b - 1, 2:], reach[b - 1] if shift_before else least, shift_before)
-        _set_side(lengths[b, :2], reach[b] if shift else least, shift)
-
-
-@step
-def _set_side(side: Float64, length: float, shift: float) -> None:
-    side[0], side[1] = length, shift * (min(BESIDE, length) + STEP * length)
+        length = reach[b - 1] if shift_before else least
+        lengths[b - 1, 2] = length
+        lengths[b - 1, 3] = shift_before * (min(BESIDE, length) + STEP * length)
+        length = reach[b] if shift else least
+        lengths[b, 0], lengths[b, 1] = length, shift * (min(BESIDE, length) + STEP * length)
 
 
 @kernel
@@ -148,6 +159,7 @@ def outline_sectors(
     sides: Float64,
     lengths: Float64,
     covers: Bool,
+    joined: Bool,
     x: Int64,
     y: Int64,
     begins: Bool,
@@ -162,7 +174,7 @@ def outline_sectors(
     for b in range(covers.size):
         if not covers[b]:
             continue
-        if not _goes_on(sides, covers, b):
+        if not joined[b]:
             x[corners], y[corners], begins[corners] = at_x, at_y, True
             corners += 1
         for i in range(0, 4, 2):
@@ -171,14 +183,7 @@ def outline_sectors(
             y[corners] = at_y + int(np.rint(along * sides[b, i + 1] + left * sides[b, i]))
             begins[corners] = False
             corners += 1
-        if b + 1 == covers.size or not _goes_on(sides, covers, b + 1):
+        if b + 1 == covers.size or not joined[b + 1]:
             x[corners], y[corners], begins[corners] = at_x, at_y, False
             corners += 1
     return corners
-
-
-@kernel
-def _goes_on(sides: Float64, covers: Bool, b: int) -> bool:
-    """Whether a sector begins where the one before ends; not where 60 degrees ended that."""
-    shared = sides[b - 1, 2] == sides[b, 0] and sides[b - 1, 3] == sides[b, 1]
-    return bool(b > 0 and covers[b - 1] and covers[b] and shared)
