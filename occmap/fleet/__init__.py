@@ -19,16 +19,15 @@ from typing import NamedTuple
 from occmap.errors import OutputError
 from occmap.evidence.manifest import NO_OPTIONS, write_value
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
+from occmap.fleet.reducing import ReduceJob, reduce_block
 from occmap.fleet.runs import BlockKey, Piece, read_pieces
 from occmap.fleet.settling import LogTrace
 from occmap.fleet.tasks import (
-    ReduceJob,
     Setting,
     Survey,
     SurveyJob,
     Traced,
     count_wanted,
-    reduce_block,
     survey_log,
     trace_part,
 )

@@ -15,8 +15,9 @@ from occmap.evidence import choose_tiles, weigh
 from occmap.evidence.manifest import describe_build, describe_files, plan_manifest
 from occmap.evidence.repetition import list_repeated
 from occmap.fleet import Fleet, Work, list_reductions
+from occmap.fleet.reducing import ReduceJob, add_up
 from occmap.fleet.runs import read_stub, write_stub
-from occmap.fleet.tasks import ReduceJob, Setting, SurveyJob, add_up, hash_log
+from occmap.fleet.tasks import Setting, SurveyJob, hash_log
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing, paint
 from occmap.mounts import list_misfits

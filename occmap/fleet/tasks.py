@@ -13,18 +13,14 @@ from occmap.errors import LogError, PoseError
 from occmap.evidence.manifest import describe_files
 from occmap.fleet.runs import (
     BlockKey,
-    Content,
     Piece,
     read_mapped,
-    read_pieces,
     read_stub,
     split_blocks,
     write_mapped,
     write_run,
     write_stub,
 )
-from occmap.grid.slices import unite
-from occmap.grid.stacks import add_stack, stack_tiles
 from occmap.observing import Keep
 from occmap.opening import count_scans
 from occmap.options import BuildOptions
@@ -32,8 +28,8 @@ from occmap.posing.leaps import Ends, Shape
 from occmap.readers import Note, open_log, read_scans, split_log
 from occmap.report import Tally
 from occmap.sensor.no_return import RangeLimits
-from occmap.tracing import Drive, choose_engine, make_grid, open_drive, trace
-from occmap.types import Float64, Rays, Slices
+from occmap.tracing import Drive, choose_engine, open_drive, trace
+from occmap.types import Float64, Rays
 
 
 @dataclass(frozen=True)
@@ -127,19 +123,6 @@ class Traced:
     bounds: dict[str, Float64] = field(default_factory=dict)
     """(2, 3) around the sensor of each topic (m)"""
     pieces: Mapping[BlockKey, tuple[Piece, ...]] = field(default_factory=dict)
-
-
-class ReduceJob(NamedTuple):
-    """A block to be added up."""
-
-    setting: Setting
-    block: BlockKey
-    pieces: tuple[Piece, ...]
-
-    @property
-    def where(self) -> str:
-        """What an error is about."""
-        return f"block {self.block}"
 
 
 def survey_log(job: SurveyJob) -> Survey:
@@ -290,39 +273,6 @@ class RunWriter:
             self.pieces.setdefault(key, []).append(piece)
         self._runs += 1
         self._begin()
-
-
-def reduce_block(job: ReduceJob) -> Piece:
-    """Add up all that was observed in a block, and leave it in a run file of its own.
-
-    Raises
-    ------
-    OccmapError
-        A run file cannot be read, or the scratch folder cannot be written.
-    """
-    folder, (row, col) = job.setting.folder, job.block
-    name = f"block{row}_{col}"
-    if (known := read_stub(folder / f"{name}.sum")) is not None:
-        done: Piece = known
-        return done
-    piece = write_run(folder, f"{name}.run", [(job.block, add_up(job))])[job.block]
-    write_stub(folder / f"{name}.sum", piece)
-    return piece
-
-
-def add_up(job: ReduceJob) -> Content:
-    """Add up all that was observed in a block.
-
-    Raises
-    ------
-    OccmapError
-        A run file cannot be read.
-    """
-    grid, layers = make_grid(job.setting.options), list[Slices]()
-    for content in read_pieces(job.setting.folder, job.pieces):
-        add_stack(grid, content.tiles, content.cells)
-        layers += content.slices
-    return Content(*stack_tiles(grid.tiles), (unite(layers),) if job.setting.keep.slices else ())
 
 
 def hash_log(job: SurveyJob) -> list[dict[str, object]]:

@@ -169,17 +169,15 @@ def render_blocks(made: BlockMap, max_cells: int) -> tuple[OccupancyMap, list[st
         The map would be too large, or a block cannot be read.
     """
     refuse_large(made.box, made.lattice, max_cells)
-    model, (x, y, _, _) = made.view.model, made.extent
-    log_odds = np.full(made.shape, to_log_odds(model.prior), np.float32)
+    prior, (x, y, _, _) = made.view.model.prior, made.extent
+    log_odds = np.full(made.shape, to_log_odds(prior), np.float32)
     observed = np.zeros(made.shape, np.bool_)
     counts = np.zeros((2, 2), np.int64)
     for piece in made.walk():
         window = find_window(piece.box, made.box)
         log_odds[window], observed[window] = piece.map.log_odds, piece.map.observed
         counts += (piece.hits, piece.occupied)
-    painted = OccupancyMap(
-        log_odds, observed, made.lattice.resolution, (x, y), find_decision(model)
-    )
+    painted = OccupancyMap(log_odds, observed, made.resolution, (x, y), made.decision)
     agreement, notes = sum_up(made, counts)
     return replace(painted, agreement=agreement), notes
 
@@ -187,7 +185,7 @@ def render_blocks(made: BlockMap, max_cells: int) -> tuple[OccupancyMap, list[st
 def classify_blocks(made: BlockMap, writing: WriteOptions, max_cells: int) -> UInt8:
     """(H, W) of CellClass, a byte for each cell; raises MapError as `render_blocks`."""
     refuse_large(made.box, made.lattice, max_cells)
-    decision = writing.decide(find_decision(made.view.model))
+    decision = writing.decide(made.decision)
     classes = np.full(made.shape, CellClass.NEITHER, np.uint8)
     for piece in made.walk():
         window = find_window(piece.box, made.box)
@@ -203,7 +201,7 @@ def survey_blocks(made: BlockMap, writing: WriteOptions) -> tuple[MapFacts, list
     MapError
         A block cannot be read.
     """
-    decision = writing.decide(find_decision(made.view.model))
+    decision = writing.decide(made.decision)
     cells, counts = np.zeros(4, np.int64), np.zeros((2, 2), np.int64)
     for piece in made.walk():
         written = replace(piece.map, decision=decision)

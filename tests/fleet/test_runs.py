@@ -10,18 +10,14 @@ from occmap.fleet.runs import read_mapped, write_mapped
 
 def test_large_arrays_lie_beside_the_value_and_are_read_from_there(tmp_path: Path) -> None:
     path = tmp_path / "log.parts"
-    value: dict[str, Any] = {
-        "name": "tf",
-        "stamps": np.arange(5),
-        "odd": np.arange(3, dtype=np.uint8),
-    }
-    value |= {"none": np.zeros((0, 7)), "poses": np.arange(70.0).reshape(10, 7)}
-    write_mapped(path, value)
-    read = read_mapped(path)
-    assert read.pop("name") == value.pop("name")
-    for name, array in read.items():
-        assert np.array_equal(array, value[name])
-        assert array.dtype == value[name].dtype
+    arrays: list[Any] = [np.arange(5), np.arange(3, dtype=np.uint8), np.zeros((0, 7))]
+    arrays += [np.arange(70.0).reshape(10, 7)]
+    write_mapped(path, ("tf", arrays))
+    name, read = read_mapped(path)
+    assert name == "tf"
+    for array, written in zip(read, arrays, strict=True):
+        assert np.array_equal(array, written)
+        assert (array.shape, array.dtype) == (written.shape, written.dtype)
         assert array.flags.aligned
         assert not array.flags.owndata
     assert read_mapped(tmp_path / "other.parts") is None

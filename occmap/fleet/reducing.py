@@ -1,0 +1,64 @@
+"""How a block of the map is added up, of all that parts of logs observed in it."""
+
+from typing import NamedTuple
+
+from occmap.fleet.runs import (
+    BlockKey,
+    Content,
+    Piece,
+    read_pieces,
+    read_stub,
+    write_run,
+    write_stub,
+)
+from occmap.fleet.tasks import Setting
+from occmap.grid.slices import unite
+from occmap.grid.stacks import add_stack, stack_tiles
+from occmap.tracing import make_grid
+from occmap.types import Slices
+
+
+class ReduceJob(NamedTuple):
+    """A block to be added up."""
+
+    setting: Setting
+    block: BlockKey
+    pieces: tuple[Piece, ...]
+
+    @property
+    def where(self) -> str:
+        """What an error is about."""
+        return f"block {self.block}"
+
+
+def reduce_block(job: ReduceJob) -> Piece:
+    """Add up all that was observed in a block, and leave it in a run file of its own.
+
+    Raises
+    ------
+    OccmapError
+        A run file cannot be read, or the scratch folder cannot be written.
+    """
+    folder, (row, col) = job.setting.folder, job.block
+    name = f"block{row}_{col}"
+    if (known := read_stub(folder / f"{name}.sum")) is not None:
+        done: Piece = known
+        return done
+    piece = write_run(folder, f"{name}.run", [(job.block, add_up(job))])[job.block]
+    write_stub(folder / f"{name}.sum", piece)
+    return piece
+
+
+def add_up(job: ReduceJob) -> Content:
+    """Add up all that was observed in a block.
+
+    Raises
+    ------
+    OccmapError
+        A run file cannot be read.
+    """
+    grid, layers = make_grid(job.setting.options), list[Slices]()
+    for content in read_pieces(job.setting.folder, job.pieces):
+        add_stack(grid, content.tiles, content.cells)
+        layers += content.slices
+    return Content(*stack_tiles(grid.tiles), (unite(layers),) if job.setting.keep.slices else ())
