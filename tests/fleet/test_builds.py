@@ -1,6 +1,8 @@
 """Many workers make what one process makes, byte for byte."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -8,36 +10,56 @@ import pytest
 from occmap.batching import Selection
 from occmap.fleet import Fleet
 from occmap.options import BuildOptions
-from occmap.pipeline import Build, build
+from occmap.pipeline import build
+from occmap.report import Report
 from tests.samples import DRIVES
 
 LOGS = [*DRIVES, DRIVES[0]]
 """One of them twice"""
 
 
-def build_both(
-    logs: list[Path], options: BuildOptions, address: str, slice_bytes: int, folder: Path
-) -> tuple[Build, Build]:
-    """Build with one process and by workers, and hold all that was written equal."""
-    suffixes = "npz", "pgm", "tum"
-    alone = build(logs, options, [folder / f"alone.{suffix}" for suffix in suffixes])
-    fleet = Fleet(address, folder / "scratch", slice_bytes)
-    outputs = [folder / f"fleet.{suffix}" for suffix in suffixes]
-    together = build(logs, options, outputs, observe=fleet.observe)
-    for suffix in suffixes:
-        written = [(folder / f"{who}.{suffix}").read_bytes() for who in ("alone", "fleet")]
-        assert written[0] == written[1]
-    said = [replace(made.report, seconds={}, files=()) for made in (alone, together)]
+SUFFIXES = "npz", "pgm", "tum"
+Made = tuple[Report, list[bytes]]
+"""What a build says, and all that it writes"""
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Callable[[BuildOptions], Made]:
+    """What one process makes of the logs; it is asked once."""
+
+    @cache
+    def build_alone(options: BuildOptions) -> Made:
+        folder = tmp_path_factory.mktemp("alone")
+        outputs = [folder / f"alone.{suffix}" for suffix in SUFFIXES]
+        report = build(LOGS, options, outputs).report
+        return report, [output.read_bytes() for output in outputs]
+
+    return build_alone
+
+
+def hold_equal(expected: Made, options: BuildOptions, fleet: Fleet, folder: Path) -> None:
+    """Build by workers, and hold all that was written and said equal."""
+    outputs = [folder / f"fleet.{suffix}" for suffix in SUFFIXES]
+    report = build(LOGS, options, outputs, observe=fleet.observe).report
+    assert [output.read_bytes() for output in outputs] == expected[1]
+    said = [replace(each, seconds={}, files=()) for each in (expected[0], report)]
     assert said[0] == said[1]
     assert not fleet.scratch.exists()
-    return alone, together
 
 
 @pytest.mark.parametrize("slice_bytes", [50_000, 400_000, 1 << 30])
 def test_the_files_and_the_report_are_those_of_one_process(
-    address: str, tmp_path: Path, slice_bytes: int
+    address: str, alone: Callable[[BuildOptions], Made], tmp_path: Path, slice_bytes: int
 ) -> None:
-    build_both(LOGS, BuildOptions(jobs=1), address, slice_bytes, tmp_path)
+    options = BuildOptions(jobs=1)
+    hold_equal(alone(options), options, Fleet(address, tmp_path / "scratch", slice_bytes), tmp_path)
+
+
+def test_a_worker_of_its_own_makes_the_same(
+    alone: Callable[[BuildOptions], Made], tmp_path: Path
+) -> None:
+    options = BuildOptions(jobs=1)
+    hold_equal(alone(options), options, Fleet("local", tmp_path / "scratch", 400_000), tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -45,7 +67,7 @@ def test_the_files_and_the_report_are_those_of_one_process(
     [Selection(stride=7), Selection(start_s=3.3, end_s=21.7), Selection(start_s=5.0, stride=4)],
 )
 def test_a_part_of_the_scans_is_the_same_part(
-    address: str, tmp_path: Path, selection: Selection
+    address: str, alone: Callable[[BuildOptions], Made], tmp_path: Path, selection: Selection
 ) -> None:
     options = BuildOptions(jobs=1, selection=selection, min_passes=2, pass_gap_s=1.0)
-    build_both(LOGS, options, address, 60_000, tmp_path)
+    hold_equal(alone(options), options, Fleet(address, tmp_path / "scratch", 60_000), tmp_path)

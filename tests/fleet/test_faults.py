@@ -13,7 +13,7 @@ from threading import Thread
 from typing import NamedTuple
 
 import pytest
-from distributed import Client, LocalCluster
+from distributed import Client
 
 from occmap.errors import FleetError, LogError, UsageError
 from occmap.fleet import Fleet, cluster
@@ -27,21 +27,16 @@ from occmap.store.reading import open_store
 from tests.samples import DRIVES
 
 resource = pytest.importorskip("resource", reason="Windows has neither SIGKILL nor such limits")
+LOGS = [DRIVES[0], DRIVES[4]]
 OPTIONS = BuildOptions(jobs=1)
 SLICE = 60_000
 PATIENCE_S = 60
 
 
 @pytest.fixture(scope="module")
-def workers() -> Iterator[LocalCluster]:
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
 def expected(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     path = tmp_path_factory.mktemp("alone") / "map.npz"
-    build(DRIVES, OPTIONS, [path])
+    build(LOGS, OPTIONS, [path])
     return path.read_bytes()
 
 
@@ -56,9 +51,9 @@ def wait_for(scratch: Path, pattern: str) -> list[Path]:
 
 
 @contextmanager
-def kill_worker(workers: LocalCluster, scratch: Path, phase: str) -> Iterator[None]:
+def kill_worker(address: str, scratch: Path, phase: str) -> Iterator[None]:
     """Kill one of the workers as soon as some result of a kind is there."""
-    with Client(workers) as client:
+    with Client(address) as client:
         victim = next(iter(client.run(os.getpid).values()))
 
     def kill() -> None:
@@ -72,24 +67,22 @@ def kill_worker(workers: LocalCluster, scratch: Path, phase: str) -> Iterator[No
 
 
 @pytest.mark.parametrize("phase", ["*.survey", "*.trace", "*.sum"])
-def test_a_worker_is_killed(
-    workers: LocalCluster, tmp_path: Path, expected: bytes, phase: str
-) -> None:
+def test_a_worker_is_killed(address: str, tmp_path: Path, expected: bytes, phase: str) -> None:
     scratch = tmp_path / "scratch"
-    with kill_worker(workers, scratch, phase):
-        observe = Fleet(workers.scheduler_address, scratch, SLICE).observe
-        build(DRIVES, OPTIONS, [tmp_path / "map.npz"], observe=observe)
+    with kill_worker(address, scratch, phase):
+        observe = Fleet(address, scratch, SLICE).observe
+        build(LOGS, OPTIONS, [tmp_path / "map.npz"], observe=observe)
     assert (tmp_path / "map.npz").read_bytes() == expected
 
 
 @pytest.mark.parametrize("phase", ["*.stored", ".occmap-*/classes/1/c/*"])
 def test_a_worker_is_killed_while_it_writes_a_store(
-    workers: LocalCluster, tmp_path: Path, phase: str
+    address: str, tmp_path: Path, phase: str
 ) -> None:
     logs, options = DRIVES[:1], replace(OPTIONS, resolution=0.01)
     build(logs, options, [tmp_path / "alone.zarr"])
-    fleet = Fleet(workers.scheduler_address, tmp_path / "scratch", SLICE)
-    with kill_worker(workers, fleet.scratch, phase):
+    fleet = Fleet(address, tmp_path / "scratch", SLICE)
+    with kill_worker(address, fleet.scratch, phase):
         build_store(fleet, logs, options, tmp_path / "fleet.zarr", ignore_progress)
     one, other = (open_store(tmp_path / f"{name}.zarr") for name in ("alone", "fleet"))
     assert one.read_evidence().tiles.size
@@ -100,22 +93,22 @@ def test_a_worker_is_killed_while_it_writes_a_store(
 
 @pytest.mark.parametrize("phase", ["*.survey", "*.trace", "*.sum"])
 def test_a_build_whose_driver_was_killed_goes_on_where_it_was(
-    workers: LocalCluster,
+    address: str,
     tmp_path: Path,
     expected: bytes,
     phase: str,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     scratch, output = tmp_path / "scratch", tmp_path / "map.npz"
-    line = [sys.executable, "-m", "occmap", "build", *map(str, DRIVES), "-o", str(output)]
-    line += ["--dask", workers.scheduler_address, "--scratch", str(scratch), "--slice", "60kB"]
+    line = [sys.executable, "-m", "occmap", "build", *map(str, LOGS), "-o", str(output)]
+    line += ["--dask", address, "--scratch", str(scratch), "--slice", "60kB"]
     with subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as first:
         done = {path: path.stat().st_mtime_ns for path in wait_for(scratch, phase)}
         first.kill()
     assert not output.exists()
     monkeypatch.setattr("occmap.fleet.shutil.rmtree", lambda *_, **__: None)
-    observe = Fleet(workers.scheduler_address, scratch, SLICE).observe
-    build(DRIVES, OPTIONS, [output], observe=observe)
+    observe = Fleet(address, scratch, SLICE).observe
+    build(LOGS, OPTIONS, [output], observe=observe)
     assert output.read_bytes() == expected
     assert {path: path.stat().st_mtime_ns for path in done} == done
 
@@ -154,9 +147,9 @@ def die(_job: Deadly) -> int:
     return 0
 
 
-def test_a_task_that_kills_its_workers_is_named(workers: LocalCluster) -> None:
+def test_a_task_that_kills_its_workers_is_named(address: str) -> None:
     with (
-        open_cluster(workers.scheduler_address, 2, lambda _: None) as found,
+        open_cluster(address, 2, lambda _: None) as found,
         pytest.raises(FleetError, match=r"drive.mcap: killed its workers 4 times, which had \d+ M"),
     ):
         found.run("trace", die, [Deadly()])
@@ -170,39 +163,39 @@ def test_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert list(tmp_path.iterdir()) == []
 
 
-def test_workers_run_other_versions(workers: LocalCluster, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_run_other_versions(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "version", lambda name: "0.9" if name == "numba" else "1")
     found = (
         r"\d of \d workers? run occmap .*, numba .*, where occmap 1, numpy 1, numba 0.9 runs here"
     )
     with (
         pytest.raises(FleetError, match=found),
-        open_cluster(workers.scheduler_address, 2, lambda _: None),
+        open_cluster(address, 2, lambda _: None),
     ):
         pass
 
 
 def test_a_worker_with_little_memory_is_refused(
-    workers: LocalCluster, monkeypatch: pytest.MonkeyPatch
+    address: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cluster, "LEAST_BYTES", 1 << 50)
     with (
         pytest.raises(FleetError, match=r"a worker may take \d+ MiB of memory"),
-        open_cluster(workers.scheduler_address, 2, lambda _: None),
+        open_cluster(address, 2, lambda _: None),
     ):
         pass
 
 
-def test_a_log_that_only_some_see(workers: LocalCluster, tmp_path: Path) -> None:
-    with open_cluster(workers.scheduler_address, 2, lambda _: None) as found:
+def test_a_log_that_only_some_see(address: str, tmp_path: Path) -> None:
+    with open_cluster(address, 2, lambda _: None) as found:
         cluster.refuse_unseen_files(found, [tmp_path])
         with pytest.raises(FleetError, match=r"a.mcap: is not there on (\d) of \1 worker"):
             cluster.refuse_unseen_files(found, [tmp_path, tmp_path / "a.mcap"])
 
 
-def test_the_first_log_that_fails_is_named(workers: LocalCluster, tmp_path: Path) -> None:
+def test_the_first_log_that_fails_is_named(address: str, tmp_path: Path) -> None:
     logs = [DRIVES[0], tmp_path / "missing.mcap", tmp_path / "gone.mcap"]
-    observe = Fleet(workers.scheduler_address, tmp_path / "scratch").observe
+    observe = Fleet(address, tmp_path / "scratch").observe
     with pytest.raises(LogError, match=r"missing\.mcap: no such file or directory"):
         build(logs, OPTIONS, [tmp_path / "map.pgm"], observe=observe)
 

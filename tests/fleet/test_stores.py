@@ -19,7 +19,7 @@ from tests.samples import DRIVES
 @pytest.mark.parametrize(
     "options",
     [
-        BuildOptions(jobs=1, resolution=0.01),  # more than a block, with hits at its edges
+        BuildOptions(jobs=1, resolution=0.02),  # more than a block, with hits at its edges
         BuildOptions(jobs=1, update=Update.BEAM, model=parse_model("quadratic")),
     ],
 )
