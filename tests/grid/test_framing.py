@@ -23,6 +23,7 @@ def show(framing: Framing, prior: float = 0.5, max_cells: int = 100) -> Occupanc
     [
         ((0.1, -0.05, 0.25, 0.05), slice(0, 2), slice(1, 4), (0.1, -0.05)),  # edges of cells
         ((0.11, 0.01, 0.12, 0.02), slice(1, 2), slice(1, 2), (0.1, 0.0)),  # within a cell
+        ((0.1, 0.0, 0.1 + 1e-9, 1e-9), slice(1, 2), slice(1, 2), (0.1, 0.0)),  # in its corner
         ((0.05, -0.05, 0.25, 0.1), slice(0, 3), slice(0, 4), (0.05, -0.05)),  # all
     ],
 )

@@ -78,3 +78,12 @@ def test_boxes_of_cells() -> None:
     assert box.contains(box)
     assert not box.contains(CellBox(-1, 4, 2, 5))
     assert box.join(CellBox(0, 0, 5, 1)) == CellBox(-2, 0, 5, 7)
+    assert box.move(2, -1) == CellBox(0, 2, 3, 6)
+    assert box.align(4) == CellBox(-4, 0, 4, 8)
+    assert box.align(4).shrink(4) == CellBox(-1, 0, 1, 2)
+    assert box.clip(CellBox(-5, 4, 0, 9)) == CellBox(-2, 4, 0, 7)
+    assert box.clip(CellBox(5, 9, 6, 10)).cells == 0
+
+
+def test_the_edge_of_a_cell_is_the_number_that_a_person_writes() -> None:
+    assert Lattice(0.05).to_metres(-61) == -3.05  # and not -3.0500000000000003

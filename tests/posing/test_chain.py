@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -70,6 +71,35 @@ def test_nothing_is_interpolated_across_a_long_gap() -> None:
 def test_a_gap_of_exactly_the_limit_is_bridged() -> None:
     chain = chain_of(edge("odom", "base", [(0, turned(0)), (2, turned(0, x=2))]), max_gap_s=2.0)
     assert look_up(chain, 1)[2] == [Status.POSED]
+
+
+def test_a_correction_that_jumps_breaks_at_its_sample() -> None:
+    """It may drift by 0.1 m and 0.05 rad, and by 0.05 m and 0.01 rad more in a second."""
+    places = [turned(0), turned(0, x=0.19), turned(0, x=0.41), turned(3.9, x=0.41)]
+    correction = edge(
+        "map", "odom", [*zip((0, 2, 4, 6), places, strict=True), (7, turned(7.5, x=0.41))]
+    )
+    assert [each[:2] for each in chain_of(correction, DRIVE).breaks] == [
+        (4 * SECOND, 4 * SECOND - 1),  # by 0.22 m in 2 s, where 0.2 m may be
+        (7 * SECOND, 7 * SECOND - 1),  # by 0.063 rad in 1 s, where 0.06 may be
+    ]
+
+
+def test_a_leap_of_what_drives_breaks_between_two_samples() -> None:
+    places = [turned(0, x=0.2 * t + 5 * (t > 30)) for t in range(60)]
+    (found,) = chain_of(edge("odom", "base", list(enumerate(places)))).breaks
+    assert found[:2] == (31 * SECOND, 30 * SECOND)
+
+
+@pytest.mark.parametrize(
+    ("interval_s", "duration_s", "dense"),
+    [(0.1, 0.05, True), (0.11, 0.05, False), (0.15, 0.2, True), (0.25, 0.2, False), (0, 9, False)],
+)
+def test_whether_poses_show_how_a_sensor_moved(
+    interval_s: float, duration_s: float, dense: bool
+) -> None:
+    chain = Chain((), (), interval_s)
+    assert chain.is_dense(np.array([duration_s])).tolist() == [dense]
 
 
 def test_three_edges_by_hand() -> None:
