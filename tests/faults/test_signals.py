@@ -49,9 +49,9 @@ class Bomb:
 
 @pytest.fixture
 def signals() -> Iterator[Signals]:
-    """Signals that listen, for the one that is sent again."""
+    """Signals that listen, for the one that is sent again; a background job ignores some."""
     names = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before, hook = [signal.getsignal(each) for each in names], sys.unraisablehook
+    before, hook = [signal.signal(each, signal.SIG_DFL) for each in names], sys.unraisablehook
     yield Signals()
     for each, handler in zip(names, before, strict=True):
         signal.signal(each, handler)
