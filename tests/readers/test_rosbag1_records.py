@@ -49,7 +49,7 @@ def write(
 
 
 @given(RECORDS, st.integers(0, 30))
-@settings(max_examples=300)
+@settings(max_examples=100)
 def test_messages_are_those_that_were_written(
     records: list[tuple[Sequence[str], int, int, tuple[int, int], bytes]], cut: int
 ) -> None:
