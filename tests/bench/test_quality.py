@@ -23,6 +23,7 @@ from tests.bench.peers import (
     share_hits,
 )
 from tests.bench.settings import DEFAULT, OURS, Recording, list_steps
+from tests.grid.scans import make_scan
 from tests.samples import SAMPLE_LOGS, write_csv
 
 SCAN_PEERS = sorted(SCAN_RULES)
@@ -59,15 +60,6 @@ def test_bayes_takes_two_misses_for_a_hit_and_not_three() -> None:
     verdict = add_log_odds(*count((0, 0), (1, 2), (1, 3), (2, 4)))
     assert look(verdict) == " #.#"
     assert verdict.log_odds[3] == pytest.approx(2 * 0.8473 - 4 * 0.4055, abs=1e-3)
-
-
-def make_scan(*beams: tuple[float, Kind]) -> Rays:
-    """Beams along the middle of a row of cells of 1 m, from the middle of the first."""
-    kinds = np.array([[kind for _, kind in beams]], np.uint8)
-    reach = np.array([[length for length, _ in beams]], np.float32)
-    along = np.tile([1.0, 0.0], (1, len(beams), 1))
-    origin, stamp_ns = np.array([[[0.5, 0.5]]]), np.zeros(1, np.int64)
-    return Rays.along(origin, along, reach, kinds, stamp_ns, full_circle=False)
 
 
 def map_scans(*scans: Rays) -> dict[str, OccupancyMap]:

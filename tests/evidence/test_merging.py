@@ -222,6 +222,20 @@ def test_more_than_is_there_cannot_be_taken_away(tmp_path: Path, model: str) -> 
         subtract(first, second)
 
 
+@pytest.mark.parametrize("layer", [0, 1])
+def test_neither_hits_nor_misses_are_taken_away_that_are_not_there(
+    tmp_path: Path, layer: int
+) -> None:
+    whole = save(tmp_path / "m.npz", choose())
+    cells = np.zeros_like(whole.cells)
+    place = tuple(np.argwhere(whole.cells[:, 0])[0])
+    cells[:, layer][place] = whole.cells[:, layer][place]
+    assert len(subtract(whole, replace(whole, cells=cells)).tiles)
+    cells[:, layer][place] += 1
+    with pytest.raises(MapError, match="holds observations of 1 cells that "):
+        subtract(whole, replace(whole, cells=cells))
+
+
 def test_nothing_left_is_no_map(tmp_path: Path) -> None:
     whole = save(tmp_path / "m.npz", choose())
     nothing = subtract(whole, whole)

@@ -213,3 +213,12 @@ def aligned_drives(draw: st.DrawFn) -> Drive:
 
 def shift(rays: Rays, metres: tuple[float, float]) -> Rays:
     return replace(rays, origin=rays.origin + np.array(metres))
+
+
+def make_scan(*beams: tuple[float, Kind]) -> Rays:
+    """Beams along the middle of a row of cells of 1 m, from the middle of the first."""
+    kinds = np.array([[kind for _, kind in beams]], np.uint8)
+    reach = np.array([[length for length, _ in beams]], np.float32)
+    along = np.tile([1.0, 0.0], (1, len(beams), 1))
+    origin, stamp_ns = np.array([[[0.5, 0.5]]]), np.zeros(1, np.int64)
+    return Rays.along(origin, along, reach, kinds, stamp_ns, full_circle=False)

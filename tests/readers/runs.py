@@ -1,10 +1,16 @@
-"""Scans that come in runs, as single ones that can be compared."""
+"""Scans of a log, counted, and those that come in runs as single ones that can be compared."""
 
 from collections.abc import Iterable
 
 import numpy as np
 
+from occmap.readers import Log
 from occmap.types import Pose, Scan, ScanRun
+
+
+def count_scans(log: Log) -> int:
+    """How many scans of the usual topic are read."""
+    return len(list(log.scans({"/scan"})))
 
 
 def flatten(items: Iterable[Scan | ScanRun]) -> list[Scan]:

@@ -10,19 +10,16 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from occmap.errors import LogError
-from occmap.readers import Log, Note, Role, Stream, open_log, probe_path
+from occmap.readers import Note, Role, Stream, open_log, probe_path
 from occmap.readers.mcap import McapReader
 from tests.readers.ros import RANGES, ROS2, SCAN, Written, drive, scan, write_mcap
+from tests.readers.runs import count_scans
 
 NONE = {"compression": CompressionType.NONE, "chunk_size": 1000}
 ZSTD = {"compression": CompressionType.ZSTD, "chunk_size": 1000}
 _HEAD = 9
 _CHUNK_HEAD = 32
 """Of a chunk record, up to the name of its compression."""
-
-
-def count_scans(log: Log) -> int:
-    return len(list(log.scans({"/scan"})))
 
 
 def find_chunks(data: bytes | bytearray) -> list[tuple[int, int]]:

@@ -23,10 +23,6 @@ LEAF, INNER = 0x0D, 0x05
 TABLE = "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INT, timestamp INT, data BLOB)"
 
 
-def count_scans(log: Log) -> int:
-    return len(list(log.scans({"/scan"})))
-
-
 def read_stamps(log: Log) -> list[int]:
     return [scan.stamp_ns for scan in log.scans({"/scan"})]
 

@@ -11,7 +11,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.rosbag2 import StoragePlugin
 
 from occmap.errors import LogError
-from occmap.readers import Log, Note, Probe, Role, Stream, open_log, probe_path
+from occmap.readers import Note, Probe, Role, Stream, open_log, probe_path
 from occmap.readers.rosbag import RosbagReader
 from tests.readers.ros import (
     RANGES,
@@ -26,6 +26,7 @@ from tests.readers.ros import (
     transforms,
     write_bag1,
 )
+from tests.readers.runs import count_scans
 from tests.readers.test_bombs import bounded_memory
 from tests.test_damage import time_limit
 
@@ -35,10 +36,6 @@ MCAP = Bag2(StoragePlugin.MCAP)
 
 _BAG_HEAD = 13 + 4096
 """Where the first chunk starts: behind the magic and the bag header with its padding."""
-
-
-def count_scans(log: Log) -> int:
-    return len(list(log.scans({"/scan"})))
 
 
 def test_bags_are_recognised_by_content(tmp_path: Path) -> None:

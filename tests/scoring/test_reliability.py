@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from occmap.scoring.score import ReliabilityBin, score_map
-from occmap.types import Kind, OccupancyMap, Rays
+from occmap.types import Kind, OccupancyMap
+from tests.grid.scans import make_scan
 
 
 def make_map(probabilities: list[float | None]) -> OccupancyMap:
@@ -14,15 +15,6 @@ def make_map(probabilities: list[float | None]) -> OccupancyMap:
     known = np.array([[p is not None for p in probabilities]])
     odds = [0.0 if p is None else math.log(p / (1 - p)) for p in probabilities]
     return OccupancyMap(np.array([odds], np.float32), known, 1.0, (0.0, 0.0))
-
-
-def make_scan(*beams: tuple[float, Kind]) -> Rays:
-    """Beams along the row, from the middle of the first cell."""
-    kinds = np.array([[kind for _, kind in beams]], np.uint8)
-    reach = np.array([[length for length, _ in beams]], np.float32)
-    along = np.tile([1.0, 0.0], (1, len(beams), 1))
-    origin, stamp_ns = np.array([[[0.5, 0.5]]]), np.zeros(1, np.int64)
-    return Rays.along(origin, along, reach, kinds, stamp_ns, full_circle=False)
 
 
 def test_each_look_counts_in_the_bin_of_its_cell() -> None:
