@@ -80,6 +80,7 @@ def test_boxes_of_cells() -> None:
     assert box.join(CellBox(0, 0, 5, 1)) == CellBox(-2, 0, 5, 7)
     assert box.move(2, -1) == CellBox(0, 2, 3, 6)
     assert box.align(4) == CellBox(-4, 0, 4, 8)
+    assert CellBox(-2, 5, 1, 7).align(4) == CellBox(-4, 4, 4, 8)
     assert box.align(4).shrink(4) == CellBox(-1, 0, 1, 2)
     assert box.clip(CellBox(-5, 4, 0, 9)) == CellBox(-2, 4, 0, 7)
     assert box.clip(CellBox(5, 9, 6, 10)).cells == 0
