@@ -27,11 +27,11 @@ from occmap.report import (
     Report,
     Tally,
     describe_map,
-    list_dates,
     list_disagreement,
     list_frames,
+    list_idle_and_repeated,
     list_lacking,
-    list_requested,
+    note_idle_end,
     refuse_unseen,
     refuse_unused,
 )
@@ -120,12 +120,12 @@ def build_alone(
     new, resumed = options.resume_if_there, describe_resumed(saved) if saved else None
     disagreement = list(list_disagreement(grid))
     notes = [
-        *list_requested(paths, outputs, options.writing, options.model),
+        *list_idle_and_repeated(paths, outputs, options.writing, options.model),
         *remarks.notes,
         *([f"{new}: no such file, so this build adds to nothing"] if new and not saved else ()),
         *unaligned,
         *options.list_idle(),
-        *list_dates(options.selection, tally),
+        *note_idle_end(options.selection, tally),
         *list_frames(tally),
         *list_lacking(tally, resumed),
         *lost,

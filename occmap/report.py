@@ -34,7 +34,7 @@ LEAST_AGREEMENT = 0.55
 of the same logs leaves 0.27 to 0.56."""
 
 
-REASONS = tuple(map(str, (*DropReason, *LeftOut)))
+REASON_ORDER = tuple(map(str, (*DropReason, *LeftOut)))
 """Why scans are not used, in the order in which reports list it"""
 _LOCK = Lock()
 _WITHIN = local()
@@ -111,7 +111,7 @@ class Tally:
         """Count scans that are not used, by reason."""
         for reason, scans in reasons.items():
             self.dropped[str(reason)] = self.dropped.get(str(reason), 0) + scans
-        self.dropped = {why: self.dropped[why] for why in REASONS if why in self.dropped}
+        self.dropped = {why: self.dropped[why] for why in REASON_ORDER if why in self.dropped}
 
     def use(self, scans: int, beams: ReturnCounts) -> None:
         """Count scans that are used, and what their beams meant."""
@@ -302,7 +302,7 @@ class Remarks:
         self.damage += [f"{log.path}: {note.text}" for note in log.notes if note.damage]
 
 
-def list_requested(
+def list_idle_and_repeated(
     logs: Sequence[object], outputs: Sequence[Path], writing: WriteOptions, model: SensorModel
 ) -> Iterator[str]:
     """Say which options do nothing, and which logs were given more than once and count as often."""
@@ -376,7 +376,7 @@ def list_lacking(tally: Tally, resumed: Resumed | None) -> Iterator[str]:
         yield f"no beam {lack}: see the ranges in `occmap check`"
 
 
-def list_dates(selection: Selection, tally: Tally) -> Iterator[str]:
+def note_idle_end(selection: Selection, tally: Tally) -> Iterator[str]:
     """Say that `end_s` leaves nothing out: it may be meant as a date."""
     end_s = selection.end_s
     if end_s < math.inf and (end_s > LONGEST_LOG_S or str(LeftOut.TIME) not in tally.dropped):

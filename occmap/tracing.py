@@ -28,7 +28,7 @@ HANDED_BEAMS = 1 << 12
 """Fewer are traced in less time than it takes to hand them to another thread and wait for Python's
 lock: by two threads, a log of 20,000 laser frames with one scan each took six times as long."""
 
-Observe = Callable[[Rays], None]
+AddRays = Callable[[Rays], None]
 """Takes the rays of a batch; any number of threads may call it"""
 
 
@@ -61,7 +61,7 @@ def open_drive(log: Log, options: BuildOptions) -> Drive:
 def trace_logs(
     logs: Sequence[Log],
     options: BuildOptions,
-    begin: Callable[[], Observe],
+    begin: Callable[[], AddRays],
     tally: Tally,
 ) -> Iterator[tuple[Log, list[str]]]:
     """Read logs and trace their scans; yield each log with the notes on it.
@@ -91,7 +91,7 @@ def trace_logs(
 
 
 def trace(
-    drive: Drive, options: BuildOptions, observe: Observe, limits: RangeLimits, tally: Tally
+    drive: Drive, options: BuildOptions, observe: AddRays, limits: RangeLimits, tally: Tally
 ) -> list[str]:
     """Trace the scans of a log, or of a part of one, as a stream; say what is odd about them.
 

@@ -15,11 +15,11 @@ from occmap.sensor.bounds import NO_CLAMP
 from occmap.sensor.models import RadialModel, SensorModel, describe_model
 from occmap.types import Manifest, Update
 
-NO_OPTIONS = ("framing", "jobs", "resume", "resume_if_there")
-"""Fields of options that change nothing about what is observed."""
+UNRECORDED = ("framing", "jobs", "resume", "resume_if_there")
+"""Options that change nothing about what is observed, so builds do not record them."""
 BuildRecord = dict[str, Any]
 """An entry of `Manifest.builds`, as `describe_build` makes it"""
-OF_MAPS = ("prior", "cut", *NO_CLAMP)
+RENDER_PARAMETERS = ("prior", "cut", *NO_CLAMP)
 """Parameters of models that change how evidence is rendered, not the evidence itself."""
 MEANING = ("resolution", "update", "kind", "profile", "pass_gap_s", "hit_offset", "align")
 """What the numbers of evidence depend on: evidence that is combined is equal in all of these."""
@@ -46,7 +46,7 @@ def describe_build(
     LogError
         A file cannot be read any more.
     """
-    chosen = {name: value for name, value in write_value(options).items() if name not in NO_OPTIONS}
+    chosen = {name: value for name, value in write_value(options).items() if name not in UNRECORDED}
     poses = options.posing.poses
     trajectory = [Path(poses)] if poses and Path(poses).is_file() else []
     if trajectory:
@@ -135,5 +135,5 @@ def describe_profile(model: SensorModel) -> str:
     if not isinstance(model, RadialModel):
         return ""
     name, _, pairs = describe_model(model).partition(":")
-    kept = (pair for pair in pairs.split(",") if pair.partition("=")[0] not in OF_MAPS)
+    kept = (pair for pair in pairs.split(",") if pair.partition("=")[0] not in RENDER_PARAMETERS)
     return f"{name}:{','.join(kept)}"

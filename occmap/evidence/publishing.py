@@ -99,7 +99,7 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
     refuse_journeys(outputs)
     if options.overview is not None:
         refuse_layers(outputs)
-    model, manifest = settle(saved, options)
+    model, manifest = choose_model(saved, options)
     writers = list(map(find_writer, outputs))
     in_parts = all(isinstance(writer, ZarrWriter | WindowWriter) for writer in writers)
     grid: OccupancyMap | BlockMap
@@ -148,13 +148,13 @@ def render_kept(saved: Saved, options: RenderOptions, outputs: Sequence[Path] = 
         The model cannot read the evidence or knows no visits, or nothing is left of the map or it
         would be too large.
     """
-    model, manifest = settle(saved, options)
+    model, manifest = choose_model(saved, options)
     grid, seen = paint_saved(saved, model, options)
     report = summarise(manifest, model, seen, options, outputs)
     return Rendered(grid, report, replace(read_all(saved), manifest=manifest))
 
 
-def settle(saved: Saved, options: RenderOptions) -> tuple[SensorModel, Manifest]:
+def choose_model(saved: Saved, options: RenderOptions) -> tuple[SensorModel, Manifest]:
     """Choose the model, and say what evidence is that is to be rendered by it.
 
     Raises

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from occmap.errors import OutputError
-from occmap.evidence.manifest import NO_OPTIONS, write_value
+from occmap.evidence.manifest import UNRECORDED, write_value
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
 from occmap.fleet.reducing import ReduceJob, reduce_block
 from occmap.fleet.runs import BlockKey, Piece, read_pieces
@@ -27,7 +27,7 @@ from occmap.fleet.tasks import (
     Survey,
     SurveyJob,
     Traced,
-    count_wanted,
+    count_in_window,
     survey_log,
     trace_part,
 )
@@ -115,7 +115,7 @@ class Fleet:
             with tally.time("open"):
                 surveys = survey_logs(cluster, setting, paths)
             blocks: dict[BlockKey, dict[int, list[Piece]]] = {}
-            for log in trace_logs(cluster, setting, surveys, progress):
+            for log in trace_parts(cluster, setting, surveys, progress):
                 remarks.note(log, log.list_findings())
                 for part in log.parts:
                     tally.add(part.tally)
@@ -150,7 +150,7 @@ def open_scratch(
     """
     what = [
         version("occmap"),
-        {name: value for name, value in write_value(options).items() if name not in NO_OPTIONS},
+        {name: value for name, value in write_value(options).items() if name not in UNRECORDED},
         keep,
         fleet.slice_bytes,
         [[str(path), *describe_state(path)] for path in paths],
@@ -189,7 +189,7 @@ def survey_logs(cluster: Cluster, setting: Setting, paths: Sequence[Path]) -> li
     return surveys
 
 
-def trace_logs(
+def trace_parts(
     cluster: Cluster, setting: Setting, surveys: Sequence[Survey], progress: Progress
 ) -> list[LogTrace]:
     """Trace the parts of all logs, until each shows what its whole log shows."""
@@ -218,7 +218,7 @@ def plan_traces(cluster: Cluster, setting: Setting, surveys: Sequence[Survey]) -
             for job in LogTrace(setting, survey, counts[survey.log]).jobs
             if survey.parts > 1
         ]
-        for job, wanted in zip(jobs, cluster.run("count", count_wanted, jobs), strict=True):
+        for job, wanted in zip(jobs, cluster.run("count", count_in_window, jobs), strict=True):
             counts[job.survey.log][job.part or 0] = wanted
     return [LogTrace(setting, survey, counts[survey.log]) for survey in surveys]
 

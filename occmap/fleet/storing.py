@@ -29,8 +29,8 @@ from occmap.report import (
     Report,
     Shares,
     list_frames,
+    list_idle_and_repeated,
     list_lacking,
-    list_requested,
     refuse_unseen,
     refuse_unused,
     tell_disagreement,
@@ -126,7 +126,7 @@ def build_store(
             publish_store(store, follow_links(output))
     disagreement = list(tell_disagreement(facts.agreement, facts.has_walls))
     notes = [
-        *list_requested(paths, [output], options.writing, options.model),
+        *list_idle_and_repeated(paths, [output], options.writing, options.model),
         *remarks.notes,
         *unaligned,
         *options.list_idle(),

@@ -189,7 +189,7 @@ def open_part(job: TraceJob) -> Drive:
     return parts[job.part or 0]._replace(seam=job.seam)
 
 
-def count_wanted(job: TraceJob) -> int:
+def count_in_window(job: TraceJob) -> int:
     """Count the scans of a part that lie in the time window: what a stride goes by."""
     drive, options = open_part(job), job.setting.options
     selector = Selector(options.selection, options.posing.stamps, drive.seam)
@@ -212,12 +212,12 @@ def trace_part(job: TraceJob) -> Traced:
     if (known := read_stub(stub)) is not None:
         done: Traced = known
         return done
-    traced = trace_drive(job)
+    traced = trace_job(job)
     write_stub(stub, traced)
     return traced
 
 
-def trace_drive(job: TraceJob) -> Traced:
+def trace_job(job: TraceJob) -> Traced:
     """As `trace_part`, which keeps it."""
     drive, options = open_part(job), replace(job.setting.options, jobs=1)
     is_part = job.part is not None and job.survey.parts > 1

@@ -7,10 +7,10 @@ import numpy as np
 from occmap.errors import MapError
 from occmap.grid.kernels.units import TILE
 from occmap.grid.lattice import MOST_CELLS_OF_BEAM, CellBox, Lattice
-from occmap.grid.projection import Projected, prepare, project
+from occmap.grid.projection import Projected, offset_hits, project
 from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
-from occmap.grid.windows import Window, choose_window, count_observations, find_most
+from occmap.grid.windows import Window, choose_window, count_observations, find_most_observations
 from occmap.types import Rays, Slices
 
 ROOMY_CELLS = 1 << 22
@@ -60,12 +60,12 @@ class GridEngine:
         if not rays.kind.size:
             return
         refuse_far_sensors(rays, self.spec.lattice)
-        self._add_prepared(prepare(rays, self.spec))
+        self._add_prepared(offset_hits(rays, self.spec))
 
     def _add_prepared(self, rays: Rays) -> None:
         refuse_long_beams(rays, self.spec.lattice.resolution)
         refuse_many_beams(rays, self.spec)
-        too_much = count_observations(rays, self.spec) > find_most(self.spec)
+        too_much = count_observations(rays, self.spec) > find_most_observations(self.spec)
         too_wide = lie_far_apart(rays, self.spec.lattice.resolution)
         if (too_much or too_wide) and len(rays.kind) > 1:
             self._add_halves(rays)
@@ -136,7 +136,7 @@ def refuse_many_beams(rays: Rays, spec: GridSpec) -> None:
     MapError
         Saying how many beams a scan has.
     """
-    if count_observations(rays.take(slice(1)), spec) > find_most(spec):
+    if count_observations(rays.take(slice(1)), spec) > find_most_observations(spec):
         raise MapError(
             f"a scan of {rays.kind.shape[1]} beams is more than this model can count",
             fix="no laser has so many: see what is in the log with `occmap check`",

@@ -7,7 +7,7 @@ import numpy as np
 from occmap.grid.engine import refuse_far_sensors, refuse_long_beams
 from occmap.grid.kernels.units import TILE
 from occmap.grid.lattice import CellBox
-from occmap.grid.projection import prepare, project
+from occmap.grid.projection import offset_hits, project
 from occmap.grid.spec import GridSpec
 from occmap.grid.windows import choose_window
 from occmap.types import Bool, Int64, Rays
@@ -55,7 +55,7 @@ class CellProbe:
         return near
 
     def _trace(self, rays: Rays) -> tuple[int, int]:
-        projected = project(prepare(rays, self.spec), self.spec)
+        projected = project(offset_hits(rays, self.spec), self.spec)
         window = choose_window(self.spec, projected)(self.spec, self.box)
         window.observe(projected)
         tile = window.read().get((self.box.row // TILE, self.box.col // TILE))

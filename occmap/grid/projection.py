@@ -35,7 +35,7 @@ class Projected:
         return int(cells.mean() * beams.kinds.size)
 
 
-def prepare(rays: Rays, spec: GridSpec) -> Rays:
+def offset_hits(rays: Rays, spec: GridSpec) -> Rays:
     """Move hits behind the surfaces that were measured, and see a whole scan from one point."""
     if spec.hit_offset:
         offset = np.float32(spec.hit_offset * spec.lattice.resolution)
@@ -61,7 +61,7 @@ def join_viewpoints(rays: Rays) -> Rays:
 
 
 def project(rays: Rays, spec: GridSpec) -> Projected:
-    """Round rays, as `prepare` gives them, to the lattice, once."""
+    """Round rays, as `offset_hits` gives them, to the lattice, once."""
     depth = 0.0 if spec.radial is None else spec.radial.depth
     origins = spec.lattice.to_units(rays.origin)
     anchor = origins[0, 0] >> CELL_SHIFT << CELL_SHIFT

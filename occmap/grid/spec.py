@@ -48,7 +48,7 @@ COUNTS = Tables(0.0, np.ones(1, np.int64), np.full(1, 1 << COUNT_BITS), 1.0, 1, 
 """Each cell before the end of a beam is told of a miss, and the end of a hit."""
 
 
-Profile = Callable[[Float64], Float64]
+Formula = Callable[[Float64], Float64]
 """(T,) shares in [0, 1] to (T,) probabilities of being occupied."""
 
 TABLE_STEPS = 2048
@@ -60,7 +60,7 @@ SUREST = 2.0**-53
 log-odds stay within a window's integers, whatever a model says."""
 
 
-def tabulate(free: Profile, hit: Profile, depth: float) -> Tables:
+def tabulate(free: Formula, hit: Formula, depth: float) -> Tables:
     """Tabulate a radial model's probabilities, each at the middle of its step."""
     middle = np.minimum((np.arange(TABLE_STEPS + 1) + 0.5) / TABLE_STEPS, 1)
     tables = []

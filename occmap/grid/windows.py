@@ -30,7 +30,7 @@ def count_observations(rays: Rays, spec: GridSpec) -> int:
     return len(rays.kind) if once_a_scan else rays.kind.size * spec.unit
 
 
-def find_most(spec: GridSpec) -> int:
+def find_most_observations(spec: GridSpec) -> int:
     """How often a cell may be observed before its window must be emptied."""
     once_a_scan = spec.update is Update.POLYGON and spec.radial is None
     return MOST_SCANS if once_a_scan else spec.tables.most_observations
@@ -61,7 +61,9 @@ class Window(ABC):
     def has_room(self, projected: Projected) -> bool:
         """Whether rays lie wholly in the box and cannot make a number overflow."""
         observations = self.observations + count_observations(projected.rays, self.spec)
-        return self.box.contains(projected.box) and observations <= find_most(self.spec)
+        return self.box.contains(projected.box) and observations <= find_most_observations(
+            self.spec
+        )
 
     def observe(self, projected: Projected) -> None:
         """Observe what lies in the box."""

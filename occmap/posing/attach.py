@@ -46,8 +46,8 @@ POSES_OF_BODY = (
     "leave that out if they are the laser's own"
 )
 
-UNTURNED = (0, 0, 0, 0, 0, 0, 1)
-"""Stands in for a pose that is not finite."""
+IDENTITY = (0, 0, 0, 0, 0, 0, 1)
+"""No shift and no turn; also stands in for a pose that is not finite."""
 
 
 @dataclass(eq=False)
@@ -287,7 +287,7 @@ class Poser:
 def _find_above(options: PosingOptions) -> Found | None:
     """Find where the log's map frame lies in the map that is made; None where they are one."""
     aligned = Pose.planar(0.0, 0.0, math.radians(options.align or 0.0))
-    ways = [pose for pose in (aligned, options.transform) if pose and pose != UNTURNED]
+    ways = [pose for pose in (aligned, options.transform) if pose and pose != IDENTITY]
     founds = [Found.of(track.position, track.quaternion) for track in map(Track.fixed, ways)]
     return reduce(Found.then, founds) if founds else None
 
@@ -310,7 +310,7 @@ def _list_idle(options: PosingOptions) -> Iterator[str]:
 def _read_stated(pose: Float64, mount: Pose | None) -> Found:
     """Read the poses (S, 7) that a log states beside its scans, of the sensor or of its body."""
     usable, norm = find_usable(pose)
-    pose = np.where(usable[:, None], pose, UNTURNED)
+    pose = np.where(usable[:, None], pose, IDENTITY)
     found = Found.of(pose[:, :3], pose[:, 3:] / norm[:, None])
     found.status[~usable] = Status.NOT_FINITE
     if mount is None:

@@ -205,7 +205,7 @@ class CarmenLog:
             self._count_words(words, block)
             for some in self._parse_block(words, block, tally):
                 self._survey_scans(some)
-        self._words = +self._words
+        self._words = +self._words  # drops keywords of which no line was a scan
         tally.judge(self.path, self.notes, FIX)
         if len(self._stamps) == 1 and sum(self._words[word] for word in POSED_FRAMES) > 1:
             add_note(self.notes, Note("all scans have one time: they are taken in their order"))

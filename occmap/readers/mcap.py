@@ -142,12 +142,13 @@ class McapSource:
         held: Counter[int] = Counter()
         seen: set[int] = set()
         for block in self._iterate_blocks(file, None):
-            digest = hash(block.records)
-            if block.is_chunk and digest in seen:
+            key = hash(block.records)
+            if block.is_chunk and key in seen:
                 self._repeated.add(block.position)
                 self._note(block.position, "is there twice, and is used once")
                 continue
-            seen.add(digest)
+            seen.add(key)
+            # `int` chooses every channel, by its number.
             held.update(key for key, _, _ in self._iterate_messages(block, int, table))
         statistics = self._summary.statistics
         if statistics is not None and statistics.message_count != held.total():

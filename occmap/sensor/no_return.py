@@ -145,7 +145,7 @@ class RangeLimits:
     """
 
     def __init__(self, options: ReturnOptions) -> None:
-        self._asked = options.range_max is None
+        self._looks = options.range_max is None
         self._tallies: dict[str, RangeTally] = {}
         self._senseless: dict[str, float] = {}
         """What scans of a topic state as their limit and none can be (m)"""
@@ -154,7 +154,7 @@ class RangeLimits:
 
     def see(self, some: Scan | ScanRun) -> None:
         """Count the ranges of a scan, or of those of a run."""
-        if self._asked and not self._settled and some.ranges.size:
+        if self._looks and not self._settled and some.ranges.size:
             first = some.first
             tally = self._tallies.setdefault(first.topic, RangeTally())
             _, range_max = read_limits(first)
@@ -164,7 +164,7 @@ class RangeLimits:
 
     def apply(self, batch: ScanBatch) -> ScanBatch:
         """State the limit in a batch of scans."""
-        if not self._asked:
+        if not self._looks:
             return batch
         if batch.topic not in self._applied:
             self._applied[batch.topic] = self._find(batch.topic)

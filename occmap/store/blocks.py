@@ -248,11 +248,11 @@ def split_evidence(evidence: Evidence) -> Iterator[tuple[Block, BlockContent]]:
             take(layer, which.get(block, nothing))
             for layer, which in zip(evidence.slices, layers, strict=True)
         )
-        logs = name_logs(evidence.manifest, slices)
+        logs = list_observing_logs(evidence.manifest, slices)
         yield block, BlockContent(evidence.tiles[places], evidence.cells[places], slices, logs)
 
 
-def name_logs(manifest: Manifest, slices: Sequence[Slices]) -> tuple[int, ...]:
+def list_observing_logs(manifest: Manifest, slices: Sequence[Slices]) -> tuple[int, ...]:
     """The logs of all builds that observed something, since nobody knows which of them did."""
     counts = [len(list_inputs(build)) for build in manifest.builds]
     starts = accumulate(counts, initial=0)

@@ -18,7 +18,7 @@ from occmap.store.blocks import (
     Block,
     BlockContent,
     join_contents,
-    name_logs,
+    list_observing_logs,
     split_evidence,
 )
 from occmap.store.reading import Store, open_store
@@ -177,7 +177,7 @@ class Combined:
             ]
         )
         if len(self.manifest.builds) < sum(len(each.manifest.builds) for each in self.parts):
-            logs = name_logs(self.manifest, made.slices)
+            logs = list_observing_logs(self.manifest, made.slices)
         else:
             starts = accumulate((count_logs(each.manifest) for each in self.parts), initial=0)
             pairs = zip(starts, contents, strict=False)

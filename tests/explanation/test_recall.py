@@ -11,7 +11,7 @@ import pytest
 
 from occmap.batching import Selection
 from occmap.errors import MapError
-from occmap.evidence.manifest import NO_OPTIONS, describe_build
+from occmap.evidence.manifest import UNRECORDED, describe_build
 from occmap.explanation.recall import recall_options
 from occmap.options import BuildOptions
 from occmap.posing.options import Deskew, PosingOptions, Stamps
@@ -79,7 +79,7 @@ def list_usual(group: Any, usual: Any, name: str = "") -> list[str]:
 
 
 def test_every_option_is_tested() -> None:
-    left = {"extent", "margin"} | set(NO_OPTIONS) - {"framing"}
+    left = {"extent", "margin"} | set(UNRECORDED) - {"framing"}
     assert set(list_usual(UNUSUAL, BuildOptions())) == left
 
 

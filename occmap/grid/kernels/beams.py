@@ -27,7 +27,7 @@ from occmap.grid.kernels.units import (
 from occmap.jit import kernel
 from occmap.types import Float64, Int32, Int64, UInt8
 
-FRACTION_BITS = 50
+SLOPE_BITS = 50
 """Of the fixed-point number that walks from cell to cell; the rest is steps along v."""
 FARTHEST_CENTRE = 1.25
 """Cells by which a cell's centre may be farther from the sensor than its place on the line: half a
@@ -219,9 +219,9 @@ def trace_beams(
                 if i < end:
                     # q is how far the line has moved along v, of which v holds the whole steps.
                     made = count_steps(line, i)
-                    slope = q = 1 << (FRACTION_BITS - 1)
+                    slope = q = 1 << (SLOPE_BITS - 1)
                     if m:
-                        per_cell = (1 << FRACTION_BITS) / float(n)
+                        per_cell = (1 << SLOPE_BITS) / float(n)
                         slope = int(m * per_cell)
                         q = int((2 * i * m + n - 2 * n * made) * (per_cell / 2)) + 2 * n
                     else:
@@ -239,8 +239,8 @@ def trace_beams(
                     length = ((side - (u & side)) if line.u_sign > 0 else (u & side)) + 1
                     length = min(length, end - i)
                     room = (side - (v & side)) if line.v_sign > 0 else (v & side)
-                    if (q + (length - 1) * slope) >> FRACTION_BITS > room:
-                        length = (((room + 1) << FRACTION_BITS) - q + slope - 1) // slope
+                    if (q + (length - 1) * slope) >> SLOPE_BITS > room:
+                        length = (((room + 1) << SLOPE_BITS) - q + slope - 1) // slope
                     row, col = (u, v) if line.steep else (v, u)
                     block = table[row >> bits, col >> bits]
                     if block < 0:
@@ -254,13 +254,13 @@ def trace_beams(
                     entry = weight * free[0]
                     to_plain = place + cells.plain
                     for _ in range(few):
-                        numbers[np.uint64(to_plain + (q >> FRACTION_BITS) * across)] += entry
+                        numbers[np.uint64(to_plain + (q >> SLOPE_BITS) * across)] += entry
                         to_plain += along
                         q += slope
                     place += few * along
                     from_u += few * line.u_sign * UNITS_PER_CELL
                     for _ in range(few, length):
-                        moved = q >> FRACTION_BITS
+                        moved = q >> SLOPE_BITS
                         off_v = from_v + line.v_sign * (moved << CELL_SHIFT)
                         squared = float(from_u * from_u + off_v * off_v)
                         if squared < until:
@@ -282,8 +282,8 @@ def trace_beams(
                         from_u += line.u_sign * UNITS_PER_CELL
                         q += slope
                     u += line.u_sign * length
-                    v += line.v_sign * (q >> FRACTION_BITS)
-                    q &= (1 << FRACTION_BITS) - 1
+                    v += line.v_sign * (q >> SLOPE_BITS)
+                    q &= (1 << SLOPE_BITS) - 1
                     i += length
                 if part < parts:
                     if part == 1:

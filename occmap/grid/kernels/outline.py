@@ -42,7 +42,7 @@ class Surfaces(NamedTuple):
     """The scans may reach beyond the window"""
 
 
-class Beams(NamedTuple):
+class ScanBeams(NamedTuple):
     """The beams of one scan, as in `Rays`, and where on the lattice they end."""
 
     origin: Float64
@@ -62,7 +62,7 @@ class Beams(NamedTuple):
 
 
 @kernel
-def link_beams(beams: Beams, surfaces: Surfaces, links: UInt8, listed: Int32) -> Int32:
+def link_beams(beams: ScanBeams, surfaces: Surfaces, links: UInt8, listed: Int32) -> Int32:
     """Say what each beam of a scan has to do with the one before it.
 
     No branches: then many beams are compared at a time, and few are left to be looked at: returns
@@ -117,7 +117,7 @@ def _link(
 
 @kernel
 def outline_scan(
-    beams: Beams,
+    beams: ScanBeams,
     surfaces: Surfaces,
     links: UInt8,
     listed: Int32,
@@ -194,7 +194,7 @@ def _add_corner(
 
 @kernel
 def list_border(
-    beams: Beams,
+    beams: ScanBeams,
     links: UInt8,
     listed: Int32,
     surfaces: Surfaces,

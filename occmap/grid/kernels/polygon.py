@@ -12,7 +12,7 @@ a span of its own scan, and that is taken off in the end.
 import numpy as np
 
 from occmap.grid.kernels.fill import fill_outline
-from occmap.grid.kernels.outline import Beams, Surfaces, link_beams, list_border, outline_scan
+from occmap.grid.kernels.outline import ScanBeams, Surfaces, link_beams, list_border, outline_scan
 from occmap.grid.kernels.units import PAD
 from occmap.jit import kernel
 from occmap.types import Bool, Float32, Float64, Int32, Int64, UInt8
@@ -66,7 +66,9 @@ def trace_polygons(
     found, spans = np.empty((2, 4 * rows), np.int32), np.empty(4 * rows, np.int32)
     mask = np.empty(border.shape, np.bool_)
     for s in range(scans):
-        scan = Beams(origin[s, 0], turn[s], bearing, distance[s], kinds[s], ends_x[s], ends_y[s])
+        scan = ScanBeams(
+            origin[s, 0], turn[s], bearing, distance[s], kinds[s], ends_x[s], ends_y[s]
+        )
         listed = link_beams(scan, surfaces, links, room)
         corners, touched = outline_scan(scan, surfaces, links, listed, x, y, begins, rows)
         found, spans = fill_outline(

@@ -65,7 +65,7 @@ def trace_radial_polygons(
     free, hit, depth, plain = profile.free, profile.hit, profile.depth, profile.plain
     direction, ranges = np.empty((beams, 2), np.float64), np.empty(beams, np.float64)
     sides = np.empty((beams, 4), np.float64)
-    covers, joined = np.empty(beams, np.bool_), np.empty(beams, np.bool_)
+    covers, shares_side = np.empty(beams, np.bool_), np.empty(beams, np.bool_)
     lengths, covering = np.empty((beams, 4), np.float64), np.empty(BEARINGS + 1, np.int32)
     limits, within = np.empty((beams + 1, 4), np.float64), np.empty(beams, np.float64)
     entries = np.concatenate((free, hit, np.zeros(1, np.int64)))
@@ -79,10 +79,10 @@ def trace_radial_polygons(
         at_x = round_to_units(origin[s, 0, 0], units_per_metre) - corner[0]
         at_y = round_to_units(origin[s, 0, 1], units_per_metre) - corner[1]
         aim(turn[s], bearing, distance[s], units_per_metre, direction, ranges)
-        sign = find_sectors(direction, kinds[s], full_circle, sides, covers, joined)
+        sign = find_sectors(direction, kinds[s], full_circle, sides, covers, shares_side)
         side_by_side = cover_bearings(sides, kinds[s], covers, sign, covering)
         reach_out(direction, ranges, kinds[s], full_circle, depth, sides, lengths)
-        corners = outline_sectors(at_x, at_y, sides, lengths, covers, joined, x, y, begins)
+        corners = outline_sectors(at_x, at_y, sides, lengths, covers, shares_side, x, y, begins)
         touched = find_rows(y, corners, rows)
         found, spans = fill_outline(
             x, y, begins, corners, touched, cols, starts, counts, found, spans
@@ -91,8 +91,8 @@ def trace_radial_polygons(
         if side_by_side:
             for b in range(beams):
                 within[b] = max(plain * (ranges[b] - depth) * (1 - 1e-6) - ROUNDED, 0.0)
-            stay_inside(within, sides, sign, joined, lengths)
-            corners = outline_sectors(at_x, at_y, sides, lengths, covers, joined, x, y, begins)
+            stay_inside(within, sides, sign, shares_side, lengths)
+            corners = outline_sectors(at_x, at_y, sides, lengths, covers, shares_side, x, y, begins)
             found, inner = fill_outline(
                 x, y, begins, corners, touched, cols, inner_starts, inner_counts, found, inner
             )

@@ -30,7 +30,7 @@ def find_sectors(
     full_circle: bool,
     sides: Float64,
     covers: Bool,
-    joined: Bool,
+    shares_side: Bool,
 ) -> float:
     """Find what each beam covers: from half-way to one neighbour to half-way to the other.
 
@@ -38,8 +38,8 @@ def find_sectors(
     that at the side of the beam after, at most 60 degrees away. `covers` (B,) too: False where a
     beam is SKIP, and where its sides lie the wrong way round. That happens where a scan is not seen
     from where it was taken and a nearer thing shifts across a farther one; its neighbours' sectors
-    then overlap. `joined` (B,) says whether a sector begins where the one before ends, which 60
-    degrees may have ended earlier.
+    then overlap. `shares_side` (B,) says whether a sector begins where the one before ends, which
+    60 degrees may have ended earlier.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def find_sectors(
         covers[b] = kinds[b] != 0 and sign * widening > ROUNDING
     for b in range(beams):
         shared = sides[b - 1, 2] == sides[b, 0] and sides[b - 1, 3] == sides[b, 1]
-        joined[b] = b > 0 and covers[b - 1] and covers[b] and shared
+        shares_side[b] = b > 0 and covers[b - 1] and covers[b] and shared
     return sign
 
 
@@ -125,14 +125,16 @@ def cover_bearings(
 
 
 @kernel
-def stay_inside(own: Float64, sides: Float64, sign: float, joined: Bool, lengths: Float64) -> None:
+def stay_inside(
+    own: Float64, sides: Float64, sign: float, shares_side: Bool, lengths: Float64
+) -> None:
     """Write how far sectors go so that what is outlined is surely theirs and no longer than `own`.
 
     Where neighbours differ (B,), the outline runs within the longer, so far from their side that no
     cell of it is the shorter's. A sector that is too narrow for that goes only as far as both of
     its neighbours do.
     """
-    beams = joined.size
+    beams = shares_side.size
     reach, inward = np.empty(beams, np.float64), np.empty(beams, np.float64)
     for b in range(beams):
         after = b + 1 if b + 1 < beams else 0
@@ -142,7 +144,7 @@ def stay_inside(own: Float64, sides: Float64, sign: float, joined: Bool, lengths
         reach[b] = own[b] if is_wide else min(own[b - 1], own[b], own[after])
     for b in range(beams):
         least, shift_before, shift = 0.0, -inward[b - 1], inward[b]
-        if joined[b]:
+        if shares_side[b]:
             least = min(reach[b - 1], reach[b])
             shift_before = shift = shift if reach[b] > reach[b - 1] else shift_before
         length = reach[b - 1] if shift_before else least
@@ -159,7 +161,7 @@ def outline_sectors(
     sides: Float64,
     lengths: Float64,
     covers: Bool,
-    joined: Bool,
+    shares_side: Bool,
     x: Int64,
     y: Int64,
     begins: Bool,
@@ -174,7 +176,7 @@ def outline_sectors(
     for b in range(covers.size):
         if not covers[b]:
             continue
-        if not joined[b]:
+        if not shares_side[b]:
             x[corners], y[corners], begins[corners] = at_x, at_y, True
             corners += 1
         for i in range(0, 4, 2):
@@ -183,7 +185,7 @@ def outline_sectors(
             y[corners] = at_y + int(np.rint(along * sides[b, i + 1] + left * sides[b, i]))
             begins[corners] = False
             corners += 1
-        if b + 1 == covers.size or not joined[b + 1]:
+        if b + 1 == covers.size or not shares_side[b + 1]:
             x[corners], y[corners], begins[corners] = at_x, at_y, False
             corners += 1
     return corners
