@@ -13,8 +13,8 @@ from occmap.options import BuildOptions
 from occmap.readers import Log, open_log
 from occmap.report import Remarks, Tally
 from occmap.sensor.returns import ReturnOptions
-from occmap.tracing import choose_engine, make_grid, trace_logs
-from occmap.types import Rays, Slices
+from occmap.tracing import AddRays, choose_engine, make_grid, trace_logs
+from occmap.types import Slices
 
 if TYPE_CHECKING:  # as in tracing
     from occmap.grid.engine import GridEngine
@@ -101,12 +101,12 @@ def observe_log(
     log: Log, options: BuildOptions, keep_slices: bool, tally: Tally
 ) -> tuple["GridEngine | SlicedEngine", list[str]]:
     """Trace a log in an engine of its own; return the engine, and notes on the log."""
-    engine = choose_engine(options, keep_slices)
+    engines: list[GridEngine | SlicedEngine] = []
 
-    def begin() -> Callable[[Rays], None]:
-        nonlocal engine
-        engine = choose_engine(options, keep_slices)
-        return engine.add
+    def begin() -> AddRays:
+        engines.clear()  # where the log is read once more, the first one is of no use
+        engines.append(choose_engine(options, keep_slices))
+        return engines[-1].add
 
-    ((_, notes),) = trace_logs([log], options, begin, tally)
-    return engine, notes
+    traced = trace_logs([log], options, begin, tally)
+    return engines[-1], traced[0][1]

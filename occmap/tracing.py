@@ -1,6 +1,6 @@
 """Read, pose, interpret and trace the scans of a log, as a stream of batches."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from occmap.batching import FROM_THE_START, Batcher, Seam
@@ -29,7 +29,7 @@ HANDED_BEAMS = 1 << 12
 lock: by two threads, a log of 20,000 laser frames with one scan each took six times as long."""
 
 AddRays = Callable[[Rays], None]
-"""Takes the rays of a batch; any number of threads may call it"""
+"""Adds the rays of a batch to the evidence; any number of threads may call it."""
 
 
 class Drive(NamedTuple):
@@ -63,8 +63,8 @@ def trace_logs(
     options: BuildOptions,
     begin: Callable[[], AddRays],
     tally: Tally,
-) -> Iterator[tuple[Log, list[str]]]:
-    """Read logs and trace their scans; yield each log with the notes on it.
+) -> list[tuple[Log, list[str]]]:
+    """Read logs and trace their scans; return each log with the notes on it.
 
     What stands for "no return" is known for sure only when a log was read to its end. Where its
     first scans did not show that, all of these logs are read once more.
@@ -72,26 +72,27 @@ def trace_logs(
     Parameters
     ----------
     begin
-        Called before the logs are read; returns what observes the rays.
+        Called each time that the logs are read; returns what takes their rays.
     """
     limits = [RangeLimits(options.returns) for _ in logs]
     for _ in range(2):
-        counts, observe = tally.start_over(), begin()
+        counts = tally.start_over()
+        add_rays = begin()
         notes = []
         for log, limit in zip(logs, limits, strict=True):
             with counts.time("poses"):
                 drive = open_drive(log, options)
-            odd = trace(drive, options, observe, limit, counts)
+            odd = trace(drive, options, add_rays, limit, counts)
             notes.append([*drive.poser.notes, *odd, *limit.list_notes()])
         if settle(limits):
             break
         counts.advance(-counts.told)  # the same scans are read once more
     tally.add(counts)
-    yield from zip(logs, notes, strict=True)
+    return list(zip(logs, notes, strict=True))
 
 
 def trace(
-    drive: Drive, options: BuildOptions, observe: AddRays, limits: RangeLimits, tally: Tally
+    drive: Drive, options: BuildOptions, add_rays: AddRays, limits: RangeLimits, tally: Tally
 ) -> list[str]:
     """Trace the scans of a log, or of a part of one, as a stream; say what is odd about them.
 
@@ -105,7 +106,7 @@ def trace(
     def work(rays: Rays) -> None:
         with tally.time("trace"):
             try:
-                observe(rays)
+                add_rays(rays)
             except MapError as error:
                 raise error.placed(drive.log.path) from None
 

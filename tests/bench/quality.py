@@ -88,8 +88,7 @@ def read_scans(recording: Recording, options: BuildOptions) -> Scans:
     posing = replace(recording.posing, deskew=options.posing.deskew)
     in_order = replace(options, posing=posing, jobs=1)
     log = open_log(recording.path, options.reading)
-    for _ in trace_logs([log], in_order, begin, Tally()):
-        pass
+    trace_logs([log], in_order, begin, Tally())
     refuse_unscored([str(recording.path)], hold_out)
     return Scans(seen, hold_out.held)
 
