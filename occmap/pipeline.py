@@ -1,6 +1,6 @@
 """The whole tool on one page: logs in, an occupancy map and a report out."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -27,15 +27,15 @@ from occmap.report import (
     Report,
     Tally,
     describe_map,
-    list_disagreement,
     list_frames,
     list_idle_and_repeated,
     list_lacking,
     note_idle_end,
     refuse_unseen,
     refuse_unused,
+    tell_disagreement,
 )
-from occmap.types import Evidence, OccupancyMap
+from occmap.types import Evidence, Manifest, OccupancyMap
 from occmap.writers import Product, check_outputs, want_evidence, want_journey, write_outputs
 from occmap.writers.atomic import hold_alone
 
@@ -73,25 +73,26 @@ def build(
     """
     check_outputs(outputs, list_inputs(paths, options))
     with hold_alone(options.resume or options.resume_if_there, outputs):
-        # Not after a fleet: it would be read once more, here.
-        look = partial(look_into, paths, options) if observe is observe_here else dict
-        return build_alone(paths, options, outputs, partial(observe, progress=progress), look)
+        # A fleet's logs are not inspected: this process would have to read them all again.
+        inspect = partial(inspect_logs, paths, options) if observe is observe_here else dict
+        return build_locked(paths, options, outputs, partial(observe, progress=progress), inspect)
 
 
 def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
     """List the files that a build reads, which nothing may write over."""
     bags = [path / "metadata.yaml" for path in paths]  # of a folder that is a bag
-    return [*paths, *bags, Path(options.posing.poses or "")]
+    poses = [Path(options.posing.poses)] if options.posing.poses else []
+    return [*paths, *bags, *poses]
 
 
-def build_alone(
+def build_locked(
     paths: Sequence[Path],
     options: BuildOptions,
     outputs: Sequence[Path],
     observe: Callable[[Sequence[Path], BuildOptions, Keep], Observed],
-    look: Callable[[], dict[str, Any]],
+    inspect: Callable[[], dict[str, Any]],
 ) -> Build:
-    """Build and write a map, while nobody else adds to the same evidence."""
+    """Build and write a map while this process holds the lock on its evidence."""
     saved = open_past(options)
     options, unaligned = settle_align(paths, adopt_align(options, saved))
     keeps_times = options.min_passes is not None or want_evidence(outputs)
@@ -112,29 +113,24 @@ def build_alone(
 
     manifest = plan_manifest(options)
     if want_evidence(outputs):  # only then: it takes time to hash the logs
-        past = saved.manifest if saved else manifest
-        with tally.time("write"):
-            made = describe_build(paths, options, tally.to_json())
-        manifest = replace(manifest, builds=(*past.builds, made), subtracted=past.subtracted)
+        manifest = describe_evidence(paths, options, tally, saved)
 
-    new, resumed = options.resume_if_there, describe_resumed(saved) if saved else None
-    disagreement = list(list_disagreement(grid))
-    notes = [
+    resumed = describe_resumed(saved) if saved else None
+    facts = describe_map(grid, options.writing)
+    remarks.notes = [
         *list_idle_and_repeated(paths, outputs, options.writing, options.model),
         *remarks.notes,
-        *([f"{new}: no such file, so this build adds to nothing"] if new and not saved else ()),
+        *list_unresumed(options, saved),
         *unaligned,
         *options.list_idle(),
         *note_idle_end(options.selection, tally),
         *list_frames(tally),
         *list_lacking(tally, resumed),
         *lost,
-        *disagreement,
-        *(list_misfits(paths, options) if disagreement else ()),
+        *list_contradictions(paths, options, facts),
         *list_repeated(manifest.builds),
         *list_mixed(manifest),
     ]
-    facts, remarks = describe_map(grid, options.writing), replace(remarks, notes=notes)
     report = replace(make_report(facts, options, tally, remarks), resumed=resumed)
 
     product = Product(
@@ -142,7 +138,7 @@ def build_alone(
         cache(partial(to_evidence, tiles, manifest, slices, saved.where if saved else "")),
         tally.recorder.finish() if tally.recorder else None,
         report.to_json,
-        look,
+        inspect,
     )
     with tally.time("write"):
         files = write_outputs(outputs, product, options.writing)
@@ -150,8 +146,8 @@ def build_alone(
     return Build(grid, report, tiles, product.evidence() if want_evidence(outputs) else None)
 
 
-def look_into(paths: Sequence[Path], options: BuildOptions) -> dict[str, Any]:
-    """Look into the logs as `occmap check` does."""
+def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> dict[str, Any]:
+    """Inspect the logs as `occmap check` does."""
     from occmap.inspection import inspect  # noqa: PLC0415  late: few builds want it
 
     return inspect(paths, options).to_json()
@@ -169,6 +165,33 @@ def adopt_align(options: BuildOptions, saved: Evidence | None) -> BuildOptions:
     if saved is None or options.posing.align is not None:
         return options
     return replace(options, posing=replace(options.posing, align=saved.manifest.align))
+
+
+def describe_evidence(
+    paths: Sequence[Path], options: BuildOptions, tally: Tally, saved: Evidence | None
+) -> Manifest:
+    """Describe what evidence is made of: this build, after those that it is added to."""
+    manifest = plan_manifest(options)
+    past = saved.manifest if saved else manifest
+    with tally.time("write"):
+        made = describe_build(paths, options, tally.to_json())
+    return replace(manifest, builds=(*past.builds, made), subtracted=past.subtracted)
+
+
+def list_unresumed(options: BuildOptions, saved: Evidence | None) -> Iterator[str]:
+    """Say that the file that a build may be added to is not there."""
+    if options.resume_if_there and not saved:
+        yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
+
+
+def list_contradictions(
+    paths: Sequence[Path], options: BuildOptions, facts: MapFacts
+) -> Iterator[str]:
+    """Say that the scans of a map contradict each other, and which mount would fit better."""
+    disagreement = list(tell_disagreement(facts.agreement, facts.has_walls))
+    if disagreement:
+        yield from disagreement
+        yield from list_misfits(paths, options)
 
 
 def make_report(facts: MapFacts, options: BuildOptions, tally: Tally, remarks: Remarks) -> Report:

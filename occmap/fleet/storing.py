@@ -20,10 +20,9 @@ from occmap.fleet.runs import read_stub, write_stub
 from occmap.fleet.tasks import Setting, SurveyJob, hash_log
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing, paint
-from occmap.mounts import list_misfits
 from occmap.observing import Keep, Progress
 from occmap.options import BuildOptions
-from occmap.pipeline import list_inputs, make_report
+from occmap.pipeline import list_contradictions, list_inputs, make_report
 from occmap.report import (
     MapFacts,
     Report,
@@ -33,7 +32,6 @@ from occmap.report import (
     list_lacking,
     refuse_unseen,
     refuse_unused,
-    tell_disagreement,
 )
 from occmap.sensor.models import find_decision
 from occmap.store.blocks import BLOCK, Block, BlockContent, BlockRecord
@@ -124,19 +122,17 @@ def build_store(
         with tally.time("write"):
             finish_store(store, manifest, records, run=skip_painted)
             publish_store(store, follow_links(output))
-    disagreement = list(tell_disagreement(facts.agreement, facts.has_walls))
-    notes = [
+    remarks.notes = [
         *list_idle_and_repeated(paths, [output], options.writing, options.model),
         *remarks.notes,
         *unaligned,
         *options.list_idle(),
         *list_frames(tally),
         *list_lacking(tally, None),
-        *disagreement,
-        *(list_misfits(paths, options) if disagreement else ()),
+        *list_contradictions(paths, options, facts),
         *list_repeated(manifest.builds),
     ]
-    remarks = replace(remarks, notes=notes, files=[str(output)])
+    remarks.files = [str(output)]
     return make_report(facts, options, tally, remarks)
 
 
