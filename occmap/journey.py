@@ -90,7 +90,10 @@ class JourneyRecorder:
         """Return what was kept, laser by laser, in the order in which it was recorded."""
         trajectories = tuple(
             Trajectory(
-                *(log, topic, way.parent, frame if frame != way.parent else STATED_LASER),
+                log,
+                topic,
+                way.parent,
+                frame if frame != way.parent else STATED_LASER,
                 np.concatenate([*way.stamps, np.zeros(0, np.int64)]),
                 np.concatenate([*way.poses, np.zeros((0, 7))]),
                 tuple(way.dropped),

@@ -61,6 +61,11 @@ class ScanCounts:
         """Scans that the user asked for."""
         return count_wanted(self.read, self.dropped)
 
+    @property
+    def dropped_share(self) -> float:
+        """The share of these that are not used; 0 of nothing."""
+        return (self.wanted - self.used) / max(self.wanted, 1)
+
 
 class Tally:
     """Counts and times that grow while a map is built; any thread may call `time`, one all else."""
@@ -219,6 +224,11 @@ class MapSummary:
         """How many there are."""
         return self.columns * self.rows
 
+    @property
+    def area(self) -> float:
+        """Area of the cells that are not unknown (m²)."""
+        return self.cells * (1 - self.unknown) * self.resolution**2
+
     @classmethod
     def describe(
         cls, facts: MapFacts, resolution: float, manifest: Manifest, min_passes: int | None
@@ -268,6 +278,16 @@ class Report:
     seconds: dict[str, float] = field(default_factory=dict)
     """Time by stage (s); where threads work at the same time, their times add up; empty where no
     log was read"""
+
+    @property
+    def hit_share(self) -> float:
+        """The share of beams that hit something; 0 of nothing."""
+        return self.beams.hit / max(sum(self.beams), 1)
+
+    @property
+    def no_return_share(self) -> float:
+        """The share of beams that nothing came back to; 0 of nothing."""
+        return self.beams.no_return / max(sum(self.beams), 1)
 
     def to_json(self) -> dict[str, Any]:
         """Give the report as values that JSON has."""

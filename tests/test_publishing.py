@@ -101,7 +101,12 @@ def test_the_action_maps_a_log_and_compares_it(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout) == (0, ""), done.stderr
     folder = tmp_path / "occmap-map"
     assert {path.name for path in folder.iterdir()} == {
-        *("check.json", "build.json", "map.pgm", "map.yaml", "map.png", "map.npz")
+        "check.json",
+        "build.json",
+        "map.pgm",
+        "map.yaml",
+        "map.png",
+        "map.npz",
     }
     assert json.loads((folder / "build.json").read_text())["map"]["resolution"] == 0.1
     again = act(tmp_path, log=log, reference="occmap-map/map.yaml", folder="fine")

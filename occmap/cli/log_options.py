@@ -6,22 +6,32 @@ from occmap.cli.sections import join
 ranges = join(
     field(RANGES, "min_range", "M", "Ignore nearer ranges."),
     field(
-        *(RANGES, "max_range", "M", "Use beams up to here; a longer one is free up to here."),
+        RANGES,
+        "max_range",
+        "M",
+        "Use beams up to here; a longer one is free up to here.",
         show_default="no limit",
     ),
     field(
-        *(RANGES, "range_max", "M", "The sensor's limit: at or beyond it nothing came back."),
+        RANGES,
+        "range_max",
+        "M",
+        "The sensor's limit: at or beyond it nothing came back.",
         show_default="what the log states",
     ),
     choice(RANGES, "no_return", "Where nothing came back: free up to the limit, or nothing known."),
     field(
-        *(RANGES, "ignore_sectors", "FROM,TO"),
+        RANGES,
+        "ignore_sectors",
+        "FROM,TO",
         "Leave out the beams from one bearing counter-clockwise to another (rad, as the sensor "
         "sees it): the robot blocks them. May repeat.",
         multiple=True,
     ),
     field(
-        *(RANGES, "footprint", "X_MIN,Y_MIN,X_MAX,Y_MAX"),
+        RANGES,
+        "footprint",
+        "X_MIN,Y_MIN,X_MAX,Y_MAX",
         "Leave out what is measured in this box around the sensor (m, as the sensor sees it): it "
         "is the robot.",
     ),
@@ -33,7 +43,10 @@ reading = join(
     field(SCANS, "max_height", "M", "... up to this one."),
 )
 scan_topic = field(
-    *(SCANS, "topics", "TOPIC", "Use the scans of this topic. May repeat."),
+    SCANS,
+    "topics",
+    "TOPIC",
+    "Use the scans of this topic. May repeat.",
     multiple=True,
     show_default="all",
 )
@@ -47,23 +60,32 @@ selection = join(
 
 posing = join(
     field(
-        *(POSES, "poses", "FILE|TOPIC"),
+        POSES,
+        "poses",
+        "FILE|TOPIC",
         "Take the poses from a file (TUM, EuRoC, KITTI or CSV: stamp,x,y,yaw) or from this topic.",
     ),
     field(
         POSES, "sensor_pose", "X,Y,YAW[,ROLL,PITCH]", "Where the laser sits on the robot (m, rad)."
     ),
     field(
-        *(POSES, "static_transforms", "PARENT,CHILD,X,Y,Z,ROLL,PITCH,YAW"),
+        POSES,
+        "static_transforms",
+        "PARENT,CHILD,X,Y,Z,ROLL,PITCH,YAW",
         "A fixed transform that the log lacks (m, rad). May repeat.",
         multiple=True,
     ),
     field(
-        *(POSES, "map_frame", "FRAME", "Map in this frame."),
+        POSES,
+        "map_frame",
+        "FRAME",
+        "Map in this frame.",
         show_default="map, else odom, else the root",
     ),
     field(
-        *(POSES, "transform", "X,Y,YAW"),
+        POSES,
+        "transform",
+        "X,Y,YAW",
         "Where the logs' map frame lies in the map that is made (m, rad), so that sessions in "
         "frames of their own make one map.",
     ),

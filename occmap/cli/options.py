@@ -57,7 +57,10 @@ def choice(section: str, name: str, text: str) -> Any:
 
 
 output = option(
-    *(FILES, "-o", "--output", "outputs"),
+    FILES,
+    "-o",
+    "--output",
+    "outputs",
     type=PATH,
     multiple=True,
     metavar="FILE",
@@ -75,11 +78,17 @@ def one_output(name: str, metavar: str, text: str) -> Any:
 
 thresholds = join(
     field(
-        *(FILES, "occupied_thresh", "P", "Occupied above this probability."),
+        FILES,
+        "occupied_thresh",
+        "P",
+        "Occupied above this probability.",
         show_default="the model's --cut; in the YAML 0.65",
     ),
     field(
-        *(FILES, "free_thresh", "P", "Free below this probability."),
+        FILES,
+        "free_thresh",
+        "P",
+        "Free below this probability.",
         show_default="the model's --cut; in the YAML 0.196",
     ),
 )
@@ -88,7 +97,9 @@ writing = join(
     choice(FILES, "mode", "What the pixels of a PGM mean."),
     thresholds,
     option(
-        *(FILES, spell_flag("shade"), "shade"),
+        FILES,
+        spell_flag("shade"),
+        "shade",
         flag_value=Shade.LIGHT_OCCUPIED.value,
         callback=lambda _ctx, _param, value: Shade(value or Shade.DARK_OCCUPIED),
         help="PNG: light is occupied, as in Elfes' figures.",
@@ -105,18 +116,24 @@ lattice = join(
     resolution,
     field(MAP, "jump", "M", "Neighbouring beams see one surface where ranges differ by less."),
     field(
-        *(MAP, "hit_offset", "CELLS"),
+        MAP,
+        "hit_offset",
+        "CELLS",
         "A hit lies so far behind the measured point, which is on a surface.",
     ),
     field(
-        *(MAP, "border_gap", "CELLS"),
+        MAP,
+        "border_gap",
+        "CELLS",
         f"{Update.POLYGON}: close a surface over so many cells between end cells.",
     ),
     max_cells,
 )
 
 align = field(
-    *(MAP, "align", "[DEG]"),
+    MAP,
+    "align",
+    "[DEG]",
     "Turn the map by this angle, counter-clockwise; without a number by the smallest one that "
     "brings its walls along the axes.",
     cls=BareOption,
@@ -128,7 +145,9 @@ align = field(
 )
 framing = join(
     field(
-        *(MAP, "extent", "X_MIN,Y_MIN,X_MAX,Y_MAX"),
+        MAP,
+        "extent",
+        "X_MIN,Y_MIN,X_MAX,Y_MAX",
         "Cover exactly this box (m), to whole cells; evidence (.npz) stays whole.",
         show_default="what was observed",
     ),
@@ -136,7 +155,9 @@ framing = join(
 )
 
 min_passes = field(
-    *(MAP, "min_passes", "K"),
+    MAP,
+    "min_passes",
+    "K",
     "Forget hits of cells that were hit on fewer visits, such as people; keep walls that were hit "
     "on most.",
 )
@@ -146,7 +167,8 @@ pass_gap = field(MAP, "pass_gap_s", "S", "Two visits of a cell lie at least so f
 def model_option(usual: str) -> Any:
     """Declare the option that names a sensor model."""
     return option(
-        *(MODEL, "--model"),
+        MODEL,
+        "--model",
         metavar="NAME[:KEY=NUMBER,...]",
         help="How evidence is weighed: see `occmap models`.",
         show_default=usual,
@@ -174,7 +196,8 @@ saved_model = join(model_option("what it was built with"), model_parameters)
 
 jobs = field(RUN, "jobs", "N", "Threads.", show_default="one for each core")
 config = option(
-    *(RUN, "--config"),
+    RUN,
+    "--config",
     type=PATH,
     metavar="FILE",
     expose_value=False,

@@ -5,18 +5,29 @@ A name means the same wherever it stands.
 
 from collections.abc import Callable, Sequence
 from itertools import permutations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from occmap.gates import COUNT, SHARE, Measure
 
 if TYPE_CHECKING:  # each command makes one kind of result, and need not load what makes the others
     from occmap.difference import MapDifference
     from occmap.inspection.findings import Inspection, ScanFindings
-    from occmap.report import Report, ScanCounts
+    from occmap.report import Report
     from occmap.scoring.compare import VariantComparison
     from occmap.tuning import Tuning
 
 Measures = tuple[Measure[Any], ...]
+Result = TypeVar("Result")
+
+
+def share(name: str, meaning: str, take: Callable[[Result], float]) -> Measure[Result]:
+    """Measure a share."""
+    return Measure(name, SHARE, meaning, take)
+
+
+def count(name: str, meaning: str, take: Callable[[Result], float]) -> Measure[Result]:
+    """Measure a number."""
+    return Measure(name, COUNT, meaning, take)
 
 
 def divide(part: float, whole: float) -> float:
@@ -24,53 +35,32 @@ def divide(part: float, whole: float) -> float:
     return part / whole if whole else 0.0
 
 
-def share_dropped(scans: "ScanCounts") -> float:
-    """Measure the share of the scans asked for that are not used."""
-    return divide(scans.wanted - scans.used, scans.wanted)
-
-
 SAVED: "tuple[Measure[Report], ...]" = (
-    Measure("scans_read", COUNT, "scans in the logs", lambda made: made.scans.read),
-    Measure("scans_used", COUNT, "scans in the map", lambda made: made.scans.used),
-    Measure(
-        "dropped_scans",
-        SHARE,
-        "scans asked for that are not used",
-        lambda made: share_dropped(made.scans),
+    count("scans_read", "scans in the logs", lambda it: it.scans.read),
+    count("scans_used", "scans in the map", lambda it: it.scans.used),
+    share("dropped_scans", "scans asked for that are not used", lambda it: it.scans.dropped_share),
+    share("hits", "beams that hit something", lambda it: it.hit_share),
+    share("no_return", "beams that nothing came back to", lambda it: it.no_return_share),
+    share("occupied", "cells of the map", lambda it: it.map.occupied),
+    share("free", "cells of the map", lambda it: it.map.free),
+    share("unknown", "cells that nothing observed", lambda it: it.map.unknown),
+    share(
+        "undecided", "cells observed, but neither occupied nor free", lambda it: it.map.undecided
     ),
-    Measure(
-        *("hits", SHARE, "beams that hit something"),
-        lambda made: divide(made.beams.hit, sum(made.beams)),
+    share(
+        "agreement",
+        "hits that lie in cells called occupied; 0 where hits are not kept",
+        lambda it: it.map.agreement or 0.0,
     ),
-    Measure(
-        *("no_return", SHARE, "beams that nothing came back to"),
-        lambda made: divide(made.beams.no_return, sum(made.beams)),
-    ),
-    Measure("occupied", SHARE, "cells of the map", lambda made: made.map.occupied),
-    Measure("free", SHARE, "cells of the map", lambda made: made.map.free),
-    Measure("unknown", SHARE, "cells that nothing observed", lambda made: made.map.unknown),
-    Measure(
-        *("undecided", SHARE, "cells observed, but neither occupied nor free"),
-        lambda made: made.map.undecided,
-    ),
-    Measure(
-        *("agreement", SHARE, "hits that lie in cells called occupied; 0 where hits are not kept"),
-        lambda made: made.map.agreement or 0.0,
-    ),
-    Measure("cells", COUNT, "columns times rows", lambda made: made.map.cells),
-    Measure(
-        *("area", "m2", "area of the cells that are not unknown, in m2"),
-        lambda made: (
-            made.map.columns * made.map.rows * (1 - made.map.unknown) * made.map.resolution**2
-        ),
-    ),
-    Measure("notes", COUNT, "notes on stderr", lambda made: len(made.notes)),
+    count("cells", "columns times rows", lambda it: it.map.cells),
+    Measure("area", "m2", "area of the cells that are not unknown, in m2", lambda it: it.map.area),
+    count("notes", "notes on stderr", lambda it: len(it.notes)),
 )
 """What can be limited of what `occmap render` and `occmap merge` make"""
 
 BUILD: "tuple[Measure[Report], ...]" = (
     *SAVED,
-    Measure("damage", COUNT, "notes on damage to a log", lambda made: len(made.damage)),
+    count("damage", "notes on damage to a log", lambda it: len(it.damage)),
 )
 
 
@@ -78,7 +68,7 @@ def over_topics(
     combine: Callable[[list[Any]], float], take: "Callable[[ScanFindings], Any]"
 ) -> "Callable[[Inspection], float]":
     """Measure something of each topic of scans of all logs, and combine that."""
-    return lambda found: combine([take(topic) for log in found.logs for topic in log.scans])
+    return lambda it: combine([take(topic) for log in it.logs for topic in log.scans])
 
 
 def take_largest(values: Sequence[float]) -> float:
@@ -92,78 +82,89 @@ def divide_sums(pairs: Sequence[tuple[int, int]]) -> float:
 
 
 CHECK: "tuple[Measure[Inspection], ...]" = (
-    Measure("scans_read", COUNT, "scans in the logs", over_topics(sum, lambda each: each.scans)),
-    Measure("topics", COUNT, "topics with scans", over_topics(len, lambda each: each.topic)),
-    Measure(
-        *("dropped_scans", SHARE, "scans asked for that a build drops"),
-        over_topics(divide_sums, lambda each: (each.wanted - each.poses.posed, each.wanted)),
+    count("scans_read", "scans in the logs", over_topics(sum, lambda it: it.scans)),
+    count("topics", "topics with scans", over_topics(len, lambda it: it.topic)),
+    share(
+        "dropped_scans",
+        "scans asked for that a build drops",
+        over_topics(divide_sums, lambda it: (it.wanted - it.poses.posed, it.wanted)),
+    ),
+    share(
+        "hits",
+        "ranges that measure something",
+        over_topics(divide_sums, lambda it: (it.ranges.measured, it.ranges.total)),
     ),
     Measure(
-        *("hits", SHARE, "ranges that measure something"),
-        over_topics(divide_sums, lambda each: (each.ranges.measured, each.ranges.total)),
+        "largest_gap",
+        "s",
+        "longest time between two scans of a topic, in s",
+        over_topics(take_largest, lambda it: it.times.largest_gap_s),
     ),
     Measure(
-        *("largest_gap", "s", "longest time between two scans of a topic, in s"),
-        over_topics(take_largest, lambda each: each.times.largest_gap_s),
+        "drift",
+        "s",
+        "growth of the stamps against the record times, in s",
+        over_topics(take_largest, lambda it: abs(it.times.drift_s)),
     ),
-    Measure(
-        *("drift", "s", "growth of the stamps against the record times, in s"),
-        over_topics(take_largest, lambda each: abs(each.times.drift_s)),
+    count(
+        "jumps_back",
+        "stamps earlier than the one before",
+        over_topics(sum, lambda it: it.times.jumps_back),
     ),
-    Measure(
-        *("jumps_back", COUNT, "stamps earlier than the one before"),
-        over_topics(sum, lambda each: each.times.jumps_back),
+    count(
+        "cells",
+        "columns times rows of the map",
+        lambda it: it.map.columns * it.map.rows if it.map else 0,
     ),
-    Measure(
-        *("cells", COUNT, "columns times rows of the map"),
-        lambda found: found.map.columns * found.map.rows if found.map else 0,
-    ),
-    Measure("warnings", COUNT, "warnings", lambda found: len(found.warnings)),
-    Measure(
-        *("damage", COUNT, "notes on damage to a log"),
-        lambda found: sum(len(log.damage) for log in found.logs),
-    ),
+    count("warnings", "warnings", lambda it: len(it.warnings)),
+    count("damage", "notes on damage to a log", lambda it: sum(len(log.damage) for log in it.logs)),
 )
 
 SCORED: "tuple[Measure[VariantComparison | Tuning], ...]" = (
-    Measure("scans_read", COUNT, "scans in the logs", lambda run: run.tally.scans_read),
-    Measure("scans_used", COUNT, "scans with a pose", lambda run: run.tally.scans_used),
-    Measure(
-        *("dropped_scans", SHARE, "scans asked for that are not used"),
-        lambda run: share_dropped(run.tally.scans),
+    count("scans_read", "scans in the logs", lambda it: it.tally.scans_read),
+    count("scans_used", "scans with a pose", lambda it: it.tally.scans_used),
+    share(
+        "dropped_scans",
+        "scans asked for that are not used",
+        lambda it: it.tally.scans.dropped_share,
     ),
-    Measure("damage", COUNT, "notes on damage to a log", lambda run: len(run.remarks.damage)),
+    count("damage", "notes on damage to a log", lambda it: len(it.remarks.damage)),
 )
 """What can be limited of anything that is scored on held-out scans"""
 
 COMPARE: "tuple[Measure[VariantComparison], ...]" = (
-    Measure(
-        *("share", SHARE, "held-out beams that the recommended variant predicts"),
-        lambda run: run.recommended.score.share,
+    share(
+        "share",
+        "held-out beams that the recommended variant predicts",
+        lambda it: it.recommended.score.share,
     ),
     Measure(
-        *("log_likelihood", "nat", "mean of the held-out ranges under the recommended variant"),
-        lambda run: run.recommended.score.log_likelihood,
+        "log_likelihood",
+        "nat",
+        "mean of the held-out ranges under the recommended variant",
+        lambda it: it.recommended.score.log_likelihood,
     ),
     Measure(
-        *("cross_entropy", "nat", "mean of the cells found free and found occupied"),
-        lambda run: run.recommended.score.cross_entropy,
+        "cross_entropy",
+        "nat",
+        "mean of the cells found free and found occupied",
+        lambda it: it.recommended.score.cross_entropy,
     ),
     Measure(
-        *("seconds", "s", "processor time of the recommended variant, in s"),
-        lambda run: run.recommended.seconds,
+        "seconds",
+        "s",
+        "processor time of the recommended variant, in s",
+        lambda it: it.recommended.seconds,
     ),
     *SCORED,
 )
 
 TUNE: "tuple[Measure[Tuning], ...]" = (
-    Measure(
-        *("gain", SHARE, "by how much more of the held-out beams are predicted"),
-        lambda run: run.gain.share,
-    ),
-    Measure(
-        *("share", SHARE, "held-out beams that the recommended correction predicts"),
-        lambda run: run.after.score.share,
+    share("gain", "by how much more of the held-out beams are predicted", lambda it: it.gain.share),
+    share(
+        "share",
+        "held-out beams that the recommended correction predicts",
+        lambda it: it.after.score.share,
     ),
     *SCORED,
 )
@@ -171,21 +172,19 @@ TUNE: "tuple[Measure[Tuning], ...]" = (
 
 def share_pair(pair: str) -> "Callable[[MapDifference], float]":
     """Measure the share of known cells that changed from one class to another."""
-    return lambda found: divide(found.changed[pair], found.known)
+    return lambda it: divide(it.changed[pair], it.known)
 
 
 PAIRS = [f"{was} to {now}" for was, now in permutations(("neither", "free", "occupied"), 2)]
 
 DIFF: "tuple[Measure[MapDifference], ...]" = (
-    Measure("changed", SHARE, "cells known in either map", lambda found: found.share),
-    *(Measure(pair.replace(" ", "_"), SHARE, "the same cells", share_pair(pair)) for pair in PAIRS),
-    Measure(
-        *("changed_cells", COUNT, "cells that changed"),
-        lambda found: sum(found.changed.values()),
+    share("changed", "cells known in either map", lambda it: it.share),
+    *(share(pair.replace(" ", "_"), "the same cells", share_pair(pair)) for pair in PAIRS),
+    count("changed_cells", "cells that changed", lambda it: sum(it.changed.values())),
+    count(
+        "largest_blob",
+        "cells of the largest connected change",
+        lambda it: it.largest.cells if it.largest else 0,
     ),
-    Measure(
-        *("largest_blob", COUNT, "cells of the largest connected change"),
-        lambda found: found.largest.cells if found.largest else 0,
-    ),
-    Measure("known", COUNT, "cells known in either map", lambda found: found.known),
+    count("known", "cells known in either map", lambda it: it.known),
 )

@@ -52,7 +52,10 @@ def name_layers(rasters: Sequence[Raster]) -> list[Layer]:
     found = [
         Layer("class", "class", "classes", CLASS_COLOURS, CLASS_NAMES),
         Layer(
-            *("p", "probability", "ramp", pick(Greys256[::-1])),
+            "p",
+            "probability",
+            "ramp",
+            pick(Greys256[::-1]),
             none=NOT_OBSERVED,
             top=100,
             scale=0.01,

@@ -76,10 +76,19 @@ def score_map(grid: OccupancyMap, held_out: Sequence[Rays], jobs: int) -> Trial:
     def cast(index: int) -> None:
         rays = held_out[index]
         cast_beams(
-            *(rays.origin, rays.turn, rays.bearing, rays.distance, rays.kind),
-            *(occupied, probability, free_cost),
-            *(grid.origin, grid.resolution, totals[index]),
-            *(bins, tallies[index]),
+            rays.origin,
+            rays.turn,
+            rays.bearing,
+            rays.distance,
+            rays.kind,
+            occupied,
+            probability,
+            free_cost,
+            grid.origin,
+            grid.resolution,
+            totals[index],
+            bins,
+            tallies[index],
         )
 
     with Workers(cast, jobs) as workers:

@@ -42,7 +42,10 @@ LATCHED = Qos(
     1,
     QosReliability.RELIABLE,
     QosDurability.TRANSIENT_LOCAL,
-    *(EVER, EVER, QosLiveliness.AUTOMATIC, EVER),
+    EVER,
+    EVER,
+    QosLiveliness.AUTOMATIC,
+    EVER,
     avoid_ros_namespace_conventions=False,
 )
 """RViz asks for maps that late comers get, too; `ros2 bag play` offers what is written here."""

@@ -180,7 +180,8 @@ def test_an_undecided_cell_is_not_called_unknown() -> None:
         (["render", "a.npz", "-o", "m.pgm", "--epsilon", "1"], 2, "--epsilon does not go with"),
         (
             ["render", "a.npz", "-o", "m.pgm", "--model", "counting", "--p-hit", "0.8"],
-            *(2, "model counting; it has --prior, --cut, --spread, --clamp-min, --clamp-max; see"),
+            2,
+            "model counting; it has --prior, --cut, --spread, --clamp-min, --clamp-max; see",
         ),
         (["render", "q.npz", "-o", "m.pgm", "--model", "simple"], 1, "q.npz: was summed up for"),
         (["render", "q.npz", "-o", "m.pgm", "--p-min", "0.3"], 1, "no other can read it"),
@@ -194,11 +195,13 @@ def test_an_undecided_cell_is_not_called_unknown() -> None:
         (["merge", "a.npz", "--subtract", "b.npz", "-o", "m.npz"], 1, "cells that a.npz lacks"),
         (
             ["build", "b.csv", "--resume", "a.npz", "-o", "m.npz"],
-            *(1, "a.npz: its update is beam, that of what it is to be combined with is surface"),
+            1,
+            "a.npz: its update is beam, that of what it is to be combined with is surface",
         ),
         (
             ["build", *PLAIN_WORDS, "b.csv", "--resume", "q.npz", "-o", "m.npz"],
-            *(1, "q.npz: its kind is log_odds"),
+            1,
+            "q.npz: its kind is log_odds",
         ),
         (["build", "b.csv", "--resume", "b.csv", "-o", "m.npz"], 1, "is no evidence file"),
     ],

@@ -143,10 +143,19 @@ def test_beyond_the_map_all_is_unknown_and_costs_no_time(cells: int) -> None:
 def total(rays: Rays, probability: Float32, resolution: float = 1.0) -> Float64:
     totals = np.zeros((len(rays.kind), 6))
     cast_beams(
-        *(rays.origin, rays.turn, rays.bearing, rays.distance, rays.kind),
-        *(call_occupied(probability), probability, cost_free(probability)),
-        *((-1.0, -1.0), resolution, totals),
-        *(np.zeros(probability.shape, np.uint8), np.zeros((BINS + 1, 3))),
+        rays.origin,
+        rays.turn,
+        rays.bearing,
+        rays.distance,
+        rays.kind,
+        call_occupied(probability),
+        probability,
+        cost_free(probability),
+        (-1.0, -1.0),
+        resolution,
+        totals,
+        np.zeros(probability.shape, np.uint8),
+        np.zeros((BINS + 1, 3)),
     )
     by_kind: Float64 = totals.sum(axis=0)
     return by_kind

@@ -37,7 +37,8 @@ def stack(samples: Sequence[PoseSample]) -> PoseBatch:
         np.array([one.stamp_ns for one in samples]),
         np.array([one.record_ns for one in samples]),
         np.array([one.pose for one in samples]),
-        *("odom", "base_link"),
+        "odom",
+        "base_link",
         static=False,
         topic="",
     )

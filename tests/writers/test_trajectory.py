@@ -13,7 +13,10 @@ from tests.writers.maps import map_of
 DRIVE = "sample_logs/drive.csv"
 TURNED = [1.0, 2.0, 0.5, 0.0, 0.0, 0.6, 0.8]
 WAY = Trajectory(
-    *("a.bag", "/scan\nx", "map", "laser"),
+    "a.bag",
+    "/scan\nx",
+    "map",
+    "laser",
     stamp_ns=np.array([1_700_000_000_123_456_789, -1_500_000_000]),
     pose=np.array([TURNED, [-3.25, 0, 0, 0, 0, 0, 1.0]]),
 )
