@@ -18,6 +18,7 @@ from occmap.errors import MapError, PoseError
 from occmap.inspection import Inspection, inspect
 from occmap.inspection.findings import ScanFindings
 from occmap.inspection.ranges import BLOCK_RANGES, RangeCensus, find_repeated
+from occmap.inspection.sample import find_crossing
 from occmap.inspection.times import StampLog
 from occmap.mounts import correct_mount
 from occmap.options import BuildOptions
@@ -175,7 +176,9 @@ def test_a_census_is_bounded_however_much_it_sees() -> None:
     assert census.total == 9 * (BLOCK_RANGES // 4)
 
 
-@pytest.mark.parametrize(("lost", "advice"), [("wall", "ignore"), ("gap", "clear")])
+@pytest.mark.parametrize(
+    ("lost", "advice"), [("wall", "ignore"), ("gap", "ignore"), ("far", "clear")]
+)
 def test_the_log_itself_tells_whether_no_return_is_open_space(
     tmp_path: Path, lost: str, advice: str
 ) -> None:
@@ -184,13 +187,16 @@ def test_the_log_itself_tells_whether_no_return_is_open_space(
     def spoil(ranges: Float64) -> Float64:
         index = next(counter)
         x, _, heading = _at(index)
-        if lost == "gap":  # nothing stands where the left wall was
+        if lost == "gap":  # the left wall is of glass, or there is none
             ranges[x + ranges * np.cos(heading) < -4.99] = np.inf
+        elif lost == "far":  # beams graze the walls, and lead through none
+            ranges[ranges > 4.5] = np.inf
         else:  # any beam may fail
             ranges[index % 7 :: 7] = np.inf
         return ranges
 
-    found = look(write_csv(tmp_path / "lost.csv", Drive(spoil=spoil)))
+    limit = "4.5" if lost == "far" else "30"
+    found = look(write_csv(tmp_path / "lost.csv", Drive(spoil=spoil), limit))
 
     assert {s.no_return for s in topic(found).ranges.specials} == {advice}
     assert ("--no-return" in found.command) == (advice == "clear")
@@ -208,6 +214,27 @@ def test_a_missing_mount_is_found_from_the_scans(tmp_path: Path, mount: float) -
     assert found.map is not None
     # Noise of float32 decides in which of two cells a wall at 5 m lies.
     assert found.map.extent == pytest.approx((-5.1, -3.1, 5.1, 3.1), abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("start", "heading", "crosses"),
+    [
+        ((5.0, -2.0), math.pi / 2, True),
+        ((3.0, -2.0), math.pi / 4, True),
+        ((0.5, 0.03), 0.0, False),  # along the wall, 3 cm off
+        ((0.5, -0.3), math.radians(3), False),  # towards it, and ends before it
+        ((10.03, -2.0), math.pi / 2, False),  # past its end
+        ((9.0, -1.1), math.pi / 4, False),
+    ],
+)
+def test_a_beam_that_grazes_a_wall_does_not_lead_through_it(
+    start: tuple[float, float], heading: float, crosses: bool
+) -> None:
+    """A wall from (0, 0) to (10, 0) that was hit every 5 cm, and a beam of 4 m."""
+    wall = np.stack([np.arange(0, 10.01, 0.05), np.zeros(201)], axis=1)
+    direction = np.array([[math.cos(heading), math.sin(heading)]])
+    found = find_crossing(np.array([start]), direction, np.array([4.0]), wall)
+    assert found.tolist() == [crosses]
 
 
 def test_what_check_recommends_is_then_buildable(tmp_path: Path) -> None:
