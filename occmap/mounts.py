@@ -13,7 +13,7 @@ from occmap.errors import MountError, PoseError
 from occmap.opening import choose_topics, make_poser
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
-from occmap.posing.conventions import list_bases
+from occmap.posing.conventions import BASE_NAMES, list_bases
 from occmap.posing.frames import Step
 from occmap.posing.rotations import rotate_by
 from occmap.readers import Log, open_log, read_poses
@@ -27,6 +27,10 @@ UNTURNED = Pose.planar(0.0, 0.0, 0.0)
 CLEAR_WIN = 0.9
 """The right mount lays the walls of many scans over each other: it marks fewer cells than this
 share of what any other one marks."""
+SUSPECT, SUSPECT_OF_SEVERAL = 0.65, 0.9
+"""Where the hits of a map agree less, one of its lasers may be turned. One that sees all around and
+is mirrored leaves 0.6, and beside others that are right their agreement hides it; real logs of one
+laser have 0.68 and more, and are not worth a second look."""
 
 
 def name_mount(
@@ -42,11 +46,22 @@ def name_mount(
     return error.named(format_mount(mount)) if mount else error
 
 
-def list_misfits(paths: Sequence[Path], options: BuildOptions) -> Iterator[str]:
-    """Say which lasers of logs, whose scans do not fit each other, are better mounted otherwise.
+def list_misfits(
+    paths: Sequence[Path], options: BuildOptions, agreement: float | None, lasers: int
+) -> Iterator[str]:
+    """Say which lasers of logs, whose hits agree little in a map, are better mounted otherwise.
 
-    The logs are read once more: this is for maps that are spoiled anyway.
+    The logs are then read once more, though not traced.
+
+    Parameters
+    ----------
+    agreement
+        Share of the hits in cells that the map calls occupied.
+    lasers
+        The most that any of the logs has.
     """
+    if agreement is None or agreement >= (SUSPECT_OF_SEVERAL if lasers > 1 else SUSPECT):
+        return
     for path in paths:
         log = open_log(path, options.reading)
         topics = choose_topics(log, options.selection.topics)
@@ -89,6 +104,11 @@ def correct_mount(poser: Poser, frame: str, turn: Pose) -> str:
         return f"sensor_pose={format_mount((given or UNTURNED).then(turn))}"
     tree, base = poser.sources.tree, poser.options.base_frame
     bases = [base] if base else list_bases(tree, frame)
+    if frame not in tree:  # the poses were taken as the sensor's own
+        if len(poser.chains) == 1:
+            return f"sensor_pose={format_mount(turn)}"
+        body = bases[0] if len(bases) == 1 else BASE_NAMES[0]
+        return f"static_transforms={format_static(body, frame, turn)}"
     steps = tree.find_path(bases[0], frame) if len(bases) == 1 else None
     if steps and len(poser.chains) == 1 and not any(step.edge.track.moves for step in steps):
         mount = reduce(Pose.then, map(read_pose, steps))

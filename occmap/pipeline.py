@@ -118,7 +118,6 @@ def build_alone(
         manifest = replace(manifest, builds=(*past.builds, made), subtracted=past.subtracted)
 
     new, resumed = options.resume_if_there, describe_resumed(saved) if saved else None
-    disagreement = list(list_disagreement(grid))
     notes = [
         *list_requested(paths, outputs, options.writing, options.model),
         *remarks.notes,
@@ -129,8 +128,8 @@ def build_alone(
         *list_frames(tally),
         *list_lacking(tally, resumed),
         *lost,
-        *disagreement,
-        *(list_misfits(paths, options) if disagreement else ()),
+        *list_disagreement(grid),
+        *list_misfits(paths, options, grid.agreement, tally.lasers),
         *list_repeated(manifest.builds),
         *list_mixed(manifest),
     ]

@@ -14,7 +14,7 @@ import pytest
 
 from occmap.batching import Selection
 from occmap.command import compose_build
-from occmap.errors import MapError, PoseError
+from occmap.errors import MapError, PoseError, UsageError
 from occmap.inspection import Inspection, inspect
 from occmap.inspection.findings import ScanFindings
 from occmap.inspection.ranges import BLOCK_RANGES, RangeCensus, find_repeated
@@ -24,6 +24,7 @@ from occmap.mounts import correct_mount
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions, Stamps
+from occmap.report import LEAST_AGREEMENT
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import Float32, Float64, Pose, Scan, ScanBatch
 from tests.inspection_logs import BEAMS, SCANS, Drive, measure_room, write_bag, write_csv
@@ -434,6 +435,62 @@ def test_a_build_whose_hits_disagree_names_the_mount(tmp_path: Path) -> None:
     )
     right = BuildOptions(posing=PosingOptions(sensor_pose=Pose.planar(0, 0, math.pi)))
     assert not any("fit" in note for note in build([path], right).report.notes)
+
+
+def test_a_build_names_the_mount_of_the_one_laser_of_two_that_is_mirrored(tmp_path: Path) -> None:
+    counter = iter(range(SCANS))
+    path = write_bag(
+        tmp_path / "room.bag",
+        Drive(spoil=lambda ranges: np.roll(ranges[::-1], 1) if next(counter) % 2 else ranges),
+        mount=[(0.0, 0.0)],
+        topics=("/front", "/rear"),
+        frames=("front", "rear"),
+    )
+    report = build([path], BuildOptions()).report
+    assert report.map.agreement is not None
+    assert report.map.agreement > LEAST_AGREEMENT
+    (note,) = report.notes
+    mount = "`static_transforms=base_link,rear,0,0,0,3.14159,0,0`"
+    assert note == f"{path}: /rear: the scans would fit each other better with {mount}"
+
+
+@pytest.mark.parametrize("mount", [[], [(0.0, 0.0)]])
+def test_lasers_with_frames_of_their_own_are_not_put_at_one_place(
+    tmp_path: Path, mount: list[tuple[float, float]]
+) -> None:
+    topics, frames = ("/front", "/rear"), ("front", "rear")
+    path = write_bag(tmp_path / "two.bag", Drive(), mount, topics=topics, frames=frames)
+    posing = PosingOptions(sensor_pose=Pose.planar(0, 0, 0))
+    with pytest.raises(UsageError) as told:
+        build([path], BuildOptions(posing=posing))
+    assert str(told.value) == (
+        f"{path}: `sensor_pose` would put 2 lasers at one place: front, rear; choose one: "
+        "`topics=/front`, or give each a mount of its own: "
+        "`static_transforms=BASE,front,X,Y,Z,ROLL,PITCH,YAW`"
+    )
+    assert look(path, BuildOptions(posing=posing)).problems == (str(told.value),)
+    one = BuildOptions(posing=posing, selection=Selection(topics=("/front",)))
+    assert build([path], one).report.scans.used == SCANS / 2
+
+
+def test_two_lasers_without_a_mount_are_to_be_given_one_each(tmp_path: Path) -> None:
+    topics, frames = ("/front", "/rear"), ("front", "rear")
+    path = write_bag(tmp_path / "two.bag", Drive(), topics=topics, frames=frames)
+    with pytest.raises(PoseError, match="`static_transforms=base_link,front,X,Y,Z,ROLL,PITCH,YAW`"):
+        build([path], BuildOptions())
+
+
+@pytest.mark.parametrize("turn", [math.pi / 2, math.pi])
+def test_the_turn_of_a_laser_is_found_where_the_poses_are_taken_as_its_own(
+    tmp_path: Path, turn: float
+) -> None:
+    path = write_bag(tmp_path / "room.bag", Drive(turn))
+    poses = tmp_path / "poses.csv"
+    rows = (f"{100 + index},{','.join(map(str, Drive().pose(index)))}" for index in range(SCANS))
+    poses.write_text("\n".join(["stamp,x,y,yaw", *rows]))
+    found = look(path, BuildOptions(posing=PosingOptions(poses=str(poses))))
+    assert found.command[3:5] == ("--poses", str(poses))
+    assert found.command[5:-2] == ("--sensor-pose", f"0,0,{round(turn, 5):g}")
 
 
 @pytest.mark.parametrize("given", [(0.5, 0.0), (0.5, math.pi / 2)])

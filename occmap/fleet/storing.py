@@ -124,7 +124,6 @@ def build_store(
         with tally.time("write"):
             finish_store(store, manifest, records, run=skip_painted)
             publish_store(store, follow_links(output))
-    disagreement = list(tell_disagreement(facts.agreement, facts.has_walls))
     notes = [
         *list_requested(paths, [output], options.writing, options.model),
         *remarks.notes,
@@ -132,8 +131,8 @@ def build_store(
         *options.list_idle(),
         *list_frames(tally),
         *list_lacking(tally, None),
-        *disagreement,
-        *(list_misfits(paths, options) if disagreement else ()),
+        *tell_disagreement(facts.agreement, facts.has_walls),
+        *list_misfits(paths, options, facts.agreement, tally.lasers),
         *list_repeated(manifest.builds),
     ]
     remarks = replace(remarks, notes=notes, files=[str(output)])

@@ -1,6 +1,6 @@
 """Where the poses of a log come from, what is missing, and which option would mend it."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,7 +9,7 @@ from occmap.command import format_mount
 from occmap.errors import MountError, PoseError
 from occmap.inspection.survey import TopicSurvey
 from occmap.mounts import UNTURNED, guess_mount
-from occmap.opening import take_first
+from occmap.opening import refuse_shared_mount, take_first
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.chain import Status
@@ -44,9 +44,12 @@ def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:
     ------
     PoseError, LogError
         The trajectory that the user chose cannot be used.
+    UsageError
+        As `refuse_shared_mount`.
     """
-    poser = Poser.build(read_poses(log), options.posing)
     first = take_first(log, topics)
+    refuse_shared_mount(log, first, options.posing)
+    poser = Poser.build(read_poses(log), options.posing)
     frames = {scan.frame for scan in first if scan.pose is None or options.posing.poses}
     faults = find_faults(poser.sources, options.posing, frames)
     sound = frames - faults.keys()
@@ -60,14 +63,14 @@ def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:
 
 
 def find_faults(
-    sources: Sources, options: PosingOptions, frames: Iterable[str]
+    sources: Sources, options: PosingOptions, frames: Collection[str]
 ) -> dict[str, PoseError]:
     """Say for every frame that has no way to the map why that is."""
     faults: dict[str, PoseError] = {}
     fixed: str | None = None
     for frame in sorted(frames):
         try:
-            fixed = resolve(sources, options, frame, fixed).fixed
+            fixed = resolve(sources, options, frame, fixed, alone=len(frames) == 1).fixed
         except PoseError as error:
             faults[frame] = error
     return faults

@@ -216,7 +216,10 @@ def test_two_lasers_ride_on_one_topic_of_poses() -> None:
 def test_poses_without_any_tree_are_those_of_the_laser() -> None:
     poser = build(*drive("mocap", "", "/pose"))
     assert place(poser) == [4, 0, 0]
-    assert poser.notes == ["poses from /pose, taken as those of 'laser'"]
+    assert poser.notes == [
+        "poses from /pose, taken as those of 'laser', the laser itself: give "
+        "`sensor_pose=x,y,yaw` if they are the robot's"
+    ]
 
 
 def test_goals_and_plans_are_no_poses() -> None:
