@@ -1,9 +1,10 @@
 """Logs of a robot in a rectangular room, written by formula for the tests of `occmap check`."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -69,16 +70,21 @@ def write_bag(
     topics: Sequence[str] = ("/scan",),
     correct: Callable[[int], tuple[float, float, float]] | None = None,
     frames: Sequence[str] = ("laser",),
+    others: Mapping[str, float] = MappingProxyType({}),
 ) -> Path:
     """Write the drive as a ROS 1 bag: odometry on /tf, perhaps the mount (roll, yaw), /scan.
 
     The scans are on the topics in turn, and in the frames, which all sit at the mount; a correction
-    says where `odom` is in `map` at each scan.
+    says where `odom` is in `map` at each scan. Other frames, with their yaw, are on the robot, too.
     """
     log = [
         Written("/tf_static", 0, _transform(0, "base_link", frame, (0, 0, 0), *turn))
         for turn in mount
         for frame in frames
+    ]
+    log += [
+        Written("/tf_static", 0, _transform(0, "base_link", frame, (0, 0, 0), 0.0, yaw))
+        for frame, yaw in others.items()
     ]
     for index in range(SCANS):
         stamp = (100 + index) * SECOND

@@ -419,11 +419,31 @@ def hide(scans: Float64) -> Float64:
 
 def test_the_mount_is_named_in_the_error_of_a_build(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "room.bag", Drive(spoil=hide))
-    mount = "`sensor_pose=0,0,3.14159,3.14159,0`, which suits the scans; measure x and y"
-    with pytest.raises(PoseError, match=f"give its mount on base_link: {mount}"):
+    with pytest.raises(PoseError) as told:
         build([path], BuildOptions())
-    (problem,) = look(path).problems
-    assert mount in problem
+    mount = "`sensor_pose=0,0,3.14159,3.14159,0`, which suits the scans best of all turns: 9"
+    assert f"give its mount on base_link: {mount}" in str(told.value)
+    assert str(told.value).endswith("measure x and y, or walls are doubled")
+    assert look(path).problems == (str(told.value),)
+
+
+def test_a_laser_whose_frame_tf_spells_otherwise_is_where_tf_has_that(tmp_path: Path) -> None:
+    """It is turned by 1 rad, which is none of the turns that are tried."""
+    path = write_bag(
+        tmp_path / "room.bag",
+        Drive(1.0),
+        frames=("lidar_link",),
+        others={"camera": 0.0, "laser": 1.0, "odd": 1.5},
+    )
+    with pytest.raises(PoseError) as told:
+        build([path], BuildOptions())
+    start = (
+        "give its mount on base_link: `sensor_pose=0,0,1`, where tf has 'laser', a frame that no"
+    )
+    assert start in str(told.value)
+    found = look(path)
+    assert found.problems == (str(told.value),)
+    assert found.command[3:-2] == ("--sensor-pose", "0,0,1")
 
 
 def test_a_build_whose_hits_disagree_names_the_mount(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from occmap.command import format_mount
 from occmap.errors import MountError, PoseError
 from occmap.inspection.survey import TopicSurvey
-from occmap.mounts import UNTURNED, guess_mount
+from occmap.mounts import UNTURNED, Guess, guess_place
 from occmap.opening import refuse_shared_mount, take_first
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
@@ -79,20 +79,22 @@ def find_faults(
 def assume_mount(
     log: Log, topics: Sequence[str], options: BuildOptions, unturned: Posing
 ) -> Posing:
-    """Read the scans as if the sensor were the body, and find the turn that suits them best."""
+    """Read the scans as if the sensor were the body, and find the mount that suits them best."""
     parts = sample_scans(log, topics, unturned.poser, options)
-    mount = guess_mount(parts, options.returns)
-    posing = replace(unturned.poser.options, sensor_pose=mount or UNTURNED)
+    guess = guess_place(unturned.poser, parts, options)
+    posing = replace(unturned.poser.options, sensor_pose=guess.mount if guess else UNTURNED)
     poser = Poser(unturned.poser.sources, posing, notes=list(unturned.poser.sources.notes))
     faults = unturned.faults
-    if mount is not None:
-        faults = {frame: name_found(fault, mount) for frame, fault in faults.items()}
-    return Posing(poser, faults, posing.sensor_pose, is_guess=mount is None)
+    if guess is not None:
+        faults = {frame: name_found(fault, guess) for frame, fault in faults.items()}
+    return Posing(poser, faults, posing.sensor_pose, is_guess=guess is None)
 
 
-def name_found(fault: PoseError, mount: Pose) -> PoseError:
+def name_found(fault: PoseError, guess: Guess) -> PoseError:
     """Name the mount that was found in the error that it is missing."""
-    return fault.named(format_mount(mount)) if isinstance(fault, MountError) else fault
+    if isinstance(fault, MountError):
+        return fault.named(format_mount(guess.mount), guess.why)
+    return fault
 
 
 def find_moving_stamp(poser: Poser) -> int | None:

@@ -7,13 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from occmap.errors import MapError
-from occmap.evidence import render
-from occmap.options import BuildOptions
 from occmap.sampling import encode_cells
-from occmap.sensor.models import CountingModel
 from occmap.sensor.returns import NoReturn, ReturnOptions, interpret
-from occmap.tracing import make_engine
 from occmap.types import Bool, Float64, Kind, PosedScans, as_float32
 
 HIT_CELL_M = 0.1
@@ -28,7 +23,6 @@ MAX_CROSSING_BEAMS = 250
 MIN_CROSSING_BEAMS = 50
 SIDES = np.arange(8) * math.pi / 4
 """Whither the sides of the octagon face that lies around all hits (rad)"""
-MOST_CELLS = 10**8
 
 
 def measure_crossing(parts: Sequence[PosedScans], options: ReturnOptions) -> float | None:
@@ -97,22 +91,3 @@ def look_around(steps: Bool) -> Bool:
     ends = np.pad(steps, ((0, 0), (STEPS_AROUND, STEPS_AROUND)))
     around: Bool = sliding_window_view(ends, 2 * STEPS_AROUND + 1, axis=1).max(axis=2)
     return around
-
-
-def estimate_agreement(parts: Sequence[PosedScans], options: BuildOptions) -> float | None:
-    """Estimate the share of hits that lie in cells which the map of a log calls occupied.
-
-    Returns
-    -------
-    float or None
-        None where the sample makes no map, or one too large to be made in passing.
-    """
-    if not parts:
-        return None
-    engine = make_engine(replace(options, model=CountingModel(), max_cells=MOST_CELLS))
-    try:
-        for part in parts:
-            engine.add(interpret(part, options.returns)[0])
-        return render(engine.finish(), CountingModel(), MOST_CELLS).agreement
-    except MapError:
-        return None
