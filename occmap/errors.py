@@ -62,9 +62,9 @@ class MountError(PoseError):
     UNKNOWN = "x,y,yaw"
     """Stands in `fix` for the mount that is to be given"""
 
-    def named(self, mount: str) -> Self:
-        """The same error, which now names a mount that suits the scans."""
-        fix = f"{self.fix.replace(self.UNKNOWN, mount)}, which suits the scans; measure x and y"
+    def named(self, mount: str, why: str) -> Self:
+        """The same error, which now names a mount that suits the scans, and says why it does."""
+        fix = f"{self.fix.replace(self.UNKNOWN, mount)}, {why}"
         return type(self)(self.found, where=self.where, fix=fix)
 
 

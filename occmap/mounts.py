@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,20 +14,29 @@ from occmap.errors import MountError, PoseError
 from occmap.opening import choose_topics, make_poser
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
-from occmap.posing.conventions import list_bases
+from occmap.posing.conventions import BASE_NAMES, list_bases
 from occmap.posing.frames import Step
 from occmap.posing.rotations import rotate_by
 from occmap.readers import Log, open_log, read_poses
-from occmap.sampling import encode_cells, sample_scans
+from occmap.sampling import encode_cells, estimate_agreement, sample_scans
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Float64, Kind, Pose, PosedScans
 
 MOUNT_CELL_M = 0.1
-MOUNT_YAWS = (0.0, math.pi / 2, math.pi, -math.pi / 2)
+TURNS = [
+    Pose.from_xyzrpy((0.0, 0.0, 0.0), (roll, 0.0, yaw))
+    for roll in (0.0, math.pi)
+    for yaw in (0.0, math.pi / 2, math.pi, -math.pi / 2)
+]
+"""The eight ways in which people mount a laser"""
 UNTURNED = Pose.planar(0.0, 0.0, 0.0)
 CLEAR_WIN = 0.9
 """The right mount lays the walls of many scans over each other: it marks fewer cells than this
 share of what any other one marks."""
+SUSPECT, SUSPECT_OF_SEVERAL = 0.65, 0.9
+"""Where the hits of a map agree less, one of its lasers may be turned. One that sees all around and
+is mirrored leaves 0.6, and beside others that are right their agreement hides it; real logs of one
+laser have 0.68 and more, and are not worth a second look."""
 
 
 def name_mount(
@@ -36,17 +46,80 @@ def name_mount(
     trial = replace(options, posing=replace(options.posing, sensor_pose=UNTURNED))
     poser = Poser.build(read_poses(log), trial.posing)
     try:
-        mount = guess_mount(sample_scans(log, topics, poser, trial), options.returns)
+        guess = guess_place(poser, sample_scans(log, topics, poser, trial), options)
     except PoseError:
         return error
-    return error.named(format_mount(mount)) if mount else error
+    return error.named(format_mount(guess.mount), guess.why) if guess else error
 
 
-def list_misfits(paths: Sequence[Path], options: BuildOptions) -> Iterator[str]:
-    """Say which lasers of logs, whose scans do not fit each other, are better mounted otherwise.
+class Guess(NamedTuple):
+    """Where a laser may sit."""
 
-    The logs are read once more: this is for maps that are spoiled anyway.
+    mount: Pose
+    why: str
+    """What speaks for it, and how well the scans then fit each other"""
+
+
+def guess_place(poser: Poser, parts: Sequence[PosedScans], options: BuildOptions) -> Guess | None:
+    """Guess where the only laser of a log sits: where tf mounts a frame without scans, or a turn.
+
+    Parameters
+    ----------
+    parts
+        Its scans, posed as if it were the body.
+
+    Returns
+    -------
+    Guess or None
+        None where nothing is clearly better than all else.
     """
+    marked = count_turned(parts, options.returns)
+    leaves = list_leaves(poser, parts[0].batch.frame) if parts else {}
+    by_leaf = {
+        frame: count_marked(parts, mount, options.returns) for frame, mount in leaves.items()
+    }
+    leaf = min(by_leaf, key=by_leaf.__getitem__, default="")
+    known = bool(leaf) and by_leaf[leaf] < CLEAR_WIN * min(marked)
+    mount = leaves[leaf] if known else choose_turn(marked)
+    if mount is None:
+        return None
+    agreement = estimate_agreement([mount_scans(part, mount) for part in parts], options)
+    share = "" if agreement is None else f": {agreement:.0%} of the hits of a sample agree"
+    if known:
+        return Guess(mount, f"where tf has {leaf!r}, a frame that no scan is in{share}")
+    place = "measure x and y, or walls are doubled"
+    return Guess(mount, f"which suits the scans best of all turns{share}; {place}")
+
+
+def list_leaves(poser: Poser, frame: str) -> dict[str, Pose]:
+    """List the frames that are mounted on the body of a sensor and have none below, and where."""
+    tree, base = poser.sources.tree, poser.options.base_frame or ""
+    base = base or next(iter(list_bases(tree, frame)), "")
+    uppers = {base, *(edge.parent for edge in tree.edges)}
+    ways = {leaf: tree.find_path(base, leaf) for leaf in tree.frames if leaf not in uppers}
+    return {
+        leaf: reduce(Pose.then, map(read_pose, steps))
+        for leaf, steps in ways.items()
+        if steps and not any(step.edge.track.moves for step in steps)
+    }
+
+
+def list_misfits(
+    paths: Sequence[Path], options: BuildOptions, agreement: float | None, lasers: int
+) -> Iterator[str]:
+    """Say which lasers of logs, whose hits agree little in a map, are better mounted otherwise.
+
+    The logs are then read once more, though not traced.
+
+    Parameters
+    ----------
+    agreement
+        Share of the hits in cells that the map calls occupied.
+    lasers
+        The most that any of the logs has.
+    """
+    if agreement is None or agreement >= (SUSPECT_OF_SEVERAL if lasers > 1 else SUSPECT):
+        return
     for path in paths:
         log = open_log(path, options.reading)
         topics = choose_topics(log, options.selection.topics)
@@ -89,6 +162,11 @@ def correct_mount(poser: Poser, frame: str, turn: Pose) -> str:
         return f"sensor_pose={format_mount((given or UNTURNED).then(turn))}"
     tree, base = poser.sources.tree, poser.options.base_frame
     bases = [base] if base else list_bases(tree, frame)
+    if frame not in tree:  # the poses were taken as the sensor's own
+        if len(poser.chains) == 1:
+            return f"sensor_pose={format_mount(turn)}"
+        body = bases[0] if len(bases) == 1 else BASE_NAMES[0]
+        return f"static_transforms={format_static(body, frame, turn)}"
     steps = tree.find_path(bases[0], frame) if len(bases) == 1 else None
     if steps and len(poser.chains) == 1 and not any(step.edge.track.moves for step in steps):
         mount = reduce(Pose.then, map(read_pose, steps))
@@ -119,21 +197,30 @@ def guess_mount(parts: Sequence[PosedScans], options: ReturnOptions) -> Pose | N
     Pose or None
         None where no way of mounting is clearly better than the others.
     """
-    mounts = [
-        Pose.from_xyzrpy((0.0, 0.0, 0.0), (roll, 0.0, yaw))
-        for roll in (0.0, math.pi)
-        for yaw in MOUNT_YAWS
-    ]
-    marked = [count_marked(parts, mount, options) for mount in mounts]
-    (best, at), (second, _) = sorted(zip(marked, range(len(mounts)), strict=True))[:2]
-    return mounts[at] if 0 < best < CLEAR_WIN * second else None
+    return choose_turn(count_turned(parts, options))
+
+
+def count_turned(parts: Sequence[PosedScans], options: ReturnOptions) -> list[int]:
+    """Count the cells that have a hit with each of the turns."""
+    return [count_marked(parts, turn, options) for turn in TURNS]
+
+
+def choose_turn(marked: Sequence[int]) -> Pose | None:
+    """Choose the turn by which the fewest cells have a hit, if it is clearly better."""
+    (best, at), (second, _) = sorted(zip(marked, range(len(TURNS)), strict=True))[:2]
+    return TURNS[at] if 0 < best < CLEAR_WIN * second else None
 
 
 def count_marked(parts: Sequence[PosedScans], mount: Pose, options: ReturnOptions) -> int:
     """Count the cells that have a hit when the sensor is mounted so."""
-    turn = rotate_by(np.array([mount[3:]]))[0]
     hits: list[Float64] = []
     for part in parts:
-        rays, _ = interpret(replace(part, rotation=part.rotation @ turn), options)
+        rays, _ = interpret(mount_scans(part, mount), options)
         hits.append(rays.end[rays.kind == Kind.HIT])
     return len(np.unique(encode_cells(np.concatenate(hits or [np.zeros((0, 2))]), MOUNT_CELL_M)))
+
+
+def mount_scans(part: PosedScans, mount: Pose) -> PosedScans:
+    """Mount a sensor on the body as which its scans are posed."""
+    turn, place = rotate_by(np.array([mount[3:]]))[0], np.array(mount[:3])
+    return PosedScans(part.batch, part.position + part.rotation @ place, part.rotation @ turn)

@@ -2,7 +2,7 @@
 
 from collections.abc import Generator, Sequence
 
-from occmap.errors import LogError, PoseError
+from occmap.errors import LogError, PoseError, UsageError
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
 from occmap.readers import Log, Role, read_poses
@@ -59,8 +59,11 @@ def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser
     ------
     PoseError
         No scan frame has a chain of transforms to a map frame.
+    UsageError
+        As `refuse_shared_mount`.
     """
     first = take_first(log, topics)
+    refuse_shared_mount(log, first, options)
     stated = options.poses is None and all(scan.pose is not None for scan in first)
     poser = Poser.build([] if stated else read_poses(log), options)
     if not stated:
@@ -69,6 +72,26 @@ def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser
         except PoseError as error:
             raise error.placed(log.path) from None
     return poser
+
+
+def refuse_shared_mount(log: Log, first: Sequence[Scan], options: PosingOptions) -> None:
+    """Refuse to put lasers that have frames of their own at one place.
+
+    Raises
+    ------
+    UsageError
+        The mount is given, and the first scans of each topic are in different frames.
+    """
+    lasers = {scan.frame.strip("/"): scan.topic for scan in first}
+    if options.sensor_pose is None or len(lasers) == 1:
+        return
+    frame, topic = next(iter(lasers.items()))
+    own = f"`static_transforms={options.base_frame or 'BASE'},{frame},X,Y,Z,ROLL,PITCH,YAW`"
+    raise UsageError(
+        f"`sensor_pose` would put {len(lasers)} lasers at one place: {', '.join(lasers)}",
+        where=log.path,
+        fix=f"choose one: `topics={topic}`, or give each a mount of its own: {own}",
+    )
 
 
 def take_first(log: Log, topics: Sequence[str]) -> list[Scan]:

@@ -127,7 +127,7 @@ def build_locked(
         *list_frames(tally),
         *list_lacking(tally, resumed),
         *lost,
-        *list_contradictions(paths, options, facts),
+        *list_contradictions(paths, options, facts, tally.lasers),
         *list_repeated(manifest.builds),
         *list_mixed(manifest),
     ]
@@ -185,13 +185,11 @@ def list_unresumed(options: BuildOptions, saved: Evidence | None) -> Iterator[st
 
 
 def list_contradictions(
-    paths: Sequence[Path], options: BuildOptions, facts: MapFacts
+    paths: Sequence[Path], options: BuildOptions, facts: MapFacts, lasers: int
 ) -> Iterator[str]:
     """Say that the scans of a map contradict each other, and which mount would fit better."""
-    disagreement = list(tell_disagreement(facts.agreement, facts.has_walls))
-    if disagreement:
-        yield from disagreement
-        yield from list_misfits(paths, options)
+    yield from tell_disagreement(facts.agreement, facts.has_walls)
+    yield from list_misfits(paths, options, facts.agreement, lasers)
 
 
 def make_report(facts: MapFacts, options: BuildOptions, tally: Tally, remarks: Remarks) -> Report:

@@ -86,6 +86,8 @@ class Tally:
         self.beams = ReturnCounts()
         self.frames: dict[str, str | None] = {}
         """In which frame each log is mapped; None where it states poses and names no frame"""
+        self.lasers = 0
+        """The most topics of scans that any log has"""
 
     @property
     def scans(self) -> ScanCounts:
@@ -106,6 +108,7 @@ class Tally:
         if self.recorder and other.recorder:
             self.recorder.add(other.recorder)
         self.frames |= other.frames
+        self.lasers = max(self.lasers, other.lasers)
         self.scans_read += other.scans_read
         self.drop(other.dropped)
         self.use(other.scans_used, other.beams)

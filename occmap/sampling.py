@@ -3,18 +3,24 @@
 import math
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from occmap.batching import Batcher, Selection
+from occmap.errors import MapError
+from occmap.evidence import render
 from occmap.opening import count_messages
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.readers import Log, read_scans
+from occmap.sensor.models import CountingModel
 from occmap.sensor.no_return import RangeLimits
+from occmap.sensor.returns import interpret
 from occmap.types import Float64, Int64, PosedScans
 
 SAMPLE_SCANS = 300
+MOST_CELLS = 10**8
 MAX_SAMPLE_BEAMS = 1 << 19
 
 
@@ -56,6 +62,27 @@ def sample_scans(
         if posed is not None:
             samples[posed.batch.topic].take(posed)
     return [part for sample in samples.values() for part in sample.parts]
+
+
+def estimate_agreement(parts: Sequence[PosedScans], options: BuildOptions) -> float | None:
+    """Estimate the share of hits that lie in cells which the map of a log calls occupied.
+
+    Returns
+    -------
+    float or None
+        None where the sample makes no map, or one too large to be made in passing.
+    """
+    from occmap.tracing import make_engine  # noqa: PLC0415  late: it asks for mounts, as this is for
+
+    if not parts:
+        return None
+    engine = make_engine(replace(options, model=CountingModel(), max_cells=MOST_CELLS))
+    try:
+        for part in parts:
+            engine.add(interpret(part, options.returns)[0])
+        return render(engine.finish(), CountingModel(), MOST_CELLS).agreement
+    except MapError:
+        return None
 
 
 def expect_scans(scans: int, selection: Selection) -> int:

@@ -124,6 +124,7 @@ def trace(
                 (workers.give if rays.kind.size >= HANDED_BEAMS else work)(rays)
             tally.advance(len(attached.batch.stamp_ns))
     tally.frames[str(drive.log.path)] = drive.poser.fixed
+    tally.lasers = max(tally.lasers, len(drive.topics))
     tally.scans_read += batcher.read
     tally.drop(dict(batcher.left_out))
     concerns = drive.poser.list_concerns(batcher.first_ns, options.returns.max_range)

@@ -1,9 +1,10 @@
 """Logs of a robot in a rectangular room, written by formula for the tests of `occmap check`."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -68,14 +69,22 @@ def write_bag(
     scan_stamp: Callable[[int], int] = lambda stamp: stamp,
     topics: Sequence[str] = ("/scan",),
     correct: Callable[[int], tuple[float, float, float]] | None = None,
+    frames: Sequence[str] = ("laser",),
+    others: Mapping[str, float] = MappingProxyType({}),
 ) -> Path:
     """Write the drive as a ROS 1 bag: odometry on /tf, perhaps the mount (roll, yaw), /scan.
 
-    The scans are on the topics in turn; a correction says where `odom` is in `map` at each scan.
+    The scans are on the topics in turn, and in the frames, which all sit at the mount; a correction
+    says where `odom` is in `map` at each scan. Other frames, with their yaw, are on the robot, too.
     """
     log = [
-        Written("/tf_static", 0, _transform(0, "base_link", "laser", (0, 0, 0), *turn))
+        Written("/tf_static", 0, _transform(0, "base_link", frame, (0, 0, 0), *turn))
         for turn in mount
+        for frame in frames
+    ]
+    log += [
+        Written("/tf_static", 0, _transform(0, "base_link", frame, (0, 0, 0), 0.0, yaw))
+        for frame, yaw in others.items()
     ]
     for index in range(SCANS):
         stamp = (100 + index) * SECOND
@@ -88,13 +97,14 @@ def write_bag(
             moved = _transform(stamp, "map", "odom", (right, up, 0), 0.0, turn)
             log.append(Written("/tf", stamp, moved))
         topic = topics[index % len(topics)]
-        log.append(Written(topic, stamp, _scan(scan_stamp(stamp), drive.ranges(index))))
+        frame = frames[index % len(frames)]
+        log.append(Written(topic, stamp, _scan(scan_stamp(stamp), frame, drive.ranges(index))))
     return write_bag1(path, log)
 
 
-def _scan(stamp_ns: int, ranges: Float32) -> object:
+def _scan(stamp_ns: int, frame: str, ranges: Float32) -> object:
     return ROS1.types[SCAN](
-        header=header(ROS1, stamp_ns, "laser"),
+        header=header(ROS1, stamp_ns, frame),
         angle_min=0.0,
         angle_max=2 * math.pi * (BEAMS - 1) / BEAMS,
         angle_increment=2 * math.pi / BEAMS,

@@ -14,15 +14,17 @@ import pytest
 
 from occmap.batching import Selection
 from occmap.command import compose_build
-from occmap.errors import MapError, PoseError
+from occmap.errors import MapError, PoseError, UsageError
 from occmap.inspection import Inspection, inspect
 from occmap.inspection.findings import ScanFindings
 from occmap.inspection.ranges import BLOCK_RANGES, RangeCensus, find_repeated
+from occmap.inspection.sample import find_crossing
 from occmap.inspection.times import StampLog
 from occmap.mounts import correct_mount
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions, Stamps
+from occmap.report import LEAST_AGREEMENT
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import Float32, Float64, Pose, Scan, ScanBatch
 from tests.inspection_logs import BEAMS, SCANS, Drive, measure_room, write_bag, write_csv
@@ -175,7 +177,9 @@ def test_a_census_is_bounded_however_much_it_sees() -> None:
     assert census.total == 9 * (BLOCK_RANGES // 4)
 
 
-@pytest.mark.parametrize(("lost", "advice"), [("wall", "ignore"), ("gap", "clear")])
+@pytest.mark.parametrize(
+    ("lost", "advice"), [("wall", "ignore"), ("gap", "ignore"), ("far", "clear")]
+)
 def test_the_log_itself_tells_whether_no_return_is_open_space(
     tmp_path: Path, lost: str, advice: str
 ) -> None:
@@ -184,13 +188,16 @@ def test_the_log_itself_tells_whether_no_return_is_open_space(
     def spoil(ranges: Float64) -> Float64:
         index = next(counter)
         x, _, heading = _at(index)
-        if lost == "gap":  # nothing stands where the left wall was
+        if lost == "gap":  # the left wall is of glass, or there is none
             ranges[x + ranges * np.cos(heading) < -4.99] = np.inf
+        elif lost == "far":  # beams graze the walls, and lead through none
+            ranges[ranges > 4.5] = np.inf
         else:  # any beam may fail
             ranges[index % 7 :: 7] = np.inf
         return ranges
 
-    found = look(write_csv(tmp_path / "lost.csv", Drive(spoil=spoil)))
+    limit = "4.5" if lost == "far" else "30"
+    found = look(write_csv(tmp_path / "lost.csv", Drive(spoil=spoil), limit))
 
     assert {s.no_return for s in topic(found).ranges.specials} == {advice}
     assert ("--no-return" in found.command) == (advice == "clear")
@@ -208,6 +215,27 @@ def test_a_missing_mount_is_found_from_the_scans(tmp_path: Path, mount: float) -
     assert found.map is not None
     # Noise of float32 decides in which of two cells a wall at 5 m lies.
     assert found.map.extent == pytest.approx((-5.1, -3.1, 5.1, 3.1), abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("start", "heading", "crosses"),
+    [
+        ((5.0, -2.0), math.pi / 2, True),
+        ((3.0, -2.0), math.pi / 4, True),
+        ((0.5, 0.03), 0.0, False),  # along the wall, 3 cm off
+        ((0.5, -0.3), math.radians(3), False),  # towards it, and ends before it
+        ((10.03, -2.0), math.pi / 2, False),  # past its end
+        ((9.0, -1.1), math.pi / 4, False),
+    ],
+)
+def test_a_beam_that_grazes_a_wall_does_not_lead_through_it(
+    start: tuple[float, float], heading: float, crosses: bool
+) -> None:
+    """A wall from (0, 0) to (10, 0) that was hit every 5 cm, and a beam of 4 m."""
+    wall = np.stack([np.arange(0, 10.01, 0.05), np.zeros(201)], axis=1)
+    direction = np.array([[math.cos(heading), math.sin(heading)]])
+    found = find_crossing(np.array([start]), direction, np.array([4.0]), wall)
+    assert found.tolist() == [crosses]
 
 
 def test_what_check_recommends_is_then_buildable(tmp_path: Path) -> None:
@@ -391,11 +419,31 @@ def hide(scans: Float64) -> Float64:
 
 def test_the_mount_is_named_in_the_error_of_a_build(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "room.bag", Drive(spoil=hide))
-    mount = "`sensor_pose=0,0,3.14159,3.14159,0`, which suits the scans; measure x and y"
-    with pytest.raises(PoseError, match=f"give its mount on base_link: {mount}"):
+    with pytest.raises(PoseError) as told:
         build([path], BuildOptions())
-    (problem,) = look(path).problems
-    assert mount in problem
+    mount = "`sensor_pose=0,0,3.14159,3.14159,0`, which suits the scans best of all turns: 9"
+    assert f"give its mount on base_link: {mount}" in str(told.value)
+    assert str(told.value).endswith("measure x and y, or walls are doubled")
+    assert look(path).problems == (str(told.value),)
+
+
+def test_a_laser_whose_frame_tf_spells_otherwise_is_where_tf_has_that(tmp_path: Path) -> None:
+    """It is turned by 1 rad, which is none of the turns that are tried."""
+    path = write_bag(
+        tmp_path / "room.bag",
+        Drive(1.0),
+        frames=("lidar_link",),
+        others={"camera": 0.0, "laser": 1.0, "odd": 1.5},
+    )
+    with pytest.raises(PoseError) as told:
+        build([path], BuildOptions())
+    start = (
+        "give its mount on base_link: `sensor_pose=0,0,1`, where tf has 'laser', a frame that no"
+    )
+    assert start in str(told.value)
+    found = look(path)
+    assert found.problems == (str(told.value),)
+    assert found.command[3:-2] == ("--sensor-pose", "0,0,1")
 
 
 def test_a_build_whose_hits_disagree_names_the_mount(tmp_path: Path) -> None:
@@ -407,6 +455,62 @@ def test_a_build_whose_hits_disagree_names_the_mount(tmp_path: Path) -> None:
     )
     right = BuildOptions(posing=PosingOptions(sensor_pose=Pose.planar(0, 0, math.pi)))
     assert not any("fit" in note for note in build([path], right).report.notes)
+
+
+def test_a_build_names_the_mount_of_the_one_laser_of_two_that_is_mirrored(tmp_path: Path) -> None:
+    counter = iter(range(SCANS))
+    path = write_bag(
+        tmp_path / "room.bag",
+        Drive(spoil=lambda ranges: np.roll(ranges[::-1], 1) if next(counter) % 2 else ranges),
+        mount=[(0.0, 0.0)],
+        topics=("/front", "/rear"),
+        frames=("front", "rear"),
+    )
+    report = build([path], BuildOptions()).report
+    assert report.map.agreement is not None
+    assert report.map.agreement > LEAST_AGREEMENT
+    (note,) = report.notes
+    mount = "`static_transforms=base_link,rear,0,0,0,3.14159,0,0`"
+    assert note == f"{path}: /rear: the scans would fit each other better with {mount}"
+
+
+@pytest.mark.parametrize("mount", [[], [(0.0, 0.0)]])
+def test_lasers_with_frames_of_their_own_are_not_put_at_one_place(
+    tmp_path: Path, mount: list[tuple[float, float]]
+) -> None:
+    topics, frames = ("/front", "/rear"), ("front", "rear")
+    path = write_bag(tmp_path / "two.bag", Drive(), mount, topics=topics, frames=frames)
+    posing = PosingOptions(sensor_pose=Pose.planar(0, 0, 0))
+    with pytest.raises(UsageError) as told:
+        build([path], BuildOptions(posing=posing))
+    assert str(told.value) == (
+        f"{path}: `sensor_pose` would put 2 lasers at one place: front, rear; choose one: "
+        "`topics=/front`, or give each a mount of its own: "
+        "`static_transforms=BASE,front,X,Y,Z,ROLL,PITCH,YAW`"
+    )
+    assert look(path, BuildOptions(posing=posing)).problems == (str(told.value),)
+    one = BuildOptions(posing=posing, selection=Selection(topics=("/front",)))
+    assert build([path], one).report.scans.used == SCANS / 2
+
+
+def test_two_lasers_without_a_mount_are_to_be_given_one_each(tmp_path: Path) -> None:
+    topics, frames = ("/front", "/rear"), ("front", "rear")
+    path = write_bag(tmp_path / "two.bag", Drive(), topics=topics, frames=frames)
+    with pytest.raises(PoseError, match="`static_transforms=base_link,front,X,Y,Z,ROLL,PITCH,YAW`"):
+        build([path], BuildOptions())
+
+
+@pytest.mark.parametrize("turn", [math.pi / 2, math.pi])
+def test_the_turn_of_a_laser_is_found_where_the_poses_are_taken_as_its_own(
+    tmp_path: Path, turn: float
+) -> None:
+    path = write_bag(tmp_path / "room.bag", Drive(turn))
+    poses = tmp_path / "poses.csv"
+    rows = (f"{100 + index},{','.join(map(str, Drive().pose(index)))}" for index in range(SCANS))
+    poses.write_text("\n".join(["stamp,x,y,yaw", *rows]))
+    found = look(path, BuildOptions(posing=PosingOptions(poses=str(poses))))
+    assert found.command[3:5] == ("--poses", str(poses))
+    assert found.command[5:-2] == ("--sensor-pose", f"0,0,{round(turn, 5):g}")
 
 
 @pytest.mark.parametrize("given", [(0.5, 0.0), (0.5, math.pi / 2)])

@@ -114,7 +114,9 @@ def list_ranges(ranges: RangeFindings) -> Iterator[Row]:
         meaning = "no return, by the limit" if item.is_no_return else "may mean no return"
         yield "", f"{item.value:<12.6g} repeated: {item.share:.1%} of the ranges; {meaning}"
     if ranges.crossed is not None:
-        text = f"{ranges.crossed:.0%} of beams without return lead through what others hit"
+        text = (
+            f"{ranges.crossed:.0%} of beams without return lead through or beyond what others hit"
+        )
         advised = any(special.no_return == "clear" for special in ranges.specials)
         yield "", text if advised else f"{text}: leave --no-return as it is"
 

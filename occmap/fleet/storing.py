@@ -129,7 +129,7 @@ def build_store(
         *options.list_idle(),
         *list_frames(tally),
         *list_lacking(tally, None),
-        *list_contradictions(paths, options, facts),
+        *list_contradictions(paths, options, facts, tally.lasers),
         *list_repeated(manifest.builds),
     ]
     remarks.files = [str(output)]

@@ -23,7 +23,7 @@ from occmap.inspection.findings import (
     ScanFindings,
 )
 from occmap.inspection.poses import Posing, find_moving_stamp, prepare, suggest_stamps
-from occmap.inspection.sample import estimate_agreement, measure_crossing
+from occmap.inspection.sample import measure_crossing
 from occmap.inspection.survey import Survey, TopicSurvey
 from occmap.mounts import find_better
 from occmap.opening import choose_topics, count_messages
@@ -33,6 +33,7 @@ from occmap.posing.concerns import Concern
 from occmap.posing.coverage import list_coverage
 from occmap.posing.options import DropReason, Stamps
 from occmap.readers import Log, open_log, read_scans
+from occmap.sampling import estimate_agreement
 from occmap.sensor.bounds import Spreading
 from occmap.sensor.no_return import RangeLimits
 

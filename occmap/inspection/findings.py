@@ -79,8 +79,8 @@ class RangeFindings:
     repeated: tuple[Repeated, ...]
     """Finite ranges that repeat suspiciously often"""
     crossed: Share | None
-    """Share of the beams without return whose way leads through what others hit; null where too
-    few are known"""
+    """Share of the beams without return whose way leads through a surface that others hit, or
+    beyond all that was hit; null where too few are known"""
 
 
 @dataclass(frozen=True)

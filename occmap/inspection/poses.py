@@ -1,6 +1,6 @@
 """Where the poses of a log come from, what is missing, and which option would mend it."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -8,8 +8,8 @@ import numpy as np
 from occmap.command import format_mount
 from occmap.errors import MountError, PoseError
 from occmap.inspection.survey import TopicSurvey
-from occmap.mounts import UNTURNED, guess_mount
-from occmap.opening import take_first
+from occmap.mounts import UNTURNED, Guess, guess_place
+from occmap.opening import refuse_shared_mount, take_first
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.chain import Status
@@ -44,9 +44,12 @@ def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:
     ------
     PoseError, LogError
         The trajectory that the user chose cannot be used.
+    UsageError
+        As `refuse_shared_mount`.
     """
-    poser = Poser.build(read_poses(log), options.posing)
     first = take_first(log, topics)
+    refuse_shared_mount(log, first, options.posing)
+    poser = Poser.build(read_poses(log), options.posing)
     frames = {scan.frame for scan in first if scan.pose is None or options.posing.poses}
     faults = find_faults(poser.sources, options.posing, frames)
     sound = frames - faults.keys()
@@ -60,14 +63,14 @@ def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:
 
 
 def find_faults(
-    sources: Sources, options: PosingOptions, frames: Iterable[str]
+    sources: Sources, options: PosingOptions, frames: Collection[str]
 ) -> dict[str, PoseError]:
     """Say for every frame that has no way to the map why that is."""
     faults: dict[str, PoseError] = {}
     fixed: str | None = None
     for frame in sorted(frames):
         try:
-            fixed = resolve(sources, options, frame, fixed).fixed
+            fixed = resolve(sources, options, frame, fixed, alone=len(frames) == 1).fixed
         except PoseError as error:
             faults[frame] = error
     return faults
@@ -76,20 +79,22 @@ def find_faults(
 def assume_mount(
     log: Log, topics: Sequence[str], options: BuildOptions, unturned: Posing
 ) -> Posing:
-    """Read the scans as if the sensor were the body, and find the turn that suits them best."""
+    """Read the scans as if the sensor were the body, and find the mount that suits them best."""
     parts = sample_scans(log, topics, unturned.poser, options)
-    mount = guess_mount(parts, options.returns)
-    posing = replace(unturned.poser.options, sensor_pose=mount or UNTURNED)
+    guess = guess_place(unturned.poser, parts, options)
+    posing = replace(unturned.poser.options, sensor_pose=guess.mount if guess else UNTURNED)
     poser = Poser(unturned.poser.sources, posing, notes=list(unturned.poser.sources.notes))
     faults = unturned.faults
-    if mount is not None:
-        faults = {frame: name_found(fault, mount) for frame, fault in faults.items()}
-    return Posing(poser, faults, posing.sensor_pose, is_guess=mount is None)
+    if guess is not None:
+        faults = {frame: name_found(fault, guess) for frame, fault in faults.items()}
+    return Posing(poser, faults, posing.sensor_pose, is_guess=guess is None)
 
 
-def name_found(fault: PoseError, mount: Pose) -> PoseError:
+def name_found(fault: PoseError, guess: Guess) -> PoseError:
     """Name the mount that was found in the error that it is missing."""
-    return fault.named(format_mount(mount)) if isinstance(fault, MountError) else fault
+    if isinstance(fault, MountError):
+        return fault.named(format_mount(guess.mount), guess.why)
+    return fault
 
 
 def find_moving_stamp(poser: Poser) -> int | None:

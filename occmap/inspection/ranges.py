@@ -140,14 +140,16 @@ class RangeCensus:
 
 
 MOSTLY_OPEN = 0.05
-"""Where fewer of the beams without return than this would cross what others hit, space is open."""
+"""Where fewer of the beams without return than this lead through or beyond what others hit, space
+is open. On real logs it is nearly all of them, in a building larger than the range none."""
 
 
 def suggest_no_return(census: RangeCensus, crossed: float | None) -> str:
     """Suggest what `no_return` is to be.
 
     Space is called free only where there is a distance up to which, the value is no error code,
-    and the log itself does not object: hardly a beam without return leads through a wall.
+    and the log itself does not object: hardly a beam without return leads through a wall, or out of
+    all that was hit, as through glass.
     """
     low, high = SICK_CODES
     is_code = any(low <= item.value <= high for item in census.list_repeated())

@@ -1,29 +1,35 @@
 """What a sample of posed scans tells that no single scan does."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
-from occmap.errors import MapError
-from occmap.evidence import render
-from occmap.options import BuildOptions
 from occmap.sampling import encode_cells
-from occmap.sensor.models import CountingModel
 from occmap.sensor.returns import NoReturn, ReturnOptions, interpret
-from occmap.tracing import make_engine
-from occmap.types import Bool, Float64, Int64, Kind, PosedScans, as_float32
+from occmap.types import Bool, Float64, Kind, PosedScans, as_float32
 
-HIT_CELL_M = 0.2
+HIT_CELL_M = 0.1
+ASIDE_M = 0.15
+"""A surface that a beam leads through has hits so far on either side of it; a corner or a wall that
+the beam grazes, on one side only."""
+STEPS_AROUND = 2
+"""So many steps of a cell before and behind, for surfaces that are crossed aslant"""
+SHORT_OF_END_M = 0.2
 MAX_REACH_M = 30.0
-MAX_CROSSING_BEAMS = 2000
+MAX_CROSSING_BEAMS = 250
 MIN_CROSSING_BEAMS = 50
-
-MOST_CELLS = 10**8
+SIDES = np.arange(8) * math.pi / 4
+"""Whither the sides of the octagon face that lies around all hits (rad)"""
 
 
 def measure_crossing(parts: Sequence[PosedScans], options: ReturnOptions) -> float | None:
-    """Measure how many beams without return would call free what other beams hit.
+    """Measure how many beams without return would call free what they should not.
+
+    That is a surface which other beams hit, or ground beyond all that was hit: a front of glass
+    gives no hits, but what stands around it does.
 
     Returns
     -------
@@ -44,9 +50,10 @@ def measure_crossing(parts: Sequence[PosedScans], options: ReturnOptions) -> flo
     if len(reach) < MIN_CROSSING_BEAMS:
         return None
     some = np.linspace(0, len(reach) - 1, min(len(reach), MAX_CROSSING_BEAMS)).astype(np.int64)
-    walls = encode_cells(np.concatenate(hits), HIT_CELL_M)
-    ways = walk(np.concatenate(origins)[some], np.concatenate(directions)[some], reach[some])
-    return float(np.isin(ways, walls).any(axis=1).mean())
+    origin, direction = np.concatenate(origins)[some], np.concatenate(directions)[some]
+    reach, hit = np.minimum(reach[some], MAX_REACH_M), np.concatenate(hits)
+    leaves = find_outside(origin + reach[:, None] * direction, hit)
+    return float((leaves | find_crossing(origin, direction, reach, hit)).mean())
 
 
 def is_lost(part: PosedScans, options: ReturnOptions) -> Bool:
@@ -56,27 +63,31 @@ def is_lost(part: PosedScans, options: ReturnOptions) -> Bool:
     return lost
 
 
-def walk(origin: Float64, direction: Float64, reach: Float64) -> Int64:
-    """Number the cells (N, K) that beams (N,) pass; short beams repeat their last one."""
-    far = np.minimum(reach, MAX_REACH_M)
-    steps = np.minimum(np.arange(HIT_CELL_M, MAX_REACH_M, HIT_CELL_M), far[:, None] - HIT_CELL_M)
-    return encode_cells(origin[:, None] + steps[..., None] * direction[:, None], HIT_CELL_M)
+def find_outside(points: Float64, hit: Float64) -> Bool:
+    """(N,) whether points (N, 2) lie outside the octagon around all hits (H, 2)."""
+    sides = np.stack([np.cos(SIDES), np.sin(SIDES)])
+    far = (hit @ sides).max(axis=0) if len(hit) else np.inf  # no hit, no building
+    outside: Bool = (points @ sides > far).any(axis=1)
+    return outside
 
 
-def estimate_agreement(parts: Sequence[PosedScans], options: BuildOptions) -> float | None:
-    """Estimate the share of hits that lie in cells which the map of a log calls occupied.
+def find_crossing(origin: Float64, direction: Float64, reach: Float64, hit: Float64) -> Bool:
+    """(N,) whether beams (N,) lead through a surface of which there are hits (H, 2)."""
+    walls = np.unique(encode_cells(hit, HIT_CELL_M))
+    far = reach[:, None] - SHORT_OF_END_M
+    steps = np.minimum(np.arange(HIT_CELL_M, MAX_REACH_M, HIT_CELL_M), far)
+    ways = origin[:, None] + steps[..., None] * direction[:, None]
+    aside = ASIDE_M * np.stack([-direction[:, 1], direction[:, 0]], axis=1)[:, None]
+    there, left, right = (
+        np.isin(encode_cells(each, HIT_CELL_M), walls)
+        for each in (ways, ways + aside, ways - aside)
+    )
+    crossing: Bool = (there & look_around(left) & look_around(right)).max(axis=1)
+    return crossing
 
-    Returns
-    -------
-    float or None
-        None where the sample makes no map, or one too large to be made in passing.
-    """
-    if not parts:
-        return None
-    engine = make_engine(replace(options, model=CountingModel(), max_cells=MOST_CELLS))
-    try:
-        for part in parts:
-            engine.add(interpret(part, options.returns)[0])
-        return render(engine.finish(), CountingModel(), MOST_CELLS).agreement
-    except MapError:
-        return None
+
+def look_around(steps: Bool) -> Bool:
+    """(N, K) whether any of the steps (N, K) of a beam around each is true."""
+    ends = np.pad(steps, ((0, 0), (STEPS_AROUND, STEPS_AROUND)))
+    around: Bool = sliding_window_view(ends, 2 * STEPS_AROUND + 1, axis=1).max(axis=2)
+    return around

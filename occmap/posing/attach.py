@@ -103,20 +103,20 @@ class Poser:
             No frame, of these and earlier ones, has a chain.
         """
         new = sorted(frame for frame in set(frames) if frame not in self.chains)
-        failures = self._resolve(new)
+        # What mends one laser among others is not what mends a single one.
+        failures = self._resolve(new, alone=len(new) == 1 and not self.chains)
         if failures and self.fixed is None:
             raise next(iter(failures.values()))
-        # Once more, as what mends one laser among others is not what mends a single one.
-        failures = self._resolve(failures)
+        failures = self._resolve(failures, alone=False)  # again, by what was found meanwhile
         self.chains.update(dict.fromkeys(failures))
         self._note(*(str(error) for error in failures.values()))
 
-    def _resolve(self, frames: Iterable[str]) -> dict[str, PoseError]:
+    def _resolve(self, frames: Iterable[str], alone: bool) -> dict[str, PoseError]:
         """Find the chains to frames, one after the other; say why there is none."""
         failures: dict[str, PoseError] = {}
         for frame in frames:
             try:
-                way = resolve(self.sources, self.options, frame, self.fixed)
+                way = resolve(self.sources, self.options, frame, self.fixed, alone)
             except PoseError as error:
                 failures[frame] = error
             else:

@@ -30,7 +30,11 @@ class Resolved:
 
 
 def resolve(
-    sources: Sources, options: PosingOptions, frame: str, fixed: str | None = None
+    sources: Sources,
+    options: PosingOptions,
+    frame: str,
+    fixed: str | None = None,
+    alone: bool = True,
 ) -> Resolved:
     """Find the way to a scan's frame.
 
@@ -45,13 +49,15 @@ def resolve(
         The scan's.
     fixed
         The frame that other scans are mapped in already.
+    alone
+        No other laser of the log is mapped.
 
     Raises
     ------
     PoseError
         There is no way; says what is missing, and which option mends it.
     """
-    search = _Search(sources.tree, sources, options, frame.strip("/"), alone=fixed is None)
+    search = _Search(sources.tree, sources, options, frame.strip("/"), alone)
     if sources.trajectory is not None:
         name, steps = search.follow(sources.trajectory)
     else:
@@ -77,7 +83,7 @@ class _Search:
     options: PosingOptions
     frame: str
     alone: bool
-    """No other laser has been found a way to."""
+    """No other laser of the log is mapped."""
     notes: list[str] = field(default_factory=list)
 
     def climb(self, fixed: str | None) -> Way:
@@ -112,7 +118,10 @@ class _Search:
         fixed = self.options.map_frame or trajectory.parent
         above = self._find_path(fixed, trajectory.parent)
         below = self._find_path(body, anchor)
-        self.notes.append(f"poses from {trajectory.topic}, taken as those of {body!r}")
+        note = f"poses from {trajectory.topic}, taken as those of {body!r}"
+        own = body == self.frame and not trajectory.child
+        other = f"the laser itself: give `sensor_pose={MountError.UNKNOWN}` if they are the robot's"
+        self.notes.append(f"{note}, {other}" if own else note)
         carried = Step(replace(trajectory, child=body))
         return fixed, [*above, carried, *below, *self._mount_on(anchor)]
 

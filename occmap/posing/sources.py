@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from occmap.errors import PoseError
 from occmap.posing.contradictions import list_contradictions
-from occmap.posing.conventions import join_names
+from occmap.posing.conventions import BASE_NAMES, FIXED_NAMES, join_names
 from occmap.posing.frames import Edge, FrameTree, Source, last_part
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.posing.tracks import Track, TrackBuilder
@@ -64,6 +64,8 @@ def gather(samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) ->
     tracks, notes = _build_tracks(samples, options.stamps)
     edges = [_make_edge(key, track) for key, track in tracks]
     given = [_make_given(sample) for sample in options.static_transforms]
+    if not any(edge.child for edge in [*given, *edges]):
+        edges = [_name_body(edge) for edge in edges]
     tree = FrameTree([*given, *(edge for edge in edges if edge.child)])
     poses = tuple(sorted((edge for edge in edges if edge.source is Source.ODOMETRY), key=_rank))
     trajectory = _find_trajectory(options, poses, notes) if options.poses else None
@@ -112,6 +114,12 @@ def _make_edge(key: _Key, track: Track) -> Edge:
     is_tf = key.child and (key.static or last_part(key.topic) in TF_TOPICS)
     source = Source.TF if is_tf else Source.ODOMETRY
     return Edge(key.parent.strip("/"), key.child.strip("/"), track, source, key.topic)
+
+
+def _name_body(edge: Edge) -> Edge:
+    """Name the body of odometry that names none, in a log without other frames, as REP 105 does."""
+    is_odometry = last_part(edge.parent) == FIXED_NAMES[1] and not _is_intention(edge.topic)
+    return replace(edge, child=BASE_NAMES[0]) if is_odometry and len(edge.track) > 1 else edge
 
 
 def _make_given(sample: PoseSample) -> Edge:

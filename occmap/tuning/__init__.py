@@ -14,8 +14,8 @@ from occmap.report import LEAST_AGREEMENT, Remarks, Tally
 from occmap.scoring.compare import FEW_SCANS
 from occmap.tuning.kept import MOST_SCANS, KeptLog, find_mount, keep_logs
 from occmap.tuning.result import Tuning
-from occmap.tuning.search import TIME, TOGETHER, YAW, Correction, Course, X, Y
-from occmap.tuning.verdict import Verdict, find
+from occmap.tuning.search import TIME, TOGETHER, YAW, Correction, Course, Knob, X, Y
+from occmap.tuning.verdict import Finding, Gain, Verdict, find
 from occmap.types import Pose, Rays
 from occmap.wording import count
 
@@ -33,7 +33,7 @@ TURN_RAD = 0.5
 def tune(
     paths: Sequence[Path], options: BuildOptions, progress: Progress = ignore_progress
 ) -> Tuning:
-    """Search for a time offset, then for a mount, by the share of held-out beams.
+    """Search for a time offset and for a mount, by the share of held-out beams.
 
     What is found must gain more than noise, and in both halves of the held-out scans. The logs are
     read once; at most a thousand scans are kept.
@@ -56,21 +56,18 @@ def tune(
     before = course.score(Correction())
     motion = Motion.measure(course.trace(Correction()))
     timed = motion.shows_time and not all(log.stated for log in logs)
-    time = find(course, Correction(), [TIME] if timed else [])
-    # Where halves want different times, a mount would only make up for that.
-    mounted = mount is not None and time.verdict is not Verdict.DISAGREE
     place = [*([YAW] if motion.shows_yaw else []), *([X, Y] if motion.shows_place else [])]
-    found = find(course, time.correction, place if mounted else [])
-    # One may have hidden part of the other: a laser that is late looks as if it sat further back.
-    again = timed and found.verdict is Verdict.FOUND
-    both = find(course, found.correction, TOGETHER if again else [])
+    way = find_way(course, [TIME] if timed else [], [] if mount is None else place)
+    # One may have hidden part of the other.
+    again = timed and way.mount.verdict is Verdict.FOUND
+    both = find(course, way.correction, TOGETHER if again else [])
     tuning = Tuning(
         options=options,
         remarks=remarks,
         tally=tally,
         kept=kept,
-        time=time,
-        mount=found,
+        time=way.time,
+        mount=way.mount,
         together=both,
         sensor_pose=mount,
         before=before,
@@ -80,6 +77,43 @@ def tune(
     )
     remarks.notes += [*list_unsearched(logs, mount, motion), *list_doubts(tuning)]
     return tuning
+
+
+class Way(NamedTuple):
+    """What came of two searches, of which the second begins with what the first found."""
+
+    time: Finding
+    mount: Finding
+    correction: Correction
+    """By both"""
+
+    @property
+    def found(self) -> int:
+        """How many of the two found something."""
+        return [self.time.verdict, self.mount.verdict].count(Verdict.FOUND)
+
+
+def find_way(course: Course, timed: Sequence[Knob], place: Sequence[Knob]) -> Way:
+    """Search for a time offset and then for a mount; where that matters, the other way round too.
+
+    A laser that is late looks as if it sat further back, and the reverse, so whichever is searched
+    first may make up for the other. Of the two ways, the one that finds less to be wrong is right
+    unless the other gains certainly more.
+    """
+    time = find(course, Correction(), timed)
+    # Where halves want different times, a mount would only make up for that.
+    disagree = time.verdict is Verdict.DISAGREE
+    mount = find(course, time.correction, [] if disagree else place)
+    usual = Way(time, mount, mount.correction)
+    if not disagree and time.verdict is not Verdict.FOUND:
+        return usual
+    mount = find(course, Correction(), place)
+    time = find(course, mount.correction, timed)
+    if mount.verdict is not Verdict.FOUND or time.verdict is Verdict.DISAGREE:
+        return usual
+    simple, other = sorted([usual, Way(time, mount, time.correction)], key=lambda way: way.found)
+    gain = Gain.measure(course.score(simple.correction), course.score(other.correction))
+    return other if gain.certain else simple
 
 
 class Motion(NamedTuple):

@@ -82,8 +82,8 @@ class PrintedTuning(Told, PrintedGain):
     time: PrintedFinding
     """What came of the search for a time offset"""
     mount: PrintedFinding
-    """What came of the search for the laser's yaw, x and y on its body, after that for a time
-    offset"""
+    """What came of the search for the laser's yaw, x and y on its body; the one of these two that
+    explains more is searched first, and the other with what that found"""
     together: PrintedFinding
     """What came of the search for both once more, where a mount was found"""
     tried: list[PrintedTrial]

@@ -59,7 +59,8 @@ class Knob:
 
 
 TIME = Knob("time_s", (0.16, 0.08, 0.04, 0.02, 0.01), MOST_OFFSET_S)
-YAW = Knob("yaw", tuple(math.radians(angle) for angle in (2, 1, 0.5, 0.25)), math.radians(20))
+QUARTER_DEG = round(math.radians(0.25), 9)  # as corrections are: steps back end at 0
+YAW = Knob("yaw", tuple(n * QUARTER_DEG for n in (8, 4, 2, 1)), math.radians(20))
 X = Knob("x", (0.04, 0.02, 0.01, 0.005), 0.5)
 Y = replace(X, name="y")
 TOGETHER = [replace(knob, steps=knob.steps[-3:]) for knob in (TIME, YAW, X, Y)]

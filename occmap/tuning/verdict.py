@@ -67,14 +67,15 @@ def find(course: Course, start: Correction, knobs: Sequence[Knob]) -> Finding:
     """Search for a better correction than one, and judge it; without knobs there is no search."""
     if not knobs:
         return Finding(Verdict.UNSEEN, start)
-    before, earlier = course.score(start), course.tried.keys() - {start}
+    before, earlier = course.score(start), set(course.tried)
     best = search(course, start, knobs)
+    tried = {start, best} | (course.tried.keys() - earlier)
     gain = Gain.measure(before, course.tried[best])
     halves = [
         {
             each: Gain.measure(before, trial, half)
             for each, trial in course.tried.items()
-            if each not in earlier
+            if each in tried
         }
         for half in cut(before)
     ]

@@ -77,7 +77,7 @@ def test_few_scans_are_told(tmp_path: Path) -> None:
 def test_a_missing_mount_is_asked_for_as_by_build(tmp_path: Path) -> None:
     log = write_bag(tmp_path / "room.bag", Drive(3.14159))
     asked = read_error(occmap("tune", log), 1)
-    assert "--sensor-pose 0,0,3.14159, which suits the scans" in asked
+    assert "--sensor-pose 0,0,3.14159, which suits the scans best of all turns: " in asked
     assert asked == read_error(occmap("build", log, "-o", tmp_path / "m.pgm"), 1)
 
 

@@ -26,10 +26,11 @@ HELP = f"""{COMMANDS["tune"]}
 A map is made of four fifths of the scans, a thousand at most, and asked what the others will see:
 the share of beams whose first occupied cell is within two cells of the measured range. A search
 from coarse to fine, some thirty maps, looks for the time offset by which that share is largest, and
-then for yaw, x and y of the laser on its body; where these are off, for all of them together, since
-one hides the other. A gain counts where it is more than two standard errors and half a percent, and
-where both halves of the held-out scans show it. What is found is added to --time-offset and
---sensor-pose, where they are given.
+then for yaw, x and y of the laser on its body. Where an offset is found, some sixty more maps look
+for the mount first, as one may make up for the other; and where the mount is off, for all of them
+together. A gain counts where it is more than two standard errors and half a percent, and where both
+halves of the held-out scans show it. What is found is added to --time-offset and --sensor-pose,
+where they are given.
 
 \b
   occmap tune drive.mcap
