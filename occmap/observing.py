@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
 from occmap.errors import MapError
+from occmap.evidence.fit import list_misfit
 from occmap.grid.slices import unite
 from occmap.grid.tiles import TileGrid
 from occmap.journey import SHOWN_SCANS, JourneyRecorder
@@ -85,10 +86,12 @@ def observe(
         counts = Tally(tally.tell, keep.make_recorder(scans, len(logs), options.returns))
         engine, notes = observe_log(log, options, keep.slices, counts)
         tally.add(counts)
-        remarks.note(log, notes)
         with tally.time("fold"):
-            add_log(tiles, engine.finish(), options.max_cells, log.path)
+            seen = engine.finish()
+            notes += list_misfit(tiles, seen.tiles, options.model, "the logs before it")
+            add_log(tiles, seen, options.max_cells, log.path)
             slices += engine.read_slices()
+        remarks.note(log, notes)
     with tally.time("fold"):
         return Observed(tiles, (unite(slices),) if keep.slices else (), tally, remarks)
 
