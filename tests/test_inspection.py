@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
@@ -240,7 +241,7 @@ def test_a_wrong_mount_is_suspected(tmp_path: Path) -> None:
 
     assert topic(found).mount is not None
     misfit, disagreement = found.warnings
-    assert misfit.endswith("the scans would fit each other better with `sensor_pose=0,0,3.14159`")
+    assert misfit.endswith("the scans would fit each other better with `sensor_pose=(0,0,3.14159)`")
     assert "the poses do not fit the scans" in disagreement
     assert found.command[3:-2] == ("--sensor-pose", "0,0,3.14159")
 
@@ -391,8 +392,8 @@ def hide(scans: Float64) -> Float64:
 
 def test_the_mount_is_named_in_the_error_of_a_build(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "room.bag", Drive(spoil=hide))
-    mount = "`sensor_pose=0,0,3.14159,3.14159,0`, which suits the scans; measure x and y"
-    with pytest.raises(PoseError, match=f"give its mount on base_link: {mount}"):
+    mount = "`sensor_pose=(0,0,3.14159,3.14159,0)`, which suits the scans; measure x and y"
+    with pytest.raises(PoseError, match=re.escape(f"give its mount on base_link: {mount}")):
         build([path], BuildOptions())
     (problem,) = look(path).problems
     assert mount in problem
@@ -402,7 +403,7 @@ def test_a_build_whose_hits_disagree_names_the_mount(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "room.bag", Drive(math.pi), mount=[(0.0, 0.0)])
     notes = build([path], BuildOptions()).report.notes
     assert (
-        f"{path}: /scan: the scans would fit each other better with `sensor_pose=0,0,3.14159`"
+        f"{path}: /scan: the scans would fit each other better with `sensor_pose=(0,0,3.14159)`"
         in (notes)
     )
     right = BuildOptions(posing=PosingOptions(sensor_pose=Pose.planar(0, 0, math.pi)))

@@ -181,7 +181,7 @@ class _Search:
         if not self.alone:  # a sensor pose would be that of every laser
             given = f"{base or 'BASE'},{self.frame},X,Y,Z,ROLL,PITCH,YAW"
             raise PoseError(found, fix=f"give its mount: `static_transforms={given}`")
-        mount = f"`sensor_pose={MountError.UNKNOWN}`"
+        mount = f"`sensor_pose=({MountError.UNKNOWN})`"
         if not base:
             raise PoseError(found, fix=f"give its mount: {mount} `base_frame=FRAME`")
         raise MountError(found, fix=f"give its mount on {base}: {mount}")

@@ -81,7 +81,7 @@ def test_leading_slashes_mean_nothing() -> None:
 def test_a_missing_mount_is_named_with_the_flag_that_gives_it() -> None:
     assert refusal(build(*drive("odom", "base_link"))) == (
         "no transform to the laser's frame 'laser' (known: base_link, odom); "
-        "give its mount on base_link: `sensor_pose=x,y,yaw`"
+        "give its mount on base_link: `sensor_pose=(x,y,yaw)`"
     )
 
 
