@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
 from occmap.errors import MapError
+from occmap.evidence.fit import list_misfit
 from occmap.grid.slices import unite
 from occmap.grid.tiles import TileGrid
 from occmap.journey import SHOWN_SCANS, JourneyRecorder
@@ -85,14 +86,12 @@ def observe(
         counts = Tally(tally.tell, keep.make_recorder(scans, len(logs), options.returns))
         engine, notes = observe_log(log, options, keep.slices, counts)
         tally.add(counts)
-        remarks.note(log, notes)
         with tally.time("fold"):
-            tiles.merge(engine.finish())
-            try:
-                tiles.refuse_outgrown(options.max_cells)
-            except MapError as error:
-                raise error.placed(log.path) from None
+            seen = engine.finish()
+            notes += list_misfit(tiles, seen.tiles, options.model, "the logs before it")
+            add_log(tiles, seen, options.max_cells, log.path)
             slices += engine.read_slices()
+        remarks.note(log, notes)
     with tally.time("fold"):
         return Observed(tiles, (unite(slices),) if keep.slices else (), tally, remarks)
 
@@ -110,3 +109,18 @@ def observe_log(
 
     traced = trace_logs([log], options, begin, tally)
     return engines[-1], traced[0][1]
+
+
+def add_log(tiles: TileGrid, others: TileGrid, max_cells: int, path: Path) -> None:
+    """Add what a log showed to what others did.
+
+    Raises
+    ------
+    MapError
+        The map would be too large.
+    """
+    tiles.merge(others)
+    try:
+        tiles.refuse_outgrown(max_cells)
+    except MapError as error:
+        raise error.placed(path) from None

@@ -168,7 +168,10 @@ class _Search:
         if steps is not None:
             return steps
         if upper not in self.tree:
-            raise PoseError(f"no frame {upper!r} in the log (known: {self._list_known()})")
+            found = f"no frame {upper!r} in the log (known: {self._list_known()})"
+            is_given = upper == self.options.map_frame
+            fix = "give one of these as `map_frame`, or leave it out" if is_given else ""
+            raise PoseError(found, fix=fix)
         raise PoseError(
             f"no transform from {upper!r} to {lower!r} (known: {self._list_known()})",
             fix=f"give it: `static_transforms={upper},{lower},X,Y,Z,ROLL,PITCH,YAW`",
@@ -190,7 +193,7 @@ class _Search:
         if not self.alone:  # a sensor pose would be that of every laser
             given = f"{base or 'BASE'},{self.frame},X,Y,Z,ROLL,PITCH,YAW"
             raise PoseError(found, fix=f"give its mount: `static_transforms={given}`")
-        mount = f"`sensor_pose={MountError.UNKNOWN}`"
+        mount = f"`sensor_pose=({MountError.UNKNOWN})`"
         if not base:
             raise PoseError(found, fix=f"give its mount: {mount} `base_frame=FRAME`")
         raise MountError(found, fix=f"give its mount on {base}: {mount}")
