@@ -74,6 +74,7 @@ def observe(
     OccmapError
         A log cannot be read, has no scans or no poses, or the map would be too large.
     """
+    # It records nothing itself; it gathers the recorders of the logs.
     tally = Tally(recorder=keep.make_recorder(0, 1, options.returns))
     with tally.time("open"):
         logs = [open_log(path, options.reading) for path in paths]

@@ -71,7 +71,10 @@ class ScanCounts:
 
 
 class Tally:
-    """Counts and times that grow while a map is built; any thread may call `time`, one all else."""
+    """Counts and times that grow while a map is built.
+
+    Any thread may call `time`; all other methods belong to one thread.
+    """
 
     def __init__(
         self,
@@ -272,7 +275,7 @@ class Report:
     """The evidence that the build was added to (`resume`), whose scans and beams are not counted
     here; null where there is none"""
     beams: ReturnCounts
-    """What the beams of the used scans were read as (beams)"""
+    """How many beams of the used scans were read as what"""
     map: MapSummary
     """The map"""
     notes: tuple[str, ...]

@@ -25,8 +25,8 @@ if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than al
     from occmap.grid.sliced import SlicedEngine
 
 HANDED_BEAMS = 1 << 12
-"""Fewer are traced in less time than it takes to hand them to another thread and wait for Python's
-lock: by two threads, a log of 20,000 laser frames with one scan each took six times as long."""
+"""Fewer are traced sooner than handed to another thread, which waits for Python's lock: with two
+threads, a log of 20,000 laser frames with one scan each took six times as long."""
 
 AddRays = Callable[[Rays], None]
 """Adds the rays of a batch to the evidence; any number of threads may call it."""
@@ -40,7 +40,7 @@ class Drive(NamedTuple):
     """The topics whose scans are used"""
     poser: Poser
     seam: Seam = FROM_THE_START
-    """What the parts before this one were"""
+    """What is carried over from the parts before this one"""
 
 
 def open_drive(log: Log, options: BuildOptions) -> Drive:
@@ -66,8 +66,8 @@ def trace_logs(
 ) -> list[tuple[Log, list[str]]]:
     """Read logs and trace their scans; return each log with the notes on it.
 
-    What stands for "no return" is known for sure only when a log was read to its end. Where its
-    first scans did not show that, all of these logs are read once more.
+    Only a log read to its end shows for sure which ranges mean "no return". Where the first scans
+    led to another limit, all these logs are read once more.
 
     Parameters
     ----------

@@ -29,8 +29,8 @@ Bool: TypeAlias = NDArray[np.bool_]
 
 
 MOST_OBSERVED = 1 << 53
-"""The largest number of a cell, of either sign: a float64 holds it exactly, and a thousand of them
-add up without overflow."""
+"""No number of a cell is larger, or below its negative: a float64 holds it exactly, and a thousand
+of them add up without overflow."""
 
 Box: TypeAlias = tuple[float, float, float, float]
 """Lowest x and y, highest x and y (m)"""
@@ -181,7 +181,7 @@ class ScanRun(NamedTuple):
     ranges: Float32
     """(S, B) m"""
     time_increment: Float64
-    """(S,) s between beams; a laser that measures its own speed states another for each scan."""
+    """(S,) s between beams; some lasers measure their speed, so it differs from scan to scan."""
     pose: Float64 | None = None
     """(S, 7) as the fields of `Pose`, where the log states it beside the scans."""
 
@@ -306,7 +306,7 @@ class PosedScans:
     """(S, 3, 3) from the sensor to the map frame, or (S, B, 3, 3)."""
 
     def take(self, scans: Bool | Int64) -> Self:
-        """Some of the scans: (S,) which, or the numbers of those."""
+        """Select scans by a mask (S,) or by their indices."""
         return type(self)(self.batch.take(scans), self.position[scans], self.rotation[scans])
 
 
@@ -367,7 +367,7 @@ class Update(StrEnum):
     POLYGON = "polygon"
     """A whole scan at once: measured cells are the border, the interior is filled."""
     SURFACE = "surface"
-    """Each beam, and between neighbours on one surface the beams that a denser laser had sent."""
+    """Each beam, and between neighbours on one surface the beams that a denser laser sends."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -638,9 +638,9 @@ class Slices:
     """
 
     tiles: Int64
-    """(K, 2) row and column of each tile, in ascending order ..."""
+    """(K, 2) row and column of each tile, in ascending order"""
     numbers: Int64
-    """(K,) ... and, of one tile, of the slices in which it was seen"""
+    """(K,) the slice in which each was seen; ascending for one tile"""
     rows: UInt8
     """(K, 16) a bit for each of the 2 x 64 rows: whether it differs from the row before"""
     parts: UInt8

@@ -97,7 +97,7 @@ class Console:
             value = {**value, "notes": [*self.announced, *value["notes"]]}
         named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **spell_all(value, self.spell)}
         text = json.dumps(named, indent=2, allow_nan=False)
-        put_line(text.replace("##", r"\u0023#"))  # the same to who reads JSON, and no order
+        put_line(text.replace("##", r"\u0023#"))  # the same JSON, but no command to a CI runner
 
     def note(self, *texts: str) -> None:
         """Print what is worth knowing, unless the user wants quiet."""

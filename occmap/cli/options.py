@@ -114,7 +114,7 @@ resolution = field(MAP, "resolution", "M", "Side of a cell.", short="-r")
 max_cells = field(MAP, "max_cells", "N", "Refuse to make a larger map.", type=click.IntRange(min=1))
 lattice = join(
     resolution,
-    field(MAP, "jump", "M", "Neighbouring beams see one surface where ranges differ by less."),
+    field(MAP, "jump", "M", "Neighbours see one surface where ranges differ by at most this."),
     field(
         MAP,
         "hit_offset",
@@ -189,7 +189,7 @@ model_parameters = join(
     parameter("--cut", "A cell is occupied above this probability, free below."),
     parameter("--spread", "How much of a hit counts for each cell beside it.", "SHARE"),
     parameter("--clamp-min", "No observed cell is less probably occupied than this."),
-    parameter("--clamp-max", "... and none more probably than this."),
+    parameter("--clamp-max", "No observed cell is more probably occupied than this."),
 )
 model = join(model_option(describe_model(DEFAULTS["model"])), model_parameters)
 saved_model = join(model_option("what it was built with"), model_parameters)

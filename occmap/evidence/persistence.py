@@ -56,7 +56,7 @@ def refuse_nothing_left(min_passes: int) -> NoReturn:
 
 
 def drop_passing(grid: TileGrid, layers: Sequence[Slices], min_passes: int) -> TileGrid:
-    """Do the same, though nothing may be left."""
+    """As `keep_lasting` with a number of visits, but the result may be empty."""
     lasting = TileGrid(grid.lattice, grid.kind, grid.unit)
     for key, slices in split_tiles(unite(layers)):
         if key in grid.tiles:

@@ -43,9 +43,9 @@ class Content(NamedTuple):
     """What was observed in a block."""
 
     tiles: Int64
-    """(T, 2), as in `Evidence`, ..."""
+    """(T, 2), as in `Evidence`"""
     cells: Int64
-    """(T, 2, 64, 64) ... and so are these"""
+    """(T, 2, 64, 64), as in `Evidence`"""
     slices: tuple[Slices, ...]
     """One where slices of time are kept, in order; else none"""
 

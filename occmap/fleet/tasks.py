@@ -116,8 +116,8 @@ class Traced:
     log_notes: tuple[Note, ...] = ()
     """Of the reader"""
     depends: bool = False
-    """Whether it may be another in the whole log: it is damaged, a frame is seen first, or the
-    map frame jumps"""
+    """True where the rest of the log could change this: a message is damaged, a frame appears for
+    the first time, or a pose jumps"""
     ends: dict[Shape, Ends] = field(default_factory=dict)
     """Where the scans of each shape begin and end"""
     bounds: dict[str, Float64] = field(default_factory=dict)
@@ -147,7 +147,7 @@ def survey_log(job: SurveyJob) -> Survey:
     parts = split_log(log, setting.slice_bytes)
     if parts:
         for chain in filter(None, drive.poser.chains.values()):
-            _ = chain.breaks  # it looks at all poses, and tracks keep what that shows
+            _ = chain.breaks  # so that every part is pickled with tracks that have cached steps
         drives = [drive._replace(log=part) for part in parts]
         write_mapped(stub.with_suffix(".parts"), drives)
     first_ns = find_first(drive, options)
@@ -190,7 +190,7 @@ def open_part(job: TraceJob) -> Drive:
 
 
 def count_in_window(job: TraceJob) -> int:
-    """Count the scans of a part that lie in the time window: what a stride goes by."""
+    """Count the scans of a part that lie in the time window, of which a stride takes every n-th."""
     drive, options = open_part(job), job.setting.options
     selector = Selector(options.selection, options.posing.stamps, drive.seam)
     for _ in selector.judge(read_scans(drive.log, drive.topics)):
@@ -218,7 +218,7 @@ def trace_part(job: TraceJob) -> Traced:
 
 
 def trace_job(job: TraceJob) -> Traced:
-    """As `trace_part`, which keeps it."""
+    """Trace a log or a part of one; `trace_part` also keeps the result."""
     drive, options = open_part(job), replace(job.setting.options, jobs=1)
     is_part = job.part is not None and job.survey.parts > 1
     frames = set(drive.poser.chains)

@@ -1,4 +1,4 @@
-"""The grid engine: takes rays from any number of threads, gives one grid of evidence."""
+"""The grid engine: it takes rays from any number of threads and gives one grid of evidence."""
 
 from threading import Lock
 
@@ -14,12 +14,13 @@ from occmap.grid.windows import Window, choose_window, count_observations, find_
 from occmap.types import Rays, Slices
 
 ROOMY_CELLS = 1 << 22
-"""A window is not made larger than this only for scans that may come."""
+"""Room for scans to come makes a window no larger than this; the scans at hand may."""
 MOST_PARTS = 64
-"""Scans that would need more windows than this lie far apart: they are traced one by one."""
+"""A batch that needs more windows than this lies far apart: it is halved until it fits or one scan
+is left."""
 MARGIN = 4
-"""A box around rays has room beside them: only one this many times too large is refused at once,
-and a smaller one when it is known what was observed."""
+"""The box around rays is larger than what they observe. A single scan is refused before it is
+traced only where its box is this many times too large; otherwise when its tiles are counted."""
 FARTHEST_UNIT = 1 << 52
 """Beyond this a float cannot tell lattice units apart."""
 
@@ -124,7 +125,7 @@ class GridEngine:
         return self.grid
 
     def read_slices(self) -> tuple[Slices, ...]:
-        """Which slices of time observed what `finish` gave: none is kept, as nobody asked."""
+        """No slices of time: this engine keeps none."""
         return ()
 
 

@@ -1,4 +1,4 @@
-"""The lattice that all maps of one resolution share, and the only place that rounds a coordinate.
+"""The lattice that all maps of one resolution share.
 
 Cell (row, col) of a point is (floor(y / resolution), floor(x / resolution)), anchored at the
 world's zero, so that maps merge without resampling. A coordinate is rounded once, to 1/256 of a

@@ -13,9 +13,9 @@ from occmap.types import Float64, Int64, Update
 WINDOW_CELLS = 1 << 24
 """The largest window; scans that need more are traced part by part."""
 SUM_BITS = 20
-"""A window cell counts fewer than 2^20 observations of log-odds before it must be emptied ..."""
+"""A window is emptied before a cell of it counts 2^20 observations of log-odds."""
 COUNT_BITS = 31
-"""... and fewer than 2^31 hits or misses."""
+"""A window is emptied before a cell of it counts 2^31 hits or misses."""
 
 
 @dataclass(frozen=True)
@@ -40,24 +40,25 @@ class Tables:
 
     @property
     def most_observations(self) -> int:
-        """A cell has no room for more."""
+        """How many observations a cell has room for."""
         return (1 << self.bits) - 1
 
 
 COUNTS = Tables(0.0, np.ones(1, np.int64), np.full(1, 1 << COUNT_BITS), 1.0, 1, COUNT_BITS)
-"""Each cell before the end of a beam is told of a miss, and the end of a hit."""
+"""Tables of models that count: a cell before the end of a beam gets a miss, the end cell a hit."""
 
 
 Formula = Callable[[Float64], Float64]
 """(T,) shares in [0, 1] to (T,) probabilities of being occupied."""
 
 TABLE_STEPS = 2048
-"""A free cell's log-odds is then within half a per cent of the formula's where it matters."""
+"""Steps of a table: a free cell's log-odds is within half a per cent of the formula's where it
+matters."""
 
 
 SUREST = 2.0**-53
-"""No probability is tabulated nearer to 0 or 1: a float tells none nearer to 1 from it, and sums of
-log-odds stay within a window's integers, whatever a model says."""
+"""No probability is tabulated nearer to 0 or 1 than this: a float has none between it and 1, and
+sums of log-odds fit a window's integers, whatever a model says."""
 
 
 def tabulate(free: Formula, hit: Formula, depth: float) -> Tables:
@@ -86,9 +87,10 @@ class GridSpec:
     update: Update
     lattice: Lattice
     jump: float = 0.1
-    """Neighbours whose ranges differ by at most this (m) see the same surface (not for beam)"""
+    """Neighbours whose ranges differ by at most this (m) see the same surface (not for beam; for
+    surface, a tenth of the nearer range will do, too)"""
     border_gap: int = 8
-    """... and the border is closed over at most so many cells (polygon)"""
+    """The border of a surface is closed over at most so many cells (polygon)"""
     hit_offset: float = 0.0
     """Cells by which a hit lies behind the measured point: that is on a surface, not in it"""
     radial: Tables | None = None

@@ -10,9 +10,9 @@ from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.types import Float64, Int64, Scan, ScanRun
 
 LONGEST_RUN_NS = 10**16
-"""A simulation lasts no longer than 115 days ..."""
+"""A simulation lasts no longer than this: 115 days."""
 EARLIEST_DATE_NS = 631_152_000 * 10**9
-"""... and what is recorded has the date of its recording: 1990 or later."""
+"""A log with the date of its recording is of 1990 or later."""
 
 
 class StampLog:

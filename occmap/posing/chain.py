@@ -13,14 +13,13 @@ from occmap.posing.rotations import rotate_by, slerp
 from occmap.posing.tracks import Track
 from occmap.types import Bool, Float64, Int64, UInt8
 
-DRIFT_M = 0.1
-DRIFT_M_PER_S = 0.05
-DRIFT_RAD = 0.05
-DRIFT_RAD_PER_S = 0.01
-"""The most that a correction of odometry grows by itself: 5 cm a second is a bad odometer."""
+DRIFT_M, DRIFT_RAD = 0.1, 0.05
+"""A correction of odometry that moves or turns by no more never counts as a jump."""
+DRIFT_M_PER_S, DRIFT_RAD_PER_S = 0.05, 0.01
+"""What a correction drifts by at most, beyond that: 5 cm a second is a bad odometer."""
 
 DENSE_S = 0.1
-"""A robot's velocity hardly changes in this time, so a turn of the laser is seen, not guessed."""
+"""Poses no further apart show how the laser moved: a robot's velocity hardly changes so fast."""
 
 
 class Status(IntEnum):
@@ -47,7 +46,7 @@ class Found(NamedTuple):
     """Where one frame was in another at N stamps, or at all times (N = 1)."""
 
     position: Float64
-    """(N, 3) m; means something where POSED, as the rotation does"""
+    """(N, 3) m; like the rotation, meaningless where the status is not POSED"""
     rotation: Float64
     """(N, 3, 3)"""
     status: UInt8
@@ -117,9 +116,9 @@ class _Moving:
         return found.invert() if self.step.inverted else found
 
     def find_breaks(self) -> Iterator[Break]:
-        """Find where a correction jumps, and where a body does what no robot can."""
+        """Find where a correction jumps, and where a body moves faster than a robot can."""
         stamps = self.step.edge.track.stamp_ns
-        for at in np.flatnonzero(self.holds[:-1]).tolist():
+        for at in np.flatnonzero(self.holds[:-1]).tolist():  # the pose holds until just before
             yield Break(int(stamps[at + 1]), int(stamps[at + 1]) - 1, self.step)
         strides = self.step.edge.track.strides
         for at in strides[~self.holds[strides]].tolist():
@@ -133,10 +132,10 @@ class Chain:
     steps: tuple[Step, ...]
     """From the map frame downwards."""
     legs: tuple[Found | _Moving, ...]
-    """The same way; what holds at all times is found already"""
+    """What the steps are worth; those that never move are already found and multiplied out"""
     interval_s: float
-    """Median time between the samples of the leg that is sampled least; 0 where none moves. What
-    corrects odometry now and then does not count: it says nothing about the drive."""
+    """Median time between the samples of the leg that is sampled least; 0 where none moves. A
+    correction of odometry does not count: it says nothing about the drive."""
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -168,19 +167,19 @@ class Chain:
 def make_chain(steps: Sequence[Step], max_gap_s: float | None) -> Chain:
     """Make the steps from the map frame to a sensor ready for look-up.
 
-    What never moves in the whole log is taken as rigid and holds at all times, so that a fixed
+    A step that never moves in the whole log is rigid and holds at all times, so that a fixed
     transform sent on /tf limits nothing. Where nothing moves, the step with the most samples
     says when the robot was seen.
     """
     moving = _find_moving(steps)
-    # What corrects odometry moves `odom`, and something moves below it. REP 105 lets map -> odom
+    # A correction moves `odom`, and something moves below it. REP 105 lets map -> odom
     # jump at any time, and odom -> base_link never.
     corrections = [step for step in moving[:-1] if "odom" in last_part(step.edge.child).lower()]
     max_gap_ns = np.inf if max_gap_s is None else max_gap_s * 1e9
     legs: list[Found | _Moving] = []
     for step in steps:
         track = step.edge.track
-        if step in corrections:  # it holds until the next: the limit is for what moves
+        if step in corrections:  # interpolated or held, however long: the limit is for what moves
             legs.append(_Moving(step, _find_jumps(track), np.inf))
         elif step in moving:
             legs.append(_Moving(step, np.zeros(len(track), np.bool_), max_gap_ns))

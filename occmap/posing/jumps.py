@@ -28,9 +28,9 @@ class Jump(NamedTuple):
     stamp_ns: int
     """By the clock of the poses"""
     before: Float64
-    """(3,) where it was (m) ..."""
+    """(3,) where the sensor was (m)"""
     after: Float64
-    """(3,) ... and where it is"""
+    """(3,) where it is from then on (m)"""
     rotation: Float64
     """(3, 3) how it turned, in the frame of the map"""
     name: str
@@ -64,7 +64,7 @@ class JumpWatch:
         self._scans = np.zeros(len(self.edges_ns) + 1, np.int64)
 
     def see(self, stamp_ns: Int64) -> None:
-        """Take note of scans that have poses, by the clock of those."""
+        """Count scans that have poses, by their stamps (S,) on the clock of the poses."""
         parts = np.searchsorted(self.edges_ns, stamp_ns, side="right")
         self._scans += np.bincount(parts, minlength=len(self._scans))
 

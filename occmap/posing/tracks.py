@@ -13,22 +13,22 @@ from occmap.types import Bool, Float64, Int64, Pose, PoseBatch, PoseSample
 
 STILL_M = 1e-4
 STILL_RAD = 1e-4
-"""What moves less than this in a whole log is mounted, not driven."""
+"""A frame that moves by no more than this in a whole log is taken as mounted."""
 
 STRIDE_M = 1.0
 """A shorter step may be a correction of drift."""
 STRIDE_S = 10.0
 """Between samples that are further apart in time a robot may have been carried."""
 STRIDE_TIMES = 2.5
-"""So many times as fast as usual nobody drives, ..."""
+"""Nobody drives this many times as fast as usual."""
 LONG_STEPS = 2.0
-"""... and a sparse log, which has long steps, has none so many times longer than the rest."""
+"""A stride is this many times as long as nearly all steps: all steps of a sparse log are long."""
 SLOW_M_PER_S = 0.3
 """Where a robot stands, or creeps, it may set out at this speed."""
 BESIDE = np.array([*range(-10, 0), *range(1, 11)])
-"""The steps beside one that say how fast the robot drives there ..."""
+"""Where the steps lie, from a step, that say how fast the robot drives there."""
 FASTEST_BESIDE = 3
-"""... as the third fastest of them: one or two may be strides themselves."""
+"""The third fastest of those steps counts: one or two may be strides themselves."""
 
 MAX_STAMP_NS = 2**62
 """The year 2116: beyond it a stamp is damage, and differences of two still fit an int64."""

@@ -25,7 +25,7 @@ Whole = TypeVar("Whole")
 
 PROBE_BYTES = 4096
 SIMILAR = 0.85
-"""Of two names: a letter is wrong or missing, and they are no others of a series."""
+"""How alike (0 to 1) a file name must be to be suggested for one that is not there."""
 _MAP = "a map, not a log: `occmap diff` compares maps"
 OTHER_FILES = {
     b"PK\x03\x04": "not a log but an archive: "
@@ -34,7 +34,7 @@ OTHER_FILES = {
     b"image:": _MAP,
     b"\x89PNG": "a picture, not a log: `occmap diff` compares maps",
 }
-"""What a file is that begins so."""
+"""What a file is, by how it begins."""
 LFS_MAGIC = b"version https://git-lfs"
 UNPACKERS = {b"\x1f\x8b": ("gzip", "gunzip"), b"\x28\xb5\x2f\xfd": ("zstd", "unzstd")}
 """What compressed files start with, how they are called, and what unpacks them"""
@@ -149,7 +149,7 @@ class Log(Protocol):
 
 @runtime_checkable
 class StackingPoses(Protocol):
-    """A log that can give poses many at a stroke, where it would take long one by one."""
+    """A log that can give poses many at once, where one by one takes long."""
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
         """What `poses` gives, in any order.
@@ -160,7 +160,7 @@ class StackingPoses(Protocol):
 
 @runtime_checkable
 class StackingScans(Protocol):
-    """A log that can give scans many at a stroke."""
+    """A log that can give scans many at once."""
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """What `scans` gives, in the same order."""

@@ -134,8 +134,8 @@ class CarmenLog:
             yield from some.split() if isinstance(some, ScanRun) else (some,)
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
-        """The same; those that follow one another and are alike, many at a stroke."""
-        judged = LineTally()  # when the log was first read
+        """The same, with many at once where scans that follow one another are alike."""
+        judged = LineTally()  # not used: the lines were judged when the log was opened
         read = (some for block in self._walk() for some in self._parse_block(*block, judged))
         for some in read if self._kept is None else self._kept:
             if some.first.topic in topics and some.first.ranges.size:

@@ -121,7 +121,7 @@ class CsvLog:
             yield from filter(None, map(self._parse, rows))
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
-        """The same; rows that differ in stamps, ranges and poses alone, many at a stroke."""
+        """The same, with many rows at once where only stamps, ranges and poses differ."""
         for rows in self._walk() if TOPIC in topics else ():
             lines = [line.raw for line in rows]
             run: ScanRun | None = None

@@ -41,9 +41,9 @@ class Places(NamedTuple):
     record_ns: Int64
     """(M,)"""
     start: Int64
-    """(M,) where its own bytes begin ..."""
+    """(M,) where the bytes of the message itself begin"""
     end: Int64
-    """(M,) ... and end"""
+    """(M,) where they end"""
 
 
 class Indexes:

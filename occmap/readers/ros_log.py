@@ -46,9 +46,9 @@ class RosReader:
 
 
 STACK_BYTES = 1 << 19
-"""Messages of one channel and length that are held, to be read at a stroke."""
+"""Bytes of messages of one channel and length that are held, to be read at once."""
 MOST_STACKS = 64
-"""... for so many channels and lengths; more of them are damage."""
+"""For so many channels and lengths messages are held; more of them are damage."""
 SHORTEST_RUN = 64
 """Fewer scans are worth more stacked with others of their kind than quickly read."""
 
@@ -94,7 +94,7 @@ class RosLog:
             yield from samples
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
-        """The same; transforms, of which a log holds most, many messages at a stroke."""
+        """The same, with many messages of transforms at once, of which a log holds most."""
         wanted = [channel for channel in self._source.channels if channel.has_poses]
         readers = self._make_readers(wanted, make_pose_reader)
         stacks: dict[tuple[Channel, int], list[RawTransforms]] = {}
@@ -118,7 +118,7 @@ class RosLog:
         return self._read(self._make_scan_readers(topics))
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
-        """The same; those of one laser that follow one another, many messages at a stroke."""
+        """The same, with many messages at once where those of one laser follow one another."""
         readers = self._make_scan_readers(topics)
         run: RawRun | None = None
         for some in self._alike(readers):
@@ -261,7 +261,7 @@ class _ChannelReader(Generic[T]):
 
 
 def _read_run(run: RawRun, reader: _ChannelReader[Scan]) -> Iterator[Scan | ScanRun]:
-    """Read messages at a stroke; singly where they are few, or not all alike."""
+    """Read messages all at once; one by one where they are few, or not all alike."""
     messages = run.split()
     first = reader.read(messages.data[0], messages.record_ns[0])
     if first is not None:
@@ -275,7 +275,7 @@ def _read_run(run: RawRun, reader: _ChannelReader[Scan]) -> Iterator[Scan | Scan
 def _unstack(
     stack: list[RawTransforms], channel: Channel, reader: _ChannelReader[list[PoseSample]]
 ) -> Iterator[PoseSample | PoseBatch]:
-    """Read stacked messages at a stroke; singly those that are damaged or like no other."""
+    """Read stacked messages at once; one by one those that are damaged or like no other."""
     try:
         batches, others = read_alike(stack, channel.encoding, reader.decode)
     except DamageError:

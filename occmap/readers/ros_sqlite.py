@@ -26,11 +26,11 @@ _ENCODINGS: Mapping[str, Encoding] = {"cdr": "cdr"}
 _ERRORS = (apsw.Error, UnicodeDecodeError)
 """What the library raises on damaged files; texts in them may be anything."""
 _MOST_BYTES = 1 << 30
-"""Of a value; no message is near it."""
+"""The largest value that is read; no message is near it."""
 _FIRST = -(2**63)
-"""No id is below this one ..."""
+"""No id of a row is below this one."""
 _LAST = 2**63 - 1
-"""... and none above this one."""
+"""No id of a row is above this one."""
 
 
 class SqliteSource:

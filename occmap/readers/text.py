@@ -208,7 +208,7 @@ def _read_pieces(path: Path, span: Span) -> Iterator[bytes]:
 
 
 def is_worthwhile(lines: Sequence[bytes]) -> bool:
-    """Whether to parse lines together: of few, it takes longer to load numba."""
+    """Say whether to parse lines together with numba: for few, loading it takes longer."""
     return "numba" in sys.modules or sum(map(len, lines)) > BLOCK_BYTES // 2
 
 

@@ -79,7 +79,7 @@ class SimpleModel:
     p_hit: float = 0.7
     """Probability that a cell is occupied, given one hit"""
     p_miss: float = 0.4
-    """... given one miss"""
+    """Probability that a cell is occupied, given one miss"""
     prior: float = 0.5
     cut: float = 0.5
     """A cell is called occupied where its probability is above this, free where it is below"""
@@ -137,9 +137,9 @@ class CountingModel:
         check_clamp(self)
 
     def log_odds(self, hits: Float64, misses: Float64) -> Float64:
-        """Posterior mean (k hits + n p0) / (k hits + misses + n), as log-odds.
+        """Posterior mean (w hits + s prior) / (w hits + misses + s), as log-odds.
 
-        k is the weight of a hit, n the strength of the prior.
+        w is the weight of a hit, s the strength of the prior.
         """
         occupied = self.hit_weight * hits + self.strength * self.prior
         return np.log(occupied / (misses + self.strength * (1 - self.prior)))
@@ -147,7 +147,10 @@ class CountingModel:
 
 @dataclass(frozen=True)
 class QuadraticModel:
-    """Elfes' model: p = (1 + O - V) / 2, with quadratic falls of free (V) and occupied (O)."""
+    """Elfes' model: p = (1 + O - V) / 2, with quadratic falls of free (V) and occupied (O).
+
+    The range r includes the hit offset (half a cell), as for every model: O peaks there.
+    """
 
     name: ClassVar[str] = "quadratic"
     description: ClassVar[str] = (
@@ -157,7 +160,7 @@ class QuadraticModel:
     epsilon: float = 0.0
     """Half the depth of a hit (m); 0 means half a cell"""
     p_min: float = 0.4
-    """No single observation is surer than this"""
+    """The probability of one observation is kept within [p_min, 1 - p_min]"""
     prior: float = 0.5
     cut: float = 0.5
     """A cell is called occupied where its probability is above this, free where it is below"""
@@ -178,11 +181,11 @@ class QuadraticModel:
         return self.epsilon or resolution / 2
 
     def free(self, u: Float64) -> Float64:
-        """(1 - V) / 2 in the unit of r - epsilon, within [p_min, 1 - p_min]."""
+        """(1 - V) / 2 at d = sqrt(u) (r - epsilon), within [p_min, 1 - p_min]."""
         return self._bound(probability(0, visibility(np.sqrt(u), 1, 0)))
 
     def hit(self, w: Float64) -> Float64:
-        """(1 + O) / 2 in the unit of epsilon, within [p_min, 1 - p_min]."""
+        """(1 + O) / 2 at |d - r| = w epsilon, within [p_min, 1 - p_min]."""
         return self._bound(probability(occupancy(w, 0, 1), 0))
 
     def _bound(self, p: Float64) -> Float64:

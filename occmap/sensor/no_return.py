@@ -16,17 +16,17 @@ from occmap.sensor.returns import ReturnOptions, read_limits
 from occmap.types import Float32, Int64, Scan, ScanBatch, ScanRun, as_float32
 
 BAND = 0.025
-"""The part of the largest range that a band takes up, and the part below it that is nearly empty"""
+"""The share of its top that a band is wide, and that the nearly empty part below it is wide"""
 MIN_READINGS = 10
-"""Fewer readings are no band; so many may lie astray above one"""
+"""A band has at least so many readings, and fewer than so many lie above it"""
 DOMINANCE = 10
 """How many times more readings a band holds than the part below it"""
 MOST_CODES = 3
-"""Half of a band at the least is of so few values: a wall far behind all others has noise"""
+"""At least half of a band's readings are of so few values; a far wall has noise, and thus more"""
 MIN_VALUES = 16
-"""Fewer different ranges tell nothing: a room drawn by hand may be all of 5 m"""
+"""Fewer different ranges tell nothing: in a log made by hand all may be 5 m"""
 SICK_CODES = (81.82, 81.92)
-"""Between these the SICK LMS writes its error codes, in cm from 8183 to 8191; however few"""
+"""Between these the SICK LMS writes its error codes, from 8183 to 8191 cm: one is enough"""
 COARSE = np.uint32(0xFFFFFF00)
 """The bits of a float32 by which ranges are counted: they tell millimetres apart, 8 near 80 m"""
 
@@ -58,15 +58,15 @@ class RangeTally:
         self.stated = 0.0
         """The largest range_max that the scans state (m)"""
         self.above = 0
-        """Finite ranges above the limit that their own scan states ..."""
+        """Finite ranges above the limit that their own scan states"""
         self.largest = 0.0
-        """... and the largest of those (m)"""
+        """The largest finite range above the limit of its scan (m)"""
         self._different: set[float] = set()
-        """Up to MIN_VALUES of the ranges that were measured, at the least"""
+        """Different measured ranges, until there are at least MIN_VALUES"""
         self._values = np.zeros(0, np.float32)
-        """The largest ranges in ascending order, rounded down ..."""
+        """The largest ranges in ascending order, rounded down"""
         self._counts = np.zeros(0, np.int64)
-        """... and how many there are of each"""
+        """How many there are of each of the `_values`"""
         self._floor: Float32 = as_float32(np.finfo(np.float32).tiny)
 
     def add(self, ranges: Float32, range_max: float) -> None:
@@ -98,7 +98,7 @@ class RangeTally:
         self._keep(other._values, other._counts)
 
     def _keep(self, values: Float32, counts: Int64) -> None:
-        """Add to the counts of values, each of which is there once."""
+        """Add to the counts of values (N,), all different, and forget what no band can reach."""
         every = np.concatenate([self._counts, counts])
         values, places = np.unique(np.concatenate([self._values, values]), return_inverse=True)
         counts = np.bincount(places, weights=every).astype(np.int64)
@@ -148,7 +148,7 @@ class RangeLimits:
         self._looks = options.range_max is None
         self._tallies: dict[str, RangeTally] = {}
         self._senseless: dict[str, float] = {}
-        """What scans of a topic state as their limit and none can be (m)"""
+        """The limit that scans of a topic state and that none can be (m)"""
         self._applied: dict[str, float] = {}
         self._settled = False
 
@@ -171,7 +171,7 @@ class RangeLimits:
         return replace(batch, range_max=min(batch.range_max, self._applied[batch.topic]))
 
     def settle(self) -> bool:
-        """Whether what was applied is what the whole log shows; from now on the latter is."""
+        """Say whether the limits so far are the whole log's, and apply those from now on."""
         right = self.agrees_with(self)
         self._settled = True
         self._applied.clear()
@@ -184,7 +184,7 @@ class RangeLimits:
         self._senseless = {**other._senseless, **self._senseless}
 
     def agrees_with(self, whole: Self) -> bool:
-        """Whether what was applied is what others show, of which these scans are a part."""
+        """Whether the limits applied here are those of `whole`, which saw more scans."""
         return all(limit == whole._find(topic) for topic, limit in self._applied.items())
 
     def _find(self, topic: str) -> float:
@@ -221,6 +221,6 @@ def tell_share(part: int, total: int) -> str:
 
 
 def settle(limits: Iterable[RangeLimits]) -> bool:
-    """Settle the limits of several logs; whether all of them had been applied right."""
+    """Settle the limits of several logs; say whether all were applied right."""
     right = [each.settle() for each in limits]
     return all(right)

@@ -79,7 +79,7 @@ def describe_block(block: Block, content: BlockContent) -> BlockRecord:
     """Say what the table holds of a block."""
     seen = (spread_cells(block, content) != 0).any(axis=0)
     rows, cols = (np.flatnonzero(seen.any(axis=axis)) for axis in (1, 0))
-    if not rows.size:
+    if not rows.size:  # a block where nothing was observed has an empty box at its corner
         rows = cols = np.array([0, -1])
     reach = CellBox(int(rows[0]), int(cols[0]), int(rows[-1]) + 1, int(cols[-1]) + 1)
     corner = block.box
@@ -228,9 +228,9 @@ def gather_tiles(cells: Int64, row: int, col: int) -> tuple[Int64, Int64]:
     Parameters
     ----------
     cells
-        (2, H, W): the two numbers of each cell of some tiles ...
+        (2, H, W): the two numbers of each cell of some tiles.
     row, col
-        ... of which the first is this one.
+        Row and column of the first of these tiles.
     """
     tiles = cut_tiles(cells)
     places = np.argwhere(tiles.any(axis=(2, 3, 4)))
@@ -253,12 +253,12 @@ def split_evidence(evidence: Evidence) -> Iterator[tuple[Block, BlockContent]]:
 
 
 def list_observing_logs(manifest: Manifest, slices: Sequence[Slices]) -> tuple[int, ...]:
-    """The logs of all builds that observed something, since nobody knows which of them did."""
+    """The logs of all builds that observed something here: a build does not say which log did."""
     counts = [len(list_inputs(build)) for build in manifest.builds]
     starts = accumulate(counts, initial=0)
     return tuple(
         log
-        for start, count, layer in zip(starts, counts, slices, strict=False)
+        for start, count, layer in zip(starts, counts, slices, strict=False)  # one more start
         if len(layer.numbers)
         for log in range(start, start + count)
     )
@@ -270,6 +270,7 @@ def group_by_block(tiles: Int64) -> dict[Block, Int64]:
     order = np.argsort(which, kind="stable")
     ends = np.cumsum(np.bincount(which, minlength=len(blocks)))
     keys = (Block(row, col) for row, col in blocks.tolist())
+    # Of no tiles at all, `split` makes one empty part.
     return dict(zip(keys, np.split(order, ends[:-1]), strict=False))
 
 

@@ -46,8 +46,9 @@ class WriteOptions:
     """What a user may choose about the files of a map.
 
     In trinary mode each cell is written as what the map decides it is, unless thresholds are given;
-    the YAML's thresholds only let loaders tell the three greys apart. In scale and raw mode loaders
-    decide, by the thresholds: 0.65 and 0.196 where none are given, as nav2's map_saver has them.
+    the YAML's thresholds only let loaders tell the three greys apart, within 0.2 to 0.99 and 0.01
+    to 0.196. In scale and raw mode loaders decide, by the thresholds as they are given: 0.65 and
+    0.196 where none are, as nav2's map_saver has them.
 
     Raises
     ------

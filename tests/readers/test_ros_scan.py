@@ -1,4 +1,4 @@
-"""Scans that are read at a stroke must be those that are read one by one."""
+"""Scans that are read at once must be those that are read one by one."""
 
 from collections.abc import Sequence
 

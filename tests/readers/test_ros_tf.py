@@ -1,4 +1,4 @@
-"""Transforms that are read at a stroke must be those that are read one by one."""
+"""Transforms that are read at once must be those that are read one by one."""
 
 import tracemalloc
 from collections import defaultdict

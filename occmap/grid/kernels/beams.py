@@ -1,9 +1,9 @@
 """The beam and the surface update: every beam tells each cell along its line something.
 
-In the paper's order: a beam is a line from the sensor's cell to its end; each cell on it, at
-distance d on a beam of range r, is told what the inverse sensor model says of d and r; log-odds are
-summed. Two things make it quick. A model says the same about all cells up to some share of the
-range, and one that counts says so up to the end: these cells are plain. And where a window is
+A beam is a line from the sensor's cell to its end. A cell at distance d on a beam of range r is
+told what the inverse sensor model says of d and r, and log-odds are summed (Thrun, Burgard, Fox
+2005, ch. 9). Two things make it quick. A model says the same about all cells up to some share of
+the range, and one that counts does up to the end: these cells are plain. And where a window is
 crossed often, plain cells are noted in runs instead of being visited (`lines`).
 
 Where scans are few for the place, cells lie in blocks that are made when a beam first comes there.
@@ -28,12 +28,12 @@ from occmap.jit import kernel
 from occmap.types import Float64, Int32, Int64, UInt8
 
 SLOPE_BITS = 50
-"""Of the fixed-point number that walks from cell to cell; the rest is steps along v."""
+"""Bits of the fraction of a line's place along v; the bits above count whole cells."""
 FARTHEST_CENTRE = 1.25
 """Cells by which a cell's centre may be farther from the sensor than its place on the line: half a
 diagonal at the first cell, and half a cell beside the line."""
 BEGIN = 5 / 8
-"""Part of the way to its end from which on a beam between two others is drawn."""
+"""A beam between two others is drawn from this part of its way on."""
 
 
 class Beams(NamedTuple):

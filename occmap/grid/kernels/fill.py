@@ -169,7 +169,7 @@ def _make_spans(
 
 @kernel
 def _sort(values: Int32, begin: int, end: int) -> None:
-    """Sort a part of an array in place, as Shell did: short, or nearly in order either way."""
+    """Sort a part of an array in place by insertion: it is short, or nearly in order either way."""
     if end > begin and values[begin] > values[end - 1]:
         low, high = begin, end - 1
         while low < high:

@@ -21,7 +21,7 @@ from occmap.jit import kernel, step
 from occmap.types import Int32
 
 FRACTION_BITS = 36
-"""Of the fixed-point number that walks from step to step; the rest is a place in a window."""
+"""Bits of the fraction of a step's place; the bits above are an index into a window."""
 
 
 class Line(NamedTuple):

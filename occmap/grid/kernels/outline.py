@@ -16,18 +16,19 @@ from occmap.jit import kernel
 from occmap.types import Bool, Float32, Float64, Int32, Int64, UInt8
 
 EDGE, CELL, JOINED = 1, 2, 4
-"""Of a beam: the edge from the one before may matter; so does its own cell; so do those between."""
+"""Bits of a link. EDGE: the edge from the beam before may matter. CELL: the beam's end cell is
+listed. JOINED: so are the cells between the two end cells."""
 
 
 class Surfaces(NamedTuple):
     """Which neighbouring beams see one surface, and the lattice that they are on."""
 
     units_per_metre: float
-    """Of the lattice"""
+    """Lattice units in a metre"""
     jump: float
     """Neighbours see one surface where their ranges differ by at most this (m)"""
     border_gap: int
-    """... and the border is closed between their end cells where these are at most so far apart"""
+    """The border is closed between end cells of one surface at most so far apart (cells)"""
     full_circle: bool
     """The last beam and the first are neighbours"""
     left: int
@@ -37,7 +38,7 @@ class Surfaces(NamedTuple):
     shift_x: int
     """x of the anchor of the ends of beams, from the window's corner (lattice units)"""
     shift_y: int
-    """y of the same"""
+    """y of that anchor, likewise"""
     clipped: bool
     """The scans may reach beyond the window"""
 
@@ -65,8 +66,8 @@ class ScanBeams(NamedTuple):
 def link_beams(beams: ScanBeams, surfaces: Surfaces, links: UInt8, listed: Int32) -> Int32:
     """Say what each beam of a scan has to do with the one before it.
 
-    No branches: then many beams are compared at a time, and few are left to be looked at: returns
-    those with an edge that may matter, or cells between, from the start of `listed`.
+    There are no branches, so that many beams are compared at a time. Returns the beams with an edge
+    that may matter, or with cells between, from the start of `listed`: these are few.
     """
     distance, kinds, ends_x, ends_y = beams.distance, beams.kinds, beams.ends_x, beams.ends_y
     last = kinds.size - 1

@@ -18,12 +18,12 @@ from occmap.jit import kernel
 from occmap.types import Bool, Float32, Float64, Int32, Int64, UInt8
 
 BORDER_BITS = 22
-"""A border cell packs, from the lowest bit: how many misses to take off, since so many of its hits
-lay in a span of their own scan; hits; the last scan. The first is below zero, so it is borrowed."""
+"""A border cell packs, from the lowest bit: minus the number of its hits that lay inside their own
+scan's region (it borrows from the next field), its hits, and the last scan that hit it."""
 COUNTED = (1 << (2 * BORDER_BITS)) - 1
-"""All but the last scan."""
+"""Mask of the bits of both counts, without those of the last scan."""
 MOST_SCANS = (1 << 20) - 1
-"""... for which so many bits are left."""
+"""The bits above both counts hold no larger number of a scan."""
 FEW = 4
 """A row with more limits of spans, two to a span, is drawn as a mask: a wall along it has many."""
 

@@ -1,4 +1,4 @@
-"""Beam ends from metres to lattice units: the one rounding of a coordinate."""
+"""Beam ends from metres to lattice units, rounded as `occmap.grid.lattice` does."""
 
 import numpy as np
 

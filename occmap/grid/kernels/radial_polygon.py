@@ -47,7 +47,8 @@ def trace_radial_polygons(
     """Add what every scan says about each cell that it covers, once.
 
     A cell belongs to the beam that covers its bearing: a beam covers the bearings that are nearer
-    to it than to its neighbours, and as much beyond the first and the last.
+    to it than to its neighbours, at most 60 degrees to either side, and as much beyond the first
+    and the last.
 
     Parameters
     ----------

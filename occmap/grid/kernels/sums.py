@@ -31,7 +31,7 @@ class Packing(NamedTuple):
     bits: int
     """The second number is in the lowest bits, and the first above them"""
     kept: int
-    """Which bits count"""
+    """Mask of the bits that are evidence; the others are a kernel's own notes"""
     plain: int
     """What a plain cell is told each time"""
 

@@ -21,8 +21,9 @@ PAD = 17
 more, since rows of whole tiles would share their places in the processor's cache."""
 
 MOST_BETWEEN = 3
-"""The surface update draws at most so many beams between two neighbours: more change no map."""
+"""The surface update draws at most this many beams between two neighbours: more change no map."""
 ALONE = BETWEEN = 2
-"""What it lets a beam weigh without its neighbours, and one that is drawn between two."""
+"""What a beam weighs in it without its neighbours, and what one that is drawn between two does."""
 BEAM_WEIGHT = ALONE + 2 * MOST_BETWEEN
-"""... and with them, where they meet the same surface: its share of those drawn is in it."""
+"""The most that a beam weighs: its own 2, and 3 for each of two neighbours on its surface. The
+module `neighbours` says how."""

@@ -81,7 +81,7 @@ def parse_rows(
             while separator == _BLANK and text[at] == _BLANK:
                 at += 1
             kind = kinds[col]
-            # The usual number, of digits with a dot between and up to seven bytes, at a stroke.
+            # The usual number, digits with a dot between, up to seven bytes, all at once.
             eight = eights[at] ^ _ZEROS
             others = ((eight + _BEYOND_NINE) | eight) & _HIGHEST
             dot = (others & (~others + _ONE)) >> _SEVEN
