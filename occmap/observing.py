@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
 from occmap.errors import MapError
+from occmap.evidence.fit import list_misfit
 from occmap.grid.slices import unite
 from occmap.grid.tiles import TileGrid
 from occmap.journey import SHOWN_SCANS, JourneyRecorder
@@ -85,14 +86,16 @@ def observe(
         counts = Tally(tally.tell, keep.make_recorder(scans, len(logs), options.returns))
         engine, notes = observe_log(log, options, keep.slices, counts)
         tally.add(counts)
-        remarks.note(log, notes)
         with tally.time("fold"):
-            tiles.merge(engine.finish())
+            seen = engine.finish()
+            notes += list_misfit(tiles, seen.tiles, options.model, "the logs before it")
+            tiles.merge(seen)
             try:
                 tiles.refuse_outgrown(options.max_cells)
             except MapError as error:
                 raise error.placed(log.path) from None
             slices += engine.read_slices()
+        remarks.note(log, notes)
     with tally.time("fold"):
         return Observed(tiles, (unite(slices),) if keep.slices else (), tally, remarks)
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from occmap.alignment import settle_align
 from occmap.evidence import to_evidence
+from occmap.evidence.fit import list_misfit, view_tiles
 from occmap.evidence.manifest import describe_build, list_mixed, plan_manifest
 from occmap.evidence.merging import open_resumed
 from occmap.evidence.persistence import render_lasting
@@ -35,6 +36,7 @@ from occmap.report import (
     refuse_unused,
     tell_disagreement,
 )
+from occmap.sensor.models import SensorModel
 from occmap.types import Evidence, Manifest, OccupancyMap
 from occmap.writers import Product, check_outputs, want_evidence, want_journey, write_outputs
 from occmap.writers.atomic import hold_alone
@@ -99,8 +101,9 @@ def build_locked(
     keep = Keep(slices=keeps_times, journey=want_journey(outputs))
 
     tiles, slices, tally, remarks = observe(paths, options, keep)
+    misfit: list[str] = []
     if saved:
-        add_stack(tiles, saved.tiles, saved.cells)
+        misfit = add_past(tiles, saved, options.model)
         slices = saved.slices + slices
     refuse_unused(paths, tally)
     refuse_unseen(paths, tally, tiles.keys)
@@ -126,6 +129,7 @@ def build_locked(
         *note_idle_end(options.selection, tally),
         *list_frames(tally),
         *list_lacking(tally, resumed),
+        *misfit,
         *lost,
         *list_contradictions(paths, options, facts, tally.lasers),
         *list_repeated(manifest.builds),
@@ -158,6 +162,13 @@ def open_past(options: BuildOptions) -> Evidence | None:
     there = options.resume_if_there
     path = options.resume or (there if there and there.exists() else None)
     return open_resumed(path, plan_manifest(options)) if path else None
+
+
+def add_past(tiles: TileGrid, saved: Evidence, model: SensorModel) -> list[str]:
+    """Add the evidence that a build goes on from, and say so where the two do not fit."""
+    misfit = list(list_misfit(tiles, view_tiles(saved), model, "the logs that are added to it"))
+    add_stack(tiles, saved.tiles, saved.cells)
+    return [f"{saved.where}: {text}" for text in misfit]
 
 
 def adopt_align(options: BuildOptions, saved: Evidence | None) -> BuildOptions:

@@ -681,3 +681,5 @@ class Evidence:
     """When cells were observed, for each of the manifest's builds"""
     where: str = ""
     """The file that it was read from"""
+    notes: tuple[str, ...] = ()
+    """What there is to say of what it was made of; no file keeps that"""

@@ -1,17 +1,20 @@
 """Evidence added up and taken apart again, exactly."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from occmap.errors import MapError
-from occmap.evidence import Described, to_evidence, to_grid
+from occmap.evidence import Described, read_model, to_evidence, to_grid
+from occmap.evidence.fit import list_misfit, view_tiles
 from occmap.evidence.manifest import MEANING
 from occmap.grid.slices import restrict
 from occmap.grid.stacks import add_stack, drop_empty, stack_tiles
 from occmap.grid.tiles import EvidenceKind, TileGrid
+from occmap.sensor.models import SensorModel
 from occmap.store.sources import Combined, Saved, as_blocks, open_saved, read_all
 from occmap.types import Evidence, Manifest
 
@@ -39,8 +42,8 @@ def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:
         As `merge` and `subtract`; of blocks, maybe only when they are read.
     """
 
-    def add_up(evidences: Sequence[Evidence]) -> Evidence:
-        total = merge(evidences[: len(added)])
+    def add_up(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Evidence:
+        total = merge(evidences[: len(added)], model)
         for other in evidences[len(added) :]:
             total = subtract(total, other)
         return total
@@ -48,14 +51,26 @@ def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:
     parts = list(map(open_saved, (*added, *taken)))
     held = [each for each in parts if isinstance(each, Evidence)]
     if len(held) == len(parts):
-        return add_up(held)
+        return add_up(held, find_model(held[0]))
     made = Combined(tuple(map(as_blocks, parts)), add_up)
     refuse_different(made.manifest, parts[0])  # of nothing yet: what differs is refused at once
     return made
 
 
-def merge(evidences: Sequence[Evidence]) -> Evidence:
+def find_model(evidence: Evidence) -> SensorModel | None:
+    """The model that evidence was built with; None where it cannot be made."""
+    with suppress(MapError):
+        return read_model(evidence)
+    return None
+
+
+def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Evidence:
     """Add evidence: the same cells as if all logs were built together.
+
+    Parameters
+    ----------
+    model
+        What says whether parts fit those before them, in the notes; None: nobody asks.
 
     Raises
     ------
@@ -67,14 +82,18 @@ def merge(evidences: Sequence[Evidence]) -> Evidence:
         return first
     grid, slices = to_grid(first), first.slices
     builds, subtracted = first.manifest.builds, first.manifest.subtracted
+    notes = list(first.notes)
     for other in others:
         refuse_different(first.manifest, other)
+        if model is not None:
+            found = list_misfit(grid, view_tiles(other), model, "the evidence before it")
+            notes += (f"{other.where}: {text}" for text in found)
         add_stack(grid, other.tiles, other.cells)
         slices += other.slices
         builds += other.manifest.builds
         subtracted += other.manifest.subtracted
     manifest = replace(first.manifest, builds=builds, subtracted=subtracted)
-    return to_evidence(grid, manifest, slices)
+    return replace(to_evidence(grid, manifest, slices), notes=tuple(notes))
 
 
 def subtract(evidence: Evidence, other: Evidence) -> Evidence:

@@ -179,6 +179,7 @@ def paint_saved(
         lost: list[str] = []
     elif isinstance(saved, Evidence):
         grid, lost = render_lasting(to_grid(saved), saved.slices, options.min_passes, model, most)
+        lost = [*saved.notes, *lost]
         shown = frame(grid, framing, model.prior, most)
     else:
         view = View(saved, model, options.min_passes)
