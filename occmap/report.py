@@ -32,6 +32,9 @@ LONGEST_LOG_S = 1e8
 LEAST_AGREEMENT = 0.55
 """At 5 cm, logs with sound poses reach 0.68 to 0.94, raw odometry 0.72; noise of 10 cm in the poses
 of the same logs leaves 0.27 to 0.56."""
+DOUBTFUL_AGREEMENT = 0.78
+"""Logs with corrected poses reach 0.80 to 0.87 at 5 cm. Those with odometry, below this, have walls
+that are doubled here and there, and `tune` takes a floor from 0.72 to 0.85."""
 
 
 REASON_ORDER = tuple(map(str, (*DropReason, *LeftOut)))
@@ -404,6 +407,17 @@ def note_idle_end(selection: Selection, tally: Tally) -> Iterator[str]:
     end_s = selection.end_s
     if end_s < math.inf and (end_s > LONGEST_LOG_S or str(LeftOut.TIME) not in tally.dropped):
         yield f"`end_s={end_s:.12g}` leaves nothing out: it is in seconds after the first scan"
+
+
+def hint_at_tune(agreement: float) -> str:
+    """What to try where the agreement is poor, though it may be as good as it gets; else empty.
+
+    It stands beside the number and is no note, as nothing need be wrong. Where the agreement is
+    poorer still, a note says more.
+    """
+    if not LEAST_AGREEMENT <= agreement < DOUBTFUL_AGREEMENT:
+        return ""
+    return "; walls may be doubled: `occmap tune LOG` looks for a wrong clock or mount"
 
 
 def list_disagreement(grid: OccupancyMap) -> Iterator[str]:

@@ -17,6 +17,7 @@ from occmap.inspection.findings import (
 )
 from occmap.posing.coverage import Coverage
 from occmap.readers import Role
+from occmap.report import hint_at_tune
 from occmap.wording import count, write_box, write_counts, write_duration, write_span
 
 LABEL = 10
@@ -76,7 +77,8 @@ def list_topic(topic: ScanFindings) -> Iterator[Row]:
     yield "", format_times(topic.times)
     yield "poses", format_poses(topic)
     if topic.agreement is not None:
-        yield "", f"{topic.agreement:.0%} of the hits of a sample lie in cells called occupied"
+        share = f"{topic.agreement:.0%} of the hits of a sample lie in cells called occupied"
+        yield "", share + hint_at_tune(topic.agreement)
     if topic.mount is not None:
         yield "sensor", describe_mount(topic.mount, topic.poses)
 

@@ -1,6 +1,6 @@
 """A report as text: aligned lines for people; programs read the JSON."""
 
-from occmap.report import MapSummary, Report
+from occmap.report import MapSummary, Report, hint_at_tune
 from occmap.wording import count, write_box, write_counts
 
 LABEL = 9
@@ -59,7 +59,7 @@ def format_agreement(grid: MapSummary) -> str:
     """Say how well the scans fit each other."""
     if grid.agreement is None:
         return ""
-    return f"{grid.agreement:.1%} of the hits lie in occupied cells"
+    return f"{grid.agreement:.1%} of the hits lie in occupied cells{hint_at_tune(grid.agreement)}"
 
 
 def format_beams(report: Report) -> str:
