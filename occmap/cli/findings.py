@@ -46,7 +46,8 @@ def label(name: str, text: str) -> str:
 def list_log(log: LogFindings) -> Iterator[str]:
     """Write all about one log, and a blank line."""
     rows = [*list_streams(log), *(row for topic in log.scans for row in list_topic(topic))]
-    rows += [*list_sources(log), *_label_first("note", list(log.notes))]
+    notes = [text for text in log.notes if text not in log.damage]  # damage is a warning
+    rows += [*list_sources(log), *_label_first("note", notes)]
     yield log.path
     yield from (label(f"  {name}", text).rstrip() for name, text in rows)
     yield ""

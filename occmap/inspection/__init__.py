@@ -70,11 +70,12 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
         apart += (f"the line leaves out what cannot be mapped: {', '.join(left)}",)
     if unseen and spell_flag("no_return") not in command:
         command = ()  # nothing that is known makes anything of these logs
+    damage = (f"{log.path}: {text}" for log in logs for text in log.damage)
     return Inspection(
         logs=tuple(logs),
         map=grid,
         problems=tuple(problems),
-        warnings=(*(concern.text for concern in concerns), *apart),
+        warnings=(*damage, *(concern.text for concern in concerns), *apart),
         command=command,
     )
 

@@ -35,7 +35,9 @@ from occmap.readers.mcap_records import (
     RECORD_ERRORS,
     ChannelTable,
     Summary,
+    describe_end,
     find_record,
+    is_cut_chunk,
     is_plausible,
     leads_on,
     measure_chunk,
@@ -197,21 +199,21 @@ class McapSource:
                 position = start + length
                 behind = start  # its length is not sure before what follows it is seen
                 chunk_end = position if opcode == Opcode.CHUNK else 0
-            elif (found := find_record(file, behind, self._size, chunk_end)) is not None:
+            elif (
+                not is_cut_chunk(file, start, opcode, length, self._size)
+                and (found := find_record(file, behind, self._size, chunk_end)) is not None
+            ):
                 text = f"damaged at byte {position}, read on from byte {found}"
                 add_note(self.notes, text)
                 position, behind = found, found + RECORD.size
             else:
+                add_note(self.notes, describe_end(position, opcode, length, self._size))
                 if opcode == Opcode.CHUNK and start < self._size:
                     file.seek(start)
                     yield opcode, position, self._size - start
-                break
-        if position == self._span.end < self._size:
-            return
-        lost = self._size - position
-        unread = f"from byte {position} on, the last {count(lost, 'byte')} hold no whole record"
-        breaks_off = f"the file breaks off at byte {position}, where more belongs"
-        add_note(self.notes, unread if lost else breaks_off)
+                return
+        if position == self._size:
+            add_note(self.notes, f"the file breaks off at byte {position}, where more belongs")
 
     def _read_head(self, file: BinaryIO, position: int) -> tuple[int, int]:
         """Read kind and length of a record; those of a chunk can be told from its body, too.

@@ -15,6 +15,7 @@ from mcap.records import Channel as McapChannel
 from mcap.records import ChunkIndex, Footer, Schema, Statistics
 
 from occmap.readers.ros_source import Channel, Encoding, Syntax
+from occmap.wording import count
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
@@ -51,6 +52,7 @@ _SHORTEST: Mapping[int, int] = {
 }
 """Bytes of records whose texts and lists are empty."""
 LAST_OPCODE = 15
+LONGEST_RECORD = 2**32 - 1
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _CHUNK = re.compile(
     rb".{28}(\x00{4}|\x03\x00{3}lz4|\x04\x00{3}(none|zstd))(?P<length>.{5}\x00{3})", re.DOTALL
@@ -59,7 +61,7 @@ _CHUNK = re.compile(
 CHUNK_START = 44
 """Bytes of it that say how long the chunk is."""
 _HEAD = re.compile(rb"(?=[\x03-\x0f].{4}\x00{4})", re.DOTALL)
-"""How a record starts; none is as long as 4 GiB."""
+"""How a record starts, if it is not longer than `LONGEST_RECORD`."""
 _WINDOW = 1 << 20
 _MOST_SUMMARY = 1 << 30
 
@@ -177,6 +179,24 @@ def is_plausible(opcode: int, length: int, left: int) -> bool:
     if opcode == Opcode.FOOTER:
         return length == _FOOTER_BODY and left == _FOOTER_BODY + len(MAGIC)
     return 0 < opcode <= LAST_OPCODE and _SHORTEST.get(opcode, 0) <= length <= left
+
+
+def is_cut_chunk(file: BinaryIO, start: int, opcode: int, length: int, size: int) -> bool:
+    """Say whether the body of a chunk goes on behind the end of the file.
+
+    Its body states its length once more: so the length is sure, and nothing else follows.
+    """
+    file.seek(start)
+    return opcode == Opcode.CHUNK and size - start < length == measure_chunk(file.read(CHUNK_START))
+
+
+def describe_end(position: int, opcode: int, length: int, size: int) -> str:
+    """Say how a file ends behind whose last whole record lies what may be the start of another."""
+    left = size - position
+    if 0 < opcode <= LAST_OPCODE and left < RECORD.size + length <= LONGEST_RECORD:
+        there = f"{left} of its {RECORD.size + length} bytes are there"
+        return f"the file ends in the middle of a record: {there}"
+    return f"from byte {position} on, the last {count(left, 'byte')} hold no whole record"
 
 
 def parse_chunk(body: bytes) -> Chunk:

@@ -9,8 +9,10 @@ import pytest
 from occmap.cli import run
 from occmap.cli.values import parse_numbers
 from occmap.command import format_mount, format_static
+from tests.cli.runner import occmap
 from tests.inspection_logs import SCANS, Drive, write_bag, write_csv
 from tests.readers.ros import RANGES, ROS2, Written, drive, scan, write_mcap
+from tests.samples import SAMPLE_LOGS
 from tests.samples import write_csv as write_planar
 
 Capture = pytest.CaptureFixture[str]
@@ -169,3 +171,11 @@ def test_one_of_a_thing_is_in_the_singular(tmp_path: Path, capsys: Capture) -> N
     out = capsys.readouterr().out
     assert "  shape   1 beam over 0 deg" in out
     assert "  poses   1 of 1 scan, stated" in out
+
+
+def test_damage_is_a_warning_and_told_once(tmp_path: Path) -> None:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes((SAMPLE_LOGS / "drive.mcap").read_bytes()[:60_000])
+    lines = occmap("check", path).out.splitlines()
+    (line,) = (line for line in lines if "the file ends in the middle of a record" in line)
+    assert line.startswith(f"warning   {path}: ")

@@ -50,6 +50,20 @@ def test_what_lies_before_a_cut_is_read(tmp_path: Path) -> None:
         assert all(note.damage for note in log.notes)
 
 
+@pytest.mark.parametrize("options", [NONE, ZSTD])
+def test_a_cut_chunk_is_told_from_a_damaged_one(options: dict[str, object], tmp_path: Path) -> None:
+    """Its length stands in its head and again in its body: nothing else can follow."""
+    path = write_mcap(tmp_path / "drive.mcap", drive(ROS2), options=options)
+    data = path.read_bytes()
+    position, length = find_chunks(data)[-1]
+    path.write_bytes(data[: position + length - 20])
+
+    cut = [note for note in open_log(path).notes if "chunk at byte" not in note.text]
+
+    there = f"{length - 20} of its {length} bytes are there"
+    assert cut == [Note(f"the file ends in the middle of a record: {there}", damage=True)]
+
+
 def test_a_file_without_footer_says_so(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "drive.mcap", drive(ROS2), options=NONE)
     data = path.read_bytes()
@@ -76,7 +90,9 @@ def test_a_cut_zstd_chunk_gives_what_can_be_decompressed(tmp_path: Path) -> None
 
     assert [scan.stamp_ns for scan in scans] == list(range(len(scans)))
     assert 100 < len(scans) < 200
-    assert "is damaged" in cut.notes[0].text
+    ends, *others = (note.text for note in cut.notes)
+    assert ends.startswith("the file ends in the middle of a record")
+    assert any("is damaged" in text for text in others)
 
 
 def test_a_record_time_beyond_64_bits_is_the_latest_there_is(tmp_path: Path) -> None:
