@@ -43,24 +43,34 @@ def find_config(command: click.Command, typed: Mapping[str, Any]) -> Config | No
         It cannot be read, an option is unknown, or there is one in each of several folders.
     """
     if isinstance(named := typed.get("config"), str):
-        return read_config(Path(named), command)
+        return read_config(Path(named), command, typed)
     words = (typed.get(source) for source in SOURCES)  # no tuple where there are none
     sources = [Path(word) for some in words if isinstance(some, tuple) for word in some]
     there = dict.fromkeys(beside for source in sources for beside in list_beside(source))
     if len(there) > 1:
         found = f"the logs have several files of options: {', '.join(map(str, there))}"
         raise UsageError(found, fix="name one with --config")
-    return next((read_config(path, command) for path in there), None)
+    return next((read_config(path, command, typed) for path in there), None)
 
 
 def place_error(config: Config, command: click.Command, error: UsageError) -> UsageError:
-    """Say that an error lies in a file of options, where it names one that is taken from there."""
+    """Say that an error lies in a file of options, where it is about one that is taken from there.
+
+    It names the option, or the place that the file gives for it, such as an output.
+    """
     text = spell(str(error))
     taken = [param for param in command.params if param.name in config.values]
-    if not any(re.search(rf"{flag}(?![\w-])", text) for param in taken for flag in param.opts):
+    names_one = any(re.search(rf"{flag}(?![\w-])", text) for param in taken for flag in param.opts)
+    if not names_one and error.where not in list_texts(config.values.values()):
         return error
     where = f"{config.path}: {error.where}" if error.where else config.path
     return UsageError(error.found, where=where, fix=error.fix)
+
+
+def list_texts(values: Iterable[Any]) -> list[str]:
+    """List values, and those in lists, as texts."""
+    several = (value if isinstance(value, list) else [value] for value in values)
+    return [str(each) for some in several for each in some]
 
 
 def list_beside(log: Path) -> list[Path]:
@@ -70,8 +80,10 @@ def list_beside(log: Path) -> list[Path]:
     return [path for path in (log / NAME, log.parent / NAME) if path.is_file()][:1]
 
 
-def read_config(path: Path, command: click.Command) -> Config:
-    """Read the options of a command from a file; those of other commands are passed over.
+def read_config(path: Path, command: click.Command, typed: Mapping[str, Any]) -> Config:
+    """Read the options of a command from a file, but for those that are typed.
+
+    Those of other commands are passed over.
 
     Raises
     ------
@@ -93,10 +105,12 @@ def read_config(path: Path, command: click.Command) -> Config:
     values |= tables.pop(command.name or "", {})
     own = list_options(command)
     refuse_unknown(path, [*values, *(name for table in tables.values() for name in table)], own)
-    taken = {name: value for name, value in values.items() if name in own}
+    known = {name: value for name, value in values.items() if name in own}
+    taken = {name: value for name, value in known.items() if own[name].name not in typed}
+    nothing = "all of it is typed, too" if known else "no option of this command"
     told = ", ".join(f"{name} = {json.dumps(value, default=str)}" for name, value in taken.items())
     by_option = {str(own[name].name): convert(own[name], value) for name, value in taken.items()}
-    return Config(path, by_option, f"{path}: {told or 'no option of this command'}")
+    return Config(path, by_option, f"{path}: {told or nothing}")
 
 
 def list_options(command: click.Command) -> dict[str, click.Option]:

@@ -73,8 +73,7 @@ class SectionCommand(click.Command):
         if config is None:
             return super().parse_args(ctx, args)
         ctx.default_map = config.values
-        untyped = {name: value for name, value in config.values.items() if name not in typed}
-        ctx.meta[PLACE] = partial(place_error, config._replace(values=untyped), self)
+        ctx.meta[PLACE] = partial(place_error, config, self)
         try:
             rest = super().parse_args(ctx, args)
         except click.BadParameter as error:

@@ -127,6 +127,20 @@ def test_a_value_that_is_refused_later_names_the_file(log: Path) -> None:
     assert f"error: {path}: a resolution of 0.0 m is not possible" in told.err
 
 
+def test_an_output_of_the_file_that_a_command_cannot_make_names_the_file(log: Path) -> None:
+    path = write(log, "output = 'z.pgm'")
+    told = occmap("check", log)
+    assert told.code == 2
+    assert f"error: {path}: z.pgm: is no picture" in told.err
+
+
+def test_only_what_takes_effect_is_told(log: Path) -> None:
+    path = write(log, "resolution = 0.1\nstride = 2")
+    words = ["build", log, "-o", log.parent / "m.pgm", "-r", 0.2]
+    assert f"note: {path}: stride = 2\n" in occmap(*words).err
+    assert f"note: {path}: all of it is typed, too\n" in occmap(*words, "--stride", 3).err
+
+
 def test_what_is_typed_wrong_is_not_laid_on_the_file(log: Path) -> None:
     write(log, "resolution = 0.1\nstride = 2")
     error = read_error(occmap("build", log, "-o", log.parent / "m.pgm", "-r", "x"), 2)
