@@ -10,7 +10,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -22,9 +22,14 @@ from occmap.store.blocks import digest_evidence
 from occmap.store.reading import Store
 from occmap.store.rendering import View, classify_blocks, open_map
 from occmap.store.sources import as_blocks, open_saved
-from occmap.types import CellClass, UInt8
+from occmap.types import CellClass, Decision, UInt8
 from occmap.writers import MapMode, WriteOptions
 
+if TYPE_CHECKING:  # it brings pillow
+    from occmap.writers.images import GreyImage
+
+IN_PNG = ("free_thresh", "occupied_thresh", "negate")
+"""What a PNG of occmap says of its pixels, as a YAML would"""
 YAML_BYTES = 1 << 16
 """A map's YAML has seven lines."""
 FARTHEST_M = 1e15
@@ -97,7 +102,7 @@ def load_yaml(path: Path, _thresholds: WriteOptions) -> ClassMap:
     """
     meta = parse_meta(path, read_yaml(path))
     image = path.parent / meta.image
-    return ClassMap(path, classify(image, meta), meta.place, image)
+    return ClassMap(path, classify(read_image(image), meta), meta.place, image)
 
 
 def load_pgm(path: Path, _thresholds: WriteOptions) -> ClassMap:
@@ -112,20 +117,27 @@ def load_pgm(path: Path, _thresholds: WriteOptions) -> ClassMap:
     if not beside.is_file():
         raise MapError(f"there is no {beside.name} beside it", where=path, fix="give the YAML")
     meta = parse_meta(beside, read_yaml(beside))
-    return ClassMap(path, classify(path, meta), meta.place)
+    return ClassMap(path, classify(read_image(path), meta), meta.place)
 
 
 def load_png(path: Path, thresholds: WriteOptions) -> ClassMap:
-    """Load a PNG as occmap writes it: dark is occupied, transparent neither.
+    """Load a PNG: transparent is neither, and a text in it says how the rest is decided.
+
+    Where it has none, dark is occupied.
 
     Raises
     ------
     MapError
         It cannot be read.
     """
+    image = read_image(path)
+    said = {name: text for name, text in image.texts.items() if name in IN_PNG}
     free, occupied = thresholds.thresholds
-    meta = Meta(path.name, MapMode.TRINARY, occupied, free)
-    return ClassMap(path, classify(path, meta), None)
+    if len(said) == len(IN_PNG):
+        stated = (parse_number(path, name, said[name]) for name in IN_PNG[:2])
+        free, occupied = thresholds.decide(Decision(*stated))
+    meta = Meta(path.name, MapMode.TRINARY, occupied, free, said.get("negate") == "1")
+    return ClassMap(path, classify(image, meta), None)
 
 
 def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
@@ -259,17 +271,16 @@ def parse_origin(path: Path, value: object) -> tuple[float, float]:
     return x, y
 
 
-def classify(image: Path, meta: Meta) -> UInt8:
-    """(H, W) of CellClass, row 0 lowest, by the rules of map_server.
-
-    Raises
-    ------
-    MapError
-        The image cannot be read.
-    """
+def read_image(path: Path) -> "GreyImage":
+    """Read an image as shades of grey; raises MapError where it cannot be read."""
     from occmap.writers.images import read_grey  # noqa: PLC0415  late: it brings pillow
 
-    grey, visible = read_grey(image)
+    return read_grey(path)
+
+
+def classify(image: "GreyImage", meta: Meta) -> UInt8:
+    """(H, W) of CellClass, row 0 lowest, by the rules of map_server."""
+    grey, visible, _ = image
     levels = np.arange(256)
     if meta.mode is MapMode.RAW:
         known = levels <= 100  # above, a value says nothing

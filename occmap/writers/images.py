@@ -27,6 +27,8 @@ class GreyImage(NamedTuple):
     """(H, W), first row on top"""
     visible: Bool
     """(H, W): not fully transparent"""
+    texts: dict[str, str]
+    """What a PNG says of itself, by name"""
 
 
 def read_grey(path: Path) -> GreyImage:
@@ -44,6 +46,7 @@ def read_grey(path: Path) -> GreyImage:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(path, formats=FORMATS) as image:
                 mode, pixels = image.mode, np.asarray(image.convert("LA"))
+                texts = {str(k): text for k, text in image.info.items() if isinstance(text, str)}
     except FileNotFoundError:
         raise MapError("no such file", where=path, fix="check the path") from None
     except UnidentifiedImageError:
@@ -55,7 +58,7 @@ def read_grey(path: Path) -> GreyImage:
         raise MapError(f"the image cannot be read ({reason})", where=path) from None
     if mode not in EIGHT_BIT_MODES:
         raise MapError(f"pixels of the kind {mode} are no map", where=path, fix="save it as 8 bit")
-    return GreyImage(pixels[..., 0], pixels[..., 1] > 0)
+    return GreyImage(pixels[..., 0], pixels[..., 1] > 0, texts)
 
 
 def write_colours(path: Path, pixels: UInt8) -> None:

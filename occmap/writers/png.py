@@ -1,9 +1,11 @@
 """PNG images of the probability itself: grey for observed cells, transparent where unknown."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from occmap.types import OccupancyMap, UInt8
 from occmap.writers import Shade, WriteOptions, bands_from_top
@@ -30,20 +32,43 @@ class PngWriter:
         OutputError
             It cannot be written; then nothing is left behind.
         """
+        info = PngInfo()
+        for name, value in describe(grid, options).items():
+            info.add_text(name, value)
         with open_atomic(path) as (file,):
-            Image.fromarray(_paint(grid, options.shade)).save(file, format="PNG")
+            image = Image.fromarray(_paint(grid, options))
+            image.save(file, format="PNG", pnginfo=info)
         return (path,)
 
 
-def _paint(grid: OccupancyMap, shade: Shade) -> UInt8:
-    """Return grey and alpha, (H, W, 2), top row first."""
+def describe(grid: OccupancyMap, options: WriteOptions) -> dict[str, str]:
+    """Say in texts of the image, named as in a map's YAML, how its pixels are decided."""
+    free, occupied = options.decide(grid.decision)
+    negate = int(options.shade is Shade.LIGHT_OCCUPIED)
+    return {"occupied_thresh": str(occupied), "free_thresh": str(free), "negate": str(negate)}
+
+
+def _paint(grid: OccupancyMap, options: WriteOptions) -> UInt8:
+    """Return grey and alpha, (H, W, 2), top row first.
+
+    Where rounding would carry a cell over a threshold, it gets the last shade before it.
+    """
+    decision = options.decide(grid.decision)
+    shares = np.arange(256) / 255
+    last_free = np.count_nonzero(shares < decision.free_below) - 1
+    first_occupied = 256 - np.count_nonzero(shares > decision.occupied_above)
     pixels = np.zeros((*grid.shape, 2), np.uint8)
     top = 0
     for band in bands_from_top(grid):
-        light = band.probability if shade is Shade.LIGHT_OCCUPIED else 1 - band.probability
-        grey = np.where(band.observed, np.rint(255 * light), HIDDEN_GREY)
+        decided = replace(band, decision=decision)
+        occupied, free = decided.occupied, decided.free
+        level = 255 - np.rint(255 * (1 - band.probability))
+        level = np.where(occupied, level.clip(first_occupied), level.clip(None, first_occupied - 1))
+        level = np.where(free, level.clip(None, last_free), level)
+        level = np.where(free | occupied, level, level.clip(last_free + 1))
+        light = level if options.shade is Shade.LIGHT_OCCUPIED else 255 - level
         rows = slice(top, top + band.shape[0])
-        pixels[rows, :, 0] = grey[::-1]
+        pixels[rows, :, 0] = np.where(band.observed, light, HIDDEN_GREY)[::-1]
         pixels[rows, :, 1] = np.where(band.observed, 255, 0)[::-1]
         top = rows.stop
     return pixels

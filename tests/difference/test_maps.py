@@ -1,5 +1,6 @@
 """Written maps are read back as what they were; damaged ones are one line."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +9,8 @@ from PIL import Image
 
 from occmap.difference.maps import Place, load_map
 from occmap.errors import MapError, UsageError
-from occmap.types import CellClass, UInt8
-from occmap.writers import MapMode, WriteOptions, Writer
+from occmap.types import CellClass, Decision, UInt8
+from occmap.writers import MapMode, Shade, WriteOptions, Writer
 from occmap.writers.pgm import PgmWriter
 from occmap.writers.png import PngWriter
 from tests.writers.maps import map_of, map_of_art
@@ -41,9 +42,24 @@ def test_every_mode_of_a_pgm_is_read_back(tmp_path: Path, mode: MapMode) -> None
 def test_a_png_is_read_back_by_the_thresholds_given(tmp_path: Path) -> None:
     PngWriter().write(tmp_path / "m.png", map_of([[0.7, 0.3, np.nan]]), OPTIONS)
     loaded = load_map(tmp_path / "m.png", OPTIONS)
-    assert (draw(loaded.classes), loaded.place) == ("#??", None)
+    assert (draw(loaded.classes), loaded.place) == ("#.?", None)
     loaded = load_map(tmp_path / "m.png", WriteOptions(occupied_thresh=0.8, free_thresh=0.4))
     assert draw(loaded.classes) == "?.?"
+
+
+@pytest.mark.parametrize("shade", Shade)
+@pytest.mark.parametrize("cut", [Decision(0.32, 0.32), Decision(0.2, 0.65)])
+def test_a_png_says_how_each_cell_was_decided(tmp_path: Path, cut: Decision, shade: Shade) -> None:
+    """Also of cells whose probability rounds to a shade on the other side of a threshold."""
+    near = [edge + away for edge in cut for away in (-3e-3, -1e-4, 1e-4, 3e-3)]
+    grid = replace(map_of([[0.001, *near, 0.999, np.nan]]), decision=cut)
+    PngWriter().write(tmp_path / "m.png", grid, WriteOptions(shade=shade))
+    assert np.array_equal(load_map(tmp_path / "m.png", OPTIONS).classes, grid.classes)
+
+
+def test_a_png_of_another_tool_is_dark_where_occupied(tmp_path: Path) -> None:
+    Image.fromarray(np.array([[0, 120, 255]], np.uint8)).save(tmp_path / "m.png")
+    assert draw(load_map(tmp_path / "m.png", OPTIONS).classes) == "#?."
 
 
 def write_foreign(folder: Path, yaml: str, pixels: list[list[int]]) -> Path:

@@ -22,7 +22,8 @@ HELP = f"""{COMMANDS["diff"]}
 
 A and B are maps as PGM with YAML, PNG, or evidence (.npz or .zarr); they may differ in size where
 they share a lattice, as all maps of one resolution do. A PNG does not say where it lies: it is
-compared with a map of its size, and read as dark is occupied.
+compared with a map of its size. One that occmap wrote says how its cells were decided; in any other
+dark is occupied.
 
 A cell that is neither occupied nor free is unknown or undecided; images do not tell one from the
 other, so both count as neither.
