@@ -32,7 +32,7 @@ OPTIONS = {*list_options(BuildOptions), *MODEL_PARAMETERS, *FLAGS, "overview", "
 """The names of what can be typed as a flag"""
 
 MARK = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
-"""An option in a text, as libraries write it: `max_range`, or `max_range=6`"""
+"""An option in a text, as libraries write it: `max_range`, `max_range=6`, `transform=(1,2,0)`"""
 
 NOT_WRITTEN = (
     *("jobs", "update", "model", "min_passes", "pass_gap_s", "resume", "resume_if_there"),
@@ -51,12 +51,15 @@ def spell_flag(option: str) -> str:
 
 
 def spell_flags(text: str) -> str:
-    """Spell the options that a text names as `max_range` or `max_range=6` as they are typed."""
+    """Spell the options that a text names, as in `max_range=6`, as they are typed."""
 
     def spell(mark: re.Match[str]) -> str:
         if mark[1] not in OPTIONS:
             return mark[0]
-        return spell_flag(mark[1]) if mark[2] is None else f"{spell_flag(mark[1])} {mark[2]}"
+        value = mark[2]
+        if value is not None and value.startswith("("):  # a tuple, as Python has it
+            value = value.strip("()")
+        return spell_flag(mark[1]) if value is None else f"{spell_flag(mark[1])} {value}"
 
     return MARK.sub(spell, text)
 

@@ -20,6 +20,11 @@ from occmap.types import Box, Pose, PoseSample
 
 Options = TypeVar("Options")
 
+NONE_MEANS = {
+    "align": ", or None, so that walls run along the axes",
+    "max_pose_gap_s": ", or None, to interpolate across any gap",
+}
+"""What None does, where it is a value of an option and not its default"""
 LARGEST_ANGLE = 7.0
 """A little more than a full turn (rad), since people round."""
 
@@ -107,7 +112,8 @@ def read_option(name: str, hint: Any, value: Any) -> Any:
     except UsageError as error:
         raise error.placed(f"{name} = {value!r}") from None
     except (TypeError, ValueError):
-        raise UsageError(f"{name} is {value!r}", fix=f"give {form}") from None
+        fix = f"give {form}{NONE_MEANS.get(name, '')}"
+        raise UsageError(f"{name} is {value!r}", fix=fix) from None
 
 
 def _read_member(name: str, kind: type[StrEnum], value: Any) -> StrEnum:

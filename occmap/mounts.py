@@ -147,7 +147,8 @@ def find_better(poser: Poser, parts: Sequence[PosedScans], options: ReturnOption
 
 def describe_misfit(better: str) -> str:
     """Say which mount suits the scans better."""
-    return f"the scans would fit each other better with `{better}`"
+    option, _, value = better.partition("=")
+    return f"the scans would fit each other better with `{option}=({value})`"
 
 
 def correct_mount(poser: Poser, frame: str, turn: Pose) -> str:

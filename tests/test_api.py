@@ -185,6 +185,8 @@ def test_none_is_the_default_but_where_it_is_a_value() -> None:
         ({"no_return": "cler"}, "no_return is 'cler'; did you mean 'clear'?"),
         ({"max_range": "6"}, "max_range is '6'; give a number"),
         ({"max_range": True}, "max_range is True; give a number"),
+        ({"align": True}, "give a number, or None, so that walls run along the axes"),
+        ({"max_pose_gap_s": "2"}, "give a number, or None, to interpolate across any gap"),
         ({"jobs": 2.5}, "jobs is 2.5; give a whole number"),
         ({"resume": 5}, "resume is 5; give a path"),
         ({"map_frame": 5}, "map_frame is 5; give text"),

@@ -268,7 +268,7 @@ def test_a_wrong_mount_is_suspected(tmp_path: Path) -> None:
 
     assert topic(found).mount is not None
     misfit, disagreement = found.warnings
-    assert misfit.endswith("the scans would fit each other better with `sensor_pose=0,0,3.14159`")
+    assert misfit.endswith("the scans would fit each other better with `sensor_pose=(0,0,3.14159)`")
     assert "the poses do not fit the scans" in disagreement
     assert found.command[3:-2] == ("--sensor-pose", "0,0,3.14159")
 
@@ -421,7 +421,7 @@ def test_the_mount_is_named_in_the_error_of_a_build(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "room.bag", Drive(spoil=hide))
     with pytest.raises(PoseError) as told:
         build([path], BuildOptions())
-    mount = "`sensor_pose=0,0,3.14159,3.14159,0`, which suits the scans best of all turns: 9"
+    mount = "`sensor_pose=(0,0,3.14159,3.14159,0)`, which suits the scans best of all turns: 9"
     assert f"give its mount on base_link: {mount}" in str(told.value)
     assert str(told.value).endswith("measure x and y, or walls are doubled")
     assert look(path).problems == (str(told.value),)
@@ -438,7 +438,7 @@ def test_a_laser_whose_frame_tf_spells_otherwise_is_where_tf_has_that(tmp_path: 
     with pytest.raises(PoseError) as told:
         build([path], BuildOptions())
     start = (
-        "give its mount on base_link: `sensor_pose=0,0,1`, where tf has 'laser', a frame that no"
+        "give its mount on base_link: `sensor_pose=(0,0,1)`, where tf has 'laser', a frame that no"
     )
     assert start in str(told.value)
     found = look(path)
@@ -450,7 +450,7 @@ def test_a_build_whose_hits_disagree_names_the_mount(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "room.bag", Drive(math.pi), mount=[(0.0, 0.0)])
     notes = build([path], BuildOptions()).report.notes
     assert (
-        f"{path}: /scan: the scans would fit each other better with `sensor_pose=0,0,3.14159`"
+        f"{path}: /scan: the scans would fit each other better with `sensor_pose=(0,0,3.14159)`"
         in (notes)
     )
     right = BuildOptions(posing=PosingOptions(sensor_pose=Pose.planar(0, 0, math.pi)))

@@ -134,8 +134,8 @@ align = field(
     MAP,
     "align",
     "[DEG]",
-    "Turn the map by this angle, counter-clockwise; without a number by the smallest one that "
-    "brings its walls along the axes.",
+    "Turn the map by so many degrees counter-clockwise; without a number by the smallest angle "
+    "that brings its walls along the axes.",
     cls=BareOption,
     bare=FROM_SCANS,
     type=str,

@@ -120,7 +120,9 @@ class _Search:
         below = self._find_path(body, anchor)
         note = f"poses from {trajectory.topic}, taken as those of {body!r}"
         own = body == self.frame and not trajectory.child
-        other = f"the laser itself: give `sensor_pose={MountError.UNKNOWN}` if they are the robot's"
+        other = (
+            f"the laser itself: give `sensor_pose=({MountError.UNKNOWN})` if they are the robot's"
+        )
         self.notes.append(f"{note}, {other}" if own else note)
         carried = Step(replace(trajectory, child=body))
         return fixed, [*above, carried, *below, *self._mount_on(anchor)]
@@ -190,7 +192,7 @@ class _Search:
         if not self.alone:  # a sensor pose would be that of every laser
             given = f"{base or 'BASE'},{self.frame},X,Y,Z,ROLL,PITCH,YAW"
             raise PoseError(found, fix=f"give its mount: `static_transforms={given}`")
-        mount = f"`sensor_pose={MountError.UNKNOWN}`"
+        mount = f"`sensor_pose=({MountError.UNKNOWN})`"
         if not base:
             raise PoseError(found, fix=f"give its mount: {mount} `base_frame=FRAME`")
         raise MountError(found, fix=f"give its mount on {base}: {mount}")

@@ -20,7 +20,7 @@ from occmap.errors import UsageError
         ("`start_s=3.0` is not before `end_s=2.0`", "--start 3.0 is not before --end 2.0"),
         ("`static_transforms=a,b,X`; `topics`", "--static-tf a,b,X; --scan-topic"),
         (
-            "`sensor_pose=x,y` `base_frame=F`",
+            "`sensor_pose=(x,y)` `base_frame=F`",
             "--sensor-pose x,y --base-frame F",
         ),
         ("see `occmap check`, `merge` and `x=1`", "see `occmap check`, `merge` and `x=1`"),

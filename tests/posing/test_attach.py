@@ -256,7 +256,7 @@ def test_the_mount_of_one_laser_of_two_is_given_by_a_transform() -> None:
     (note,) = poser.notes
     assert "no transform to the laser's frame 'bumper'" in note
     assert note.endswith("`static_transforms=base_link,bumper,X,Y,Z,ROLL,PITCH,YAW`")
-    with pytest.raises(PoseError, match="`sensor_pose=x,y,yaw`"):
+    with pytest.raises(PoseError, match=r"`sensor_pose=\(x,y,yaw\)`"):
         build(*drive("odom", "base_link"), MOUNT).resolve(["bumper"])
 
 
