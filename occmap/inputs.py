@@ -19,6 +19,8 @@ from occmap.wording import count
 
 STDIN = Path("-")
 MOST_NAMES = 5
+RECORDED = (".mcap", ".bag", ".db3")
+"""Only recordings are named so; the others of a folder are told by those that are found."""
 
 
 class Inputs(NamedTuple):
@@ -54,7 +56,14 @@ def find_inputs(
             continue
         kept.sort(key=lambda each: find_start(each, options))
         logs += kept
-        notes.append(describe_found(path, kept, len(entries) - len(kept)))
+        suffixes = {*RECORDED, *(each.suffix for each in kept)}
+        lost = [
+            each
+            for each in entries
+            if each.suffix in suffixes and each not in kept and os.path.realpath(each) not in known
+        ]
+        notes.append(describe_found(path, kept, len(entries) - len(kept) - len(lost)))
+        notes += (note for each in lost for note in describe_lost(each, options))
     return Inputs(logs, notes)
 
 
@@ -111,6 +120,14 @@ def describe_found(path: Path, logs: Sequence[Path], others: int) -> str:
     passed = f"; {count(others, 'other file')} passed over" if others else ""
     order = ", in the order of their time" if len(logs) > 1 else ""
     return f"{path}: {count(len(logs), 'recording')}{order}: {names}{more}{passed}"
+
+
+def describe_lost(path: Path, options: ReaderOptions) -> Iterator[str]:
+    """Say why a file that is named like a recording cannot be one."""
+    try:
+        open_log(path, options)
+    except LogError as error:
+        yield f"{path}: passed over, though named like a recording: {error.found}"
 
 
 @contextmanager

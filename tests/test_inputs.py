@@ -45,6 +45,20 @@ def test_what_else_the_user_names_is_no_recording(day: Path) -> None:
     assert notes[0].endswith("2 other files passed over")
 
 
+def test_a_recording_that_failed_is_named(day: Path) -> None:
+    """Nothing was written to one, and what is in the other of the name of those found is none."""
+    (day / "d.mcap").touch()
+    (day / "e.csv").write_text("hello\n")
+    names, notes = find(day, others=(day / "out.mcap",))
+    assert names == ["c.csv", "a.csv", "b.csv"]
+    assert notes[0].endswith("; 1 other file passed over")
+    told = "passed over, though named like a recording"
+    assert notes[1] == f"{day / 'd.mcap'}: {told}: the file is empty"
+    assert notes[2].startswith(f"{day / 'e.csv'}: {told}: a text file of no known log format")
+    (day / "out.mcap").touch()
+    assert len(find(day, others=(day / "out.mcap",))[1]) == 3
+
+
 @pytest.mark.parametrize("name", ["drive.csv", "drive_ros2"])
 def test_a_recording_stays_as_it_is(name: str) -> None:
     assert find(SAMPLE_LOGS / name) == ([name], [])

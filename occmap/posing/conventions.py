@@ -51,13 +51,13 @@ def find_body(tree: FrameTree, frame: str) -> str:
     return driven.lower if driven else root
 
 
-def join_names(names: Iterable[str]) -> str:
+def join_names(names: Iterable[str], most: int = MAX_NAMES) -> str:
     """List names in a sentence, the first few where they are many."""
     names = tuple(names)
     if not names:
         return "none"
-    more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
-    return ", ".join(names[:MAX_NAMES]) + more
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def _namespace(frame: str) -> str:

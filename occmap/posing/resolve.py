@@ -170,7 +170,10 @@ class _Search:
         if steps is not None:
             return steps
         if upper not in self.tree:
-            raise PoseError(f"no frame {upper!r} in the log (known: {self._list_known()})")
+            found = f"no frame {upper!r} in the log (known: {self._list_known()})"
+            is_given = upper == self.options.map_frame
+            fix = "give one of these as `map_frame`, or leave it out" if is_given else ""
+            raise PoseError(found, fix=fix)
         raise PoseError(
             f"no transform from {upper!r} to {lower!r} (known: {self._list_known()})",
             fix=f"give it: `static_transforms={upper},{lower},X,Y,Z,ROLL,PITCH,YAW`",

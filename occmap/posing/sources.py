@@ -21,6 +21,8 @@ TF_TOPICS = frozenset({"", "tf", "tf_static"})
 
 INTENTIONS = frozenset({"goal", "initialpose", "plan", "waypoints"})
 """Words in topics of poses that tell where a robot should be, not where it was."""
+MOST_CHANGED = 3
+"""Of static transforms that changed so many are named, as their names are long."""
 USE_TF = "leave out `poses`: transforms are used without it"
 
 
@@ -101,7 +103,7 @@ def _build_tracks(
         if track is not None and key.parent != key.child:
             tracks.append((key, _take_last(track) if key.static else track))
     for topic, names in changed.items():
-        notes.append(f"{topic} changes {join_names(names)}: the last pose counts")
+        notes.append(f"{topic} changes {join_names(names, MOST_CHANGED)}: the last pose counts")
     return tracks, notes
 
 
@@ -172,7 +174,8 @@ def _find_trajectory(options: PosingOptions, poses: Sequence[Edge], notes: list[
     if name.strip("/") in TF_TOPICS - {""}:
         raise PoseError("transforms are not a topic of poses", where=name, fix=USE_TF)
     if Path(name).suffix:  # no topic has one
-        raise PoseError("no such file", where=name)
+        fix = "check the path: `poses` takes a trajectory file, or a topic of the log"
+        raise PoseError("no such file", where=name, fix=fix)
     topics = ", ".join(sorted({edge.topic for edge in poses}))
     raise PoseError(
         "neither a file nor a topic with poses",

@@ -4,6 +4,7 @@ A reader is a class with a `name`, a one-line `description`, a `recognises(probe
 `open(path)` that returns a `Log`. Nothing here imports rosbags or mcap: a reader is loaded on use.
 """
 
+import shlex
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from copy import copy
@@ -35,6 +36,8 @@ OTHER_FILES = {
 }
 """What a file is that begins so."""
 LFS_MAGIC = b"version https://git-lfs"
+UNPACKERS = {b"\x1f\x8b": ("gzip", "gunzip"), b"\x28\xb5\x2f\xfd": ("zstd", "unzstd")}
+"""What compressed files start with, how they are called, and what unpacks them"""
 
 
 class Role(StrEnum):
@@ -250,6 +253,9 @@ def probe_path(path: Path) -> Probe:
 
 def _miss(path: Path) -> LogError:
     """Say that there is no such file, and which one may be meant."""
+    if path.is_symlink():
+        found = f"a link to {path.readlink()}, which is not there"
+        return LogError(found, where=path, fix="mend the link, or give the log itself")
     if has_magic(str(path)):
         return LogError("no file matches", where=path, fix="check the pattern and its folder")
     there = []
@@ -291,6 +297,8 @@ def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
     if probe.raw.startswith(LFS_MAGIC):
         found = "a Git LFS pointer, which stands in for the file"
         raise LogError(found, where=path, fix="fetch the file: git lfs pull")
+    refuse_zeros(probe)
+    refuse_packed(probe)
     whole = ", ".join(name for name in names if name not in broken)
     lacking = f" ({', '.join(broken)} cannot be loaded)" if broken else ""
     raise LogError(
@@ -298,6 +306,21 @@ def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
         where=path,
         fix=f"occmap reads {whole}{lacking}: see `occmap readers`",
     )
+
+
+def refuse_zeros(probe: Probe) -> None:
+    """Refuse a file that starts with nothing but zeros; raises LogError."""
+    if probe.raw and not any(probe.raw):
+        found = f"the first {len(probe.raw):,} bytes are zero, as a power cut leaves a file"
+        raise LogError(found, where=probe.path, fix="take the log from where it was copied from")
+
+
+def refuse_packed(probe: Probe) -> None:
+    """Refuse a compressed file of no format that is read compressed; raises LogError."""
+    for magic, (kind, unpack) in UNPACKERS.items():
+        if probe.raw.startswith(magic) and probe.content and not probe.content.isascii():
+            fix = f"decompress it first: {unpack} {shlex.quote(str(probe.path))}"
+            raise LogError(f"a file that {kind} compressed", where=probe.path, fix=fix)
 
 
 def _open(reader: Reader, path: Path, options: ReaderOptions) -> Log:

@@ -116,7 +116,8 @@ class Bag2Source:
         named = [self.path / name for name in metadata.files]
         missing = ", ".join(file.name for file in named if not file.is_file())
         if missing and not present:
-            raise LogError(f"{METADATA} names files that are missing: {missing}", where=self.path)
+            found = f"{METADATA} names files that are missing: {missing}"
+            raise LogError(found, where=self.path, fix="copy them into this folder, too")
         if missing:
             add_note(self.notes, f"{METADATA} names files that are missing: {missing}")
         there = [file for file in named if file.is_file()]

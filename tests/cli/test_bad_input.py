@@ -1,5 +1,6 @@
 """Every bad input is one clear line and the right exit code; no file is left behind."""
 
+import gzip
 import os
 import shutil
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from occmap.readers.mcap_records import MAGIC as MCAP_MAGIC
 from tests.cli.runner import occmap, read_error
 from tests.readers.ros import ROS2, drive, write_mcap
 from tests.samples import SAMPLE_LOGS, write_csv
@@ -45,6 +47,19 @@ def test_a_missing_file() -> None:
     assert error == "nowhere.log: no such file or directory; check the path"
 
 
+def test_a_link_to_nothing_is_named_as_one(folder: Path) -> None:
+    (folder / "dangling.mcap").symlink_to("nowhere.mcap")
+    found = "a link to nowhere.mcap, which is not there"
+    fix = "mend the link, or give the log itself"
+    assert fail(1, "dangling.mcap", "-o", "m.pgm") == f"dangling.mcap: {found}; {fix}"
+
+
+def test_a_frame_that_the_log_lacks_is_told_with_those_it_has() -> None:
+    error = fail(1, SAMPLE_LOGS / "drive.mcap", "-o", "m.pgm", "--map-frame", "world")
+    assert "no frame 'world' in the log (known: base_link, laser, map, odom); give one of" in error
+    assert error.endswith("these as --map-frame, or leave it out")
+
+
 @pytest.mark.parametrize(
     ("name", "content", "found"),
     [
@@ -53,6 +68,9 @@ def test_a_missing_file() -> None:
         ("blank.txt", "\n\n", "a text file of no known log format"),
         ("bytes.bin", b"\xff\xfe\x00\x01 and more", "it starts with the bytes ff fe 00 01"),
         ("cut.gz", b"\x1f\x8b\x08\x00", "a gzip file with nothing in it that can be read"),
+        ("a b.mcap.gz", gzip.compress(MCAP_MAGIC), "decompress it first: gunzip 'a b.mcap.gz'"),
+        ("drive.mcap.zst", b"\x28\xb5\x2f\xfd\x04", "decompress it first: unzstd drive.mcap.zst"),
+        ("zeros.mcap", bytes(5000), "the first 4,096 bytes are zero, as a power cut leaves a file"),
         ("map.pgm", "P5\n2 1\n255\nab", "a map, not a log: `occmap diff` compares maps"),
         ("map.yaml", "image: map.pgm\n", "a map, not a log: `occmap diff` compares maps"),
         ("map.png", b"\x89PNG\r\n", "a picture, not a log"),
@@ -100,7 +118,8 @@ def test_a_bag_whose_files_are_missing(folder: Path) -> None:
     (folder / "bag").mkdir()
     shutil.copy(SAMPLE_LOGS / "drive_ros2" / "metadata.yaml", folder / "bag")
     error = fail(1, "bag", "-o", "m.pgm")
-    assert error == "bag: metadata.yaml names files that are missing: drive_ros2.db3"
+    found = "metadata.yaml names files that are missing: drive_ros2.db3"
+    assert error == f"bag: {found}; copy them into this folder, too"
 
 
 def test_a_log_without_scans_says_what_it_holds(folder: Path) -> None:
@@ -207,7 +226,7 @@ def test_wrong_usage(words: str, found: str) -> None:
     ("words", "found"),
     [
         ("--scan-topic /front", "log.csv: has no scans on the topic /front"),
-        ("--poses nowhere.tum", "nowhere.tum: no such file"),
+        ("--poses nowhere.tum", "no such file; check the path: --poses takes a trajectory file"),
         ("--start 7", "none of 1 scans can be used: 1 outside --start and --end"),
         ("--max-cells 2", "more than --max-cells 2"),
         ("--min-range 1", "no beam of any scan observed a cell"),

@@ -52,7 +52,8 @@ def test_the_user_chooses_the_map_frame() -> None:
     poser = build(*log, map_frame="odom")
     assert place(poser) == [4.5, 0, 0]
     message = refusal(build(*log, map_frame="moon"))
-    assert message == "no frame 'moon' in the log (known: base_link, laser, map, odom)"
+    known = "no frame 'moon' in the log (known: base_link, laser, map, odom)"
+    assert message == f"{known}; give one of these as `map_frame`, or leave it out"
 
 
 def test_each_robot_maps_in_its_own_map() -> None:
@@ -381,3 +382,10 @@ def test_yaw_of_the_mount_turns_the_sensor() -> None:
     rotation = chain.at(np.array([4 * 10**9], np.int64)).rotation
     assert math.isclose(abs(float(yaw_of(rotation)[0])), math.pi)
     assert chain.frames == ("odom", "base_link", "laser")
+
+
+def test_of_many_static_transforms_that_change_a_few_are_named() -> None:
+    old = [bolted("base_link", f"bumper{number}", turned(0)) for number in range(21)]
+    new = [edge._replace(record_ns=5, pose=turned(0, y=2)) for edge in old]
+    named = ", ".join(f"base_link -> bumper{number}" for number in (0, 1, 10))  # by name
+    assert notes_of(*old, *new) == [f"/tf_static changes {named} and 18 more: the last pose counts"]
