@@ -90,7 +90,11 @@ def observe(
         with tally.time("fold"):
             seen = engine.finish()
             notes += list_misfit(tiles, seen.tiles, options.model, "the logs before it")
-            add_log(tiles, seen, options.max_cells, log.path)
+            tiles.merge(seen)
+            try:
+                tiles.refuse_outgrown(options.max_cells)
+            except MapError as error:
+                raise error.placed(log.path) from None
             slices += engine.read_slices()
         remarks.note(log, notes)
     with tally.time("fold"):
@@ -110,18 +114,3 @@ def observe_log(
 
     traced = trace_logs([log], options, begin, tally)
     return engines[-1], traced[0][1]
-
-
-def add_log(tiles: TileGrid, others: TileGrid, max_cells: int, path: Path) -> None:
-    """Add what a log showed to what others did.
-
-    Raises
-    ------
-    MapError
-        The map would be too large.
-    """
-    tiles.merge(others)
-    try:
-        tiles.refuse_outgrown(max_cells)
-    except MapError as error:
-        raise error.placed(path) from None

@@ -15,6 +15,7 @@ from mcap.records import Channel as McapChannel
 from mcap.records import ChunkIndex, Footer, Schema, Statistics
 
 from occmap.readers.ros_source import Channel, Encoding, Syntax
+from occmap.wording import count
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
@@ -195,7 +196,7 @@ def describe_end(position: int, opcode: int, length: int, size: int) -> str:
     if 0 < opcode <= LAST_OPCODE and left < RECORD.size + length <= LONGEST_RECORD:
         there = f"{left} of its {RECORD.size + length} bytes are there"
         return f"the file ends in the middle of a record: {there}"
-    return f"from byte {position} on, the last {left} bytes hold no whole record"
+    return f"from byte {position} on, the last {count(left, 'byte')} hold no whole record"
 
 
 def parse_chunk(body: bytes) -> Chunk:
