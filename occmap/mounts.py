@@ -148,7 +148,8 @@ def find_better(poser: Poser, parts: Sequence[PosedScans], options: ReturnOption
 def describe_misfit(better: str) -> str:
     """Say which mount suits the scans better."""
     option, _, value = better.partition("=")
-    return f"the scans would fit each other better with `{option}=({value})`"
+    written = f"({value})" if option == "sensor_pose" else value  # frames are no tuple
+    return f"the scans would fit each other better with `{option}={written}`"
 
 
 def correct_mount(poser: Poser, frame: str, turn: Pose) -> str:

@@ -120,7 +120,7 @@ class _Search:
         below = self._find_path(body, anchor)
         note = f"poses from {trajectory.topic}, taken as those of {body!r}"
         own = body == self.frame and not trajectory.child
-        other = f"the laser itself: give `sensor_pose={MountError.UNKNOWN}` if they are the robot's"
+        other = f"the laser itself: `sensor_pose=({MountError.UNKNOWN})` if they are the robot's"
         self.notes.append(f"{note}, {other}" if own else note)
         carried = Step(replace(trajectory, child=body))
         return fixed, [*above, carried, *below, *self._mount_on(anchor)]

@@ -217,7 +217,7 @@ def test_two_lasers_ride_on_one_topic_of_poses() -> None:
 def test_odometry_that_names_no_body_is_that_of_the_robot() -> None:
     nameless = drive("odom", "", "/odom")
     named = refusal(build(*drive("odom", "base_link", "/odom")))
-    assert "give its mount on base_link: `sensor_pose=x,y,yaw`" in named
+    assert "give its mount on base_link: `sensor_pose=(x,y,yaw)`" in named
     assert refusal(build(*nameless)) == named
     assert place(build(*nameless, sensor_pose=Pose.planar(0.5, 0, 0))) == [4.5, 0, 0]
     assert place(build(*nameless, MOUNT)) == [4.5, 0, 0]  # whatever tf calls the body
@@ -228,8 +228,8 @@ def test_poses_without_any_tree_are_those_of_the_laser() -> None:
     poser = build(*drive("mocap", "", "/pose"))
     assert place(poser) == [4, 0, 0]
     assert poser.notes == [
-        "poses from /pose, taken as those of 'laser', the laser itself: give "
-        "`sensor_pose=x,y,yaw` if they are the robot's"
+        "poses from /pose, taken as those of 'laser', the laser itself: "
+        "`sensor_pose=(x,y,yaw)` if they are the robot's"
     ]
 
 
