@@ -111,6 +111,10 @@ def find_way(course: Course, timed: Sequence[Knob], place: Sequence[Knob]) -> Wa
     time = find(course, mount.correction, timed)
     if mount.verdict is not Verdict.FOUND or time.verdict is Verdict.DISAGREE:
         return usual
+    # Two corrections fit much, also what changes within the log; one of a mount explains it.
+    disagree = Verdict.DISAGREE in (usual.time.verdict, usual.mount.verdict)
+    if disagree and time.verdict is Verdict.FOUND:
+        return usual
     simple, other = sorted([usual, Way(time, mount, time.correction)], key=lambda way: way.found)
     gain = Gain.measure(course.score(simple.correction), course.score(other.correction))
     return other if gain.certain else simple

@@ -268,6 +268,14 @@ def test_a_real_robot_whose_stamps_are_late() -> None:
 
 
 @real
+def test_a_mount_that_halves_disagree_about_is_not_made_up_from_a_wrong_time() -> None:
+    """Mount first, it gains as much again, but fewer hits agree: 70% and not 73%."""
+    tuning = tune([REAL_LOGS / "ros1" / "test_turtlebot.bag"], BuildOptions())
+    assert tuning.mount.verdict is Verdict.DISAGREE
+    assert tuning.correction == Correction(time_s=tuning.correction.time_s)
+
+
+@real
 def test_a_corrected_log_has_nothing_to_gain() -> None:
     tuning = tune([REAL_LOGS / "carmen" / "intel-corrected.log.gz"], BuildOptions())
     assert tuning.mount.verdict is Verdict.NOTHING
