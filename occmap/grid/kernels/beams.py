@@ -179,7 +179,8 @@ def trace_beams(
             x, y = at_x, at_y
             to_x, to_y = ends_x[s, b] - corner[0], ends_y[s, b] - corner[1]
             r = ranges[s, b] if steps else 0.0
-            begun, weight = 0.0, np.int64(weights[s, b])
+            begun = 0.0
+            weight = np.int64(weights[s, b])
             parts, step_x, step_y = np.int64(between[s, b]) + 1, np.int64(0), np.int64(0)
             for part in range(1, parts + 1):  # the beam itself, then those between it and the next
                 col, row = x >> CELL_SHIFT, y >> CELL_SHIFT
