@@ -312,7 +312,8 @@ def read_request(
     for name in options:
         if name in OF_ONE_MAP or name in WriteOptions.__dataclass_fields__:
             raise UsageError(f"{call} has no option {name!r}", fix="build_map takes it")
-    paths, common = list_logs(logs, call), read_build(options, call)
+    paths = list_logs(logs, call)
+    common = read_build(options, call)
     return find_inputs(paths, common.reading).logs, common
 
 

@@ -81,7 +81,8 @@ def observe(
     total = sum(count_scans(log, options.selection.topics) for log in logs)
     tally.tell = lambda scans: progress(scans, total)
     remarks = Remarks([str(log.path) for log in logs])
-    tiles, slices = make_grid(options), list[Slices]()
+    tiles = make_grid(options)
+    slices: list[Slices] = []
     for log in logs:
         scans = count_scans(log, options.selection.topics)
         counts = Tally(tally.tell, keep.make_recorder(scans, len(logs), options.returns))

@@ -14,8 +14,8 @@ LOG = Path("a.bag")
 def batch_of(*stamps: int, beams: int = 3) -> ScanBatch:
     ranges = np.full((len(stamps), beams), 2.0, np.float32)
     turn = np.pi / 2
-    moments = np.zeros(len(stamps))
-    return ScanBatch("laser", 0.0, turn, 0.0, 10.0, np.array(stamps), ranges, moments)
+    time_increment = np.zeros(len(stamps))
+    return ScanBatch("laser", 0.0, turn, 0.0, 10.0, np.array(stamps), ranges, time_increment)
 
 
 def pose(batch: ScanBatch, x: float) -> PosedScans:

@@ -66,7 +66,9 @@ posing = join(
         "Take the poses from a file (TUM, EuRoC, KITTI or CSV: stamp,x,y,yaw) or from this topic.",
     ),
     field(
-        *(POSES, "sensor_pose", "X,Y,YAW[,ROLL,PITCH]"),
+        POSES,
+        "sensor_pose",
+        "X,Y,YAW[,ROLL,PITCH]",
         "Where the laser sits on the robot (metres, radians).",
     ),
     field(

@@ -51,10 +51,10 @@ def describe_build(
     trajectory = [Path(poses)] if poses and Path(poses).is_file() else []
     if trajectory:
         chosen["posing"]["poses"] = trajectory[0].name
-    files, look = (*paths, *trajectory), describe or describe_files
+    look = describe or describe_files
     return {
         "occmap": version("occmap"),
-        "inputs": [entry for path in files for entry in look(path)],
+        "inputs": [entry for path in (*paths, *trajectory) for entry in look(path)],
         "options": {**chosen, "model": describe_model(options.model)},
         "scans": scans,
     }

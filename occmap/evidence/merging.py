@@ -80,7 +80,8 @@ def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Ev
     first, *others = evidences
     if not others:
         return first
-    grid, slices = to_grid(first), first.slices
+    grid = to_grid(first)
+    slices = first.slices
     builds, subtracted = first.manifest.builds, first.manifest.subtracted
     notes = list(first.notes)
     for other in others:

@@ -18,7 +18,7 @@ MUCH = 0.25
 """A note says where at least this share of the occupied cells goes: people are seldom so many."""
 
 
-def keep_lasting(grid: TileGrid, layers: Sequence[Slices], min_passes: int | None) -> TileGrid:
+def keep_lasting(grid: TileGrid, slices: Sequence[Slices], min_passes: int | None) -> TileGrid:
     """Weigh hits by the visits that they came on; `grid` stays as it is.
 
     A cell that was hit on fewer than `min_passes` visits loses its hits. Of one that was hit on so
@@ -29,7 +29,7 @@ def keep_lasting(grid: TileGrid, layers: Sequence[Slices], min_passes: int | Non
     ----------
     grid
         Of hits and misses.
-    layers
+    slices
         When the cells were observed, build by build; a slice that several builds share is one.
     min_passes
         None: all stays as it is.
@@ -41,7 +41,7 @@ def keep_lasting(grid: TileGrid, layers: Sequence[Slices], min_passes: int | Non
     """
     if min_passes is None:
         return grid
-    lasting = drop_passing(grid, layers, min_passes)
+    lasting = drop_passing(grid, slices, min_passes)
     if grid.tiles and not lasting.tiles:
         refuse_nothing_left(min_passes)
     return lasting
@@ -55,12 +55,12 @@ def refuse_nothing_left(min_passes: int) -> NoReturn:
     )
 
 
-def drop_passing(grid: TileGrid, layers: Sequence[Slices], min_passes: int) -> TileGrid:
+def drop_passing(grid: TileGrid, slices: Sequence[Slices], min_passes: int) -> TileGrid:
     """As `keep_lasting` with a number of visits, but the result may be empty."""
     lasting = TileGrid(grid.lattice, grid.kind, grid.unit)
-    for key, slices in split_tiles(unite(layers)):
+    for key, of_tile in split_tiles(unite(slices)):
         if key in grid.tiles:
-            visits = count_visits(slices)
+            visits = count_visits(of_tile)
             lasting.tiles[key] = weigh_visits(grid.tiles[key], visits, min_passes)
     drop_empty(lasting)
     return lasting
@@ -76,7 +76,7 @@ def weigh_visits(numbers: Tile, visits: Int64, min_passes: int) -> Int64:
 
 def render_lasting(
     grid: TileGrid,
-    layers: Sequence[Slices],
+    slices: Sequence[Slices],
     min_passes: int | None,
     model: SensorModel,
     max_cells: int,
@@ -88,7 +88,7 @@ def render_lasting(
     MapError
         As `keep_lasting` and `render`.
     """
-    lasting = keep_lasting(grid, layers, min_passes)
+    lasting = keep_lasting(grid, slices, min_passes)
     made = render(lasting, model, max_cells)
     if lasting is grid:
         return made, []
@@ -97,8 +97,6 @@ def render_lasting(
 
 def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:
     """Say where many cells are no longer occupied after hits and misses were forgotten."""
-    if after is before:
-        return
     rows, cols = (
         slice(place, place + size)
         for place, size in zip(after.place - before.place, after.shape, strict=True)

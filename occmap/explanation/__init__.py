@@ -204,7 +204,8 @@ def list_unexplained(
     evidence: Evidence, history: CellHistory, uses: Sequence[Use], sightings: Sequence[Sighting]
 ) -> Iterator[str]:
     """Say what is not explained by the scans that were found."""
-    found, held = add_up(sightings), (history.first, history.second)
+    found = add_up(sightings)
+    held = history.first, history.second
     if found == held:
         return
     sums = f"{describe_numbers(found, history)} of {describe_numbers(held, history)}"

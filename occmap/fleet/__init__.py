@@ -234,7 +234,8 @@ def list_reductions(work: Work) -> list[ReduceJob]:
 def gather(work: Work, pieces: Sequence[Piece]) -> Observed:
     """Put the map together of its blocks."""
     setting = work.setting
-    grid, layers = make_grid(setting.options), list[Slices]()
+    grid = make_grid(setting.options)
+    layers: list[Slices] = []
     for content in read_pieces(setting.folder, pieces):
         for (row, col), cells in zip(content.tiles.tolist(), content.cells, strict=True):
             grid.tiles[row, col] = cells

@@ -57,7 +57,8 @@ def add_up(job: ReduceJob) -> Content:
     OccmapError
         A run file cannot be read.
     """
-    grid, layers = make_grid(job.setting.options), list[Slices]()
+    grid = make_grid(job.setting.options)
+    layers: list[Slices] = []
     for content in read_pieces(job.setting.folder, job.pieces):
         add_stack(grid, content.tiles, content.cells)
         layers += content.slices

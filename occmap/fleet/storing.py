@@ -152,7 +152,8 @@ def open_target(
     setting: Setting, output: Path, manifest: Manifest, blocks: Iterable[tuple[int, int]]
 ) -> Path:
     """Create a store where only a rename is missing, or find the one that was begun."""
-    target, stub = follow_links(output), setting.folder / "store.stub"
+    target = follow_links(output)
+    stub = setting.folder / "store.stub"
     is_near = setting.folder.stat().st_dev == target.parent.stat().st_dev
     store = (setting.folder if is_near else target.parent) / f".occmap-{setting.folder.name}.tmp"
     if read_stub(stub) is None or not store.exists():

@@ -191,7 +191,8 @@ def open_part(job: TraceJob) -> Drive:
 
 def count_in_window(job: TraceJob) -> int:
     """Count the scans of a part that lie in the time window, of which a stride takes every n-th."""
-    drive, options = open_part(job), job.setting.options
+    drive = open_part(job)
+    options = job.setting.options
     selector = Selector(options.selection, options.posing.stamps, drive.seam)
     for _ in selector.judge(read_scans(drive.log, drive.topics)):
         pass
@@ -219,13 +220,15 @@ def trace_part(job: TraceJob) -> Traced:
 
 def trace_job(job: TraceJob) -> Traced:
     """Trace a log or a part of one; `trace_part` also keeps the result."""
-    drive, options = open_part(job), replace(job.setting.options, jobs=1)
+    drive = open_part(job)
+    options = replace(job.setting.options, jobs=1)
     is_part = job.part is not None and job.survey.parts > 1
     frames = set(drive.poser.chains)
     limits = job.limits or RangeLimits(options.returns)
     setting = job.setting
     recorder = setting.keep.make_recorder(job.survey.scans, setting.logs, options.returns)
-    sink, tally = RunWriter(job), Tally(recorder=recorder)
+    sink = RunWriter(job)
+    tally = Tally(recorder=recorder)
     try:
         odd = trace(drive, options, sink.add, limits, tally)
     except LogError:

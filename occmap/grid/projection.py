@@ -7,7 +7,7 @@ import numpy as np
 from occmap.grid.kernels.beams import Beams
 from occmap.grid.kernels.neighbours import link_neighbours
 from occmap.grid.kernels.project import measure_ranges, project_ends
-from occmap.grid.kernels.units import CELL_SHIFT
+from occmap.grid.kernels.units import CELL_SHIFT, NO_LENGTH
 from occmap.grid.lattice import CellBox
 from occmap.grid.spec import GridSpec
 from occmap.types import Int64, Kind, Rays, Update
@@ -55,7 +55,7 @@ def join_viewpoints(rays: Rays) -> Rays:
     offset = rays.end - middle
     distance = np.hypot(offset[..., 0], offset[..., 1]) * (rays.kind > 0)
     seen = (distance > 0)[..., None]
-    direction = np.where(seen, offset / np.maximum(distance, 1e-300)[..., None], rays.direction)
+    direction = np.where(seen, offset / np.maximum(distance, NO_LENGTH)[..., None], rays.direction)
     circle = rays.full_circle
     return Rays.along(middle, direction, distance, rays.kind, rays.stamp_ns, full_circle=circle)
 

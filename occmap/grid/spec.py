@@ -65,8 +65,8 @@ def tabulate(free: Formula, hit: Formula, depth: float) -> Tables:
     """Tabulate a radial model's probabilities, each at the middle of its step."""
     middle = np.minimum((np.arange(TABLE_STEPS + 1) + 0.5) / TABLE_STEPS, 1)
     tables = []
-    for profile in (free, hit):
-        p = np.clip(profile(middle), SUREST, 1 - SUREST)
+    for formula in (free, hit):
+        p = np.clip(formula(middle), SUREST, 1 - SUREST)
         tables.append(np.rint(np.log(p / (1 - p)) / LOG_ODDS_UNIT).astype(np.int64))
     largest = max(int(np.abs(table).max()) for table in tables)
     free_entries, hit_entries = ((table << SUM_BITS) + 1 for table in tables)

@@ -21,7 +21,11 @@ from occmap.grid.tiles import Key, Tile
 from occmap.types import Int32, Int64, Rays, Update
 
 WHOLE = 62
-"""`Cells.bits` of a window that is one block."""
+"""`row >> 62` is 0 for every row, so a window of one block needs no code of its own."""
+ALL_BITS = -1
+"""The mask of numbers of which all bits are evidence."""
+NO_CHANGES = Changes(*np.zeros((4, 0), np.int32))
+"""For windows in which every cell is visited."""
 
 
 def count_observations(rays: Rays, spec: GridSpec) -> int:
@@ -117,7 +121,7 @@ class DenseWindow(Window):
     @property
     def packing(self) -> Packing:
         """How `cells` hold the numbers of a cell."""
-        return Packing(self.tables.bits, -1, int(self.tables.free[0]))
+        return Packing(self.tables.bits, ALL_BITS, int(self.tables.free[0]))
 
     def read(self) -> dict[Key, Tile]:
         if self.touched is None:
@@ -139,7 +143,8 @@ class DenseWindow(Window):
     def list_cells(self) -> Cells:
         """All cells as one block."""
         rows, stride = self.cells.shape
-        table, used = np.zeros((1, 1), np.int32), np.ones(1, np.int64)
+        table = np.zeros((1, 1), np.int32)
+        used = np.ones(1, np.int64)
         numbers = self.cells.ravel()
         return Cells(rows, stride - PAD, WHOLE, stride, 0, numbers.size, table, used, numbers)
 
@@ -174,8 +179,10 @@ class SparseBeamWindow(Window):
 
     def allocate(self, rows: int, cols: int) -> None:
         shape = rows // TILE, cols // TILE
-        table, used = np.full(shape, -1, np.int32), np.zeros(1, np.int64)
-        counts = self.spec.radial is None  # whose numbers are told to one tile each
+        table = np.full(shape, -1, np.int32)
+        used = np.zeros(1, np.int64)
+        # Hits and misses have a tile each; log-odds share a number with that of observations.
+        counts = self.spec.radial is None
         layers = 2 if counts else 1
         size = rows * cols * layers
         numbers = np.zeros(size, np.int32) if counts else np.zeros(size, np.int64)
@@ -188,6 +195,7 @@ class SparseBeamWindow(Window):
         corner = self.corner - projected.anchor
         profile = self.make_profile()
         if self.spec.radial is None:
+            # Hits have a tile of their own here: each adds 1, and not the packed 1 << COUNT_BITS.
             profile = profile._replace(hit=profile.free)
         trace_beams(projected.beams, profile, corner, self.cells, NO_CHANGES)
 
@@ -204,9 +212,6 @@ class SparseBeamWindow(Window):
             seen = tiles[:, 1].any(axis=(1, 2))  # a beam may come to a tile and say nothing of it
             places, tiles = places[seen], tiles[seen]
         return self.name_tiles(places, tiles)
-
-
-NO_CHANGES = Changes(*np.zeros((4, 0), np.int32))
 
 
 def describe_surfaces(spec: GridSpec, projected: Projected, window: Window) -> Surfaces:

@@ -272,8 +272,10 @@ class Poser:
         else:
             chosen = (duration_s > 0) & (duration_s <= MAX_TURN_S)
             if not chosen.all():
-                found = "state no believable time between beams are not de-skewed"
-                self._note(f"scans of {batch.frame!r} that {found}")
+                self._note(
+                    f"scans of {batch.frame!r} that state no believable time between beams are "
+                    "not de-skewed"
+                )
         if chosen.any():
             self._note(f"de-skewed: each beam of {batch.frame!r} has a pose of its own")
         return chosen

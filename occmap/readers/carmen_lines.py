@@ -213,7 +213,9 @@ def _make_scan(message: _Message) -> Scan:
     layout = _lay_out(word, values)
     ranges = as_float32(values[layout.ranges])
     if word in PLAIN_FRAMES:
-        angle_min, increment, range_max = -math.pi / 2, imply_increment(ranges.size), math.inf
+        angle_min = -math.pi / 2
+        increment = imply_increment(ranges.size)
+        range_max = math.inf
     else:
         _, angle_min, _, increment, maximum, *_ = values[:7].tolist()
         if not math.isfinite(angle_min + increment):

@@ -213,7 +213,8 @@ def _is_heading(raw: bytes) -> bool:
 def _parse_rows(layout: Layout, lines: list[bytes]) -> ScanRun:
     """Parse rows together; raises ValueError where one is malformed or unlike the first."""
     first = _parse_row(layout, lines[0].decode())
-    places, beams = dict(layout.columns), list(layout.beams)
+    places = dict(layout.columns)
+    beams = list(layout.beams)
     stamp, frame = places.pop("stamp", None), places.pop("frame", None)
     kinds = np.full(len(layout.header), ANY)
     kinds[[*places.values(), *beams]] = NUMBER

@@ -59,7 +59,8 @@ def convert_origin(message: Any, topic: str, record_ns: int) -> list[PoseSample]
     origin, frame = _read_origin(message), read_frame(message.frame_id)
     if origin == IDENTITY:
         return []
-    child, stamp_ns = name_origin(frame, topic), message.timestamp
+    child = name_origin(frame, topic)
+    stamp_ns = message.timestamp
     return [PoseSample(stamp_ns, frame, child, origin, topic=topic, record_ns=record_ns)]
 
 

@@ -118,7 +118,8 @@ def pick_messages(
     """Give the messages of some channels."""
     wanted = np.flatnonzero(np.isin(places.channel, list(channels)))
     channel, record_ns, start, end = (column[wanted] for column in places)
-    view, times = memoryview(records), record_ns.tolist()
+    view = memoryview(records)
+    times = record_ns.tolist()
     data = [view[at:to] for at, to in zip(start.tolist(), end.tolist(), strict=True)]
     changes = np.flatnonzero(channel[1:] != channel[:-1]) + 1
     for at, to in pairwise([0, *changes.tolist(), len(data)]):

@@ -137,7 +137,8 @@ class SqliteSource:
         """Note what tells that the file was cut, or its recorder died."""
         with self.path.open("rb") as file:
             page, pages = struct.unpack(">16xH10xI", file.read(32))
-            size, whole = file.seek(0, 2), (1 << 16 if page == 1 else page) * pages
+            size = file.seek(0, 2)
+            whole = (1 << 16 if page == 1 else page) * pages
         if size < whole and not self._has_log:
             add_note(self.notes, f"the storage file is cut: {size} of its {whole} bytes are there")
         if self._has_log and (lost := count_lost_frames(self._log)):

@@ -113,7 +113,8 @@ class Bag1Source:
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
         with self.path.open("rb") as file:
             for position, block in self._iterate_blocks(file):
-                view, findings = memoryview(block), Findings()
+                view = memoryview(block)
+                findings = Findings()
                 yield from put_together(
                     (by_id[connection], record_ns, view[start:end])
                     for connection, record_ns, start, end in split_messages(view, by_id, findings)

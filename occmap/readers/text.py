@@ -175,7 +175,8 @@ def read_blocks(path: Path, notes: list[Note], span: Span = ALL) -> Iterator[Blo
                 lines = _split(piece[start : end - 1])
                 lines[0] = rest + lines[0]
                 yield Block(number, lines, ended=True)
-                number, rest = number + len(lines), b""
+                number = number + len(lines)
+                rest = b""
             rest += piece[max(start, end) :]
             if len(rest) >= MAX_LINE_BYTES:
                 raise LogError(f"no end of line within {len(rest)} bytes", where=path, fix=NO_LOG)

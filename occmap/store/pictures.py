@@ -32,7 +32,8 @@ def read_around(root: Any, head: dict[str, Any], box: CellBox) -> TileGrid:
 
 def classify_block(root: Any, head: dict[str, Any], block: Block) -> UInt8:
     """(1024, 1024) of CellClass: what the model of the store says of a block."""
-    model, box = parse_model(head["model"]), block.box
+    model = parse_model(head["model"])
+    box = block.box
     tiles = choose_tiles(read_around(root, head, box), model)
     log_odds, observed = paint(tiles, weigh(model), to_log_odds(model.prior), box)
     decision = find_decision(model)

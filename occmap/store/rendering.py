@@ -123,7 +123,8 @@ class BlockMap:
     def walk(self) -> Iterator[Piece]:
         """Paint all pieces; what is in none of them was not observed."""
         for place in list_pieces(self.view.source, self.before):
-            evidence, box = read_part(self.view.source, place), self.box.clip(place)
+            evidence = read_part(self.view.source, place)
+            box = self.box.clip(place)
             grid = to_grid(evidence)
             lasting = self.view.forget(grid, evidence)
             made = self.view.paint(lasting, box)

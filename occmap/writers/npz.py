@@ -211,7 +211,8 @@ def unpack(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidence:
     cells = np.zeros((len(arrays["tiles"]), 2, SIDE, SIDE), f"<i{width}")
     cells[:, 0][seen] = arrays["first"]
     cells[:, 1][seen] = arrays["second"]
-    manifest, slices = Manifest(**{**fields, **lists}), unpack_slices(arrays)
+    manifest = Manifest(**{**fields, **lists})
+    slices = unpack_slices(arrays)
     if len(slices) != len(manifest.builds):
         raise ValueError("layers")
     evidence = Evidence(manifest, arrays["tiles"], cells, slices, str(path))

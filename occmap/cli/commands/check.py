@@ -42,7 +42,8 @@ def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> Non
     """Look into logs, and print what was found."""
     if values["output"]:
         check_picture(values["output"], logs, [".html"])
-    console, chosen = ctx.ensure_object(Console), take(BuildOptions, values)
+    console = ctx.ensure_object(Console)
+    chosen = take(BuildOptions, values)
     inspection = inspect(gather_logs(console, logs, chosen), chosen)
     if values["output"]:
         from occmap.page.inspection import write_inspection  # noqa: PLC0415  late: few want it

@@ -24,7 +24,7 @@ from occmap.grid.kernels.units import (
     SKIP,
     UNITS_PER_CELL,
 )
-from occmap.jit import kernel
+from occmap.jit import kernel, step
 from occmap.types import Float64, Int32, Int64, UInt8
 
 SLOPE_BITS = 50
@@ -32,8 +32,8 @@ SLOPE_BITS = 50
 FARTHEST_CENTRE = 1.25
 """Cells by which a cell's centre may be farther from the sensor than its place on the line: half a
 diagonal at the first cell, and half a cell beside the line."""
-BEGIN = 5 / 8
-"""A beam between two others is drawn from this part of its way on."""
+BEGIN_EIGHTHS = 5
+"""A beam between two others is drawn from so many eighths of its way on."""
 
 
 class Beams(NamedTuple):
@@ -89,6 +89,12 @@ class Cells(NamedTuple):
     """(N,)"""
 
 
+@step
+def begin_between(at: int, to: int) -> int:
+    """Find where a beam between two others begins on its way, along x or y (lattice units)."""
+    return ((8 - BEGIN_EIGHTHS) * at + BEGIN_EIGHTHS * to) >> 3
+
+
 @kernel
 def note_beams(beams: Beams, hit: int, corner: Int64, cells: Int64, changes: Changes) -> None:
     """Note what every beam says to a model that counts, and those drawn between it and the next.
@@ -141,7 +147,7 @@ def note_beams(beams: Beams, hit: int, corner: Int64, cells: Int64, changes: Cha
                         step_x = np.int64(ends_x[s, c] - ends_x[s, b]) // parts
                         step_y = np.int64(ends_y[s, c] - ends_y[s, b]) // parts
                     to_x, to_y = to_x + step_x, to_y + step_y
-                    x, y = (3 * at_x + 5 * to_x) >> 3, (3 * at_y + 5 * to_y) >> 3
+                    x, y = begin_between(at_x, to_x), begin_between(at_y, to_y)
                     weight = np.int64(BETWEEN)
 
 
@@ -179,7 +185,8 @@ def trace_beams(
             x, y = at_x, at_y
             to_x, to_y = ends_x[s, b] - corner[0], ends_y[s, b] - corner[1]
             r = ranges[s, b] if steps else 0.0
-            begun, weight = 0.0, np.int64(weights[s, b])
+            begun = 0.0
+            weight = np.int64(weights[s, b])
             parts, step_x, step_y = np.int64(between[s, b]) + 1, np.int64(0), np.int64(0)
             for part in range(1, parts + 1):  # the beam itself, then those between it and the next
                 col, row = x >> CELL_SHIFT, y >> CELL_SHIFT
@@ -291,8 +298,8 @@ def trace_beams(
                         step_x = np.int64(ends_x[s, c] - ends_x[s, b]) // parts
                         step_y = np.int64(ends_y[s, c] - ends_y[s, b]) // parts
                     to_x, to_y = to_x + step_x, to_y + step_y
-                    x, y = (3 * at_x + 5 * to_x) >> 3, (3 * at_y + 5 * to_y) >> 3
+                    x, y = begin_between(at_x, to_x), begin_between(at_y, to_y)
                     weight = np.int64(BETWEEN)
                     if steps:
                         span = np.hypot(float(to_x - at_x), float(to_y - at_y))
-                        r, begun = max(span - depth, 0.0), BEGIN * span
+                        r, begun = max(span - depth, 0.0), BEGIN_EIGHTHS / 8 * span

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from occmap.grid.kernels.units import HIT
+from occmap.grid.kernels.units import HIT, NO_LENGTH
 from occmap.jit import kernel
 from occmap.types import Float32, Float64, Int32, UInt8
 
@@ -75,7 +75,7 @@ def _reach(distance: float, kind: int, depth: float, along_x: float, along_y: fl
 
     One straight up or down has no direction there, and ends where it begins.
     """
-    beyond = depth / max(np.sqrt(along_x * along_x + along_y * along_y), 1e-300)
+    beyond = depth / max(np.sqrt(along_x * along_x + along_y * along_y), NO_LENGTH)
     return np.float64(distance) + (beyond if kind == HIT else 0.0)
 
 

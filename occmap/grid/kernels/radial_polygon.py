@@ -20,7 +20,7 @@ from occmap.grid.kernels.sectors import (
     outline_sectors,
     stay_inside,
 )
-from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT, PAD
+from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT, NO_LENGTH, PAD
 from occmap.jit import kernel
 from occmap.types import Float32, Float64, Int32, Int64, UInt8
 
@@ -118,7 +118,7 @@ def aim(
         t = min(b, turn.shape[0] - 1)
         x = turn[t, 0, 0] * bearing[0, b] + turn[t, 0, 1] * bearing[1, b]
         y = turn[t, 1, 0] * bearing[0, b] + turn[t, 1, 1] * bearing[1, b]
-        length = max(np.sqrt(x * x + y * y), 1e-300)
+        length = max(np.sqrt(x * x + y * y), NO_LENGTH)
         direction[b, 0], direction[b, 1] = x / length, y / length
         ranges[b] = distance[b] * length * units_per_metre
 
@@ -139,7 +139,7 @@ def reach_out(
     degrees from its beam, but for a beam straight up, which has none.
     """
     for b in range(kinds.size):
-        reach = ranges[b] + (depth if kinds[b] == HIT else 0.0) + 4
+        reach = ranges[b] + (depth if kinds[b] == HIT else 0.0) + ROUNDED
         for side in range(2):
             cosine = sides[b, 2 * side] * direction[b, 0] + sides[b, 2 * side + 1] * direction[b, 1]
             lengths[b, 2 * side] = reach / max(cosine, COS_60 / 2)
@@ -207,7 +207,7 @@ def _observe_spans(
                 for c in range(col, until):
                     from_x = float((c << CELL_SHIFT) + HALF_CELL - at_x)
                     # As `bearing_of`, whose choice by the sign of y is the same for a whole row.
-                    part = from_x / max(abs(from_x) + abs(from_y), 1e-300)
+                    part = from_x / max(abs(from_x) + abs(from_y), NO_LENGTH)
                     b = covering[np.uint64((start + turned * part) * (BEARINGS / 4))]
                     squared = from_x * from_x + from_y * from_y
                     # Both places, then a choice without a branch: whether a cell lies before, in or

@@ -6,7 +6,7 @@ most 60 degrees to either side. Where two cover one bearing, the later counts.
 
 import numpy as np
 
-from occmap.grid.kernels.units import SKIP
+from occmap.grid.kernels.units import NO_LENGTH, SKIP
 from occmap.jit import kernel
 from occmap.types import Bool, Float64, Int32, Int64, UInt8
 
@@ -88,7 +88,7 @@ def bearing_of(x: float, y: float) -> np.int64:
     Steps of x / (|x| + |y|) and not of the angle: they grow and shrink together, and this needs
     no arc tangent.
     """
-    part = x / max(abs(x) + abs(y), 1e-300)
+    part = x / max(abs(x) + abs(y), NO_LENGTH)
     turned = 1.0 - part if y >= 0 else 3.0 + part
     return np.int64(turned * (BEARINGS / 4))
 

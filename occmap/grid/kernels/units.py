@@ -12,6 +12,9 @@ CELL_SHIFT = 8
 UNITS_PER_CELL = 1 << CELL_SHIFT
 HALF_CELL = UNITS_PER_CELL // 2
 
+NO_LENGTH = 1e-300
+"""What is divided by where a length is 0."""
+
 TILE_BITS = 6
 TILE = 1 << TILE_BITS
 """Cells along the side of a tile."""
