@@ -18,17 +18,17 @@ from occmap.tracing import open_drive
 from occmap.types import Float64, Kind, Rays
 
 GAPS = (2, 4, 8, 16, 32)
-"""A chord of a wall joins the ends of two beams that are so many beams apart."""
+"""A chord of a wall joins the ends of two beams that are this many beams apart."""
 CHORD_M = 0.5
 """Chords are this long, up to twice as long (m): shorter ones show the noise of ranges."""
 STRAIGHT_M = 0.02
-"""Where a wall is straight, the beam in the middle ends at most so far from the chord (m)."""
+"""Where a wall is straight, the beam in the middle ends at most this far from the chord (m)."""
 BINS = 360
 """Bins of the histogram over a quarter turn"""
 BLUR = 9
 """Neighbouring bins that are added up, so that noise does not split a direction"""
 NARROW_DEG = (5.0, 3.0)
-"""Only chords so near to the direction found so far count in the next mean."""
+"""Only chords this near to the direction found before count in the next mean."""
 COMMON_SHARE = 1 / 3
 """In a building, at least this share of the length of all chords lies within 3 degrees of one
 direction. Logs of buildings have 0.5 to 0.74; walls in all directions would have a fifteenth."""

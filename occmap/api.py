@@ -74,11 +74,11 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
 
         topics = () (names): one topic or several; the default is all
         start_s = -inf (s): scans before this time after the first are left out
-        end_s = inf (s): ... and scans from this time on
+        end_s = inf (s): scans from this time after the first on are left out
         stride = 1 (scans): use every n-th
         echo = "first" ("first" or "last"): which echo of a MultiEchoLaserScan counts
-        min_height = -0.2 (m): points of a PointCloud2 from this height over the sensor ...
-        max_height = 0.2 (m): ... up to this one are used
+        min_height = -0.2 (m): use points of a PointCloud2 from this height over the sensor on
+        max_height = 0.2 (m): use points of a PointCloud2 up to this height over the sensor
 
         Where the scans were taken:
 

@@ -15,8 +15,8 @@ from occmap.sensor.returns import read_limits
 from occmap.types import Float32, Float64, Int64, Scan, ScanBatch, ScanRun
 
 BATCH_BEAMS = 1 << 18
-"""Beams that are held before they are handed on: a few megabytes, and enough work that threads
-seldom wait for each other's Python."""
+"""Beams that are gathered before they are handed on: a few megabytes, and enough work that threads
+seldom wait for Python's lock."""
 
 
 MOST_TURNS = 1.5
@@ -24,7 +24,7 @@ MOST_TURNS = 1.5
 
 
 class LeftOut(StrEnum):
-    """Why a scan is not used, before anybody asks where it was taken."""
+    """Why a scan is not used, before its pose is looked up."""
 
     NO_BEAMS = "no beams"
     BAD_ANGLES = "angles not finite"
@@ -126,12 +126,12 @@ def find_flaw(scan: Scan) -> LeftOut | None:
 
 
 class Seam(NamedTuple):
-    """What the selection of scans in a part of a log depends on in the parts before it."""
+    """What a part of a log needs to know of the parts before it to select its scans."""
 
     first_ns: int | None = None
     """The stamp of the log's first scan; None: it is in this part"""
     wanted: int = 0
-    """How many scans before lie in the time window"""
+    """How many scans of the parts before lie in the time window"""
 
 
 FROM_THE_START = Seam()
@@ -148,7 +148,7 @@ class Selector:
 
     @property
     def seam(self) -> Seam:
-        """What the selection of the scans to come depends on."""
+        """The seam between the scans so far and those to come."""
         return Seam(self._first_ns, self._wanted)
 
     def judge(

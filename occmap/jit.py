@@ -83,7 +83,7 @@ class KeptCode(NullCache):
             with suppress(Exception):
                 code: bytes = dumps(data._reduce())  # type: ignore[no-untyped-call]
                 path.parent.mkdir(parents=True, exist_ok=True)
-                # Not by way of a temporary file: whoever reads half of this one compiles.
+                # No temporary file is needed: a process that reads half of this one compiles anew.
                 path.write_bytes(hashlib.sha256(code).digest() + code)
                 return
         warn_not_kept()

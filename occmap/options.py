@@ -18,7 +18,7 @@ from occmap.workers import count_cores
 from occmap.writers import WriteOptions
 
 MOST_OFFSET = 10
-"""No hit lies deeper in a wall (cells)"""
+"""The largest `hit_offset`: no hit lies deeper in a wall (cells)"""
 DEFAULT_UPDATE = Update.SURFACE
 
 
@@ -49,19 +49,19 @@ class BuildOptions:
     border_gap: int = 8
     """A surface is closed between end cells at most this far apart (cells; polygon)"""
     hit_offset: float = 0.5
-    """A hit lies so far behind the measured point, which is on a surface (cells)"""
+    """How far a hit lies behind the measured point, which is on a surface (cells)"""
     max_cells: int = MAX_CELLS
     """A map with more cells is refused"""
     min_passes: int | None = None
     """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
     pass_gap_s: float = 10.0
-    """Two visits of a cell lie at least so far apart"""
+    """Two visits of a cell lie at least this far apart (s)"""
     jobs: int = field(default_factory=count_cores)
     """Threads"""
     resume: Path | None = None
     """An evidence file: its observations are added to those of the logs"""
     resume_if_there: Path | None = None
-    """The same where this file exists; where it does not, the build starts anew"""
+    """As `resume` where this file exists; where it does not, the build starts anew"""
 
     def __post_init__(self) -> None:
         check_passes(self.min_passes, self.model)

@@ -89,7 +89,7 @@ class Pose(NamedTuple):
 
 
 UNKNOWN_POSE = Pose(*[math.nan] * 7)
-"""The pose of a scan of which none is known, in a log that states poses beside its scans."""
+"""The pose of a scan that has none, in a log that states poses beside its scans."""
 
 
 class _ScanFields(NamedTuple):

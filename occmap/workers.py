@@ -17,7 +17,7 @@ def count_cores() -> int:
 
 
 class Workers(Generic[Item]):
-    """Calls a function for each item given, in `jobs` threads, of which the giver's own is one.
+    """Calls a function for each item given, in `jobs` threads, counting the caller's own.
 
     Where two items for each thread are waiting, the giver works on the next one itself. So a fast
     reader does not fill the memory, and never more than `jobs` threads compete for cores and their

@@ -39,8 +39,8 @@ ranges = join(
 
 reading = join(
     choice(SCANS, "echo", "MultiEchoLaserScan: the echo of a beam that counts."),
-    field(SCANS, "min_height", "M", "PointCloud2: use points from this height over the sensor ..."),
-    field(SCANS, "max_height", "M", "... up to this one."),
+    field(SCANS, "min_height", "M", "PointCloud2: use points from this height over the sensor on."),
+    field(SCANS, "max_height", "M", "PointCloud2: use points up to this height over the sensor."),
 )
 scan_topic = field(
     SCANS,
@@ -53,7 +53,7 @@ scan_topic = field(
 selection = join(
     scan_topic,
     field(SCANS, "start_s", "S", "Leave out scans before this time after the first."),
-    field(SCANS, "end_s", "S", "... and from this time on."),
+    field(SCANS, "end_s", "S", "Leave out scans from this time after the first on."),
     field(SCANS, "stride", "N", "Use every N-th of these scans."),
     reading,
 )

@@ -179,7 +179,7 @@ class Meta:
 
 
 def brief(value: object) -> str:
-    """Write a value of a YAML, of which some are very long."""
+    """Write a value of a YAML, cut where it is very long."""
     return reprlib.repr(value)[:60]
 
 

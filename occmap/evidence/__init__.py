@@ -27,7 +27,7 @@ from occmap.types import (
 )
 
 Weigh: TypeAlias = Callable[[Float64, Float64], Float64]
-"""Takes hits and misses, or log-odds and observations"""
+"""Takes hits and misses, or log-odds and observations; gives log-odds"""
 
 
 def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
@@ -88,7 +88,7 @@ class Described(Protocol):
 
     @property
     def manifest(self) -> Manifest:
-        """What it is."""
+        """The description of the evidence."""
 
     @property
     def where(self) -> str:

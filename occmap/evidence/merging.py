@@ -65,12 +65,12 @@ def find_model(evidence: Evidence) -> SensorModel | None:
 
 
 def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Evidence:
-    """Add evidence: the same cells as if all logs were built together.
+    """Add evidence; the cells are those of a build of all logs together.
 
     Parameters
     ----------
     model
-        What says whether parts fit those before them, in the notes; None: nobody asks.
+        Notes say where parts do not fit those before them, by this model; None: no such notes.
 
     Raises
     ------

@@ -15,7 +15,7 @@ from occmap.types import Int64, OccupancyMap, Slices
 
 SHORTEST_GAP_S, LONGEST_GAP_S = 1e-3, 1e9
 MUCH = 0.25
-"""A note says where at least this share of the occupied cells goes: people are seldom so many."""
+"""A note tells if at least this share of the occupied cells is lost: people are seldom so many."""
 
 
 def keep_lasting(grid: TileGrid, slices: Sequence[Slices], min_passes: int | None) -> TileGrid:

@@ -34,13 +34,13 @@ from occmap.writers import WriteOptions
 
 @dataclass(frozen=True)
 class Question:
-    """Which cell a user asks about, and by what it is judged."""
+    """Which cell a user asks about, and how it is judged."""
 
     x: float
     y: float
     """A point in the map frame (m)"""
     logs: tuple[Path, ...] = ()
-    """Whose scans to look for; none: what the evidence alone says"""
+    """The logs whose scans are looked for; none: only the evidence is asked"""
     poses: tuple[Path, ...] = ()
     """The trajectory files of the builds that had one"""
     model: SensorModel | None = None
@@ -48,7 +48,7 @@ class Question:
     min_passes: int | None = None
     """The cell keeps its hits only if they came on so many visits; None: it keeps all"""
     writing: WriteOptions = field(default_factory=WriteOptions)
-    """For its thresholds"""
+    """Its thresholds decide what the cell is called"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -76,7 +76,7 @@ class CellHistory:
     kind: EvidenceKind
     """What the two numbers are"""
     unit: int
-    """What one beam counts in them, or one scan"""
+    """What one beam, or one scan, adds to a number"""
     around: Int64
     """(3, 3, 2) the two numbers of the cell, in the middle, and its neighbours; row 0 is the lowest
     y"""

@@ -73,7 +73,7 @@ class Fleet:
     scratch: Path
     """A folder that all workers share"""
     slice_bytes: int = SLICE_BYTES
-    """About so much of a log is one task"""
+    """About how much of a log is one task"""
     describe: Callable[[str], None] = ignore_text
     """Told how far the work is"""
 

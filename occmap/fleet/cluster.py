@@ -27,13 +27,13 @@ AnyJob = TypeVar("AnyJob", bound=Job)
 Result = TypeVar("Result")
 
 LOCAL = "local"
-"""Stands for processes on this machine"""
+"""The address that stands for processes on this machine"""
 PATIENCE_S = 5
 """A scheduler that is there answers within milliseconds"""
 LEAST_BYTES = 512 << 20
-"""Of memory for a worker: a third of it is gone before the first scan"""
+"""The least memory for a worker (bytes): a third of it is gone before the first scan"""
 MUST_EQUAL = ("occmap", "numpy", "numba")
-"""What would make other cells in another version"""
+"""Packages that may make other cells in another version"""
 ALLOCATOR = {
     f"distributed.nanny.pre-spawn-environ.MALLOC_{name}": value
     for name, value in {

@@ -24,7 +24,7 @@ from occmap.writers.atomic import open_atomic
 BLOCK_TILES = 16
 """Tiles along the side of a block"""
 ALIGNED = 64
-"""Arrays begin at multiples of so many bytes"""
+"""Arrays begin at multiples of this (bytes)"""
 
 BlockKey: TypeAlias = tuple[int, int]
 """Row and column of a block in the lattice of blocks."""
@@ -34,7 +34,7 @@ class Piece(NamedTuple):
     """Where the part of a block lies."""
 
     file: str
-    """In the folder of all run files"""
+    """Its name in the folder of all run files"""
     offset: int
     size: int
 
@@ -130,7 +130,7 @@ def unpack_content(data: bytes) -> Content:
 
 
 def write_mapped(path: Path, value: Any) -> None:
-    """Keep a value with large arrays, which lie beside it: who reads it loads what it looks at.
+    """Write a value, and its large arrays beside it: a reader loads only those it looks at.
 
     Raises
     ------

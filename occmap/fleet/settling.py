@@ -47,7 +47,7 @@ class LogTrace:
 
     @property
     def notes(self) -> Sequence[Note]:
-        """What its reader has to say of it."""
+        """The notes of its reader."""
         return self.parts[0].log_notes
 
     def list_findings(self) -> list[str]:

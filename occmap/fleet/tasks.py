@@ -41,13 +41,13 @@ class Setting:
     folder: Path
     """Where results go"""
     slice_bytes: int
-    """About so much of a log is one task"""
+    """About how much of a log is one task"""
     window_cells: int
     """The largest window of an engine"""
     most_bytes: int
-    """So much evidence is kept in memory before it goes to a run file"""
+    """How much evidence is kept in memory before it goes to a run file"""
     logs: int = 1
-    """How many there are"""
+    """How many logs the build has"""
 
 
 class SurveyJob(NamedTuple):
@@ -72,7 +72,7 @@ class Survey(NamedTuple):
     scans: int
     """As the log announces them"""
     parts: int
-    """In how many it is traced"""
+    """How many parts it is traced in"""
     bytes: int
     notes: tuple[Note, ...]
     first_ns: int | None
@@ -90,7 +90,7 @@ class TraceJob(NamedTuple):
     """None: all of it"""
     seam: Seam
     limits: RangeLimits | None = None
-    """Where they are known: those of the whole log"""
+    """Those of the whole log, where they are known"""
 
     @property
     def where(self) -> str:
@@ -110,11 +110,11 @@ class Traced:
 
     tally: Tally
     limits: RangeLimits
-    """By what its ranges were read"""
+    """The limits by which its ranges were read"""
     notes: tuple[str, ...] = ()
-    """Of its poses and scans"""
+    """Notes on its poses and scans"""
     log_notes: tuple[Note, ...] = ()
-    """Of the reader"""
+    """Notes of the reader"""
     depends: bool = False
     """True where the rest of the log could change this: a message is damaged, a frame appears for
     the first time, or a pose jumps"""

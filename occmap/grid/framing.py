@@ -29,7 +29,7 @@ class Framing:
     extent: Box | None = None
     """The map covers this box (m), to whole cells; what was not observed in it is unknown"""
     margin: float = 0.0
-    """The map has so much unknown space around what was observed (m), to whole cells"""
+    """How much unknown space the map has around what was observed (m), to whole cells"""
 
     def __post_init__(self) -> None:
         if not 0 <= self.margin <= FARTHEST_M:
@@ -51,7 +51,7 @@ class Framing:
 
 
 def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) -> OccupancyMap:
-    """Cut a map to what it is to cover, and fill up with unknown cells.
+    """Cut a map to the box that it shall cover, and fill up with unknown cells.
 
     Parameters
     ----------
@@ -80,12 +80,12 @@ def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) ->
 
 
 def choose_box(whole: CellBox, framing: Framing, lattice: Lattice) -> CellBox:
-    """Choose the cells that a map covers, of which `whole` was observed.
+    """Choose the cells that a map covers, where `whole` is the box of observed cells.
 
     Raises
     ------
     MapError
-        The extent touches none of those.
+        The extent touches no observed cell's box.
     """
     size = lattice.resolution
     if framing.extent is None:

@@ -17,7 +17,7 @@ from occmap.grid.kernels.units import CELL_SHIFT, UNITS_PER_CELL
 from occmap.types import Float64, Int64
 
 MOST_CELLS_OF_BEAM = 1 << 22
-"""More cells, from a sensor half as far from the anchor, and an int32 cannot hold the end."""
+"""The longest beam (cells): an int32 holds its end, with the sensor half as far from the anchor."""
 
 
 class CellBox(NamedTuple):
@@ -62,17 +62,17 @@ class CellBox(NamedTuple):
         )
 
     def move(self, rows: int, cols: int) -> Self:
-        """The same so many rows up and columns to the right."""
+        """Move the box up by `rows` and to the right by `cols`."""
         ends = (self.row + rows, self.col + cols, self.row_end + rows, self.col_end + cols)
         return type(self)(*ends)
 
     def align(self, side: int) -> Self:
-        """The smallest box around this one that is made of squares of so many cells a side."""
+        """The smallest box around this one that is made of squares of `side` by `side` cells."""
         ends = (-(-edge // side) * side for edge in (self.row_end, self.col_end))
         return type(self)(self.row // side * side, self.col // side * side, *ends)
 
     def shrink(self, side: int) -> Self:
-        """The same in squares of so many cells a side, which it is made of."""
+        """Count the box in squares of `side` by `side` cells, of which it is made."""
         return type(self)(*(edge // side for edge in self))
 
     def join(self, other: Self) -> Self:

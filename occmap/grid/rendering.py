@@ -1,4 +1,4 @@
-"""One dense grid from sparse tiles, and what a hit says of the cells around it."""
+"""Makes one dense grid of sparse tiles, and spreads hits to the cells around them."""
 
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass

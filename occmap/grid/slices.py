@@ -21,7 +21,7 @@ BLOCK = 4096
 
 
 def mark_observed(grid: TileGrid, number: int) -> Slices:
-    """Mark what was hit and seen in a slice, of which `grid` is the evidence."""
+    """Mark what was hit and seen in slice `number`; `grid` is the evidence of that slice."""
     tiles, cells = stack_tiles(grid.tiles)
     bits = np.packbits(cells != 0, axis=-1)
     if grid.kind is EvidenceKind.COUNTS:
@@ -122,7 +122,7 @@ def count_visits(slices: Slices) -> Int64:
     """(2, 64, 64) of one tile: visits that hit each cell, once or often, and visits that saw it."""
     began = np.zeros((len(slices.numbers), *BITS), np.uint8)
     nothing = np.zeros(BITS[1:], np.uint8)
-    going = was_hit = nothing  # cells that the slice before saw; and hit, on the visit going on
+    going = was_hit = nothing  # cells seen in the slice before; cells hit on the visit so far
     before = None
     for begin, number, (hit, seen) in zip(
         began, slices.numbers.tolist(), unpack(slices), strict=True

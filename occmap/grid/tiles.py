@@ -1,7 +1,7 @@
 """Sparse tiles of integers: what was observed, not yet what it means.
 
-Only tiles that something was observed in exist, so a pose far away costs a tile and not the world
-between. Two numbers are kept for a cell; sums of integers do not depend on their order.
+A tile exists only where something was observed, so a pose far away costs a tile and not all the
+space between. A cell has two numbers; sums of integers do not depend on their order.
 """
 
 from collections.abc import Collection, Mapping
@@ -19,7 +19,7 @@ from occmap.types import Bool, Float64
 TILE = units.TILE
 """Cells along the side of a tile."""
 MAX_CELLS = 10**9
-"""A larger map is refused, unless the user allows it."""
+"""The most cells of a map, unless the user allows more."""
 INT32_LIMIT = 2**31 - 1
 LOG_ODDS_UNIT = 1 / 65536
 """What 1 means in a tile of log-odds."""
@@ -112,7 +112,7 @@ class TileGrid:
         """
         if self._reach is None:
             return
-        # Of the outermost tiles the innermost cells may be all that is observed.
+        # Maybe only the innermost cells of the outermost tiles are observed.
         row, col = ((edge + 1) * TILE - 1 for edge in self._reach[:2])
         row_end, col_end = ((edge - 1) * TILE + 1 for edge in self._reach[2:])
         box = CellBox(row, col, max(row_end, row + 1), max(col_end, col + 1))

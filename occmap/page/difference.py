@@ -21,7 +21,7 @@ CHANGES = (
 )
 """What a cell was and is. Of cells that share a pixel, the latest in this list shows."""
 UNCHANGED = 3
-"""So many of them are no change."""
+"""The first so many of `CHANGES` are no change."""
 CLASSES = ("unknown", "free", "occupied")
 
 

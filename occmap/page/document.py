@@ -16,7 +16,7 @@ from occmap.writers.atomic import open_atomic
 
 HERE = Path(__file__).parent
 MOST_NAMES = 3
-"""So many logs are named in a title"""
+"""Logs that a title names at most"""
 Tone: TypeAlias = Literal["", "warning", "problem"]
 
 

@@ -168,7 +168,7 @@ class Poser:
         return Attached(batch, _keep(batch, posed, placed), dropped)
 
     def _watch(self, scans: PosedScans) -> None:
-        """Take note of where the sensor was."""
+        """Record where the sensor was."""
         frame, topic, pose = scans.batch.frame, scans.batch.topic, scans.batch.pose
         self.courses[topic].see(scans)
         stamp_ns = scans.batch.stamp_ns + self._offset_ns

@@ -11,7 +11,7 @@ from occmap.posing.frames import Edge, FrameTree, Source
 from occmap.posing.tracks import differ
 
 MOST_LOOPS = 8
-"""More are not listed."""
+"""Loops that are listed at most."""
 
 
 def list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str]:

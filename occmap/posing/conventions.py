@@ -8,7 +8,7 @@ from occmap.posing.frames import FrameTree, last_part
 FIXED_NAMES = ("map", "odom")
 BASE_NAMES = ("base_link", "base_footprint")
 MAX_NAMES = 6
-"""People do not read longer lists."""
+"""Names that a list has at most: people do not read longer ones."""
 
 
 def choose_fixed(tree: FrameTree, frame: str) -> str:

@@ -12,7 +12,7 @@ from occmap.types import Float64, PosedScans
 TILTED_RAD = math.radians(3)
 """A tilted scan plane meets the floor: at three degrees, 30 cm above it, within six metres."""
 STEEP_RAD = math.radians(30)
-"""At such an angle the floor or the ceiling is most of what there is to see."""
+"""A scan plane tilted by more sees mostly floor or ceiling."""
 LEAST_REACH_M = 1.0
 """A shorter range makes no map."""
 STILL_M, STILL_RAD = 0.02, math.radians(1)
@@ -49,7 +49,7 @@ class Course:
         self._turned = 0.0
 
     def see(self, posed: PosedScans) -> None:
-        """Take note of the poses of some scans; of de-skewed ones, those of their first beams."""
+        """Record the poses of some scans; of de-skewed ones, those of their first beams."""
         self.frame = posed.batch.frame
         rotation, position = posed.rotation, posed.position
         if position.ndim == 3:

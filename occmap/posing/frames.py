@@ -16,7 +16,7 @@ MOST_TARGETS = 4
 
 
 class Source(IntEnum):
-    """Who says so; the lowest number is believed."""
+    """Who states a transform; the lowest number is believed."""
 
     GIVEN = 0
     """The user."""

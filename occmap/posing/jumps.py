@@ -18,7 +18,7 @@ from occmap.types import Float64, Int64
 JUMP_M, JUMP_RAD = 1.0, math.radians(20)
 """A correction that moves and turns the sensor by less mends drift, and doubles walls at most."""
 UNDONE_SHARE = 0.1
-"""A jump undoes another one where it leads back so near, of the way there, or within JUMP_M."""
+"""A jump undoes another where it leads back to within this share of the other's way, or JUMP_M."""
 MS_NS = 10**6
 
 

@@ -7,13 +7,13 @@ from occmap.errors import UsageError
 from occmap.types import Pose, PoseSample
 
 MAX_OFFSET_S = 4e9
-"""From clocks that begin at 0 to any date, and the sum of two still fits an int64 of ns."""
+"""The largest offset: from a clock that begins at 0 to any date; two of them fit an int64 of ns."""
 
 MAX_PLACE_M = 1e8
-"""Twice around the Earth: a bound refuses nan and inf, too."""
+"""The farthest place (m), twice around the Earth: a bound refuses nan and inf, too."""
 
 MAX_MOUNT_M = 1e6
-"""Nothing on a robot is further away; a bound refuses nan and inf, too."""
+"""The farthest mount (m): nothing on a robot is further away, and a bound refuses nan and inf."""
 
 
 class Deskew(StrEnum):

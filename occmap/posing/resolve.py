@@ -1,4 +1,4 @@
-"""Resolution: from which frame, and by way of which body, a scan's frame gets its poses."""
+"""Resolution: which frame, and which body in between, a scan's frame gets its poses from."""
 
 from dataclasses import dataclass, field, replace
 from typing import NoReturn

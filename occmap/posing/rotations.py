@@ -66,7 +66,7 @@ def slerp(start: Float64, end: Float64, fraction: Float64) -> Float64:
 
 
 def _nearer(start: Float64, end: Float64) -> Float64:
-    """Of `end` and -`end`, which is the same rotation, the one on the side of `start`."""
+    """Return `end` or -`end`, which are one rotation: whichever is on the side of `start`."""
     side = np.einsum("ij,ij->i", start, end)
     return np.where(side[:, None] < 0, -end, end)
 

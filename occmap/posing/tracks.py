@@ -26,15 +26,15 @@ LONG_STEPS = 2.0
 SLOW_M_PER_S = 0.3
 """Where a robot stands, or creeps, it may set out at this speed."""
 BESIDE = np.array([*range(-10, 0), *range(1, 11)])
-"""Where the steps lie, from a step, that say how fast the robot drives there."""
+"""Offsets from a step to those beside it, which say how fast the robot drives there."""
 FASTEST_BESIDE = 3
 """The third fastest of those steps counts: one or two may be strides themselves."""
 
 MAX_STAMP_NS = 2**62
-"""The year 2116: beyond it a stamp is damage, and differences of two still fit an int64."""
+"""The latest stamp, in the year 2116: a later one is damage. Differences of two fit an int64."""
 
 MAX_VALUE = 1e12
-"""Light takes an hour to go so far (m). It is as good as infinite, and sums stay finite."""
+"""The largest coordinate (m): light takes an hour for it, and sums stay finite."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,10 +40,11 @@ FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 TO_CAMERA = np.block([[FROM_CAMERA.T, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
 
 BINARY_WITHIN = 64
-"""A log or a picture has a zero byte so early; a text may have some where a crash cut it."""
+"""A log or a picture has a zero byte within these first bytes; a text may have some later, where
+a crash cut it."""
 
 MAX_LINE = 4096
-"""Longer lines are no poses, and a file without line ends must not fill the memory."""
+"""The longest line: longer ones are no poses, and a file without line ends may not fill memory."""
 
 
 @dataclass(frozen=True, slots=True)

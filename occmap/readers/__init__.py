@@ -61,7 +61,7 @@ class Stream:
     count: int
     """Messages"""
     role: Role
-    """What it can be used for"""
+    """What the topic can be used for"""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Probe:
     raw: bytes
     """The first bytes of the file; empty for a directory."""
     content: bytes
-    """The same after gzip, where the file is gzip."""
+    """The first bytes of the content, unpacked where the file is gzip."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Note:
 
 
 class NoteList(list[Note]):
-    """Notes of which `in` finds one at once, as a damaged log may give very many."""
+    """Notes that `in` searches at once, since a damaged log may give very many."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -171,7 +171,7 @@ class Splittable(Protocol):
     """A log whose scans can be read in parts, each by another process."""
 
     def split(self, size: int) -> Sequence[Log]:
-        """Cut the log into parts of about so many bytes, in file order; each can be pickled.
+        """Cut the log into parts of about `size` bytes, in file order; each can be pickled.
 
         A part gives its own scans and, where these are damaged, notes. A log that cannot be cut is
         one part; where even that cannot be pickled, there is none.
@@ -179,7 +179,7 @@ class Splittable(Protocol):
 
 
 def split_log(log: Log, size: int) -> Sequence[Log]:
-    """Cut a log into parts of about so many bytes; none where nobody knows how."""
+    """Cut a log into parts of about `size` bytes; none where its reader cannot."""
     return log.split(size) if isinstance(log, Splittable) else ()
 
 

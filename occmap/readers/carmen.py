@@ -142,7 +142,7 @@ class CarmenLog:
                 yield some
 
     def split(self, size: int) -> Sequence["CarmenLog"]:
-        """Cut the log into parts of about so many bytes, as `occmap.readers.Splittable` has it."""
+        """Cut the log into parts of about `size` bytes, as `occmap.readers.Splittable` says."""
         spans = [ALL] if any(note.damage for note in self.notes) else split_lines(self.path, size)
         if len(spans) == 1:
             return [self]

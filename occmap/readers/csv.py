@@ -125,7 +125,7 @@ class CsvLog:
         for rows in self._walk() if TOPIC in topics else ():
             lines = [line.raw for line in rows]
             run: ScanRun | None = None
-            with suppress(ValueError):  # damage, or another geometry: row by row it is seen which
+            with suppress(ValueError):  # damage or another geometry: reading row by row shows which
                 run = _parse_rows(self._layout, lines) if is_worthwhile(lines) else None
             yield from filter(None, map(self._parse, rows)) if run is None else (run,)
 

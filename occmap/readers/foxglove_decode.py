@@ -9,7 +9,7 @@ from occmap.errors import DamageError, LogError
 from occmap.readers.ros_source import Channel
 
 MAX_FILES = 1000
-"""Of a schema; Foxglove's own needs six."""
+"""Files of a schema at most; Foxglove's own needs six."""
 
 
 def make_json_decoder(_channel: Channel) -> Callable[[memoryview], Any]:

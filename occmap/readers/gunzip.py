@@ -12,7 +12,7 @@ _GZIP_BITS = 31
 """zlib's code for gzip with its header and checksum."""
 _STEP = 1 << 17
 _MOST_AT_ONCE = 1 << 20
-"""Bytes of output: a bomb comes out a piece at a time."""
+"""Bytes that are unpacked at once: a bomb comes out a piece at a time."""
 
 
 def gunzip(file: BinaryIO) -> Iterator[bytes]:

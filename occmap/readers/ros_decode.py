@@ -42,7 +42,7 @@ _DECODE_ERRORS = (
 MAX_DEFINITION = 1 << 15
 """Characters of a message definition; with all its comments none takes a fifth of that."""
 MAX_VALUES = 1000
-"""That a message holds before any list in it; an odometry's covariances are 72 of them."""
+"""Values of a message before any list in it; an odometry's covariances are 72 of them."""
 
 _STORES = {"cdr": Stores.ROS2_HUMBLE, "ros1": Stores.ROS1_NOETIC}
 _TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")

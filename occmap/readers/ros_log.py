@@ -48,9 +48,9 @@ class RosReader:
 STACK_BYTES = 1 << 19
 """Bytes of messages of one channel and length that are held, to be read at once."""
 MOST_STACKS = 64
-"""For so many channels and lengths messages are held; more of them are damage."""
+"""Channels and lengths for which messages are held at most; more of them are damage."""
 SHORTEST_RUN = 64
-"""Fewer scans are worth more stacked with others of their kind than quickly read."""
+"""A run of fewer scans is read one by one, to be stacked with others of their kind."""
 
 
 class RosLog:
@@ -71,7 +71,7 @@ class RosLog:
                 add_note(self.notes, f"{found}, {oddity}: they are not used")
 
     def split(self, size: int) -> Sequence["RosLog"]:
-        """Cut the log into parts of about so many bytes, as `occmap.readers.Splittable` has it."""
+        """Cut the log into parts of about `size` bytes, as `occmap.readers.Splittable` says."""
         if not isinstance(self._source, SplittableSource):
             return ()
         parts = [RosLog(part, self._options) for part in self._source.split(size)]

@@ -18,7 +18,7 @@ from occmap.readers.ros_source import Channel, RawMessages
 from occmap.types import Scan, ScanRun
 
 MOST_BYTES = 1 << 20
-"""A run of so many bytes is long enough."""
+"""A run that has reached this size (bytes) is long enough."""
 _STAMP = 4
 """Behind four bytes: of a CDR message its encapsulation, of a ROS 1 header its sequence number."""
 _FRAME = 16

@@ -50,7 +50,7 @@ class _Index:
     counts: Counter[int] = field(default_factory=Counter)
     """Messages by connection, as the end of the bag has them."""
     entries: Counter[int] = field(default_factory=Counter)
-    """The same, as the records behind each chunk have them."""
+    """Messages by connection, as the records behind each chunk have them."""
 
     def add(self, header: Header, data: bytes) -> None:
         """Take in a record.

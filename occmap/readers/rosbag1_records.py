@@ -18,7 +18,7 @@ MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 INDEX_ENTRY = 12
 """Bytes of an entry of an index record: a time and an offset."""
 INFO_ENTRY = struct.Struct("<II")
-"""Of the record that sums up a chunk: a connection, and how many messages it has."""
+"""Bytes of an entry of a chunk's record: a connection, and how many messages it has."""
 
 RECORD_ERRORS = (struct.error, LookupError, ValueError)
 
@@ -53,7 +53,7 @@ class Header(NamedTuple):
     """As it lies in the file, with both lengths."""
     fields: dict[bytes, bytes]
     length: int
-    """Of the data."""
+    """Bytes of the data."""
 
     @property
     def opcode(self) -> int:

@@ -39,7 +39,7 @@ BLOCK_BYTES = 1 << 20
 NUMBER_CHARACTERS = b"+-.0123456789Ee naif"
 """What programs write numbers with; where there is more, Python and NumPy differ."""
 ALL = Span(0, sys.maxsize)
-"""Of any file"""
+"""The span of all of any file"""
 NO_LOG = "this is no text log; check what the file is"
 
 

@@ -66,7 +66,7 @@ class RadialModel(Protocol):
 SensorModel = CountModel | RadialModel
 
 DEEPEST_HIT_M = 100.0
-"""No wall is thicker."""
+"""The largest epsilon: no wall is thicker."""
 
 
 @dataclass(frozen=True)

@@ -131,7 +131,7 @@ class RangeTally:
 
 
 def round_down(ranges: Float32) -> Float32:
-    """Round ranges (m) of any shape to what they are counted under."""
+    """Round ranges (m) of any shape down to the values that `COARSE` leaves."""
     rounded: Float32 = (np.ascontiguousarray(ranges).view(np.uint32) & COARSE).view(np.float32)
     return rounded.reshape(np.shape(ranges))
 

@@ -204,7 +204,7 @@ def _classify_others(
 
 
 def _find_own(batch: ScanBatch, options: ReturnOptions) -> Bool | None:
-    """(S, B): which ranges are the robot's own or blocked by it; None where nobody asked."""
+    """(S, B): which ranges are the robot's own or blocked by it; None where no option asks."""
     if not options.ignore_sectors and options.footprint is None:
         return None
     shape = batch.angle_min, batch.angle_increment, batch.ranges.shape[1]

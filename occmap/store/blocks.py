@@ -70,7 +70,7 @@ class BlockRecord(NamedTuple):
     reach: CellBox
     """The smallest box around them"""
     sha256: str
-    """Of what was observed, however it is compressed"""
+    """Digest of what was observed, however it is compressed"""
     logs: tuple[int, ...]
     """As in `BlockContent`"""
 

@@ -26,7 +26,7 @@ from occmap.types import Manifest
 
 FORMAT, VERSION = "occmap store", 1
 CHUNK = 256
-"""Cells along the side of what is read at once: of 64, it takes seven times the time"""
+"""Cells along the side of what is read at once; with 64, reading takes seven times as long"""
 LAYERS = {
     EvidenceKind.COUNTS: ("hits", "misses"),
     EvidenceKind.LOG_ODDS: ("log_odds", "observations"),

@@ -146,7 +146,7 @@ class Combined:
 
     parts: tuple[Blocks, ...]
     combine: Callable[[Sequence[Evidence]], Evidence]
-    """What makes one evidence of that of all parts: of nothing, too"""
+    """Makes one evidence of that of all parts, even of none"""
     where: str = ""
 
     @cached_property
@@ -192,7 +192,7 @@ def count_logs(manifest: Manifest) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Recent:
-    """Blocks of which those are kept that were read last."""
+    """Blocks of evidence, which keeps those in memory that were read last."""
 
     source: Blocks
 

@@ -196,7 +196,7 @@ def trace_beams(
                 i, end = 0, n + 1
                 if not lies_inside(col, row, end_col, end_row, rows, cols):
                     i, end = clip_line(line, rows, cols)
-                # The first so many cells are plain.
+                # The first `plain` cells are plain.
                 plain = n + (not is_hit)
                 before = max(r - depth, 0.0)
                 if steps:
@@ -224,7 +224,7 @@ def trace_beams(
                         )
                     i = min(plain, end)
                 if i < end:
-                    # q is how far the line has moved along v, of which v holds the whole steps.
+                    # q is how far the line has moved along v, beyond the whole steps in v.
                     made = count_steps(line, i)
                     slope = q = 1 << (SLOPE_BITS - 1)
                     if m:

@@ -13,18 +13,18 @@ from occmap.jit import kernel
 from occmap.types import Bool, Float32, Float64, UInt8
 
 NEAR = 2.0
-"""Cells: what lies so near to the measured range is what the beam met."""
+"""What lies within this many cells of the measured range is what the beam met."""
 UNIFORM = 0.05
 """Share of returns from just anywhere: people, glass, wrong poses (Thrun, Burgard, Fox 2005, ch.
-6); of these, the same share comes from near the measured range by chance."""
+6). The same share of those comes from near the measured range by chance."""
 UNKNOWN = 0.5
 CERTAIN = 0.001
 """No cell costs more than if the map had given what was found there this probability, so that one
 cell in thousands does not decide."""
 BINS = 10
-"""Of probabilities, equally wide, to compare what a map says with what beams find."""
+"""Bins of probabilities, equally wide, that compare what a map says with what beams find."""
 FOLLOWED = 64
-"""So many unknown cells stop a beam with certainty; there is no likelihood left after them."""
+"""This many unknown cells stop a beam with certainty; there is no likelihood left after them."""
 
 
 @kernel

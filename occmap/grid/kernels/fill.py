@@ -147,7 +147,7 @@ def _make_spans(
     for r in range(touched[0], touched[1]):
         row = np.uint64(r)
         begin, crossings = starts[row], counts[row]
-        if crossings == 2:  # nearly always, and then no matter which of them leads up
+        if crossings == 2:  # nearly always; then it does not matter which of them leads up
             one, other = limits[np.uint64(begin)] >> 1, limits[np.uint64(begin + 1)] >> 1
             first, end = min(max(min(one, other), 0), cols), min(max(one, other, 0), cols)
             limits[np.uint64(begin)], limits[np.uint64(begin + 1)] = first, end

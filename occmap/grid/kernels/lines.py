@@ -3,9 +3,9 @@
 A line is a staircase along its major axis u, a cell at a time; v is the other axis. After i of its
 n cells it has made floor((2 i m + n) / (2 n)) of its m steps along v.
 
-Cells that are all told the same are noted by what changes along u, and not visited: +1 where a run
-of cells starts, -1 after its end, so that a running sum gives the counts back. A step from v - 1 to
-v at u ends one run and starts the next, so that a single entry says both:
+Cells that are all told the same are not visited. What changes along u is noted instead: +1 where a
+run of cells starts, -1 after its end, so that a running sum gives the counts back. A step from
+v - 1 to v at u ends one run and starts the next, so that a single entry says both:
 
     change[v, u] = runs[v, u] + steps[v, u] - steps[v + 1, u]
 
@@ -66,7 +66,7 @@ def find_step(line: Line, j: int) -> int:
 
 @step
 def lies_inside(col: int, row: int, end_col: int, end_row: int, rows: int, cols: int) -> bool:
-    """Whether a window has both ends of a line, and so all of it: nearly always."""
+    """Whether both ends of a line lie in a window, and so all of it: nearly always."""
     return (
         min(row, end_row, col, end_col) >= 0
         and max(row, end_row) < rows
@@ -76,7 +76,7 @@ def lies_inside(col: int, row: int, end_col: int, end_row: int, rows: int, cols:
 
 @kernel
 def clip_line(line: Line, rows: int, cols: int) -> tuple[int, int]:
-    """Which cells of a line a window has: from the first number up to, and without, the second."""
+    """Which cells of a line a window has: the first of them, and the one after the last."""
     width, height = (rows, cols) if line.steep else (cols, rows)
     u, v, n = line.u, line.v, line.n
     before_u, beyond_u = (-u, width - u) if line.u_sign > 0 else (u - width + 1, u + 1)
@@ -90,7 +90,7 @@ def clip_line(line: Line, rows: int, cols: int) -> tuple[int, int]:
 def note_line(
     line: Line, first: int, end: int, runs: Int32, steps: Int32, stride: int, weight: int
 ) -> None:
-    """Note the cells of a line from `first` up to, and without, `end`: all in the window.
+    """Note the cells of a line from `first` to before `end`, all in the window.
 
     The place of a step advances by n / m along u and by one along v: both in one fixed-point
     number. Its fraction is too low by less than 2^-36 for each step, and 1 / (2 m) is the least
@@ -101,7 +101,7 @@ def note_line(
     made = count_steps(line, first)
     last = m - (n < 2 * m) if end == n else count_steps(line, end - 1)
     v, v_last = line.v + line.v_sign * made, line.v + line.v_sign * last
-    # Walking left, a run ends, and a step lies, one cell to the right of where it is made.
+    # A line to the left ends its runs and makes its steps one cell farther to the right.
     origin, change = (line.u, weight) if line.u_sign > 0 else (line.u + 1, -weight)
     runs[np.uint64(v * stride + origin + line.u_sign * first)] += change
     runs[np.uint64(v_last * stride + origin + line.u_sign * end)] -= change

@@ -1,4 +1,4 @@
-"""The surface update: what neighbouring beams know together of the surface that both of them meet.
+"""The surface update: what two neighbouring beams together say of a surface that both meet.
 
 A denser laser would have sent more beams between the two. They are drawn as far as cells lie
 between the ends, and from five eighths of their way on: nearer the sensor they run through cells
@@ -11,9 +11,9 @@ from occmap.jit import kernel
 from occmap.types import Float32, Int32, UInt8
 
 WIDEST_GAP = 12
-"""Between ends that lie more cells apart nothing is known of a surface."""
+"""Nothing is known of a surface between ends that lie more cells apart."""
 SLANT = 0.1
-"""The part of its range by which a neighbour's may differ: far walls are seen at a slant."""
+"""The share of the nearer range by which two may differ: far walls are seen at a slant."""
 
 
 @kernel

@@ -38,7 +38,7 @@ class Surfaces(NamedTuple):
     shift_x: int
     """x of the anchor of the ends of beams, from the window's corner (lattice units)"""
     shift_y: int
-    """y of that anchor, likewise"""
+    """y of that anchor from the window's corner (lattice units)"""
     clipped: bool
     """The scans may reach beyond the window"""
 
@@ -59,12 +59,12 @@ class ScanBeams(NamedTuple):
     ends_x: Int32
     """(B,) lattice units from the anchor"""
     ends_y: Int32
-    """(B,) likewise"""
+    """(B,) lattice units from the anchor"""
 
 
 @kernel
 def link_beams(beams: ScanBeams, surfaces: Surfaces, links: UInt8, listed: Int32) -> Int32:
-    """Say what each beam of a scan has to do with the one before it.
+    """Say how each beam of a scan is linked to the one before it.
 
     There are no branches, so that many beams are compared at a time. Returns the beams with an edge
     that may matter, or with cells between, from the start of `listed`: these are few.
@@ -223,8 +223,8 @@ def list_border(
         across, up = col - (ends_x[a] >> CELL_SHIFT), row - (ends_y[a] >> CELL_SHIFT)
         right, above = np.sign(across), np.sign(up)
         n = max(abs(across), abs(up))
-        # From the end cell back along the Bresenham line, up to the neighbour's own; seen from
-        # there, halves are rounded towards the end.
+        # From the end cell back along Bresenham's line that begins at the neighbour's cell: halves
+        # are rounded away from the neighbour, so towards this end.
         rest_x = rest_y = n - 1
         for _ in range(1, n):
             rest_x += 2 * abs(across)

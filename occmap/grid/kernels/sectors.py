@@ -15,12 +15,12 @@ BEARINGS = 1 << 14
 STEP = 5e-4
 """More than the angle of such a step (rad), which is twice as wide on diagonals as along axes."""
 BESIDE = 2.0
-"""Lattice units that rounding may take a corner to the side."""
+"""How far rounding may take a corner to the side (lattice units)."""
 COS_60, SIN_60 = 0.5, 0.75**0.5
 ROUNDING = 1e-6
-"""Unit vectors that add up to less are opposite and have nothing but rounding half-way between
-them; a scan that turns by less (rad) turns neither way; and a sector this narrow covers nothing.
-An upright laser, whose beams lie in one vertical plane, has all of these."""
+"""Unit vectors that add up to less are opposite: their sum is only rounding. A scan that turns by
+less (rad) turns neither way, and a sector this narrow covers nothing. All of this happens with an
+upright laser, whose beams lie in one vertical plane."""
 
 
 @kernel

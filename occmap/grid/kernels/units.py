@@ -21,7 +21,7 @@ TILE = 1 << TILE_BITS
 
 PAD = 17
 """Numbers that a row of a window has beyond its cells: one for what changes behind the last, and 16
-more, since rows of whole tiles would share their places in the processor's cache."""
+more, or rows of whole tiles would share their places in the processor's cache."""
 
 MOST_BETWEEN = 3
 """The surface update draws at most this many beams between two neighbours: more change no map."""

@@ -14,9 +14,9 @@ from occmap.types import Float64, Int64, UInt8, UInt64
 PADDING = b"\n" * 8
 """What must follow the last line: words are looked at eight bytes at a time."""
 MOST_DIGITS = 15
-"""Every integer of so many digits is below 2 to the power of 53."""
+"""Every integer of this many digits is below 2 to the power of 53."""
 MOST_TIME_DIGITS = 19
-"""Whole nanoseconds of so many digits fit 64 bits where the first is not 9."""
+"""Whole nanoseconds of this many digits fit 64 bits where the first is not 9."""
 POWERS: Float64 = np.array([float(10**n) for n in range(MOST_DIGITS + 1)])
 _ZERO, _NINE, _DOT, _MINUS, _BLANK, _END = 48, 57, 46, 45, 32, 10
 _I, _N, _F = 105, 110, 102
