@@ -17,6 +17,7 @@ import numpy as np
 
 from occmap.posing.options import DropReason
 from occmap.types import Bool, Float64, Int64, PosedScans, ScanBatch
+from occmap.wording import count
 
 SLACK_M = 1.0
 """A shorter step is no leap, however short the time: stamps are rounded, odometry corrected."""
@@ -77,11 +78,28 @@ def is_too_far(way: Float64, seconds: Float64, max_speed: float) -> Bool:
     return too_far
 
 
-def find_rows(goes_on: Bool) -> tuple[Int64, Int64]:
-    """The first and the last scan (S,) of the row that each scan is in, by which steps go on."""
-    cuts = np.concatenate([[-1], np.flatnonzero(~goes_on), [len(goes_on)]])
-    place = np.searchsorted(cuts, np.arange(len(goes_on) + 1))
-    return cuts[place - 1] + 1, cuts[place]
+class Rows(NamedTuple):
+    """Scans in a row without a leap, from pause to pause and from leap to leap; (R,) each."""
+
+    start: Int64
+    """The first scan"""
+    stop: Int64
+    """The scan behind the last one"""
+    opens: Bool
+    """Whether it is the first row behind a pause ..."""
+    closes: Bool
+    """... and whether the last one before a pause; else a leap is there, or nothing is known"""
+    shows: Bool
+    """Whether it shows where the robot is"""
+
+
+def find_rows(near: Bool, leaps: Bool, is_over: bool) -> Rows:
+    """Find the rows of scans by their steps, as `find_leaps` gives them; at the end all is over."""
+    start = np.append(0, np.flatnonzero(~near | leaps) + 1)
+    stop = np.append(start[1:], len(near) + 1)
+    pauses = ~near[start[1:] - 1]
+    opens, closes = np.append(True, pauses), np.append(pauses, is_over)
+    return Rows(start, stop, opens, closes, stop - start > ROW)
 
 
 class _Held(NamedTuple):
@@ -100,6 +118,8 @@ class _Path:
         self._max_speed = max_speed
         self._mixed: list[tuple[Attached, PosedScans]] = []
         """Scans of which some lie between others that are still to come"""
+        self._last = -1
+        """The largest of their numbers"""
         self._held: list[_Held] = []
         self._spent = 0
         """So many scans are forgotten; of those behind them ..."""
@@ -109,14 +129,15 @@ class _Path:
         """(N, 3) m"""
         self._astray = np.zeros(0, np.bool_)
         """(N,)"""
-        self._step = 0
-        """... the first step was not looked at, and ..."""
+        self._next = 0
+        """... rows that reach to this one or further are still to be judged, and ..."""
         self._decided = 0
         """... of so many it is known whether they are astray"""
         self._first: tuple[Int64, Float64] | None = None
         self._leaps = 0
         self.first_astray: tuple[int, str] | None = None
         """Stamp of the first scan that is astray, and what it did"""
+        self.left_out = 0
 
     @property
     def ends(self) -> Ends:
@@ -135,11 +156,13 @@ class _Path:
         their first scans: what is before the first scan of a batch has come when that comes.
         """
         number = attached.batch.number
-        if self._mixed and (number is None or number[0] > max(map(_find_last, self._mixed))):
+        if self._mixed and (number is None or number[0] > self._last):
             self._put_in_order()
         self._mixed.append((attached, posed))
         if number is None:
             self._put_in_order()
+        else:
+            self._last = max(self._last, int(number[-1]))
 
     def _put_in_order(self) -> None:
         """Hold back the scans that came, all of which are on the path."""
@@ -175,71 +198,63 @@ class _Path:
         held = min((int(each.at[0]) for each in self._held), default=end)
         spent = max(held - self._spent - ROW - 1, 0)
         self._stamp_ns, self._place = self._stamp_ns[spent:], self._place[spent:]
-        self._astray, self._step = self._astray[spent:], self._step - spent
+        self._astray, self._next = self._astray[spent:], self._next - spent
         self._decided, self._spent = self._decided - spent, self._spent + spent
 
     def _judge(self, is_over: bool) -> None:
         """Find which scans are astray, as far as those that are known tell it."""
         near, leaps = find_leaps(self._stamp_ns, self._place, self._max_speed)
         scans = len(self._stamp_ns)
-        if leaps.any():
-            first, last = find_rows(near)
-            rows = find_rows(near & ~leaps)
-            for step in np.flatnonzero(leaps).tolist():
-                if step < self._step:
-                    continue
-                part = range(first[step], last[step] + 1)
-                found = self._find_astray(step, part, rows, is_over or part.stop < scans)
-                if found is None:
-                    # The first scan of a part may be the one that is astray.
-                    self._step, self._decided = step, step + (step > part.start)
-                    return
-                if found and not self.first_astray:
-                    self.first_astray = self._describe(step, found)
-                self._astray[found.start : found.stop] = True
-                self._step = max(found.stop, step + 1)
+        rows = find_rows(near, leaps, is_over)
+        for row in np.flatnonzero(~rows.closes[:-1]).tolist():
+            last = int(rows.stop[row]) - 1
+            if last < self._next:
+                continue
+            astray = self._find_astray(row, rows)
+            if astray is None:
+                is_first = rows.opens[row] and rows.start[row] == last  # it may be astray itself
+                self._next, self._decided = last, last + (not is_first)
+                return
+            if astray and not self.first_astray:
+                self.first_astray = self._describe(last, astray)
+            self._astray[astray.start : astray.stop] = True
+            self.left_out += len(astray)
+            self._next = max(astray.stop, last + 1)
         is_alone = not near[-1:].any()  # nothing is known of a scan that has no neighbour yet
-        self._step, self._decided = scans - 1, scans - (is_alone and not is_over)
+        self._next, self._decided = scans - 1, scans - (is_alone and not is_over)
 
-    def _find_astray(
-        self, step: int, part: range, rows: tuple[Int64, Int64], is_whole: bool
-    ) -> range | None:
-        """Find the scans that a leap leads astray; None where it is not known yet.
-
-        Parameters
-        ----------
-        step
-            The scan before the leap.
-        part
-            Scans that follow one another without a pause.
-        rows
-            As `find_rows` gives them, of steps without a leap.
-        is_whole
-            Whether the part ends there; else further scans of it may come.
-        """
-        before = step - int(rows[0][step])
-        if before < ROW and before < step - part.start:
+    def _find_astray(self, row: int, rows: Rows) -> range | None:
+        """Find the scans that the leap behind a row leads astray; None: it is not known yet."""
+        start, stop, opens, closes, shows = rows
+        last = int(stop[row]) - 1
+        if not (shows[row] or opens[row]):
             return range(0)
-        later = np.arange(step + 1, min(part.stop, step + 1 + MOST_SCANS))
-        seconds = (self._stamp_ns[later] - self._stamp_ns[step]) / 1e9
-        later, seconds = later[seconds <= SPARSE_S], seconds[seconds <= SPARSE_S]
-        fits = ~is_too_far(self._place[later] - self._place[step], seconds, self._max_speed)
-        begin, end = (each[later] for each in rows)
-        is_row = end - later >= ROW
-        if is_whole and before >= ROW:  # then a row may be short that reaches to the end
-            is_row |= end == part.stop - 1
-        back = later[fits & is_row & (begin == later)]  # by a leap, too
+        later = np.arange(row + 1, min(row + 2 + MOST_SCANS, len(start)))
+        later = later[: np.argmax(np.append(closes[later], True)) + 1]
+        soon = later[self._is_soon(last, start[later])]
+        seconds = (self._stamp_ns[start[soon]] - self._stamp_ns[last]) / 1e9
+        way = self._place[start[soon]] - self._place[last]
+        fits = ~is_too_far(way, seconds, self._max_speed)
+        back = soon[fits & (shows[soon] | (closes[soon] & shows[row]))]
         if len(back):
-            return range(step + 1, int(back[0]))
-        if not is_whole and later[-1] + ROW >= part.stop - 1:
+            return range(last + 1, int(start[back[0]]))
+        end = later[-1:]
+        may_show = self._is_soon(last, start[end]) & ~shows[end]
+        if (~closes[end] & (self._is_soon(last, stop[end] - 1) | may_show)).any():
             return None
-        if step == part.start and is_row[0]:
-            return range(step, step + 1)
-        is_last = step + 2 == part.stop
-        return range(step + 1, part.stop) if before >= ROW and is_last else range(0)
+        if opens[row] and start[row] == last and shows[row + 1]:
+            return range(last, last + 1)
+        is_last = closes[row + 1] and stop[row + 1] == last + 2
+        return range(last + 1, last + 2) if shows[row] and is_last else range(0)
+
+    def _is_soon(self, last: int, scans: Int64) -> Bool:
+        """Which scans behind the last one of a row may go on from there."""
+        seconds = (self._stamp_ns[scans] - self._stamp_ns[last]) / 1e9
+        soon: Bool = (seconds <= SPARSE_S) & (scans - last <= MOST_SCANS)
+        return soon
 
     def _describe(self, step: int, astray: range) -> tuple[int, str]:
-        """Say what the first of the scans that a leap leads astray did."""
+        """Say when the first of the scans that a leap leads astray was taken, and what it did."""
         metres = np.linalg.norm(self._place[step + 1] - self._place[step])
         seconds = (self._stamp_ns[step + 1] - self._stamp_ns[step]) / 1e9
         stamp_ns = int(self._stamp_ns[astray.start])
@@ -247,12 +262,6 @@ class _Path:
             f"the scan at {stamp_ns / 1e9:.3f} s lies {metres:,.6g} m from its neighbour, "
             f"{seconds:.3g} s away"
         )
-
-
-def _find_last(scans: tuple[Attached, PosedScans]) -> int:
-    """The number of the last of some scans in its log; -1 where it does not matter."""
-    number = scans[0].batch.number
-    return -1 if number is None else int(number[-1])
 
 
 class LeapFilter:
@@ -307,12 +316,14 @@ class LeapFilter:
 
     def _list_notes(self) -> Iterator[str]:
         """Say of each topic what the first scan did that is astray."""
-        found: defaultdict[str, list[tuple[int, str]]] = defaultdict(list)
+        topics: defaultdict[str, list[_Path]] = defaultdict(list)
         for (topic, *_), path in self._paths.items():
             if path.first_astray:
-                found[topic].append(path.first_astray)
-        outcome = "it and others that leap so are left out; `max_speed=inf` keeps them"
-        if self._max_speed == np.inf:
-            outcome = "the map reaches there, as `max_speed=inf` keeps such scans"
-        for topic in sorted(found):
-            yield f"{topic}: {min(found[topic])[1]}: {outcome}"
+                topics[topic].append(path)
+        for topic, paths in sorted(topics.items()):
+            _, first = min(path.first_astray for path in paths if path.first_astray)
+            scans = sum(path.left_out for path in paths)
+            outcome = f"{count(scans, 'scan')} that leap so are left out; `max_speed=inf` keeps all"
+            if self._max_speed == np.inf:
+                outcome = "the map reaches there, as `max_speed=inf` keeps such scans"
+            yield f"{topic}: {first}: {outcome}"
