@@ -1,11 +1,10 @@
 """Leaps: damaged poses take scans to where the robot cannot have been, and the map with them.
 
-A leap is a step between two scans, at most ten seconds apart, that no robot makes in that time; a
-few scans in a row without a leap show where the robot is. Where such a row ends in a leap and, at
-most ten seconds later, another row goes on from where it ended, the scans between the two are left
-out, and so is a single scan that a leap parts from the row at the beginning or at the end. Where
-nothing goes on there, the robot was carried, or stamps or poses do not mean what they seem to: all
-is kept.
+A leap is a step between two scans of a laser, at most ten seconds apart, that no robot makes in
+that time; four scans or more without one show where the robot is. Where such a row ends in a leap
+and another one goes on from there at most ten seconds later, the scans in between are left out, as
+is a single scan that a leap parts from a row at the beginning or at the end. Where nothing goes on
+there, the robot was carried, or stamps or poses do not mean what they seem to: all is kept.
 """
 
 from collections import defaultdict
@@ -28,8 +27,8 @@ FASTEST = 50.0
 ROW = 3
 """So many steps without a leap, one after the other, show where the robot is."""
 MOST_SCANS = 1000
-"""A row that goes on is looked for among so many scans behind a leap: 100 a second are many, and
-stamps may all be the same ten seconds."""
+"""A row that goes on is looked for among so many scans behind a leap: a hundred a second are many,
+and by wrong stamps a whole log lasts ten seconds."""
 MOST_PATHS = 1000
 """Paths that are judged: each holds back scans until it is known what follows them."""
 
@@ -267,8 +266,8 @@ class _Path:
 class LeapFilter:
     """Leaves out scans that leaps lead astray.
 
-    What it says of a scan depends only on the scans that come up to ten seconds before and after
-    it, never on how they are batched.
+    Which scans these are depends on the scans of the same laser alone, in the order in which they
+    were recorded, never on how they are batched.
     """
 
     def __init__(self, max_speed: float, notes: list[str]) -> None:
