@@ -101,6 +101,9 @@ def find_rows(near: Bool, leaps: Bool, is_over: bool) -> Rows:
     return Rows(start, stop, opens, closes, stop - start > ROW)
 
 
+NO_ROWS = find_rows(np.zeros(0, np.bool_), np.zeros(0, np.bool_), is_over=True)
+
+
 class _Held(NamedTuple):
     """Scans that are held back, until it is known which of them are astray."""
 
@@ -204,7 +207,8 @@ class _Path:
         """Find which scans are astray, as far as those that are known tell it."""
         near, leaps = find_leaps(self._stamp_ns, self._place, self._max_speed)
         scans = len(self._stamp_ns)
-        rows = find_rows(near, leaps, is_over)
+        # Most batches hold no leap; of them rows are not worth their time.
+        rows = find_rows(near, leaps, is_over) if leaps.any() else NO_ROWS
         for row in np.flatnonzero(~rows.closes[:-1]).tolist():
             last = int(rows.stop[row]) - 1
             if last < self._next:
