@@ -1,6 +1,7 @@
 """From single scans to batches: the scans that are wanted, stacked by geometry."""
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -99,7 +100,12 @@ class Geometry(NamedTuple):
         )
 
     def stack(
-        self, stamp_ns: Int64, ranges: Float32, time_increment: Float64, pose: Float64 | None
+        self,
+        stamp_ns: Int64,
+        ranges: Float32,
+        time_increment: Float64,
+        pose: Float64 | None,
+        number: Int64 | None = None,
     ) -> ScanBatch:
         """Make a batch of what differs between its scans."""
         return ScanBatch(
@@ -113,6 +119,7 @@ class Geometry(NamedTuple):
             time_increment=time_increment,
             pose=pose,
             topic=self.topic,
+            number=number,
         )
 
 
@@ -212,7 +219,7 @@ class Batcher:
 
     def stack(self, scans: Iterable[Scan | ScanRun]) -> Iterator[ScanBatch]:
         """Stack scans, holding no more than a batch at a time; a run is a batch as it is."""
-        held: dict[Geometry, list[Scan]] = {}
+        held: dict[Geometry, dict[int, Scan]] = {}
         beams = 0
         for some in self._choose(scans):
             if isinstance(some, ScanRun):
@@ -220,7 +227,7 @@ class Batcher:
                 yield self._look_at(self._pass_on(some))
                 held, beams = {}, 0
                 continue
-            held.setdefault(Geometry.of(some), []).append(some)
+            held.setdefault(Geometry.of(some), {})[self.read] = some
             beams += len(some.ranges)
             if beams >= BATCH_BEAMS:
                 yield from self._release(held)
@@ -242,13 +249,17 @@ class Batcher:
         stamp_ns = self._selector.stamp(run)
         return Geometry.of(run.first).stack(stamp_ns, run.ranges, run.time_increment, run.pose)
 
-    def _release(self, held: dict[Geometry, list[Scan]]) -> Iterator[ScanBatch]:
-        for geometry, scans in held.items():
+    def _release(self, held: Mapping[Geometry, Mapping[int, Scan]]) -> Iterator[ScanBatch]:
+        lasers = Counter((geometry.topic, geometry.frame) for geometry in held)
+        for geometry, numbered in held.items():
+            scans = numbered.values()
             stamp_ns = np.array([self._selector.stamp(scan) for scan in scans], np.int64)
             ranges = np.stack([scan.ranges for scan in scans])
             time_increment = np.array([scan.time_increment for scan in scans], np.float64)
             pose = np.array([scan.pose for scan in scans]) if geometry.posed else None
-            yield self._look_at(geometry.stack(stamp_ns, ranges, time_increment, pose))
+            is_mixed = lasers[geometry.topic, geometry.frame] > 1
+            number = np.array([*numbered], np.int64) if is_mixed else None
+            yield self._look_at(geometry.stack(stamp_ns, ranges, time_increment, pose, number))
 
     def _look_at(self, batch: ScanBatch) -> ScanBatch:
         """Note what is odd about the scans of a batch."""

@@ -283,6 +283,9 @@ class ScanBatch:
     """(S, 7) x y z qx qy qz qw of the sensor, where the log states it beside the scans."""
     topic: str = ""
     """The stream in its log that the scans came from."""
+    number: Int64 | None = None
+    """(S,) of each scan in its log, where scans of the same topic and frame lie between these but
+    in another batch, as their geometry is another"""
 
     def take(self, scans: Bool | Int64) -> Self:
         """Select scans by a mask (S,) or by their indices."""
@@ -292,6 +295,7 @@ class ScanBatch:
             ranges=self.ranges[scans],
             time_increment=self.time_increment[scans],
             pose=None if self.pose is None else self.pose[scans],
+            number=None if self.number is None else self.number[scans],
         )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from occmap.batching import FROM_THE_START, Seam
 from occmap.fleet.tasks import Setting, Survey, Traced, TraceJob
 from occmap.posing.course import STANDS, STILL_M
-from occmap.posing.leaps import Ends, Shape
+from occmap.posing.leaps import MOST_PATHS, Ends, Laser
 from occmap.readers import Note
 from occmap.sensor.no_return import RangeLimits
 from occmap.types import Float64
@@ -110,12 +110,12 @@ def stand(parts: Sequence[dict[str, Float64]]) -> bool:
     return any(float(np.diff(each, axis=0).max()) < STILL_M for each in around.values())
 
 
-def leap(parts: Sequence[dict[Shape, Ends]], max_speed: float) -> bool:
+def leap(parts: Sequence[dict[Laser, Ends]], max_speed: float) -> bool:
     """Whether there is a leap in any of the parts of a log, or between two of them."""
-    before: dict[Shape, Ends] = {}
+    before: dict[Laser, Ends] = {}
     for part in parts:
-        for shape, ends in part.items():
-            if ends.leaps or (shape in before and not before[shape].leads_to(ends, max_speed)):
+        for laser, ends in part.items():
+            if ends.leaps or (laser in before and not before[laser].leads_to(ends, max_speed)):
                 return True
         before |= part
-    return False
+    return len(before) > MOST_PATHS  # then other scans are judged in parts than in the whole log

@@ -24,7 +24,7 @@ from occmap.fleet.runs import (
 from occmap.observing import Keep
 from occmap.opening import count_scans
 from occmap.options import BuildOptions
-from occmap.posing.leaps import Ends, Shape
+from occmap.posing.leaps import Ends, Laser
 from occmap.readers import Note, open_log, read_scans, split_log
 from occmap.report import Tally
 from occmap.sensor.no_return import RangeLimits
@@ -118,8 +118,8 @@ class Traced:
     depends: bool = False
     """True where the rest of the log could change this: a message is damaged, a frame appears for
     the first time, or a pose jumps"""
-    ends: dict[Shape, Ends] = field(default_factory=dict)
-    """Where the scans of each shape begin and end"""
+    ends: dict[Laser, Ends] = field(default_factory=dict)
+    """Where the scans of each laser begin and end"""
     bounds: dict[str, Float64] = field(default_factory=dict)
     """(2, 3) around the sensor of each topic (m)"""
     pieces: Mapping[BlockKey, tuple[Piece, ...]] = field(default_factory=dict)

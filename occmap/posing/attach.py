@@ -16,7 +16,7 @@ from occmap.posing.concerns import Concern
 from occmap.posing.course import STANDS, Course, list_tilts
 from occmap.posing.frames import Edge, Source, Step
 from occmap.posing.jumps import JumpWatch
-from occmap.posing.leaps import Attached, Ends, LeapFilter, Shape
+from occmap.posing.leaps import Attached, Ends, Laser, LeapFilter
 from occmap.posing.options import Deskew, PosingOptions, Stamps
 from occmap.posing.resolve import resolve
 from occmap.posing.sources import Sources, gather
@@ -225,8 +225,8 @@ class Poser:
         """Whether any pose takes the robot elsewhere at once."""
         return any(watch.edges_ns.size for watch in self._list_watches().values())
 
-    def find_ends(self) -> dict[Shape, Ends]:
-        """Where the posed scans so far begin and end, by their shape."""
+    def find_ends(self) -> dict[Laser, Ends]:
+        """Where the posed scans so far begin and end, by their laser."""
         return self._leaps.find_ends()
 
     def _look_up(self, batch: ScanBatch) -> Iterator[tuple[ScanBatch, Found]]:

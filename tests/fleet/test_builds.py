@@ -5,14 +5,18 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from occmap.batching import Selection
 from occmap.fleet import Fleet
+from occmap.fleet.settling import leap
 from occmap.options import BuildOptions
 from occmap.pipeline import build
+from occmap.posing.leaps import MOST_PATHS, Ends
+from occmap.readers import open_log, split_log
 from occmap.report import Report
-from tests.samples import DRIVES
+from tests.samples import DRIVES, write_csv
 
 LOGS = [*DRIVES, DRIVES[0]]
 """One of them twice"""
@@ -71,3 +75,25 @@ def test_a_part_of_the_scans_is_the_same_part(
 ) -> None:
     options = BuildOptions(jobs=1, selection=selection, min_passes=2, pass_gap_s=1.0)
     hold_equal(alone(options), options, Fleet(address, tmp_path / "scratch", 60_000), tmp_path)
+
+
+def test_a_log_with_leaps_is_the_same(address: str, tmp_path: Path) -> None:
+    """A while elsewhere that lies across the parts of a log, and a last scan."""
+    poses = [(second / 2, 0.0, 0.0) for second in range(400)]
+    poses[196:203] = [(x + 900, y, yaw) for x, y, yaw in poses[196:203]]
+    poses[-1] = (-4e3, 0.0, 0.0)
+    log = write_csv(tmp_path / "log.csv", poses, [1.0, 1.5, 2.0], step=0.1)
+    size = log.stat().st_size // 4
+    assert len(split_log(open_log(log), size)) > 3
+    options = BuildOptions(jobs=1)
+    alone = build([log], options).report
+    many = build([log], options, observe=Fleet(address, tmp_path / "scratch", size).observe).report
+    assert replace(many, seconds={}) == replace(alone, seconds={})
+    assert sum(many.scans.dropped.values()) == 8
+
+
+@pytest.mark.parametrize(("lasers", "expected"), [(MOST_PATHS, False), (MOST_PATHS + 1, True)])
+def test_a_log_of_more_lasers_than_are_judged_is_traced_whole(lasers: int, expected: bool) -> None:
+    ends = Ends(np.zeros(2, np.int64), np.zeros((2, 3)), 0)
+    parts = [{("/scan", str(laser), False): ends} for laser in range(lasers)]
+    assert leap(parts, 50.0) is expected

@@ -4,16 +4,20 @@ import math
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import chain, pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from occmap import batching
+from occmap.batching import Batcher, Selection
 from occmap.inspection import inspect
 from occmap.options import BuildOptions
 from occmap.pipeline import Build, build
+from occmap.posing.leaps import MOST_SCANS, ROW
 from occmap.posing.options import PosingOptions
-from occmap.types import Pose, ScanBatch
+from occmap.types import Pose, Scan, ScanBatch
 from tests.posing.scenes import at, attach, batch_at, bolted, drive
 from tests.posing.scenes import build as make_poser
 from tests.samples import REAL_LOGS, Planar, write_csv
@@ -123,21 +127,153 @@ def test_how_scans_are_batched_changes_nothing(way: str, size: int) -> None:
     assert notes == sift(whole, 60)[1]
 
 
-def test_scans_by_turns_of_two_shapes_do_not_depend_on_batches() -> None:
-    """A batch holds scans of one shape, so that those of two come in another order."""
-    whole = state([*HERE, *THERE])
-    rows = np.arange(40)
-    used = []
-    for size in (4, 10, 40):
-        windows = (whole.take(rows[at : at + size]) for at in rows[::size])
-        parts = [
-            replace(window.take(np.arange(first, len(window.stamp_ns), 2)), angle_min=angle)
-            for window in windows
-            for first, angle in ((0, -1.0), (1, 1.0))
-        ]
-        posed, _ = attach(make_poser(), *parts)
-        used.append(sum(len(each.batch.stamp_ns) for each in posed))
-    assert used == [40, 40, 40]
+Moment = tuple[int, int, float]
+"""A scan: its number, stamp (ns) and x (m)"""
+
+
+def is_far(scan: Moment, other: Moment) -> bool:
+    return abs(other[2] - scan[2]) > max(1.0, 50 * (other[1] - scan[1]) / 1e9)
+
+
+def is_soon(scan: Moment, other: Moment) -> bool:
+    return other[1] - scan[1] <= 10e9
+
+
+def cut(scans: Sequence[Moment]) -> list[list[list[Moment]]]:
+    """Cut scans into parts at each pause, and parts into rows at each leap."""
+    parts = [[[scans[0]]]]
+    for before, scan in pairwise(scans):
+        if scan[1] <= before[1] or not is_soon(before, scan):
+            parts.append([[scan]])
+        elif is_far(before, scan):
+            parts[-1].append([scan])
+        else:
+            parts[-1][-1].append(scan)
+    return parts
+
+
+def find_back(rows: Sequence[list[Moment]]) -> int | None:
+    """Which row goes on where the first one ends."""
+    last = rows[0][-1]
+    for later, row in enumerate(rows[1:], start=1):
+        shows = len(row) > 3 or (len(rows[0]) > 3 and row is rows[-1])
+        if shows and is_soon(last, row[0]) and not is_far(last, row[0]):
+            return later
+    return None
+
+
+def find_astray(scans: Sequence[Moment]) -> Iterator[Moment]:
+    """The rule of `occmap.posing.leaps`, of all scans of one laser, as it is said there."""
+    for rows in cut(scans):
+        at = 0
+        while at + 1 < len(rows):
+            row, following = rows[at], rows[at + 1]
+            back = find_back(rows[at:]) if len(row) > 3 or not at else None
+            if back:
+                yield from chain.from_iterable(rows[at + 1 : at + back])
+            elif not at and len(row) == 1 and len(following) > 3:
+                yield from row
+            elif len(row) > 3 and following is rows[-1] and len(following) == 1:
+                yield from following
+            at += back or 1
+
+
+def wander(seed: int) -> list[Scan]:
+    """Scans of up to four lasers of one to three geometries each, with leaps, pauses and jumps of
+    the clock; the first range of a scan is its number."""
+    rng = np.random.default_rng(seed)
+    scans = int(rng.integers(1, 120))
+    steps = np.full(scans, rng.choice([0.05, 0.3, 1.0, 3.0]))
+    steps[rng.random(scans) < 0.05] = rng.choice([12.0, 60.0, 9.0, 0.0, -5.0])
+    stamp_ns = np.round(np.cumsum(steps) * 1e9).astype(np.int64) + 10**12
+    leaps = np.flatnonzero(rng.random(scans) < rng.choice([0.02, 0.1, 0.3, 0.6]))
+    place = np.zeros(scans)
+    for leap in leaps:
+        place[leap:] = rng.choice([0, 0, 0, 300, 3000])
+    x = place + np.cumsum(rng.normal(0, 0.2, scans))
+    topic, frame, shape = (rng.integers(0, rng.choice([1, 1, 2, 3]), scans) for _ in range(3))
+    return [
+        Scan(
+            int(stamp_ns[scan]),
+            f"laser{frame[scan]}",
+            0.0,
+            0.1,
+            np.full(3 + shape[scan] % 2, scan),
+            0.0,
+            1000.0 + shape[scan],
+            pose=Pose.planar(float(x[scan]), 0.0, 0.0),
+            topic=f"/scan{topic[scan]}",
+        )
+        for scan in range(scans)
+    ]
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_scans_are_judged_by_their_laser_whatever_their_geometry(
+    monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    scans = wander(seed)
+    lasers: dict[tuple[str, str], list[Moment]] = {}
+    for number, scan in enumerate(scans):
+        x = scan.pose.x if scan.pose else math.nan
+        lasers.setdefault((scan.topic, scan.frame), []).append((number, scan.stamp_ns, x))
+    astray = {number for some in lasers.values() for number, *_ in find_astray(some)}
+    said = []
+    for beams in (1, 10, 40, 150, 1 << 18):
+        monkeypatch.setattr(batching, "BATCH_BEAMS", beams)
+        poser = make_poser()
+        posed, dropped = attach(poser, *Batcher(Selection()).stack(scans))
+        used = {int(number) for each in posed for number in each.batch.ranges[:, 0]}
+        assert used == {*range(len(scans))} - astray
+        assert sum(dropped.values()) == len(astray)
+        ends = {key: (*each.stamp_ns, each.leaps) for key, each in poser.find_ends().items()}
+        said.append((poser.notes, ends))
+    assert all(each == said[0] for each in said)
+
+
+@pytest.mark.parametrize("step_s", [0.025, 1e-5, 9.9, 60.0, 0.0, -1.0])
+def test_how_many_scans_are_held_back_is_bounded(step_s: float) -> None:
+    """Rows of five scans, each somewhere else: what a log of wrong poses is."""
+    given = held = 0
+    xs = np.repeat(np.random.default_rng(1).normal(0, 1e6, 600), 5)
+
+    def give() -> Iterator[ScanBatch]:
+        nonlocal given
+        for scan, x in enumerate(xs.tolist()):
+            given += 1
+            yield state([x], [scan * step_s])
+
+    for count, _ in enumerate(make_poser().attach(give()), start=1):
+        held = max(held, given - count)
+    assert held <= MOST_SCANS + ROW + 1
+    assert given == count == len(xs)
+
+
+def test_a_note_says_how_many_scans_of_a_topic_are_left_out() -> None:
+    first, second = state([*HERE[:9], 4e3, *HERE[10:]]), state([*HERE[:6], *THERE[6:9], *HERE[9:]])
+    poser = make_poser()
+    attach(poser, replace(first, topic="/scan"), replace(second, topic="/scan", frame="other"))
+    (note,) = poser.notes
+    assert note.startswith("/scan: the scan at 6.000 s lies 300.5 m from its neighbour")
+    assert "4 scans that leap so are left out" in note
+
+
+@pytest.mark.parametrize(
+    "selection", [Selection(), Selection(stride=3), Selection(start_s=4.0, end_s=31.0)]
+)
+def test_jobs_and_batches_leave_out_the_same_scans(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, selection: Selection
+) -> None:
+    poses = [*DRIVE[:14], *((x + 900, y, yaw) for x, y, yaw in DRIVE[14:18]), *DRIVE[18:]]
+    log = write_csv(tmp_path / "log.csv", poses, [1.0, 1.5, 2.0], step=0.1)
+    reports = []
+    for beams, jobs in ((1, 1), (1 << 18, 2)):
+        monkeypatch.setattr(batching, "BATCH_BEAMS", beams)
+        report = build([log], BuildOptions(selection=selection, jobs=jobs)).report
+        reports.append(replace(report, seconds={}))
+    assert reports[0] == reports[1]
+    assert reports[0].scans.dropped[LEAP] == (1 if selection.stride == 3 else 4)
+    assert sum(reports[0].scans.dropped.values()) + reports[0].scans.used == 40
 
 
 def test_scans_are_held_back_only_where_they_may_be_astray() -> None:
