@@ -33,6 +33,8 @@ UNTURNED = Pose.planar(0.0, 0.0, 0.0)
 CLEAR_WIN = 0.9
 """The right mount lays the walls of many scans over each other: it marks fewer cells than this
 share of what any other one marks."""
+FEWEST_MARKED = 50
+"""Fewer cells than these are no walls that could tell one turn from another."""
 SUSPECT, SUSPECT_OF_SEVERAL = 0.65, 0.9
 """Where the hits of a map agree less, one of its lasers may be turned. One that sees all around and
 is mirrored leaves 0.6, and beside others that are right their agreement hides it; real logs of one
@@ -210,7 +212,7 @@ def count_turned(parts: Sequence[PosedScans], options: ReturnOptions) -> list[in
 def choose_turn(marked: Sequence[int]) -> Pose | None:
     """Choose the turn by which the fewest cells have a hit, if it is clearly better."""
     (best, at), (second, _) = sorted(zip(marked, range(len(TURNS)), strict=True))[:2]
-    return TURNS[at] if 0 < best < CLEAR_WIN * second else None
+    return TURNS[at] if FEWEST_MARKED <= best < CLEAR_WIN * second else None
 
 
 def count_marked(parts: Sequence[PosedScans], mount: Pose, options: ReturnOptions) -> int:

@@ -20,7 +20,7 @@ from occmap.inspection.findings import ScanFindings
 from occmap.inspection.ranges import BLOCK_RANGES, RangeCensus, find_repeated
 from occmap.inspection.sample import find_crossing
 from occmap.inspection.times import StampLog
-from occmap.mounts import correct_mount
+from occmap.mounts import SUSPECT, correct_mount
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions, Stamps
@@ -455,6 +455,16 @@ def test_a_build_whose_hits_disagree_names_the_mount(tmp_path: Path) -> None:
     )
     right = BuildOptions(posing=PosingOptions(sensor_pose=Pose.planar(0, 0, math.pi)))
     assert not any("fit" in note for note in build([path], right).report.notes)
+
+
+def test_a_few_hits_are_no_reason_to_name_a_mount(tmp_path: Path) -> None:
+    places = [(0.1 * step, 0.0, 0.1 * step) for step in range(10)]
+    path = tmp_path / "few.csv"
+    write_row(path, [(-5.0, 0.0, 0.0), *places], [0.3, 0.4, 0.5], 0.1)
+    report = build([path], BuildOptions()).report
+    assert report.map.agreement is not None
+    assert report.map.agreement < SUSPECT
+    assert report.notes == ()
 
 
 def test_a_build_names_the_mount_of_the_one_laser_of_two_that_is_mirrored(tmp_path: Path) -> None:
