@@ -30,6 +30,7 @@ from occmap.report import (
     list_frames,
     list_idle_and_repeated,
     list_lacking,
+    note_idle_end,
     refuse_unseen,
     refuse_unused,
 )
@@ -127,6 +128,7 @@ def build_store(
         *remarks.notes,
         *unaligned,
         *options.list_idle(),
+        *note_idle_end(options.selection, tally),
         *list_frames(tally),
         *list_lacking(tally, None),
         *list_contradictions(paths, options, facts, tally.lasers),

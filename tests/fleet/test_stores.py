@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from occmap.batching import Selection
 from occmap.fleet import Fleet
 from occmap.fleet.storing import build_store
 from occmap.observing import ignore_progress
@@ -20,7 +21,12 @@ from tests.samples import DRIVES
     "options",
     [
         BuildOptions(jobs=1, resolution=0.02),  # more than a block, with hits at its edges
-        BuildOptions(jobs=1, update=Update.BEAM, model=parse_model("quadratic")),
+        BuildOptions(
+            jobs=1,
+            update=Update.BEAM,
+            model=parse_model("quadratic"),
+            selection=Selection(end_s=1e6),  # leaves nothing out, which is a note
+        ),
     ],
 )
 def test_it_holds_what_one_process_writes(
