@@ -1,23 +1,39 @@
-"""A cluster of processes on this machine, started once."""
+"""A cluster of processes on this machine, for all tests."""
 
 from collections.abc import Iterator
 
 import pytest
 from distributed import Client, LocalCluster
 
-PATIENCE_S = 60
+PATIENCE_S = 15
+"""A worker that a test killed is there again sooner, unless it was killed while it started."""
 
 
 @pytest.fixture(scope="session")
-def cluster() -> Iterator[str]:
-    """The scheduler of two workers, which are started again where a test kills them."""
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as started:
-        yield started.scheduler_address
+def clusters() -> Iterator[list[LocalCluster]]:
+    """The cluster that tests use, once there is one."""
+    started: list[LocalCluster] = []
+    yield started
+    for cluster in started:
+        cluster.close()
 
 
 @pytest.fixture
-def address(cluster: str) -> str:
-    """The scheduler, once both workers are there."""
+def address(clusters: list[LocalCluster]) -> str:
+    """The scheduler of two workers; a cluster that lost one for good is replaced."""
+    if clusters and not is_whole(clusters[-1]):
+        clusters.pop().close()
+    if not clusters:
+        made = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0")
+        clusters.append(made)
+    return str(clusters[-1].scheduler_address)
+
+
+def is_whole(cluster: LocalCluster) -> bool:
+    """Whether both workers are there, or soon will be."""
     with Client(cluster) as client:
-        client.wait_for_workers(2, PATIENCE_S)
-    return cluster
+        try:
+            client.wait_for_workers(2, PATIENCE_S)
+        except TimeoutError:
+            return False
+    return True
