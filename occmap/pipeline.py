@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 
 from occmap.alignment import settle_align
 from occmap.evidence import to_evidence
-from occmap.evidence.fit import list_misfit, view_tiles
+from occmap.evidence.fit import list_misfit
 from occmap.evidence.manifest import describe_build, list_mixed, plan_manifest
 from occmap.evidence.merging import open_resumed
 from occmap.evidence.persistence import render_lasting
 from occmap.evidence.publishing import describe_resumed
 from occmap.evidence.repetition import list_repeated
 from occmap.grid.framing import frame
-from occmap.grid.stacks import add_stack
+from occmap.grid.stacks import add_stack, view_tiles
 from occmap.grid.tiles import TileGrid
 from occmap.mounts import list_misfits
 from occmap.observing import Keep, Observe, Observed, Progress, ignore_progress
@@ -28,13 +28,13 @@ from occmap.report import (
     Report,
     Tally,
     describe_map,
+    list_disagreement,
     list_frames,
     list_idle_and_repeated,
     list_lacking,
     note_idle_end,
     refuse_unseen,
     refuse_unused,
-    tell_disagreement,
 )
 from occmap.sensor.models import SensorModel
 from occmap.types import Evidence, Manifest, OccupancyMap
@@ -166,7 +166,8 @@ def open_past(options: BuildOptions) -> Evidence | None:
 
 def add_past(tiles: TileGrid, saved: Evidence, model: SensorModel) -> list[str]:
     """Add the evidence that a build goes on from, and say so where the two do not fit."""
-    misfit = list(list_misfit(tiles, view_tiles(saved), model, "the logs that are added to it"))
+    past = view_tiles(saved.tiles, saved.cells)
+    misfit = list(list_misfit(tiles, past, model, "the logs that are added to it"))
     add_stack(tiles, saved.tiles, saved.cells)
     return [f"{saved.where}: {text}" for text in misfit]
 
@@ -199,7 +200,7 @@ def list_contradictions(
     paths: Sequence[Path], options: BuildOptions, facts: MapFacts, lasers: int
 ) -> Iterator[str]:
     """Say that the scans of a map contradict each other, and which mount would fit better."""
-    yield from tell_disagreement(facts.agreement, facts.has_walls)
+    yield from list_disagreement(facts)
     yield from list_misfits(paths, options, facts.agreement, lasers)
 
 

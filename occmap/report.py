@@ -423,14 +423,10 @@ def hint_at_tune(agreement: float) -> str:
     return "; walls may be doubled: `occmap tune LOG` looks for a wrong clock or mount"
 
 
-def list_disagreement(grid: OccupancyMap) -> Iterator[str]:
+def list_disagreement(facts: MapFacts) -> Iterator[str]:
     """Say that the scans of a map contradict each other."""
-    yield from tell_disagreement(grid.agreement, bool(grid.occupied.any()))
-
-
-def tell_disagreement(agreement: float | None, has_walls: bool) -> Iterator[str]:
-    """Say the same of a map of which only these facts are at hand."""
-    if agreement is not None and agreement < LEAST_AGREEMENT and has_walls:
+    agreement = facts.agreement
+    if agreement is not None and agreement < LEAST_AGREEMENT and facts.has_walls:
         yield (
             f"only {agreement:.0%} of the hits lie in cells that the map calls occupied: the "
             "poses do not fit the scans; see `occmap check`, try `occmap tune`, another "

@@ -71,18 +71,6 @@ def add_radial(prior: float) -> Weigh:
     return lambda log_odds, observations: start + log_odds * LOG_ODDS_UNIT - observations * start
 
 
-def render_saved(evidence: Evidence, model: SensorModel, max_cells: int) -> OccupancyMap:
-    """Make a map of evidence, without the log.
-
-    Raises
-    ------
-    MapError
-        As `render`, or the evidence was not made for this model.
-    """
-    refuse_other_profile(evidence, model)
-    return render(to_grid(evidence), model, max_cells)
-
-
 class Described(Protocol):
     """Whatever has the manifest of evidence."""
 

@@ -8,7 +8,7 @@ import numpy as np
 from occmap.evidence import choose_tiles, weigh
 from occmap.grid.tiles import EvidenceKind, Key, Tile, TileGrid
 from occmap.sensor.models import SensorModel, find_decision
-from occmap.types import Evidence, to_log_odds
+from occmap.types import to_log_odds
 
 MOST_TILES = 16
 """So many tiles, evenly spread over those that both saw, stand for all of them."""
@@ -76,11 +76,3 @@ def make_like(grid: TileGrid, tiles: Mapping[Key, Tile]) -> TileGrid:
     made = TileGrid(grid.lattice, grid.kind, grid.unit)
     made.tiles.update(tiles)
     return made
-
-
-def view_tiles(evidence: Evidence) -> dict[Key, Tile]:
-    """The tiles of evidence by their places, not copied."""
-    return {
-        (row, col): tile
-        for (row, col), tile in zip(evidence.tiles.tolist(), evidence.cells, strict=True)
-    }

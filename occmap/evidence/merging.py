@@ -9,10 +9,10 @@ import numpy as np
 
 from occmap.errors import MapError
 from occmap.evidence import Described, read_model, to_evidence, to_grid
-from occmap.evidence.fit import list_misfit, view_tiles
+from occmap.evidence.fit import list_misfit
 from occmap.evidence.manifest import MEANING
 from occmap.grid.slices import restrict
-from occmap.grid.stacks import add_stack, drop_empty, stack_tiles
+from occmap.grid.stacks import add_stack, drop_empty, stack_tiles, view_tiles
 from occmap.grid.tiles import EvidenceKind, TileGrid
 from occmap.sensor.models import SensorModel
 from occmap.store.sources import Combined, Saved, as_blocks, open_saved, read_all
@@ -87,7 +87,8 @@ def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Ev
     for other in others:
         refuse_different(first.manifest, other)
         if model is not None:
-            found = list_misfit(grid, view_tiles(other), model, "the evidence before it")
+            tiles = view_tiles(other.tiles, other.cells)
+            found = list_misfit(grid, tiles, model, "the evidence before it")
             notes += (f"{other.where}: {text}" for text in found)
         add_stack(grid, other.tiles, other.cells)
         slices += other.slices

@@ -23,7 +23,6 @@ from occmap.report import (
     describe_map,
     list_disagreement,
     list_unreached,
-    tell_disagreement,
 )
 from occmap.sensor.models import SensorModel, describe_model
 from occmap.sensor.returns import ReturnCounts
@@ -175,7 +174,7 @@ def paint_saved(
     framing, most = options.framing, options.max_cells
     if options.overview is not None:
         store = check_overview(saved, options)
-        shown = grid = read_overview(store, options.overview, framing, most)
+        shown = read_overview(store, options.overview, framing, most)
         lost: list[str] = []
     elif isinstance(saved, Evidence):
         grid, lost = render_lasting(to_grid(saved), saved.slices, options.min_passes, model, most)
@@ -183,10 +182,9 @@ def paint_saved(
         shown = frame(grid, framing, model.prior, most)
     else:
         view = View(saved, model, options.min_passes)
-        grid, lost = render_blocks(open_map(view, framing), most)
-        shown = grid
-    notes = (*lost, *list_disagreement(grid))
-    return shown, Seen(shown.resolution, describe_map(shown, options.writing), notes)
+        shown, lost = render_blocks(open_map(view, framing), most)
+    facts = describe_map(shown, options.writing)
+    return shown, Seen(shown.resolution, facts, (*lost, *list_disagreement(facts)))
 
 
 def check_overview(saved: Saved, options: RenderOptions) -> Store:
@@ -213,8 +211,7 @@ def survey_saved(
     """Measure a map that is never in memory as a whole; raises MapError."""
     made = open_map(View(saved, model, options.min_passes), options.framing)
     facts, lost = survey_blocks(made, options.writing)
-    notes = (*lost, *tell_disagreement(facts.agreement, facts.has_walls))
-    return made, Seen(made.resolution, facts, notes)
+    return made, Seen(made.resolution, facts, (*lost, *list_disagreement(facts)))
 
 
 def list_notes(manifest: Manifest) -> Iterator[str]:

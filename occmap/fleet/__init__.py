@@ -32,6 +32,7 @@ from occmap.fleet.tasks import (
     trace_part,
 )
 from occmap.grid.slices import unite
+from occmap.grid.stacks import view_tiles
 from occmap.observing import Keep, Observed, Progress
 from occmap.options import BuildOptions
 from occmap.report import Remarks, Tally
@@ -237,8 +238,7 @@ def gather(work: Work, pieces: Sequence[Piece]) -> Observed:
     grid = make_grid(setting.options)
     layers: list[Slices] = []
     for content in read_pieces(setting.folder, pieces):
-        for (row, col), cells in zip(content.tiles.tolist(), content.cells, strict=True):
-            grid.tiles[row, col] = cells
+        grid.tiles |= view_tiles(content.tiles, content.cells)
         layers += content.slices
     slices = (unite(layers),) if setting.keep.slices else ()
     return Observed(grid, slices, work.tally, work.remarks)

@@ -22,6 +22,11 @@ def stack_tiles(tiles: Mapping[Key, Tile]) -> tuple[Int64, Int64]:
     return np.array(keys, np.int64).reshape(-1, 2), cells
 
 
+def view_tiles(tiles: Int64, cells: Int64) -> dict[Key, Tile]:
+    """Stacked tiles by their places; they share the stack's memory."""
+    return {(row, col): tile for (row, col), tile in zip(tiles.tolist(), cells, strict=True)}
+
+
 def add_stack(grid: TileGrid, tiles: Int64, cells: Int64) -> None:
     """Add stacked tiles to a grid; a sum is 64 bits wide, and no tile is shared with the stack.
 
@@ -30,10 +35,10 @@ def add_stack(grid: TileGrid, tiles: Int64, cells: Int64) -> None:
     MapError
         A sum is more than evidence may hold.
     """
-    for (row, col), tile in zip(tiles.tolist(), cells, strict=True):
-        known = grid.tiles.get((row, col))
+    for key, tile in view_tiles(tiles, cells).items():
+        known = grid.tiles.get(key)
         wide = tile.astype(np.int64)
-        total = grid.tiles[row, col] = wide if known is None else known + wide
+        total = grid.tiles[key] = wide if known is None else known + wide
         if max(-int(total.min()), int(total.max())) > MOST_OBSERVED:
             raise MapError(
                 f"the observations of a cell add up to more than {MOST_OBSERVED:,}",

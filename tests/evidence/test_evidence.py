@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from occmap.errors import MapError
-from occmap.evidence import render_saved, weigh
+from occmap.evidence import weigh
 from occmap.evidence.manifest import describe_files
-from occmap.evidence.publishing import RenderOptions, publish
+from occmap.evidence.publishing import RenderOptions, publish, render_kept
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
 from occmap.sensor.models import SimpleModel, parse_model
@@ -49,7 +49,7 @@ def test_another_model_renders_what_a_build_with_it_would(
 ) -> None:
     evidence = save(tmp_path / "m.npz", choose(model=model))
     expected = build([DRIVE], choose(model=other)).map
-    grid = render_saved(evidence, parse_model(other), 10**9)
+    grid = render_kept(evidence, RenderOptions(parse_model(other))).map
     assert np.array_equal(grid.log_odds, expected.log_odds)
     assert (grid.origin, grid.resolution) == (expected.origin, expected.resolution)
 
@@ -59,7 +59,8 @@ def test_bounds_are_set_where_a_map_is_rendered(tmp_path: Path, update: Update, 
     evidence = save(tmp_path / "m.npz", choose(update, model))
     bounded = choose(update, f"{model}:clamp_min=0.2,clamp_max=0.9")
     grid, plain = (
-        render_saved(evidence, each.model, 10**9) for each in (bounded, choose(update, model))
+        render_kept(evidence, RenderOptions(each.model)).map
+        for each in (bounded, choose(update, model))
     )
     expected = np.where(plain.observed, np.clip(plain.log_odds, -math.log(4), math.log(9)), 0)
     np.testing.assert_array_equal(grid.log_odds, expected.astype(np.float32))
@@ -150,7 +151,7 @@ def test_a_model_that_cannot_read_it_is_refused(
 ) -> None:
     evidence = save(tmp_path / "m.npz", choose(model=made_by))
     with pytest.raises(MapError, match=rf"m.npz: .*{found}"):
-        render_saved(evidence, parse_model(wanted), 10**9)
+        render_kept(evidence, RenderOptions(parse_model(wanted)))
 
 
 def test_a_report_sums_up_what_an_older_occmap_counted(tmp_path: Path) -> None:

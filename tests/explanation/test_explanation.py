@@ -10,9 +10,10 @@ import pytest
 
 from occmap.batching import Selection
 from occmap.errors import MapError, UsageError
-from occmap.evidence import render, render_saved, to_grid
+from occmap.evidence import render, to_grid
 from occmap.evidence.merging import merge, subtract
 from occmap.evidence.persistence import keep_lasting
+from occmap.evidence.publishing import RenderOptions, render_kept
 from occmap.explanation import Explanation, Question, explain
 from occmap.explanation.sightings import add_up
 from occmap.options import BuildOptions
@@ -46,7 +47,7 @@ def save(folder: Path, log: Path, options: BuildOptions = TENTH, name: str = "m"
 def choose_points(evidence: Evidence, amount: int) -> list[tuple[float, float]]:
     """Middles of observed cells: the one with the most of each number, and some at random."""
     size = evidence.manifest.resolution
-    grid = render_saved(evidence, parse_model(evidence.manifest.model), 10**9)
+    grid = render_kept(evidence, RenderOptions()).map
     rng = np.random.default_rng(1)
     observed = np.argwhere(grid.observed)
     peaks = [

@@ -1,10 +1,8 @@
 """All real logs in one build, some of them cut short, by workers: what one process makes."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from distributed import LocalCluster
 
 from tests.cli.runner import occmap
 from tests.samples import REAL_LOGS
@@ -43,12 +41,6 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
         path.write_bytes(whole[: len(whole) * 2 // 3])
         damaged.append(path)
     return [*(REAL_LOGS / name for name in WITH_POSES), *damaged]
-
-
-@pytest.fixture(scope="module")
-def address() -> Iterator[str]:
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster:
-        yield cluster.scheduler_address
 
 
 @pytest.mark.parametrize("options", [(), PART])

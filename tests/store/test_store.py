@@ -14,7 +14,7 @@ import pytest
 import zarr
 
 from occmap.errors import MapError, OutputError
-from occmap.evidence import render_saved
+from occmap.evidence.publishing import RenderOptions, render_kept
 from occmap.grid.slices import pack
 from occmap.grid.tiles import TILE
 from occmap.store.blocks import BLOCK, Block, digest_evidence, split_evidence
@@ -92,7 +92,7 @@ def test_zarr_alone_reads_numbers_at_their_places(kept: Path, drive: Evidence) -
 
 def test_the_pictures_show_the_map(kept: Path, drive: Evidence) -> None:
     store, classes = open_store(kept), open_group(kept / "classes")
-    shown = render_saved(drive, choose(model="counting").model, 10**9)
+    shown = render_kept(drive, RenderOptions(choose(model="counting").model)).map
     (row, col), (rows, cols) = (shown.place - store.offset).tolist(), shown.shape
     whole = np.zeros(classes["1"].shape, np.uint8)
     whole[row : row + rows, col : col + cols] = shown.classes
