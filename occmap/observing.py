@@ -12,8 +12,9 @@ from occmap.journey import SHOWN_SCANS, JourneyRecorder
 from occmap.opening import count_scans
 from occmap.options import BuildOptions
 from occmap.readers import Log, open_log
-from occmap.report import Remarks, Tally
+from occmap.remarks import Remarks
 from occmap.sensor.returns import ReturnOptions
+from occmap.tally import Tally
 from occmap.tracing import AddRays, choose_engine, make_grid, trace_logs
 from occmap.types import Slices
 

@@ -21,22 +21,17 @@ from occmap.mounts import list_misfits
 from occmap.observing import Keep, Observe, Observed, Progress, ignore_progress
 from occmap.observing import observe as observe_here
 from occmap.options import BuildOptions
-from occmap.report import (
-    MapFacts,
-    MapSummary,
+from occmap.remarks import (
     Remarks,
-    Report,
-    Tally,
-    describe_map,
     list_disagreement,
     list_frames,
     list_idle_and_repeated,
     list_lacking,
     note_idle_end,
-    refuse_unseen,
-    refuse_unused,
 )
+from occmap.report import MapFacts, MapSummary, Report, describe_map
 from occmap.sensor.models import SensorModel
+from occmap.tally import Tally, refuse_unseen, refuse_unused
 from occmap.types import Evidence, Manifest, OccupancyMap
 from occmap.writers import Product, check_outputs, want_evidence, want_journey, write_outputs
 from occmap.writers.atomic import hold_alone

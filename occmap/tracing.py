@@ -13,10 +13,10 @@ from occmap.opening import choose_topics, make_poser
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.readers import Log, read_scans
-from occmap.report import Tally
 from occmap.sensor.models import RadialModel
 from occmap.sensor.no_return import RangeLimits, settle
 from occmap.sensor.returns import interpret
+from occmap.tally import Tally
 from occmap.types import Rays
 from occmap.workers import Workers
 

@@ -24,7 +24,7 @@ from occmap.mounts import SUSPECT, correct_mount
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions, Stamps
-from occmap.report import LEAST_AGREEMENT
+from occmap.remarks import LEAST_AGREEMENT
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import Float32, Float64, Pose, Scan, ScanBatch
 from tests.inspection_logs import BEAMS, SCANS, Drive, measure_room, write_bag, write_csv

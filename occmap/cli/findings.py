@@ -17,7 +17,7 @@ from occmap.inspection.findings import (
 )
 from occmap.posing.coverage import Coverage
 from occmap.readers import Role
-from occmap.report import hint_at_tune
+from occmap.remarks import hint_at_tune
 from occmap.wording import count, write_box, write_counts, write_duration, write_span
 
 LABEL = 10

@@ -1,6 +1,7 @@
 """A report as text: aligned lines for people; programs read the JSON."""
 
-from occmap.report import MapSummary, Report, hint_at_tune
+from occmap.remarks import hint_at_tune
+from occmap.report import MapSummary, Report
 from occmap.wording import count, write_box, write_counts
 
 LABEL = 9

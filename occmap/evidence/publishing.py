@@ -14,16 +14,8 @@ from occmap.evidence.persistence import check_passes, render_lasting
 from occmap.evidence.repetition import list_repeated
 from occmap.grid.framing import Framing, frame
 from occmap.grid.tiles import MAX_CELLS
-from occmap.report import (
-    MapFacts,
-    MapSummary,
-    Report,
-    Resumed,
-    ScanCounts,
-    describe_map,
-    list_disagreement,
-    list_unreached,
-)
+from occmap.remarks import list_disagreement, list_unreached
+from occmap.report import MapFacts, MapSummary, Report, Resumed, describe_map
 from occmap.sensor.models import SensorModel, describe_model
 from occmap.sensor.returns import ReturnCounts
 from occmap.store.reading import Store
@@ -37,6 +29,7 @@ from occmap.store.rendering import (
 )
 from occmap.store.sources import Blocks, Saved, as_blocks, read_all
 from occmap.store.writer import ZarrWriter
+from occmap.tally import ScanCounts
 from occmap.types import Evidence, Manifest, OccupancyMap
 from occmap.writers import (
     Product,

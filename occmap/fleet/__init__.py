@@ -35,7 +35,8 @@ from occmap.grid.slices import unite
 from occmap.grid.stacks import view_tiles
 from occmap.observing import Keep, Observed, Progress
 from occmap.options import BuildOptions
-from occmap.report import Remarks, Tally
+from occmap.remarks import Remarks
+from occmap.tally import Tally
 from occmap.tracing import make_grid
 from occmap.types import Slices
 

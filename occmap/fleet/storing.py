@@ -23,17 +23,8 @@ from occmap.grid.rendering import count_agreeing, paint
 from occmap.observing import Keep, Progress
 from occmap.options import BuildOptions
 from occmap.pipeline import list_contradictions, list_inputs, make_report
-from occmap.report import (
-    MapFacts,
-    Report,
-    Shares,
-    list_frames,
-    list_idle_and_repeated,
-    list_lacking,
-    note_idle_end,
-    refuse_unseen,
-    refuse_unused,
-)
+from occmap.remarks import list_frames, list_idle_and_repeated, list_lacking, note_idle_end
+from occmap.report import MapFacts, Report, Shares
 from occmap.sensor.models import find_decision
 from occmap.store.blocks import BLOCK, Block, BlockContent, BlockRecord
 from occmap.store.layout import import_zarr, refuse_unwritable
@@ -45,6 +36,7 @@ from occmap.store.writing import (
     write_block,
     write_classes,
 )
+from occmap.tally import refuse_unseen, refuse_unused
 from occmap.types import Manifest, OccupancyMap, to_log_odds
 from occmap.writers import check_outputs
 from occmap.writers.atomic import follow_links

@@ -26,8 +26,8 @@ from occmap.opening import count_scans
 from occmap.options import BuildOptions
 from occmap.posing.leaps import Ends, Laser
 from occmap.readers import Note, open_log, read_scans, split_log
-from occmap.report import Tally
 from occmap.sensor.no_return import RangeLimits
+from occmap.tally import Tally
 from occmap.tracing import Drive, choose_engine, open_drive, trace
 from occmap.types import Float64, Rays
 

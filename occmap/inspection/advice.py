@@ -9,7 +9,7 @@ from occmap.inspection.findings import LogFindings, ScanFindings
 from occmap.mounts import describe_misfit
 from occmap.options import BuildOptions
 from occmap.posing.concerns import Concern
-from occmap.report import LEAST_AGREEMENT
+from occmap.remarks import LEAST_AGREEMENT
 from occmap.wording import count
 
 SHARE_OF_NOTE = 0.05

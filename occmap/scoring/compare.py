@@ -13,10 +13,11 @@ from occmap.opening import count_scans
 from occmap.options import DEFAULT_UPDATE, BuildOptions
 from occmap.plain import Count, Finite, Share, Told, to_plain
 from occmap.readers import open_log
-from occmap.report import Remarks, ScanCounts, Tally, list_frames, refuse_unused
+from occmap.remarks import Remarks, list_frames
 from occmap.scoring.score import Score
 from occmap.scoring.trials import SMALL, HoldOut, Result, Trials
 from occmap.scoring.variants import Variant, shorten_model
+from occmap.tally import ScanCounts, Tally, refuse_unused
 from occmap.tracing import trace_logs
 from occmap.types import Update
 from occmap.wording import count

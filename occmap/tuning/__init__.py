@@ -10,8 +10,9 @@ from occmap.observing import Progress, ignore_progress
 from occmap.opening import count_scans
 from occmap.options import BuildOptions
 from occmap.readers import open_log
-from occmap.report import LEAST_AGREEMENT, Remarks, Tally
+from occmap.remarks import LEAST_AGREEMENT, Remarks
 from occmap.scoring.compare import FEW_SCANS
+from occmap.tally import Tally
 from occmap.tuning.kept import MOST_SCANS, KeptLog, find_mount, keep_logs
 from occmap.tuning.result import Tuning
 from occmap.tuning.search import TIME, TOGETHER, YAW, Correction, Course, Knob, X, Y

@@ -11,9 +11,10 @@ from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
 from occmap.readers import Log, read_scans
-from occmap.report import Remarks, Tally, list_frames, name_logs, refuse_unused
+from occmap.remarks import Remarks, list_frames
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import ReturnOptions, interpret
+from occmap.tally import Tally, name_logs, refuse_unused
 from occmap.tracing import open_drive
 from occmap.types import Float64, Pose, PosedScans, Rays, Scan, ScanBatch, ScanRun
 

@@ -6,9 +6,10 @@ from typing import Any, TypedDict
 from occmap.command import compose_build
 from occmap.options import BuildOptions
 from occmap.plain import Count, Finite, Share, Told, to_plain
-from occmap.report import LEAST_AGREEMENT, Remarks, Tally
+from occmap.remarks import LEAST_AGREEMENT, Remarks
 from occmap.scoring.compare import HeldOutScans, describe_run
 from occmap.scoring.score import Trial
+from occmap.tally import Tally
 from occmap.tuning.search import Correction
 from occmap.tuning.verdict import Finding, Gain, Verdict
 from occmap.types import Pose

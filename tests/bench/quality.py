@@ -27,10 +27,10 @@ from occmap.grid.tiles import MAX_CELLS, TileGrid
 from occmap.jit import kernel
 from occmap.options import BuildOptions
 from occmap.readers import open_log
-from occmap.report import Tally
 from occmap.scoring.compare import refuse_unscored
 from occmap.scoring.score import Score, estimate_error, score_map
 from occmap.scoring.trials import HoldOut, SharedEvidence
+from occmap.tally import Tally
 from occmap.tracing import trace_logs
 from occmap.types import Bool, Float64, OccupancyMap, Rays
 from tests.bench.peers import CLASSES_ONLY, map_peers

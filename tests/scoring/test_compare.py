@@ -12,7 +12,7 @@ from occmap.batching import Selection
 from occmap.errors import LogError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions
 from occmap.pipeline import build
-from occmap.report import Remarks, Tally
+from occmap.remarks import Remarks
 from occmap.scoring.compare import VariantComparison, compare
 from occmap.scoring.score import Score, estimate_error
 from occmap.scoring.trials import HoldOut, Result
@@ -25,6 +25,7 @@ from occmap.sensor.models import (
     parse_model,
 )
 from occmap.sensor.returns import ReturnOptions
+from occmap.tally import Tally
 from occmap.types import Kind, OccupancyMap, Rays, Update
 from tests.samples import PLAIN, REAL_LOGS, SAMPLE_LOGS, write_csv
 

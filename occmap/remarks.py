@@ -1,0 +1,122 @@
+"""What is said of logs and of a map beside numbers."""
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from occmap.batching import LeftOut, Selection
+from occmap.readers import Note
+from occmap.report import MapFacts, Resumed
+from occmap.sensor.bounds import Clamped
+from occmap.sensor.models import SensorModel, find_decision
+from occmap.tally import Tally
+from occmap.writers import WriteOptions, list_idle
+
+LONGEST_LOG_S = 1e8
+"""Three years: a time that is later is a date."""
+LEAST_AGREEMENT = 0.55
+"""At 5 cm, logs with sound poses reach 0.68 to 0.94, raw odometry 0.72; noise of 10 cm in the poses
+of the same logs leaves 0.27 to 0.56."""
+DOUBTFUL_AGREEMENT = 0.78
+"""Logs with corrected poses reach 0.80 to 0.87 at 5 cm. Those with odometry, below this, have walls
+that are doubled here and there, and `tune` takes a floor from 0.72 to 0.85."""
+
+
+class Noted(Protocol):
+    """A log, or what stands for a log that another process read."""
+
+    @property
+    def path(self) -> Path:
+        """Where it is."""
+
+    @property
+    def notes(self) -> Sequence[Note]:
+        """What its reader has to say."""
+
+
+@dataclass
+class Remarks:
+    """What is said of logs beside numbers; it grows while they are read."""
+
+    logs: list[str]
+    notes: list[str] = field(default_factory=list)
+    damage: list[str] = field(default_factory=list)
+    files: list[str] = field(default_factory=list)
+
+    def note(self, log: Noted, others: Iterable[str]) -> None:
+        """Keep the notes of a log, and the notes of others on it."""
+        self.notes += [f"{log.path}: {text}" for text in (*others, *(n.text for n in log.notes))]
+        self.damage += [f"{log.path}: {note.text}" for note in log.notes if note.damage]
+
+
+def list_idle_and_repeated(
+    logs: Sequence[object], outputs: Sequence[Path], writing: WriteOptions, model: SensorModel
+) -> Iterator[str]:
+    """Say which options do nothing, and which logs were given more than once and count as often."""
+    yield from list_idle(outputs, writing)
+    yield from list_unreached(model, writing)
+    for log, times in Counter(map(str, logs)).items():
+        if times > 1:
+            yield f"{log}: given {times} times, and counted as often"
+
+
+def list_frames(tally: Tally) -> Iterator[str]:
+    """Say that logs are mapped in frames of different names, which may lie anywhere."""
+    first = {frame: log for log, frame in reversed(tally.frames.items()) if frame}
+    if len(first) > 1:
+        named = ", ".join(f"{log} in {frame}" for frame, log in reversed(first.items()))
+        yield (
+            f"the logs are mapped in different frames: {named}; where these do not lie on each "
+            "other, choose one with `map_frame`, or build each log alone with its own `transform` "
+            "and merge them"
+        )
+
+
+def list_lacking(tally: Tally, resumed: Resumed | None) -> Iterator[str]:
+    """Say that the logs show no walls."""
+    if not tally.beams.hit:
+        lack = "of the logs hit anything" if resumed else "hit anything, so the map has no walls"
+        yield f"no beam {lack}: see the ranges in `occmap check`"
+
+
+def note_idle_end(selection: Selection, tally: Tally) -> Iterator[str]:
+    """Say that `end_s` leaves nothing out: it may be meant as a date."""
+    end_s = selection.end_s
+    if end_s < math.inf and (end_s > LONGEST_LOG_S or str(LeftOut.TIME) not in tally.dropped):
+        yield f"`end_s={end_s:.12g}` leaves nothing out: it is in seconds after the first scan"
+
+
+def hint_at_tune(agreement: float) -> str:
+    """What to try where the agreement is poor, though it may be as good as it gets; else empty.
+
+    It stands beside the number and is no note, as nothing need be wrong. Where the agreement is
+    poorer still, a note says more.
+    """
+    if not LEAST_AGREEMENT <= agreement < DOUBTFUL_AGREEMENT:
+        return ""
+    return "; walls may be doubled: `occmap tune LOG` looks for a wrong clock or mount"
+
+
+def list_disagreement(facts: MapFacts) -> Iterator[str]:
+    """Say that the scans of a map contradict each other."""
+    agreement = facts.agreement
+    if agreement is not None and agreement < LEAST_AGREEMENT and facts.has_walls:
+        yield (
+            f"only {agreement:.0%} of the hits lie in cells that the map calls occupied: the "
+            "poses do not fit the scans; see `occmap check`, try `occmap tune`, another "
+            "`time_offset_s` or another trajectory"
+        )
+
+
+def list_unreached(model: SensorModel, writing: WriteOptions) -> Iterator[str]:
+    """Say which class no cell can have, because of the bounds of the model."""
+    if not isinstance(model, Clamped):
+        return
+    free, occupied = writing.decide(find_decision(model))
+    if model.clamp_max <= occupied:
+        yield f"no cell can be occupied: clamp_max {model.clamp_max:g} is not above {occupied:g}"
+    if model.clamp_min >= free:
+        yield f"no cell can be free: clamp_min {model.clamp_min:g} is not below {free:g}"

@@ -1,0 +1,186 @@
+"""What is counted and timed while a map is built."""
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from threading import Lock, local
+from time import perf_counter
+from typing import Any, TypeVar
+
+from occmap.batching import LeftOut, count_wanted
+from occmap.errors import LogError, MapError, PoseError
+from occmap.journey import JourneyRecorder
+from occmap.plain import Count
+from occmap.posing.options import DropReason
+from occmap.sensor.returns import ReturnCounts
+from occmap.wording import write_counts
+
+Item = TypeVar("Item")
+REASON_ORDER = tuple(map(str, (*DropReason, *LeftOut)))
+"""Why scans are not used, in the order in which reports list it"""
+_LOCK = Lock()
+_WITHIN = local()
+"""How long the stages took that are part of the one that runs in a thread (s)"""
+
+
+def ignore_advance(_scans: int) -> None:
+    """Show no progress."""
+
+
+@dataclass(frozen=True)
+class ScanCounts:
+    """What became of the scans."""
+
+    read: Count
+    """Scans in the logs"""
+    used: Count
+    """Scans in the map, or, where maps are scored, scans with a pose"""
+    dropped: dict[str, Count]
+    """Scans that are not used, by reason"""
+
+    @property
+    def wanted(self) -> int:
+        """Scans that the user asked for."""
+        return count_wanted(self.read, self.dropped)
+
+    @property
+    def dropped_share(self) -> float:
+        """The share of these that are not used; 0 of nothing."""
+        return (self.wanted - self.used) / max(self.wanted, 1)
+
+
+class Tally:
+    """Counts and times that grow while a map is built.
+
+    Any thread may call `time`; all other methods belong to one thread.
+    """
+
+    def __init__(
+        self,
+        tell: Callable[[int], None] = ignore_advance,
+        recorder: JourneyRecorder | None = None,
+    ) -> None:
+        self.tell = tell
+        """Called now and then with the scans read since the last call"""
+        self.told = 0
+        self.recorder = recorder
+        """Learns where the scans were taken, where an output wants that"""
+        self.seconds: dict[str, float] = {}
+        self.scans_read = self.scans_used = 0
+        self.dropped: dict[str, int] = {}
+        self.beams = ReturnCounts()
+        self.frames: dict[str, str | None] = {}
+        """In which frame each log is mapped; None where it states poses and names no frame"""
+        self.lasers = 0
+        """The most topics of scans that any log has"""
+
+    @property
+    def scans(self) -> ScanCounts:
+        """What became of the scans so far."""
+        return ScanCounts(self.scans_read, self.scans_used, dict(self.dropped))
+
+    def start_over(self) -> "Tally":
+        """Make an empty tally with the same listeners, to read the logs once more."""
+        return Tally(self.tell, self.recorder and self.recorder.start_over())
+
+    def advance(self, scans: int) -> None:
+        """Report that so many more scans were read; a negative number takes some back."""
+        self.told += scans
+        self.tell(scans)
+
+    def add(self, other: "Tally") -> None:
+        """Add the counts and times of another tally."""
+        if self.recorder and other.recorder:
+            self.recorder.add(other.recorder)
+        self.frames |= other.frames
+        self.lasers = max(self.lasers, other.lasers)
+        self.scans_read += other.scans_read
+        self.drop(other.dropped)
+        self.use(other.scans_used, other.beams)
+        for stage, seconds in other.seconds.items():
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
+
+    def drop(self, reasons: dict[Any, int]) -> None:
+        """Count scans that are not used, by reason."""
+        for reason, scans in reasons.items():
+            self.dropped[str(reason)] = self.dropped.get(str(reason), 0) + scans
+        self.dropped = {why: self.dropped[why] for why in REASON_ORDER if why in self.dropped}
+
+    def use(self, scans: int, beams: ReturnCounts) -> None:
+        """Count scans that are used, and what their beams meant."""
+        self.scans_used += scans
+        self.beams += beams
+
+    def to_json(self) -> dict[str, Any]:
+        """What became of the scans and their beams, as JSON values."""
+        return {**vars(self.scans), "beams": self.beams._asdict()}
+
+    def list_seconds(self) -> dict[str, float]:
+        """The time of each stage (s), as it is printed."""
+        return {stage: round(seconds, 4) for stage, seconds in self.seconds.items()}
+
+    @contextmanager
+    def time(self, stage: str) -> Iterator[None]:
+        """Add the time of a block to a stage, but for stages within it; threads add up."""
+        start, outer = perf_counter(), getattr(_WITHIN, "seconds", 0.0)
+        _WITHIN.seconds = 0.0
+        try:
+            yield
+        finally:
+            seconds = perf_counter() - start
+            own, _WITHIN.seconds = seconds - _WITHIN.seconds, outer + seconds
+            with _LOCK:
+                self.seconds[stage] = self.seconds.get(stage, 0.0) + own
+
+    def time_each(self, stage: str, items: Iterator[Item]) -> Iterator[Item]:
+        """Pass items on, and add the time that each takes to come to a stage."""
+        while True:
+            with self.time(stage):
+                item = next(items, None)
+            if item is None:
+                return
+            yield item
+
+
+def refuse_unused(logs: Sequence[object], tally: Tally) -> None:
+    """Refuse to make a map of nothing.
+
+    Raises
+    ------
+    LogError, PoseError
+        No scan was used; the message says why.
+    """
+    if tally.scans_used:
+        return
+    where = name_logs(logs)
+    reasons = ", ".join(f"{count} {reason}" for reason, count in tally.dropped.items())
+    if tally.scans_read:
+        raise PoseError(
+            f"none of {tally.scans_read} scans can be used: {reasons}",
+            where=where,
+            fix="`occmap check` shows the times of scans and poses",
+        )
+    raise LogError("holds no laser scan that can be read", where=where)
+
+
+def refuse_unseen(logs: Sequence[object], tally: Tally, seen: Collection[object]) -> None:
+    """Refuse to make a map in which no tile, or block of tiles, was seen.
+
+    Raises
+    ------
+    MapError
+        Saying what the beams of all scans were read as.
+    """
+    if seen:
+        return
+    clear = ", or try `no_return=clear`" if tally.beams.no_return else ""
+    raise MapError(
+        f"no beam of any scan observed a cell: {write_counts(tally.beams.by_name)}",
+        where=name_logs(logs),
+        fix=f"see the ranges in `occmap check`{clear}",
+    )
+
+
+def name_logs(logs: Sequence[object]) -> str:
+    """Name the logs, given as paths, that an error is about."""
+    return ", ".join(map(str, logs))
