@@ -12,7 +12,8 @@ from occmap.grid.rendering import read_cells
 from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
 from occmap.report import Report
 from occmap.types import Evidence, Float64, OccupancyMap
-from occmap.writers import Product, WriteOptions, check_outputs, write_outputs
+from occmap.writers import Product, WriteOptions
+from occmap.writers.outputs import check_outputs, write_outputs
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

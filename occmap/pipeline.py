@@ -33,8 +33,9 @@ from occmap.report import MapFacts, MapSummary, Report, describe_map
 from occmap.sensor.models import SensorModel
 from occmap.tally import Tally, refuse_unseen, refuse_unused
 from occmap.types import Evidence, Manifest, OccupancyMap
-from occmap.writers import Product, check_outputs, want_evidence, want_journey, write_outputs
+from occmap.writers import Product
 from occmap.writers.atomic import hold_alone
+from occmap.writers.outputs import check_outputs, want_evidence, want_journey, write_outputs
 
 
 class Build(NamedTuple):

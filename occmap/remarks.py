@@ -13,7 +13,8 @@ from occmap.report import MapFacts, Resumed
 from occmap.sensor.bounds import Clamped
 from occmap.sensor.models import SensorModel, find_decision
 from occmap.tally import Tally
-from occmap.writers import WriteOptions, list_idle
+from occmap.writers import WriteOptions
+from occmap.writers.outputs import list_idle
 
 LONGEST_LOG_S = 1e8
 """Three years: a time that is later is a date."""

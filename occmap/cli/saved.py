@@ -17,7 +17,8 @@ from occmap.grid.framing import Framing
 from occmap.keywords import take
 from occmap.sensor.models import SensorModel
 from occmap.store.sources import Saved
-from occmap.writers import WriteOptions, check_outputs
+from occmap.writers import WriteOptions
+from occmap.writers.outputs import check_outputs
 
 
 def put_out(console: Console, command: str, evidence: Saved, values: dict[str, Any]) -> None:

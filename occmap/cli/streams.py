@@ -17,7 +17,8 @@ from occmap.errors import UsageError
 from occmap.inputs import STDIN, find_inputs, keep_stdin
 from occmap.options import BuildOptions
 from occmap.report import Report
-from occmap.writers import FolderWriter, find_writer
+from occmap.writers import FolderWriter
+from occmap.writers.outputs import find_writer
 
 STDOUT = "-"
 SCRATCH = "occmap-stdout-"

@@ -13,7 +13,8 @@ from occmap.errors import MapError
 from occmap.grid.tiles import MAX_CELLS
 from occmap.plain import Count, Share, to_plain
 from occmap.types import Box, CellClass, UInt8
-from occmap.writers import WriteOptions, check_picture, is_page, refuse_input
+from occmap.writers import WriteOptions
+from occmap.writers.outputs import check_picture, is_page, refuse_input
 
 LATTICE_TOLERANCE = 0.05
 """In cells: other tools round the origin to millimetres."""

@@ -31,11 +31,8 @@ from occmap.store.sources import Blocks, Saved, as_blocks, read_all
 from occmap.store.writer import ZarrWriter
 from occmap.tally import ScanCounts
 from occmap.types import Evidence, Manifest, OccupancyMap
-from occmap.writers import (
-    Product,
-    ProductWriter,
-    WindowWriter,
-    WriteOptions,
+from occmap.writers import Product, ProductWriter, WindowWriter, WriteOptions
+from occmap.writers.outputs import (
     check_outputs,
     find_writer,
     list_idle,

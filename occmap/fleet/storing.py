@@ -38,8 +38,8 @@ from occmap.store.writing import (
 )
 from occmap.tally import refuse_unseen, refuse_unused
 from occmap.types import Manifest, OccupancyMap, to_log_odds
-from occmap.writers import check_outputs
 from occmap.writers.atomic import follow_links
+from occmap.writers.outputs import check_outputs
 
 
 class StoreJob(NamedTuple):

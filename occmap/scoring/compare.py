@@ -21,7 +21,7 @@ from occmap.tally import ScanCounts, Tally, refuse_unused
 from occmap.tracing import trace_logs
 from occmap.types import Update
 from occmap.wording import count
-from occmap.writers import check_picture, is_page
+from occmap.writers.outputs import check_picture, is_page
 
 FEW_SCANS = 10
 """Fewer draws do not tell how far the next one may lie from them."""

@@ -10,7 +10,8 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.rotations import rotate_by
 from occmap.types import Evidence, Journey, OccupancyMap, Pose, Trajectory
-from occmap.writers import MapMode, Product, WriteOptions, write_outputs
+from occmap.writers import MapMode, Product, WriteOptions
+from occmap.writers.outputs import write_outputs
 from tests.map_loaders import load_nav2
 from tests.writers.maps import map_of, map_of_art
 

@@ -15,7 +15,7 @@ from occmap.gates.measures import CHECK
 from occmap.inspection import inspect
 from occmap.keywords import take
 from occmap.options import BuildOptions
-from occmap.writers import check_picture
+from occmap.writers.outputs import check_picture
 
 HELP = f"""{COMMANDS["check"]}
 
