@@ -150,12 +150,14 @@ def open_scratch(
     OutputError
         The folder cannot be made.
     """
+    poses = options.posing.poses
+    inputs = [*paths, Path(poses)] if poses else paths
     what = [
         version("occmap"),
         {name: value for name, value in write_value(options).items() if name not in UNRECORDED},
         keep,
         fleet.slice_bytes,
-        [[str(path), *describe_state(path)] for path in paths],
+        [[str(path), *describe_state(path)] for path in inputs],
     ]
     digest = hashlib.sha256(json.dumps(what).encode()).hexdigest()[:16]
     folder = fleet.scratch.absolute() / f"build-{digest}"
@@ -170,7 +172,7 @@ def open_scratch(
 
 
 def describe_state(path: Path) -> list[int]:
-    """Sizes and times of change (ns) of the files of a log; nothing of one that is not there."""
+    """Sizes and times of change (ns) of the files of an input; nothing of one that is not there."""
     inner = sorted(path.rglob("*")) if path.is_dir() else [path] if path.exists() else []
     return [number for each in inner for number in (each.stat().st_size, each.stat().st_mtime_ns)]
 

@@ -16,12 +16,13 @@ import pytest
 from distributed import Client
 
 from occmap.errors import FleetError, LogError, UsageError
-from occmap.fleet import Fleet, cluster
+from occmap.fleet import Fleet, cluster, open_scratch
 from occmap.fleet.cluster import open_cluster
 from occmap.fleet.storing import build_store
-from occmap.observing import ignore_progress
+from occmap.observing import Keep, ignore_progress
 from occmap.options import BuildOptions
 from occmap.pipeline import build
+from occmap.posing.options import PosingOptions
 from occmap.store.blocks import digest_evidence
 from occmap.store.reading import open_store
 from tests.samples import DRIVES
@@ -209,3 +210,21 @@ def test_dask_is_not_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             [tmp_path / "map.pgm"],
             observe=Fleet("local", tmp_path / "scratch").observe,
         )
+
+
+def interrupt(fleet: Fleet, options: BuildOptions) -> Path:
+    """The folder of a build that was interrupted."""
+    with pytest.raises(KeyboardInterrupt), open_scratch(fleet, LOGS, options, Keep()) as folder:
+        raise KeyboardInterrupt
+    return folder
+
+
+def test_a_build_goes_on_only_where_its_trajectory_is_the_same(tmp_path: Path) -> None:
+    poses = tmp_path / "poses.tum"
+    options = replace(OPTIONS, posing=PosingOptions(poses=str(poses)))
+    fleet = Fleet("local", tmp_path / "scratch")
+    poses.write_text("0 0 0 0 0 0 0 1\n")
+    begun = interrupt(fleet, options)
+    assert interrupt(fleet, options) == begun
+    poses.write_text("0 5 0 0 0 0 0 1\n9 5 0 0 0 0 0 1\n")
+    assert interrupt(fleet, options) != begun
