@@ -6,10 +6,9 @@ from occmap.fleet.runs import (
     BlockKey,
     Content,
     Piece,
+    do_once,
     read_pieces,
-    read_stub,
     write_run,
-    write_stub,
 )
 from occmap.fleet.tasks import Setting
 from occmap.grid.slices import unite
@@ -41,12 +40,11 @@ def reduce_block(job: ReduceJob) -> Piece:
     """
     folder, (row, col) = job.setting.folder, job.block
     name = f"block{row}_{col}"
-    if (known := read_stub(folder / f"{name}.sum")) is not None:
-        done: Piece = known
-        return done
-    piece = write_run(folder, f"{name}.run", [(job.block, add_up(job))])[job.block]
-    write_stub(folder / f"{name}.sum", piece)
-    return piece
+
+    def reduce() -> Piece:
+        return write_run(folder, f"{name}.run", [(job.block, add_up(job))])[job.block]
+
+    return do_once(folder / f"{name}.sum", reduce)
 
 
 def add_up(job: ReduceJob) -> Content:

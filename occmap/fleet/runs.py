@@ -5,11 +5,11 @@ are renamed into place, the stub last: where it is there, the task is done for g
 """
 
 import pickle
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from io import BytesIO
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 import zstandard
@@ -20,6 +20,8 @@ from occmap.grid.stacks import stack_tiles
 from occmap.grid.tiles import TileGrid
 from occmap.types import Int64, Slices
 from occmap.writers.atomic import open_atomic
+
+Result = TypeVar("Result")
 
 BLOCK_TILES = 16
 """Tiles along the side of a block"""
@@ -156,6 +158,22 @@ def read_mapped(path: Path) -> Any:
     with path.with_suffix(".arrays").open("rb") as file:
         data = memoryview(mmap(file.fileno(), 0, access=ACCESS_READ))
     return pickle.loads(head, buffers=[data[start : start + size] for start, size in spans])
+
+
+def do_once(stub: Path, task: Callable[[], Result]) -> Result:
+    """Do a task and keep its result, or give the result of a task that is done.
+
+    Raises
+    ------
+    OccmapError
+        As the task, or its result cannot be written.
+    """
+    known: Result | None = read_stub(stub)
+    if known is not None:
+        return known
+    result = task()
+    write_stub(stub, result)
+    return result
 
 
 def write_stub(path: Path, value: Any) -> None:

@@ -16,7 +16,7 @@ from occmap.evidence.manifest import describe_build, describe_files, plan_manife
 from occmap.evidence.repetition import list_repeated
 from occmap.fleet import Fleet, Work, list_reductions
 from occmap.fleet.reducing import ReduceJob, add_up
-from occmap.fleet.runs import read_stub, write_stub
+from occmap.fleet.runs import do_once, read_stub, write_stub
 from occmap.fleet.tasks import Setting, SurveyJob, hash_log
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing, paint
@@ -181,14 +181,12 @@ def store_block(job: StoreJob) -> BlockRecord:
         A run file cannot be read, or the store cannot be written.
     """
     row, col = job.block.block
-    stub = job.block.setting.folder / f"block{row}_{col}.stored"
-    if (known := read_stub(stub)) is not None:
-        done: BlockRecord = known
-        return done
-    tiles, cells, slices = add_up(job.block)
-    record = write_block(job.store, Block(row, col), BlockContent(tiles, cells, slices, job.logs))
-    write_stub(stub, record)
-    return record
+
+    def store() -> BlockRecord:
+        content = BlockContent(*add_up(job.block), job.logs)
+        return write_block(job.store, Block(row, col), content)
+
+    return do_once(job.block.setting.folder / f"block{row}_{col}.stored", store)
 
 
 def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> MapFacts:

@@ -5,6 +5,7 @@ Each leaves its result in the scratch folder and gives it at once where it is th
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from occmap.evidence.manifest import describe_files
 from occmap.fleet.runs import (
     BlockKey,
     Piece,
+    do_once,
     read_mapped,
     read_stub,
     split_blocks,
@@ -209,13 +211,7 @@ def trace_part(job: TraceJob) -> Traced:
     OccmapError
         As `trace`, or the scratch folder cannot be written.
     """
-    stub = job.setting.folder / f"{job.name}.trace"
-    if (known := read_stub(stub)) is not None:
-        done: Traced = known
-        return done
-    traced = trace_job(job)
-    write_stub(stub, traced)
-    return traced
+    return do_once(job.setting.folder / f"{job.name}.trace", partial(trace_job, job))
 
 
 def trace_job(job: TraceJob) -> Traced:
