@@ -20,7 +20,7 @@ from occmap.errors import OutputError
 from occmap.evidence.manifest import UNRECORDED, write_value
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
 from occmap.fleet.reducing import ReduceJob, reduce_block
-from occmap.fleet.runs import BlockKey, Piece, read_pieces
+from occmap.fleet.runs import Piece, read_pieces
 from occmap.fleet.settling import LogTrace
 from occmap.fleet.tasks import (
     Setting,
@@ -36,6 +36,7 @@ from occmap.grid.stacks import view_tiles
 from occmap.observing import Keep, Observed, Progress
 from occmap.options import BuildOptions
 from occmap.remarks import Remarks
+from occmap.store.blocks import Block
 from occmap.tally import Tally
 from occmap.tracing import make_grid
 from occmap.types import Slices
@@ -62,7 +63,7 @@ class Work(NamedTuple):
     setting: Setting
     tally: Tally
     remarks: Remarks
-    blocks: dict[BlockKey, dict[int, list[Piece]]]
+    blocks: dict[Block, dict[int, list[Piece]]]
     """Of each block of the map, by the places of logs on the command line"""
 
 
@@ -116,7 +117,7 @@ class Fleet:
             setting = self.plan(cluster, options, keep, folder, len(paths))
             with tally.time("open"):
                 surveys = survey_logs(cluster, setting, paths)
-            blocks: dict[BlockKey, dict[int, list[Piece]]] = {}
+            blocks: dict[Block, dict[int, list[Piece]]] = {}
             for log in trace_parts(cluster, setting, surveys, progress):
                 remarks.note(log, log.list_findings())
                 for part in log.parts:

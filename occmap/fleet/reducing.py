@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 from occmap.fleet.runs import (
-    BlockKey,
     Content,
     Piece,
     do_once,
@@ -13,6 +12,7 @@ from occmap.fleet.runs import (
 from occmap.fleet.tasks import Setting
 from occmap.grid.slices import unite
 from occmap.grid.stacks import add_stack, stack_tiles
+from occmap.store.blocks import Block
 from occmap.tracing import make_grid
 from occmap.types import Slices
 
@@ -21,13 +21,13 @@ class ReduceJob(NamedTuple):
     """A block to be added up."""
 
     setting: Setting
-    block: BlockKey
+    block: Block
     pieces: tuple[Piece, ...]
 
     @property
     def where(self) -> str:
         """What an error is about."""
-        return f"block {self.block}"
+        return f"block {tuple(self.block)}"
 
 
 def reduce_block(job: ReduceJob) -> Piece:

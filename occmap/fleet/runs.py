@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from io import BytesIO
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import zstandard
@@ -18,18 +18,14 @@ from occmap.errors import MapError
 from occmap.grid.slices import take
 from occmap.grid.stacks import stack_tiles
 from occmap.grid.tiles import TileGrid
+from occmap.store.blocks import Block, group_by_block
 from occmap.types import Int64, Slices
 from occmap.writers.atomic import open_atomic
 
 Result = TypeVar("Result")
 
-BLOCK_TILES = 16
-"""Tiles along the side of a block"""
 ALIGNED = 64
 """Arrays begin at multiples of this (bytes)"""
-
-BlockKey: TypeAlias = tuple[int, int]
-"""Row and column of a block in the lattice of blocks."""
 
 
 class Piece(NamedTuple):
@@ -52,29 +48,20 @@ class Content(NamedTuple):
     """One where slices of time are kept, in order; else none"""
 
 
-def split_blocks(grid: TileGrid, slices: Sequence[Slices]) -> Iterator[tuple[BlockKey, Content]]:
+def split_blocks(grid: TileGrid, slices: Sequence[Slices]) -> Iterator[tuple[Block, Content]]:
     """Cut evidence into blocks, one after the other: a copy of all of it would not fit."""
     keys = np.array(sorted(grid.keys), np.int64).reshape(-1, 2)
-    layers = [(layer, group_tiles(layer.tiles)) for layer in slices]
+    layers = [(layer, group_by_block(layer.tiles)) for layer in slices]
     nothing = np.zeros(0, np.int64)
-    for block, which in group_tiles(keys).items():
+    for block, which in group_by_block(keys).items():
         part = {(row, col): grid.tiles[row, col] for row, col in keys[which].tolist()}
         of_block = (take(layer, places.get(block, nothing)) for layer, places in layers)
         yield block, Content(*stack_tiles(part), tuple(of_block))
 
 
-def group_tiles(tiles: Int64) -> dict[BlockKey, Int64]:
-    """Which of the tiles (T, 2) lie in each block, in their order."""
-    blocks, which = np.unique(tiles // BLOCK_TILES, axis=0, return_inverse=True)
-    return {
-        (row, col): np.flatnonzero(which == place)
-        for place, (row, col) in enumerate(blocks.tolist())
-    }
-
-
 def write_run(
-    folder: Path, name: str, parts: Iterable[tuple[BlockKey, Content]]
-) -> dict[BlockKey, Piece]:
+    folder: Path, name: str, parts: Iterable[tuple[Block, Content]]
+) -> dict[Block, Piece]:
     """Write a run file; say where each block lies in it.
 
     Raises

@@ -143,7 +143,7 @@ def take_known(known: dict[Path, list[dict[str, Any]]], path: Path) -> Iterable[
 
 
 def open_target(
-    setting: Setting, output: Path, manifest: Manifest, blocks: Iterable[tuple[int, int]]
+    setting: Setting, output: Path, manifest: Manifest, blocks: Iterable[Block]
 ) -> Path:
     """Create a store where only a rename is missing, or find the one that was begun."""
     target = follow_links(output)
@@ -154,7 +154,7 @@ def open_target(
         shutil.rmtree(store, ignore_errors=True)
         for done in setting.folder.glob("*.stored"):
             done.unlink()
-        create_store(store, manifest, (Block(*block) for block in blocks))
+        create_store(store, manifest, blocks)
         write_stub(stub, True)
     return store
 
@@ -184,7 +184,7 @@ def store_block(job: StoreJob) -> BlockRecord:
 
     def store() -> BlockRecord:
         content = BlockContent(*add_up(job.block), job.logs)
-        return write_block(job.store, Block(row, col), content)
+        return write_block(job.store, job.block.block, content)
 
     return do_once(job.block.setting.folder / f"block{row}_{col}.stored", store)
 
@@ -221,15 +221,7 @@ def paint_block(job: PaintJob) -> Measured:
         if job.is_written:
             write_classes(root, job.block, made.classes)
     written = replace(made, decision=job.setting.options.writing.decide(made.decision))
-    rows, cols = (np.flatnonzero(made.observed.any(axis=axis)) for axis in (1, 0))
-    reach = None
-    if rows.size:
-        reach = CellBox(
-            box.row + int(rows[0]),
-            box.col + int(cols[0]),
-            box.row + int(rows[-1]) + 1,
-            box.col + int(cols[-1]) + 1,
-        )
+    reach = CellBox.around(made.observed, box.row, box.col)
     masks = made.observed, written.occupied, written.free, made.occupied
     observed, occupied, free, walls = (int(np.count_nonzero(mask)) for mask in masks)
     agreeing, hits = count_agreeing(grid, made.occupied, box)

@@ -13,7 +13,6 @@ from occmap.batching import Seam, Selector
 from occmap.errors import LogError, PoseError
 from occmap.evidence.manifest import describe_files
 from occmap.fleet.runs import (
-    BlockKey,
     Piece,
     do_once,
     read_mapped,
@@ -29,6 +28,7 @@ from occmap.options import BuildOptions
 from occmap.posing.leaps import Ends, Laser
 from occmap.readers import Note, open_log, read_scans, split_log
 from occmap.sensor.no_return import RangeLimits
+from occmap.store.blocks import Block
 from occmap.tally import Tally
 from occmap.tracing import Drive, choose_engine, open_drive, trace
 from occmap.types import Float64, Rays
@@ -124,7 +124,7 @@ class Traced:
     """Where the scans of each laser begin and end"""
     bounds: dict[str, Float64] = field(default_factory=dict)
     """(2, 3) around the sensor of each topic (m)"""
-    pieces: Mapping[BlockKey, tuple[Piece, ...]] = field(default_factory=dict)
+    pieces: Mapping[Block, tuple[Piece, ...]] = field(default_factory=dict)
 
 
 def survey_log(job: SurveyJob) -> Survey:
@@ -251,7 +251,7 @@ class RunWriter:
     def __init__(self, job: TraceJob) -> None:
         self._job = job
         self._runs = 0
-        self.pieces: dict[BlockKey, list[Piece]] = {}
+        self.pieces: dict[Block, list[Piece]] = {}
         self._begin()
 
     def _begin(self) -> None:

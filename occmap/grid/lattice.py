@@ -14,7 +14,7 @@ import numpy as np
 
 from occmap.errors import UsageError
 from occmap.grid.kernels.units import CELL_SHIFT, UNITS_PER_CELL
-from occmap.types import Float64, Int64
+from occmap.types import Bool, Float64, Int64
 
 MOST_CELLS_OF_BEAM = 1 << 22
 """The longest beam (cells): an int32 holds its end, with the sensor half as far from the anchor."""
@@ -27,6 +27,18 @@ class CellBox(NamedTuple):
     col: int
     row_end: int
     col_end: int
+
+    @classmethod
+    def around(cls, mask: Bool, row: int, col: int) -> Self | None:
+        """The smallest box around the cells of a mask (H, W) that are true; None: no cell is.
+
+        The mask begins at cell (row, col).
+        """
+        rows, cols = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+        if not rows.size:
+            return None
+        edges = rows[0], cols[0], rows[-1] + 1, cols[-1] + 1
+        return cls(*map(int, edges)).move(row, col)
 
     @property
     def rows(self) -> int:

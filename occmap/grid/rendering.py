@@ -115,10 +115,8 @@ def _list_edges(tiles: TileSource) -> Iterator[CellBox]:
     for key in keys:
         if any(key[axis] in (low[axis], high[axis]) for axis in (0, 1)):
             seen = tiles.observed(*tiles.read(key))
-            row = np.flatnonzero(seen.any(axis=1)) + key[0] * TILE
-            col = np.flatnonzero(seen.any(axis=0)) + key[1] * TILE
-            if row.size:
-                yield CellBox(int(row[0]), int(col[0]), int(row[-1]) + 1, int(col[-1]) + 1)
+            if box := CellBox.around(seen, key[0] * TILE, key[1] * TILE):
+                yield box
 
 
 def paint(

@@ -78,14 +78,11 @@ class BlockRecord(NamedTuple):
 def describe_block(block: Block, content: BlockContent) -> BlockRecord:
     """Say what the table holds of a block."""
     seen = (spread_cells(block, content) != 0).any(axis=0)
-    rows, cols = (np.flatnonzero(seen.any(axis=axis)) for axis in (1, 0))
-    if not rows.size:  # a block where nothing was observed has an empty box at its corner
-        rows = cols = np.array([0, -1])
-    reach = CellBox(int(rows[0]), int(cols[0]), int(rows[-1]) + 1, int(cols[-1]) + 1)
-    corner = block.box
-    shifted = CellBox(*(edge + corner[place % 2] for place, edge in enumerate(reach)))
+    row, col = block.box.row, block.box.col
+    # Of a block where nothing was observed, an empty box at its corner.
+    reach = CellBox.around(seen, row, col) or CellBox(row, col, row, col)
     count = int(np.count_nonzero(seen))
-    return BlockRecord(block, count, shifted, hash_content(content), content.logs)
+    return BlockRecord(block, count, reach, hash_content(content), content.logs)
 
 
 def hash_content(content: BlockContent) -> str:
