@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.posing.leaps import Attached
 from occmap.posing.rotations import to_quaternions
+from occmap.posing.sifting import Attached
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Float64, Int64, Journey, Kind, PosedScans, ScanHits, Trajectory
 
@@ -105,7 +105,5 @@ class JourneyRecorder:
 
 def read_poses(scans: PosedScans) -> Float64:
     """(S, 7) x y z qx qy qz qw of the laser; at the first beam where every beam has its own."""
-    position, rotation = scans.position, scans.rotation
-    if position.ndim == 3:
-        position, rotation = position[:, 0], rotation[:, 0]
+    position, rotation = scans.at_first_beam
     return np.column_stack([position, to_quaternions(rotation)])

@@ -313,6 +313,13 @@ class PosedScans:
         """Select scans by a mask (S,) or by their indices."""
         return type(self)(self.batch.take(scans), self.position[scans], self.rotation[scans])
 
+    @property
+    def at_first_beam(self) -> tuple[Float64, Float64]:
+        """(S, 3) and (S, 3, 3): the sensor's one pose at each scan, or that at its first beam."""
+        if self.position.ndim == 2:
+            return self.position, self.rotation
+        return self.position[:, 0], self.rotation[:, 0]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:

@@ -9,7 +9,7 @@ import numpy as np
 from occmap.batching import FROM_THE_START, Seam
 from occmap.fleet.tasks import Setting, Survey, Traced, TraceJob
 from occmap.posing.course import STANDS, STILL_M
-from occmap.posing.leaps import MOST_PATHS, Ends, Laser
+from occmap.posing.sifting import MOST_PATHS, Ends, Laser
 from occmap.readers import Note
 from occmap.sensor.no_return import RangeLimits
 from occmap.types import Float64

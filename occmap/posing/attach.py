@@ -16,9 +16,9 @@ from occmap.posing.concerns import Concern
 from occmap.posing.course import STANDS, Course, list_tilts
 from occmap.posing.frames import Edge, Source, Step
 from occmap.posing.jumps import JumpWatch
-from occmap.posing.leaps import Attached, Ends, Laser, LeapFilter
 from occmap.posing.options import Deskew, PosingOptions, Stamps
 from occmap.posing.resolve import resolve
+from occmap.posing.sifting import Attached, Ends, Laser, LeapFilter
 from occmap.posing.sources import Sources, gather
 from occmap.posing.tracks import MAX_STAMP_NS, Track, TrackBuilder, find_usable
 from occmap.types import (
@@ -71,7 +71,7 @@ class Poser:
     """By topic: how its sensor sat, and where it went."""
 
     def __post_init__(self) -> None:
-        self._leaps = LeapFilter(self.options.max_speed, self.notes)
+        self._leaps = LeapFilter(self.options.max_speed)
         self._noted = set(self.notes)
         self._watches: dict[str, JumpWatch] = {}
         self._stated: defaultdict[str, TrackBuilder] = defaultdict(TrackBuilder)
@@ -155,6 +155,7 @@ class Poser:
             if attached.posed is not None:
                 self._watch(attached.posed)
             yield attached
+        self._note(*self._leaps.list_notes())
 
     def _pose(self, batch: ScanBatch, found: Found) -> Attached:
         """Keep the scans that were found, at all of their moments."""

@@ -51,9 +51,7 @@ class Course:
     def see(self, posed: PosedScans) -> None:
         """Record the poses of some scans; of de-skewed ones, those of their first beams."""
         self.frame = posed.batch.frame
-        rotation, position = posed.rotation, posed.position
-        if position.ndim == 3:
-            rotation, position = rotation[:, 0], position[:, 0]
+        position, rotation = posed.at_first_beam
         self._tilts.append(np.stack([rotation[:, 2, 2], rotation[:, 2, 0], position[:, 2]]))
         self._low = np.minimum(self._low, position.min(axis=0))
         self._high = np.maximum(self._high, position.max(axis=0))

@@ -163,11 +163,9 @@ def measure_mount(sensor: PosedScans, body: PosedScans) -> Float64:
 
     The height is left out, as it is of `sensor_pose`: no map shows it.
     """
-    scans = len(sensor.position)
-    turn = sensor.rotation.reshape(scans, -1, 3, 3)[:, 0]
-    back = body.rotation.reshape(scans, -1, 3, 3)[:, 0].swapaxes(1, 2)
-    apart = (sensor.position - body.position).reshape(scans, -1, 3, 1)[:, 0]
-    place = back @ apart
+    (position, turn), (origin, orientation) = sensor.at_first_beam, body.at_first_beam
+    back = orientation.swapaxes(1, 2)
+    place = back @ (position - origin)[:, :, None]
     place[:, 2] = 0
     return np.concatenate([back @ turn, place], axis=2)
 

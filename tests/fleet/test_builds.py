@@ -5,7 +5,6 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from occmap.batching import Selection
@@ -13,7 +12,8 @@ from occmap.fleet import Fleet
 from occmap.fleet.settling import leap
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.posing.leaps import MOST_PATHS, Ends
+from occmap.posing.leaps import Moment
+from occmap.posing.sifting import MOST_PATHS, Ends
 from occmap.readers import open_log, split_log
 from occmap.report import Report
 from tests.samples import DRIVES, write_csv
@@ -94,6 +94,7 @@ def test_a_log_with_leaps_is_the_same(address: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("lasers", "expected"), [(MOST_PATHS, False), (MOST_PATHS + 1, True)])
 def test_a_log_of_more_lasers_than_are_judged_is_traced_whole(lasers: int, expected: bool) -> None:
-    ends = Ends(np.zeros(2, np.int64), np.zeros((2, 3)), 0)
+    nowhere = Moment(0, 0, [0.0, 0.0, 0.0])
+    ends = Ends(nowhere, nowhere, 0)
     parts = [{("/scan", str(laser), False): ends} for laser in range(lasers)]
     assert leap(parts, 50.0) is expected
