@@ -288,7 +288,9 @@ class ScanBatch:
     in another batch, as their geometry is another"""
 
     def take(self, scans: Bool | Int64) -> Self:
-        """Select scans by a mask (S,) or by their indices."""
+        """Select scans by a mask (S,) or by their indices; nothing is copied for a mask of all."""
+        if scans.dtype == np.bool_ and scans.all():
+            return self
         return replace(
             self,
             stamp_ns=self.stamp_ns[scans],

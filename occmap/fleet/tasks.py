@@ -238,9 +238,9 @@ def trace_job(job: TraceJob) -> Traced:
         limits,
         notes=(*poser.notes, *odd),
         log_notes=notes,
-        depends=notes != job.survey.notes or set(poser.chains) != frames or poser.jumps,
+        depends=notes != job.survey.notes or set(poser.chains) != frames or poser.watch.jumps,
         ends=poser.find_ends(),
-        bounds={topic: course.bounds for topic, course in poser.courses.items()},
+        bounds={topic: course.bounds for topic, course in poser.watch.courses.items()},
         pieces={key: tuple(pieces) for key, pieces in sink.pieces.items()},
     )
 

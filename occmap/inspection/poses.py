@@ -1,6 +1,6 @@
 """Where the poses of a log come from, what is missing, and which option would mend it."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,9 +13,7 @@ from occmap.opening import refuse_shared_mount, take_first
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.chain import Status
-from occmap.posing.options import PosingOptions, Stamps
-from occmap.posing.resolve import resolve
-from occmap.posing.sources import Sources
+from occmap.posing.options import Stamps
 from occmap.readers import Log, read_poses
 from occmap.sampling import sample_scans
 from occmap.types import Pose
@@ -51,29 +49,12 @@ def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:
     refuse_shared_mount(log, first, options.posing)
     poser = Poser.build(read_poses(log), options.posing)
     frames = {scan.frame for scan in first if scan.pose is None or options.posing.poses}
-    faults = find_faults(poser.sources, options.posing, frames)
-    sound = frames - faults.keys()
-    if sound or not faults:
-        poser.resolve(sound)
+    faults = poser.find_chains(frames)
+    trial = Poser(poser.sources, replace(options.posing, sensor_pose=UNTURNED))
+    is_unclear = len(frames) > 1 or options.posing.sensor_pose is not None
+    if poser.chains or not faults or is_unclear or trial.find_chains(frames):
         return Posing(poser, faults)
-    trial = replace(options.posing, sensor_pose=UNTURNED)
-    if len(frames) > 1 or options.posing.sensor_pose or find_faults(poser.sources, trial, frames):
-        return Posing(poser, faults)
-    return assume_mount(log, topics, options, Posing(Poser(poser.sources, trial), faults))
-
-
-def find_faults(
-    sources: Sources, options: PosingOptions, frames: Collection[str]
-) -> dict[str, PoseError]:
-    """Say for every frame that has no way to the map why that is."""
-    faults: dict[str, PoseError] = {}
-    fixed: str | None = None
-    for frame in sorted(frames):
-        try:
-            fixed = resolve(sources, options, frame, fixed, alone=len(frames) == 1).fixed
-        except PoseError as error:
-            faults[frame] = error
-    return faults
+    return assume_mount(log, topics, options, Posing(trial, faults))
 
 
 def assume_mount(

@@ -1,53 +1,36 @@
-"""Attachment: scans and poses become posed scans; each scan without a pose is counted."""
+"""Attachment: scans and poses become posed scans; each scan without a pose is counted.
+
+A batch goes one way: the chain of frames to its sensor is found, the moments of its scans are
+chosen (`deskew`), the chain is looked up at these (`chain`), scans without a pose are dropped, and
+so are those that leaps lead astray (`sifting`). What comes out is also watched (`watch`).
+"""
 
 import math
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import reduce
-from itertools import chain, starmap
+from itertools import starmap
 from typing import Self
 
 import numpy as np
 
 from occmap.errors import PoseError
-from occmap.posing.chain import REASONS, Chain, Found, Status, make_chain
+from occmap.posing.chain import Chain, Found, Status
 from occmap.posing.concerns import Concern
-from occmap.posing.course import STANDS, Course, list_tilts
-from occmap.posing.frames import Edge, Source, Step
-from occmap.posing.jumps import JumpWatch
-from occmap.posing.options import Deskew, PosingOptions, Stamps
+from occmap.posing.deskew import choose_deskewed, keep, spread_moments
+from occmap.posing.options import Deskew, DropReason, PosingOptions
 from occmap.posing.resolve import resolve
 from occmap.posing.sifting import Attached, Ends, Laser, LeapFilter
 from occmap.posing.sources import Sources, gather
-from occmap.posing.tracks import MAX_STAMP_NS, Track, TrackBuilder, find_usable
-from occmap.types import (
-    Bool,
-    Float64,
-    Int64,
-    Pose,
-    PoseBatch,
-    PosedScans,
-    PoseSample,
-    ScanBatch,
-)
-
-MAX_TURN_S = 60.0
-"""A scan that is said to take longer has a wrong time_increment."""
-
-MAX_AUTO_TURN_S = 1.0
-"""The slowest laser that is de-skewed unasked; some drivers write milliseconds for seconds."""
-
-MOMENTS = 33
-"""Poses looked up for one de-skewed scan; see `_keep` for how close that is."""
+from occmap.posing.tracks import MAX_STAMP_NS
+from occmap.posing.watch import Watch
+from occmap.types import Pose, PoseBatch, PoseSample, ScanBatch
 
 POSES_OF_BODY = (
     "the poses beside the scans are taken as the robot's, with the laser at `sensor_pose` on it; "
     "leave that out if they are the laser's own"
 )
-
-IDENTITY = (0, 0, 0, 0, 0, 0, 1)
-"""No shift and no turn; also stands in for a pose that is not finite."""
 
 
 @dataclass(eq=False)
@@ -65,17 +48,12 @@ class Poser:
     """What was decided or left out and its user should know; grows, each sentence once."""
     chains: dict[str, Chain | None] = field(default_factory=dict)
     """By scan frame; None where there is no way to it."""
-    courses: defaultdict[str, Course] = field(
-        default_factory=lambda: defaultdict(Course), init=False
-    )
-    """By topic: how its sensor sat, and where it went."""
 
     def __post_init__(self) -> None:
-        self._leaps = LeapFilter(self.options.max_speed)
-        self._noted = set(self.notes)
-        self._watches: dict[str, JumpWatch] = {}
-        self._stated: defaultdict[str, TrackBuilder] = defaultdict(TrackBuilder)
+        self._offset_ns = round(self.options.time_offset_s * 1e9)  # to the clock of the poses
         self._above = _find_above(self.options)
+        self._leaps = LeapFilter(self.options.max_speed)
+        self.watch = Watch()
 
     @classmethod
     def build(
@@ -102,14 +80,23 @@ class Poser:
         PoseError
             No frame, of these and earlier ones, has a chain.
         """
+        failures = self.find_chains(frames)
+        if failures and self.fixed is None:
+            raise next(iter(failures.values()))
+
+    def find_chains(self, frames: Collection[str]) -> dict[str, PoseError]:
+        """Find the chains to these scan frames; say of those that have none why.
+
+        Where none at all has one so far, nothing is decided, and they may be asked for again.
+        """
         new = sorted(frame for frame in set(frames) if frame not in self.chains)
         # What mends one laser among others is not what mends a single one.
         failures = self._resolve(new, alone=len(new) == 1 and not self.chains)
-        if failures and self.fixed is None:
-            raise next(iter(failures.values()))
-        failures = self._resolve(failures, alone=False)  # again, by what was found meanwhile
-        self.chains.update(dict.fromkeys(failures))
-        self._note(*(str(error) for error in failures.values()))
+        if self.fixed is not None:
+            failures = self._resolve(failures, alone=False)  # again, by what was found meanwhile
+            self.chains.update(dict.fromkeys(failures))
+            self._note(*map(str, failures.values()))
+        return failures
 
     def _resolve(self, frames: Iterable[str], alone: bool) -> dict[str, PoseError]:
         """Find the chains to frames, one after the other; say why there is none."""
@@ -126,6 +113,10 @@ class Poser:
                     self._note(f"{frame!r} never moves in {way.fixed!r}, though other frames do")
         return failures
 
+    def is_stated(self, batch: ScanBatch) -> bool:
+        """Whether the poses that the log states beside these scans are theirs."""
+        return batch.pose is not None and self.sources.trajectory is None
+
     def prepare(self, batch: ScanBatch) -> None:
         """Find the way to the sensor of some scans, unless its poses stand beside them.
 
@@ -134,8 +125,7 @@ class Poser:
         PoseError
             No scan frame so far has a chain to the map frame.
         """
-        is_stated = batch.pose is not None and self.sources.trajectory is None
-        if not is_stated and batch.frame not in self.chains:
+        if not self.is_stated(batch) and batch.frame not in self.chains:
             self.resolve([batch.frame])
 
     def attach(self, batches: Iterable[ScanBatch]) -> Iterator[Attached]:
@@ -150,52 +140,49 @@ class Poser:
         PoseError
             As `prepare`.
         """
-        parts = chain.from_iterable(self._look_up(each) for each in batches if len(each.stamp_ns))
-        for attached in self._leaps.sift(starmap(self._pose, parts)):
-            if attached.posed is not None:
-                self._watch(attached.posed)
+        some = (batch for batch in batches if len(batch.stamp_ns))
+        found = (part for batch in some for part in self._look_up(batch))
+        for attached in self._leaps.sift(starmap(self._keep, found)):
+            if (posed := attached.posed) is not None:
+                stamp_ns = posed.batch.stamp_ns + self._offset_ns
+                stated = self.is_stated(posed.batch)
+                self.watch.see(posed, stamp_ns, None if stated else self.chains[posed.batch.frame])
             yield attached
         self._note(*self._leaps.list_notes())
 
-    def _pose(self, batch: ScanBatch, found: Found) -> Attached:
-        """Keep the scans that were found, at all of their moments."""
+    def _look_up(self, batch: ScanBatch) -> Iterator[tuple[ScanBatch, Found]]:
+        """Look up the sensor at the stamp of each scan (S), or at K moments of each (S * K)."""
+        self.prepare(batch)
+        if batch.pose is not None and self.is_stated(batch):
+            self._note(*_list_idle(self.options))
+            sensor = self.options.sensor_pose
+            found = Found.read(batch.pose)
+            yield batch, found.then(Found.fixed(sensor)) if sensor else found
+            return
+        chain = self.chains[batch.frame]
+        if chain is None:
+            nowhere = np.full(len(batch.stamp_ns), Status.NO_TRANSFORM, np.uint8)
+            yield batch, Found(np.empty(0), np.empty(0), nowhere)
+            return
+        deskewed, notes = choose_deskewed(batch, self.options.deskew, chain)
+        self._note(*notes)
+        stamp_ns = np.clip(batch.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS) + self._offset_ns
+        if deskewed.any():
+            part = batch.take(deskewed)
+            yield part, chain.at((stamp_ns[deskewed, None] + spread_moments(part)).ravel())
+        if not deskewed.all():
+            yield batch.take(~deskewed), chain.at(stamp_ns[~deskewed])
+
+    def _keep(self, batch: ScanBatch, found: Found) -> Attached:
+        """Keep the scans that have a pose at all of their moments, and count the others."""
         status = found.status.reshape(len(batch.stamp_ns), -1).max(axis=1)
-        counts = Counter(status.tolist())
-        dropped = {why: counts[code] for code, why in REASONS.items() if counts[code]}
+        lost = Counter(status[status != Status.POSED].tolist())
+        dropped = {DropReason[Status(code).name]: lost[code] for code in sorted(lost)}
         posed = status == Status.POSED
         if not posed.any():
             return Attached(batch, None, dropped)
         placed = self._above.then(found) if self._above else found
-        return Attached(batch, _keep(batch, posed, placed), dropped)
-
-    def _watch(self, scans: PosedScans) -> None:
-        """Record where the sensor was."""
-        frame, topic, pose = scans.batch.frame, scans.batch.topic, scans.batch.pose
-        self.courses[topic].see(scans)
-        stamp_ns = scans.batch.stamp_ns + self._offset_ns
-        chain = self.chains.get(frame)
-        if pose is not None and self.sources.trajectory is None:
-            stated = PoseBatch(stamp_ns, stamp_ns, pose, "", "", static=False, topic=topic)
-            self._stated[topic].add_batch(stated, Stamps.HEADER)
-        elif chain is not None:
-            if frame not in self._watches:
-                self._watches[frame] = JumpWatch(chain)
-            self._watches[frame].see(stamp_ns)
-
-    def _list_watches(self) -> dict[str, JumpWatch]:
-        """List what watches the poses, by topic; of poses beside scans all were needed first."""
-        watches = {
-            topic: self._watches[course.frame]
-            for topic, course in self.courses.items()
-            if course.frame in self._watches
-        }
-        for topic, builder in self._stated.items():
-            track = builder.build()
-            if track is not None:
-                watch = JumpWatch(make_chain([Step(Edge("", "", track, Source.ODOMETRY))], None))
-                watch.see(track.stamp_ns)
-                watches[topic] = watch
-        return watches
+        return Attached(batch, keep(batch, posed, placed), dropped)
 
     def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
         """Say what of the poses that were given so far spoils a map, and of which topic.
@@ -209,90 +196,23 @@ class Poser:
         max_range
             Beams are used up to here (m).
         """
-        jumped, watches = False, self._list_watches()
-        for topic, course in sorted(self.courses.items()):
-            if course.stands:
-                self._note(f"{topic}: {STANDS}")
-            if course.stance:
-                yield from ((topic, tilt) for tilt in list_tilts(course.stance, max_range))
-            watch = watches.get(topic)
-            if watch and not jumped:  # of several sensors on one robot, one tells it
-                for concern in watch.list_concerns(first_ns + self._offset_ns):
-                    jumped = True
-                    yield topic, concern
-
-    @property
-    def jumps(self) -> bool:
-        """Whether any pose takes the robot elsewhere at once."""
-        return any(watch.edges_ns.size for watch in self._list_watches().values())
+        self._note(*self.watch.list_notes())
+        yield from self.watch.list_concerns(first_ns + self._offset_ns, max_range)
 
     def find_ends(self) -> dict[Laser, Ends]:
         """Where the posed scans so far begin and end, by their laser."""
         return self._leaps.find_ends()
 
-    def _look_up(self, batch: ScanBatch) -> Iterator[tuple[ScanBatch, Found]]:
-        """Look up the sensor at the stamp of each scan (S), or at K moments of each (S * K).
-
-        A batch comes in two parts where only some of its scans are de-skewed.
-        """
-        self.prepare(batch)
-        if batch.pose is not None and self.sources.trajectory is None:
-            self._note(*_list_idle(self.options))
-            yield batch, _read_stated(batch.pose, self.options.sensor_pose)
-            return
-        way = self.chains[batch.frame]
-        if way is None:
-            nowhere = np.full(len(batch.stamp_ns), Status.NO_TRANSFORM, np.uint8)
-            yield batch, Found(np.empty(0), np.empty(0), nowhere)
-            return
-        stamp_ns = np.clip(batch.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS) + self._offset_ns
-        deskewed = self._choose_deskewed(batch, way)
-        if deskewed.any():
-            part = _take(batch, deskewed)
-            yield part, way.at((stamp_ns[deskewed, None] + _spread_moments(part)).ravel())
-        if not deskewed.all():
-            yield _take(batch, ~deskewed), way.at(stamp_ns[~deskewed])
-
-    @property
-    def _offset_ns(self) -> int:
-        """From the clock of the scans to that of the poses."""
-        return round(self.options.time_offset_s * 1e9)
-
-    def _choose_deskewed(self, batch: ScanBatch, chain: Chain) -> Bool:
-        """Choose the scans (S) whose beams get poses of their own.
-
-        AUTO asks for a believable scan time and for poses dense enough to show the motion in it.
-        """
-        if self.options.deskew is Deskew.OFF:
-            return np.zeros(len(batch.stamp_ns), np.bool_)
-        with np.errstate(invalid="ignore", over="ignore"):  # a log may state any number
-            duration_s = np.abs(batch.time_increment) * (batch.ranges.shape[1] - 1)
-        if self.options.deskew is Deskew.AUTO:
-            dense = chain.is_dense(duration_s)
-            chosen: Bool = dense & (duration_s > 0) & (duration_s <= MAX_AUTO_TURN_S)
-        else:
-            chosen = (duration_s > 0) & (duration_s <= MAX_TURN_S)
-            if not chosen.all():
-                self._note(
-                    f"scans of {batch.frame!r} that state no believable time between beams are "
-                    "not de-skewed"
-                )
-        if chosen.any():
-            self._note(f"de-skewed: each beam of {batch.frame!r} has a pose of its own")
-        return chosen
-
     def _note(self, *sentences: str) -> None:
-        new = [each for each in dict.fromkeys(sentences) if each not in self._noted]
-        self._noted.update(new)
-        self.notes.extend(new)
+        self.notes += [each for each in dict.fromkeys(sentences) if each not in self.notes]
 
 
 def _find_above(options: PosingOptions) -> Found | None:
     """Find where the log's map frame lies in the map that is made; None where they are one."""
-    aligned = Pose.planar(0.0, 0.0, math.radians(options.align or 0.0))
-    ways = [pose for pose in (aligned, options.transform) if pose and pose != IDENTITY]
-    founds = [Found.of(track.position, track.quaternion) for track in map(Track.fixed, ways)]
-    return reduce(Found.then, founds) if founds else None
+    turned = [Pose.planar(0.0, 0.0, math.radians(options.align))] if options.align else []
+    moved = [options.transform] if options.transform else []
+    ways = [*turned, *moved]
+    return Found.fixed(reduce(Pose.then, ways)) if ways else None
 
 
 def _list_idle(options: PosingOptions) -> Iterator[str]:
@@ -308,46 +228,3 @@ def _list_idle(options: PosingOptions) -> Iterator[str]:
     for option, is_given in given.items():
         if is_given:
             yield f"{option} does nothing: the poses stand beside the scans"
-
-
-def _read_stated(pose: Float64, mount: Pose | None) -> Found:
-    """Read the poses (S, 7) that a log states beside its scans, of the sensor or of its body."""
-    usable, norm = find_usable(pose)
-    pose = np.where(usable[:, None], pose, IDENTITY)
-    found = Found.of(pose[:, :3], pose[:, 3:] / norm[:, None])
-    found.status[~usable] = Status.NOT_FINITE
-    if mount is None:
-        return found
-    fixed = Track.fixed(mount)
-    return found.then(Found.of(fixed.position, fixed.quaternion))
-
-
-def _spread_moments(batch: ScanBatch) -> Int64:
-    """Spread K moments (S, K) evenly from the first beam of each scan to its last (ns)."""
-    beams = batch.ranges.shape[1]
-    moments = np.linspace(0, (beams - 1) * batch.time_increment, min(beams, MOMENTS), axis=1)
-    moments_ns: Int64 = np.round(moments * 1e9).astype(np.int64)
-    return moments_ns
-
-
-def _keep(batch: ScanBatch, posed: Bool, found: Found) -> PosedScans:
-    """Keep the scans (S) that are posed; where there are K moments of each, each beam has a pose.
-
-    Between two moments positions and matrices are interpolated linearly. At 720 degrees a second
-    and ten scans a second a matrix is then off by 2e-4: 2 mm at ten metres.
-    """
-    scans = len(posed)
-    position = found.position.reshape(scans, -1, 3)[posed]
-    rotation = found.rotation.reshape(scans, -1, 9)[posed]
-    batch, moments = _take(batch, posed), position.shape[1]
-    if moments == 1:
-        return PosedScans(batch, position[:, 0], rotation.reshape(-1, 3, 3))
-    at = np.linspace(0, moments - 1, batch.ranges.shape[1])
-    share = np.maximum(0, 1 - np.abs(at[:, None] - np.arange(moments)))
-    rotation = share @ rotation
-    return PosedScans(batch, share @ position, rotation.reshape(*rotation.shape[:2], 3, 3))
-
-
-def _take(batch: ScanBatch, scans: Bool) -> ScanBatch:
-    """Some of the scans; their ranges are copied only where these are not all."""
-    return batch if scans.all() else batch.take(scans)

@@ -8,22 +8,27 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from occmap.posing.frames import Step, last_part
-from occmap.posing.options import DropReason
 from occmap.posing.rotations import rotate_by, slerp
-from occmap.posing.tracks import Track
-from occmap.types import Bool, Float64, Int64, UInt8
+from occmap.posing.tracks import Track, find_usable
+from occmap.types import Bool, Float64, Int64, Pose, UInt8
 
 DRIFT_M, DRIFT_RAD = 0.1, 0.05
 """A correction of odometry that moves or turns by no more never counts as a jump."""
 DRIFT_M_PER_S, DRIFT_RAD_PER_S = 0.05, 0.01
 """What a correction drifts by at most, beyond that: 5 cm a second is a bad odometer."""
 
+UNMOVED = Pose.planar(0.0, 0.0, 0.0)
+"""Stands in for a pose that cannot be used."""
+
 DENSE_S = 0.1
 """Poses no further apart show how the laser moved: a robot's velocity hardly changes so fast."""
 
 
 class Status(IntEnum):
-    """Whether there is a pose at a stamp; the worst leg of a chain counts."""
+    """Whether there is a pose at a stamp, else the name of its `DropReason`.
+
+    Of the legs of a chain the worst one counts.
+    """
 
     POSED = 0
     BEFORE = 1
@@ -31,15 +36,6 @@ class Status(IntEnum):
     GAP = 3
     NOT_FINITE = 4
     NO_TRANSFORM = 5
-
-
-REASONS = {
-    Status.BEFORE: DropReason.BEFORE,
-    Status.AFTER: DropReason.AFTER,
-    Status.GAP: DropReason.GAP,
-    Status.NOT_FINITE: DropReason.NOT_FINITE,
-    Status.NO_TRANSFORM: DropReason.NO_TRANSFORM,
-}
 
 
 class Found(NamedTuple):
@@ -54,8 +50,23 @@ class Found(NamedTuple):
 
     @classmethod
     def of(cls, position: Float64, quaternion: Float64) -> Self:
-        """Make it of poses: (N, 3) m and (N, 4)."""
+        """Make it of positions (N, 3) in m and unit quaternions (N, 4)."""
         return cls(position, rotate_by(quaternion), np.zeros(len(position), np.uint8))
+
+    @classmethod
+    def fixed(cls, pose: Pose) -> Self:
+        """Make it of one pose that holds at all times."""
+        track = Track.fixed(pose)
+        return cls.of(track.position, track.quaternion)
+
+    @classmethod
+    def read(cls, poses: Float64) -> Self:
+        """Make it of poses (N, 7) as they were recorded, of which some may be unusable."""
+        usable, norm = find_usable(poses)
+        poses = np.where(usable[:, None], poses, UNMOVED)
+        found = cls.of(poses[:, :3], poses[:, 3:] / norm[:, None])
+        found.status[~usable] = Status.NOT_FINITE
+        return found
 
     def then(self, below: Self) -> Self:
         """Go on to a frame that was found in this one."""
