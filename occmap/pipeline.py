@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from occmap.alignment import settle_align
 from occmap.evidence import to_evidence
@@ -36,6 +36,9 @@ from occmap.types import Evidence, Manifest, OccupancyMap
 from occmap.writers import Product
 from occmap.writers.atomic import hold_alone
 from occmap.writers.outputs import check_outputs, want_evidence, want_journey, write_outputs
+
+if TYPE_CHECKING:
+    from occmap.inspection import Inspection
 
 
 class Build(NamedTuple):
@@ -72,7 +75,7 @@ def build(
     check_outputs(outputs, list_inputs(paths, options))
     with hold_alone(options.resume or options.resume_if_there, outputs):
         # A fleet's logs are not inspected: this process would have to read them all again.
-        inspect = partial(inspect_logs, paths, options) if observe is observe_here else dict
+        inspect = partial(inspect_logs, paths, options) if observe is observe_here else None
         return build_locked(paths, options, outputs, partial(observe, progress=progress), inspect)
 
 
@@ -88,7 +91,7 @@ def build_locked(
     options: BuildOptions,
     outputs: Sequence[Path],
     observe: Callable[[Sequence[Path], BuildOptions, Keep], Observed],
-    inspect: Callable[[], dict[str, Any]],
+    inspect: Callable[[], "Inspection"] | None,
 ) -> Build:
     """Build and write a map while this process holds the lock on its evidence."""
     saved = open_past(options)
@@ -146,11 +149,11 @@ def build_locked(
     return Build(grid, report, tiles, product.evidence() if want_evidence(outputs) else None)
 
 
-def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> dict[str, Any]:
+def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> "Inspection":
     """Inspect the logs as `occmap check` does."""
     from occmap.inspection import inspect  # noqa: PLC0415  late: few builds want it
 
-    return inspect(paths, options).to_json()
+    return inspect(paths, options)
 
 
 def open_past(options: BuildOptions) -> Evidence | None:

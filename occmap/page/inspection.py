@@ -4,6 +4,7 @@ from pathlib import Path
 
 from occmap.evidence.manifest import describe_files
 from occmap.inspection import Inspection
+from occmap.inspection.telling import describe_size
 from occmap.page.document import Block, Page, Section, describe_maker, name_logs, write_page
 from occmap.page.findings import tell_findings
 from occmap.wording import write_box
@@ -17,15 +18,15 @@ def write_inspection(path: Path, inspection: Inspection) -> None:
     OutputError
         It cannot be written; then nothing is left behind.
     """
-    found = inspection.to_json()
-    logs = [Path(log["path"]) for log in found["logs"]]
+    logs = [Path(log.path) for log in inspection.logs]
     names = name_logs(log.name for log in logs)
-    verdict = "can be mapped" if found["buildable"] else "cannot be mapped as it is"
-    sections = list(tell_findings(found))
-    if found["map"]:
-        grid = found["map"]
-        size = f"{grid['columns']:,} x {grid['rows']:,} cells of {grid['resolution']:g} m"
-        facts = [("size", size), ("extent", write_box(grid["extent"]))]
+    verdict = "can be mapped" if inspection.buildable else "cannot be mapped as it is"
+    sections = list(tell_findings(inspection))
+    if inspection.map is not None:
+        facts = [
+            ("size", describe_size(inspection.map)),
+            ("extent", write_box(inspection.map.extent)),
+        ]
         sections.append(Section("The map that they would make", [Block("facts", facts)], wide=True))
     inputs = [entry for log in logs if log.exists() for entry in describe_files(log)]
     page = Page(f"Check of {names}", verdict, [*sections, describe_maker(inputs)])

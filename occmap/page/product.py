@@ -38,13 +38,13 @@ def describe_product(product: Product, options: WriteOptions) -> Page:
 
 def list_sections(product: Product, inputs: list[dict[str, Any]]) -> list[Section]:
     """Say what is known beside the map."""
-    report, findings = product.report(), product.findings()
+    report = product.report()
     sections = []
     if report:
         sections += [tell_map(report), tell_scans(report)]
         sections.append(tell_notes(report["notes"], report["damage"]))
-    if findings:
-        sections += tell_findings(findings)
+    if product.inspect:
+        sections += tell_findings(product.inspect())
     return [*sections, describe_maker(inputs)]
 
 

@@ -137,8 +137,8 @@ class Product:
     """None: nobody asked for it while the map was built, or the map is of saved evidence"""
     report: Callable[[], dict[str, Any]] = dict
     """What there is to say of the map so far, as the JSON of the command has it"""
-    findings: Callable[[], dict[str, Any]] = dict
-    """What `occmap check` finds in the logs, likewise; it reads them once more"""
+    inspect: Callable[[], Any] | None = None
+    """Finds what `occmap check` does, as an `Inspection`; it reads the logs once more"""
 
     def take_journey(self, path: Path) -> Journey:
         """Where the robot went, for a file of that.
