@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import reduce
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +13,7 @@ from occmap.errors import MountError, PoseError
 from occmap.opening import choose_topics, make_poser
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
+from occmap.posing.concerns import Concern
 from occmap.posing.conventions import BASE_NAMES, list_bases
 from occmap.posing.frames import Step
 from occmap.posing.rotations import rotate_by
@@ -99,11 +99,8 @@ def list_leaves(poser: Poser, frame: str) -> dict[str, Pose]:
     base = base or next(iter(list_bases(tree, frame)), "")
     uppers = {base, *(edge.parent for edge in tree.edges)}
     ways = {leaf: tree.find_path(base, leaf) for leaf in tree.frames if leaf not in uppers}
-    return {
-        leaf: reduce(Pose.then, map(read_pose, steps))
-        for leaf, steps in ways.items()
-        if steps and not any(step.edge.track.moves for step in steps)
-    }
+    places = {leaf: place_on(steps) for leaf, steps in ways.items() if steps}
+    return {leaf: place for leaf, place in places.items() if place}
 
 
 def list_misfits(
@@ -130,7 +127,7 @@ def list_misfits(
         for topic in topics:
             mine = [part for part in parts if part.batch.topic == topic]
             if better := find_better(poser, mine, options.returns):
-                yield f"{log.path}: {topic}: {describe_misfit(better)}"
+                yield f"{log.path}: {topic}: {warn_of_misfit(better).text}"
 
 
 def find_better(poser: Poser, parts: Sequence[PosedScans], options: ReturnOptions) -> str:
@@ -141,17 +138,18 @@ def find_better(poser: Poser, parts: Sequence[PosedScans], options: ReturnOption
     str
         Such as "sensor_pose=0,0,3.14159"; "" where they fit as they are.
     """
-    turn = guess_mount(parts, options) if parts else None
+    turn = choose_turn(count_turned(parts, options)) if parts else None
     if turn is None or turn == UNTURNED:
         return ""
     return correct_mount(poser, parts[0].batch.frame, turn)
 
 
-def describe_misfit(better: str) -> str:
-    """Say which mount suits the scans better."""
+def warn_of_misfit(better: str) -> Concern:
+    """Say which option suits the scans better, of which the value is given, too."""
     option, _, value = better.partition("=")
-    given = f"({value})" if option == "sensor_pose" else value  # of a static one names are a part
-    return f"the scans would fit each other better with `{option}={given}`"
+    given = f"({value})" if option == "sensor_pose" else value  # in Python that one is a tuple
+    text = f"the scans would fit each other better with `{option}={given}`"
+    return Concern(text, {option: value})
 
 
 def correct_mount(poser: Poser, frame: str, turn: Pose) -> str:
@@ -172,40 +170,34 @@ def correct_mount(poser: Poser, frame: str, turn: Pose) -> str:
         body = bases[0] if len(bases) == 1 else BASE_NAMES[0]
         return f"static_transforms={format_static(body, frame, turn)}"
     steps = tree.find_path(bases[0], frame) if len(bases) == 1 else None
-    if steps and len(poser.chains) == 1 and not any(step.edge.track.moves for step in steps):
-        mount = reduce(Pose.then, map(read_pose, steps))
+    if steps and len(poser.chains) == 1 and (mount := place_on(steps)):
         return f"sensor_pose={format_mount(mount.then(turn))}"
     last = chain.steps[-1]
-    if last.edge.track.moves:
+    if (mount := place_on([last])) is None:
         return ""
-    return f"static_transforms={format_static(last.upper, frame, read_pose(last).then(turn))}"
+    return f"static_transforms={format_static(last.upper, frame, mount.then(turn))}"
 
 
-def read_pose(step: Step) -> Pose:
-    """Where the lower frame of a step that never moves sits in the upper one."""
-    track = step.edge.track
-    pose = Pose(*track.position[0].tolist(), *track.quaternion[0].tolist())
-    return pose.invert() if step.inverted else pose
+def place_on(steps: Sequence[Step]) -> Pose | None:
+    """Find where the last frame of some steps sits in the first; None where one of them moves."""
+    place = UNTURNED
+    for step in steps:
+        track = step.edge.track
+        if track.moves:
+            return None
+        pose = Pose(*track.position[0].tolist(), *track.quaternion[0].tolist())
+        place = place.then(pose.invert() if step.inverted else pose)
+    return place
 
 
-def guess_mount(parts: Sequence[PosedScans], options: ReturnOptions) -> Pose | None:
-    """Guess how a sensor is turned on its body, of the eight ways in which people mount them.
+def count_turned(parts: Sequence[PosedScans], options: ReturnOptions) -> list[int]:
+    """Count the cells that have a hit with each of the eight turns.
 
     Parameters
     ----------
     parts
         Scans posed as if the sensor were the body.
-
-    Returns
-    -------
-    Pose or None
-        None where no way of mounting is clearly better than the others.
     """
-    return choose_turn(count_turned(parts, options))
-
-
-def count_turned(parts: Sequence[PosedScans], options: ReturnOptions) -> list[int]:
-    """Count the cells that have a hit with each of the turns."""
     return [count_marked(parts, turn, options) for turn in TURNS]
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from occmap.batching import find_oddity
 from occmap.command import chain_builds, compose_build
 from occmap.inspection.findings import LogFindings, ScanFindings
-from occmap.mounts import describe_misfit
+from occmap.mounts import warn_of_misfit
 from occmap.options import BuildOptions
 from occmap.posing.concerns import Concern
 from occmap.remarks import LEAST_AGREEMENT
@@ -92,10 +92,8 @@ def _warn_shapes(topic: ScanFindings) -> list[Concern]:
 
 
 def _warn_mount(topic: ScanFindings) -> list[Concern]:
-    if topic.mount is None or not topic.mount.better:
-        return []
-    option, _, value = topic.mount.better.partition("=")
-    return [Concern(describe_misfit(topic.mount.better), {option: value})]
+    better = topic.mount.better if topic.mount else ""
+    return [warn_of_misfit(better)] if better else []
 
 
 def _warn_poses(topic: ScanFindings) -> list[Concern]:

@@ -10,6 +10,7 @@ from occmap.errors import PoseError
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
+from occmap.posing.rotations import to_quaternions
 from occmap.readers import Log, read_scans
 from occmap.remarks import Remarks, list_frames
 from occmap.sensor.no_return import RangeLimits
@@ -155,7 +156,9 @@ def find_mount(logs: Sequence[KeptLog], options: PosingOptions) -> Pose | None:
             return None
         mounts += [measure_mount(*pair) for pair in zip(sensor, body, strict=True)]
     every = np.concatenate(mounts)
-    return to_pose(every[0]) if np.abs(every - every[0]).max() < ALIKE else None
+    if np.abs(every - every[0]).max() >= ALIKE:
+        return None
+    return Pose(*every[0, :, 3].tolist(), *to_quaternions(every[:1, :, :3])[0].tolist())
 
 
 def measure_mount(sensor: PosedScans, body: PosedScans) -> Float64:
@@ -168,12 +171,3 @@ def measure_mount(sensor: PosedScans, body: PosedScans) -> Float64:
     place = back @ (position - origin)[:, :, None]
     place[:, 2] = 0
     return np.concatenate([back @ turn, place], axis=2)
-
-
-def to_pose(matrix: Float64) -> Pose:
-    """Turn (3, 4), a rotation and a position, into a pose."""
-    roll = float(np.arctan2(matrix[2, 1], matrix[2, 2]))
-    pitch = float(-np.arcsin(np.clip(matrix[2, 0], -1, 1)))
-    yaw = float(np.arctan2(matrix[1, 0], matrix[0, 0]))
-    x, y, z = matrix[:, 3].tolist()
-    return Pose.from_xyzrpy((x, y, z), (roll, pitch, yaw))

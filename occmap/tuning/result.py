@@ -1,7 +1,7 @@
 """What was tuned, as values for people and for programs."""
 
 from dataclasses import dataclass, replace
-from typing import Any, TypedDict
+from typing import Any
 
 from occmap.command import compose_build
 from occmap.options import BuildOptions
@@ -11,18 +11,8 @@ from occmap.scoring.compare import HeldOutScans, describe_run
 from occmap.scoring.score import Trial
 from occmap.tally import Tally
 from occmap.tuning.search import Correction
-from occmap.tuning.verdict import Finding, Gain, Verdict
+from occmap.tuning.verdict import Finding, Gain
 from occmap.types import Pose
-
-
-class PrintedGain(TypedDict):
-    """How much larger a share is than another, by the same scans."""
-
-    gain: float
-    """How much larger the share is"""
-    gain_error: Finite
-    """Standard error of the gain, from the differences scan by scan; null where one scan is all
-    there is"""
 
 
 @dataclass(frozen=True)
@@ -34,26 +24,6 @@ class KeptScans(HeldOutScans):
     every time offset"""
 
 
-class PrintedHalf(PrintedGain):
-    """What half of the held-out scans gain."""
-
-    correction: Correction
-    """By what: by the best for all, or, where halves disagree, by the best for this one"""
-
-
-class PrintedFinding(PrintedGain):
-    """What came of a search."""
-
-    verdict: Verdict
-    """found: a gain that is more than noise, and that both halves show; nothing: there is none;
-    disagree: what gains in one half does not in the other; unseen: not searched, see the
-    notes"""
-    correction: Correction
-    """What was found, with what was found before; else what the search began with"""
-    halves: list[PrintedHalf]
-    """The first half of the held-out scans and the second; none where nothing was searched"""
-
-
 @dataclass(frozen=True, kw_only=True)
 class PrintedTrial(Correction):
     """A correction that was tried."""
@@ -62,7 +32,7 @@ class PrintedTrial(Correction):
     """Share of held-out beams that the map predicts"""
 
 
-class PrintedTuning(Told, PrintedGain):
+class PrintedTuning(Told):
     """What is wrong with time and mount, by held-out beams: what occmap tune prints."""
 
     logs: list[str]
@@ -78,14 +48,19 @@ class PrintedTuning(Told, PrintedGain):
     options given"""
     share: Share
     """The same share with what is recommended"""
+    gain: float
+    """How much larger the share is"""
+    gain_error: Finite
+    """Standard error of the gain, from the differences scan by scan; null where one scan is all
+    there is"""
     correction: Correction
     """All that is recommended; zeros where nothing is"""
-    time: PrintedFinding
+    time: Finding
     """What came of the search for a time offset"""
-    mount: PrintedFinding
+    mount: Finding
     """What came of the search for the laser's yaw, x and y on its body; the one of these two that
     explains more is searched first, and the other with what that found"""
-    together: PrintedFinding
+    together: Finding
     """What came of the search for both once more, where a mount was found"""
     tried: list[PrintedTrial]
     """All corrections that were tried, in the order of the search"""
@@ -152,11 +127,12 @@ class Tuning:
             "beams": self.before.score.beams,
             "share_before": self.before.score.share,
             "share": self.after.score.share,
-            **describe_gain(self.gain),
+            "gain": self.gain.share,
+            "gain_error": self.gain.error,
             "correction": self.correction,
-            "time": describe_finding(self.time),
-            "mount": describe_finding(self.mount),
-            "together": describe_finding(self.together),
+            "time": self.time,
+            "mount": self.mount,
+            "together": self.together,
             "tried": [
                 PrintedTrial(**vars(correction), share=trial.score.share)
                 for correction, trial in self.tried.items()
@@ -165,18 +141,3 @@ class Tuning:
         }
         plain: dict[str, Any] = to_plain(printed)
         return plain
-
-
-def describe_finding(finding: Finding) -> PrintedFinding:
-    """Say what came of a search, in the form that is printed."""
-    return {
-        "verdict": finding.verdict,
-        "correction": finding.correction,
-        **describe_gain(finding.gain),
-        "halves": [{"correction": best, **describe_gain(gain)} for best, gain in finding.halves],
-    }
-
-
-def describe_gain(gain: Gain) -> PrintedGain:
-    """Give a gain in the form that is printed."""
-    return {"gain": gain.share, "gain_error": gain.error}

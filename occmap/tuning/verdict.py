@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
+from occmap.plain import Finite
 from occmap.scoring.score import Trial, estimate_error
 from occmap.scoring.trials import NOISE, SMALL
 from occmap.tuning.search import Correction, Course, Knob, search
@@ -14,24 +15,20 @@ EVERY_SCAN = slice(None)
 
 
 class Verdict(StrEnum):
-    """What came of a search."""
+    """What a search is worth; `Finding.verdict` says what each means."""
 
     FOUND = "found"
-    """A gain that is more than noise, and so large in either half of the held-out scans that it
-    shows."""
     NOTHING = "nothing"
     DISAGREE = "disagree"
-    """What gains in one half of the scans does not in the other: something else is wrong."""
     UNSEEN = "unseen"
-    """Not searched, as these logs cannot show it."""
 
 
 class Gain(NamedTuple):
-    """How much higher the share of one map is than that of another."""
+    """How much larger the share of one map is than that of another, by the same scans."""
 
     share: float = 0.0
     error: float = 0.0
-    """Standard error; both are asked about the same scans"""
+    """Standard error, from the differences scan by scan"""
 
     @property
     def certain(self) -> bool:
@@ -46,21 +43,36 @@ class Gain(NamedTuple):
         return cls(math.fsum(more) / max(math.fsum(beams), 1), estimate_error(more, beams))
 
 
-NO_GAIN = Gain()
+@dataclass(frozen=True)
+class Half:
+    """What half of the held-out scans gain."""
+
+    correction: Correction
+    """By what: by the best for all, or, where halves disagree, by the best for this one"""
+    gain: float
+    """How much larger the share is"""
+    gain_error: Finite
+    """Standard error of the gain, from the differences scan by scan; null where one scan is all
+    there is"""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What came of the search for a time offset, or for a mount."""
+    """What came of a search."""
 
     verdict: Verdict
+    """found: a gain that is more than noise, and that both halves show; nothing: there is none;
+    disagree: what gains in one half does not in the other; unseen: not searched, see the
+    notes"""
     correction: Correction
-    """The best there is: what was found, or else what the search began with"""
-    gain: Gain = NO_GAIN
-    """What the best that was tried gains, by all held-out scans"""
-    halves: tuple[tuple[Correction, Gain], ...] = ()
-    """What the first half of the held-out scans and the second gain, and by what: by the best for
-    both, or, where they disagree, each by what is best for itself"""
+    """What was found, with what was found before; else what the search began with"""
+    gain: float = 0.0
+    """How much larger the share is by the best that was tried"""
+    gain_error: Finite = 0.0
+    """Standard error of the gain, from the differences scan by scan; null where one scan is all
+    there is"""
+    halves: tuple[Half, ...] = ()
+    """The first half of the held-out scans and the second; none where nothing was searched"""
 
 
 def find(course: Course, start: Correction, knobs: Sequence[Knob]) -> Finding:
@@ -79,18 +91,18 @@ def find(course: Course, start: Correction, knobs: Sequence[Knob]) -> Finding:
         }
         for half in cut(before)
     ]
-    alike = tuple((best, gains[best]) for gains in halves)
-    if gain.certain and all(part.share > SMALL for _, part in alike):
-        return Finding(Verdict.FOUND, best, gain, alike)
+    alike = tuple(Half(best, *gains[best]) for gains in halves)
+    if gain.certain and all(half.gain > SMALL for half in alike):
+        return Finding(Verdict.FOUND, best, *gain, alike)
     own = [max(gains, key=lambda each: gains[each].share) for gains in halves]
-    apart = tuple((each, gains[each]) for each, gains in zip(own, halves, strict=True))
     opposed = any(
         gains[each].certain and Gain(-rest[each].share, rest[each].error).certain
         for each, gains, rest in zip(own, halves, reversed(halves), strict=True)
     )
-    if opposed or (gain.certain and min(part.share for _, part in alike) <= 0):
-        return Finding(Verdict.DISAGREE, start, gain, apart)
-    return Finding(Verdict.NOTHING, start, gain, alike)
+    if opposed or (gain.certain and min(half.gain for half in alike) <= 0):
+        apart = tuple(Half(each, *gains[each]) for each, gains in zip(own, halves, strict=True))
+        return Finding(Verdict.DISAGREE, start, *gain, apart)
+    return Finding(Verdict.NOTHING, start, *gain, alike)
 
 
 def cut(trial: Trial) -> tuple[slice, slice]:

@@ -18,7 +18,7 @@ from occmap.keywords import take
 from occmap.options import BuildOptions
 from occmap.tuning import Tuning, tune
 from occmap.tuning.search import Correction
-from occmap.tuning.verdict import Finding, Gain, Verdict
+from occmap.tuning.verdict import Finding, Verdict
 from occmap.wording import count
 
 HELP = f"""{COMMANDS["tune"]}
@@ -59,7 +59,7 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
     """Write what came of each search, on what that rests, and the build line."""
     before, after = tuning.before.score, tuning.after.score
     gained = (
-        f" -> {after.share:.4f}, a gain of {format_gain(tuning.gain)}" if tuning.command else ""
+        f" -> {after.share:.4f}, a gain of {format_gain(*tuning.gain)}" if tuning.command else ""
     )
     held = f"{count(before.beams, 'beam')} of {count(tuning.held_out, 'held-out scan')}"
     yield f"time     {format_finding(tuning.time, ['time_s'])}"
@@ -81,14 +81,16 @@ def format_finding(finding: Finding, names: Sequence[str]) -> str:
         return "not searched"
     if finding.verdict is Verdict.NOTHING:
         return "nothing to gain"
-    (first, one), (second, other) = finding.halves
+    (first, one), (second, other) = (
+        (describe(half.correction, names), format_gain(half.gain, half.gain_error))
+        for half in finding.halves
+    )
     if finding.verdict is Verdict.FOUND:
-        halves = f"{format_gain(one)} and {format_gain(other)} in the halves"
-        return f"{describe(first, names)}: gains {format_gain(finding.gain)}; {halves}"
+        gain = format_gain(finding.gain, finding.gain_error)
+        return f"{first}: gains {gain}; {one} and {other} in the halves"
     return (
         "the halves of the log do not agree, so nothing is recommended: by "
-        f"{describe(first, names)} the first gains {format_gain(one)}, by "
-        f"{describe(second, names)} the second {format_gain(other)}"
+        f"{first} the first gains {one}, by {second} the second {other}"
     )
 
 
@@ -104,7 +106,6 @@ def describe(correction: Correction, names: Sequence[str]) -> str:
     return ", ".join(changed) or "no change"
 
 
-def format_gain(gain: Gain) -> str:
+def format_gain(gain: float, error: float) -> str:
     """Write a gain and its standard error, where that is known."""
-    error = f" +- {gain.error:.4f}" if math.isfinite(gain.error) else ""
-    return f"{gain.share:.4f}{error}"
+    return f"{gain:.4f} +- {error:.4f}" if math.isfinite(error) else f"{gain:.4f}"
