@@ -5,7 +5,6 @@ TUM: `stamp x y z qx qy qz qw` (s). CSV: a header `stamp,x,y,yaw` or more column
 each line, and the time of each (s) in times.txt beside it.
 """
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal, InvalidOperation
@@ -17,7 +16,8 @@ from typing import NoReturn
 import numpy as np
 
 from occmap.errors import LogError
-from occmap.types import Float64, Pose, PoseSample
+from occmap.posing.rotations import to_quaternions
+from occmap.types import Pose, PoseSample
 
 TRAJECTORY_FRAME = "map"
 TUM_COLUMNS = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -171,9 +171,9 @@ def _read_matrices(
     )
     if z > y:
         rows = np.einsum("ij,njk,kl->nil", FROM_CAMERA, rows, TO_CAMERA)
-    for stamp_ns, row in zip(times, rows, strict=True):
-        x, y, z = row[:, 3].tolist()
-        yield stamp_ns, Pose(x, y, z, *to_quaternion(row[:, :3]))
+    rows[~np.isfinite(rows).all(axis=(1, 2))] = np.nan
+    poses = np.column_stack([rows[:, :, 3], to_quaternions(rows[:, :, :3])]).tolist()
+    yield from ((stamp_ns, Pose(*pose)) for stamp_ns, pose in zip(times, poses, strict=True))
 
 
 def _read_row(line: _Line) -> list[float]:
@@ -195,25 +195,6 @@ def _read_times(path: Path, poses: Path) -> Iterator[int]:
             yield parse_stamp_ns(line.text)
         except ValueError as error:
             line.fail(str(error), "a time in seconds stands in each line")
-
-
-def to_quaternion(rotation: Float64) -> tuple[float, float, float, float]:
-    """Turn a rotation (3, 3) into a quaternion x, y, z, w (Bar-Itzhack 2000).
-
-    It is the eigenvector of the largest eigenvalue of a symmetric matrix of the rotation's
-    elements, which holds for a rotation that was rounded, too. NaN where an element is not finite.
-    """
-    if not np.isfinite(rotation).all():
-        return math.nan, math.nan, math.nan, math.nan
-    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
-    symmetric = [
-        [a - e - i, b + d, c + g, h - f],
-        [b + d, e - a - i, f + h, c - g],
-        [c + g, f + h, i - a - e, d - b],
-        [h - f, c - g, d - b, a + e + i],
-    ]
-    x, y, z, w = np.linalg.eigh(np.array(symmetric) / 3)[1][:, -1].tolist()
-    return x, y, z, w
 
 
 def _read_lines(path: Path) -> Iterator[_Line]:

@@ -87,3 +87,11 @@ def test_quaternions_of_matrices_are_those_the_matrices_were_made_of() -> None:
     assert (found[:, 3] >= 0).all()
     np.testing.assert_allclose(np.abs(np.einsum("ij,ij->i", found, given)), 1, atol=1e-12)
     np.testing.assert_allclose(rotate_by(found), rotate_by(given), atol=1e-12)
+
+
+def test_a_matrix_that_a_file_rounds_gives_its_rotation_as_exactly() -> None:
+    """KITTI writes seven digits."""
+    turns = [quaternion(0.3, -1.2, yaw) for yaw in np.linspace(-3, 3, 99).tolist()]
+    given = rotate_by(np.concatenate(turns))
+    rounded = np.array([float(f"{value:.6e}") for value in given.ravel()]).reshape(given.shape)
+    np.testing.assert_allclose(rotate_by(to_quaternions(rounded)), given, atol=5e-7)

@@ -1,13 +1,12 @@
 import math
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from occmap.errors import LogError
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
-from occmap.posing.trajectory import parse_stamp_ns, read_trajectory, to_quaternion
+from occmap.posing.trajectory import parse_stamp_ns, read_trajectory
 from occmap.types import PoseSample
 
 
@@ -218,17 +217,9 @@ def test_a_line_that_is_no_matrix_is_named(tmp_path: Path) -> None:
             read_kitti(tmp_path, [LEVEL.format(0, 0, 0), line], "1\n2\n")
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_a_rotation_becomes_its_quaternion(seed: int) -> None:
-    quaternion = np.random.default_rng(seed).normal(size=4)
-    x, y, z, w = quaternion / np.linalg.norm(quaternion)
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    found = np.array(to_quaternion(rotation))
-    assert abs(found @ [x, y, z, w]) == pytest.approx(1)
-    assert all(map(math.isnan, to_quaternion(rotation * math.inf)))
+def test_a_kitti_pose_that_is_not_finite_is_none_and_spoils_no_other(tmp_path: Path) -> None:
+    lost = "inf 0 0 1 0 1 0 0 0 0 1 0", "1 0 0 nan 0 1 0 0 0 0 1 0"
+    lines = [LEVEL.format(0, 0, 0), *lost, LEVEL.format(4, 0, 0)]
+    poses = [sample.pose for sample in read_kitti(tmp_path, lines, "1\n2\n3\n4\n")]
+    assert [all(map(math.isfinite, pose)) for pose in poses] == [True, False, False, True]
+    assert poses[3] == pytest.approx((4, 0, 0, 0, 0, 0, 1))
