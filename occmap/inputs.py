@@ -15,7 +15,7 @@ from occmap.opening import choose_topics, take_first
 from occmap.plugins import list_plugins, load_plugin
 from occmap.readers import open_log, probe_path
 from occmap.readers.options import ReaderOptions
-from occmap.wording import count
+from occmap.wording import STDIN_FOLDER, count
 
 STDIN = Path("-")
 MOST_NAMES = 5
@@ -142,7 +142,7 @@ def keep_stdin(paths: Sequence[Path]) -> Iterator[list[Path]]:
     if STDIN not in paths:
         yield list(paths)
         return
-    with tempfile.TemporaryDirectory(prefix="occmap-") as folder:
+    with tempfile.TemporaryDirectory(prefix=STDIN_FOLDER) as folder:
         saved = Path(folder) / "stdin"
         with saved.open("wb") as file:
             shutil.copyfileobj(sys.stdin.buffer, file)

@@ -1,10 +1,13 @@
-"""How counts, boxes and times are written for people."""
+"""How counts, boxes, times and a log on stdin are written for people."""
 
+import re
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 
 DATES_S = range(631_152_000, 4_102_444_800)
 """Stamps from 1990 to 2100 are dates; others count from some start"""
+STDIN_FOLDER = "occmap-stdin-"
+"""How the temporary folder is called in which a log from stdin is kept while a command runs"""
 
 
 def count(number: float, noun: str) -> str:
@@ -47,3 +50,12 @@ def _date(stamp_ns: int) -> str:
         return ""
     date = datetime.fromtimestamp(stamp_ns // 1_000_000_000, UTC)
     return f" ({date:%Y-%m-%d %H:%M:%S} UTC)"
+
+
+def name_stdin(text: str) -> str:
+    """Call a log that came on stdin `-` in a text that names the file in which it is kept."""
+    if STDIN_FOLDER not in text:
+        return text
+    from tempfile import gettempdir  # noqa: PLC0415  late: few texts need it
+
+    return re.sub(rf"{re.escape(gettempdir())}[/\\]{STDIN_FOLDER}\w+[/\\]stdin", "-", text)

@@ -4,7 +4,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -13,6 +13,7 @@ from typing import Any, TypedDict
 import click
 
 from occmap.errors import OccmapError, OutputError
+from occmap.wording import name_stdin
 
 ORDER = re.compile(r"^(\s*):(?=:)|#(?=#\w*\[)")
 """The start of what a runner of pipelines takes for a command in its log, such as `::error::`"""
@@ -62,8 +63,6 @@ class Console:
     """That object is printed"""
     stdout_is_taken: bool = False
     """A map goes there: all else goes to stderr"""
-    stdin_file: str = ""
-    """Where a log that came on stdin is kept meanwhile; texts call it `-`"""
     announced: list[str] = field(default_factory=list)
     """What was said of the command line itself: the first notes of a result"""
 
@@ -75,16 +74,12 @@ class Console:
             for line in lines:
                 self.tell(line)
         else:
-            put_line("\n".join(clean(self.spell(line)) for line in lines))
-
-    def spell(self, text: str) -> str:
-        """Spell the options that a text names as flags, and a log on stdin as `-`."""
-        return spell(text.replace(self.stdin_file, "-") if self.stdin_file else text)
+            put_line("\n".join(clean(spell(line)) for line in lines))
 
     def tell(self, text: str) -> None:
         """Print a line to stderr; where that is closed there is nobody to tell."""
         try:
-            click.echo(clean(self.spell(text)), err=True)
+            click.echo(clean(spell(text)), err=True)
         except OSError:
             discard(sys.stderr.fileno())
 
@@ -95,7 +90,7 @@ class Console:
         self.answered = True
         if "notes" in value:
             value = {**value, "notes": [*self.announced, *value["notes"]]}
-        named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **spell_all(value, self.spell)}
+        named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **spell_all(value)}
         text = json.dumps(named, indent=2, allow_nan=False)
         put_line(text.replace("##", r"\u0023#"))  # the same JSON, but no command to a CI runner
 
@@ -179,7 +174,8 @@ def quote_for_windows(words: Iterable[str]) -> str:
 
 
 def spell(text: str) -> str:
-    """Spell the options that a text names as flags."""
+    """Spell the options that a text names as flags, and a log on stdin as `-`."""
+    text = name_stdin(text)
     if "`" not in text:
         return text
     from occmap.command import spell_flags  # noqa: PLC0415  late: it brings NumPy
@@ -187,13 +183,13 @@ def spell(text: str) -> str:
     return spell_flags(text)
 
 
-def spell_all(value: Any, spell: Callable[[str], str] = spell) -> Any:
-    """Spell the options that any text of a result names."""
+def spell_all(value: Any) -> Any:
+    """Spell the options that any text of a result names, as `spell` does."""
     if isinstance(value, str):
         return spell(value)
     if isinstance(value, dict):
-        return {spell(key): spell_all(item, spell) for key, item in value.items()}
-    return [spell_all(item, spell) for item in value] if isinstance(value, list | tuple) else value
+        return {spell(key): spell_all(item) for key, item in value.items()}
+    return [spell_all(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def clean(line: str) -> str:

@@ -14,7 +14,7 @@ import click
 from occmap.cli.console import Console
 from occmap.command import name_map
 from occmap.errors import UsageError
-from occmap.inputs import STDIN, find_inputs, keep_stdin
+from occmap.inputs import find_inputs, keep_stdin
 from occmap.options import BuildOptions
 from occmap.report import Report
 from occmap.writers import FolderWriter
@@ -35,8 +35,6 @@ def gather_logs(
         Nothing comes on stdin.
     """
     given = click.get_current_context().with_resource(keep_stdin(paths))
-    if STDIN in paths:
-        console.stdin_file = str(given[paths.index(STDIN)])
     others = [*outputs, Path(options.posing.poses or "")]
     found = find_inputs(given, options.reading, others)
     console.announce(*found.notes)

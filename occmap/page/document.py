@@ -12,6 +12,7 @@ from typing import Any, Literal, TypeAlias
 
 from occmap.command import spell_flags
 from occmap.plugins import need_extra
+from occmap.wording import name_stdin
 from occmap.writers.atomic import open_atomic
 
 HERE = Path(__file__).parent
@@ -117,7 +118,7 @@ def compose(page: Page) -> str:
         loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     environment.filters["spell"] = spell_flags
-    return environment.get_template("page.html").render(
+    html = environment.get_template("page.html").render(
         page=page,
         maps=divs[:of_stage],
         plots=iter(divs[of_stage:]),
@@ -126,6 +127,7 @@ def compose(page: Page) -> str:
         script=(HERE / "page.js").read_text(),
         data=to_script(page.stage.data if page.stage else {}),
     )
+    return name_stdin(html)
 
 
 def to_script(value: Any) -> str:

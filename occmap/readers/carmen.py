@@ -9,6 +9,8 @@ from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+
 from occmap.readers import Note, NoteList, Probe, Role, Stream, make_part
 from occmap.readers.carmen_lines import (
     FRAMES,
@@ -151,7 +153,7 @@ class CarmenLog:
     def _walk(self) -> Iterator[tuple[list[str], Block]]:
         """Yield lines, some at a time, and before them the keyword of each."""
         for block in read_blocks(self.path, self.notes, self._span):
-            starts = [raw.lstrip().partition(b" ")[0] for raw in block.raw]
+            starts = list(block.list_heads())
             words = {start: _find_word(start) for start in set(starts)}
             yield [words[start] for start in starts], block
 
@@ -279,12 +281,11 @@ def _find_word(start: bytes) -> str:
 def _parse_together(words: list[str], block: Block) -> dict[str, ScanRun | None]:
     """Parse the scans of a block, by kind; None where one is damaged, or differs."""
     runs: dict[str, ScanRun | None] = {}
-    for kind in FRAMES.keys() & words:
+    for kind in FRAMES.keys() & words if is_worthwhile(block) else ():
         runs[kind] = None
-        lines = [raw for word, raw in zip(words, block.raw, strict=True) if word == kind]
+        rows = np.array([at for at, word in enumerate(words) if word == kind])
         with suppress(ValueError):
-            if is_worthwhile(lines):
-                runs[kind] = parse_scans(lines)
+            runs[kind] = parse_scans(block, rows)
     return runs
 
 

@@ -21,15 +21,25 @@ Every `parse_` function takes a whole line and raises ValueError where it is mal
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from occmap.readers.kernels import ANY, NUMBER, SECONDS
-from occmap.readers.text import parse_stamp, parse_table, round_limit, stack_planar
-from occmap.types import UNKNOWN_POSE, Float64, Pose, PoseSample, Scan, ScanRun, as_float32, shorten
+from occmap.readers.text import Block, parse_stamp, parse_table, round_limit, stack_planar
+from occmap.types import (
+    UNKNOWN_POSE,
+    Float64,
+    Int64,
+    Pose,
+    PoseSample,
+    Scan,
+    ScanRun,
+    as_float32,
+    shorten,
+)
 
 FRONT, REAR = "front_laser", "rear_laser"
 PLAIN_FRAMES = {"FLASER": FRONT, "RLASER": REAR}
@@ -70,14 +80,14 @@ def parse_scan(text: str, split: Split | None = None) -> Scan:
     return _make_scan((split or split_timed)(text))
 
 
-def parse_scans(lines: Sequence[bytes]) -> ScanRun:
-    """Parse lines of one keyword that differ in times, ranges and poses alone.
+def parse_scans(block: Block, rows: Int64) -> ScanRun:
+    """Parse lines of one keyword, by their indices, that differ in times, ranges and poses alone.
 
     Raises ValueError where one is malformed or unlike the others: `parse_scan` tells which.
     """
-    word, *others = lines[0].split()
+    word, *others = block.get_line(int(rows[0])).raw.split()
     kinds = [ANY, *[NUMBER] * (len(others) - 3), SECONDS, ANY, SECONDS]
-    table = parse_table(lines, b" ", kinds)
+    table = parse_table(block, rows, b" ", np.array(kinds, np.uint8))
     values, stamp_ns, logged_ns = table.values[:, 1:-3], table.times[:, -3], table.times[:, -1]
     record_ns = np.where(logged_ns, logged_ns, stamp_ns)
     first = _Message(word.decode(), values[0], int(stamp_ns[0]), int(record_ns[0]))
@@ -90,7 +100,7 @@ def parse_scans(lines: Sequence[bytes]) -> ScanRun:
         stamp_ns.copy(),
         record_ns,
         as_float32(values[:, layout.ranges]),
-        np.zeros(len(lines)),
+        np.zeros(len(rows)),
         stack_planar(*values[:, layout.pose].T) if layout.pose else None,
     )
 

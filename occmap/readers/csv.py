@@ -4,7 +4,6 @@ import math
 from codecs import BOM_UTF8
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +39,18 @@ from occmap.readers.text import (
     split_lines,
     stack_planar,
 )
-from occmap.types import UNKNOWN_POSE, Float32, Float64, Pose, PoseSample, Scan, ScanRun, as_float32
+from occmap.types import (
+    UNKNOWN_POSE,
+    Bool,
+    Float32,
+    Float64,
+    Int64,
+    Pose,
+    PoseSample,
+    Scan,
+    ScanRun,
+    as_float32,
+)
 
 TOPIC = "scan"
 VARIABLE = frozenset(("stamp", "time_increment", *POSE_NAMES))
@@ -117,17 +127,16 @@ class CsvLog:
             The first row, or so many that this is no damage, has a word for a number or too few or
             many cells.
         """
-        for rows in self._walk() if TOPIC in topics else ():
-            yield from filter(None, map(self._parse, rows))
+        for block, rows in self._walk() if TOPIC in topics else ():
+            yield from self._parse_each(block, rows)
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The same, with many rows at once where only stamps, ranges and poses differ."""
-        for rows in self._walk() if TOPIC in topics else ():
-            lines = [line.raw for line in rows]
+        for block, rows in self._walk() if TOPIC in topics else ():
             run: ScanRun | None = None
             with suppress(ValueError):  # damage or another geometry: reading row by row shows which
-                run = _parse_rows(self._layout, lines) if is_worthwhile(lines) else None
-            yield from filter(None, map(self._parse, rows)) if run is None else (run,)
+                run = _parse_rows(self._layout, block, rows) if is_worthwhile(block) else None
+            yield from self._parse_each(block, rows) if run is None else (run,)
 
     def split(self, size: int) -> Sequence["CsvLog"]:
         """Cut the log into parts of about so many bytes, as `occmap.readers.Splittable` has it."""
@@ -135,39 +144,36 @@ class CsvLog:
         spans = [ALL] if damaged else split_lines(self.path, size, _is_heading)
         return [make_part(self, _span=span) for span in spans]
 
-    def _walk(self) -> Iterator[list[Line]]:
-        """Yield the rows without the header, some at a time."""
+    def _walk(self) -> Iterator[tuple[Block, Int64]]:
+        """Yield blocks, and which of their lines are rows (S,), without the header."""
         header = 1 if self._span.start == 0 else 0
         for block in read_blocks(self.path, self.notes, self._span):
-            rows = [line for line in block.list_lines() if not _is_heading(line.raw)]
-            if rows[header:]:
-                yield rows[header:]
-            header = 0 if rows else header
+            rows = np.flatnonzero(_find_rows(block))
+            if rows[header:].size:
+                yield block, rows[header:]
+            header = 0 if rows.size else header
 
     def _survey(self) -> Layout:
         """Find the header, and the constants wherever they stand, and count the rows."""
         header: Line | None = None
-        comments: dict[str, Line] = {}
+        constants: dict[str, Line] = {}
         unused: dict[str, None] = {}
-        blocks = read_blocks(self.path, self.notes)
-        for line in chain.from_iterable(map(Block.list_lines, blocks)):
-            if _is_heading(line.raw):
-                constant = split_constant(line.text)
-                if constant is not None:
-                    comments.setdefault(constant[0], line)
-                elif (name := name_unused(line.text)) and len(unused) < MAX_NAMES:
-                    unused[name] = None
-            elif header is None:
-                header = line
-            else:
-                self._rows += 1
-                self._last = line
+        for block in read_blocks(self.path, self.notes):
+            is_row = _find_rows(block)
+            for line in block.pick_lines(np.flatnonzero(~is_row)):
+                _keep_comment(line, constants, unused)
+            rows = np.flatnonzero(is_row)
+            if header is None and rows.size:
+                header, rows = block.get_line(int(rows[0])), rows[1:]
+            if rows.size:
+                self._rows += rows.size
+                self._last = block.get_line(int(rows[-1]))
         if header is None:
             found = "; ".join(["no header row", *(note.text for note in self.notes)])
             raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
         if unused:
             add_note(self.notes, Note(f"comments that are not used: {', '.join(unused)}"))
-        return read_layout(self.path, header, comments)
+        return read_layout(self.path, header, constants)
 
     def _check_last(self) -> None:
         """Where the file has no last line end, see whether its last row is whole."""
@@ -178,6 +184,10 @@ class CsvLog:
         else:
             text = f"line {self._last.number}, the last, has no line end; it is taken as whole"
             add_note(self.notes, Note(text))
+
+    def _parse_each(self, block: Block, rows: Int64) -> Iterator[Scan]:
+        """Parse rows one by one, and leave out those that are cut or damaged."""
+        return filter(None, map(self._parse, block.pick_lines(rows)))
 
     def _parse(self, line: Line) -> Scan | None:
         """Parse a row; one that is cut or damaged gives None and a note."""
@@ -193,7 +203,7 @@ class CsvLog:
     def _judge(self) -> None:
         """Look at all rows, as one is malformed: it may be damage, or the file no log."""
         tally = LineTally()
-        for line in chain.from_iterable(self._walk()):
+        for line in (each for walked in self._walk() for each in Block.pick_lines(*walked)):
             try:
                 _parse_row(self._layout, line.text)
                 tally.add(line)
@@ -205,44 +215,61 @@ class CsvLog:
         self._judged = True
 
 
+def _keep_comment(line: Line, constants: dict[str, Line], unused: dict[str, None]) -> None:
+    """Keep the first comment that states a constant, and the names of some that mean nothing."""
+    constant = split_constant(line.text)
+    if constant is not None:
+        constants.setdefault(constant[0], line)
+    elif (name := name_unused(line.text)) and len(unused) < MAX_NAMES:
+        unused[name] = None
+
+
 def _is_heading(raw: bytes) -> bool:
     """Whether a line is a comment or blank, as lines before the header are."""
     return raw.removeprefix(BOM_UTF8).lstrip()[:1] in {b"", b"#"}
 
 
-def _parse_rows(layout: Layout, lines: list[bytes]) -> ScanRun:
+def _find_rows(block: Block) -> Bool:
+    """Say which lines are neither comments nor blank, (S,)."""
+    first = np.frombuffer(block.text, np.uint8)[block.starts[:-1]]
+    is_row: Bool = first > ord("#")  # so are all blanks and line ends not
+    for at in np.flatnonzero(~is_row).tolist():
+        is_row[at] = not _is_heading(block.get_line(at).raw)
+    return is_row
+
+
+def _parse_rows(layout: Layout, block: Block, rows: Int64) -> ScanRun:
     """Parse rows together; raises ValueError where one is malformed or unlike the first."""
-    first = _parse_row(layout, lines[0].decode())
+    if b'"' in block.text:
+        raise ValueError("there are quotes in it")
     places = dict(layout.columns)
     beams = list(layout.beams)
     stamp, frame = places.pop("stamp", None), places.pop("frame", None)
-    kinds = np.full(len(layout.header), ANY)
+    kinds = np.full(len(layout.header), ANY, np.uint8)
     kinds[[*places.values(), *beams]] = NUMBER
     if stamp is not None:
         kinds[stamp] = NANOSECONDS if layout.stamp_unit == "ns" else SECONDS
-    values, times = parse_table(lines, b",", kinds.tolist())
+    values, times = parse_table(block, rows, b",", kinds)
     fixed = values[:, [at for name, at in places.items() if name not in VARIABLE]]
-    frames = {line.split(b",", frame + 1)[frame] for line in lines} if frame is not None else {b""}
+    frames: set[bytes] = set()
+    if frame is not None:
+        frames = {line.raw.split(b",", frame + 1)[frame] for line in block.pick_lines(rows)}
     if (fixed != fixed[0]).any() or len(frames) > 1:
         raise ValueError("the rows differ in more than what is measured")
+    side_by_side = beams == list(range(beams[0], beams[-1] + 1))  # a slice takes no copy
+    ranges = as_float32(values[:, beams[0] : beams[-1] + 1] if side_by_side else values[:, beams])
+    first = _make_scan(layout, block.get_line(int(rows[0])).raw.decode().split(","), ranges[0])
 
     def take(name: str, constant: float) -> Float64:
-        return values[:, places[name]].copy() if name in places else np.full(len(lines), constant)
+        return values[:, places[name]].copy() if name in places else np.full(len(rows), constant)
 
     increments = take("time_increment", first.time_increment)
     if not np.isfinite(increments).all():
         raise ValueError("time_increment is no time")
     pose = [take(name, float(layout.constants.get(name, "nan"))) for name in POSE_NAMES]
-    side_by_side = beams == list(range(beams[0], beams[-1] + 1))  # a slice takes no copy
-    stamp_ns = np.full(len(lines), first.stamp_ns) if stamp is None else times[:, stamp].copy()
-    return ScanRun(
-        first,
-        stamp_ns,
-        stamp_ns,
-        as_float32(values[:, beams[0] : beams[-1] + 1] if side_by_side else values[:, beams]),
-        increments,
-        stack_planar(*pose) if layout.has_pose else None,
-    )
+    stamp_ns = np.full(len(rows), first.stamp_ns) if stamp is None else times[:, stamp].copy()
+    poses = stack_planar(*pose) if layout.has_pose else None
+    return ScanRun(first, stamp_ns, stamp_ns, ranges, increments, poses)
 
 
 def _parse_row(layout: Layout, text: str) -> Scan:
@@ -250,13 +277,18 @@ def _parse_row(layout: Layout, text: str) -> Scan:
     cells = split_cells(text)
     if len(cells) != len(layout.header):
         raise ValueError(f"{len(cells)} cells where the header has {len(layout.header)}")
+    return _make_scan(layout, cells, _read_beams(layout, cells))
+
+
+def _make_scan(layout: Layout, cells: list[str], ranges: Float32) -> Scan:
+    """Read all of a row but its ranges."""
     stamp_ns = _read_stamp(layout, cells)
     return Scan(
         stamp_ns=stamp_ns,
         frame=layout.pick("frame", cells).strip().lstrip("/"),
         angle_min=_read_finite(layout, cells, "angle_min"),
         angle_increment=_read_finite(layout, cells, "angle_increment"),
-        ranges=_read_beams(layout, cells),
+        ranges=ranges,
         range_min=_read_limit(layout, cells, "range_min"),
         range_max=_read_limit(layout, cells, "range_max"),
         time_increment=_read_finite(layout, cells, "time_increment"),

@@ -5,19 +5,20 @@ import sys
 from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from decimal import Decimal
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from occmap.errors import LogError
 from occmap.readers import Note, Probe, Span
 from occmap.readers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
-from occmap.readers.kernels import NUMBER, SECONDS
-from occmap.types import UNKNOWN_POSE, Float64, Int64, as_float32, shorten
+from occmap.readers.kernels import NUMBER, PADDING, SECONDS
+from occmap.types import UNKNOWN_POSE, Float64, Int64, UInt8, as_float32, shorten
 
 MAX_LINE_BYTES = 1 << 24
 """A scan of a million beams is shorter; a longer line is no text log."""
@@ -58,23 +59,45 @@ class Line(NamedTuple):
         return self.raw.decode("utf-8", "replace")
 
 
-class Block(NamedTuple):
-    """Lines of a text log that follow one another."""
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Lines of a text log that follow one another: kept as one text, since most are parsed so."""
 
     number: int
     """Of the first line"""
-    raw: list[bytes]
-    """The lines without their line ends"""
+    text: bytes
+    """The lines, each with its end, and `PADDING`"""
+    starts: Int64
+    """(S + 1,) where each line begins in the text, and where the padding does"""
     ended: bool
     """False for a block of only the last line, where that has no line end"""
 
+    @classmethod
+    def of(cls, number: int, parts: Sequence[bytes | memoryview], ended: bool = True) -> Self:
+        """Find where the lines begin in a text, which comes in parts and ends with a line end."""
+        text = b"".join((*parts, PADDING))
+        if b"\r" in text:
+            text = b"\n".join([line.rstrip(b"\r") for line in text.split(b"\n")])
+        raw = np.frombuffer(text, np.uint8)[: -len(PADDING)]
+        return cls(number, text, np.append(0, np.flatnonzero(raw == ord("\n")) + 1), ended)
+
+    def __len__(self) -> int:
+        """How many lines there are."""
+        return len(self.starts) - 1
+
     def get_line(self, at: int) -> Line:
         """Get one of the lines."""
-        return Line(self.number + at, self.raw[at], self.ended)
+        start, end = self.starts[at : at + 2].tolist()
+        return Line(self.number + at, self.text[start : end - 1], self.ended)
 
-    def list_lines(self) -> list[Line]:
-        """List the lines."""
-        return [self.get_line(at) for at in range(len(self.raw))]
+    def pick_lines(self, rows: Int64) -> Iterator[Line]:
+        """Get some of the lines by their indices (S,)."""
+        return map(self.get_line, rows.tolist())
+
+    def list_heads(self) -> Iterator[bytes]:
+        """Yield what each line begins with, up to its first blank."""
+        for start, end in pairwise(self.starts.tolist()):
+            yield self.text[start : end - 1].lstrip().partition(b" ")[0]
 
 
 class Table(NamedTuple):
@@ -172,10 +195,9 @@ def read_blocks(path: Path, notes: list[Note], span: Span = ALL) -> Iterator[Blo
             start = 0 if total else len(piece) - len(piece.removeprefix(BOM_UTF8))
             total += len(piece)
             if end := piece.rfind(b"\n") + 1:
-                lines = _split(piece[start : end - 1])
-                lines[0] = rest + lines[0]
-                yield Block(number, lines, ended=True)
-                number = number + len(lines)
+                block = Block.of(number, (rest, memoryview(piece)[start:end]))
+                yield block
+                number += len(block)
                 rest = b""
             rest += piece[max(start, end) :]
             if len(rest) >= MAX_LINE_BYTES:
@@ -183,18 +205,13 @@ def read_blocks(path: Path, notes: list[Note], span: Span = ALL) -> Iterator[Blo
             if total > limit or number > most_lines:
                 raise LogError(f"grows more than {MAX_EXPANSION}-fold", where=path, fix=NO_LOG)
         if rest:
-            yield Block(number, _split(rest), ended=False)
+            yield Block.of(number, (rest, b"\n"), ended=False)
     except GUNZIP_ERRORS as error:
         reason = "cut short" if isinstance(error, EOFError) else f"corrupt: {error}"
         text = f"the gzip data is {reason}; all after line {number - 1} is lost"
         add_note(notes, Note(text, damage=True))
     except OSError as error:
         raise LogError(f"cannot be read ({error.strerror})", where=path) from None
-
-
-def _split(text: bytes) -> list[bytes]:
-    lines = text.split(b"\n")
-    return [line.rstrip(b"\r") for line in lines] if b"\r" in text else lines
 
 
 def _read_pieces(path: Path, span: Span) -> Iterator[bytes]:
@@ -208,37 +225,35 @@ def _read_pieces(path: Path, span: Span) -> Iterator[bytes]:
             yield piece
 
 
-def is_worthwhile(lines: Sequence[bytes]) -> bool:
+def is_worthwhile(block: Block) -> bool:
     """Say whether to parse lines together with numba: for few, loading it takes longer."""
-    return "numba" in sys.modules or sum(map(len, lines)) > BLOCK_BYTES // 2
+    return "numba" in sys.modules or len(block.text) > BLOCK_BYTES // 2
 
 
-def parse_table(lines: Sequence[bytes], separator: bytes, kinds: Sequence[int]) -> Table:
-    """Parse lines that hold the same kinds of words.
+def parse_table(block: Block, rows: Int64, separator: bytes, kinds: UInt8) -> Table:
+    """Parse those lines of a block, by their indices (S,), that hold the same kinds of words.
 
     Parameters
     ----------
     separator
         What stands between two words: one comma, or any number of blanks.
     kinds
-        What each word of a line is, as `occmap.readers.kernels` lists them.
+        (N,) what each word of a line is, as `occmap.readers.kernels` lists them.
 
     Raises
     ------
     ValueError
         A line has more or fewer words, or one that is written as few programs write it.
     """
-    from occmap.readers.kernels.decimals import PADDING, POWERS, parse_rows  # noqa: PLC0415  late
+    from occmap.readers.kernels.decimals import POWERS, parse_rows  # noqa: PLC0415  late
 
-    data = b"\n".join(lines) + PADDING
-    if b'"' in data:
-        raise ValueError("there are quotes in it")
+    data = block.text
     eights = np.ndarray(len(data) - 7, "<u8", data, strides=(1,))
-    values = np.empty((len(lines), len(kinds)))
+    values = np.empty((len(rows), len(kinds)))
     times = values.view(np.int64)
     left = np.empty((values.size // 8 + 64, 4), np.int64)
-    raw, each = np.frombuffer(data, np.uint8), np.array(kinds, np.uint8)
-    count = parse_rows(raw, eights, ord(separator), each, POWERS, values, times, left)
+    raw, starts = np.frombuffer(data, np.uint8), block.starts[rows]
+    count = parse_rows(raw, eights, starts, ord(separator), kinds, POWERS, values, times, left)
     if count < 0:
         raise ValueError("there are too few or too many words in a line, or many that are odd")
     for row, col, start, end in left[:count].tolist():

@@ -64,7 +64,7 @@ class SharedEvidence:
     """The evidence of one or more variants, and the processor time that it took."""
 
     def __init__(self, options: BuildOptions) -> None:
-        from occmap.grid.warm import warm_up  # noqa: PLC0415  late: it brings numba
+        from occmap.warm import warm_up  # noqa: PLC0415  late: it brings numba
 
         warm_up(plan_grid(options))  # so that no variant is charged for compiling
         self._engine = make_engine(options)

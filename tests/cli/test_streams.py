@@ -55,6 +55,16 @@ def test_a_log_on_stdin_is_called_by_what_was_typed(tmp_path: Path) -> None:
     assert done.stderr.startswith(b"error: -: ")
 
 
+@pytest.mark.parametrize("command", ["check", "build", "compare"])
+def test_a_page_calls_a_log_on_stdin_by_what_was_typed(command: str, tmp_path: Path) -> None:
+    cut = DRIVE.read_bytes()[:300_000]
+    assert pipe([command, "-", "-o", "page.html"], cut, tmp_path).returncode == 0
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "the file ends in the middle of line 193" in page or command == "compare"
+    assert "occmap build" in page
+    assert "/stdin" not in page
+
+
 @pytest.mark.parametrize("suffix", [".zarr", ".tiles"])
 def test_a_folder_does_not_fit_through_stdout(tmp_path: Path, suffix: str) -> None:
     told = occmap("build", tmp_path / "no log", "-o", f"-{suffix}")

@@ -15,6 +15,7 @@ from occmap.readers.carmen_lines import (
     parse_scan,
     parse_scans,
 )
+from occmap.readers.text import Block
 from occmap.types import UNKNOWN_POSE, Pose, PoseSample, Scan, ScanRun
 
 CONFIG = "0 -1.570796 3.14172 0.008727 50.0 0.01 0"
@@ -154,7 +155,8 @@ RAW_LINES = [
 
 
 def parse_together(*lines: str) -> ScanRun:
-    return parse_scans([line.encode() for line in lines])
+    block = Block.of(1, [f"{line}\n".encode() for line in lines])
+    return parse_scans(block, np.arange(len(lines)))
 
 
 @pytest.mark.parametrize("lines", [LINES, ROBOT_LINES, RAW_LINES])

@@ -9,7 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from occmap.readers.kernels import ANY, NANOSECONDS, NUMBER, SECONDS
-from occmap.readers.text import parse_stamp, parse_table
+from occmap.readers.text import Block, Table, parse_stamp, parse_table
 from occmap.types import Float64
 
 WHOLE = st.text("0123456789", max_size=9)
@@ -22,6 +22,12 @@ NUMBERS = st.one_of(
     FLOATS.map("{:.17e}".format),
     st.integers(-(10**20), 10**20).map(str),
 )
+
+
+def parse(lines: list[bytes], separator: bytes, kinds: list[int]) -> Table:
+    """Parse all of some lines."""
+    block = Block.of(1, [line + b"\n" for line in lines])
+    return parse_table(block, np.arange(len(lines)), separator, np.array(kinds, np.uint8))
 
 
 def to_bytes(values: Float64) -> list[bytes]:
@@ -37,7 +43,7 @@ def test_every_number_is_the_nearest_float(separator: str, words: list[str], hea
     line = separator.join([*["x"] * head, *words]).encode()
 
     kinds = [ANY] * head + [NUMBER] * len(words)
-    values, _ = parse_table([line, line], separator[:1].encode(), kinds)
+    values, _ = parse([line, line], separator[:1].encode(), kinds)
 
     assert to_bytes(values[:, head:]) == 2 * [struct.pack("<d", float(word)) for word in words]
 
@@ -48,13 +54,13 @@ def test_what_few_programs_write_is_refused(word: str, at: int) -> None:
     words = ["1.5", "2", "2.25"]
     words[at] = word or "-"
     with pytest.raises(ValueError, match=r"number|float"):
-        parse_table([",".join(words).encode()], b",", 3 * [NUMBER])
+        parse([",".join(words).encode()], b",", 3 * [NUMBER])
 
 
 def test_an_empty_cell_is_nan_between_commas_and_nothing_between_blanks() -> None:
-    values = parse_table([b",2,", b"1.5, ,inf"], b",", 3 * [NUMBER]).values
+    values = parse([b",2,", b"1.5, ,inf"], b",", 3 * [NUMBER]).values
     np.testing.assert_array_equal(values, [[np.nan, 2, np.nan], [1.5, np.nan, np.inf]])
-    assert parse_table([b"1  -inf "], b" ", 2 * [NUMBER]).values.tolist() == [[1.0, -np.inf]]
+    assert parse([b"1  -inf "], b" ", 2 * [NUMBER]).values.tolist() == [[1.0, -np.inf]]
 
 
 @pytest.mark.parametrize(
@@ -62,7 +68,7 @@ def test_an_empty_cell_is_nan_between_commas_and_nothing_between_blanks() -> Non
 )
 def test_a_line_with_too_few_or_too_many_words_is_refused(line: bytes) -> None:
     with pytest.raises(ValueError, match="words"):
-        parse_table([b"a 1 2 3", line], b" ", [ANY, NUMBER, NUMBER, NUMBER])
+        parse([b"a 1 2 3", line], b" ", [ANY, NUMBER, NUMBER, NUMBER])
 
 
 STAMPS = st.decimals(-(10**9), 10**10, allow_nan=False, places=12)
@@ -79,9 +85,9 @@ def test_times_of_many_lines_are_those_of_each(stamps: list[tuple[Decimal, int]]
         expected = list(map(parse_stamp, words))
     except ValueError:
         with pytest.raises(ValueError, match="no time"):
-            parse_table(lines, b" ", [SECONDS, ANY, NANOSECONDS])
+            parse(lines, b" ", [SECONDS, ANY, NANOSECONDS])
         return
-    times = parse_table(lines, b" ", [SECONDS, ANY, NANOSECONDS]).times
+    times = parse(lines, b" ", [SECONDS, ANY, NANOSECONDS]).times
     assert times[:, 0].tolist() == expected
     assert times[:, 2].tolist() == list(map(int, whole))
 
@@ -89,7 +95,7 @@ def test_times_of_many_lines_are_those_of_each(stamps: list[tuple[Decimal, int]]
 @pytest.mark.parametrize("word", ["", "1.2.3", "one", "1 2", "9999999999"])
 def test_what_is_no_time_is_refused(word: str) -> None:
     with pytest.raises(ValueError, match="no time"):
-        parse_table([f"1,{word}".encode()], b",", [NUMBER, SECONDS])
+        parse([f"1,{word}".encode()], b",", [NUMBER, SECONDS])
 
 
 @given(st.decimals(-(10**9), 10**10, allow_nan=False, places=12), st.integers(0, 12))

@@ -2,3 +2,5 @@
 
 NUMBER, SECONDS, NANOSECONDS, ANY = range(4)
 """What a word of a line is: a number, a time in either unit, or nothing that is asked for."""
+PADDING = b"\n" * 8
+"""What must follow the last line: words are looked at eight bytes at a time."""

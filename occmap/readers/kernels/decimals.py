@@ -11,8 +11,6 @@ from occmap.jit import kernel
 from occmap.readers.kernels import ANY, NUMBER, SECONDS
 from occmap.types import Float64, Int64, UInt8, UInt64
 
-PADDING = b"\n" * 8
-"""What must follow the last line: words are looked at eight bytes at a time."""
 MOST_DIGITS = 15
 """Every integer of this many digits is below 2 to the power of 53."""
 MOST_TIME_DIGITS = 19
@@ -25,20 +23,23 @@ _ZEROS = np.uint64(0x3030303030303030)
 _BEYOND_NINE = np.uint64(0x7676767676767676)
 """Added to digits, it sets the highest bit of every byte that is none."""
 _HIGHEST = np.uint64(0x8080808080808080)
+_DIGIT_BITS = np.uint64(0x1010101010101010)
+"""Every digit has this bit; dots, commas, blanks and line ends have not."""
 _PLACES = np.uint64(0x0001020304050607)
-_PAIRS, _FOURS, _EIGHTS = (
-    np.uint64(0x00FF00FF00FF00FF),
-    np.uint64(0x0000FFFF0000FFFF),
-    np.uint64(0x00000000FFFFFFFF),
+"""Times the digit bit of a byte, it has the byte's number in its four highest bits."""
+_PAIRS, _FIRST_PAIRS, _LAST_PAIRS = (
+    np.uint64(0x000000FF000000FF),
+    np.uint64(100 + (1000000 << 32)),
+    np.uint64(1 + (10000 << 32)),
 )
-_BY_10, _BY_100, _BY_10000 = np.uint64(10), np.uint64(100), np.uint64(10000)
-_ONE, _SEVEN, _BYTE, _TWO_BYTES, _FOUR_BYTES, _SEVEN_BYTES = map(np.uint64, (1, 7, 8, 16, 32, 56))
+_ONE, _FOUR, _EIGHT, _TEN, _SIXTEEN, _HALF, _SIXTY = map(np.uint64, (1, 4, 8, 10, 16, 32, 60))
 
 
 @kernel
 def parse_rows(
     text: UInt8,
     eights: UInt64,
+    starts: Int64,
     separator: int,
     kinds: UInt8,
     powers: Float64,
@@ -46,14 +47,16 @@ def parse_rows(
     times: Int64,
     left: Int64,
 ) -> int:
-    """Parse the words of lines that hold as many each.
+    """Parse the words of S lines that hold N each.
 
     Parameters
     ----------
     text
-        (L,) bytes: S lines, each with its end, and `PADDING`.
+        (L,) bytes: lines, each with its end, and `PADDING`.
     eights
         (L - 7,) the eight bytes from each byte on, the first one lowest.
+    starts
+        (S,) where the lines begin that are parsed.
     separator
         What stands between two words: one comma, or any number of blanks.
     kinds
@@ -75,30 +78,36 @@ def parse_rows(
     """
     rows, cols = values.shape
     lefts = 0
-    at: int | np.int64 = 0
     for row in range(rows):
+        at = starts[row]
         for col in range(cols):
             while separator == _BLANK and text[at] == _BLANK:
                 at += 1
             kind = kinds[col]
-            # The usual number, digits with a dot between, up to seven bytes, all at once.
-            eight = eights[at] ^ _ZEROS
-            others = ((eight + _BEYOND_NINE) | eight) & _HIGHEST
-            dot = (others & (~others + _ONE)) >> _SEVEN
+            # The usual number, digits with a dot between, up to seven bytes, all at once. No index
+            # is negative, and numba need not look whether it is.
+            place = np.uint64(at)
+            word = eights[place]
+            others = ~word & _DIGIT_BITS
+            dot = others & (~others + _ONE)
             others &= others - _ONE
-            end = (others & (~others + _ONE)) >> _SEVEN
-            digits = np.int64((dot * _PLACES) >> _SEVEN_BYTES)
-            length = np.int64((end * _PLACES) >> _SEVEN_BYTES)
-            after = text[at + length]
-            is_usual = length > 1 and text[at + digits] == _DOT and after in (separator, _END)
-            if kind == NUMBER and is_usual:
-                before = dot - _ONE
-                eight = (eight & before) | (((eight & (end - _ONE)) >> _BYTE) & ~before)
-                eight = (eight * _BY_10 + (eight >> _BYTE)) & _PAIRS
-                eight = (eight * _BY_100 + (eight >> _TWO_BYTES)) & _FOURS
-                eight = (eight * _BY_10000 + (eight >> _FOUR_BYTES)) & _EIGHTS
-                values[row, col] = np.float64(eight) / powers[8 - digits]
-                at += length
+            end = others & (~others + _ONE)
+            whole, length = (dot * _PLACES) >> _SIXTY, (end * _PLACES) >> _SIXTY
+            before, all_before = (dot >> _FOUR) - _ONE, (end >> _FOUR) - _ONE
+            word ^= _ZEROS
+            word = (word & before) | (((word & all_before) >> _EIGHT) & ~before)
+            after = text[place + length]
+            if (
+                kind == NUMBER
+                and length > _ONE
+                and text[place + whole] == _DOT
+                and (after in (separator, _END))
+                and not ((word + _BEYOND_NINE) | word) & _HIGHEST
+            ):
+                word = word * _TEN + (word >> _EIGHT)
+                word = (word & _PAIRS) * _FIRST_PAIRS + ((word >> _SIXTEEN) & _PAIRS) * _LAST_PAIRS
+                values[row, col] = np.float64(np.int64(word >> _HALF)) / powers[_EIGHT - whole]
+                at += np.int64(length)
             else:
                 start = at
                 if text[at] == _MINUS:
@@ -154,5 +163,4 @@ def parse_rows(
             at += 1
         if text[at] != _END:
             return -1
-        at += 1
     return lefts

@@ -11,14 +11,16 @@ from occmap.grid.kernels.polygon import trace_polygons
 from occmap.grid.kernels.project import project_ends
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.kernels.sums import read_tiles
-from occmap.grid.warm import compile_kernels
 from occmap.options import BuildOptions
 from occmap.pipeline import build
+from occmap.posing.options import Deskew, PosingOptions
+from occmap.readers.kernels.decimals import parse_rows
 from occmap.sensor.models import parse_model
 from occmap.types import Update
-from tests.samples import SAMPLE_LOGS
+from occmap.warm import compile_kernels
 
 KERNELS: list[Any] = [
+    parse_rows,
     project_ends,
     note_beams,
     trace_beams,
@@ -28,16 +30,29 @@ KERNELS: list[Any] = [
 ]
 
 
+def write_log(folder: Path) -> tuple[Path, Path]:
+    """A CSV that states the time between beams, and its poses."""
+    log, poses = folder / "drive.csv", folder / "drive.tum"
+    names = {"angle_min": 0, "angle_increment": 0.5, "time_increment": 0.01}
+    lines = [*(f"# {name}: {value}" for name, value in names.items()), "stamp,r0,r1,r2"]
+    log.write_text("\n".join([*lines, *(f"{stamp}.5,1,2,3" for stamp in range(9))]) + "\n")
+    poses.write_text("".join(f"{stamp} 0 {stamp} 0 0 0 0 1\n" for stamp in range(10)))
+    return log, poses
+
+
+@pytest.mark.parametrize("deskew", [Deskew.OFF, Deskew.ON])
 @pytest.mark.parametrize("update", Update)
 @pytest.mark.parametrize("model", ["simple", "quadratic"])
 def test_a_build_needs_no_kernel_that_was_not_compiled_before(
-    update: Update, model: str, tmp_path: Path
+    update: Update, model: str, deskew: Deskew, tmp_path: Path
 ) -> None:
+    log, poses = write_log(tmp_path)
     compile_kernels()
     compiled = [len(kernel.signatures) for kernel in KERNELS]
     assert min(compiled) >= 1
-    options = BuildOptions(update=update, model=parse_model(model), jobs=1)
-    build([SAMPLE_LOGS / "drive.mcap"], options, [tmp_path / "m.npz"])
+    posing = PosingOptions(poses=str(poses), deskew=deskew)
+    options = BuildOptions(update=update, model=parse_model(model), jobs=1, posing=posing)
+    assert build([log], options, [tmp_path / "m.npz"]).report.scans.used == 9
     assert [len(kernel.signatures) for kernel in KERNELS] == compiled
 
 

@@ -1,0 +1,56 @@
+"""Compile the kernels of a build now, to ship them: `python -m occmap.warm` in a container."""
+
+from itertools import product
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from occmap.grid.engine import GridEngine
+from occmap.grid.spec import GridSpec
+from occmap.options import BuildOptions
+from occmap.pipeline import build
+from occmap.posing.options import Deskew, PosingOptions
+from occmap.sensor.models import CountingModel, QuadraticModel, SensorModel
+from occmap.types import Kind, Rays, Update
+
+HEADER = "# angle_min: 0\n# angle_increment: 1\n# time_increment: 0.0001\nstamp,r0,r1\n"
+
+
+def compile_kernels() -> None:
+    """Build maps of few scans and of many by every update, for counts and for a radial model."""
+    models: tuple[SensorModel, ...] = CountingModel(), QuadraticModel()
+    choices = product((1, 500), Update, models, Deskew)
+    with TemporaryDirectory(prefix="occmap-") as name:
+        log, poses = Path(name) / "drive.csv", Path(name) / "drive.tum"
+        for scans, update, model, deskew in choices:
+            log.write_text(HEADER + "".join(f"{at / 1000},1,1\n" for at in range(scans)))
+            poses.write_text("".join(f"{at / 1000} 0 0 0 0 0 0 1\n" for at in range(scans + 1)))
+            posing = PosingOptions(poses=str(poses), deskew=deskew)
+            options = BuildOptions(update=update, model=model, posing=posing, jobs=1)
+            build([log], options, [Path(name) / "map.npz"])
+
+
+def warm_up(spec: GridSpec) -> None:
+    """Compile or load the kernels of one grid: those for few scans, and those for many."""
+    engine = GridEngine(spec)
+    for scans in (1, 500):
+        engine.add(make_scans(scans))
+    engine.finish()
+
+
+def make_scans(scans: int) -> Rays:
+    """A corner of a room, from one place."""
+    return Rays(
+        origin=np.zeros((scans, 1, 2)),
+        turn=np.tile(np.eye(2), (scans, 1, 1, 1)),
+        bearing=np.array([[1.0, 0.0], [0.0, 1.0]]),
+        distance=np.ones((scans, 2), np.float32),
+        kind=np.full((scans, 2), Kind.HIT, np.uint8),
+        stamp_ns=np.zeros(scans, np.int64),
+        full_circle=False,
+    )
+
+
+if __name__ == "__main__":
+    compile_kernels()
