@@ -56,22 +56,27 @@ def read_tiles(
     keys, tiles
         (N, 2) row and column of each tile in the window, and (N, 2, TILE, TILE), written here.
     """
+    bits, kept, low = packing.bits, packing.kept, (1 << packing.bits) - 1
     row_counts = np.zeros(TILE, np.int32)
     col_counts = np.zeros(cells.shape[1], np.int32)
+    plain = np.empty((TILE, TILE), np.int32)
     size = 0
     for tile_row in range(touched[0], touched[2]):
         row_counts[:] = 0
         for tile_col in range(touched[1], touched[3]):
             row, col, tile = tile_row * TILE, tile_col * TILE, tiles[size]
-            sum_changes(changes, cells.shape, row, col, row_counts, col_counts, tile[1])
-            seen = False
+            sum_rows(changes, cells.shape[1], row, col, row_counts, plain)
+            if changes.col_runs.size:
+                sum_cols(changes, cells.shape[0] + PAD, row, col, col_counts, plain)
+            seen = 0
             for r in range(TILE):
+                # Slices, as numba cannot tell that `col + c` is no place counted from the end.
+                visited, first, second = cells[row + r, col : col + TILE], tile[0, r], tile[1, r]
                 for c in range(TILE):
-                    told = cells[row + r, col + c] & packing.kept
-                    told += tile[1, r, c] * packing.plain
-                    tile[0, r, c] = told >> packing.bits
-                    tile[1, r, c] = told & ((1 << packing.bits) - 1)
-                    seen |= told != 0
+                    told = (visited[c] & kept) + plain[r, c] * packing.plain
+                    first[c] = told >> bits
+                    second[c] = told & low
+                    seen |= told
             if seen:
                 keys[size, 0], keys[size, 1] = tile_row, tile_col
                 size += 1
@@ -79,38 +84,44 @@ def read_tiles(
 
 
 @kernel
-def sum_changes(
-    changes: Changes,
-    shape: tuple[int, int],
-    row: int,
-    col: int,
-    row_counts: Int32,
-    col_counts: Int32,
-    plain: Int32 | Int64,
+def sum_rows(
+    changes: Changes, stride: int, row: int, col: int, counts: Int32, plain: Int32
 ) -> None:
-    """Write how often each cell of a tile was plain.
+    """Write how often each cell of a tile was plain, by what was noted along rows.
 
-    `row_counts` (TILE,) and `col_counts` (W,) go on from the tile to the left and the one below.
+    `counts` (TILE,) go on from the tile to the left.
     """
-    row_runs, row_steps = changes.row_runs, changes.row_steps
-    col_runs, col_steps = changes.col_runs, changes.col_steps
-    stride = shape[1]
+    runs, steps = changes.row_runs, changes.row_steps
     for r in range(TILE):
-        count, here = row_counts[r], (row + r) * stride + col
-        if row_steps.size:
-            for c in range(TILE):
-                count += row_runs[here + c] + row_steps[here + c] - row_steps[here + stride + c]
-                plain[r, c] = count
-        else:
-            for c in range(TILE):
-                count += row_runs[here + c]
-                plain[r, c] = count
-        row_counts[r] = count
-    if col_runs.size:
-        stride = shape[0] + PAD
+        count, here = counts[r], np.uint64((row + r) * stride + col)
+        above = here + np.uint64(stride)
         for c in range(TILE):
-            count, here = col_counts[col + c], (col + c) * stride + row
-            for r in range(TILE):
-                count += col_runs[here + r] + col_steps[here + r] - col_steps[here + stride + r]
-                plain[r, c] += count
-            col_counts[col + c] = count
+            count += runs[here]
+            if steps.size:
+                count += steps[here] - steps[above]
+            plain[r, c] = count
+            here += np.uint64(1)
+            above += np.uint64(1)
+        counts[r] = count
+
+
+@kernel
+def sum_cols(
+    changes: Changes, stride: int, row: int, col: int, counts: Int32, plain: Int32
+) -> None:
+    """Add how often each cell of a tile was plain, by what was noted along columns.
+
+    `counts` (W,) go on from the tile below.
+    """
+    line = np.empty(TILE, np.int32)
+    for c in range(col, col + TILE):
+        here = c * stride + row
+        runs, steps = changes.col_runs[here : here + TILE], changes.col_steps[here : here + TILE]
+        right = changes.col_steps[here + stride : here + stride + TILE]
+        for r in range(TILE):  # a loop of its own: many changes are added up at a time
+            line[r] = runs[r] + steps[r] - right[r]
+        count = counts[c]
+        for r in range(TILE):
+            count += line[r]
+            plain[r, c - col] += count
+        counts[c] = count
