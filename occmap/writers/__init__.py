@@ -16,8 +16,9 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 from occmap.errors import UsageError
 from occmap.types import Decision, Evidence, Int64, Journey, OccupancyMap
 
-BAND_CELLS = 1 << 22
-"""Cells that are turned into pixels at once, so that a large map needs no second copy in floats."""
+BAND_CELLS = 1 << 18
+"""Cells that are turned into pixels at once: what is worked out for them fits a core's cache, and a
+large map needs no second copy in floats."""
 
 
 class MapMode(StrEnum):

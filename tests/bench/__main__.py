@@ -104,7 +104,7 @@ class Bench:
                 limits.YARD_LIMITS,
             ),
             (
-                make_yard("861 scans of a yard", Sensor.spanning(181, 180, 50.0), 861, 0.05),
+                make_large_place(),
                 limits.SPARSE_LIMITS,
             ),
         )
@@ -152,6 +152,12 @@ class Bench:
         self.results.rows += process_limits.measure_field(folder)
         self.results.rows += process_limits.compare_help(2 * rounds)
         self.results.rows += process_limits.measure_smallest(folder, rounds)
+        self.results.rows += process_limits.measure_writing(make_large_place(), folder, rounds)
+
+
+def make_large_place() -> Workload:
+    """A place of 9 million cells, of which few beams cross each."""
+    return make_yard("861 scans of a yard", Sensor.spanning(181, 180, 50.0), 861, 0.05)
 
 
 def measure_pyoctomap(workload: Workload) -> Figure:

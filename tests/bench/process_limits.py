@@ -14,7 +14,7 @@ from tests.bench.limits import Row, compare
 from tests.bench.logs import write_mcap
 from tests.bench.measuring import take_in_turn
 from tests.bench.processes import OCCMAP, Usage, build_command, run, time_process, time_processor
-from tests.bench.workloads import Sensor, make_corridor
+from tests.bench.workloads import Sensor, Workload, make_corridor
 
 SAMPLE_LOGS = Path(__file__).parents[2] / "sample_logs"
 MRPT_LIMITS = {Update.BEAM: 1.0, Update.POLYGON: 0.9}
@@ -141,6 +141,17 @@ def measure_smallest(folder: Path, rounds: int) -> list[Row]:
         f"stages {sum(stages.values()):.3f} ({longest})"
     )
     return [Row(f"build {log.name}, seconds", 1.0, times.median("build"), detail)]
+
+
+def measure_writing(workload: Workload, folder: Path, rounds: int) -> list[Row]:
+    """The write stage of a large map, a PNG beside the PGM, with all that it loads (s)."""
+    log, image = write_mcap(workload, folder), folder / "large.pgm"
+    command = build_command(Update.BEAM, log, image, "-o", str(image.with_suffix(".png")))
+    reports = [json.loads(run(command).output) for _ in range(rounds)]
+    seconds = [report["seconds"]["write"] for report in reports]
+    cells = reports[0]["map"]["columns"] * reports[0]["map"]["rows"]
+    detail = f"{cells / 1e6:.1f} M cells, shortest: {min(seconds):.2f}"
+    return [Row(f"{workload.name}: write PGM and PNG, seconds", 0.3, median(seconds), detail)]
 
 
 def find_smallest_sample() -> Path:
