@@ -25,6 +25,7 @@ from occmap.fleet.runs import (
 from occmap.observing import Keep
 from occmap.opening import count_scans
 from occmap.options import BuildOptions
+from occmap.posing.jumps import find_breaks
 from occmap.posing.sifting import Ends, Laser
 from occmap.readers import Note, open_log, read_scans, split_log
 from occmap.sensor.no_return import RangeLimits
@@ -149,7 +150,7 @@ def survey_log(job: SurveyJob) -> Survey:
     parts = split_log(log, setting.slice_bytes)
     if parts:
         for chain in filter(None, drive.poser.chains.values()):
-            _ = chain.breaks  # so that every part is pickled with tracks that have cached steps
+            find_breaks(chain)  # so that every part is pickled with tracks that have cached steps
         drives = [drive._replace(log=part) for part in parts]
         write_mapped(stub.with_suffix(".parts"), drives)
     first_ns = find_first(drive, options)

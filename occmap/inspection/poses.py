@@ -12,7 +12,7 @@ from occmap.mounts import UNTURNED, Guess, guess_place
 from occmap.opening import refuse_shared_mount, take_first
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
-from occmap.posing.chain import Status
+from occmap.posing.found import Status
 from occmap.posing.options import Stamps
 from occmap.readers import Log, read_poses
 from occmap.sampling import sample_scans

@@ -16,9 +16,10 @@ from typing import Self
 import numpy as np
 
 from occmap.errors import PoseError
-from occmap.posing.chain import Chain, Found, Status
+from occmap.posing.chain import Chain
 from occmap.posing.concerns import Concern
 from occmap.posing.deskew import choose_deskewed, keep, spread_moments
+from occmap.posing.found import Found, Status
 from occmap.posing.options import Deskew, DropReason, PosingOptions
 from occmap.posing.resolve import resolve
 from occmap.posing.sifting import Attached, Ends, Laser, LeapFilter

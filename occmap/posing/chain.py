@@ -1,111 +1,43 @@
-"""Chains: the poses of a sensor in the map frame, through any number of frames in between."""
+"""Chains: where a sensor was in the map at any moment, by the frames in between.
 
-from collections.abc import Iterator, Sequence
+A step from one frame to the next that never moves holds at all times. Any other is interpolated
+between the two samples around a moment: positions linearly, rotations by slerp. Before the first
+sample, after the last and in a gap that is too long there is no pose. A correction of odometry
+(`map -> odom`) has no gaps that are too long, and where it jumps it holds until then: halfway
+through a jump the robot never was. The pose of the sensor is the product of all steps.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
-from typing import NamedTuple, Self
 
 import numpy as np
 
+from occmap.posing.found import Found, Status
 from occmap.posing.frames import Step, last_part
-from occmap.posing.rotations import rotate_by, slerp
-from occmap.posing.tracks import Track, find_usable
-from occmap.types import Bool, Float64, Int64, Pose, UInt8
+from occmap.posing.rotations import slerp
+from occmap.posing.tracks import Track
+from occmap.types import Bool, Float64, Int64
 
 DRIFT_M, DRIFT_RAD = 0.1, 0.05
 """A correction of odometry that moves or turns by no more never counts as a jump."""
 DRIFT_M_PER_S, DRIFT_RAD_PER_S = 0.05, 0.01
 """What a correction drifts by at most, beyond that: 5 cm a second is a bad odometer."""
 
-UNMOVED = Pose.planar(0.0, 0.0, 0.0)
-"""Stands in for a pose that cannot be used."""
-
 DENSE_S = 0.1
 """Poses no further apart show how the laser moved: a robot's velocity hardly changes so fast."""
 
 
-class Status(IntEnum):
-    """Whether there is a pose at a stamp, else the name of its `DropReason`.
-
-    Of the legs of a chain the worst one counts.
-    """
-
-    POSED = 0
-    BEFORE = 1
-    AFTER = 2
-    GAP = 3
-    NOT_FINITE = 4
-    NO_TRANSFORM = 5
-
-
-class Found(NamedTuple):
-    """Where one frame was in another at N stamps, or at all times (N = 1)."""
-
-    position: Float64
-    """(N, 3) m; like the rotation, meaningless where the status is not POSED"""
-    rotation: Float64
-    """(N, 3, 3)"""
-    status: UInt8
-    """(N,) of Status"""
-
-    @classmethod
-    def of(cls, position: Float64, quaternion: Float64) -> Self:
-        """Make it of positions (N, 3) in m and unit quaternions (N, 4)."""
-        return cls(position, rotate_by(quaternion), np.zeros(len(position), np.uint8))
-
-    @classmethod
-    def fixed(cls, pose: Pose) -> Self:
-        """Make it of one pose that holds at all times."""
-        track = Track.fixed(pose)
-        return cls.of(track.position, track.quaternion)
-
-    @classmethod
-    def read(cls, poses: Float64) -> Self:
-        """Make it of poses (N, 7) as they were recorded, of which some may be unusable."""
-        usable, norm = find_usable(poses)
-        poses = np.where(usable[:, None], poses, UNMOVED)
-        found = cls.of(poses[:, :3], poses[:, 3:] / norm[:, None])
-        found.status[~usable] = Status.NOT_FINITE
-        return found
-
-    def then(self, below: Self) -> Self:
-        """Go on to a frame that was found in this one."""
-        return type(self)(
-            self.position + turn(self.rotation, below.position),
-            self.rotation @ below.rotation,
-            np.maximum(self.status, below.status),
-        )
-
-    def invert(self) -> Self:
-        """Where the upper frame was in the lower one."""
-        back = self.rotation.swapaxes(1, 2)
-        return type(self)(-turn(back, self.position), back, self.status)
-
-
-def turn(rotation: Float64, position: Float64) -> Float64:
-    """Rotate vectors (N, 3) by matrices (N, 3, 3); either N may be 1."""
-    turned: Float64 = (rotation @ position[..., None])[..., 0]
-    return turned
-
-
-class Break(NamedTuple):
-    """Two moments that a jump lies between, by the clock of the poses."""
-
-    after_ns: int
-    before_ns: int
-    step: Step
-
-
 @dataclass(frozen=True, eq=False)
-class _Moving:
+class Moving:
     """A step that is interpolated between the two samples around a stamp."""
 
     step: Step
     holds: Bool
-    """(N,): the pose jumps after a sample, which holds until then"""
+    """(N,) whether the pose jumps after a sample, which holds until then"""
     max_gap_ns: float
 
     def at(self, stamp_ns: Int64) -> Found:
+        """Interpolate at stamps (N,), in any order."""
         track = self.step.edge.track
         stamps = track.stamp_ns
         last = len(stamps) - 1
@@ -126,15 +58,6 @@ class _Moving:
         found.status[stamp_ns > stamps[-1]] = Status.AFTER
         return found.invert() if self.step.inverted else found
 
-    def find_breaks(self) -> Iterator[Break]:
-        """Find where a correction jumps, and where a body moves faster than a robot can."""
-        stamps = self.step.edge.track.stamp_ns
-        for at in np.flatnonzero(self.holds[:-1]).tolist():  # the pose holds until just before
-            yield Break(int(stamps[at + 1]), int(stamps[at + 1]) - 1, self.step)
-        strides = self.step.edge.track.strides
-        for at in strides[~self.holds[strides]].tolist():
-            yield Break(int(stamps[at + 1]), int(stamps[at]), self.step)
-
 
 @dataclass(frozen=True, eq=False)
 class Chain:
@@ -142,7 +65,7 @@ class Chain:
 
     steps: tuple[Step, ...]
     """From the map frame downwards."""
-    legs: tuple[Found | _Moving, ...]
+    legs: tuple[Found | Moving, ...]
     """What the steps are worth; those that never move are already found and multiplied out"""
     interval_s: float
     """Median time between the samples of the leg that is sampled least; 0 where none moves. A
@@ -153,25 +76,18 @@ class Chain:
         """The frames from the map to the sensor."""
         return (self.steps[0].upper, *(step.lower for step in self.steps)) if self.steps else ()
 
-    @property
-    def breaks(self) -> list[Break]:
-        """Where a leg jumps, in ascending order and each moment once."""
-        legs = [leg for leg in self.legs if isinstance(leg, _Moving)]
-        found = {each.after_ns: each for leg in legs for each in leg.find_breaks()}
-        return [found[stamp_ns] for stamp_ns in sorted(found)]
-
     def is_dense(self, duration_s: Float64) -> Bool:
         """Whether the poses show how the sensor moved within durations (N,)."""
         dense: Bool = self.interval_s <= np.maximum(duration_s, DENSE_S)
         return dense & (self.interval_s > 0)
 
     def at(self, stamp_ns: Int64) -> Found:
-        """Interpolate at stamps (N,), in any order."""
+        """Look up the sensor at stamps (N,), in any order; the worst status of the legs counts."""
         n = len(stamp_ns)
         unturned = np.broadcast_to(np.eye(3), (n, 3, 3))
         found = Found(np.zeros((n, 3)), unturned, np.zeros(n, np.uint8))
         for leg in self.legs:
-            found = found.then(leg.at(stamp_ns) if isinstance(leg, _Moving) else leg)
+            found = found.then(leg.at(stamp_ns) if isinstance(leg, Moving) else leg)
         return found
 
 
@@ -187,13 +103,13 @@ def make_chain(steps: Sequence[Step], max_gap_s: float | None) -> Chain:
     # jump at any time, and odom -> base_link never.
     corrections = [step for step in moving[:-1] if "odom" in last_part(step.edge.child).lower()]
     max_gap_ns = np.inf if max_gap_s is None else max_gap_s * 1e9
-    legs: list[Found | _Moving] = []
+    legs: list[Found | Moving] = []
     for step in steps:
         track = step.edge.track
         if step in corrections:  # interpolated or held, however long: the limit is for what moves
-            legs.append(_Moving(step, _find_jumps(track), np.inf))
+            legs.append(Moving(step, _find_jumps(track), np.inf))
         elif step in moving:
-            legs.append(_Moving(step, np.zeros(len(track), np.bool_), max_gap_ns))
+            legs.append(Moving(step, np.zeros(len(track), np.bool_), max_gap_ns))
         else:
             rigid = Found.of(track.position[:1], track.quaternion[:1])
             rigid = rigid.invert() if step.inverted else rigid

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.posing.concerns import Concern
+from occmap.posing.rotations import measure_angle
 from occmap.types import Float64, PosedScans
 
 TILTED_RAD = math.radians(3)
@@ -57,9 +58,7 @@ class Course:
         self._high = np.maximum(self._high, position.max(axis=0))
         first = rotation[0] if self._first is None else self._first
         self._first = first
-        # The trace of a rotation matrix is 1 + 2 cos of its angle.
-        cosine = (np.einsum("ij,sij->s", first, rotation) - 1) / 2
-        self._turned = max(self._turned, float(np.arccos(np.clip(cosine.min(), -1, 1))))
+        self._turned = max(self._turned, float(measure_angle(first.T @ rotation).max()))
 
     @property
     def bounds(self) -> Float64:

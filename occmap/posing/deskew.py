@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from occmap.posing.chain import Chain, Found
+from occmap.posing.chain import Chain
+from occmap.posing.found import Found
 from occmap.posing.options import Deskew
 from occmap.types import Bool, Int64, PosedScans, ScanBatch
 

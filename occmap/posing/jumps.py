@@ -11,14 +11,33 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.posing.chain import Chain, Status
+from occmap.posing.chain import Chain, Moving
 from occmap.posing.concerns import Concern
+from occmap.posing.found import Status
+from occmap.posing.frames import Step
+from occmap.posing.rotations import measure_angle
+from occmap.posing.tracks import Track
 from occmap.types import Float64, Int64
 
 JUMP_M, JUMP_RAD = 1.0, math.radians(20)
 """A correction that moves and turns the sensor by less mends drift, and doubles walls at most."""
 UNDONE_SHARE = 0.1
 """A jump undoes another where it leads back to within this share of the other's way, or JUMP_M."""
+STRIDE_M = 1.0
+"""A shorter step may be a correction of drift."""
+STRIDE_S = 10.0
+"""Between samples that are further apart in time a robot may have been carried."""
+STRIDE_TIMES = 2.5
+"""Nobody drives this many times as fast as usual."""
+LONG_STEPS = 2.0
+"""A stride is this many times as long as nearly all steps: all steps of a sparse log are long."""
+SLOW_M_PER_S = 0.3
+"""Where a robot stands, or creeps, it may set out at this speed."""
+BESIDE = np.array([*range(-10, 0), *range(1, 11)])
+"""Offsets from a step to those beside it, which say how fast the robot drives there."""
+FASTEST_BESIDE = 3
+"""The third fastest of those steps counts: one or two may be strides themselves."""
+
 MS_NS = 10**6
 
 
@@ -44,13 +63,13 @@ class Jump(NamedTuple):
     @property
     def radians(self) -> float:
         """How far it turned."""
-        return measure_turn(self.rotation)
+        return float(measure_angle(self.rotation))
 
     def is_undone_by(self, later: Self) -> bool:
         """Whether a later jump leads back to where this one came from."""
         back = later.after + later.rotation @ (self.after - later.before)
         apart = float(np.linalg.norm(back - self.before))
-        askew = measure_turn(later.rotation @ self.rotation)
+        askew = float(measure_angle(later.rotation @ self.rotation))
         return apart <= max(JUMP_M, UNDONE_SHARE * self.metres) and askew <= JUMP_RAD
 
 
@@ -112,9 +131,17 @@ class JumpWatch:
         return jumps, scans
 
 
+class Break(NamedTuple):
+    """Two moments that a jump lies between, by the clock of the poses."""
+
+    after_ns: int
+    before_ns: int
+    step: Step
+
+
 def find_jumps(chain: Chain) -> Iterator[Jump]:
     """Find the jumps that the sensor at the end of a chain makes."""
-    breaks = chain.breaks
+    breaks = find_breaks(chain)
     if not breaks:
         return
     before = chain.at(np.array([each.before_ns for each in breaks], np.int64))
@@ -128,6 +155,41 @@ def find_jumps(chain: Chain) -> Iterator[Jump]:
         jump = Jump(breaks[at].after_ns, *place, rotation, name)
         if jump.metres > JUMP_M or jump.radians > JUMP_RAD:
             yield jump
+
+
+def find_breaks(chain: Chain) -> list[Break]:
+    """Find where a leg of a chain jumps, in ascending order and each moment once."""
+    legs = [leg for leg in chain.legs if isinstance(leg, Moving)]
+    found = {each.after_ns: each for leg in legs for each in _list_breaks(leg)}
+    return [found[stamp_ns] for stamp_ns in sorted(found)]
+
+
+def _list_breaks(leg: Moving) -> Iterator[Break]:
+    """List where a correction jumps, and where a body moves faster than a robot can."""
+    track = leg.step.edge.track
+    for at in np.flatnonzero(leg.holds[:-1]).tolist():  # the pose holds until just before
+        after_ns = int(track.stamp_ns[at + 1])
+        yield Break(after_ns, after_ns - 1, leg.step)
+    strides = find_strides(track)
+    for at in strides[~leg.holds[strides]].tolist():
+        yield Break(int(track.stamp_ns[at + 1]), int(track.stamp_ns[at]), leg.step)
+
+
+def find_strides(track: Track) -> Int64:
+    """Find the steps (K,) that are far too fast for a robot that drives as it does beside them."""
+    if len(track) < 3:
+        return np.zeros(0, np.int64)
+    speed = track.step_m / np.maximum(track.interval_s, 1e-3)
+    usual = max(SLOW_M_PER_S, float(np.quantile(speed, 0.95)))
+    long_m = max(STRIDE_M, LONG_STEPS * float(np.quantile(track.step_m, 0.95)))
+    far = (track.step_m > long_m) & (track.interval_s <= STRIDE_S)
+    steps = np.flatnonzero(far & (speed > STRIDE_TIMES * usual))
+    beside = steps[:, None] + BESIDE
+    known = (beside >= 0) & (beside < len(speed))
+    beside_m_per_s = np.where(known, speed[np.clip(beside, 0, len(speed) - 1)], 0)
+    fast = np.partition(beside_m_per_s, -FASTEST_BESIDE, axis=1)[:, -FASTEST_BESIDE]
+    strides: Int64 = steps[speed[steps] > STRIDE_TIMES * fast]
+    return strides
 
 
 def describe_jump(jumps: Sequence[Jump], first_ns: int) -> str:
@@ -144,11 +206,6 @@ def describe_jump(jumps: Sequence[Jump], first_ns: int) -> str:
     if later and jump.is_undone_by(later[0]):
         text += f", and back at {(later[0].stamp_ns - first_ns) / 1e9:.3f} s"
     return f"{text}, the largest of {len(jumps)} jumps" if len(jumps) > 2 else text
-
-
-def measure_turn(rotation: Float64) -> float:
-    """The angle of a rotation matrix (rad), whose trace is 1 + 2 cos of it."""
-    return math.acos(min(max((float(np.trace(rotation)) - 1) / 2, -1.0), 1.0))
 
 
 def write_ms(milliseconds: int) -> str:

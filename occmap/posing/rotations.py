@@ -46,6 +46,13 @@ def to_quaternions(matrix: Float64) -> Float64:
     return quaternion
 
 
+def measure_angle(matrix: Float64) -> Float64:
+    """Angles (...,) in [0, pi] of rotation matrices (..., 3, 3): their trace is 1 + 2 cos of it."""
+    cosine = (np.trace(matrix, axis1=-2, axis2=-1) - 1) / 2
+    angle: Float64 = np.arccos(np.clip(cosine, -1, 1))
+    return angle
+
+
 def angle_between(start: Float64, end: Float64) -> Float64:
     """Angles (N,) in [0, pi] between the rotations of unit quaternions (N, 4) each."""
     return 4 * np.arctan2(*_half_chords(start, _nearer(start, end)))

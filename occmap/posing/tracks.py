@@ -15,21 +15,6 @@ STILL_M = 1e-4
 STILL_RAD = 1e-4
 """A frame that moves by no more than this in a whole log is taken as mounted."""
 
-STRIDE_M = 1.0
-"""A shorter step may be a correction of drift."""
-STRIDE_S = 10.0
-"""Between samples that are further apart in time a robot may have been carried."""
-STRIDE_TIMES = 2.5
-"""Nobody drives this many times as fast as usual."""
-LONG_STEPS = 2.0
-"""A stride is this many times as long as nearly all steps: all steps of a sparse log are long."""
-SLOW_M_PER_S = 0.3
-"""Where a robot stands, or creeps, it may set out at this speed."""
-BESIDE = np.array([*range(-10, 0), *range(1, 11)])
-"""Offsets from a step to those beside it, which say how fast the robot drives there."""
-FASTEST_BESIDE = 3
-"""The third fastest of those steps counts: one or two may be strides themselves."""
-
 MAX_STAMP_NS = 2**62
 """The latest stamp, in the year 2116: a later one is damage. Differences of two fit an int64."""
 
@@ -80,23 +65,6 @@ class Track:
     def step_rad(self) -> Float64:
         """(N - 1,) radians between neighbouring samples."""
         return angle_between(self.quaternion[:-1], self.quaternion[1:])
-
-    @cached_property
-    def strides(self) -> Int64:
-        """(K,) the steps that are far too fast for a robot that drives as it does beside them."""
-        if len(self) < 3:
-            return np.zeros(0, np.int64)
-        speed = self.step_m / np.maximum(self.interval_s, 1e-3)
-        usual = max(SLOW_M_PER_S, float(np.quantile(speed, 0.95)))
-        long_m = max(STRIDE_M, LONG_STEPS * float(np.quantile(self.step_m, 0.95)))
-        far = (self.step_m > long_m) & (self.interval_s <= STRIDE_S)
-        steps = np.flatnonzero(far & (speed > STRIDE_TIMES * usual))
-        beside = steps[:, None] + BESIDE
-        known = (beside >= 0) & (beside < len(speed))
-        beside_m_per_s = np.where(known, speed[np.clip(beside, 0, len(speed) - 1)], 0)
-        fast = np.partition(beside_m_per_s, -FASTEST_BESIDE, axis=1)[:, -FASTEST_BESIDE]
-        strides: Int64 = steps[speed[steps] > STRIDE_TIMES * fast]
-        return strides
 
 
 class TrackBuilder:

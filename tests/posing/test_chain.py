@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.posing.chain import Chain, Status, make_chain
+from occmap.posing.chain import Chain, make_chain
+from occmap.posing.found import Status
 from occmap.posing.frames import Edge, Source, Step
+from occmap.posing.jumps import find_breaks
 from occmap.posing.options import Stamps
 from occmap.posing.tracks import TrackBuilder
 from occmap.types import Float64, Pose
@@ -79,7 +81,7 @@ def test_a_correction_that_jumps_breaks_at_its_sample() -> None:
     correction = edge(
         "map", "odom", [*zip((0, 2, 4, 6), places, strict=True), (7, turned(7.5, x=0.41))]
     )
-    assert [each[:2] for each in chain_of(correction, DRIVE).breaks] == [
+    assert [each[:2] for each in find_breaks(chain_of(correction, DRIVE))] == [
         (4 * SECOND, 4 * SECOND - 1),  # by 0.22 m in 2 s, where 0.2 m may be
         (7 * SECOND, 7 * SECOND - 1),  # by 0.063 rad in 1 s, where 0.06 may be
     ]
@@ -87,7 +89,7 @@ def test_a_correction_that_jumps_breaks_at_its_sample() -> None:
 
 def test_a_leap_of_what_drives_breaks_between_two_samples() -> None:
     places = [turned(0, x=0.2 * t + 5 * (t > 30)) for t in range(60)]
-    (found,) = chain_of(edge("odom", "base", list(enumerate(places)))).breaks
+    (found,) = find_breaks(chain_of(edge("odom", "base", list(enumerate(places)))))
     assert found[:2] == (31 * SECOND, 30 * SECOND)
 
 

@@ -11,7 +11,9 @@ from occmap.inspection import inspect
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.concerns import Concern
+from occmap.posing.jumps import find_strides
 from occmap.posing.options import DropReason
+from occmap.posing.tracks import Track
 from occmap.types import Pose, PoseSample
 from tests.posing.scenes import SECOND, at, attach, batch_at, bolted, build, drive, turned
 from tests.samples import write_csv
@@ -138,3 +140,65 @@ def test_a_single_wrong_correction_turns_back_at_once() -> None:
     samples = correct(lambda second: turned(10) if second == 30 else NOWHERE)
     (concern,) = watch(build(*drive("odom", "base_link", seconds=SECONDS), MOUNT, *samples))
     assert "30.000 s after the first scan, and back at 31.000 s: " in concern.text
+
+
+def list_strides(usual: tuple[float, float], **others: tuple[float, float]) -> list[int]:
+    """Drive 300 steps of so many metres and seconds along x, others where `at_N` says."""
+    steps = np.array([others.get(f"at_{at}", usual) for at in range(300)])
+    place, time = np.append(np.zeros((1, 2)), steps.cumsum(axis=0), axis=0).T
+    position = np.stack([place, np.zeros(301), np.zeros(301)], axis=1)
+    quaternion = np.tile([0.0, 0.0, 0.0, 1.0], (301, 1))
+    track = Track(np.rint(time * 1e9).astype(np.int64), position, quaternion)
+    strides: list[int] = find_strides(track).tolist()
+    return strides
+
+
+CREEP = (0.2, 1.0)
+"""At 0.2 m/s, steps are strides above 1 m and above 2.5 * 0.3 m/s"""
+WALK = (1.0, 1.0)
+"""At 1 m/s, steps are strides above 2 m, twice the usual, and above 2.5 * 1 m/s"""
+
+
+@pytest.mark.parametrize(
+    ("usual", "step", "is_stride"),
+    [
+        (CREEP, (0.99, 1.0), False),
+        (CREEP, (1.01, 1.0), True),
+        (CREEP, (1.2, 1.62), False),
+        (CREEP, (1.2, 1.58), True),
+        (CREEP, (8.0, 10.0), True),
+        (CREEP, (8.5, 10.1), False),
+        (WALK, (2.4, 1.0), False),
+        (WALK, (2.6, 1.0), True),
+        (WALK, (1.9, 0.5), False),
+        (WALK, (2.1, 0.5), True),
+    ],
+)
+def test_a_stride_is_long_and_fast(
+    usual: tuple[float, float], step: tuple[float, float], is_stride: bool
+) -> None:
+    assert list_strides(usual, at_150=step) == ([150] if is_stride else [])
+
+
+@pytest.mark.parametrize(
+    ("at", "faster", "is_stride"),
+    [
+        (150, [140, 141, 142], False),
+        (150, [139, 140, 141], True),
+        (150, [158, 159, 160], False),
+        (150, [159, 160, 161], True),
+        (150, [149, 151], True),
+        (150, [148, 149, 151], False),
+        (150, [149, 151, 152], False),
+        (1, [0], True),
+        (3, [0, 1, 2], False),
+        (297, [298, 299], True),
+        (296, [297, 298, 299], False),
+    ],
+)
+def test_a_stride_is_faster_than_the_third_fastest_of_ten_steps_to_either_side(
+    at: int, faster: list[int], is_stride: bool
+) -> None:
+    """1.2 m/s is 2 times as fast as 0.6 m/s, and 6 times as fast as 0.2 m/s."""
+    steps = {f"at_{other}": (0.6, 1.0) for other in faster}
+    assert list_strides(CREEP, **steps, **{f"at_{at}": (1.2, 1.0)}) == ([at] if is_stride else [])
