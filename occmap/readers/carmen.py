@@ -34,7 +34,6 @@ from occmap.readers.text import (
     Line,
     LineTally,
     add_note,
-    is_worthwhile,
     note_cut_line,
     probe_lines,
     read_blocks,
@@ -281,7 +280,7 @@ def _find_word(start: bytes) -> str:
 def _parse_together(words: list[str], block: Block) -> dict[str, ScanRun | None]:
     """Parse the scans of a block, by kind; None where one is damaged, or differs."""
     runs: dict[str, ScanRun | None] = {}
-    for kind in FRAMES.keys() & words if is_worthwhile(block) else ():
+    for kind in FRAMES.keys() & words:
         runs[kind] = None
         rows = np.array([at for at, word in enumerate(words) if word == kind])
         with suppress(ValueError):

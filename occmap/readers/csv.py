@@ -28,7 +28,6 @@ from occmap.readers.text import (
     Line,
     LineTally,
     add_note,
-    is_worthwhile,
     note_cut_line,
     parse_nanoseconds,
     parse_stamp,
@@ -135,7 +134,7 @@ class CsvLog:
         for block, rows in self._walk() if TOPIC in topics else ():
             run: ScanRun | None = None
             with suppress(ValueError):  # damage or another geometry: reading row by row shows which
-                run = _parse_rows(self._layout, block, rows) if is_worthwhile(block) else None
+                run = _parse_rows(self._layout, block, rows)
             yield from self._parse_each(block, rows) if run is None else (run,)
 
     def split(self, size: int) -> Sequence["CsvLog"]:

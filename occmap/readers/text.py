@@ -10,7 +10,7 @@ from decimal import Decimal
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -225,11 +225,6 @@ def _read_pieces(path: Path, span: Span) -> Iterator[bytes]:
             yield piece
 
 
-def is_worthwhile(block: Block) -> bool:
-    """Say whether to parse lines together with numba: for few, loading it takes longer."""
-    return "numba" in sys.modules or len(block.text) > BLOCK_BYTES // 2
-
-
 def parse_table(block: Block, rows: Int64, separator: bytes, kinds: UInt8) -> Table:
     """Parse those lines of a block, by their indices (S,), that hold the same kinds of words.
 
@@ -296,16 +291,10 @@ def parse_stamp(text: str) -> int:
     ValueError
         The text is no number, or none that fits 64 bits of nanoseconds.
     """
-    seconds, _, part = text.partition(".")
     with suppress(ArithmeticError):  # what decimal raises for words and for NaN
-        if len(seconds) <= 10 and len(part) <= 9 and text.isascii() and (seconds + part).isdigit():
-            # As nearly all times are written: a third of the time that decimal takes.
-            nanoseconds: Any = int(seconds + part.ljust(9, "0"))
-        else:
-            nanoseconds = Decimal(text).scaleb(9)
+        nanoseconds = Decimal(text).scaleb(9)
         if abs(nanoseconds) < 2**63:
-            whole: int = round(nanoseconds)
-            return whole
+            return round(nanoseconds)
     raise ValueError(f"{shorten(text)} is no time in seconds")
 
 

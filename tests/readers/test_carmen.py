@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import occmap.readers.kernels.decimals  # noqa: F401  so that short logs are parsed together, too
 from occmap.errors import LogError
 from occmap.readers import Log, Note, Probe, Role, StackingScans, Stream, carmen, probe_path
 from occmap.readers.carmen import CarmenReader

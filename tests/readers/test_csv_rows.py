@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import occmap.readers.kernels.decimals  # noqa: F401  so that short logs are parsed together, too
 from occmap.errors import LogError
 from occmap.readers.csv import CsvLog, CsvReader
 from occmap.types import Scan, ScanRun

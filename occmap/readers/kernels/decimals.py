@@ -16,9 +16,10 @@ MOST_DIGITS = 15
 MOST_TIME_DIGITS = 19
 """Whole nanoseconds of this many digits fit 64 bits where the first is not 9."""
 POWERS: Float64 = np.array([float(10**n) for n in range(MOST_DIGITS + 1)])
-_ZERO, _NINE, _DOT, _MINUS, _BLANK, _END = 48, 57, 46, 45, 32, 10
-_I, _N, _F = 105, 110, 102
+_ZERO, _NINE, _DOT, _MINUS, _BLANK, _END = map(ord, "09.- \n")
 
+_INF, _NAN = (np.uint64(int.from_bytes(word, "little")) for word in (b"inf", b"nan"))
+_THREE_BYTES = np.uint64(0xFFFFFF)
 _ZEROS = np.uint64(0x3030303030303030)
 _BEYOND_NINE = np.uint64(0x7676767676767676)
 """Added to digits, it sets the highest bit of every byte that is none."""
@@ -131,14 +132,13 @@ def parse_rows(
                 if at == start and separator == _BLANK:
                     return -1
                 if kind == NUMBER:
-                    value = np.nan
+                    value, name = np.nan, eights[first] & _THREE_BYTES
                     if 0 < count <= MOST_DIGITS:
                         value = number / powers[decimals]
-                    elif at - first == 3 and text[first] == _I and text[at - 1] == _F:
-                        is_read = text[at - 2] == _N
+                    elif at - first == 3 and name == _INF:
                         value = np.inf
-                    else:
-                        is_read = at == start
+                    elif at - first != 3 or name != _NAN:
+                        is_read = at == start  # an empty cell
                     values[row, col] = -value if start < first else value
                 elif kind != ANY:
                     more = 9 - decimals if kind == SECONDS else 0
