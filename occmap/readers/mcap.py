@@ -1,8 +1,7 @@
 """MCAP files with ROS 2 or ROS 1 messages: whole, without index or summary, or cut short.
 
 The file is walked from its start, in the order in which it was written, so that one that ends
-early is no special case. Where the indexes behind a chunk name exactly the messages that are in it,
-they say at once where each lies.
+early is no special case.
 """
 
 import zlib
@@ -20,12 +19,6 @@ from mcap.opcode import Opcode
 from occmap.errors import LogError
 from occmap.readers import Note, NoteList, Probe, Role, Span, make_part
 from occmap.readers.inflate import Buffer, inflate
-from occmap.readers.mcap_index import (
-    LATEST_NS,
-    Indexes,
-    pick_messages,
-    read_indexes,
-)
 from occmap.readers.mcap_records import (
     CHUNK_START,
     LAST_OPCODE,
@@ -35,6 +28,7 @@ from occmap.readers.mcap_records import (
     RECORD_ERRORS,
     ChannelTable,
     Summary,
+    count_indexed,
     describe_end,
     find_record,
     is_cut_chunk,
@@ -45,7 +39,7 @@ from occmap.readers.mcap_records import (
     read_summary,
 )
 from occmap.readers.ros_log import RosReader
-from occmap.readers.ros_source import Channel, RawMessages, add_note, put_together
+from occmap.readers.ros_source import Channel, RawMessage, add_note
 from occmap.wording import count
 
 T = TypeVar("T")
@@ -54,6 +48,8 @@ _MESSAGE_HEAD = Struct("<BQHIQ")
 """Opcode, length, channel, sequence number, record time; a second time follows."""
 _NO_HEAD = (0, 0, 0, 0, 0)
 _NEVER_NS = 2**64 - 1
+_LATEST_NS = 2**63 - 1
+"""A time beyond this is damage."""
 _LONGEST_PADDING = 64
 """Bytes that a writer may leave behind the fields of a chunk."""
 
@@ -72,7 +68,8 @@ class _Block(NamedTuple):
     first_ns: int = 0
     last_ns: int = _NEVER_NS
     is_chunk: bool = False
-    indexes: Indexes = Indexes()
+    indexed: int = 0
+    """How many messages the indexes behind the chunk name; 0 where there are none."""
 
 
 class McapSource:
@@ -107,17 +104,13 @@ class McapSource:
         """Every channel of the file."""
         return list(self._summary.channels.values())
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessages]:
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some channels, in file order."""
         channels = {key: item for key, item in self._summary.channels.items() if item in wanted}
         table = ChannelTable()
         with self.path.open("rb") as file:
             for block in self._iterate_blocks(file, channels):
-                places = block.indexes.find(block.records, block.first_ns, block.last_ns)
-                if places is not None:
-                    yield from pick_messages(block.records, places, channels)
-                else:
-                    yield from put_together(self._iterate_messages(block, channels.get, table))
+                yield from self._iterate_messages(block, channels.get, table)
         for key, other in table.build({}).items():
             known = self._summary.channels.get(key, other)
             if known.type and known.description != other.description:
@@ -171,7 +164,7 @@ class McapSource:
             if opcode == Opcode.CHUNK:
                 chunks.add(position)
                 if self._may_hold(position, wanted):
-                    yield self._inflate_chunk(position, file.read(length), read_indexes(file))
+                    yield self._inflate_chunk(position, file.read(length), count_indexed(file))
             elif opcode in _PLAIN_RECORDS:
                 yield _Block(position, RECORD.pack(opcode, length) + file.read(length))
         start, end = self._span
@@ -243,7 +236,7 @@ class McapSource:
             return True
         return not held.isdisjoint(wanted)
 
-    def _inflate_chunk(self, position: int, body: bytes, indexes: Indexes) -> _Block:
+    def _inflate_chunk(self, position: int, body: bytes, indexed: int) -> _Block:
         """Decompress a chunk and verify its checksum when it is first read."""
         try:
             chunk = parse_chunk(body)
@@ -260,7 +253,7 @@ class McapSource:
         if problem:
             self._note(position, problem)
         last_ns = chunk.last_ns or _NEVER_NS
-        return _Block(position, block, chunk.first_ns, last_ns, True, indexes)
+        return _Block(position, block, chunk.first_ns, last_ns, True, indexed)
 
     def _iterate_messages(
         self, block: _Block, choose: Callable[[int], T | None], table: ChannelTable
@@ -269,7 +262,7 @@ class McapSource:
 
         Schemas and channels go to the table.
         """
-        position, records, first_ns, last_ns, _, indexes = block
+        position, records, first_ns, last_ns, _, indexed = block
         view, size = memoryview(records), len(records)
         unpack = _MESSAGE_HEAD.unpack_from
         start = behind = held = 0
@@ -283,7 +276,7 @@ class McapSource:
                 held += 1
                 if (chosen := choose(channel_id)) is not None:
                     is_timely &= first_ns <= record_ns <= last_ns
-                    yield chosen, min(record_ns, LATEST_NS), view[start + MESSAGE_DATA : end]
+                    yield chosen, min(record_ns, _LATEST_NS), view[start + MESSAGE_DATA : end]
             elif opcode in _DESCRIPTIONS and end <= size:
                 self._describe(table, opcode, position, view[start + RECORD.size : end])
             else:
@@ -293,8 +286,8 @@ class McapSource:
             behind, start = start + RECORD.size, end
         if not is_timely:
             self._note(position, "holds messages from outside the times that it states")
-        if indexes.messages not in {0, held}:
-            self._note(position, f"holds {held} messages, its index {indexes.messages}")
+        if indexed not in {0, held}:
+            self._note(position, f"holds {held} messages, its index {indexed}")
 
     def _describe(self, table: ChannelTable, opcode: int, position: int, body: memoryview) -> None:
         try:

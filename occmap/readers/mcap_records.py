@@ -62,6 +62,12 @@ CHUNK_START = 44
 """Bytes of it that say how long the chunk is."""
 _HEAD = re.compile(rb"(?=[\x03-\x0f].{4}\x00{4})", re.DOTALL)
 """How a record starts, if it is not longer than `LONGEST_RECORD`."""
+_INDEX_HEAD = struct.Struct("<HI")
+"""A channel, and the bytes of the entries that follow."""
+_INDEX_ENTRY = 16
+"""Bytes of an entry: a time, and where in the chunk the message lies."""
+_MOST_INDEX = 1 << 24
+"""Bytes of an index that are read at most: a million messages."""
 _WINDOW = 1 << 20
 _MOST_SUMMARY = 1 << 30
 
@@ -215,6 +221,19 @@ def parse_chunk(body: bytes) -> Chunk:
     data = view[start : start + length]
     left = len(view) - start - len(data)
     return Chunk(first_ns, last_ns, size, crc, name, data, left)
+
+
+def count_indexed(file: BinaryIO) -> int:
+    """Count the messages that the indexes name which follow in a file."""
+    messages = 0
+    while len(head := file.read(RECORD.size)) == RECORD.size:
+        opcode, length = RECORD.unpack(head)
+        if opcode != Opcode.MESSAGE_INDEX:
+            break
+        body = file.read(min(length, _MOST_INDEX))
+        _, size = _INDEX_HEAD.unpack(body[: _INDEX_HEAD.size].ljust(_INDEX_HEAD.size, b"\0"))
+        messages += size // _INDEX_ENTRY
+    return messages
 
 
 def measure_chunk(start: bytes) -> int | None:

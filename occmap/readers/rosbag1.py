@@ -15,7 +15,7 @@ from typing import BinaryIO
 from occmap.errors import LogError
 from occmap.readers import Note, NoteList, Span, make_part
 from occmap.readers.inflate import Buffer, inflate
-from occmap.readers.ros_source import Channel, RawMessages, add_note, put_together
+from occmap.readers.ros_source import Channel, RawMessage, add_note
 from occmap.readers.rosbag1_records import (
     BAG,
     CHUNK,
@@ -108,17 +108,15 @@ class Bag1Source:
         """Every connection of the bag."""
         return list(self._by_id.values())
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessages]:
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some connections, in file order."""
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
         with self.path.open("rb") as file:
             for position, block in self._iterate_blocks(file):
                 view = memoryview(block)
                 findings = Findings()
-                yield from put_together(
-                    (by_id[connection], record_ns, view[start:end])
-                    for connection, record_ns, start, end in split_messages(view, by_id, findings)
-                )
+                for connection, record_ns, start, end in split_messages(view, by_id, findings):
+                    yield by_id[connection], record_ns, view[start:end]
                 self._note_damage(position, findings)
 
     def split(self, size: int) -> Sequence["Bag1Source"]:

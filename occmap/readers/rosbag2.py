@@ -21,7 +21,7 @@ from occmap.readers import Note, NoteList, make_part
 from occmap.readers.inflate import unzip_file
 from occmap.readers.mcap import McapSource
 from occmap.readers.mcap_records import MAGIC as MCAP_MAGIC
-from occmap.readers.ros_source import Channel, RawMessages, Source, add_note
+from occmap.readers.ros_source import Channel, RawMessage, Source, add_note
 from occmap.readers.ros_sqlite import MAGIC as SQLITE_MAGIC
 from occmap.readers.ros_sqlite import SqliteSource
 
@@ -89,13 +89,13 @@ class Bag2Source:
         """Every channel of every storage file."""
         return [channel for by_inner in self._by_part for channel in by_inner.values()]
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessages]:
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some channels, one storage file after the other."""
         for part, outer in zip(self._parts, self._by_part, strict=True):
             inner = [channel for channel in part.channels if outer[channel] in wanted]
             if inner:
-                for some in part.messages(inner):
-                    yield some._replace(channel=outer[some.channel])
+                for channel, record_ns, data in part.messages(inner):
+                    yield outer[channel], record_ns, data
             self._gather_notes()
 
     def split(self, size: int) -> Sequence["Bag2Source"]:
