@@ -54,8 +54,6 @@ class McapSource(ChunkedSource[ChannelTable]):
     find_record = staticmethod(find_record)
 
     def __init__(self, path: Path) -> None:
-        self._verified: set[int] = set()
-        """Chunks whose checksums were seen to be right or wrong"""
         self._summary = Summary()
         super().__init__(path)
 
@@ -122,7 +120,7 @@ class McapSource(ChunkedSource[ChannelTable]):
         return not (held and self._summary.is_checked) or any(key in wanted for key in held)
 
     def _open_chunk(self, record: Record, body: bytes, file: BinaryIO) -> Block:
-        """Decompress a chunk, and verify its checksum when it is first read."""
+        """Decompress a chunk, and verify its checksum."""
         position = record.position
         indexed = count_indexed(file)
         try:
@@ -133,10 +131,8 @@ class McapSource(ChunkedSource[ChannelTable]):
         block, problem = inflate(chunk.data, chunk.compression, chunk.uncompressed_size)
         if left > _LONGEST_PADDING:
             problem = problem or f"has {count(left, 'byte')} that it does not state"
-        if chunk.uncompressed_crc and not problem and position not in self._verified:
-            self._verified.add(position)
-            if zlib.crc32(block) != chunk.uncompressed_crc:
-                problem = "has a wrong checksum, and is used as far as it can be read"
+        if not problem and chunk.uncompressed_crc not in {0, zlib.crc32(block)}:
+            problem = "has a wrong checksum, and is used as far as it can be read"
         if problem:
             self._note(position, problem)
         last_ns = chunk.message_end_time or NEVER_NS

@@ -19,7 +19,6 @@ from rosbags.typesys.store import Typestore
 from occmap.errors import DamageError, LogError
 from occmap.readers.foxglove import POSE_SCHEMAS, SCAN_SCHEMAS, SCHEMA_SHAPES
 from occmap.readers.foxglove_decode import DECODERS
-from occmap.readers.inflate import inflate_message
 from occmap.readers.messages import POSE_TYPES, SHAPES, find_converter, normalise_type
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_source import Channel
@@ -73,9 +72,9 @@ def make_scan_reader(channel: Channel, options: ReaderOptions) -> FromBytes[Scan
     LogError
         The channel's message definition cannot be understood.
     """
-    if channel.encoding in DECODERS:
-        return _combine(channel, SCAN_SCHEMAS[channel.type])
-    return _combine(channel, find_converter(channel.type, options))
+    is_foxglove = channel.encoding in DECODERS
+    convert = SCAN_SCHEMAS[channel.type] if is_foxglove else find_converter(channel.type, options)
+    return _combine(channel, convert)
 
 
 def make_pose_reader(channel: Channel) -> FromBytes[list[PoseSample]]:
@@ -86,9 +85,9 @@ def make_pose_reader(channel: Channel) -> FromBytes[list[PoseSample]]:
     LogError
         The channel's message definition cannot be understood.
     """
-    if channel.encoding in DECODERS:
-        return _combine(channel, POSE_SCHEMAS[channel.type])
-    return _combine(channel, POSE_TYPES[normalise_type(channel.type)])
+    is_foxglove = channel.encoding in DECODERS
+    types = POSE_SCHEMAS if is_foxglove else POSE_TYPES
+    return _combine(channel, types[channel.type if is_foxglove else normalise_type(channel.type)])
 
 
 def is_laid_out_plainly(channel: Channel) -> bool:
@@ -96,7 +95,7 @@ def is_laid_out_plainly(channel: Channel) -> bool:
 
     Little-endian ones can then be stacked, and read many at once.
     """
-    if channel.compressed or normalise_type(channel.type) not in _PLAIN_TYPES:
+    if normalise_type(channel.type) not in _PLAIN_TYPES:
         return False
     try:
         return channel.encoding in _STORES and _is_standard(channel)
@@ -126,7 +125,7 @@ def _make_ros_decoder(channel: Channel) -> Callable[[memoryview], Any]:
 
     def decode(data: memoryview) -> Any:
         try:
-            return deserialise(inflate_message(data) if channel.compressed else data, name)
+            return deserialise(data, name)
         except _DECODE_ERRORS as error:
             raise DamageError(f"is no {name} ({type(error).__name__})") from error
 

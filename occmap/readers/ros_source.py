@@ -30,8 +30,6 @@ class Channel:
     syntax: Syntax = ""
     count: int = 0
     """Messages in the log."""
-    compressed: bool = False
-    """Each message is compressed with zstd on its own."""
     descriptors: bytes = b""
     """The protobuf FileDescriptorSet of the type, where `encoding` is "protobuf"."""
 
