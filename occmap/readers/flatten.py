@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 
 from occmap.errors import DamageError
-from occmap.readers.header import read_frame, read_stamp
 from occmap.readers.options import ReaderOptions
-from occmap.readers.shapes import HEADER, Shape, as_bytes, as_flag
+from occmap.readers.shapes import HEADER, Shape, as_bytes, as_flag, read_frame, read_stamp
 from occmap.types import Float32, Float64, Scan, as_float32, as_stamp, as_text
 
 BEARINGS = 720

@@ -9,8 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 from occmap.readers import Role
-from occmap.readers.header import read_frame
-from occmap.readers.shapes import POSE, QUATERNION, VECTOR, Shape, as_row, get_field
+from occmap.readers.shapes import POSE, QUATERNION, VECTOR, Shape, as_row, get_field, read_frame
 from occmap.types import Pose, PoseSample, Scan, as_number, as_stamp, as_text
 
 SCAN_SCHEMA = "foxglove.LaserScan"

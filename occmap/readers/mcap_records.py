@@ -3,19 +3,18 @@
 import re
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO, cast
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel as McapChannel
-from mcap.records import ChunkIndex, Footer, Schema, Statistics
+from mcap.records import Chunk, ChunkIndex, Footer, Schema, Statistics
 
 from occmap.readers.ros_source import Channel, Encoding, Syntax
-from occmap.wording import count
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
@@ -52,7 +51,6 @@ _SHORTEST: Mapping[int, int] = {
 }
 """Bytes of records whose texts and lists are empty."""
 LAST_OPCODE = 15
-LONGEST_RECORD = 2**32 - 1
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _CHUNK = re.compile(
     rb".{28}(\x00{4}|\x03\x00{3}lz4|\x04\x00{3}(none|zstd))(?P<length>.{5}\x00{3})", re.DOTALL
@@ -61,25 +59,15 @@ _CHUNK = re.compile(
 CHUNK_START = 44
 """Bytes of it that say how long the chunk is."""
 _HEAD = re.compile(rb"(?=[\x03-\x0f].{4}\x00{4})", re.DOTALL)
-"""How a record starts, if it is not longer than `LONGEST_RECORD`."""
+"""How a record starts, if it is not longer than 2**32 - 1 bytes."""
+_INDEX_HEAD = struct.Struct("<HI")
+"""A channel, and the bytes of the entries that follow."""
+_INDEX_ENTRY = 16
+"""Bytes of an entry: a time, and where in the chunk the message lies."""
+_MOST_INDEX = 1 << 24
+"""Bytes of an index that are read at most: a million messages."""
 _WINDOW = 1 << 20
 _MOST_SUMMARY = 1 << 30
-
-
-class Chunk(NamedTuple):
-    """A block of records, mostly compressed."""
-
-    first_ns: int
-    last_ns: int
-    """When its messages were recorded; 0 where that is not stated."""
-    size: int
-    """Bytes before compression."""
-    crc: int
-    """Of the bytes before compression; 0 for none."""
-    compression: str
-    data: memoryview
-    left: int
-    """Bytes behind the data."""
 
 
 @dataclass(frozen=True)
@@ -120,12 +108,12 @@ class ChannelTable:
             channel = McapChannel.read(ReadDataStream(BytesIO(body)))
             self._channels.setdefault(channel.id, channel)
 
-    def build(self, counts: Mapping[int, int]) -> dict[int, Channel]:
-        """Combine channels, their schemas and how many messages each has."""
-        return {key: self._combine(key, counts.get(key, 0)) for key in self._channels}
+    def build(self) -> Iterator[tuple[int, Channel]]:
+        """Combine channels and their schemas; where a log is damaged, a schema may come later."""
+        for key, channel in self._channels.items():
+            yield key, self._combine(channel)
 
-    def _combine(self, key: int, count: int) -> Channel:
-        channel = self._channels[key]
+    def _combine(self, channel: McapChannel) -> Channel:
         schema = self._schemas.get(channel.schema_id, Schema(0, b"", "", ""))
         syntax = _SYNTAXES.get(schema.encoding, "")
         return Channel(
@@ -134,7 +122,6 @@ class ChannelTable:
             encoding=_ENCODINGS.get(channel.message_encoding, ""),
             definition=schema.data.decode(errors="replace") if syntax else "",
             syntax=syntax,
-            count=count,
             descriptors=schema.data if schema.encoding == "protobuf" else b"",
         )
 
@@ -181,26 +168,11 @@ def is_plausible(opcode: int, length: int, left: int) -> bool:
     return 0 < opcode <= LAST_OPCODE and _SHORTEST.get(opcode, 0) <= length <= left
 
 
-def is_cut_chunk(file: BinaryIO, start: int, opcode: int, length: int, size: int) -> bool:
-    """Say whether the body of a chunk goes on behind the end of the file.
+def parse_chunk(body: bytes) -> tuple[Chunk, int]:
+    """Parse a chunk record, and count the bytes behind its data.
 
-    Its body states its length once more: so the length is sure, and nothing else follows.
-    """
-    file.seek(start)
-    return opcode == Opcode.CHUNK and size - start < length == measure_chunk(file.read(CHUNK_START))
-
-
-def describe_end(position: int, opcode: int, length: int, size: int) -> str:
-    """Say how a file ends behind whose last whole record lies what may be the start of another."""
-    left = size - position
-    if 0 < opcode <= LAST_OPCODE and left < RECORD.size + length <= LONGEST_RECORD:
-        there = f"{left} of its {RECORD.size + length} bytes are there"
-        return f"the file ends in the middle of a record: {there}"
-    return f"from byte {position} on, the last {count(left, 'byte')} hold no whole record"
-
-
-def parse_chunk(body: bytes) -> Chunk:
-    """Parse a chunk record; where the file is cut within it, the data is what there is.
+    Where the file is cut within it, or its data is to be longer than it is, the data is what there
+    is: the library would have none.
 
     Raises
     ------
@@ -211,10 +183,29 @@ def parse_chunk(body: bytes) -> Chunk:
     view = memoryview(body)[_CHUNK_HEAD.size :]
     (length,) = struct.unpack_from("<Q", view, name_length)
     start = name_length + 8
-    name = str(view[:name_length], "utf-8")
     data = view[start : start + length]
-    left = len(view) - start - len(data)
-    return Chunk(first_ns, last_ns, size, crc, name, data, left)
+    chunk = Chunk(
+        compression=str(view[:name_length], "utf-8"),
+        data=cast("bytes", data),
+        message_start_time=first_ns,
+        message_end_time=last_ns,
+        uncompressed_size=size,
+        uncompressed_crc=crc,
+    )
+    return chunk, len(view) - start - len(data)
+
+
+def count_indexed(file: BinaryIO) -> int:
+    """Count the messages that the indexes name which follow in a file."""
+    messages = 0
+    while len(head := file.read(RECORD.size)) == RECORD.size:
+        opcode, length = RECORD.unpack(head)
+        if opcode != Opcode.MESSAGE_INDEX:
+            break
+        body = file.read(min(length, _MOST_INDEX))
+        _, size = _INDEX_HEAD.unpack(body[: _INDEX_HEAD.size].ljust(_INDEX_HEAD.size, b"\0"))
+        messages += size // _INDEX_ENTRY
+    return messages
 
 
 def measure_chunk(start: bytes) -> int | None:
@@ -273,5 +264,4 @@ def _parse_summary(section: bytes, is_checked: bool) -> Summary:
             index = ChunkIndex.read(ReadDataStream(BytesIO(body)))
             chunk_channels[index.chunk_start_offset] = frozenset(index.message_index_offsets)
         start += RECORD.size + length
-    counts = statistics.channel_message_counts if statistics else {}
-    return Summary(table.build(counts), chunk_channels, statistics, is_checked)
+    return Summary(dict(table.build()), chunk_channels, statistics, is_checked)

@@ -14,9 +14,17 @@ from numpy.typing import ArrayLike
 
 from occmap.readers import Role
 from occmap.readers.flatten import CLOUD, convert_cloud
-from occmap.readers.header import read_frame, read_stamp
 from occmap.readers.options import Echo, ReaderOptions
-from occmap.readers.shapes import HEADER, POSE, QUATERNION, VECTOR, Shape, as_row
+from occmap.readers.shapes import (
+    HEADER,
+    POSE,
+    QUATERNION,
+    VECTOR,
+    Shape,
+    as_row,
+    read_frame,
+    read_stamp,
+)
 from occmap.types import Pose, PoseSample, Scan, as_number, as_text
 
 ToScan = Callable[[Any, str, int], Scan]

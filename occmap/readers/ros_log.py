@@ -1,10 +1,11 @@
 """A log of ROS messages, whatever container they lie in."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -17,9 +18,8 @@ from occmap.readers.ros_decode import (
     make_pose_reader,
     make_scan_reader,
 )
-from occmap.readers.ros_scan import RawRun
-from occmap.readers.ros_source import Channel, RawMessages, Source, SplittableSource, add_note
-from occmap.readers.ros_tf import RawTransforms, read_alike
+from occmap.readers.ros_source import Channel, RawMessage, Source, SplittableSource, add_note
+from occmap.readers.ros_stacks import Stacked, read_scan_run, read_transforms
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
 T = TypeVar("T")
@@ -45,10 +45,14 @@ class RosReader:
         return RosLog(self.open_source(path), options)
 
 
+MESSAGE_BYTES = 100
+"""What a message that is held takes in memory beside its own bytes."""
 STACK_BYTES = 1 << 19
-"""Bytes of messages of one channel and length that are held, to be read at once."""
+"""Transforms of one channel and length are held until they take this much memory."""
 MOST_STACKS = 64
-"""Channels and lengths for which messages are held at most; more of them are damage."""
+"""Channels and lengths for which transforms are held at most; more of them are damage."""
+RUN_BYTES = 1 << 20
+"""Scans of one channel and length that follow one another are held up to this much memory."""
 SHORTEST_RUN = 64
 """A run of fewer scans is read one by one, to be stacked with others of their kind."""
 
@@ -89,28 +93,24 @@ class RosLog:
 
     def poses(self) -> Iterator[PoseSample]:
         """Every sample of every pose topic, in file order."""
-        wanted = [channel for channel in self._source.channels if channel.has_poses]
-        for samples in self._read(self._make_readers(wanted, make_pose_reader)):
+        for samples in self._read(self._make_pose_readers()):
             yield from samples
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
         """The same, with many messages of transforms at once, of which a log holds most."""
-        wanted = [channel for channel in self._source.channels if channel.has_poses]
-        readers = self._make_readers(wanted, make_pose_reader)
-        stacks: dict[tuple[Channel, int], list[RawTransforms]] = {}
-        for some in self._alike(readers):
-            reader, length = readers[some.channel], len(some.data[0])
-            key = some.channel, length
-            if not (reader.plain and (key in stacks or len(stacks) < MOST_STACKS)):
-                for samples in reader.read_all(some):
-                    yield from samples
+        readers = self._make_pose_readers()
+        stacks: dict[tuple[Channel, int], list[Stacked]] = {}
+        for channel, record_ns, data in self._messages(readers):
+            key = channel, len(data)
+            if not (readers[channel].plain and (key in stacks or len(stacks) < MOST_STACKS)):
+                yield from readers[channel].read(data, record_ns) or ()
                 continue
             stack = stacks.setdefault(key, [])
-            stack += zip(map(bytes, some.data), some.record_ns, strict=True)
-            if len(stack) * length >= STACK_BYTES:
-                yield from _unstack(stacks.pop(key), some.channel, reader)
+            stack.append((bytes(data), record_ns))
+            if len(stack) * (len(data) + MESSAGE_BYTES) >= STACK_BYTES:
+                yield from _read_stack(stacks.pop(key), channel, readers[channel])
         for (channel, _), stack in stacks.items():
-            yield from _unstack(stack, channel, readers[channel])
+            yield from _read_stack(stack, channel, readers[channel])
         self._note_damage(readers)
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
@@ -120,19 +120,20 @@ class RosLog:
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The same, with many messages at once where those of one laser follow one another."""
         readers = self._make_scan_readers(topics)
-        run: RawRun | None = None
-        for some in self._alike(readers):
-            if run is not None and not run.takes(some):
-                yield from _read_run(run, readers[run.channel])
-                run = None
-            if not readers[some.channel].plain:
-                yield from readers[some.channel].read_all(some)
+        for (channel, length), messages in groupby(self._messages(readers), _find_kind):
+            reader = readers[channel]
+            if not reader.plain:
+                yield from reader.read_all((data, record_ns) for _, record_ns, data in messages)
                 continue
-            run = run or RawRun(some.channel, len(some.data[0]))
-            run.add(some)
-        if run is not None:
-            yield from _read_run(run, readers[run.channel])
+            # Copied, so that the chunks of the file that they lie in need not be kept.
+            copies = ((bytes(data), record_ns) for _, record_ns, data in messages)
+            while run := list(islice(copies, 1 + RUN_BYTES // (length + MESSAGE_BYTES))):
+                yield from _read_run(run, channel, reader)
         self._note_damage(readers)
+
+    def _make_pose_readers(self) -> Mapping[Channel, "_ChannelReader[list[PoseSample]]"]:
+        wanted = [channel for channel in self._source.channels if channel.has_poses]
+        return self._make_readers(wanted, make_pose_reader)
 
     def _make_scan_readers(
         self, topics: Collection[str]
@@ -159,8 +160,10 @@ class RosLog:
 
     def _read(self, readers: Mapping[Channel, "_ChannelReader[T]"]) -> Iterator[T]:
         """Read messages, passing over those that are damaged."""
-        for some in self._messages(readers):
-            yield from readers[some.channel].read_all(some)
+        for channel, record_ns, data in self._messages(readers):
+            item = readers[channel].read(data, record_ns)
+            if item is not None:
+                yield item
         self._note_damage(readers)
 
     def _note_damage(self, readers: Mapping[Channel, "_ChannelReader[T]"]) -> None:
@@ -168,12 +171,7 @@ class RosLog:
             for text in reader.list_damage():
                 add_note(self.notes, text)
 
-    def _alike(self, wanted: Collection[Channel]) -> Iterator[RawMessages]:
-        """Give raw messages in parts that are of one channel and one length each."""
-        for some in self._messages(wanted):
-            yield from some.split_by_length()
-
-    def _messages(self, wanted: Collection[Channel]) -> Iterator[RawMessages]:
+    def _messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give raw messages, and see that they are as many as the log announces.
 
         A disk that fails is an error with the log's name.
@@ -182,9 +180,9 @@ class RosLog:
             return
         counts = dict.fromkeys(wanted, 0)
         try:
-            for some in self._source.messages(wanted):
-                counts[some.channel] += len(some.data)
-                yield some
+            for message in self._source.messages(wanted):
+                counts[message[0]] += 1
+                yield message
         except OSError as error:
             raise LogError(f"cannot be read ({error.strerror})", where=self.path) from None
         for channel, count in counts.items():
@@ -217,9 +215,9 @@ class _ChannelReader(Generic[T]):
                 raise
             self.decode, self._decided, self._uses_standard = standard, True, True
 
-    def read_all(self, some: RawMessages) -> Iterator[T]:
+    def read_all(self, messages: Iterable[tuple[memoryview, int]]) -> Iterator[T]:
         """Read messages one by one, passing over those that are damaged."""
-        items = map(self.read, some.data, some.record_ns)
+        items = (self.read(data, record_ns) for data, record_ns in messages)
         return (item for item in items if item is not None)
 
     def read(self, data: memoryview, record_ns: int) -> T | None:
@@ -260,24 +258,31 @@ class _ChannelReader(Generic[T]):
             yield f"{self._failures} of {count} messages on {topic} are damaged and not used"
 
 
-def _read_run(run: RawRun, reader: _ChannelReader[Scan]) -> Iterator[Scan | ScanRun]:
-    """Read messages all at once; one by one where they are few, or not all alike."""
-    messages = run.split()
-    first = reader.read(messages.data[0], messages.record_ns[0])
+def _find_kind(message: RawMessage) -> tuple[Channel, int]:
+    """Find what messages that are read at once have in common: channel and length."""
+    return message[0], len(message[2])
+
+
+def _read_run(
+    run: list[Stacked], channel: Channel, reader: _ChannelReader[Scan]
+) -> Iterator[Scan | ScanRun]:
+    """Read scans all at once; one by one where they are few, or not all alike."""
+    messages = [(memoryview(data), record_ns) for data, record_ns in run]
+    first = reader.read(*messages[0])
     if first is not None:
-        if len(messages.data) >= SHORTEST_RUN and (scans := run.read(first)):
+        if len(run) >= SHORTEST_RUN and (scans := read_scan_run(run, channel.encoding, first)):
             yield scans
             return
         yield first
-    yield from reader.read_all(messages.take(1))
+    yield from reader.read_all(messages[1:])
 
 
-def _unstack(
-    stack: list[RawTransforms], channel: Channel, reader: _ChannelReader[list[PoseSample]]
+def _read_stack(
+    stack: list[Stacked], channel: Channel, reader: _ChannelReader[list[PoseSample]]
 ) -> Iterator[PoseSample | PoseBatch]:
-    """Read stacked messages at once; one by one those that are damaged or like no other."""
+    """Read transforms all at once; one by one those that are damaged or like no other."""
     try:
-        batches, others = read_alike(stack, channel.encoding, reader.decode)
+        batches, others = read_transforms(stack, channel.encoding, reader.decode)
     except DamageError:
         batches, others = [], stack
     yield from batches

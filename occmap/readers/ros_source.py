@@ -1,11 +1,11 @@
 """What every container of ROS messages gives: channels, and the raw messages of some of them."""
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby, islice
+from itertools import islice
 from operator import ne
 from pathlib import Path
-from typing import Literal, NamedTuple, Protocol, Self, TypeAlias, runtime_checkable
+from typing import Literal, Protocol, TypeAlias, runtime_checkable
 
 from occmap.readers import Note, Role
 from occmap.readers.foxglove import find_foxglove_role, states_origins
@@ -30,8 +30,6 @@ class Channel:
     syntax: Syntax = ""
     count: int = 0
     """Messages in the log."""
-    compressed: bool = False
-    """Each message is compressed with zstd on its own."""
     descriptors: bytes = b""
     """The protobuf FileDescriptorSet of the type, where `encoding` is "protobuf"."""
 
@@ -72,51 +70,9 @@ class Channel:
 
 
 _MOST_LETTERS = 2
-MOST_TOGETHER = 1 << 18
-"""Bytes of messages that are put together at most, one message aside."""
-MESSAGE_BYTES = 300
-"""What a message takes in memory beside its bytes."""
 
-
-class RawMessages(NamedTuple):
-    """Messages of one channel that follow one another in a log."""
-
-    channel: Channel
-    record_ns: Sequence[int]
-    """When each was recorded (ns)"""
-    data: Sequence[memoryview]
-
-    def take(self, start: int, end: int | None = None) -> Self:
-        """Give those from one place to another."""
-        return self._replace(record_ns=self.record_ns[start:end], data=self.data[start:end])
-
-    def split_by_length(self) -> Iterator[Self]:
-        """Give parts of a bounded size, each of messages of one length."""
-        end = 0
-        for length, alike in groupby(self.data, len):
-            start, end = end, end + sum(1 for _ in alike)
-            step = 1 + MOST_TOGETHER // (length + MESSAGE_BYTES)
-            yield from (self.take(at, min(at + step, end)) for at in range(start, end, step))
-
-
-def put_together(
-    messages: Iterable[tuple[Channel, int, memoryview]],
-) -> Iterator[RawMessages]:
-    """Put messages together that follow one another on a channel."""
-    channel: Channel | None = None
-    record_ns: list[int] = []
-    data: list[memoryview] = []
-    size = 0
-    for own, time_ns, content in messages:
-        if channel is not None and (own is not channel or size >= MOST_TOGETHER):
-            yield RawMessages(channel, record_ns, data)
-            record_ns, data, size = [], [], 0
-        channel = own
-        record_ns.append(time_ns)
-        data.append(content)
-        size += len(content) + MESSAGE_BYTES
-    if channel is not None:
-        yield RawMessages(channel, record_ns, data)
+RawMessage: TypeAlias = tuple[Channel, int, memoryview]
+"""A message as it lies in a log: its channel, when it was recorded (ns), and its bytes."""
 
 
 def is_nearly(name: str, other: str) -> bool:
@@ -134,7 +90,7 @@ class Source(Protocol):
     def channels(self) -> Sequence[Channel]:
         """Every channel, also those that no map needs."""
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessages]:
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some channels, in file order."""
 
 

@@ -15,7 +15,7 @@ import apsw
 
 from occmap.errors import LogError
 from occmap.readers import Note, NoteList, Span, cut_evenly, make_part
-from occmap.readers.ros_source import Channel, Encoding, RawMessages, Syntax, add_note, put_together
+from occmap.readers.ros_source import Channel, Encoding, RawMessage, Syntax, add_note
 from occmap.readers.sqlite_pages import Row, count_lost_frames, find_rows
 from occmap.wording import count
 
@@ -64,15 +64,13 @@ class SqliteSource:
         """Every topic of the file."""
         return list(self._by_id.values())
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessages]:
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some topics, in the order in which they were written."""
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
         with closing(self._connect()) as database:
-            yield from put_together(
-                (by_id[topic], record_ns, memoryview(data))
-                for _, topic, record_ns, data in self._read_rows(database, by_id)
-                if topic in by_id and data is not None
-            )
+            for _, topic, record_ns, data in self._read_rows(database, by_id):
+                if topic in by_id and data is not None:
+                    yield by_id[topic], record_ns, memoryview(data)
 
     def split(self, size: int) -> Sequence["SqliteSource"]:
         """Cut the rows into runs of as many ids, of about so many bytes on the whole."""

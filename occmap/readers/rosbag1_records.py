@@ -4,7 +4,6 @@ import re
 import struct
 from collections.abc import Container, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
 from io import BytesIO
 from typing import BinaryIO, NamedTuple
 
@@ -24,8 +23,13 @@ RECORD_ERRORS = (struct.error, LookupError, ValueError)
 
 _LENGTH = struct.Struct("<I")
 _TIME = struct.Struct("<II")
-_VALUES = {b"conn": b"(?P<conn>.{4})", b"time": b"(?P<time>.{8})"}
-"""What differs between the headers of messages."""
+_MESSAGE_HEAD = re.compile(
+    rb"\x26\x00{3}(?:\x09\x00{3}conn=(?P<conn>.{4})|\x04\x00{3}op=\x02|\x0d\x00{3}time=(?P<time>.{8}))"
+    rb"{3}(?P<length>.{4})",
+    re.DOTALL,
+)
+_MESSAGE_HEAD_SIZE = 46
+"""Bytes of the header of a message; only with each field once the pattern has as many."""
 _FIELDS = {
     MESSAGE: {b"conn", b"time"},
     BAG: {b"index_pos"},
@@ -85,67 +89,48 @@ def read_header(file: BinaryIO) -> Header | None:
     try:
         (length,) = _LENGTH.unpack(start)
         raw = start + file.read(min(length, _MAX_HEADER) + _LENGTH.size)
-        return _parse_header(raw, 0)
+        return parse_header(raw, 0)
     except RECORD_ERRORS:
         return None
 
 
-def split_records(block: Buffer, at: int = 0) -> Iterator[tuple[Header, int, int]]:
-    """Give the header of each record, from an offset on, and where its data starts and ends.
-
-    Raises
-    ------
-    struct.error, LookupError
-        The block breaks off, or holds something else.
-    """
-    while at < len(block):
-        header = _parse_header(block, at)
-        start = at + len(header.raw)
-        at = start + header.length
-        _check_end(block, start, at)
-        yield header, start, at
-
-
-@dataclass(frozen=True)
-class Findings:
-    """What lies between the messages of a block."""
-
-    connections: dict[int, Channel] = field(default_factory=dict)
-    damaged: list[int] = field(default_factory=list)
-    """Where records are damaged."""
-
-
 def split_messages(
-    block: Buffer, wanted: Container[int], findings: Findings
+    block: Buffer, wanted: Container[int], table: "ChannelTable", damaged: list[int]
 ) -> Iterator[tuple[int, int, int, int]]:
     """Give connection, time (ns), start and end of the data of each message of these connections.
 
-    A program writes the headers of all its messages alike, so most are read by the pattern of the
-    one before them: in a tenth of the time that it takes field by field. Behind a damaged record it
-    goes on with the next that is sound.
+    Recorders write the header of a message in one way but for the order of its fields, so that a
+    pattern reads nearly all: field by field, a build takes 16% longer. Behind a damaged record
+    reading goes on with the next that is sound.
+
+    Parameters
+    ----------
+    table
+        Gets the connections that the block describes.
+    damaged
+        Gets the places of records that are damaged.
     """
     at = behind = 0
-    pattern: re.Pattern[bytes] | None = None
     while at < len(block):
-        match = pattern.match(block, at) if pattern else None
+        match = _MESSAGE_HEAD.match(block, at)
         try:
-            if match is None:
-                header, start, end = next(split_records(block, at))
-                connection = header.number(b"conn") if header.opcode == MESSAGE else -1
-                record_ns = header.time_ns() if connection in wanted else 0
-                if header.opcode == MESSAGE:
-                    pattern = _describe_alike(header)
-                elif header.opcode == CONNECTION:
-                    channel = parse_connection(header, block[start:end])
-                    findings.connections.setdefault(header.number(b"conn"), channel)
-            else:
+            if match is not None and match.end() == at + _MESSAGE_HEAD_SIZE:
                 start = match.end()
                 end = start + _LENGTH.unpack(match["length"])[0]
-                _check_end(block, start, end)
                 (connection,) = _LENGTH.unpack(match["conn"])
                 record_ns = _read_time(match["time"]) if connection in wanted else 0
+            else:
+                header = parse_header(block, at)
+                start = at + len(header.raw)
+                end = start + header.length
+                connection = header.number(b"conn") if header.opcode == MESSAGE else -1
+                record_ns = header.time_ns() if connection in wanted else 0
+                if header.opcode == CONNECTION and end <= len(block):
+                    table.add(header, block[start:end])
+            if end > len(block):
+                raise LookupError(f"{len(block) - start} of {end - start} bytes are there")
         except RECORD_ERRORS:
-            findings.damaged.append(at)
+            damaged.append(at)
             found = find_header(BytesIO(block), behind, len(block))
             at, behind = (len(block), 0) if found is None else (found, found + 1)
             continue
@@ -185,44 +170,41 @@ def leads_on(file: BinaryIO, position: int, size: int) -> bool:
 def _try_header(block: Buffer, at: int, size: int) -> Header | None:
     """Parse what may be a header; None where it is none, or its data reaches beyond a size."""
     with suppress(*RECORD_ERRORS):
-        header = _parse_header(block, at)
+        header = parse_header(block, at)
         is_whole = at + len(header.raw) + header.length <= size
         if is_whole and _FIELDS[header.opcode] <= header.fields.keys():
             return header
     return None
 
 
-def _describe_alike(header: Header) -> re.Pattern[bytes] | None:
-    """Build what matches the headers that differ from one in connection, time and length alone.
+class ChannelTable:
+    """Connections as they turn up in a bag."""
 
-    None where the header is not as recorders write it: there may be anything in it.
-    """
-    if header.fields.keys() != {b"op", *_VALUES}:
-        return None
-    parts = [re.escape(header.raw[: _LENGTH.size])]
-    for name, value in header.fields.items():
-        start = name + b"="
-        parts.append(re.escape(_LENGTH.pack(len(start) + len(value)) + start))
-        parts.append(_VALUES.get(name) or re.escape(value))
-    pattern = re.compile(b"".join(parts) + b"(?P<length>.{4})", re.DOTALL)
-    return pattern if pattern.fullmatch(header.raw) else None  # a field may stand in it twice
+    def __init__(self) -> None:
+        self._channels: dict[tuple[int, object], Channel] = {}
 
+    def add(self, header: Header, data: Buffer) -> None:
+        """Take in a connection record.
 
-def parse_connection(header: Header, data: Buffer) -> Channel:
-    """Build the channel of a connection record."""
-    fields = Header(b"", _parse_fields(data), 0)
-    return Channel(
-        topic=header.text(b"topic"),
-        type=fields.text(b"type"),
-        encoding="ros1",
-        definition=fields.text(b"message_definition"),
-        syntax="msg",
-    )
+        Raises
+        ------
+        struct.error, LookupError
+            It is not well formed.
+        """
+        fields = Header(b"", _parse_fields(data), 0)
+        channel = Channel(
+            topic=header.text(b"topic"),
+            type=fields.text(b"type"),
+            encoding="ros1",
+            definition=fields.text(b"message_definition"),
+            syntax="msg",
+        )
+        self._channels.setdefault((header.number(b"conn"), channel.description), channel)
 
-
-def _check_end(block: Buffer, start: int, end: int) -> None:
-    if end > len(block):
-        raise LookupError(f"{len(block) - start} of {end - start} bytes are there")
+    def build(self) -> Iterator[tuple[int, Channel]]:
+        """Give each description of a connection, with the connection's number."""
+        for (key, _), channel in self._channels.items():
+            yield key, channel
 
 
 def _read_time(value: bytes) -> int:
@@ -231,8 +213,14 @@ def _read_time(value: bytes) -> int:
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
-def _parse_header(block: Buffer, at: int) -> Header:
-    """Parse the header that starts at an offset of a block."""
+def parse_header(block: Buffer, at: int) -> Header:
+    """Parse the header that starts at an offset of a block.
+
+    Raises
+    ------
+    struct.error, LookupError
+        The block breaks off, or holds something else.
+    """
     (length,) = _LENGTH.unpack_from(block, at)
     end = at + _LENGTH.size + length
     (data_length,) = _LENGTH.unpack_from(block, end)

@@ -9,7 +9,8 @@ import tempfile
 import weakref
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,10 @@ from ruamel.yaml.error import YAMLError
 
 from occmap.errors import LogError
 from occmap.readers import Note, NoteList, make_part
-from occmap.readers.inflate import unzip_file
+from occmap.readers.inflate import inflate_message, unzip_file
 from occmap.readers.mcap import McapSource
 from occmap.readers.mcap_records import MAGIC as MCAP_MAGIC
-from occmap.readers.ros_source import Channel, RawMessages, Source, add_note
+from occmap.readers.ros_source import Channel, RawMessage, add_note
 from occmap.readers.ros_sqlite import MAGIC as SQLITE_MAGIC
 from occmap.readers.ros_sqlite import SqliteSource
 
@@ -80,22 +81,21 @@ class Bag2Source:
             self._parts = self._open_parts(files)
         except OSError as error:
             raise LogError(f"cannot be read ({error.strerror})", where=path) from None
-        self._by_part = [_list_channels(part, metadata.zipped_messages) for part in self._parts]
+        self._zipped_messages = metadata.zipped_messages
         self._gather_notes()
         self._compare_counts(metadata.counts)
 
     @property
     def channels(self) -> Sequence[Channel]:
         """Every channel of every storage file."""
-        return [channel for by_inner in self._by_part for channel in by_inner.values()]
+        return [channel for part in self._parts for channel in part.channels]
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessages]:
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some channels, one storage file after the other."""
-        for part, outer in zip(self._parts, self._by_part, strict=True):
-            inner = [channel for channel in part.channels if outer[channel] in wanted]
-            if inner:
-                for some in part.messages(inner):
-                    yield some._replace(channel=outer[some.channel])
+        for part in self._parts:
+            if inner := [channel for channel in part.channels if channel in wanted]:
+                messages = part.messages(inner)
+                yield from map(_unzip_message, messages) if self._zipped_messages else messages
             self._gather_notes()
 
     def split(self, size: int) -> Sequence["Bag2Source"]:
@@ -104,11 +104,8 @@ class Bag2Source:
             return ()
         if self.notes:
             return [self]
-        return [
-            make_part(self, _parts=[inner], _by_part=[outer])
-            for source, outer in zip(self._parts, self._by_part, strict=True)
-            for inner in source.split(size)
-        ]
+        parts = (part for source in self._parts for part in source.split(size))
+        return [make_part(self, _parts=[part]) for part in parts]
 
     def _find_files(self, metadata: _Metadata) -> list[Path]:
         """Find the storage files that the metadata names, or those that are there."""
@@ -194,9 +191,12 @@ def _read_start(file: Path) -> bytes:
         return opened.read(16)
 
 
-def _list_channels(part: Source, compressed: bool) -> dict[Channel, Channel]:
-    """Map the channels of a storage file to those of the folder."""
-    return {item: replace(item, compressed=compressed) for item in part.channels}
+def _unzip_message(message: RawMessage) -> RawMessage:
+    """Decompress a message; one that is damaged is left as it is, and nobody can decode it."""
+    channel, record_ns, data = message
+    with suppress(ValueError):
+        data = inflate_message(data)
+    return channel, record_ns, data
 
 
 def _parse_metadata(path: Path) -> _Metadata:

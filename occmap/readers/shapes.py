@@ -77,3 +77,14 @@ def as_bytes(values: Any) -> UInt8:
     if not isinstance(values, np.ndarray) or values.dtype.itemsize != 1:
         raise DamageError("holds something else where bytes belong")
     return values.view(np.uint8)
+
+
+def read_stamp(header: Any) -> int:
+    """Read a header's stamp, in ns."""
+    stamp_ns: int = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+    return stamp_ns
+
+
+def read_frame(name: str) -> str:
+    """Read a frame's name; old logs write `/laser` in one place and `laser` in another."""
+    return name.lstrip("/")

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from occmap.readers import Note
-from occmap.readers.ros_source import Channel, RawMessages, put_together
+from occmap.readers.ros_source import Channel, RawMessage
 from occmap.types import Float32
 
 ROS1: Typestore = get_typestore(Stores.ROS1_NOETIC)
@@ -52,12 +52,10 @@ class Memory:
     def channels(self) -> Sequence[Channel]:
         return list(dict.fromkeys(channel for channel, _, _ in self._messages))
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessages]:
-        return put_together(
-            (channel, record_ns, memoryview(data))
-            for channel, record_ns, data in self._messages
-            if channel in wanted
-        )
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+        for channel, record_ns, data in self._messages:
+            if channel in wanted:
+                yield channel, record_ns, memoryview(data)
 
 
 def header(store: Typestore, stamp_ns: int, frame: str) -> Any:

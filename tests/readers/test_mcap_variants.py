@@ -163,6 +163,21 @@ def test_a_chunk_that_is_there_twice_is_used_once(path: Path, has: set[str]) -> 
     assert f"the chunk at byte {at + length} is there twice" in log.notes[0].text
 
 
+def test_two_chunks_of_which_nothing_can_be_read_are_not_one_that_is_there_twice(
+    path: Path,
+) -> None:
+    data = bytearray(write_variant(LOG, FULL - {"statistics"}, "zstd"))
+    for at, _ in list_records(data, CHUNK)[2:4]:
+        data[data.index(b"\x28\xb5\x2f\xfd", at)] ^= 1
+    path.write_bytes(data)
+
+    log, stamps = read(path)
+
+    assert set(stamps) < set(STAMPS)
+    assert len([note for note in log.notes if ": 0 of its" in note.text]) == 2
+    assert not any("is there twice" in note.text for note in log.notes)
+
+
 @pytest.mark.parametrize("has", [FULL, FULL - {"checksums"}, FULL - {"statistics"}], ids=len)
 def test_a_chunk_that_is_gone_is_told_of(path: Path, has: set[str]) -> None:
     data = write_variant(LOG, has, "zstd")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from occmap.readers.rosbag1_records import (
     CONNECTION,
     MESSAGE,
-    Findings,
+    ChannelTable,
     split_messages,
 )
 
@@ -67,17 +67,17 @@ def test_messages_are_those_that_were_written(
             expected.append((connection, time, end - len(data), end))
         elif start < len(block) and (not is_whole or is_wanted):
             damaged.append(start)
-    findings = Findings()
+    found: list[int] = []
 
-    assert list(split_messages(block, WANTED, findings)) == expected
-    assert findings.damaged or not damaged
+    assert list(split_messages(block, WANTED, ChannelTable(), found)) == expected
+    assert found or not damaged
 
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_a_message_has_its_connection_time_and_data(order: Sequence[str]) -> None:
     block = b"".join(write(order, MESSAGE, 7 + i, (i, 5), b"data%d" % i) for i in range(3))
 
-    found = list(split_messages(block, {7, 8, 9}, Findings()))
+    found = list(split_messages(block, {7, 8, 9}, ChannelTable(), []))
 
     assert [(connection, time) for connection, time, _, _ in found] == [
         (7, 5),
@@ -90,4 +90,4 @@ def test_a_message_has_its_connection_time_and_data(order: Sequence[str]) -> Non
 def test_a_damaged_time_of_another_connection_is_not_looked_at() -> None:
     other = write(NO_TIME, MESSAGE, 8, (0, 0), b"")
     block = other + write(ORDERS[0], MESSAGE, 7, (1, 0), b"data")
-    assert [connection for connection, *_ in split_messages(block, {7}, Findings())] == [7]
+    assert [connection for connection, *_ in split_messages(block, {7}, ChannelTable(), [])] == [7]

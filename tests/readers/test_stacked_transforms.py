@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.readers import ros_log, ros_source
+from occmap.readers import ros_log
 from occmap.readers.ros_log import RosLog
 from occmap.readers.ros_source import Channel, Encoding
 from occmap.types import Pose, PoseBatch, PoseSample
@@ -90,7 +90,7 @@ def test_messages_laid_out_alike_are_read_at_a_stroke(
     messages = [
         (channel, i, write([("odom", "base", float(i))], i, encoding=encoding)) for i in range(100)
     ]
-    monkeypatch.setattr(ros_source, "MOST_TOGETHER", 0)
+    monkeypatch.setattr(ros_log, "MESSAGE_BYTES", 0)
     monkeypatch.setattr(ros_log, "STACK_BYTES", 40 * len(messages[0][2]))
 
     items = list(RosLog(Memory(messages)).stacked_poses())

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.readers import ros_log, ros_scan, ros_source
+from occmap.readers import ros_log
 from occmap.readers.ros_log import RosLog
 from occmap.readers.ros_source import Channel, Encoding
 from occmap.types import Scan, ScanRun
@@ -83,8 +83,8 @@ def test_what_nobody_uses_may_differ_within_a_run(
     messages = [
         (channel, 100 + i, write(encoding, "laser", i, [i, 0.5], changes[i])) for i in range(10)
     ]
-    monkeypatch.setattr(ros_source, "MOST_TOGETHER", 0)
-    monkeypatch.setattr(ros_scan, "MOST_BYTES", 4 * len(messages[0][2]))
+    monkeypatch.setattr(ros_log, "MESSAGE_BYTES", 0)
+    monkeypatch.setattr(ros_log, "RUN_BYTES", 3 * len(messages[0][2]))
     monkeypatch.setattr(ros_log, "SHORTEST_RUN", 4)
 
     items = list(RosLog(Memory(messages)).stacked_scans(["/scan"]))

@@ -1,0 +1,246 @@
+"""What MCAP files and ROS 1 bags share: records one behind the other, some of which hold others.
+
+Such a file is read from its start, in the order in which it was written, so that one without an
+index, or one that breaks off, is no special case. Behind damage, reading goes on with the next
+records that are sound. The libraries of the two formats do neither: mcap stops at the first damage,
+and rosbags needs an index, which the bags of robots that lost power do not have.
+"""
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import BinaryIO, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
+
+from occmap.errors import LogError
+from occmap.readers import Note, NoteList, Role, Span, make_part
+from occmap.readers.inflate import Buffer
+from occmap.readers.ros_source import Channel, RawMessage, add_note
+from occmap.wording import count
+
+SCANS = frozenset({Role.SCAN, Role.CLOUD})
+NEVER_NS = 2**64 - 1
+LONGEST_RECORD = 2**32 - 1
+"""Bytes of a record at most; one that states more is damaged."""
+_EVERY_ID = range(1 << 32)
+
+
+class Record(NamedTuple):
+    """A record of a file whose body is not yet read."""
+
+    opcode: int
+    """What kind of record it is"""
+    position: int
+    """In the file"""
+    head: bytes
+    """What lies before its body, with the length of the body in it"""
+    length: int
+    """Bytes of the body; of one that is cut, more than there are"""
+    is_sure: bool = False
+    """Whether the length cannot be wrong, so that it is the file that is too short"""
+
+    @property
+    def start(self) -> int:
+        """Where its body begins."""
+        return self.position + len(self.head)
+
+    @property
+    def end(self) -> int:
+        """Where its body ends."""
+        return self.start + self.length
+
+
+class Block(NamedTuple):
+    """Records that lie together: those of a chunk, or one that stands by itself."""
+
+    position: int
+    """In the file"""
+    records: Buffer
+    first_ns: int = 0
+    last_ns: int = NEVER_NS
+    """Between which times its messages were recorded, as the chunk states"""
+    indexed: int = 0
+    """How many messages the indexes behind the chunk name; 0 where there are none"""
+
+
+class ChannelTable(Protocol):
+    """The channels that a file describes, as they turn up in it; each format adds in its way."""
+
+    def build(self) -> Iterable[tuple[int, Channel]]:
+        """Give channels with their numbers; one that is described in two ways may come twice."""
+
+
+Table = TypeVar("Table", bound=ChannelTable)
+
+
+class ChunkedSource(ABC, Generic[Table]):
+    """The channels and raw messages of a file of records."""
+
+    magic: ClassVar[bytes]
+    """What a file begins with"""
+    chunk: ClassVar[int]
+    """The opcode of records that hold others"""
+    plain: ClassVar[Collection[int]]
+    """The opcodes of those that may be in a chunk, and matter"""
+    last: ClassVar[Collection[int]] = ()
+    """The opcodes of those behind which no messages follow"""
+    unit: ClassVar[str] = "channel"
+    """What the format calls a channel"""
+    table: type[Table]
+    """What `_split_block` adds descriptions of channels to"""
+    find_record: Callable[[BinaryIO, int, int, int], int | None]
+    """Finds from an offset on where records go on behind damage, in a file of a size.
+
+    Before an offset, the end of a chunk, only those are looked for that are no part of it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.notes: list[Note] = NoteList()
+        self._has_doubles = False
+        """Whether chunks may be there twice"""
+        self._chunks: Sequence[int] = ()
+        """Where chunks begin, in a file that can be cut between them"""
+        try:
+            with path.open("rb") as file:
+                self._size = file.seek(0, 2)
+                self._span = Span(len(self.magic), self._size)
+                self._by_id = self._find_channels(file)
+        except OSError as error:
+            raise LogError(f"cannot be read ({error.strerror})", where=path) from None
+        if self.notes and not self._by_id:
+            found = "; ".join(note.text for note in self.notes[:3])
+            raise LogError(f"nothing in it can be read: {found}", where=path)
+
+    @property
+    def channels(self) -> Sequence[Channel]:
+        """Every channel of the file."""
+        return list(self._by_id.values())
+
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+        """Give the messages of some channels, in file order."""
+        by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
+        table = self.table()
+        with self.path.open("rb") as file:
+            for block in self._iterate_blocks(file, by_id):
+                for key, record_ns, data in self._split_block(block, by_id, table):
+                    yield by_id[key], record_ns, data
+        for key, other in table.build():
+            known = self._by_id.get(key, other)
+            if known.description != other.description:
+                text = f"{self.unit} {key} is described in two ways: {known.topic}"
+                add_note(self.notes, text)
+
+    def split(self, size: int) -> Sequence[Self]:
+        """Cut the file between chunks, of which only those with scans count."""
+        if self.notes or not self._chunks:
+            return [self]
+        scans = {key for key, channel in self._by_id.items() if channel.role in SCANS}
+        cuts, gathered = [self._span.start], 0
+        for start, end in pairwise(self._chunks):
+            gathered += end - start if self._may_hold(start, scans) else 0
+            if gathered >= size:
+                cuts.append(end)
+                gathered = 0
+        return [make_part(self, _span=Span(*ends)) for ends in pairwise([*cuts, self._span.end])]
+
+    @abstractmethod
+    def _find_channels(self, file: BinaryIO) -> dict[int, Channel]:
+        """Find the channels and their counts, as the file announces them or by a survey."""
+
+    @abstractmethod
+    def _read_record(self, file: BinaryIO, position: int) -> Record | None:
+        """Read the head of a record; None where there is none."""
+
+    @abstractmethod
+    def _open_chunk(self, record: Record, body: bytes, file: BinaryIO) -> Block:
+        """Decompress a chunk; the file is at what follows it."""
+
+    @abstractmethod
+    def _split_block(
+        self, block: Block, wanted: Container[int], table: Table
+    ) -> Iterator[tuple[int, int, memoryview]]:
+        """Give channel, record time (ns) and bytes of each message of some channels."""
+
+    def _may_hold(self, _position: int, _wanted: Container[int]) -> bool:
+        """Whether a chunk can hold messages of these channels, as the file's index has it."""
+        return True
+
+    def _survey(self, file: BinaryIO) -> tuple[dict[int, Channel], Counter[int]]:
+        """Find the channels and count their messages by reading the whole file."""
+        table = self.table()
+        held: Counter[int] = Counter()
+        for block in self._iterate_blocks(file, _EVERY_ID):
+            held.update(key for key, _, _ in self._split_block(block, _EVERY_ID, table))
+        channels: dict[int, Channel] = {}
+        for key, channel in table.build():
+            channels.setdefault(key, channel)
+        return channels, held
+
+    def _note_nameless(self, channels: Container[int], held: Mapping[int, int]) -> None:
+        """Note messages of channels that the file does not describe."""
+        if lost := sum(messages for key, messages in held.items() if key not in channels):
+            add_note(self.notes, f"the file names no {self.unit} for {count(lost, 'message')}")
+
+    def _iterate_blocks(self, file: BinaryIO, wanted: Container[int]) -> Iterator[Block]:
+        """Give the records that may hold messages of these channels."""
+        seen: set[int] = set()
+        for record in self._walk(file):
+            if record.opcode in self.plain:
+                yield Block(record.position, record.head + file.read(record.length))
+            elif record.opcode == self.chunk and self._may_hold(record.position, wanted):
+                body = file.read(record.length)
+                if self._has_doubles:
+                    if (key := hash(body)) in seen:
+                        self._note(record.position, "is there twice, and is used once")
+                        continue
+                    seen.add(key)
+                yield self._open_chunk(record, body, file)
+
+    def _walk(self, file: BinaryIO) -> Iterator[Record]:
+        """Give the records of the file one by one, with the file at the record's body."""
+        position = behind = self._span.start
+        chunk_end = 0
+        while position < self._span.end:
+            record = self._read_record(file, position)
+            is_cut = record is not None and record.end > self._size
+            if record is None or (is_cut and not record.is_sure):
+                found = self.find_record(file, behind, self._size, chunk_end)
+                if found is not None:
+                    add_note(self.notes, f"damaged at byte {position}, read on from byte {found}")
+                    position, behind = found, found + 1
+                    continue
+            if record is None or is_cut:
+                yield from self._take_rest(file, position, record)
+                return
+            if record.opcode in self.last:
+                return
+            file.seek(record.start)
+            yield record
+            # The record's length is not sure before what follows it is seen.
+            position, behind = record.end, record.start
+            chunk_end = record.end if record.opcode == self.chunk else 0
+        if self.last and position == self._size:
+            add_note(self.notes, f"the file breaks off at byte {position}, where more belongs")
+
+    def _take_rest(self, file: BinaryIO, position: int, record: Record | None) -> Iterator[Record]:
+        """Note that the last bytes hold no whole record, and give what there is of a chunk."""
+        left = self._size - position
+        text = f"from byte {position} on, the last {count(left, 'byte')} hold no whole record"
+        if record is not None and record.end - position <= LONGEST_RECORD:
+            there = f"{left} of its {record.end - position} bytes are there"
+            text = f"the file ends in the middle of a record: {there}"
+        add_note(self.notes, text)
+        if record is not None and record.opcode == self.chunk and record.start < self._size:
+            file.seek(record.start)
+            yield record._replace(length=self._size - record.start)
+
+    def _note(self, position: int, problem: str) -> None:
+        add_note(self.notes, f"the chunk at byte {position} {problem}")
+
+
+def with_counts(channels: Mapping[int, Channel], counts: Mapping[int, int]) -> dict[int, Channel]:
+    """State for each channel how many messages it has."""
+    return {key: replace(item, count=counts.get(key, 0)) for key, item in channels.items()}

@@ -1,0 +1,223 @@
+"""Scans and transforms of many messages at once, where these are laid out alike.
+
+A log holds tens of thousands of both, and in those of one laser, or of one pair of frames, only
+times, ranges and poses differ. Stacked as rows, a field of all messages is one slice of an array.
+Decoded one by one instead, scans make a whole build of 20,000 take 37% longer, transforms 28%. This
+holds for definitions of the standard layout, and where the first message could be decoded: then all
+its parts lie within it.
+"""
+
+from collections.abc import Iterable, Sequence
+from struct import Struct
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from occmap.readers.ros_decode import FromBytes
+from occmap.readers.ros_source import Encoding
+from occmap.types import Bool, Int64, PoseBatch, PoseSample, Scan, ScanRun, UInt8
+
+Stacked: TypeAlias = tuple[bytes, int]
+"""A message of one channel and length, and its record time (ns)."""
+
+MOST_KINDS = 16
+"""Transforms of one length that name other frames are told apart, but not without end."""
+_LITTLE_ENDIAN = b"\0\1"
+"""What a CDR message begins with that can be read so."""
+_STAMP = 4
+"""Behind four bytes: of a CDR message its encapsulation, of a ROS 1 header its sequence number."""
+_FRAME = 16
+"""Where the letters of a scan's frame begin, behind their number."""
+_ANGLE_MAX, _TIME_INCREMENT, _RANGE_MIN, _RANGES = 4, 12, 20, 32
+"""Behind the first of the seven floats. Nobody uses the largest angle and the time of a scan."""
+_POSE = 56
+"""Bytes of a translation and a rotation."""
+_count = Struct("<I").unpack_from
+
+
+def read_scan_run(messages: Sequence[Stacked], encoding: Encoding, first: Scan) -> ScanRun | None:
+    """Read scans of one length that follow one another.
+
+    Parameters
+    ----------
+    first
+        The scan of the first message.
+
+    Returns
+    -------
+    run
+        None where the scans are not all alike but for times and ranges, or not little-endian.
+    """
+    raw = _stack(messages, encoding)
+    if raw is None:
+        return None
+    floats = _align(_FRAME + _count_at(messages[0][0], _FRAME - 4), 4, encoding)
+    ranges = floats + _RANGES
+    intensities = ranges + 4 * len(first.ranges)
+    free = (
+        _span_stamp(_STAMP, encoding),
+        (floats + _ANGLE_MAX, floats + _ANGLE_MAX + 4),
+        (floats + _TIME_INCREMENT, floats + _RANGE_MIN),
+        (ranges, intensities),
+        (intensities + 4, raw.shape[1]),
+    )
+    if not _find_alike(raw, free).all():
+        return None
+    return ScanRun(
+        first,
+        _read_stamps(raw, _STAMP),
+        np.array([record_ns for _, record_ns in messages], np.int64),
+        _read_columns(raw, ranges, "<f4", len(first.ranges)),
+        _read_columns(raw, floats + _TIME_INCREMENT, "<f4")[:, 0].astype(np.float64),
+    )
+
+
+class _Transform(NamedTuple):
+    """Where the numbers of one transform lie in its message."""
+
+    stamp: int
+    pose: int
+
+
+def read_transforms(
+    messages: Sequence[Stacked], encoding: Encoding, read: FromBytes[list[PoseSample]]
+) -> tuple[list[PoseBatch], Sequence[Stacked]]:
+    """Read messages of transforms of one length.
+
+    Parameters
+    ----------
+    read
+        Reads a single message: it tells what is the same in those that are like it.
+
+    Returns
+    -------
+    batches, others
+        The samples of each transform, and the messages of kinds beyond `MOST_KINDS`, or all where
+        the first is not little-endian.
+
+    Raises
+    ------
+    DamageError
+        The first message of its kind is damaged.
+    """
+    raw = _stack(messages, encoding)
+    if raw is None:
+        return [], messages
+    record_ns = np.array([record_ns for _, record_ns in messages], np.int64)
+    batches: list[PoseBatch] = []
+    left = np.arange(len(messages))
+    for _ in range(MOST_KINDS):
+        if not len(left) or not _is_stackable(first := messages[int(left[0])][0], encoding):
+            break
+        # Decoded first: that it could be says that all its parts lie within the message.
+        samples = read(memoryview(first), 0)
+        places = _locate(first, encoding)
+        stamps = [_span_stamp(each.stamp, encoding) for each in places]
+        poses = [(each.pose, each.pose + _POSE) for each in places]
+        alike = _find_alike(raw[left], stamps + poses)
+        rows = left[alike]
+        own, own_ns = raw[rows], record_ns[rows]  # once: a message may hold very many transforms
+        batches += (
+            PoseBatch(
+                _read_stamps(own, place.stamp),
+                own_ns,
+                _read_columns(own, place.pose, "<f8", 7),
+                sample.parent,
+                sample.child,
+                sample.static,
+                sample.topic,
+            )
+            for place, sample in zip(places, samples, strict=True)
+        )
+        left = left[~alike]
+    return batches, [messages[i] for i in left.tolist()]
+
+
+def _locate(message: bytes, encoding: Encoding) -> list[_Transform]:
+    """Find the numbers of a message of transforms."""
+    at = 4 if encoding == "cdr" else 0
+    count, at = _count_at(message, at), at + 4
+    places = []
+    for _ in range(count):
+        stamp = _align(at, 4, encoding) + (0 if encoding == "cdr" else 4)
+        child = _pass_name(message, stamp + 8, encoding)
+        pose = _align(_pass_name(message, child, encoding), 8, encoding)
+        places.append(_Transform(stamp, pose))
+        at = pose + _POSE
+    return places
+
+
+def _pass_name(message: bytes, at: int, encoding: Encoding) -> int:
+    """Find where a name ends that begins, with its length, at an offset or, in CDR, behind it."""
+    start = _align(at, 4, encoding)
+    return start + 4 + _count_at(message, start)
+
+
+def _count_at(message: bytes, at: int) -> int:
+    """Read the count of what follows, as a sequence and a string begin with one."""
+    count: int = _count(message, at)[0]
+    return count
+
+
+def _align(at: int, size: int, encoding: Encoding) -> int:
+    """Round an offset up, as CDR does from behind its four encapsulation bytes; ROS 1 does not."""
+    return at + (4 - at) % size if encoding == "cdr" else at
+
+
+def _span_stamp(at: int, encoding: Encoding) -> tuple[int, int]:
+    """Find the bytes of a stamp, and of the number that counts messages before it in ROS 1."""
+    return at if encoding == "cdr" else at - 4, at + 8
+
+
+def _is_stackable(message: bytes, encoding: Encoding) -> bool:
+    """Whether the numbers of a message lie as NumPy reads them here: little-endian."""
+    return encoding == "ros1" or message.startswith(_LITTLE_ENDIAN)
+
+
+def _stack(messages: Sequence[Stacked], encoding: Encoding) -> UInt8 | None:
+    """Stack messages as rows (M, L); None where the first cannot be read so."""
+    first = messages[0][0]
+    if not _is_stackable(first, encoding):
+        return None
+    raw = np.frombuffer(b"".join(data for data, _ in messages), np.uint8)
+    return raw.reshape(len(messages), len(first))
+
+
+def _find_alike(raw: UInt8, free: Iterable[tuple[int, int]]) -> Bool:
+    """Say which of M messages (M, L) are as the first but for some bytes.
+
+    Parameters
+    ----------
+    free
+        Where bytes that may differ begin, and behind the last of them.
+
+    Returns
+    -------
+    alike
+        (M,)
+    """
+    fixed = np.ones(raw.shape[1], np.bool_)
+    for start, end in free:
+        fixed[start:end] = False
+    alike: Bool = (raw[:, fixed] == raw[0, fixed]).all(axis=1)
+    return alike
+
+
+def _read_columns(raw: UInt8, at: int, kind: str, count: int = 1) -> NDArray[Any]:
+    """Read `count` numbers of a NumPy type that begin at an offset in each of M messages (M, L).
+
+    Returns
+    -------
+    numbers
+        (M, count)
+    """
+    size = count * np.dtype(kind).itemsize
+    return np.ascontiguousarray(raw[:, at : at + size]).view(kind)
+
+
+def _read_stamps(raw: UInt8, at: int) -> Int64:
+    """Read the stamps (M,) in ns of messages (M, L): seconds, then nanoseconds."""
+    seconds = _read_columns(raw, at, "<i4")[:, 0].astype(np.int64)
+    stamp_ns: Int64 = seconds * 1_000_000_000 + _read_columns(raw, at + 4, "<u4")[:, 0]
+    return stamp_ns
