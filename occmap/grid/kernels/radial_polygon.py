@@ -4,8 +4,12 @@ A cell at distance d is told what the model says of d and the range of the beam 
 cell's bearing.
 
 Clipped at p_min, such a model says the same about all cells up to some share of the range. These
-are noted as spans, as in `polygon`; only the cells beyond are visited.
+are noted as spans, as in `polygon`; only the cells beyond are visited. They are listed, and then
+many go through one short step after the other: where a step has no branch, a processor works on
+several cells at once.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +19,7 @@ from occmap.grid.kernels.project import round_to_units
 from occmap.grid.kernels.sectors import (
     BEARINGS,
     COS_60,
+    bearing_of,
     cover_bearings,
     find_sectors,
     outline_sectors,
@@ -26,8 +31,20 @@ from occmap.types import Float32, Float64, Int32, Int64, UInt8
 
 ROUNDED = 4
 """Lattice units by which corners may lie farther out than the sectors that they are made for."""
-NEAR, FAR, SCALE, RANGE = range(4)
-"""Columns of what `limit_ranges` writes."""
+MANY = 2048
+"""Cells are visited when so many are listed: loops are long, and the lists fit the cache."""
+
+
+class Listed(NamedTuple):
+    """Cells to visit, each (N,): room for `MANY` and those of one more row."""
+
+    rows: Int32
+    cols: Int32
+    places: Int32
+    """Room for which of the steps of a turn a cell's bearing is, and then which entry it gets"""
+    scale: Float64
+    """Room for what `limit_ranges` says of the beam that covers it"""
+    about: Float64
 
 
 @kernel
@@ -68,8 +85,13 @@ def trace_radial_polygons(
     sides = np.empty((beams, 4), np.float64)
     covers, shares_side = np.empty(beams, np.bool_), np.empty(beams, np.bool_)
     lengths, covering = np.empty((beams, 4), np.float64), np.empty(BEARINGS + 1, np.int32)
-    limits, within = np.empty((beams + 1, 4), np.float64), np.empty(beams, np.float64)
-    entries = np.concatenate((free, hit, np.zeros(1, np.int64)))
+    scale, about = np.empty(beams + 1, np.float64), np.empty(beams + 1, np.float64)
+    within, room = np.empty(beams, np.float64), MANY + cols
+    listed = Listed(
+        np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32),
+        np.empty(room, np.float64), np.empty(room, np.float64),
+    )  # fmt: skip
+    entries = np.concatenate((free[:-1], np.zeros(1, np.int64), hit))
     x, y = np.empty(4 * beams + 4, np.int64), np.empty(4 * beams + 4, np.int64)
     begins = np.empty(4 * beams + 4, np.bool_)
     starts, counts = np.empty(rows, np.int32), np.empty(rows, np.int32)
@@ -97,10 +119,10 @@ def trace_radial_polygons(
             found, inner = fill_outline(
                 x, y, begins, corners, touched, cols, inner_starts, inner_counts, found, inner
             )
-        limit_ranges(ranges, kinds[s], depth, free.size - 1, limits)
+        limit_ranges(ranges, kinds[s], depth, free.size - 1, scale, about)
         _observe_spans(
             at_x, at_y, touched, starts, counts, spans, inner_starts, inner_counts, inner,
-            covering, limits, depth, entries, cells, runs,
+            covering, scale, about, depth, entries, listed, cells, runs,
         )  # fmt: skip
 
 
@@ -149,18 +171,18 @@ def reach_out(
 
 
 @kernel
-def limit_ranges(ranges: Float64, kinds: UInt8, depth: float, steps: int, limits: Float64) -> None:
-    """Write, for each beam, up to which squared distance it speaks of free cells and of its hit.
+def limit_ranges(
+    ranges: Float64, kinds: UInt8, depth: float, steps: int, scale: Float64, about: Float64
+) -> None:
+    """Write, for each beam, what makes a squared distance a place among the entries of free cells.
 
-    The last row of `limits` (B + 1, 4) is nobody's: what no beam covers, index -1, gets nothing.
+    Those have `steps` places. `about` is where the beam speaks of a hit, if it does. The last of
+    `scale` and `about` (B + 1,) is nobody's: what no beam covers gets nothing.
     """
     for b in range(kinds.size):
-        before = max(ranges[b] - depth, 0.0)
-        limits[b, NEAR] = before * before
-        limits[b, FAR] = (ranges[b] + depth) ** 2 if kinds[b] == HIT else -1.0
-        limits[b, SCALE] = steps / max(before * before, 1.0)
-        limits[b, RANGE] = ranges[b]
-    limits[kinds.size] = -1.0
+        scale[b] = steps / max(ranges[b] - depth, 0.0) ** 2
+        about[b] = ranges[b] if kinds[b] == HIT else -np.inf
+    scale[kinds.size], about[kinds.size] = np.inf, -np.inf
 
 
 @kernel
@@ -175,23 +197,19 @@ def _observe_spans(
     inner_counts: Int32,
     inner: Int32,
     covering: Int32,
-    limits: Float64,
+    scale: Float64,
+    about: Float64,
     depth: float,
     entries: Int64,
+    listed: Listed,
     cells: Int64,
     runs: Int32,
 ) -> None:
-    """Note one scan's inner spans, and add what beams say about the other cells of its spans.
-
-    `entries` holds the tables of free cells and of hits, one behind the other, and a last 0.
-    """
-    stride = cells.shape[1]
-    steps = float(entries.size // 2 - 1)
-    hits_from, nothing, to_steps = steps + 1, 2 * steps + 2, steps / depth
+    """Note one scan's inner spans, and add what beams say about the other cells of its spans."""
+    stride, size = cells.shape[1], 0
+    rows, cols = listed.rows, listed.cols
     for r in range(touched[0], touched[1]):
         row = np.uint64(r)
-        from_y = float((r << CELL_SHIFT) + HALF_CELL - at_y)
-        start, turned = (1.0, -1.0) if from_y >= 0 else (3.0, 1.0)
         n, inner_end = inner_starts[row], inner_starts[row] + inner_counts[row]
         beyond = np.int64(0)  # an inner span may bridge a gap between two others
         for i in range(starts[row], starts[row] + counts[row], 2):
@@ -205,16 +223,55 @@ def _observe_spans(
                     runs[np.uint64(r * stride + beyond)] -= 1
                     n += 2
                 for c in range(col, until):
-                    from_x = float((c << CELL_SHIFT) + HALF_CELL - at_x)
-                    # As `bearing_of`, whose choice by the sign of y is the same for a whole row.
-                    part = from_x / max(abs(from_x) + abs(from_y), NO_LENGTH)
-                    b = covering[np.uint64((start + turned * part) * (BEARINGS / 4))]
-                    squared = from_x * from_x + from_y * from_y
-                    # Both places, then a choice without a branch: whether a cell lies before, in or
-                    # behind a hit cannot be guessed.
-                    off = abs(np.sqrt(squared) - limits[b, RANGE]) * to_steps
-                    as_hit, as_free = hits_from + min(off, steps), squared * limits[b, SCALE]
-                    is_free, is_hit = squared < limits[b, NEAR], squared <= limits[b, FAR]
-                    place = as_free if is_free else (as_hit if is_hit else nothing)
-                    cells[row, np.uint64(c)] += entries[np.uint64(place)]
+                    k = np.uint64(size + c - col)
+                    rows[k], cols[k] = r, c
+                size += max(int(until - col), 0)
                 col = beyond
+        if size >= MANY or r == touched[1] - 1:
+            _observe_cells(at_x, at_y, listed, size, covering, scale, about, depth, entries, cells)
+            size = 0
+
+
+@kernel
+def _observe_cells(
+    at_x: int,
+    at_y: int,
+    listed: Listed,
+    size: int,
+    covering: Int32,
+    scale: Float64,
+    about: Float64,
+    depth: float,
+    entries: Int64,
+    cells: Int64,
+) -> None:
+    """Add to each of the listed cells what the beam that covers its bearing says about it.
+
+    `entries` holds the table of free cells, a 0 for nothing, and the table of hits.
+    """
+    rows, cols, places = listed.rows, listed.cols, listed.places
+    stride, flat = cells.shape[1], cells.reshape(-1)
+    steps = float(entries.size // 2 - 1)
+    to_steps, hits_from = steps / depth, steps + 1
+    for i in range(size):
+        k = np.uint64(i)
+        x = float((np.int64(cols[k]) << CELL_SHIFT) + HALF_CELL - at_x)
+        y = float((np.int64(rows[k]) << CELL_SHIFT) + HALF_CELL - at_y)
+        places[k] = bearing_of(x, y)
+    for i in range(size):
+        k = np.uint64(i)
+        b = np.uint64(covering[np.uint64(places[k])])
+        listed.scale[k], listed.about[k] = scale[b], about[b]
+    for i in range(size):
+        k = np.uint64(i)
+        x = float((np.int64(cols[k]) << CELL_SHIFT) + HALF_CELL - at_x)
+        y = float((np.int64(rows[k]) << CELL_SHIFT) + HALF_CELL - at_y)
+        squared = x * x + y * y
+        as_free = squared * listed.scale[k]
+        off = abs(np.sqrt(squared) - listed.about[k]) * to_steps
+        as_hit = hits_from + off if off <= steps else steps
+        places[k] = np.int32(as_free if as_free < steps else as_hit)
+        rows[k] = rows[k] * stride + cols[k]  # from here on its place in the window
+    for i in range(size):
+        k = np.uint64(i)
+        flat[np.uint64(rows[k])] += entries[np.uint64(places[k])]

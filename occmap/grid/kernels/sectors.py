@@ -97,13 +97,13 @@ def bearing_of(x: float, y: float) -> np.int64:
 def cover_bearings(
     sides: Float64, kinds: UInt8, covers: Bool, sign: float, covering: Int32
 ) -> bool:
-    """Write for each step of a turn the beam that covers it, the later of two; -1 where none.
+    """Write for each step of a turn the beam that covers it, the later of two; B where none does.
 
     Returns
     -------
     Whether the beams lie side by side: each that is not SKIP has a step, and none has another's.
     """
-    covering[:] = -1
+    covering[:] = covers.size
     right = 0 if sign > 0 else 2
     side_by_side, given = True, np.int64(0)
     for b in range(covers.size):
@@ -120,7 +120,7 @@ def cover_bearings(
             given += last - first
     covered = np.int64(0)
     for i in range(BEARINGS):
-        covered += covering[i] >= 0
+        covered += covering[i] < covers.size
     return bool(side_by_side and given == covered)
 
 
