@@ -15,7 +15,7 @@ from occmap.grid.kernels.fill import fill_outline
 from occmap.grid.kernels.outline import ScanBeams, Surfaces, link_beams, list_border, outline_scan
 from occmap.grid.kernels.units import PAD
 from occmap.jit import kernel
-from occmap.types import Bool, Float32, Float64, Int32, Int64, UInt8
+from occmap.types import Float32, Float64, Int32, Int64, UInt8
 
 BORDER_BITS = 22
 """A border cell packs, from the lowest bit: minus the number of its hits that lay inside their own
@@ -24,8 +24,6 @@ COUNTED = (1 << (2 * BORDER_BITS)) - 1
 """Mask of the bits of both counts, without those of the last scan."""
 MOST_SCANS = (1 << 20) - 1
 """The bits above both counts hold no larger number of a scan."""
-FEW = 4
-"""A row with more limits of spans, two to a span, is drawn as a mask: a wall along it has many."""
 
 
 @kernel
@@ -64,7 +62,6 @@ def trace_polygons(
     cells = np.empty((beams * max(surfaces.border_gap, 1) + 1, 2), np.int32)
     starts, counts = np.empty(rows, np.int32), np.empty(rows, np.int32)
     found, spans = np.empty((2, 4 * rows), np.int32), np.empty(4 * rows, np.int32)
-    mask = np.empty(border.shape, np.bool_)
     for s in range(scans):
         scan = ScanBeams(
             origin[s, 0], turn[s], bearing, distance[s], kinds[s], ends_x[s], ends_y[s]
@@ -74,17 +71,16 @@ def trace_polygons(
         found, spans = fill_outline(
             x, y, begins, corners, touched, cols, starts, counts, found, spans
         )
-        _note_spans(touched, starts, counts, spans, runs, mask)
+        _note_spans(touched, starts, counts, spans, border.shape[1], runs)
         size = list_border(scan, links, listed, surfaces, rows, cols, cells)
-        _note_border(cells, size, starts, counts, spans, mask, mark + s + 1, border)
+        _note_border(cells, size, starts, counts, spans, mark + s + 1, border)
 
 
 @kernel
 def _note_spans(
-    touched: tuple[int, int], starts: Int32, counts: Int32, spans: Int32, runs: Int32, mask: Bool
+    touched: tuple[int, int], starts: Int32, counts: Int32, spans: Int32, stride: int, runs: Int32
 ) -> None:
-    """Note one miss for every cell of every span, and draw the rows that have many of these."""
-    stride = mask.shape[1]
+    """Note one miss for every cell of every span."""
     for row in range(touched[0], touched[1]):
         begin, size, place = starts[np.uint64(row)], counts[np.uint64(row)], row * stride
         if size == 2:  # nearly always
@@ -94,10 +90,6 @@ def _note_spans(
         for i in range(begin, begin + size, 2):
             runs[np.uint64(place + spans[np.uint64(i)])] += 1
             runs[np.uint64(place + spans[np.uint64(i + 1)])] -= 1
-        if size > FEW:
-            mask[row, spans[begin] : spans[begin + size - 1]] = False
-            for i in range(begin, begin + size, 2):
-                mask[row, spans[i] : spans[i + 1]] = True
 
 
 @kernel
@@ -107,7 +99,6 @@ def _note_border(
     starts: Int32,
     counts: Int32,
     spans: Int32,
-    mask: Bool,
     mark: int,
     border: Int64,
 ) -> None:
@@ -118,11 +109,10 @@ def _note_border(
         first, last = spans[np.uint64(begin)], spans[np.uint64(begin + 1)]
         inside = (limits == 2) & (first <= col) & (col < last)
         if limits > 2:
-            inside = (first <= col) & (col < spans[np.uint64(begin + limits - 1)])
-            if limits > FEW:
-                inside &= mask[row, np.uint64(col)]
-            else:
-                inside &= (col < last) | (spans[np.uint64(begin + 2)] <= col)
+            passed = 0
+            for k in range(begin, begin + limits):
+                passed += spans[np.uint64(k)] <= col
+            inside = passed % 2 == 1
         # No branch: whether neighbours share a cell is a coin toss to a processor.
         cell = border[row, np.uint64(col)]
         hit = (cell & COUNTED) + (1 << BORDER_BITS) - np.int64(inside)
