@@ -36,15 +36,16 @@ MANY = 2048
 
 
 class Listed(NamedTuple):
-    """Cells to visit, each (N,): room for `MANY` and those of one more row."""
+    """Cells to visit, each (N,): room for `MANY` and for those of one more row."""
 
     rows: Int32
     cols: Int32
     places: Int32
-    """Room for which of the steps of a turn a cell's bearing is, and then which entry it gets"""
+    """Which of the steps of a turn a cell lies in, and then which of the entries it gets"""
     scale: Float64
-    """Room for what `limit_ranges` says of the beam that covers it"""
-    about: Float64
+    """Of the beam that covers the cell, as `limit_ranges` writes it"""
+    hit_range: Float64
+    """Likewise"""
 
 
 @kernel
@@ -85,8 +86,8 @@ def trace_radial_polygons(
     sides = np.empty((beams, 4), np.float64)
     covers, shares_side = np.empty(beams, np.bool_), np.empty(beams, np.bool_)
     lengths, covering = np.empty((beams, 4), np.float64), np.empty(BEARINGS + 1, np.int32)
-    scale, about = np.empty(beams + 1, np.float64), np.empty(beams + 1, np.float64)
-    within, room = np.empty(beams, np.float64), MANY + cols
+    scale, hit_range = np.empty(beams + 1, np.float64), np.empty(beams + 1, np.float64)
+    within, room = np.empty(beams, np.float64), MANY + cells.shape[1]
     listed = Listed(
         np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32),
         np.empty(room, np.float64), np.empty(room, np.float64),
@@ -119,10 +120,10 @@ def trace_radial_polygons(
             found, inner = fill_outline(
                 x, y, begins, corners, touched, cols, inner_starts, inner_counts, found, inner
             )
-        limit_ranges(ranges, kinds[s], depth, free.size - 1, scale, about)
+        limit_ranges(ranges, kinds[s], depth, free.size - 1, scale, hit_range)
         _observe_spans(
             at_x, at_y, touched, starts, counts, spans, inner_starts, inner_counts, inner,
-            covering, scale, about, depth, entries, listed, cells, runs,
+            covering, scale, hit_range, depth, entries, listed, cells, runs,
         )  # fmt: skip
 
 
@@ -172,17 +173,18 @@ def reach_out(
 
 @kernel
 def limit_ranges(
-    ranges: Float64, kinds: UInt8, depth: float, steps: int, scale: Float64, about: Float64
+    ranges: Float64, kinds: UInt8, depth: float, steps: int, scale: Float64, hit_range: Float64
 ) -> None:
-    """Write, for each beam, what makes a squared distance a place among the entries of free cells.
+    """Write, for each beam, where the entries for free cells end and where its hit lies.
 
-    Those have `steps` places. `about` is where the beam speaks of a hit, if it does. The last of
-    `scale` and `about` (B + 1,) is nobody's: what no beam covers gets nothing.
+    A squared distance times `scale` (B + 1,) is a place in the table of free cells, which has
+    `steps` places. `hit_range` (B + 1,) is -inf for a beam that hit nothing. The last of both is
+    nobody's: what no beam covers gets nothing.
     """
     for b in range(kinds.size):
         scale[b] = steps / max(ranges[b] - depth, 0.0) ** 2
-        about[b] = ranges[b] if kinds[b] == HIT else -np.inf
-    scale[kinds.size], about[kinds.size] = np.inf, -np.inf
+        hit_range[b] = ranges[b] if kinds[b] == HIT else -np.inf
+    scale[kinds.size], hit_range[kinds.size] = np.inf, -np.inf
 
 
 @kernel
@@ -198,7 +200,7 @@ def _observe_spans(
     inner: Int32,
     covering: Int32,
     scale: Float64,
-    about: Float64,
+    hit_range: Float64,
     depth: float,
     entries: Int64,
     listed: Listed,
@@ -228,7 +230,9 @@ def _observe_spans(
                 size += max(int(until - col), 0)
                 col = beyond
         if size >= MANY or r == touched[1] - 1:
-            _observe_cells(at_x, at_y, listed, size, covering, scale, about, depth, entries, cells)
+            _observe_cells(
+                at_x, at_y, listed, size, covering, scale, hit_range, depth, entries, cells
+            )
             size = 0
 
 
@@ -240,7 +244,7 @@ def _observe_cells(
     size: int,
     covering: Int32,
     scale: Float64,
-    about: Float64,
+    hit_range: Float64,
     depth: float,
     entries: Int64,
     cells: Int64,
@@ -261,14 +265,14 @@ def _observe_cells(
     for i in range(size):
         k = np.uint64(i)
         b = np.uint64(covering[np.uint64(places[k])])
-        listed.scale[k], listed.about[k] = scale[b], about[b]
+        listed.scale[k], listed.hit_range[k] = scale[b], hit_range[b]
     for i in range(size):
         k = np.uint64(i)
         x = float((np.int64(cols[k]) << CELL_SHIFT) + HALF_CELL - at_x)
         y = float((np.int64(rows[k]) << CELL_SHIFT) + HALF_CELL - at_y)
         squared = x * x + y * y
         as_free = squared * listed.scale[k]
-        off = abs(np.sqrt(squared) - listed.about[k]) * to_steps
+        off = abs(np.sqrt(squared) - listed.hit_range[k]) * to_steps
         as_hit = hits_from + off if off <= steps else steps
         places[k] = np.int32(as_free if as_free < steps else as_hit)
         rows[k] = rows[k] * stride + cols[k]  # from here on its place in the window
