@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.posing.concerns import Concern
-from occmap.posing.rotations import measure_angle
+from occmap.posing.rotations import measure_turn
 from occmap.types import Float64, PosedScans
 
 TILTED_RAD = math.radians(3)
@@ -58,7 +58,7 @@ class Course:
         self._high = np.maximum(self._high, position.max(axis=0))
         first = rotation[0] if self._first is None else self._first
         self._first = first
-        self._turned = max(self._turned, float(measure_angle(first.T @ rotation).max()))
+        self._turned = max(self._turned, float(measure_turn(first, rotation).max()))
 
     @property
     def bounds(self) -> Float64:

@@ -15,7 +15,7 @@ from occmap.posing.chain import Chain, Moving
 from occmap.posing.concerns import Concern
 from occmap.posing.found import Status
 from occmap.posing.frames import Step
-from occmap.posing.rotations import measure_angle
+from occmap.posing.rotations import measure_turn
 from occmap.posing.tracks import Track
 from occmap.types import Float64, Int64
 
@@ -63,13 +63,13 @@ class Jump(NamedTuple):
     @property
     def radians(self) -> float:
         """How far it turned."""
-        return float(measure_angle(self.rotation))
+        return float(measure_turn(np.eye(3), self.rotation))
 
     def is_undone_by(self, later: Self) -> bool:
         """Whether a later jump leads back to where this one came from."""
         back = later.after + later.rotation @ (self.after - later.before)
         apart = float(np.linalg.norm(back - self.before))
-        askew = float(measure_angle(later.rotation @ self.rotation))
+        askew = float(measure_turn(later.rotation.T, self.rotation))
         return apart <= max(JUMP_M, UNDONE_SHARE * self.metres) and askew <= JUMP_RAD
 
 
