@@ -110,11 +110,11 @@ class TimeFindings:
     time_increment_s: float
     """Median time from one beam to the next (s); 0 where the log states none"""
     all_equal: bool
-    """All stamps are one"""
+    """All stamps are equal"""
     all_zero: bool
     """All stamps are 0"""
     simulated: bool
-    """They are of a simulation's clock, which keeps its own pace: the drift is 0"""
+    """The stamps are of a simulation's clock, which keeps its own pace, so the drift is 0"""
     suggested_stamps: Stamps
     """What to give as `stamps`"""
 
@@ -171,7 +171,7 @@ class ScanFindings:
     shapes: tuple[Shape, ...]
     """The most frequent shapes, with the most frequent first"""
     shape_count: int
-    """Shapes, listed or not"""
+    """How many shapes there are, listed or not"""
     ranges: RangeFindings
     """What the range values are"""
     times: TimeFindings

@@ -26,7 +26,7 @@ from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Scan, ScanBatch, ScanRun
 
 MAX_SHAPES = 1000
-"""Shapes that are told apart; a log whose every scan has another must not fill the memory."""
+"""Shapes that are counted: a log in which every scan has another must not fill the memory."""
 SAMPLED_TOPICS = 100
 """Topics whose scans are sampled: no robot has more lasers, and a map of each takes its time."""
 
@@ -63,7 +63,7 @@ class TopicSurvey:
 
 @dataclass(eq=False)
 class Survey:
-    """Reads the scans of a log once; extent and topics grow."""
+    """Reads the scans of a log once; `extent` and `topics` grow meanwhile."""
 
     poser: Poser
     returns: ReturnOptions

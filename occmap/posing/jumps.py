@@ -13,10 +13,10 @@ import numpy as np
 
 from occmap.posing.chain import Chain, Moving
 from occmap.posing.concerns import Concern
-from occmap.posing.found import Status
 from occmap.posing.frames import Step
 from occmap.posing.rotations import measure_turn
 from occmap.posing.tracks import Track
+from occmap.posing.transforms import Status
 from occmap.types import Float64, Int64
 
 JUMP_M, JUMP_RAD = 1.0, math.radians(20)
