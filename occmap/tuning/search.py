@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from occmap.command import to_rpy
+from occmap.engines import make_engine
 from occmap.evidence import render
 from occmap.options import BuildOptions
 from occmap.posing.options import PosingOptions
@@ -12,7 +13,6 @@ from occmap.scoring.compare import refuse_unscored
 from occmap.scoring.score import Trial
 from occmap.scoring.trials import Trials
 from occmap.scoring.variants import Variant
-from occmap.tracing import make_engine
 from occmap.tuning.kept import MOST_OFFSET_S, KeptLog, trace_rays
 from occmap.types import Pose, Rays
 
