@@ -219,17 +219,17 @@ class LogFindings:
 
     path: str
     """The log, as it was given"""
-    streams: tuple[Stream, ...]
+    streams: tuple[Stream, ...] = ()
     """Topics of the log, also those that no map needs"""
-    scans: tuple[ScanFindings, ...]
+    scans: tuple[ScanFindings, ...] = ()
     """Topics with scans"""
-    coverage: tuple[Coverage, ...]
+    coverage: tuple[Coverage, ...] = ()
     """Sources of poses"""
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
     """What a user should know, one sentence each, as on stderr"""
-    damage: tuple[str, ...]
+    damage: tuple[str, ...] = ()
     """Those of the notes that tell of damage to a log"""
-    problem: str
+    problem: str = ""
     """Why the log gives no scans for a map; empty where it does"""
 
 
