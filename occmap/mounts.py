@@ -34,7 +34,7 @@ CLEAR_WIN = 0.9
 """The right mount lays the walls of many scans over each other: it marks fewer cells than this
 share of what any other one marks."""
 FEWEST_MARKED = 50
-"""Fewer cells than these are no walls that could tell one turn from another."""
+"""Fewer cells with hits are too few to tell one turn from another."""
 SUSPECT, SUSPECT_OF_SEVERAL = 0.65, 0.9
 """Where the hits of a map agree less, one of its lasers may be turned. One that sees all around and
 is mirrored leaves 0.6, and beside others that are right their agreement hides it; real logs of one
@@ -44,7 +44,7 @@ laser have 0.68 and more, and are not worth a second look."""
 def name_mount(
     log: Log, topics: Sequence[str], options: BuildOptions, error: MountError
 ) -> PoseError:
-    """Name the mount that suits the scans in the error that it is missing, where one does."""
+    """Complete the error that a mount is missing by the mount that suits the scans, if one does."""
     trial = replace(options, posing=replace(options.posing, sensor_pose=UNTURNED))
     poser = Poser.build(read_poses(log), trial.posing)
     try:
@@ -63,7 +63,10 @@ class Guess(NamedTuple):
 
 
 def guess_place(poser: Poser, parts: Sequence[PosedScans], options: BuildOptions) -> Guess | None:
-    """Guess where the only laser of a log sits: where tf mounts a frame without scans, or a turn.
+    """Guess where the only laser of a log sits.
+
+    That is where tf mounts some frame that no scan is in, or else at the body's origin, turned in
+    one of eight ways.
 
     Parameters
     ----------
@@ -106,7 +109,7 @@ def list_leaves(poser: Poser, frame: str) -> dict[str, Pose]:
 def list_misfits(
     paths: Sequence[Path], options: BuildOptions, agreement: float | None, lasers: int
 ) -> Iterator[str]:
-    """Say which lasers of logs, whose hits agree little in a map, are better mounted otherwise.
+    """Say which lasers fit better with another mount, where the hits of a map agree little.
 
     The logs are then read once more, though not traced.
 
@@ -145,7 +148,7 @@ def find_better(poser: Poser, parts: Sequence[PosedScans], options: ReturnOption
 
 
 def warn_of_misfit(better: str) -> Concern:
-    """Say which option suits the scans better, of which the value is given, too."""
+    """Say that an option, given with its value, suits the scans better."""
     option, _, value = better.partition("=")
     given = f"({value})" if option == "sensor_pose" else value  # in Python that one is a tuple
     text = f"the scans would fit each other better with `{option}={given}`"
@@ -153,7 +156,7 @@ def warn_of_misfit(better: str) -> Concern:
 
 
 def correct_mount(poser: Poser, frame: str, turn: Pose) -> str:
-    """Name the option that mounts a sensor turned further than it is, with its value.
+    """Find the option, with its value, that turns a sensor further than it is mounted.
 
     That is `sensor_pose` for a single laser whose body is known, and else a transform in place of
     the last one on the way to the sensor; "" where that one moves, so that nothing is mounted.
@@ -217,6 +220,6 @@ def count_marked(parts: Sequence[PosedScans], mount: Pose, options: ReturnOption
 
 
 def mount_scans(part: PosedScans, mount: Pose) -> PosedScans:
-    """Mount a sensor on the body as which its scans are posed."""
+    """Place a sensor on its body, as which its scans are posed so far."""
     turn, place = rotate_by(np.array([mount[3:]]))[0], np.array(mount[:3])
     return PosedScans(part.batch, part.position + part.rotation @ place, part.rotation @ turn)

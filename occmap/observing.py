@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
+from occmap.engines import choose_engine, make_grid
 from occmap.errors import MapError
 from occmap.evidence.fit import list_misfit
 from occmap.grid.slices import unite
@@ -15,7 +16,7 @@ from occmap.readers import Log, open_log
 from occmap.remarks import Remarks
 from occmap.sensor.returns import ReturnOptions
 from occmap.tally import Tally
-from occmap.tracing import AddRays, choose_engine, make_grid, trace_logs
+from occmap.tracing import AddRays, trace_logs
 from occmap.types import Slices
 
 if TYPE_CHECKING:  # as in tracing

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from occmap.batching import Batcher, Selection
+from occmap.engines import make_engine
 from occmap.errors import MapError
 from occmap.evidence import render
 from occmap.opening import count_messages
@@ -72,8 +73,6 @@ def estimate_agreement(parts: Sequence[PosedScans], options: BuildOptions) -> fl
     float or None
         None where the sample makes no map, or one too large to be made in passing.
     """
-    from occmap.tracing import make_engine  # noqa: PLC0415  late: it asks for mounts, as this is for
-
     if not parts:
         return None
     engine = make_engine(replace(options, model=CountingModel(), max_cells=MOST_CELLS))

@@ -4,8 +4,8 @@ import json
 import math
 import os
 from collections import Counter
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from occmap.command import compose_build
 from occmap.errors import MapError, PoseError, UsageError
 from occmap.inspection import Inspection, inspect
 from occmap.inspection.findings import ScanFindings
+from occmap.inspection.poses import prepare
 from occmap.inspection.ranges import BLOCK_RANGES, RangeCensus, find_repeated
 from occmap.inspection.sample import find_crossing
 from occmap.inspection.times import StampLog
@@ -24,9 +25,10 @@ from occmap.mounts import SUSPECT, correct_mount
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions, Stamps
+from occmap.readers import Note, Stream
 from occmap.remarks import LEAST_AGREEMENT
 from occmap.sensor.returns import NoReturn, ReturnOptions
-from occmap.types import Float32, Float64, Pose, Scan, ScanBatch
+from occmap.types import Float32, Float64, Pose, PoseSample, Scan, ScanBatch
 from tests.inspection_logs import BEAMS, SCANS, Drive, measure_room, write_bag, write_csv
 from tests.posing.scenes import bolted, drive
 from tests.posing.scenes import build as make_poser
@@ -482,6 +484,39 @@ def test_a_build_names_the_mount_of_the_one_laser_of_two_that_is_mirrored(tmp_pa
     (note,) = report.notes
     mount = "`static_transforms=base_link,rear,0,0,0,3.14159,0,0`"
     assert note == f"{path}: /rear: the scans would fit each other better with {mount}"
+
+
+@dataclass
+class Recorded:
+    """A log in memory."""
+
+    path: Path
+    notes: list[Note]
+    streams: list[Stream]
+    samples: list[PoseSample]
+    first: list[Scan]
+
+    def poses(self) -> Iterator[PoseSample]:
+        return iter(self.samples)
+
+    def scans(self, _topics: Collection[str]) -> Iterator[Scan]:
+        return iter(self.first)
+
+
+def test_a_frame_that_is_found_once_another_is_known_has_no_fault() -> None:
+    """By itself `a` hangs on `zenith`, which never moves; `b` shows that `world` is the map."""
+    here = Pose.planar(0, 0, 0)
+    fixed = bolted("zenith", "base", here), bolted("zenith", "a", here), bolted("base", "b", here)
+    scans = [
+        Scan(0, frame, 0.0, 0.1, [1.0, 2.0], 0.0, 9.0, topic=f"/{frame}") for frame in ("a", "b")
+    ]
+    log = Recorded(Path("log"), [], [], [*drive("world", "base"), *fixed], scans)
+    posing = prepare(log, ["/a", "/b"], BuildOptions())
+    assert {frame: chain and chain.frames for frame, chain in posing.poser.chains.items()} == {
+        "a": ("world", "base", "zenith", "a"),
+        "b": ("world", "base", "b"),
+    }
+    assert posing.faults == {}
 
 
 @pytest.mark.parametrize("mount", [[], [(0.0, 0.0)]])

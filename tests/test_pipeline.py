@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap import batching, observing, tracing
+from occmap import batching, engines, observing
 from occmap.options import BuildOptions, choose_model
 from occmap.pipeline import build
 from occmap.sensor.models import parse_model
@@ -133,6 +133,6 @@ def test_the_size_of_windows_changes_nothing(
     tmp_path: Path, reference: Reference, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     update, model, expected = reference
-    small = partial(tracing.choose_engine, window_cells=20_000)
+    small = partial(engines.choose_engine, window_cells=20_000)
     monkeypatch.setattr(observing, "choose_engine", small)
     assert write_map(tmp_path, DRIVES[:2], choose(update, model)) == expected

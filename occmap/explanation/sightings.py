@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.batching import Batcher
+from occmap.engines import plan_grid
 from occmap.explanation.history import CellHistory, Numbers, Seen
 from occmap.explanation.provenance import Use
 from occmap.observing import Progress
@@ -15,7 +16,6 @@ from occmap.plain import Count
 from occmap.readers import Log, open_log, read_scans
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret
-from occmap.tracing import plan_grid
 from occmap.types import Int64, PosedScans
 
 

@@ -16,6 +16,7 @@ from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
+from occmap.engines import make_grid
 from occmap.errors import OutputError
 from occmap.evidence.manifest import UNRECORDED, write_value
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
@@ -38,7 +39,6 @@ from occmap.options import BuildOptions
 from occmap.remarks import Remarks
 from occmap.store.blocks import Block
 from occmap.tally import Tally
-from occmap.tracing import make_grid
 from occmap.types import Slices
 
 SLICE_BYTES = 256 << 20

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+from occmap.engines import make_grid
 from occmap.fleet.runs import (
     Content,
     Piece,
@@ -13,7 +14,6 @@ from occmap.fleet.tasks import Setting
 from occmap.grid.slices import unite
 from occmap.grid.stacks import add_stack, stack_tiles
 from occmap.store.blocks import Block
-from occmap.tracing import make_grid
 from occmap.types import Slices
 
 

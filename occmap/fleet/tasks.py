@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from occmap.batching import Seam, Selector
+from occmap.engines import choose_engine
 from occmap.errors import LogError, PoseError
 from occmap.evidence.manifest import describe_files
 from occmap.fleet.runs import (
@@ -31,7 +32,7 @@ from occmap.readers import Note, open_log, read_scans, split_log
 from occmap.sensor.no_return import RangeLimits
 from occmap.store.blocks import Block
 from occmap.tally import Tally
-from occmap.tracing import Drive, choose_engine, open_drive, trace
+from occmap.tracing import Drive, open_drive, trace
 from occmap.types import Float64, Rays
 
 

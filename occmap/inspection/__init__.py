@@ -89,13 +89,12 @@ def inspect_path(path: Path, options: BuildOptions, extent: Extent) -> Look:
     try:
         log = open_log(path, options.reading)
     except OccmapError as error:
-        return LogFindings(str(path), (), (), (), (), (), _place(error, path)), []
+        return LogFindings(str(path), problem=_place(error, path)), []
     try:
         topics = choose_topics(log, options.selection.topics)
         posing = prepare(log, topics, options)
     except OccmapError as error:
-        found = _list_notes(log)
-        return LogFindings(str(path), tuple(log.streams), (), (), *found, _place(error, path)), []
+        return replace(_describe(log), problem=_place(error, path)), []
     return inspect_log(log, posing, options, extent)
 
 
@@ -122,15 +121,13 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
     scans = tuple(
         _sum_up(log, types[topic.topic], topic, posing, options) for topic in seen if topic.shapes
     )
-    notes, damage = _list_notes(log)
     spoilers = list(posing.poser.list_concerns(survey.first_ns, options.returns.max_range))
-    findings = LogFindings(
-        path=str(log.path),
-        streams=tuple(log.streams),
+    known = _describe(log)
+    findings = replace(
+        known,
         scans=scans,
         coverage=tuple(list_coverage(posing.poser.sources)),
-        notes=(*notes, *posing.poser.notes, *limits.list_notes(), *survey.list_notes()),
-        damage=damage,
+        notes=(*known.notes, *posing.poser.notes, *limits.list_notes(), *survey.list_notes()),
         problem=problem or ("" if scans else f"{log.path}: {_explain_nothing(seen)}"),
     )
     return findings, list_concerns(findings, spoilers)
@@ -147,10 +144,14 @@ def _explain_nothing(topics: Sequence[TopicSurvey]) -> str:
     return f"none of {reasons.total()} scans can be used: {counts}"
 
 
-def _list_notes(log: Log) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """List all notes of a log, and those that tell of damage."""
-    damage = tuple(note.text for note in log.notes if note.damage)
-    return tuple(note.text for note in log.notes), damage
+def _describe(log: Log) -> LogFindings:
+    """Describe a log by what its reader says of it."""
+    return LogFindings(
+        str(log.path),
+        streams=tuple(log.streams),
+        notes=tuple(note.text for note in log.notes),
+        damage=tuple(note.text for note in log.notes if note.damage),
+    )
 
 
 def _place(error: OccmapError, path: Path) -> str:

@@ -14,9 +14,14 @@ BYTES_PER_CELL = 4 + 1 + 8
 
 
 class Extent:
-    """Grows with the rays that it is shown.
+    """The box around all cells that rays observe; it grows with the rays that it is shown.
 
-    Hits lie so far `behind` what was measured, and count for what is so near `around` them (m).
+    Parameters
+    ----------
+    behind
+        How far behind the measured range a hit is placed (m).
+    around
+        How far around a hit cells are taken as observed, too (m).
     """
 
     def __init__(self, behind: float = 0.0, around: float = 0.0) -> None:

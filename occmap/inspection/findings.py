@@ -110,11 +110,11 @@ class TimeFindings:
     time_increment_s: float
     """Median time from one beam to the next (s); 0 where the log states none"""
     all_equal: bool
-    """All stamps are one"""
+    """All stamps are equal"""
     all_zero: bool
     """All stamps are 0"""
     simulated: bool
-    """They are of a simulation's clock, which keeps its own pace: the drift is 0"""
+    """The stamps are of a simulation's clock, which keeps its own pace, so the drift is 0"""
     suggested_stamps: Stamps
     """What to give as `stamps`"""
 
@@ -171,7 +171,7 @@ class ScanFindings:
     shapes: tuple[Shape, ...]
     """The most frequent shapes, with the most frequent first"""
     shape_count: int
-    """Shapes, listed or not"""
+    """How many shapes there are, listed or not"""
     ranges: RangeFindings
     """What the range values are"""
     times: TimeFindings
@@ -219,17 +219,17 @@ class LogFindings:
 
     path: str
     """The log, as it was given"""
-    streams: tuple[Stream, ...]
+    streams: tuple[Stream, ...] = ()
     """Topics of the log, also those that no map needs"""
-    scans: tuple[ScanFindings, ...]
+    scans: tuple[ScanFindings, ...] = ()
     """Topics with scans"""
-    coverage: tuple[Coverage, ...]
+    coverage: tuple[Coverage, ...] = ()
     """Sources of poses"""
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
     """What a user should know, one sentence each, as on stderr"""
-    damage: tuple[str, ...]
+    damage: tuple[str, ...] = ()
     """Those of the notes that tell of damage to a log"""
-    problem: str
+    problem: str = ""
     """Why the log gives no scans for a map; empty where it does"""
 
 

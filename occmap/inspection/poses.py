@@ -12,8 +12,8 @@ from occmap.mounts import UNTURNED, Guess, guess_place
 from occmap.opening import refuse_shared_mount, take_first
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
-from occmap.posing.found import Status
 from occmap.posing.options import Stamps
+from occmap.posing.transforms import Status
 from occmap.readers import Log, read_poses
 from occmap.sampling import sample_scans
 from occmap.types import Pose
@@ -79,7 +79,7 @@ def name_found(fault: PoseError, guess: Guess) -> PoseError:
 
 
 def find_moving_stamp(poser: Poser) -> int | None:
-    """Find the latest stamp of what moves in the transforms of a log; None where nothing does."""
+    """Find the latest stamp of all transforms that move; None where none does."""
     tracks = [edge.track for edge in poser.sources.tree.edges if edge.track.moves]
     return max((int(track.stamp_ns[-1]) for track in tracks), default=None)
 

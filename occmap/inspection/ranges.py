@@ -140,16 +140,17 @@ class RangeCensus:
 
 
 MOSTLY_OPEN = 0.05
-"""Where fewer of the beams without return than this lead through or beyond what others hit, space
-is open. On real logs it is nearly all of them, in a building larger than the range none."""
+"""Space is open where a smaller share of the beams without return than this leads through or beyond
+what others hit. On most real logs nearly all of them do; in a building that is larger than the
+sensor's range none does."""
 
 
 def suggest_no_return(census: RangeCensus, crossed: float | None) -> str:
-    """Suggest what `no_return` is to be.
+    """Suggest whether beams without return are to clear space.
 
-    Space is called free only where there is a distance up to which, the value is no error code,
-    and the log itself does not object: hardly a beam without return leads through a wall, or out of
-    all that was hit, as through glass.
+    Such beams are to clear space only where the log states a limit up to which, where their value
+    is no error code, and where hardly one of them leads through a wall, or out of all that was hit,
+    as through glass.
     """
     low, high = SICK_CODES
     is_code = any(low <= item.value <= high for item in census.list_repeated())

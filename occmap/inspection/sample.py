@@ -1,4 +1,4 @@
-"""What a sample of posed scans tells that no single scan does."""
+"""Whether beams without return lead through walls, as a sample of posed scans shows it."""
 
 import math
 from collections.abc import Sequence
@@ -13,16 +13,16 @@ from occmap.types import Bool, Float64, Kind, PosedScans, as_float32
 
 HIT_CELL_M = 0.1
 ASIDE_M = 0.15
-"""A surface that a beam leads through has hits so far on either side of it; a corner or a wall that
-the beam grazes, on one side only."""
+"""How far to the left and right of a beam hits are looked for (m): a surface that it leads through
+has hits on both sides, a corner or a wall that it grazes on one side only."""
 STEPS_AROUND = 2
-"""So many steps of a cell before and behind, for surfaces that are crossed aslant"""
+"""Steps before and behind that are looked at, too: a surface may be crossed at an angle"""
 SHORT_OF_END_M = 0.2
 MAX_REACH_M = 30.0
 MAX_CROSSING_BEAMS = 250
 MIN_CROSSING_BEAMS = 50
 SIDES = np.arange(8) * math.pi / 4
-"""Whither the sides of the octagon face that lies around all hits (rad)"""
+"""Directions in which the sides of the octagon around all hits face (rad)"""
 
 
 def measure_crossing(parts: Sequence[PosedScans], options: ReturnOptions) -> float | None:

@@ -5,7 +5,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from occmap.batching import (
-    BATCH_BEAMS,
     NOT_ASKED_FOR,
     Batcher,
     Geometry,
@@ -26,7 +25,7 @@ from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Scan, ScanBatch, ScanRun
 
 MAX_SHAPES = 1000
-"""Shapes that are told apart; a log whose every scan has another must not fill the memory."""
+"""Shapes that are counted: a log in which every scan has another must not fill the memory."""
 SAMPLED_TOPICS = 100
 """Topics whose scans are sampled: no robot has more lasers, and a map of each takes its time."""
 
@@ -37,7 +36,6 @@ class TopicSurvey:
 
     topic: str
     sample: Sample
-    batcher: Batcher
     is_sampled: bool = True
     stamps: StampLog = field(default_factory=StampLog)
     census: RangeCensus = field(default_factory=RangeCensus)
@@ -63,7 +61,7 @@ class TopicSurvey:
 
 @dataclass(eq=False)
 class Survey:
-    """Reads the scans of a log once; extent and topics grow."""
+    """Reads the scans of a log once; `extent` and `topics` grow meanwhile."""
 
     poser: Poser
     returns: ReturnOptions
@@ -90,17 +88,16 @@ class Survey:
 
     def _stack(self, scans: Iterable[Scan | ScanRun]) -> Iterator[ScanBatch]:
         """Stack the scans that a build would use; those without a way to the map are counted."""
-        for topic, some in gather_topics(self._select(scans)):
-            survey = self.topics[topic]
-            for stacked in survey.batcher.stack(some):
-                batch = self.limits.apply(stacked)
-                survey.census.add(batch)
-                try:
-                    self.poser.prepare(batch)
-                except PoseError:  # no scan so far has a way to the map
-                    survey.dropped[DropReason.NO_TRANSFORM] += len(batch.stamp_ns)
-                else:
-                    yield batch
+        batcher = Batcher(Selection(), self.poser.options.stamps)
+        for stacked in batcher.stack(self._select(scans)):
+            survey, batch = self.topics[stacked.topic], self.limits.apply(stacked)
+            survey.census.add(batch)
+            try:
+                self.poser.prepare(batch)
+            except PoseError:  # no scan so far has a way to the map
+                survey.dropped[DropReason.NO_TRANSFORM] += len(batch.stamp_ns)
+            else:
+                yield batch
 
     def _select(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
         """Give the scans that a build would use; scans that nobody asked for are only counted."""
@@ -118,13 +115,9 @@ class Survey:
         self.first_ns = selector.seam.first_ns or 0
 
     def _find(self, topic: str) -> TopicSurvey:
-        return self.topics.get(topic) or self._begin(topic)
-
-    def _begin(self, topic: str) -> TopicSurvey:
-        expected = expect_scans(self.expected, self.selection)
-        batcher = Batcher(Selection(), self.poser.options.stamps)
-        is_sampled = len(self.topics) < SAMPLED_TOPICS
-        self.topics[topic] = TopicSurvey(topic, Sample(expected), batcher, is_sampled)
+        if topic not in self.topics:
+            sample = Sample(expect_scans(self.expected, self.selection))
+            self.topics[topic] = TopicSurvey(topic, sample, len(self.topics) < SAMPLED_TOPICS)
         return self.topics[topic]
 
     def list_notes(self) -> Iterator[str]:
@@ -134,21 +127,6 @@ class Survey:
                 f"the mount and the agreement are estimated for {SAMPLED_TOPICS} of "
                 f"{len(self.topics):,} topics with scans"
             )
-
-
-def gather_topics(
-    scans: Iterable[Scan | ScanRun],
-) -> Iterator[tuple[str, list[Scan | ScanRun]]]:
-    """Give scans by topic, as many at once as fill a batch."""
-    held: dict[str, list[Scan | ScanRun]] = {}
-    beams = 0
-    for some in scans:
-        held.setdefault(some.first.topic, []).append(some)
-        beams += max(some.ranges.size, 1)
-        if beams >= BATCH_BEAMS:
-            yield from held.items()
-            held, beams = {}, 0
-    yield from held.items()
 
 
 def _strip(geometry: Geometry) -> Shape:

@@ -1,4 +1,4 @@
-"""What an inspection finds, in words: for a terminal and for a page, which lay it out.
+"""What an inspection finds, in words that a terminal and a page lay out.
 
 A row is a label, "" where it is that of the row before, and a text.
 """
@@ -143,7 +143,7 @@ def describe_source(source: Coverage) -> str:
 
 
 def tell_sources(sources: tuple[Coverage, ...]) -> list[str]:
-    """Say what the pose sources that move know; of the others their number is enough."""
+    """Say what the pose sources that move know, and how many others there are."""
     moving = [describe_source(source) for source in sources if source.moves]
     fixed = len(sources) - len(moving)
     changes = "changes" if fixed == 1 else "change"

@@ -81,9 +81,9 @@ class StampLog:
 
 
 def is_simulated(header: Int64, record: Int64, poses_ns: int) -> bool:
-    """Whether scans and poses have stamps from a clock that began with a simulation.
+    """Whether scans and poses have stamps of a simulation's clock, which begins at 0.
 
-    A laser that counts from its own start does so alone: the poses then have dates.
+    The clock of a laser may begin at 0 as well, but then the poses have dates.
     """
     began = max(int(header.max()), poses_ns) < LONGEST_RUN_NS
     return began and int(header.min()) >= 0 and int(record.min()) >= EARLIEST_DATE_NS

@@ -19,12 +19,12 @@ from occmap.errors import PoseError
 from occmap.posing.chain import Chain
 from occmap.posing.concerns import Concern
 from occmap.posing.deskew import choose_deskewed, keep, spread_moments
-from occmap.posing.found import Found, Status
 from occmap.posing.options import Deskew, DropReason, PosingOptions
 from occmap.posing.resolve import resolve
 from occmap.posing.sifting import Attached, Ends, Laser, LeapFilter
 from occmap.posing.sources import Sources, gather
 from occmap.posing.tracks import MAX_STAMP_NS
+from occmap.posing.transforms import Status, Transforms
 from occmap.posing.watch import Watch
 from occmap.types import Pose, PoseBatch, PoseSample, ScanBatch
 
@@ -151,19 +151,19 @@ class Poser:
             yield attached
         self._note(*self._leaps.list_notes())
 
-    def _look_up(self, batch: ScanBatch) -> Iterator[tuple[ScanBatch, Found]]:
+    def _look_up(self, batch: ScanBatch) -> Iterator[tuple[ScanBatch, Transforms]]:
         """Look up the sensor at the stamp of each scan (S), or at K moments of each (S * K)."""
         self.prepare(batch)
         if batch.pose is not None and self.is_stated(batch):
             self._note(*_list_idle(self.options))
             sensor = self.options.sensor_pose
-            found = Found.read(batch.pose)
-            yield batch, found.then(Found.fixed(sensor)) if sensor else found
+            found = Transforms.read(batch.pose)
+            yield batch, found.then(Transforms.fixed(sensor)) if sensor else found
             return
         chain = self.chains[batch.frame]
         if chain is None:
             nowhere = np.full(len(batch.stamp_ns), Status.NO_TRANSFORM, np.uint8)
-            yield batch, Found(np.empty(0), np.empty(0), nowhere)
+            yield batch, Transforms(np.empty(0), np.empty(0), nowhere)
             return
         deskewed, notes = choose_deskewed(batch, self.options.deskew, chain)
         self._note(*notes)
@@ -174,7 +174,7 @@ class Poser:
         if not deskewed.all():
             yield batch.take(~deskewed), chain.at(stamp_ns[~deskewed])
 
-    def _keep(self, batch: ScanBatch, found: Found) -> Attached:
+    def _keep(self, batch: ScanBatch, found: Transforms) -> Attached:
         """Keep the scans that have a pose at all of their moments, and count the others."""
         status = found.status.reshape(len(batch.stamp_ns), -1).max(axis=1)
         lost = Counter(status[status != Status.POSED].tolist())
@@ -208,12 +208,12 @@ class Poser:
         self.notes += [each for each in dict.fromkeys(sentences) if each not in self.notes]
 
 
-def _find_above(options: PosingOptions) -> Found | None:
+def _find_above(options: PosingOptions) -> Transforms | None:
     """Find where the log's map frame lies in the map that is made; None where they are one."""
     turned = [Pose.planar(0.0, 0.0, math.radians(options.align))] if options.align else []
     moved = [options.transform] if options.transform else []
     ways = [*turned, *moved]
-    return Found.fixed(reduce(Pose.then, ways)) if ways else None
+    return Transforms.fixed(reduce(Pose.then, ways)) if ways else None
 
 
 def _list_idle(options: PosingOptions) -> Iterator[str]:

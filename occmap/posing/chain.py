@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from occmap.posing.found import Found, Status
 from occmap.posing.frames import Step, last_part
 from occmap.posing.rotations import slerp
 from occmap.posing.tracks import Track
+from occmap.posing.transforms import Status, Transforms
 from occmap.types import Bool, Float64, Int64
 
 DRIFT_M, DRIFT_RAD = 0.1, 0.05
@@ -36,7 +36,7 @@ class Moving:
     """(N,) whether the pose jumps after a sample, which holds until then"""
     max_gap_ns: float
 
-    def at(self, stamp_ns: Int64) -> Found:
+    def at(self, stamp_ns: Int64) -> Transforms:
         """Interpolate at stamps (N,), in any order."""
         track = self.step.edge.track
         stamps = track.stamp_ns
@@ -49,7 +49,7 @@ class Moving:
         fraction = since / np.maximum(width, 1)
         fraction[self.holds[earlier]] = 0
         start, end = track.position[earlier], track.position[later]
-        found = Found.of(
+        found = Transforms.of(
             start + fraction[:, None] * (end - start),
             slerp(track.quaternion[earlier], track.quaternion[later], fraction),
         )
@@ -65,7 +65,7 @@ class Chain:
 
     steps: tuple[Step, ...]
     """From the map frame downwards."""
-    legs: tuple[Found | Moving, ...]
+    legs: tuple[Transforms | Moving, ...]
     """What the steps are worth; those that never move are already found and multiplied out"""
     interval_s: float
     """Median time between the samples of the leg that is sampled least; 0 where none moves. A
@@ -81,11 +81,11 @@ class Chain:
         dense: Bool = self.interval_s <= np.maximum(duration_s, DENSE_S)
         return dense & (self.interval_s > 0)
 
-    def at(self, stamp_ns: Int64) -> Found:
+    def at(self, stamp_ns: Int64) -> Transforms:
         """Look up the sensor at stamps (N,), in any order; the worst status of the legs counts."""
         n = len(stamp_ns)
         unturned = np.broadcast_to(np.eye(3), (n, 3, 3))
-        found = Found(np.zeros((n, 3)), unturned, np.zeros(n, np.uint8))
+        found = Transforms(np.zeros((n, 3)), unturned, np.zeros(n, np.uint8))
         for leg in self.legs:
             found = found.then(leg.at(stamp_ns) if isinstance(leg, Moving) else leg)
         return found
@@ -103,7 +103,7 @@ def make_chain(steps: Sequence[Step], max_gap_s: float | None) -> Chain:
     # jump at any time, and odom -> base_link never.
     corrections = [step for step in moving[:-1] if "odom" in last_part(step.edge.child).lower()]
     max_gap_ns = np.inf if max_gap_s is None else max_gap_s * 1e9
-    legs: list[Found | Moving] = []
+    legs: list[Transforms | Moving] = []
     for step in steps:
         track = step.edge.track
         if step in corrections:  # interpolated or held, however long: the limit is for what moves
@@ -111,11 +111,11 @@ def make_chain(steps: Sequence[Step], max_gap_s: float | None) -> Chain:
         elif step in moving:
             legs.append(Moving(step, np.zeros(len(track), np.bool_), max_gap_ns))
         else:
-            rigid = Found.of(track.position[:1], track.quaternion[:1])
+            rigid = Transforms.of(track.position[:1], track.quaternion[:1])
             rigid = rigid.invert() if step.inverted else rigid
             # Neighbouring rigid legs are multiplied out once, not for every batch.
-            above = legs.pop() if legs and isinstance(legs[-1], Found) else None
-            legs.append(above.then(rigid) if isinstance(above, Found) else rigid)
+            above = legs.pop() if legs and isinstance(legs[-1], Transforms) else None
+            legs.append(above.then(rigid) if isinstance(above, Transforms) else rigid)
     tracks = [step.edge.track for step in moving if step not in corrections]
     intervals = [float(np.median(track.interval_s)) for track in tracks if len(track) > 1]
     return Chain(tuple(steps), tuple(legs), max(intervals, default=0.0))

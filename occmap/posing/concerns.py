@@ -9,5 +9,5 @@ class Concern(NamedTuple):
 
     text: str
     remedy: Mapping[str, str] | None = {}
-    """Options with the values that mend it; empty where the map is of use as it is, None where no
-    option that is known of makes it so"""
+    """Options with the values that mend it; empty where the map is of use all the same, None where
+    it is not and no option that is known makes it so"""

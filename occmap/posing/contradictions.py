@@ -1,4 +1,4 @@
-"""Contradictions: what a log states about its frames and cannot all be true, one sentence each."""
+"""Contradictions between the transforms of a log, one sentence each."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator

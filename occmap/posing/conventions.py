@@ -8,7 +8,7 @@ from occmap.posing.frames import FrameTree, last_part
 FIXED_NAMES = ("map", "odom")
 BASE_NAMES = ("base_link", "base_footprint")
 MAX_NAMES = 6
-"""Names that a list has at most: people do not read longer ones."""
+"""How many names a list shows: people do not read longer ones."""
 
 
 def choose_fixed(tree: FrameTree, frame: str) -> str:
@@ -29,7 +29,7 @@ def choose_fixed(tree: FrameTree, frame: str) -> str:
 
 
 def list_bases(tree: FrameTree, frame: str) -> list[str]:
-    """List the frames that a sensor may be mounted on; one where it is clear."""
+    """List the frames that a sensor may be mounted on; only one where that is clear."""
     for name in BASE_NAMES:
         if name in tree:
             return [name]
@@ -52,7 +52,7 @@ def find_body(tree: FrameTree, frame: str) -> str:
 
 
 def join_names(names: Iterable[str], most: int = MAX_NAMES) -> str:
-    """List names in a sentence, the first few where they are many."""
+    """Write names as a list, of many only the first few."""
     names = tuple(names)
     if not names:
         return "none"

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.posing.concerns import Concern
-from occmap.posing.rotations import measure_angle
+from occmap.posing.rotations import measure_turn
 from occmap.types import Float64, PosedScans
 
 TILTED_RAD = math.radians(3)
@@ -15,11 +15,11 @@ TILTED_RAD = math.radians(3)
 STEEP_RAD = math.radians(30)
 """A scan plane tilted by more sees mostly floor or ceiling."""
 LEAST_REACH_M = 1.0
-"""A shorter range makes no map."""
+"""Ranges that are cut to less than this make no map."""
 STILL_M, STILL_RAD = 0.02, math.radians(1)
-"""What moves less than this in a whole drive stands; poses have noise even then."""
+"""What moves less than this in a whole drive stands still: poses are noisy even then."""
 STILL_SCANS = 20
-"""Fewer scans are no drive."""
+"""Fewer scans do not tell whether the robot drove."""
 STANDS = (
     "the laser never moves, so the map is what it sees from one place; if the robot drove, its "
     "poses are missing: give them with `poses`"
@@ -58,7 +58,7 @@ class Course:
         self._high = np.maximum(self._high, position.max(axis=0))
         first = rotation[0] if self._first is None else self._first
         self._first = first
-        self._turned = max(self._turned, float(measure_angle(first.T @ rotation).max()))
+        self._turned = max(self._turned, float(measure_turn(first, rotation).max()))
 
     @property
     def bounds(self) -> Float64:

@@ -3,8 +3,8 @@
 import numpy as np
 
 from occmap.posing.chain import Chain
-from occmap.posing.found import Found
 from occmap.posing.options import Deskew
+from occmap.posing.transforms import Transforms
 from occmap.types import Bool, Int64, PosedScans, ScanBatch
 
 MAX_TURN_S = 60.0
@@ -50,7 +50,7 @@ def spread_moments(batch: ScanBatch) -> Int64:
     return moments_ns
 
 
-def keep(batch: ScanBatch, posed: Bool, found: Found) -> PosedScans:
+def keep(batch: ScanBatch, posed: Bool, found: Transforms) -> PosedScans:
     """Keep the scans (S) that are posed; where there are K moments of each, each beam has a pose.
 
     Between two moments positions and matrices are interpolated linearly. At 720 degrees a second

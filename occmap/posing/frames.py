@@ -12,7 +12,7 @@ from occmap.posing.tracks import Track
 MOST_STEPS = 100
 """A robot's frames hang ten deep; where a way is longer, the frames of a log are damage."""
 MOST_TARGETS = 4
-"""Ways are looked for to few frames from many, so the distances to the last few are kept."""
+"""Of how many frames the distances to all others are kept: few frames are asked for again."""
 
 
 class Source(IntEnum):
@@ -81,7 +81,7 @@ class FrameTree:
 
     @cached_property
     def moves(self) -> bool:
-        """Whether anything does."""
+        """Whether any of its edges does."""
         return any(edge.track.moves for edge in self.edges)
 
     @cached_property
@@ -175,7 +175,7 @@ class FrameTree:
 
 
 def last_part(frame: str) -> str:
-    """Strip the namespace: `robot1/odom` is an `odom`."""
+    """Strip the namespace: the last part of `robot1/odom` is `odom`."""
     return frame.rsplit("/", 1)[-1]
 
 

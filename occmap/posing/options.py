@@ -28,7 +28,7 @@ class Deskew(StrEnum):
 
 
 class Stamps(StrEnum):
-    """Which of its two times a message is believed to have happened at."""
+    """Which of the two times of a message counts."""
 
     HEADER = "header"
     """The time that its driver wrote into it."""

@@ -1,4 +1,4 @@
-"""Resolution: which frame, and which body in between, a scan's frame gets its poses from."""
+"""Resolution: by which frames and whose poses a scan's frame is found in the map."""
 
 from dataclasses import dataclass, field, replace
 from typing import NoReturn

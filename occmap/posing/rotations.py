@@ -46,10 +46,13 @@ def to_quaternions(matrix: Float64) -> Float64:
     return quaternion
 
 
-def measure_angle(matrix: Float64) -> Float64:
-    """Angles (...,) in [0, pi] of rotation matrices (..., 3, 3): their trace is 1 + 2 cos of it."""
-    cosine = (np.trace(matrix, axis1=-2, axis2=-1) - 1) / 2
-    angle: Float64 = np.arccos(np.clip(cosine, -1, 1))
+def measure_turn(start: Float64, end: Float64) -> Float64:
+    """Angles (N,) in [0, pi] between two rotation matrices (3, 3), or one and each of (N, 3, 3).
+
+    The trace of a rotation matrix, such as that from the one to the other, is 1 + 2 cos of it.
+    """
+    trace = np.einsum("ij,...ij->...", start, end)
+    angle: Float64 = np.arccos(np.clip((trace - 1) / 2, -1, 1))
     return angle
 
 

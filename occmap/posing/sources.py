@@ -22,7 +22,7 @@ TF_TOPICS = frozenset({"", "tf", "tf_static"})
 INTENTIONS = frozenset({"goal", "initialpose", "plan", "waypoints"})
 """Words in topics of poses that tell where a robot should be, not where it was."""
 MOST_CHANGED = 3
-"""Of static transforms that changed so many are named, as their names are long."""
+"""How many of the static transforms that changed are named: their names are long."""
 USE_TF = "leave out `poses`: transforms are used without it"
 
 
@@ -108,7 +108,7 @@ def _build_tracks(
 
 
 def _take_last(track: Track) -> Track:
-    """Of a static transform that was sent again the last one holds."""
+    """Keep the last pose of a static transform that was sent more than once."""
     return Track(track.stamp_ns[-1:], track.position[-1:], track.quaternion[-1:], static=True)
 
 
@@ -139,7 +139,7 @@ def _is_intention(topic: str) -> bool:
 
 
 def _list_overruled(given: Sequence[Edge], edges: Sequence[Edge]) -> list[str]:
-    """Say where the log knew a transform that the user gave."""
+    """Say which transforms of the log the user's replace."""
     known = {edge.child for edge in edges if edge.source is Source.TF}
     return [
         f"the given transform {edge.parent} -> {edge.child} replaces the log's"

@@ -1,4 +1,4 @@
-"""Tracks: where one frame was in another over time, gathered sample by sample, then frozen."""
+"""Tracks: where one frame was in another over time."""
 
 from array import array
 from dataclasses import dataclass
@@ -77,7 +77,7 @@ class TrackBuilder:
         """Samples left out: not finite, a rotation of length zero, or a stamp that is damage."""
 
     def add(self, sample: PoseSample, stamps: Stamps) -> None:
-        """Take a sample at the chosen one of its two times."""
+        """Take a sample, dated by one of its two times."""
         stamp, record = sample.stamp_ns, sample.record_ns
         if stamps is Stamps.RECORD:
             stamp = record
@@ -124,7 +124,7 @@ class TrackBuilder:
 
 
 def differ(position: Float64, quaternion: Float64) -> bool:
-    """Whether any of the poses (N, 3) and (N, 4) is another than the first."""
+    """Whether any of the poses, (N, 3) m and (N, 4), differs from the first."""
     far = float(np.abs(position - position[:1]).max(initial=0))
     first = np.broadcast_to(quaternion[:1], quaternion.shape)
     turned = float(angle_between(first, quaternion).max(initial=0))
@@ -132,7 +132,7 @@ def differ(position: Float64, quaternion: Float64) -> bool:
 
 
 def find_usable(values: Float64) -> tuple[Bool, Float64]:
-    """Tell which rows (N, 7) are poses, and the lengths (N,) of their quaternions, 1 elsewhere."""
+    """Find which rows (N, 7) are usable poses, and how long their quaternions are (N,); else 1."""
     finite: Bool = np.all(np.abs(values) <= MAX_VALUE, axis=1)
     quaternion = np.where(finite[:, None], values[:, 3:], 0)
     norm = np.sqrt(np.einsum("ij,ij->i", quaternion, quaternion))

@@ -36,7 +36,7 @@ MAX_STAMP_S = 4 * 10**9
 """The year 2096. Nanoseconds that are mistaken for seconds lie far beyond it."""
 
 FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""Takes right, down and ahead to ahead, left and up"""
+"""Turns the axes of a camera (right, down, ahead) to those of a robot (ahead, left, up)"""
 TO_CAMERA = np.block([[FROM_CAMERA.T, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
 
 BINARY_WITHIN = 64
@@ -62,7 +62,7 @@ class _Layout:
 
 @dataclass(frozen=True, slots=True)
 class _Line:
-    """One line of numbers, that knows where it stands."""
+    """A line of a file, and where it stands."""
 
     path: Path
     number: int

@@ -45,7 +45,7 @@ class Watch:
             self._stated[topic].add_batch(stated, Stamps.HEADER)
 
     def _list_jumps(self) -> dict[str, JumpWatch]:
-        """List what jumps by topic; of poses beside scans all were needed first."""
+        """List the jumps by topic; in poses beside scans they show only once all are there."""
         watches = {
             topic: self._jumps[course.frame]
             for topic, course in self.courses.items()

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from occmap.engines import make_engine, plan_grid
 from occmap.evidence import render
 from occmap.options import BuildOptions
 from occmap.scoring.score import Score, estimate_error, score_map
 from occmap.scoring.variants import Variant
-from occmap.tracing import make_engine, plan_grid
 from occmap.types import Float64, Kind, OccupancyMap, Rays
 from occmap.workers import Workers
 

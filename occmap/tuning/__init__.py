@@ -1,4 +1,4 @@
-"""What is wrong with time and mount: corrections of poses that make maps predict scans better."""
+"""Tuning: the time offset and the mount by which a map predicts scans best."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -15,7 +15,7 @@ from occmap.scoring.compare import FEW_SCANS
 from occmap.tally import Tally
 from occmap.tuning.kept import MOST_SCANS, KeptLog, find_mount, keep_logs
 from occmap.tuning.result import Tuning
-from occmap.tuning.search import TIME, TOGETHER, YAW, Correction, Course, Knob, X, Y
+from occmap.tuning.search import TIME, TOGETHER, YAW, Correction, Knob, Scorer, X, Y
 from occmap.tuning.verdict import Finding, Gain, Verdict, find
 from occmap.types import Pose, Rays
 from occmap.wording import count
@@ -53,15 +53,15 @@ def tune(
     logs = keep_logs(opened, options, tally, remarks)
     kept = sum(log.scans for log in logs)
     mount = find_mount(logs, options.posing)
-    course = Course(logs, options, mount, lambda: tally.advance(kept))
-    before = course.score(Correction())
-    motion = Motion.measure(course.trace(Correction()))
+    scorer = Scorer(logs, options, mount, lambda: tally.advance(kept))
+    before = scorer.score(Correction())
+    motion = Motion.measure(scorer.trace(Correction()))
     timed = motion.shows_time and not all(log.stated for log in logs)
     place = [*([YAW] if motion.shows_yaw else []), *([X, Y] if motion.shows_place else [])]
-    way = find_way(course, [TIME] if timed else [], [] if mount is None else place)
+    way = find_way(scorer, [TIME] if timed else [], [] if mount is None else place)
     # One may have hidden part of the other.
     again = timed and way.mount.verdict is Verdict.FOUND
-    both = find(course, way.correction, TOGETHER if again else [])
+    both = find(scorer, way.correction, TOGETHER if again else [])
     tuning = Tuning(
         options=options,
         remarks=remarks,
@@ -72,21 +72,21 @@ def tune(
         together=both,
         sensor_pose=mount,
         before=before,
-        after=course.score(both.correction),
-        tried=course.tried,
-        agreement=course.measure_agreement(both.correction),
+        after=scorer.score(both.correction),
+        tried=scorer.tried,
+        agreement=scorer.measure_agreement(both.correction),
     )
     remarks.notes += [*list_unsearched(logs, mount, motion), *list_doubts(tuning)]
     return tuning
 
 
 class Way(NamedTuple):
-    """What came of two searches, of which the second begins with what the first found."""
+    """What two searches found, one after the other."""
 
     time: Finding
     mount: Finding
     correction: Correction
-    """By both"""
+    """What both found together"""
 
     @property
     def found(self) -> int:
@@ -94,22 +94,22 @@ class Way(NamedTuple):
         return [self.time.verdict, self.mount.verdict].count(Verdict.FOUND)
 
 
-def find_way(course: Course, timed: Sequence[Knob], place: Sequence[Knob]) -> Way:
+def find_way(scorer: Scorer, timed: Sequence[Knob], place: Sequence[Knob]) -> Way:
     """Search for a time offset and then for a mount; where that matters, the other way round too.
 
     A laser that is late looks as if it sat further back, and the reverse, so whichever is searched
     first may make up for the other. Of the two ways, the one that finds less to be wrong is right
     unless the other gains certainly more.
     """
-    time = find(course, Correction(), timed)
+    time = find(scorer, Correction(), timed)
     # Where halves want different times, a mount would only make up for that.
     disagree = time.verdict is Verdict.DISAGREE
-    mount = find(course, time.correction, [] if disagree else place)
+    mount = find(scorer, time.correction, [] if disagree else place)
     usual = Way(time, mount, mount.correction)
     if not disagree and time.verdict is not Verdict.FOUND:
         return usual
-    mount = find(course, Correction(), place)
-    time = find(course, mount.correction, timed)
+    mount = find(scorer, Correction(), place)
+    time = find(scorer, mount.correction, timed)
     if mount.verdict is not Verdict.FOUND or time.verdict is Verdict.DISAGREE:
         return usual
     # Two corrections fit much, also what changes within the log; one of a mount explains it.
@@ -117,7 +117,7 @@ def find_way(course: Course, timed: Sequence[Knob], place: Sequence[Knob]) -> Wa
     if disagree and time.verdict is Verdict.FOUND:
         return usual
     simple, other = sorted([usual, Way(time, mount, time.correction)], key=lambda way: way.found)
-    gain = Gain.measure(course.score(simple.correction), course.score(other.correction))
+    gain = Gain.measure(scorer.score(simple.correction), scorer.score(other.correction))
     return other if gain.certain else simple
 
 
@@ -131,7 +131,7 @@ class Motion(NamedTuple):
 
     @classmethod
     def measure(cls, scans: Sequence[Rays]) -> "Motion":
-        """Measure it; scans of several logs begin where those of the first one do."""
+        """Measure how far scans get from the first one, also those of other logs."""
         place = np.concatenate([rays.origin[:, 0] for rays in scans])
         ahead = np.concatenate([rays.turn[:, 0, :, 0] for rays in scans])
         cosine = ahead @ ahead[0] / np.maximum(np.linalg.norm(ahead, axis=1), 1e-9)

@@ -1,4 +1,4 @@
-"""The scans of logs, read once and kept, so that they can be posed again and again."""
+"""Scans of logs that are read once and posed again and again."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ MOST_SCANS = 1000
 MOST_OFFSET_S = 0.5
 """No larger time offset is tried, either way."""
 ALIKE = 1e-3
-"""Mounts that differ by less (m, rad) are one: no map shows it."""
+"""Mounts that differ by less (m, rad) count as one: no map shows the difference."""
 ON_BODY = Pose.planar(0.0, 0.0, 0.0)
 
 
@@ -49,7 +49,7 @@ class KeptLog:
 
     @property
     def scans(self) -> int:
-        """How many are kept."""
+        """How many scans are kept."""
         return sum(len(batch.stamp_ns) for batch in self.batches)
 
 

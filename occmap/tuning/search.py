@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from occmap.command import to_rpy
+from occmap.engines import make_engine
 from occmap.evidence import render
 from occmap.options import BuildOptions
 from occmap.posing.options import PosingOptions
@@ -12,7 +13,6 @@ from occmap.scoring.compare import refuse_unscored
 from occmap.scoring.score import Trial
 from occmap.scoring.trials import Trials
 from occmap.scoring.variants import Variant
-from occmap.tracing import make_engine
 from occmap.tuning.kept import MOST_OFFSET_S, KeptLog, trace_rays
 from occmap.types import Pose, Rays
 
@@ -66,8 +66,8 @@ Y = replace(X, name="y")
 TOGETHER = [replace(knob, steps=knob.steps[-3:]) for knob in (TIME, YAW, X, Y)]
 
 
-class Course:
-    """Scores corrections on the same scans; remembers what it has scored."""
+class Scorer:
+    """Scores corrections by the same scans, each only once."""
 
     def __init__(
         self,
@@ -116,22 +116,22 @@ class Course:
         return Trial(result.score, result.predicted)
 
 
-def search(course: Course, start: Correction, knobs: Sequence[Knob]) -> Correction:
-    """Search for the correction of the best share, all numbers at each step before a finer one."""
+def search(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Correction:
+    """Search for the correction with the best share: all numbers by coarse steps, then by finer."""
     best = start
     for steps in zip(*(knob.steps for knob in knobs), strict=True):
         for knob, step in zip(knobs, steps, strict=True):
-            best = climb(course, best, knob, step)
+            best = climb(scorer, best, knob, step)
     return best
 
 
-def climb(course: Course, best: Correction, knob: Knob, step: float) -> Correction:
+def climb(scorer: Scorer, best: Correction, knob: Knob, step: float) -> Correction:
     """Change one number by steps, up or else down, as long as the share grows."""
     for change in (step, -step):
         start, tried = best, best.move(knob.name, change)
         while (
             abs(getattr(tried, knob.name)) <= knob.reach
-            and course.score(tried).score.share > course.score(best).score.share
+            and scorer.score(tried).score.share > scorer.score(best).score.share
         ):
             best, tried = tried, tried.move(knob.name, change)
         if best != start:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from occmap.plain import Finite
 from occmap.scoring.score import Trial, estimate_error
 from occmap.scoring.trials import NOISE, SMALL
-from occmap.tuning.search import Correction, Course, Knob, search
+from occmap.tuning.search import Correction, Knob, Scorer, search
 
 EVERY_SCAN = slice(None)
 
@@ -75,18 +75,18 @@ class Finding:
     """The first half of the held-out scans and the second; none where nothing was searched"""
 
 
-def find(course: Course, start: Correction, knobs: Sequence[Knob]) -> Finding:
+def find(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Finding:
     """Search for a better correction than one, and judge it; without knobs there is no search."""
     if not knobs:
         return Finding(Verdict.UNSEEN, start)
-    before, earlier = course.score(start), set(course.tried)
-    best = search(course, start, knobs)
-    tried = {start, best} | (course.tried.keys() - earlier)
-    gain = Gain.measure(before, course.tried[best])
+    before, earlier = scorer.score(start), set(scorer.tried)
+    best = search(scorer, start, knobs)
+    tried = {start, best} | (scorer.tried.keys() - earlier)
+    gain = Gain.measure(before, scorer.tried[best])
     halves = [
         {
             each: Gain.measure(before, trial, half)
-            for each, trial in course.tried.items()
+            for each, trial in scorer.tried.items()
             if each in tried
         }
         for half in cut(before)

@@ -14,7 +14,7 @@ import pytest
 
 from occmap import api
 from occmap.cli import run
-from occmap.page.document import Page, Section, compose, to_script
+from occmap.page.document import Block, Page, Section, compose, to_script
 from occmap.page.findings import tell_notes
 
 DRIVE = Path("sample_logs/drive.csv")
@@ -97,6 +97,18 @@ def test_a_check_says_what_the_json_says(
     assert f"{special['count']:,}" in texts
     assert f"{special['share']:.1%}" in texts
     assert " ".join(found["command"]) in texts
+
+
+def test_options_are_spelled_as_flags_in_facts_lists_and_tables() -> None:
+    text = "leave `no_return` as it is"
+    blocks = [
+        Block("facts", [("ranges", text)]),
+        Block("list", texts=[text]),
+        Block("table", [(text,)], ("ranges",)),
+    ]
+    texts = Reader(compose(Page("Check", "", [Section("Findings", blocks)]))).texts
+    assert texts.count("leave --no-return as it is") == 3
+    assert text not in texts
 
 
 def test_a_comparison_says_what_the_json_says(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Where one frame was in another, at many moments at once."""
+"""Transforms: where one frame was in another, at many moments at once."""
 
 from enum import IntEnum
 from typing import NamedTuple, Self
@@ -27,7 +27,7 @@ class Status(IntEnum):
     NO_TRANSFORM = 5
 
 
-class Found(NamedTuple):
+class Transforms(NamedTuple):
     """Where one frame was in another at N stamps, or at all times (N = 1)."""
 
     position: Float64
