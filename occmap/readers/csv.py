@@ -2,14 +2,14 @@
 
 import math
 from codecs import BOM_UTF8
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import suppress
+from collections import deque
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList, Probe, Role, Stream, make_part
+from occmap.readers import Note, NoteList, Probe, Role, Span, Stream, make_part
 from occmap.readers.csv_layout import (
     POSE_NAMES,
     Layout,
@@ -126,16 +126,13 @@ class CsvLog:
             The first row, or so many that this is no damage, has a word for a number or too few or
             many cells.
         """
-        for block, rows in self._walk() if TOPIC in topics else ():
+        for block, rows in self._walk(self._span) if TOPIC in topics else ():
             yield from self._parse_each(block, rows)
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The same, with many rows at once where only stamps, ranges and poses differ."""
-        for block, rows in self._walk() if TOPIC in topics else ():
-            run: ScanRun | None = None
-            with suppress(ValueError):  # damage or another geometry: reading row by row shows which
-                run = _parse_rows(self._layout, block, rows)
-            yield from self._parse_each(block, rows) if run is None else (run,)
+        for block, rows in self._walk(self._span) if TOPIC in topics else ():
+            yield from self._parse_block(block, rows)
 
     def split(self, size: int) -> Sequence["CsvLog"]:
         """Cut the log into parts of about so many bytes, as `occmap.readers.Splittable` has it."""
@@ -143,10 +140,10 @@ class CsvLog:
         spans = [ALL] if damaged else split_lines(self.path, size, _is_heading)
         return [make_part(self, _span=span) for span in spans]
 
-    def _walk(self) -> Iterator[tuple[Block, Int64]]:
+    def _walk(self, span: Span) -> Iterator[tuple[Block, Int64]]:
         """Yield blocks, and which of their lines are rows (S,), without the header."""
-        header = 1 if self._span.start == 0 else 0
-        for block in read_blocks(self.path, self.notes, self._span):
+        header = 1 if span.start == 0 else 0
+        for block in read_blocks(self.path, self.notes, span):
             rows = np.flatnonzero(_find_rows(block))
             if rows[header:].size:
                 yield block, rows[header:]
@@ -184,31 +181,48 @@ class CsvLog:
             text = f"line {self._last.number}, the last, has no line end; it is taken as whole"
             add_note(self.notes, Note(text))
 
-    def _parse_each(self, block: Block, rows: Int64) -> Iterator[Scan]:
-        """Parse rows one by one, and leave out those that are cut or damaged."""
-        return filter(None, map(self._parse, block.pick_lines(rows)))
-
-    def _parse(self, line: Line) -> Scan | None:
-        """Parse a row; one that is cut or damaged gives None and a note."""
+    def _parse_block(
+        self, block: Block, rows: Int64, tally: LineTally | None = None
+    ) -> Iterable[Scan | ScanRun]:
+        """Parse rows together or, where that cannot be, one by one; see `_parse` for `tally`."""
         try:
-            return _parse_row(self._layout, line.text)
-        except ValueError:
+            run = _parse_rows(self._layout, block, rows)
+        except ValueError:  # damage or another geometry: reading row by row shows which
+            return self._parse_each(block, rows, tally)
+        if tally is not None:
+            tally.total += run.scans
+        return (run,)
+
+    def _parse_each(
+        self, block: Block, rows: Int64, tally: LineTally | None = None
+    ) -> Iterator[Scan]:
+        return filter(None, (self._parse(line, tally) for line in block.pick_lines(rows)))
+
+    def _parse(self, line: Line, tally: LineTally | None = None) -> Scan | None:
+        """Parse a row; one that is cut or damaged gives None.
+
+        Without a tally to count it in, a damaged row is told by looking at the whole log: it may be
+        damage, or the file no log.
+        """
+        try:
+            scan = _parse_row(self._layout, line.text)
+        except ValueError as error:
             if not line.ended:
                 note_cut_line(self.notes, line)
+            elif tally is not None:
+                tally.add(line, str(error))
             elif not self._judged:
                 self._judge()
             return None
+        if tally is not None:
+            tally.add(line)
+        return scan
 
     def _judge(self) -> None:
-        """Look at all rows, as one is malformed: it may be damage, or the file no log."""
+        """Count the malformed rows of the whole log, also where this is a part of it."""
         tally = LineTally()
-        for line in (each for walked in self._walk() for each in Block.pick_lines(*walked)):
-            try:
-                _parse_row(self._layout, line.text)
-                tally.add(line)
-            except ValueError as error:
-                if line.ended:
-                    tally.add(line, str(error))
+        for block, rows in self._walk(ALL):
+            deque(self._parse_block(block, rows, tally), maxlen=0)
         tally.judge(self.path, self.notes, "correct or delete this row")
         self._rows -= tally.malformed
         self._judged = True
