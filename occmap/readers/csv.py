@@ -100,7 +100,8 @@ class CsvLog:
         self.notes: list[Note] = NoteList()
         self._rows = 0
         self._last: Line | None = None
-        self._judged = False
+        self._whole: LineTally | None = None
+        """Of all rows of the log, once one is malformed"""
         self._span = ALL
         self._layout = self._survey()
         self._check_last()
@@ -126,13 +127,15 @@ class CsvLog:
             The first row, or so many that this is no damage, has a word for a number or too few or
             many cells.
         """
+        tally = LineTally()
         for block, rows in self._walk(self._span) if TOPIC in topics else ():
-            yield from self._parse_each(block, rows)
+            yield from self._parse_each(block, rows, tally)
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The same, with many rows at once where only stamps, ranges and poses differ."""
+        tally = LineTally()
         for block, rows in self._walk(self._span) if TOPIC in topics else ():
-            yield from self._parse_block(block, rows)
+            yield from self._parse_block(block, rows, tally)
 
     def split(self, size: int) -> Sequence["CsvLog"]:
         """Cut the log into parts of about so many bytes, as `occmap.readers.Splittable` has it."""
@@ -175,57 +178,47 @@ class CsvLog:
         """Where the file has no last line end, see whether its last row is whole."""
         if self._last is None or self._last.ended:
             return
-        if self._parse(self._last) is None:
+        if self._parse(self._last, LineTally()) is None:
             self._rows -= 1
         else:
             text = f"line {self._last.number}, the last, has no line end; it is taken as whole"
             add_note(self.notes, Note(text))
 
-    def _parse_block(
-        self, block: Block, rows: Int64, tally: LineTally | None = None
-    ) -> Iterable[Scan | ScanRun]:
-        """Parse rows together or, where that cannot be, one by one; see `_parse` for `tally`."""
+    def _parse_block(self, block: Block, rows: Int64, tally: LineTally) -> Iterable[Scan | ScanRun]:
+        """Parse rows together or, where that cannot be, one by one."""
         try:
             run = _parse_rows(self._layout, block, rows)
         except ValueError:  # damage or another geometry: reading row by row shows which
             return self._parse_each(block, rows, tally)
-        if tally is not None:
-            tally.total += run.scans
+        tally.total += run.scans
         return (run,)
 
-    def _parse_each(
-        self, block: Block, rows: Int64, tally: LineTally | None = None
-    ) -> Iterator[Scan]:
+    def _parse_each(self, block: Block, rows: Int64, tally: LineTally) -> Iterator[Scan]:
         return filter(None, (self._parse(line, tally) for line in block.pick_lines(rows)))
 
-    def _parse(self, line: Line, tally: LineTally | None = None) -> Scan | None:
-        """Parse a row; one that is cut or damaged gives None.
-
-        Without a tally to count it in, a damaged row is told by looking at the whole log: it may be
-        damage, or the file no log.
-        """
+    def _parse(self, line: Line, tally: LineTally) -> Scan | None:
+        """Parse a row and count it; one that is cut or damaged gives None."""
         try:
             scan = _parse_row(self._layout, line.text)
         except ValueError as error:
             if not line.ended:
                 note_cut_line(self.notes, line)
-            elif tally is not None:
-                tally.add(line, str(error))
-            elif not self._judged:
+                return None
+            tally.add(line, str(error))
+            if tally is not self._whole:
                 self._judge()
             return None
-        if tally is not None:
-            tally.add(line)
+        tally.add(line)
         return scan
 
     def _judge(self) -> None:
-        """Count the malformed rows of the whole log, also where this is a part of it."""
-        tally = LineTally()
-        for block, rows in self._walk(ALL):
-            deque(self._parse_block(block, rows, tally), maxlen=0)
-        tally.judge(self.path, self.notes, "correct or delete this row")
-        self._rows -= tally.malformed
-        self._judged = True
+        """Tell damage from a file that is no log, by all rows even where this is a part of it."""
+        if self._whole is None:
+            self._whole = LineTally()
+            for block, rows in self._walk(ALL):
+                deque(self._parse_block(block, rows, self._whole), maxlen=0)
+            self._rows -= self._whole.malformed
+        self._whole.judge(self.path, self.notes, "correct or delete this row")
 
 
 def _keep_comment(line: Line, constants: dict[str, Line], unused: dict[str, None]) -> None:
