@@ -28,6 +28,7 @@ from occmap.readers.text import (
     Line,
     LineTally,
     add_note,
+    make_planar,
     note_cut_line,
     parse_nanoseconds,
     parse_stamp,
@@ -38,18 +39,7 @@ from occmap.readers.text import (
     split_lines,
     stack_planar,
 )
-from occmap.types import (
-    UNKNOWN_POSE,
-    Bool,
-    Float32,
-    Float64,
-    Int64,
-    Pose,
-    PoseSample,
-    Scan,
-    ScanRun,
-    as_float32,
-)
+from occmap.types import Bool, Float32, Float64, Int64, Pose, PoseSample, Scan, ScanRun, as_float32
 
 TOPIC = "scan"
 VARIABLE = frozenset(("stamp", "time_increment", *POSE_NAMES))
@@ -329,8 +319,7 @@ def _read_limit(layout: Layout, cells: list[str], name: str) -> float:
 def _read_pose(layout: Layout, cells: list[str]) -> Pose:
     """Read x, y and yaw; all nan where one is empty or not finite, as nobody knew it."""
     texts = [layout.pick(name, cells).strip() or "nan" for name in POSE_NAMES]
-    x, y, yaw = map(read_number, POSE_NAMES, texts)
-    return Pose.planar(x, y, yaw) if math.isfinite(x + y + yaw) else UNKNOWN_POSE
+    return make_planar(*map(read_number, POSE_NAMES, texts))
 
 
 def _read_beams(layout: Layout, cells: list[str]) -> Float32:

@@ -18,7 +18,7 @@ from occmap.errors import LogError
 from occmap.readers import Note, Probe, Span
 from occmap.readers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
 from occmap.readers.kernels import NUMBER, PADDING, SECONDS
-from occmap.types import UNKNOWN_POSE, Float64, Int64, UInt8, as_float32, shorten
+from occmap.types import UNKNOWN_POSE, Float64, Int64, Pose, UInt8, as_float32, shorten
 
 MAX_LINE_BYTES = 1 << 24
 """A scan of a million beams is shorter; a longer line is no text log."""
@@ -281,6 +281,11 @@ def stack_planar(x: Float64, y: Float64, yaw: Float64) -> Float64:
     poses[:, 5], poses[:, 6] = list(map(math.sin, half)), list(map(math.cos, half))
     poses[~is_known] = UNKNOWN_POSE
     return poses
+
+
+def make_planar(x: float, y: float, yaw: float) -> Pose:
+    """Build one pose likewise."""
+    return Pose.planar(x, y, yaw) if math.isfinite(x + y + yaw) else UNKNOWN_POSE
 
 
 def parse_stamp(text: str) -> int:
