@@ -195,7 +195,7 @@ class CarmenLog:
         return parse_scan(text, self._split)
 
     def _survey(self) -> None:
-        """Read the log once: count its lines, tally its ranges, keep its scans if they are few."""
+        """Read the log once: count its lines, and keep its scans if they are few."""
         tally = LineTally()
         for words, block in self._walk():
             self._count_words(words, block)

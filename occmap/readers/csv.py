@@ -273,18 +273,18 @@ def _parse_row(layout: Layout, text: str) -> Scan:
     cells = split_cells(text)
     if len(cells) != len(layout.header):
         raise ValueError(f"{len(cells)} cells where the header has {len(layout.header)}")
-    return _make_scan(layout, cells, _read_beams(layout, cells))
+    return _make_scan(layout, cells)
 
 
-def _make_scan(layout: Layout, cells: list[str], ranges: Float32) -> Scan:
-    """Read all of a row but its ranges."""
+def _make_scan(layout: Layout, cells: list[str], ranges: Float32 | None = None) -> Scan:
+    """Read a row; the ranges, too, where they are not known yet."""
     stamp_ns = _read_stamp(layout, cells)
     return Scan(
         stamp_ns=stamp_ns,
         frame=layout.pick("frame", cells).strip().lstrip("/"),
         angle_min=_read_finite(layout, cells, "angle_min"),
         angle_increment=_read_finite(layout, cells, "angle_increment"),
-        ranges=ranges,
+        ranges=_read_beams(layout, cells) if ranges is None else ranges,
         range_min=_read_limit(layout, cells, "range_min"),
         range_max=_read_limit(layout, cells, "range_max"),
         time_increment=_read_finite(layout, cells, "time_increment"),
