@@ -254,7 +254,7 @@ def _parse_rows(layout: Layout, block: Block, rows: Int64) -> ScanRun:
         raise ValueError("the rows differ in more than what is measured")
     side_by_side = beams == list(range(beams[0], beams[-1] + 1))  # a slice takes no copy
     ranges = as_float32(values[:, beams[0] : beams[-1] + 1] if side_by_side else values[:, beams])
-    first = _make_scan(layout, block.get_line(int(rows[0])).raw.decode().split(","), ranges[0])
+    first = _parse_row(layout, block.get_line(int(rows[0])).text)
 
     def take(name: str, constant: float) -> Float64:
         return values[:, places[name]].copy() if name in places else np.full(len(rows), constant)
@@ -273,18 +273,13 @@ def _parse_row(layout: Layout, text: str) -> Scan:
     cells = split_cells(text)
     if len(cells) != len(layout.header):
         raise ValueError(f"{len(cells)} cells where the header has {len(layout.header)}")
-    return _make_scan(layout, cells)
-
-
-def _make_scan(layout: Layout, cells: list[str], ranges: Float32 | None = None) -> Scan:
-    """Read a row; the ranges, too, where they are not known yet."""
     stamp_ns = _read_stamp(layout, cells)
     return Scan(
         stamp_ns=stamp_ns,
         frame=layout.pick("frame", cells).strip().lstrip("/"),
         angle_min=_read_finite(layout, cells, "angle_min"),
         angle_increment=_read_finite(layout, cells, "angle_increment"),
-        ranges=_read_beams(layout, cells) if ranges is None else ranges,
+        ranges=_read_beams(layout, cells),
         range_min=_read_limit(layout, cells, "range_min"),
         range_max=_read_limit(layout, cells, "range_max"),
         time_increment=_read_finite(layout, cells, "time_increment"),
