@@ -163,18 +163,13 @@ class CarmenLog:
         if self._split is None:
             scans = (block.get_line(at).text for at, word in enumerate(words) if word in FRAMES)
             self._split = next(map(find_split, scans), None)
-        runs = _parse_together(words, block) if self._split is split_timed else {}
-        items = {
-            word: iter([run] if len(runs) == 1 else run.split())
-            for word, run in runs.items()
-            if run is not None
-        }
+        together = _parse_together(words, block) if self._split is split_timed else {}
         # Line by line, so that notes and scans come in the order of the log: a run with the first
         # line of its kind, single scans each with their own.
         for at, word in enumerate(words):
-            if word in items:
+            if word in together:
                 tally.total += 1
-                yield from islice(items[word], 1)
+                yield from islice(together[word], 1)
             elif word in FRAMES:
                 if scan := self._parse(block.get_line(at), self._parse_scan, tally):
                     yield scan
@@ -200,7 +195,7 @@ class CarmenLog:
         return parse_scan(text, self._split)
 
     def _survey(self) -> None:
-        """Read the log once: count its lines, tally its ranges, keep its scans if they are few."""
+        """Read the log once: count its lines, and keep its scans if they are few."""
         tally = LineTally()
         for words, block in self._walk():
             self._count_words(words, block)
@@ -277,15 +272,18 @@ def _find_word(start: bytes) -> str:
     return "#" if word[:1] == b"#" else word.decode("utf-8", "replace")
 
 
-def _parse_together(words: list[str], block: Block) -> dict[str, ScanRun | None]:
-    """Parse the scans of a block, by kind; None where one is damaged, or differs."""
-    runs: dict[str, ScanRun | None] = {}
-    for kind in FRAMES.keys() & words:
-        runs[kind] = None
+def _parse_together(words: list[str], block: Block) -> dict[str, Iterator[Scan | ScanRun]]:
+    """Parse the scans of a block by kind: into one run where all are of one, else into scans.
+
+    A kind of which one line is damaged or differs is left out.
+    """
+    kinds = FRAMES.keys() & words
+    runs: dict[str, ScanRun] = {}
+    for kind in kinds:
         rows = np.array([at for at, word in enumerate(words) if word == kind])
         with suppress(ValueError):
             runs[kind] = parse_scans(block, rows)
-    return runs
+    return {kind: iter([r] if len(kinds) == 1 else r.split()) for kind, r in runs.items()}
 
 
 def _count_lines(word: str, lines: int) -> str:

@@ -28,12 +28,18 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from occmap.readers.kernels import ANY, NUMBER, SECONDS
-from occmap.readers.text import Block, parse_stamp, parse_table, round_limit, stack_planar
+from occmap.readers.text import (
+    Block,
+    make_planar,
+    parse_stamp,
+    parse_table,
+    round_limit,
+    stack_planar,
+)
 from occmap.types import (
     UNKNOWN_POSE,
     Float64,
     Int64,
-    Pose,
     PoseSample,
     Scan,
     ScanRun,
@@ -109,7 +115,7 @@ def parse_odometry(text: str) -> PoseSample:
     """Parse an ODOM line."""
     message = split_timed(text)
     _check_rest(message.values, 0, 6)
-    pose = _make_pose(message.values[:3])
+    pose = make_planar(*message.values[:3].tolist())
     if pose is UNKNOWN_POSE:
         raise ValueError("the pose is not finite")
     return PoseSample(
@@ -212,12 +218,6 @@ def _check_rest(values: Float64, at: int, size: int) -> None:
         raise ValueError(f"{values.size - at} numbers before the time where {size} belong")
 
 
-def _make_pose(values: Float64) -> Pose:
-    """Build a pose from x, y, theta; where one is not finite, nobody knew it."""
-    x, y, theta = values.tolist()
-    return Pose.planar(x, y, theta) if math.isfinite(x + y + theta) else UNKNOWN_POSE
-
-
 def _make_scan(message: _Message) -> Scan:
     word, values = message.word, message.values
     layout = _lay_out(word, values)
@@ -239,7 +239,7 @@ def _make_scan(message: _Message) -> Scan:
         ranges=ranges,
         range_min=0.0,
         range_max=range_max,
-        pose=_make_pose(values[layout.pose]) if layout.pose else None,
+        pose=make_planar(*values[layout.pose].tolist()) if layout.pose else None,
         topic=word,
         record_ns=message.record_ns,
     )

@@ -2,14 +2,14 @@
 
 import math
 from codecs import BOM_UTF8
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import suppress
+from collections import deque
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList, Probe, Role, Stream, make_part
+from occmap.readers import Note, NoteList, Probe, Role, Span, Stream, make_part
 from occmap.readers.csv_layout import (
     POSE_NAMES,
     Layout,
@@ -28,6 +28,7 @@ from occmap.readers.text import (
     Line,
     LineTally,
     add_note,
+    make_planar,
     note_cut_line,
     parse_nanoseconds,
     parse_stamp,
@@ -38,18 +39,7 @@ from occmap.readers.text import (
     split_lines,
     stack_planar,
 )
-from occmap.types import (
-    UNKNOWN_POSE,
-    Bool,
-    Float32,
-    Float64,
-    Int64,
-    Pose,
-    PoseSample,
-    Scan,
-    ScanRun,
-    as_float32,
-)
+from occmap.types import Bool, Float32, Float64, Int64, Pose, PoseSample, Scan, ScanRun, as_float32
 
 TOPIC = "scan"
 VARIABLE = frozenset(("stamp", "time_increment", *POSE_NAMES))
@@ -100,7 +90,8 @@ class CsvLog:
         self.notes: list[Note] = NoteList()
         self._rows = 0
         self._last: Line | None = None
-        self._judged = False
+        self._whole: LineTally | None = None
+        """Of all rows of the log, once one is malformed"""
         self._span = ALL
         self._layout = self._survey()
         self._check_last()
@@ -126,16 +117,15 @@ class CsvLog:
             The first row, or so many that this is no damage, has a word for a number or too few or
             many cells.
         """
-        for block, rows in self._walk() if TOPIC in topics else ():
-            yield from self._parse_each(block, rows)
+        tally = LineTally()
+        for block, rows in self._walk(self._span) if TOPIC in topics else ():
+            yield from self._parse_each(block, rows, tally)
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The same, with many rows at once where only stamps, ranges and poses differ."""
-        for block, rows in self._walk() if TOPIC in topics else ():
-            run: ScanRun | None = None
-            with suppress(ValueError):  # damage or another geometry: reading row by row shows which
-                run = _parse_rows(self._layout, block, rows)
-            yield from self._parse_each(block, rows) if run is None else (run,)
+        tally = LineTally()
+        for block, rows in self._walk(self._span) if TOPIC in topics else ():
+            yield from self._parse_block(block, rows, tally)
 
     def split(self, size: int) -> Sequence["CsvLog"]:
         """Cut the log into parts of about so many bytes, as `occmap.readers.Splittable` has it."""
@@ -143,10 +133,10 @@ class CsvLog:
         spans = [ALL] if damaged else split_lines(self.path, size, _is_heading)
         return [make_part(self, _span=span) for span in spans]
 
-    def _walk(self) -> Iterator[tuple[Block, Int64]]:
+    def _walk(self, span: Span) -> Iterator[tuple[Block, Int64]]:
         """Yield blocks, and which of their lines are rows (S,), without the header."""
-        header = 1 if self._span.start == 0 else 0
-        for block in read_blocks(self.path, self.notes, self._span):
+        header = 1 if span.start == 0 else 0
+        for block in read_blocks(self.path, self.notes, span):
             rows = np.flatnonzero(_find_rows(block))
             if rows[header:].size:
                 yield block, rows[header:]
@@ -178,40 +168,47 @@ class CsvLog:
         """Where the file has no last line end, see whether its last row is whole."""
         if self._last is None or self._last.ended:
             return
-        if self._parse(self._last) is None:
+        if self._parse(self._last, LineTally()) is None:
             self._rows -= 1
         else:
             text = f"line {self._last.number}, the last, has no line end; it is taken as whole"
             add_note(self.notes, Note(text))
 
-    def _parse_each(self, block: Block, rows: Int64) -> Iterator[Scan]:
-        """Parse rows one by one, and leave out those that are cut or damaged."""
-        return filter(None, map(self._parse, block.pick_lines(rows)))
-
-    def _parse(self, line: Line) -> Scan | None:
-        """Parse a row; one that is cut or damaged gives None and a note."""
+    def _parse_block(self, block: Block, rows: Int64, tally: LineTally) -> Iterable[Scan | ScanRun]:
+        """Parse rows together or, where that cannot be, one by one."""
         try:
-            return _parse_row(self._layout, line.text)
-        except ValueError:
+            run = _parse_rows(self._layout, block, rows)
+        except ValueError:  # damage or another geometry: reading row by row shows which
+            return self._parse_each(block, rows, tally)
+        tally.total += run.scans
+        return (run,)
+
+    def _parse_each(self, block: Block, rows: Int64, tally: LineTally) -> Iterator[Scan]:
+        return filter(None, (self._parse(line, tally) for line in block.pick_lines(rows)))
+
+    def _parse(self, line: Line, tally: LineTally) -> Scan | None:
+        """Parse a row and count it; one that is cut or damaged gives None."""
+        try:
+            scan = _parse_row(self._layout, line.text)
+        except ValueError as error:
             if not line.ended:
                 note_cut_line(self.notes, line)
-            elif not self._judged:
+                return None
+            tally.add(line, str(error))
+            if tally is not self._whole:
                 self._judge()
             return None
+        tally.add(line)
+        return scan
 
     def _judge(self) -> None:
-        """Look at all rows, as one is malformed: it may be damage, or the file no log."""
-        tally = LineTally()
-        for line in (each for walked in self._walk() for each in Block.pick_lines(*walked)):
-            try:
-                _parse_row(self._layout, line.text)
-                tally.add(line)
-            except ValueError as error:
-                if line.ended:
-                    tally.add(line, str(error))
-        tally.judge(self.path, self.notes, "correct or delete this row")
-        self._rows -= tally.malformed
-        self._judged = True
+        """Tell damage from a file that is no log, by all rows even where this is a part of it."""
+        if self._whole is None:
+            self._whole = LineTally()
+            for block, rows in self._walk(ALL):
+                deque(self._parse_block(block, rows, self._whole), maxlen=0)
+            self._rows -= self._whole.malformed
+        self._whole.judge(self.path, self.notes, "correct or delete this row")
 
 
 def _keep_comment(line: Line, constants: dict[str, Line], unused: dict[str, None]) -> None:
@@ -257,7 +254,7 @@ def _parse_rows(layout: Layout, block: Block, rows: Int64) -> ScanRun:
         raise ValueError("the rows differ in more than what is measured")
     side_by_side = beams == list(range(beams[0], beams[-1] + 1))  # a slice takes no copy
     ranges = as_float32(values[:, beams[0] : beams[-1] + 1] if side_by_side else values[:, beams])
-    first = _make_scan(layout, block.get_line(int(rows[0])).raw.decode().split(","), ranges[0])
+    first = _parse_row(layout, block.get_line(int(rows[0])).text)
 
     def take(name: str, constant: float) -> Float64:
         return values[:, places[name]].copy() if name in places else np.full(len(rows), constant)
@@ -276,18 +273,13 @@ def _parse_row(layout: Layout, text: str) -> Scan:
     cells = split_cells(text)
     if len(cells) != len(layout.header):
         raise ValueError(f"{len(cells)} cells where the header has {len(layout.header)}")
-    return _make_scan(layout, cells, _read_beams(layout, cells))
-
-
-def _make_scan(layout: Layout, cells: list[str], ranges: Float32) -> Scan:
-    """Read all of a row but its ranges."""
     stamp_ns = _read_stamp(layout, cells)
     return Scan(
         stamp_ns=stamp_ns,
         frame=layout.pick("frame", cells).strip().lstrip("/"),
         angle_min=_read_finite(layout, cells, "angle_min"),
         angle_increment=_read_finite(layout, cells, "angle_increment"),
-        ranges=ranges,
+        ranges=_read_beams(layout, cells),
         range_min=_read_limit(layout, cells, "range_min"),
         range_max=_read_limit(layout, cells, "range_max"),
         time_increment=_read_finite(layout, cells, "time_increment"),
@@ -322,8 +314,7 @@ def _read_limit(layout: Layout, cells: list[str], name: str) -> float:
 def _read_pose(layout: Layout, cells: list[str]) -> Pose:
     """Read x, y and yaw; all nan where one is empty or not finite, as nobody knew it."""
     texts = [layout.pick(name, cells).strip() or "nan" for name in POSE_NAMES]
-    x, y, yaw = map(read_number, POSE_NAMES, texts)
-    return Pose.planar(x, y, yaw) if math.isfinite(x + y + yaw) else UNKNOWN_POSE
+    return make_planar(*map(read_number, POSE_NAMES, texts))
 
 
 def _read_beams(layout: Layout, cells: list[str]) -> Float32:

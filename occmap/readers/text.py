@@ -18,7 +18,7 @@ from occmap.errors import LogError
 from occmap.readers import Note, Probe, Span
 from occmap.readers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
 from occmap.readers.kernels import NUMBER, PADDING, SECONDS
-from occmap.types import UNKNOWN_POSE, Float64, Int64, UInt8, as_float32, shorten
+from occmap.types import UNKNOWN_POSE, Float64, Int64, Pose, UInt8, as_float32, shorten
 
 MAX_LINE_BYTES = 1 << 24
 """A scan of a million beams is shorter; a longer line is no text log."""
@@ -192,14 +192,14 @@ def read_blocks(path: Path, notes: list[Note], span: Span = ALL) -> Iterator[Blo
         size = path.stat().st_size
         limit, most_lines = max(FREE_EXPANSION_BYTES, MAX_EXPANSION * size), max(FREE_LINES, size)
         for piece in _read_pieces(path, span):
-            start = 0 if total else len(piece) - len(piece.removeprefix(BOM_UTF8))
+            text = piece if total else piece.removeprefix(BOM_UTF8)
             total += len(piece)
-            if end := piece.rfind(b"\n") + 1:
-                block = Block.of(number, (rest, memoryview(piece)[start:end]))
+            if end := text.rfind(b"\n") + 1:
+                block = Block.of(number, (rest, memoryview(text)[:end]))
                 yield block
                 number += len(block)
                 rest = b""
-            rest += piece[max(start, end) :]
+            rest += text[end:]
             if len(rest) >= MAX_LINE_BYTES:
                 raise LogError(f"no end of line within {len(rest)} bytes", where=path, fix=NO_LOG)
             if total > limit or number > most_lines:
@@ -208,8 +208,8 @@ def read_blocks(path: Path, notes: list[Note], span: Span = ALL) -> Iterator[Blo
             yield Block.of(number, (rest, b"\n"), ended=False)
     except GUNZIP_ERRORS as error:
         reason = "cut short" if isinstance(error, EOFError) else f"corrupt: {error}"
-        text = f"the gzip data is {reason}; all after line {number - 1} is lost"
-        add_note(notes, Note(text, damage=True))
+        lost = f"the gzip data is {reason}; all after line {number - 1} is lost"
+        add_note(notes, Note(lost, damage=True))
     except OSError as error:
         raise LogError(f"cannot be read ({error.strerror})", where=path) from None
 
@@ -243,6 +243,8 @@ def parse_table(block: Block, rows: Int64, separator: bytes, kinds: UInt8) -> Ta
     from occmap.readers.kernels.decimals import POWERS, parse_rows  # noqa: PLC0415  late
 
     data = block.text
+    if len(rows) * len(kinds) > len(data):  # every word has its separator
+        raise ValueError("there are too few words in a line")
     eights = np.ndarray(len(data) - 7, "<u8", data, strides=(1,))
     values = np.empty((len(rows), len(kinds)))
     times = values.view(np.int64)
@@ -281,6 +283,11 @@ def stack_planar(x: Float64, y: Float64, yaw: Float64) -> Float64:
     poses[:, 5], poses[:, 6] = list(map(math.sin, half)), list(map(math.cos, half))
     poses[~is_known] = UNKNOWN_POSE
     return poses
+
+
+def make_planar(x: float, y: float, yaw: float) -> Pose:
+    """Build one pose likewise."""
+    return Pose.planar(x, y, yaw) if math.isfinite(x + y + yaw) else UNKNOWN_POSE
 
 
 def parse_stamp(text: str) -> int:

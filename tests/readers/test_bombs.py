@@ -50,6 +50,20 @@ def refuse(path: Path, complaint: str) -> None:
         build([path], BuildOptions())
 
 
+def test_one_long_line_before_many_short_ones(tmp_path: Path) -> None:
+    """Room for as many words in each line as in the first would be 20 GB."""
+    words = 50_000
+    carmen, csv = tmp_path / "log.log", tmp_path / "log.csv"
+    scan = f"FLASER {words} {'1 ' * words}0 0 0 0 0 0 1 host 1\n"
+    carmen.write_text(scan + "FLASER 0\n" * words)
+    constants = ("angle_min", "angle_increment", "x", "y", "yaw")
+    header = "".join(f"# {name}: 0\n" for name in constants) + "stamp"
+    names = "".join(f",r{beam}" for beam in range(words))
+    csv.write_text(f"{header}{names}\n0{',1' * words}\n" + "1\n" * words)
+    refuse(carmen, "log.log:2: malformed FLASER line")
+    refuse(csv, "log.csv:8: 1 cells where the header has 50001")
+
+
 @pytest.mark.parametrize("filler", [b"\n", b"ODOM 0 0 0 0 0 0 1 h 1\n", b"x"])
 def test_a_gzip_bomb(tmp_path: Path, filler: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(text, "FREE_LINES", 20_000)  # by default it takes some seconds

@@ -65,6 +65,24 @@ def test_the_header_of_a_csv_is_no_row_of_any_part(tmp_path: Path) -> None:
     assert len(parts) > 100
 
 
+@pytest.mark.parametrize("bad", range(150, 250, 7))
+def test_a_part_judges_damage_by_the_whole_log(bad: int, tmp_path: Path) -> None:
+    rows = [f"{stamp},1,2,0,1.5,2.5" for stamp in range(400)]
+    rows[bad] = rows[bad].replace("1.5", "one")
+    path = tmp_path / "log.csv"
+    header = "# angle_min: -1.5\n# angle_increment: 0.25\nstamp,x,y,yaw,r0,r1"
+    path.write_text("\n".join([header, *rows]) + "\n")
+    log = open_log(path)
+    parts = split_log(log, 150)
+    assert len(parts) > 40
+    stamps = [scan.stamp_ns // 10**9 for part in parts for scan in read(part)]
+    assert stamps == [stamp for stamp in range(400) if stamp != bad]
+    read(log)
+    (note,) = log.notes
+    assert f"1 of 400 lines are malformed and left out, the first is line {bad + 4}:" in note.text
+    assert [note for part in parts for note in part.notes] == [note]
+
+
 def test_a_bag_that_was_unpacked_cannot_be_handed_on(tmp_path: Path) -> None:
     folder = tmp_path / "drive"
     shutil.copytree(SAMPLE_LOGS / "drive_ros2", folder)
