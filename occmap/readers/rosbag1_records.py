@@ -17,7 +17,7 @@ MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 INDEX_ENTRY = 12
 """Bytes of an entry of an index record: a time and an offset."""
 INFO_ENTRY = struct.Struct("<II")
-"""Bytes of an entry of a chunk's record: a connection, and how many messages it has."""
+"""An entry of the record about a chunk: a connection, and how many messages it has there."""
 
 RECORD_ERRORS = (struct.error, LookupError, ValueError)
 
@@ -31,7 +31,7 @@ _FIELDS = {
     CHUNK_INFO: {b"chunk_pos", b"count"},
     CONNECTION: {b"conn", b"topic"},
 }
-"""What the header of each has."""
+"""Which fields the header of each kind must have."""
 _OPCODES = {bytes([opcode]) for opcode in _FIELDS}
 _OPCODE = re.compile(rb"\x04\x00{3}op=[\x02-\x07]")
 _WINDOW = 1 << 20
@@ -87,19 +87,54 @@ def read_header(file: BinaryIO) -> Header | None:
         return None
 
 
-def split_messages(
-    block: Buffer, wanted: Container[int], table: "ChannelTable", damaged: list[int]
-) -> Iterator[tuple[int, int, int, int]]:
-    """Give connection, time (ns), start and end of the data of each message of these connections.
+class ChannelTable:
+    """Connections as they turn up in a bag."""
 
-    Behind a damaged record reading goes on with the next that is sound.
+    def __init__(self) -> None:
+        self._channels: dict[tuple[int, object], Channel] = {}
+
+    def add(self, header: Header, data: Buffer) -> None:
+        """Take in a connection record.
+
+        Raises
+        ------
+        struct.error, LookupError
+            It is not well formed.
+        """
+        fields = Header(b"", _parse_fields(bytes(data)), 0)
+        channel = Channel(
+            topic=header.text(b"topic"),
+            type=fields.text(b"type"),
+            encoding="ros1",
+            definition=fields.text(b"message_definition"),
+            syntax="msg",
+        )
+        self._channels.setdefault((header.number(b"conn"), channel.description), channel)
+
+    def build(self) -> Iterator[tuple[int, Channel]]:
+        """Give each description of a connection, with the connection's number."""
+        for (key, _), channel in self._channels.items():
+            yield key, channel
+
+
+def split_messages(
+    block: Buffer, wanted: Container[int], table: ChannelTable, damaged: list[int]
+) -> Iterator[tuple[int, int, int, int]]:
+    """Find the messages of some connections. A damaged record ends nothing: the next is looked for.
 
     Parameters
     ----------
+    block
+        Records, as a chunk holds them.
     table
         Gets the connections that the block describes.
     damaged
-        Gets the places of records that are damaged.
+        Gets where in the block records are damaged.
+
+    Yields
+    ------
+    message
+        Its connection, when it was recorded (ns), and where in the block its bytes start and end.
     """
     at = behind = 0
     while at < len(block):
@@ -126,7 +161,7 @@ def split_messages(
 def find_header(file: BinaryIO, start: int, size: int, chunk_end: int = 0) -> int | None:
     """Find where records go on behind damage; None where they do not.
 
-    Before the end of a chunk only those are looked for that are no part of it.
+    Before `chunk_end`, messages and connections are passed over: they lie in the chunk.
     """
     while start < size:
         file.seek(start)
@@ -159,36 +194,6 @@ def _try_header(block: Buffer, at: int, size: int) -> Header | None:
         if is_whole and _FIELDS[header.opcode] <= header.fields.keys():
             return header
     return None
-
-
-class ChannelTable:
-    """Connections as they turn up in a bag."""
-
-    def __init__(self) -> None:
-        self._channels: dict[tuple[int, object], Channel] = {}
-
-    def add(self, header: Header, data: Buffer) -> None:
-        """Take in a connection record.
-
-        Raises
-        ------
-        struct.error, LookupError
-            It is not well formed.
-        """
-        fields = Header(b"", _parse_fields(bytes(data)), 0)
-        channel = Channel(
-            topic=header.text(b"topic"),
-            type=fields.text(b"type"),
-            encoding="ros1",
-            definition=fields.text(b"message_definition"),
-            syntax="msg",
-        )
-        self._channels.setdefault((header.number(b"conn"), channel.description), channel)
-
-    def build(self) -> Iterator[tuple[int, Channel]]:
-        """Give each description of a connection, with the connection's number."""
-        for (key, _), channel in self._channels.items():
-            yield key, channel
 
 
 def _read_time(value: bytes) -> int:

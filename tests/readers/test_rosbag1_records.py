@@ -1,4 +1,4 @@
-"""Messages of a block of records are those that were written, whatever the order of their fields."""
+"""Messages of a block of records are those that were written, in any order of their fields."""
 
 import struct
 from collections.abc import Sequence
