@@ -84,7 +84,7 @@ class _Pages:
         return self._held[1]
 
     def list_cells(self) -> Iterator[tuple[int, int]]:
-        """Give page and offset of each row of any table but the schema, which is on the first page."""
+        """Give page and offset of each row of any table but the schema, on the first page."""
         for number in range(1, -(-self._end // self.size)):
             page = self.read(number)
             if page[0] == _LEAF and len(page) > _LEAF_HEAD:
