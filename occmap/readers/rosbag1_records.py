@@ -142,19 +142,20 @@ def split_messages(
             header = parse_header(block, at)
             start = at + len(header.raw)
             end = start + header.length
-            is_wanted = header.opcode == MESSAGE and header.number(b"conn") in wanted
-            record_ns = header.time_ns() if is_wanted else 0
+            opcode = header.opcode
+            connection = header.number(b"conn") if opcode == MESSAGE else -1
+            record_ns = header.time_ns() if connection in wanted else 0
             if end > len(block):
                 raise LookupError(f"{len(block) - start} of {end - start} bytes are there")
-            if header.opcode == CONNECTION:
+            if opcode == CONNECTION:
                 table.add(header, block[start:end])
         except RECORD_ERRORS:
             damaged.append(at)
             found = find_header(BytesIO(block), behind, len(block))
             at, behind = (len(block), 0) if found is None else (found, found + 1)
             continue
-        if is_wanted:
-            yield header.number(b"conn"), record_ns, start, end
+        if connection in wanted:
+            yield connection, record_ns, start, end
         at, behind = end, start
 
 
