@@ -20,11 +20,12 @@ from occmap.readers.inflate import Buffer
 from occmap.readers.ros_source import Channel, RawMessage, add_note
 from occmap.wording import count
 
-SCANS = frozenset({Role.SCAN, Role.CLOUD})
 NEVER_NS = 2**64 - 1
+"""A time later than any: the last of a chunk that states none."""
 LONGEST_RECORD = 2**32 - 1
 """Bytes of a record at most; one that states more is damaged."""
 _EVERY_ID = range(1 << 32)
+_SCANS = frozenset({Role.SCAN, Role.CLOUD})
 
 
 class Record(NamedTuple):
@@ -66,7 +67,7 @@ class Block(NamedTuple):
 
 
 class ChannelTable(Protocol):
-    """The channels that a file describes, as they turn up in it; each format adds in its way."""
+    """The channels that a file describes, gathered as they turn up in it."""
 
     def build(self) -> Iterable[tuple[int, Channel]]:
         """Give channels with their numbers; one that is described in two ways may come twice."""
@@ -91,9 +92,10 @@ class ChunkedSource(ABC, Generic[Table]):
     table: type[Table]
     """What `_split_block` adds descriptions of channels to"""
     find_record: Callable[[BinaryIO, int, int, int], int | None]
-    """Finds from an offset on where records go on behind damage, in a file of a size.
+    """Takes a file, an offset, the file's size and where a chunk ends.
 
-    Before an offset, the end of a chunk, only those are looked for that are no part of it.
+    It finds where records go on from the offset on, None where they do not. Before the end of the
+    chunk it passes over the records that a chunk holds.
     """
 
     def __init__(self, path: Path) -> None:
@@ -134,10 +136,10 @@ class ChunkedSource(ABC, Generic[Table]):
                 add_note(self.notes, text)
 
     def split(self, size: int) -> Sequence[Self]:
-        """Cut the file between chunks, of which only those with scans count."""
+        """Cut the file between chunks; a part has about `size` bytes of chunks that hold scans."""
         if self.notes or not self._chunks:
             return [self]
-        scans = {key for key, channel in self._by_id.items() if channel.role in SCANS}
+        scans = {key for key, channel in self._by_id.items() if channel.role in _SCANS}
         cuts, gathered = [self._span.start], 0
         for start, end in pairwise(self._chunks):
             gathered += end - start if self._may_hold(start, scans) else 0
@@ -156,7 +158,7 @@ class ChunkedSource(ABC, Generic[Table]):
 
     @abstractmethod
     def _open_chunk(self, record: Record, body: bytes, file: BinaryIO) -> Block:
-        """Decompress a chunk; the file is at what follows it."""
+        """Decompress a chunk. The file stands behind it, at what the indexes say of it."""
 
     @abstractmethod
     def _split_block(

@@ -97,7 +97,7 @@ def convert_pose(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
 
 
 def convert_poses(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
-    """Convert a foxglove.PosesInFrame: one time for a whole path, so the last pose will hold."""
+    """Convert a foxglove.PosesInFrame: all poses have one stamp, so the last will hold."""
     return [_make_sample(message, pose, topic, record_ns) for pose in message.poses]
 
 
@@ -162,4 +162,4 @@ SCHEMA_SHAPES: Mapping[str, Shape] = {
     "foxglove.PoseInFrame": {**_FRAMED, "pose": POSE},
     "foxglove.PosesInFrame": {**_FRAMED, "poses": [POSE]},
 }
-"""What a converter reads of a message."""
+"""The fields that a converter reads of each schema."""

@@ -76,7 +76,7 @@ class Summary:
 
     channels: dict[int, Channel] = field(default_factory=dict)
     chunk_channels: dict[int, frozenset[int]] = field(default_factory=dict)
-    """The channels with messages in the chunk at each file position; no channels: not known."""
+    """Which channels have messages in the chunk at a file position; none if the index is silent."""
     statistics: Statistics | None = None
     is_checked: bool = False
     """Whether it has a checksum, and may be relied on to pass over chunks."""
@@ -196,7 +196,7 @@ def parse_chunk(body: bytes) -> tuple[Chunk, int]:
 
 
 def count_indexed(file: BinaryIO) -> int:
-    """Count the messages that the indexes name which follow in a file."""
+    """Count the messages that are named by the indexes from the file's position on."""
     messages = 0
     while len(head := file.read(RECORD.size)) == RECORD.size:
         opcode, length = RECORD.unpack(head)

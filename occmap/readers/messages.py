@@ -68,7 +68,7 @@ def convert_laser_scan(message: Any, topic: str, record_ns: int) -> Scan:
 
 
 def convert_multi_echo(options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Scan:
-    """Convert a sensor_msgs/MultiEchoLaserScan by one echo a beam.
+    """Convert a sensor_msgs/MultiEchoLaserScan, taking one echo of each beam.
 
     A beam without an echo becomes +inf: nothing came back (REP 117).
     """
@@ -126,7 +126,7 @@ def convert_pose_with_covariance(message: Any, topic: str, record_ns: int) -> li
 
 
 def convert_path(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
-    """Convert a nav_msgs/Path: each pose is a sample, in the path's frame where it names none."""
+    """Convert a nav_msgs/Path: each pose is a sample; one without a frame has that of the path."""
     frame = read_frame(message.header.frame_id)
     samples = (_make_sample(item.header, item.pose, topic, record_ns) for item in message.poses)
     return [sample if sample.parent else sample._replace(parent=frame) for sample in samples]
@@ -200,7 +200,7 @@ SHAPES: Mapping[str, Shape] = {
     "geometry_msgs/msg/PoseWithCovarianceStamped": _UNCERTAIN,
     "nav_msgs/msg/Path": {"header": HEADER, "poses": [_STAMPED]},
 }
-"""What a converter reads, for messages whose log gives their type another definition."""
+"""The fields that a converter reads, for logs that define a type in another way than ROS does."""
 
 KNOWN_TYPES = (*SHAPES, *(name.replace("/msg/", "/") for name in SHAPES))
-"""As ROS 2 and ROS 1 write them"""
+"""The names of these types, as ROS 2 and as ROS 1 write them."""

@@ -97,7 +97,7 @@ class RosLog:
             yield from samples
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
-        """The same, with many messages of transforms at once, of which a log holds most."""
+        """Every sample, as `poses` gives them, but many messages of transforms at once."""
         readers = self._make_pose_readers()
         stacks: dict[tuple[Channel, int], list[Stacked]] = {}
         for channel, record_ns, data in self._messages(readers):
@@ -118,7 +118,7 @@ class RosLog:
         return self._read(self._make_scan_readers(topics))
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
-        """The same, with many messages at once where those of one laser follow one another."""
+        """The scans, as `scans` gives them, but many at once where one laser follows on itself."""
         readers = self._make_scan_readers(topics)
         for (channel, length), messages in groupby(self._messages(readers), _find_kind):
             reader = readers[channel]
@@ -149,7 +149,7 @@ class RosLog:
     def _make_readers(
         self, channels: Collection[Channel], make: Callable[[Channel], FromBytes[T]]
     ) -> Mapping[Channel, "_ChannelReader[T]"]:
-        """Build the reader of each channel; one that cannot be understood is noted and left out."""
+        """Build a reader for each channel; note and leave out what cannot be understood."""
         readers = {}
         for channel in channels:
             try:
@@ -172,7 +172,7 @@ class RosLog:
                 add_note(self.notes, text)
 
     def _messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
-        """Give raw messages, and see that they are as many as the log announces.
+        """Give raw messages, and note where they are not as many as the log announces.
 
         A disk that fails is an error with the log's name.
         """
@@ -221,7 +221,7 @@ class _ChannelReader(Generic[T]):
         return (item for item in items if item is not None)
 
     def read(self, data: memoryview, record_ns: int) -> T | None:
-        """Read a message; None where it is damaged, which is counted."""
+        """Read a message. One that is damaged is counted, and gives None."""
         try:
             item: T | None = self.decode(data, record_ns)
         except DamageError:
@@ -232,7 +232,7 @@ class _ChannelReader(Generic[T]):
         return item
 
     def _read_by_standard(self, data: memoryview, record_ns: int) -> T | None:
-        """Try the standard definition on a message that the own one does not fit."""
+        """Try the standard definition on a message that the log's own definition does not fit."""
         standard = self._make_standard()
         if standard is None:
             return None
@@ -249,7 +249,7 @@ class _ChannelReader(Generic[T]):
         return None
 
     def list_damage(self) -> Iterator[str]:
-        """Say what was wrong so far."""
+        """Say in a sentence each what was damaged so far."""
         topic, count = self._channel.topic, self._channel.count
         if self._uses_standard:
             kind = self._channel.type

@@ -12,9 +12,9 @@ from occmap.readers.foxglove import find_foxglove_role, states_origins
 from occmap.readers.messages import KNOWN_TYPES, find_role
 
 Encoding: TypeAlias = Literal["cdr", "ros1", "json", "protobuf", ""]
-"""How messages are written as bytes; "" for what occmap does not read."""
+"""How messages are written as bytes; "" stands for a way that occmap does not read."""
 Syntax: TypeAlias = Literal["msg", "idl", ""]
-"""The language of a message definition; "" for none."""
+"""The language of a message definition; "" where there is no definition."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -35,7 +35,7 @@ class Channel:
 
     @property
     def description(self) -> tuple[str, str, str, str, bytes]:
-        """What a log that describes a channel twice should say both times."""
+        """The fields that must be equal where a log describes a channel twice."""
         return self.topic, self.type, self.encoding, self.definition, self.descriptors
 
     @property
@@ -47,7 +47,7 @@ class Channel:
 
     @property
     def oddity(self) -> str:
-        """Why messages that nobody reads may be some that were meant to be; "" for no reason.
+        """Why messages that are not used may have been meant to be; "" where nothing says so.
 
         Damage to the name of a type, or of an encoding, leaves a file that is sound otherwise.
         """
@@ -65,7 +65,7 @@ class Channel:
 
     @property
     def has_poses(self) -> bool:
-        """Whether the messages state poses, be it beside a scan."""
+        """Whether the messages state poses, alone or beside a scan."""
         return self.role is Role.POSE or (self.role is Role.SCAN and states_origins(self.type))
 
 
@@ -103,7 +103,7 @@ class SplittableSource(Protocol):
 
 
 def add_note(notes: list[Note], text: str) -> None:
-    """Note damage, once however often the log is read."""
+    """Note damage; however often the log is read, each note is there once."""
     note = Note(text, damage=True)
     if note not in notes:
         notes.append(note)

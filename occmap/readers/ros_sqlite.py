@@ -1,6 +1,6 @@
-"""The SQLite storage files (.db3) of ROS 2 bags, row by row as they were written.
+"""The SQLite storage files (.db3) of ROS 2 bags, read row by row in the order of writing.
 
-Read without the index on time, which is left to say how many rows there should be.
+The index on time is not used to find rows; it says how many there should be.
 """
 
 import struct
@@ -102,7 +102,7 @@ class SqliteSource:
         yield from find_rows(self.path, last)
 
     def _count_messages(self, database: apsw.Connection) -> Counter[int]:
-        """Count the messages of each topic, and see that they are as many as the index has."""
+        """Count the messages of each topic, and compare their number with that of the index."""
         counts: Counter[int] = Counter()
         last, problem = _FIRST, ""
         announced: int | None = None
@@ -132,7 +132,7 @@ class SqliteSource:
         return counts
 
     def _note_state(self) -> None:
-        """Note what tells that the file was cut, or its recorder died."""
+        """Note the signs that the file was cut, or that its recorder died."""
         with self.path.open("rb") as file:
             page, pages = struct.unpack(">16xH10xI", file.read(32))
             size = file.seek(0, 2)
@@ -149,7 +149,7 @@ class SqliteSource:
             add_note(self.notes, f"the recorder died while it wrote: {journal.name} is not used")
 
     def _connect(self) -> apsw.Connection:
-        """Open the file so that nothing is ever written beside it, not even a lock."""
+        """Open the file in a way that never writes anything beside it, not even a lock."""
         vfs = _make_vfs().vfs_name if self._has_log else None
         database = apsw.Connection(
             self.path.resolve().as_uri() + ("" if vfs else "?immutable=1"),
@@ -159,7 +159,7 @@ class SqliteSource:
         database.limit(apsw.SQLITE_LIMIT_LENGTH, _MOST_BYTES)
         # SQLite refuses a file that is shorter than its header says, unless told to try.
         database.execute("PRAGMA writable_schema = ON; PRAGMA trusted_schema = OFF")
-        # So it keeps the index of a write-ahead log in memory.
+        # With this, SQLite keeps the index of a write-ahead log in memory, not in a file.
         database.execute("PRAGMA locking_mode = EXCLUSIVE")
         return database
 

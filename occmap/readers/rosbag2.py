@@ -29,13 +29,13 @@ from occmap.readers.ros_sqlite import SqliteSource
 METADATA = "metadata.yaml"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _MOST_METADATA = 1 << 20
-"""Characters that are read of it: a hundred times what recorders write."""
+"""Characters of metadata.yaml that are read: a hundred times what recorders write."""
 _STORAGE_NAME = re.compile(r".*\.(db3|mcap)(\.zstd)?")
 
 
 @dataclass(frozen=True)
 class _Metadata:
-    """What metadata.yaml says that the storage files do not."""
+    """What only metadata.yaml says, and the storage files do not."""
 
     files: tuple[str, ...] = ()
     zipped_messages: bool = False
@@ -99,7 +99,7 @@ class Bag2Source:
             self._gather_notes()
 
     def split(self, size: int) -> Sequence["Bag2Source"]:
-        """Cut each storage file; none where one was unpacked into a folder that goes away."""
+        """Cut each storage file; give no part where one is unpacked in a folder that goes away."""
         if self._scratch is not None:
             return ()
         if self.notes:
@@ -192,7 +192,7 @@ def _read_start(file: Path) -> bytes:
 
 
 def _unzip_message(message: RawMessage) -> RawMessage:
-    """Decompress a message; one that is damaged is left as it is, and nobody can decode it."""
+    """Decompress a message; leave a damaged one as it is, so that it is counted as undecodable."""
     channel, record_ns, data = message
     with suppress(ValueError):
         data = inflate_message(data)
@@ -200,7 +200,7 @@ def _unzip_message(message: RawMessage) -> RawMessage:
 
 
 def _parse_metadata(path: Path) -> _Metadata:
-    """Parse metadata.yaml, of which every value is taken as text: nothing in it unfolds.
+    """Parse metadata.yaml. Every value is taken as text, so nothing in it can unfold.
 
     Raises
     ------

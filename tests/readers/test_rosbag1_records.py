@@ -1,4 +1,4 @@
-"""Messages whose headers are read by a pattern must be those read field by field."""
+"""Messages of a block of records are those that were written, in any order of their fields."""
 
 import struct
 from collections.abc import Sequence

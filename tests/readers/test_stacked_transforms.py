@@ -128,3 +128,15 @@ def test_a_message_of_very_many_transforms_is_held_once() -> None:
 
     assert len(poses) == 2000
     assert peak < 100 * len(data)
+
+
+@pytest.mark.parametrize("encoding", ["cdr", "ros1"])
+def test_a_message_without_a_byte_is_damaged(encoding: Encoding) -> None:
+    channel = make_channel("/tf", 3, encoding)
+    whole = write([("odom", "base", 1.0)], 5, encoding=encoding)
+    log = RosLog(Memory([(channel, 1, b""), (channel, 2, whole), (channel, 3, b"")]))
+
+    samples = by_key(log.stacked_poses())["/tf", "odom", "base", False]
+
+    assert [sample.record_ns for sample in samples] == [2]
+    assert [note.text for note in log.notes] == ["2 of 3 messages on /tf are damaged and not used"]
