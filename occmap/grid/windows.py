@@ -188,10 +188,12 @@ class SparseBeamWindow(Window):
         places[table[table >= 0]] = np.argwhere(table >= 0)
         tiles = self.tiles.numbers.reshape(-1, self.tiles.layers, TILE, TILE)[:used]
         if self.spec.radial is not None:
-            bits = self.tables.bits
-            tiles = np.concatenate([tiles >> bits, tiles & ((1 << bits) - 1)], axis=1)
-            seen = tiles[:, 1].any(axis=(1, 2))  # a beam may come to a tile and say nothing of it
-            places, tiles = places[seen], tiles[seen]
+            # A beam may come to a tile and say nothing of it.
+            seen = np.flatnonzero(tiles.any(axis=(1, 2, 3)))
+            places, packed = places[seen], tiles[seen, 0]
+            tiles = np.empty((len(seen), 2, TILE, TILE), np.int64)
+            np.right_shift(packed, self.tables.bits, out=tiles[:, 0])
+            np.bitwise_and(packed, (1 << self.tables.bits) - 1, out=tiles[:, 1])
         return self.name_tiles(places, tiles)
 
 
