@@ -27,10 +27,11 @@ class Projected:
 
     @property
     def crossings(self) -> int:
-        """About how often beams cross a cell: one scan in eight is looked at."""
-        beams, some = self.beams, slice(None, None, 8)
-        across = np.abs(beams.ends_x[some] - beams.origins[some, :, 0])
-        up = np.abs(beams.ends_y[some] - beams.origins[some, :, 1])
+        """About how often beams cross a cell: an eighth of the beams of an eighth of the scans."""
+        beams = self.beams
+        some = slice(None, None, 8), slice(None, None, 8)
+        across = np.abs(beams.ends_x[some] - beams.origins[*some, 0])
+        up = np.abs(beams.ends_y[some] - beams.origins[*some, 1])
         cells = (np.maximum(across, up) >> CELL_SHIFT) * (beams.kinds[some] != Kind.SKIP)
         return int(cells.mean() * beams.kinds.size)
 

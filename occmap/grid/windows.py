@@ -8,24 +8,21 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from occmap.grid.kernels.beams import Cells, Profile, note_beams, trace_beams
+from occmap.grid.kernels.beams import Profile, note_beams
 from occmap.grid.kernels.outline import Surfaces
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.kernels.sums import Changes, Packing, read_tiles
-from occmap.grid.kernels.units import PAD, TILE, TILE_BITS, UNITS_PER_CELL
+from occmap.grid.kernels.units import PAD, TILE, UNITS_PER_CELL
+from occmap.grid.kernels.visits import Tiles, trace_tiles, trace_window
 from occmap.grid.lattice import CellBox
 from occmap.grid.projection import Projected
 from occmap.grid.spec import GridSpec, Tables
 from occmap.grid.tiles import Key, Tile
 from occmap.types import Int32, Int64, Rays, Update
 
-WHOLE = 62
-"""`row >> 62` is 0 for every row, so a window of one block needs no code of its own."""
 ALL_BITS = -1
 """The mask of numbers of which all bits are evidence."""
-NO_CHANGES = Changes(*np.zeros((4, 0), np.int32))
-"""For windows in which every cell is visited."""
 
 
 def count_observations(rays: Rays, spec: GridSpec) -> int:
@@ -140,14 +137,6 @@ class DenseWindow(Window):
         found = read_tiles(self.cells, self.changes, self.packing, inside, places, tiles)
         return self.name_tiles(places[:found], tiles[:found])
 
-    def list_cells(self) -> Cells:
-        """All cells as one block."""
-        rows, stride = self.cells.shape
-        table = np.zeros((1, 1), np.int32)
-        used = np.ones(1, np.int64)
-        numbers = self.cells.ravel()
-        return Cells(rows, stride - PAD, WHOLE, stride, 0, numbers.size, table, used, numbers)
-
 
 class BeamWindow(DenseWindow):
     """Beam by beam, with those drawn between where the update asks for them."""
@@ -166,7 +155,7 @@ class BeamWindow(DenseWindow):
             hit = int(self.tables.hit[0])
             note_beams(projected.beams, hit, corner, self.cells, self.changes)
             return
-        trace_beams(projected.beams, self.make_profile(), corner, self.list_cells(), self.changes)
+        trace_window(projected.beams, self.make_profile(), corner, self.cells, self.changes)
 
 
 class SparseBeamWindow(Window):
@@ -178,39 +167,33 @@ class SparseBeamWindow(Window):
     most_cells_times = 4
 
     def allocate(self, rows: int, cols: int) -> None:
-        shape = rows // TILE, cols // TILE
-        table = np.full(shape, -1, np.int32)
-        used = np.zeros(1, np.int64)
-        # Hits and misses have a tile each; log-odds share a number with that of observations.
+        # Hits and misses have a layer each; log-odds share a number with that of observations.
         counts = self.spec.radial is None
         layers = 2 if counts else 1
         size = rows * cols * layers
         numbers = np.zeros(size, np.int32) if counts else np.zeros(size, np.int64)
-        plain = (layers - 1) * TILE**2
-        self.cells = Cells(
-            rows, cols, TILE_BITS, TILE, plain, layers * TILE**2, table, used, numbers
-        )
+        table = np.full((rows // TILE, cols // TILE), -1, np.int32)
+        self.tiles = Tiles(table, np.zeros(1, np.int64), numbers, layers)
 
     def trace(self, projected: Projected) -> None:
-        corner = self.corner - projected.anchor
         profile = self.make_profile()
         if self.spec.radial is None:
-            # Hits have a tile of their own here: each adds 1, and not the packed 1 << COUNT_BITS.
+            # Hits have a layer of their own: each adds 1, and not the packed 1 << COUNT_BITS.
             profile = profile._replace(hit=profile.free)
-        trace_beams(projected.beams, profile, corner, self.cells, NO_CHANGES)
+        trace_tiles(projected.beams, profile, self.corner - projected.anchor, self.tiles)
 
     def read(self) -> dict[Key, Tile]:
-        table, used = self.cells.table, int(self.cells.used[0])
+        table, used = self.tiles.table, int(self.tiles.used[0])
         places = np.empty((used, 2), np.int64)
         places[table[table >= 0]] = np.argwhere(table >= 0)
-        tiles = self.cells.numbers[: used * self.cells.size].reshape(
-            used, self.cells.size // TILE**2, TILE, TILE
-        )
+        tiles = self.tiles.numbers.reshape(-1, self.tiles.layers, TILE, TILE)[:used]
         if self.spec.radial is not None:
-            bits = self.tables.bits
-            tiles = np.concatenate([tiles >> bits, tiles & ((1 << bits) - 1)], axis=1)
-            seen = tiles[:, 1].any(axis=(1, 2))  # a beam may come to a tile and say nothing of it
-            places, tiles = places[seen], tiles[seen]
+            # A beam may come to a tile and say nothing of it.
+            seen = np.flatnonzero(tiles.any(axis=(1, 2, 3)))
+            places, packed = places[seen], tiles[seen, 0]
+            tiles = np.empty((len(seen), 2, TILE, TILE), np.int64)
+            np.right_shift(packed, self.tables.bits, out=tiles[:, 0])
+            np.bitwise_and(packed, (1 << self.tables.bits) - 1, out=tiles[:, 1])
         return self.name_tiles(places, tiles)
 
 
@@ -259,11 +242,7 @@ class RadialPolygonWindow(DenseWindow):
     """A radial model, once for each cell of a scan."""
 
     def trace(self, projected: Projected) -> None:
-        rays, profile = projected.rays, self.make_profile()
-        if rays.kind.shape[1] == 1:  # no neighbour says how wide the beam is: it is a line
-            corner = self.corner - projected.anchor
-            trace_beams(projected.beams, profile, corner, self.list_cells(), NO_CHANGES)
-            return
+        rays = projected.rays
         trace_radial_polygons(
             rays.origin,
             rays.turn,
@@ -273,7 +252,7 @@ class RadialPolygonWindow(DenseWindow):
             rays.full_circle,
             self.corner,
             self.spec.lattice.units_per_metre,
-            profile,
+            self.make_profile(),
             self.cells,
             self.changes.row_runs,
         )
@@ -285,7 +264,9 @@ CROSSED_OFTEN = 6
 
 def choose_window(spec: GridSpec, projected: Projected) -> type[Window]:
     """The kind of window that an update and a model need, and these rays."""
-    if spec.update is Update.POLYGON:
-        return PolygonWindow if spec.radial is None else RadialPolygonWindow
+    if spec.update is Update.POLYGON and spec.radial is None:
+        return PolygonWindow
+    if spec.update is Update.POLYGON and projected.rays.kind.shape[1] > 1:
+        return RadialPolygonWindow  # a single beam has no neighbour to say how wide it is: a line
     often = projected.crossings >= CROSSED_OFTEN * projected.box.cells
     return BeamWindow if often else SparseBeamWindow

@@ -84,10 +84,14 @@ def measure_ranges(
     turn: Float64, bearing: Float64, distance: Float32, units_per_metre: float, ranges: Float64
 ) -> None:
     """Write how far each beam reached on the map (lattice units); `ranges` may have no scan."""
+    turns = turn.shape[1]
     for s in range(ranges.shape[0]):
+        xx, xy, yx, yy = turn[s, 0, 0, 0], turn[s, 0, 0, 1], turn[s, 0, 1, 0], turn[s, 0, 1, 1]
         for b in range(ranges.shape[1]):
-            t = min(b, turn.shape[1] - 1)
-            along_x = turn[s, t, 0, 0] * bearing[0, b] + turn[s, t, 0, 1] * bearing[1, b]
-            along_y = turn[s, t, 1, 0] * bearing[0, b] + turn[s, t, 1, 1] * bearing[1, b]
+            if turns > 1:  # asked once for the whole loop, so that it is vectorised
+                xx, xy = turn[s, b, 0, 0], turn[s, b, 0, 1]
+                yx, yy = turn[s, b, 1, 0], turn[s, b, 1, 1]
+            along_x = xx * bearing[0, b] + xy * bearing[1, b]
+            along_y = yx * bearing[0, b] + yy * bearing[1, b]
             length = np.sqrt(along_x * along_x + along_y * along_y)
             ranges[s, b] = distance[s, b] * length * units_per_metre

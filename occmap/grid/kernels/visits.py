@@ -1,0 +1,259 @@
+"""Cells that are visited one by one: those that are not plain, and all of them in tiles.
+
+What cells are told is listed first, and told in a loop of its own. Both have no branch in them, and
+the compiler lets several cells be worked out at a time: along a beam, log-odds depend on nothing
+but the number of the cell. The lists are of floats, as not every processor turns several of these
+into integers at a time.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from occmap.grid.kernels.beams import Beams, Lines, Profile, list_lines, make_lines, note_lines
+from occmap.grid.kernels.lines import count_steps, draw_line
+from occmap.grid.kernels.sums import Changes
+from occmap.grid.kernels.units import (
+    BEAM_WEIGHT,
+    CELL_SHIFT,
+    HALF_CELL,
+    NO_LENGTH,
+    PAD,
+    TILE,
+    TILE_BITS,
+    UNITS_PER_CELL,
+)
+from occmap.jit import kernel
+from occmap.types import Float64, Int32, Int64
+
+ENTRY_BITS = 13
+"""Bits of the place of an entry in both tables of a model together."""
+WEIGHT_BITS = BEAM_WEIGHT.bit_length()
+NOTE_BITS = ENTRY_BITS + WEIGHT_BITS
+"""A note of what a cell is told holds the place of the cell above these, then the weight, then the
+entry. A window has less than 2^28 places, so that a float holds all of them."""
+AT_A_TIME = 8
+"""Notes are made for so many cells at a time; those beyond the end of a line are overwritten."""
+INSIDE = TILE - 1
+"""Mask of the row or column inside a tile."""
+SLOPE_BITS = 50
+"""Bits of the fraction of a line's place along v. The bits above count whole steps: tiles lie in a
+window of at most 2^26 cells, where a line has less than 2^13."""
+
+
+class Tiles(NamedTuple):
+    """Square blocks of a window's cells, made when a beam first comes there."""
+
+    table: Int32
+    """(h, w) place of each tile among `numbers`, in tiles; -1 where there is none yet"""
+    used: Int64
+    """(1,) how many tiles there are"""
+    numbers: Int32 | Int64
+    """(N,) one layer of cells after the other, tile by tile"""
+    layers: int
+    """Layers of each tile: 2 where plain cells are told in one of their own, the last"""
+
+
+@kernel
+def trace_window(
+    beams: Beams, profile: Profile, corner: Int64, cells: Int64, changes: Changes
+) -> None:
+    """Tell the cells of a window what a radial model says of every beam.
+
+    Parameters
+    ----------
+    corner
+        (2,) x and y of the window's corner (lattice units from the anchor).
+    cells
+        (H, W + PAD) what cells were told that were visited; all others are noted in `changes`.
+    """
+    rows, cols, numbers = cells.shape[0], cells.shape[1] - PAD, cells.ravel()
+    scans, count = beams.kinds.shape
+    lines = make_lines(count)
+    notes = np.empty(lines.ranges.size + max(rows, cols) + AT_A_TIME)
+    entries = np.concatenate((profile.free, profile.hit, np.zeros(1, np.int64)))
+    for s in range(scans):
+        size = list_lines(beams, s, profile, corner, rows, cols, lines)
+        note_lines(lines, size, rows, cols, changes)
+        k = 0
+        while k < size:
+            k, fill = list_slopes(lines, k, size, profile, cols + PAD, notes)
+            tell_window(notes[:fill], entries, numbers)
+
+
+@kernel
+def trace_tiles(beams: Beams, profile: Profile, corner: Int64, tiles: Tiles) -> None:
+    """Tell the cells of tiles what a model says of every beam; parameters as for `trace_window`."""
+    rows, cols = tiles.table.shape[0] * TILE, tiles.table.shape[1] * TILE
+    col_bits = 0
+    while 1 << col_bits < cols:
+        col_bits += 1
+    scans, count = beams.kinds.shape
+    lines = make_lines(count)
+    notes = np.empty(lines.ranges.size + max(rows, cols) + AT_A_TIME)
+    entries = np.concatenate((profile.free, profile.hit, np.zeros(1, np.int64)))
+    for s in range(scans):
+        size = list_lines(beams, s, profile, corner, rows, cols, lines)
+        visit_lines(lines, size, profile.free[0], tiles)
+        k = 0
+        while k < size:
+            if profile.hit.size == 1:
+                k, fill = list_ends(lines, size, profile, 1 << col_bits, notes)
+            else:
+                k, fill = list_slopes(lines, k, size, profile, 1 << col_bits, notes)
+            tell_tiles(notes[:fill], entries, col_bits, tiles)
+
+
+@kernel
+def list_ends(
+    lines: Lines, size: int, profile: Profile, stride: int, notes: Float64
+) -> tuple[int, int]:
+    """Note what the ends of HIT beams are told, as `list_slopes`."""
+    cells, parts, weights = lines.cells, lines.parts, lines.weights
+    fill = 0
+    for k in range(size):
+        if parts[k, 1] < parts[k, 2]:
+            place = cells[k, 3] * stride + cells[k, 2]
+            notes[fill] = (((place << WEIGHT_BITS) + weights[k]) << ENTRY_BITS) + profile.free.size
+            fill += 1
+    return size, fill
+
+
+@kernel
+def list_slopes(
+    lines: Lines, start: int, size: int, profile: Profile, stride: int, notes: Float64
+) -> tuple[int, int]:
+    """Note what a radial model tells the cells of lines that are not plain.
+
+    Parameters
+    ----------
+    start
+        The first line to note.
+    stride
+        From row to row of the places that are noted.
+    notes
+        Written here, as far as there is room.
+
+    Returns
+    -------
+    The first line that is not noted, and how many notes there are.
+    """
+    cells, parts, weights = lines.cells, lines.parts, lines.weights
+    depth, steps = profile.depth, float(profile.hit.size - 1)
+    hit_scale = steps / max(depth, NO_LENGTH)
+    first_hit, nothing = float(profile.free.size), float(profile.free.size + profile.hit.size)
+    fill = 0
+    for k in range(start, size):
+        first, end = parts[k, 1], parts[k, 2]
+        if fill + end - first + AT_A_TIME > notes.size:
+            return k, fill
+        line = draw_line(cells[k, 0], cells[k, 1], cells[k, 2], cells[k, 3])
+        r = lines.ranges[k]
+        before = max(r - depth, 0.0)
+        until = before * before
+        scale = steps / max(until, 1.0)
+        reach = depth if lines.is_hit[k] else -1.0
+        along, across = line.u_sign, line.v_sign * stride
+        sensor_u, sensor_v = lines.sensors[k, 0], lines.sensors[k, 1]
+        if line.steep:
+            along, across = line.u_sign * stride, line.v_sign
+            sensor_u, sensor_v = sensor_v, sensor_u
+        from_u = float((line.u << CELL_SHIFT) + HALF_CELL - sensor_u)
+        from_v = float((line.v << CELL_SHIFT) + HALF_CELL - sensor_v)
+        step_u, step_v = float(line.u_sign * UNITS_PER_CELL), float(line.v_sign * UNITS_PER_CELL)
+        place = cells[k, 1] * stride + cells[k, 0]
+        note = float(((place << WEIGHT_BITS) + weights[k]) << ENTRY_BITS)
+        note_along, note_across = float(along << NOTE_BITS), float(across << NOTE_BITS)
+        # Half a unit of 1 / (2 n) keeps floor(made) from what rounding does to a whole number.
+        half, twice_m, per_2n = line.n + 0.5, 2.0 * line.m, 0.5 / max(line.n, 1)
+        to = np.uint64(fill)
+        for j in range((end - first + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
+            i = float(np.int32(first + j))
+            made = np.floor((i * twice_m + half) * per_2n)
+            u, v = from_u + step_u * i, from_v + step_v * made
+            squared = u * u + v * v
+            off = abs(np.sqrt(squared) - r)
+            about = first_hit + np.floor(off * hit_scale)
+            about = about if off <= reach else nothing
+            entry = np.floor(squared * scale) if squared < until else about
+            notes[to + np.uint64(j)] = note + note_along * i + note_across * made + entry
+        fill += end - first
+    return size, fill
+
+
+@kernel
+def tell_window(notes: Float64, entries: Int64, numbers: Int64) -> None:
+    """Tell the cells of a window what was noted."""
+    for k in range(notes.size):
+        note = np.int64(notes[k])
+        weight = (note >> ENTRY_BITS) & ((1 << WEIGHT_BITS) - 1)
+        entry = entries[np.uint64(note & ((1 << ENTRY_BITS) - 1))]
+        numbers[np.uint64(note >> NOTE_BITS)] += weight * entry
+
+
+@kernel
+def tell_tiles(notes: Float64, entries: Int64, col_bits: int, tiles: Tiles) -> None:
+    """Tell the cells of tiles what was noted, in the first layer."""
+    table, used, numbers = tiles.table, tiles.used, tiles.numbers
+    for k in range(notes.size):
+        note = np.int64(notes[k])
+        weight = (note >> ENTRY_BITS) & ((1 << WEIGHT_BITS) - 1)
+        entry = entries[np.uint64(note & ((1 << ENTRY_BITS) - 1))]
+        place = note >> NOTE_BITS
+        row, col = place >> col_bits, place & ((1 << col_bits) - 1)
+        up, right = np.uint64(row >> TILE_BITS), np.uint64(col >> TILE_BITS)
+        tile = np.int64(table[up, right])
+        if tile < 0:
+            tile = table[up, right] = used[0]
+            used[0] += 1
+        place = tile * tiles.layers * TILE**2 + ((row & INSIDE) << TILE_BITS) + (col & INSIDE)
+        numbers[np.uint64(place)] += weight * entry
+
+
+@kernel
+def visit_lines(lines: Lines, size: int, entry: int, tiles: Tiles) -> None:
+    """Tell the plain cells of lines an entry, in the last layer, tile by tile."""
+    cells, parts, weights = lines.cells, lines.parts, lines.weights
+    table, used, numbers = tiles.table, tiles.used, tiles.numbers
+    for k in range(size):
+        i, end = parts[k, 0], parts[k, 1]
+        if i >= end:
+            continue
+        line = draw_line(cells[k, 0], cells[k, 1], cells[k, 2], cells[k, 3])
+        n, m = line.n, line.m
+        # q is how far the line has moved along v since cell i, beyond the whole steps before it.
+        made = count_steps(line, i)
+        per_cell = (1 << SLOPE_BITS) / float(max(n, 1))
+        slope = int(m * per_cell)
+        q = int((2 * i * m + n - 2 * n * made) * (per_cell / 2)) + 2 * n
+        u, from_v = line.u + line.u_sign * i, line.v + line.v_sign * made
+        v = from_v
+        along, across = line.u_sign, line.v_sign * TILE
+        if line.steep:
+            along, across = line.u_sign * TILE, line.v_sign
+        told = weights[k] * entry
+        # The line leaves a tile along u before cell `next_u`, and along v before `next_v`.
+        next_u = i + (TILE - (u & INSIDE) if line.u_sign > 0 else (u & INSIDE) + 1)
+        step = made + (TILE - (v & INSIDE) if line.v_sign > 0 else (v & INSIDE) + 1)
+        per_2m = 0.5 / max(m, 1)
+        while i < end:
+            # As `find_step` has it: half a unit of 1 / (2 m) keeps it from what rounding does.
+            next_v = int((float(n * (2 * step - 1) + 2 * m) - 0.5) * per_2m) if m else end
+            stop = min(next_u, next_v, end)
+            row, col = (u, v) if line.steep else (v, u)
+            up, right = np.uint64(row >> TILE_BITS), np.uint64(col >> TILE_BITS)
+            tile = np.int64(table[up, right])
+            if tile < 0:
+                tile = table[up, right] = used[0]
+                used[0] += 1
+            layer = (tile * tiles.layers + tiles.layers - 1) * TILE**2
+            place = layer + ((row & INSIDE) << TILE_BITS) + (col & INSIDE)
+            place -= (q >> SLOPE_BITS) * across
+            for _ in range(i, stop):
+                numbers[np.uint64(place + (q >> SLOPE_BITS) * across)] += told
+                place += along
+                q += slope
+            i = stop
+            u, v = line.u + line.u_sign * i, from_v + line.v_sign * (q >> SLOPE_BITS)
+            next_u += TILE if stop == next_u else 0
+            step += TILE if stop == next_v else 0
