@@ -54,6 +54,8 @@ class McapSource(ChunkedSource[ChannelTable]):
     find_record = staticmethod(find_record)
 
     def __init__(self, path: Path) -> None:
+        self._verified: set[int] = set()
+        """Where chunks begin whose checksums were looked at: poses and scans lie in the same"""
         self._summary = Summary()
         super().__init__(path)
 
@@ -120,7 +122,7 @@ class McapSource(ChunkedSource[ChannelTable]):
         return not (held and self._summary.is_checked) or any(key in wanted for key in held)
 
     def _open_chunk(self, record: Record, body: bytes, file: BinaryIO) -> Block:
-        """Decompress a chunk, and verify its checksum."""
+        """Decompress a chunk, and verify its checksum when it is first read."""
         position = record.position
         indexed = count_indexed(file)
         try:
@@ -131,8 +133,10 @@ class McapSource(ChunkedSource[ChannelTable]):
         block, problem = inflate(chunk.data, chunk.compression, chunk.uncompressed_size)
         if left > _LONGEST_PADDING:
             problem = problem or f"has {count(left, 'byte')} that it does not state"
-        if not problem and chunk.uncompressed_crc not in {0, zlib.crc32(block)}:
-            problem = "has a wrong checksum, and is used as far as it can be read"
+        if not problem and position not in self._verified:
+            self._verified.add(position)
+            if chunk.uncompressed_crc not in {0, zlib.crc32(block)}:
+                problem = "has a wrong checksum, and is used as far as it can be read"
         if problem:
             self._note(position, problem)
         last_ns = chunk.message_end_time or NEVER_NS
@@ -143,19 +147,20 @@ class McapSource(ChunkedSource[ChannelTable]):
     ) -> Iterator[tuple[int, int, memoryview]]:
         position, records, first_ns, last_ns, indexed = block
         view, size = memoryview(records), len(records)
-        unpack = _MESSAGE_HEAD.unpack_from
+        unpack, before, message = _MESSAGE_HEAD.unpack_from, RECORD.size, int(Opcode.MESSAGE)
         start = behind = held = 0
         is_timely = True
         last = size - _MESSAGE_HEAD.size
         while start < size:
             head = unpack(view, start) if start <= last else _NO_HEAD
             opcode, length, channel_id, _, record_ns = head
-            end = start + RECORD.size + length
-            if opcode == Opcode.MESSAGE and start + MESSAGE_DATA <= end <= size:
+            end = start + before + length
+            data = start + MESSAGE_DATA
+            if opcode == message and data <= end <= size:
                 held += 1
                 if channel_id in wanted:
                     is_timely &= first_ns <= record_ns <= last_ns
-                    yield channel_id, min(record_ns, _LATEST_NS), view[start + MESSAGE_DATA : end]
+                    yield channel_id, min(record_ns, _LATEST_NS), view[data:end]
             elif opcode in _DESCRIPTIONS and end <= size:
                 try:
                     table.add(opcode, bytes(view[start + RECORD.size : end]))
@@ -165,7 +170,7 @@ class McapSource(ChunkedSource[ChannelTable]):
                 self._note(position, f"is damaged {size - start} bytes before its end")
                 end = find_record(BytesIO(view), behind, size) or size
                 start = end
-            behind, start = start + RECORD.size, end
+            behind, start = start + before, end
         if not is_timely:
             self._note(position, "holds messages from outside the times that it states")
         if indexed not in {0, held}:
