@@ -19,8 +19,8 @@ from tests.bench.yardstick import PLAIN, TUNED
 
 ENGINE_LIMITS = {
     "beam x simple, counting": 0.65,
-    "polygon x simple, counting": 0.20,
-    "beam x quadratic": 1.5,
+    "polygon x simple, counting": 0.15,
+    "beam x quadratic": 0.7,
     "polygon x quadratic": 1.5,
 }
 FEW_BEAMS_LIMITS = {"polygon x quadratic": 1.5}
