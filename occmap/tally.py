@@ -13,7 +13,7 @@ from occmap.journey import JourneyRecorder
 from occmap.plain import Count
 from occmap.posing.options import DropReason
 from occmap.sensor.returns import ReturnCounts
-from occmap.wording import write_counts
+from occmap.wording import write_counts, write_unused
 
 Item = TypeVar("Item")
 REASON_ORDER = tuple(map(str, (*DropReason, *LeftOut)))
@@ -153,10 +153,9 @@ def refuse_unused(logs: Sequence[object], tally: Tally) -> None:
     if tally.scans_used:
         return
     where = name_logs(logs)
-    reasons = ", ".join(f"{count} {reason}" for reason, count in tally.dropped.items())
     if tally.scans_read:
         raise PoseError(
-            f"none of {tally.scans_read} scans can be used: {reasons}",
+            write_unused(tally.scans_read, tally.dropped),
             where=where,
             fix="`occmap check` shows the times of scans and poses",
         )

@@ -21,6 +21,11 @@ def write_counts(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{number:,} {name}" for name, number in counts.items() if number)
 
 
+def write_unused(scans: int, reasons: Mapping[str, int]) -> str:
+    """Say why none of so many scans is used."""
+    return f"none of {scans:,} scans can be used: {write_counts(reasons)}"
+
+
 def write_box(box: Sequence[float]) -> str:
     """Write the edges of a box, given as lowest x and y, highest x and y (m)."""
     low_x, low_y, high_x, high_y = (f"{edge:.6g}" for edge in box)

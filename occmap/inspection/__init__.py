@@ -36,6 +36,7 @@ from occmap.readers import Log, open_log, read_scans
 from occmap.sampling import estimate_agreement
 from occmap.sensor.bounds import Spreading
 from occmap.sensor.no_return import RangeLimits
+from occmap.wording import write_unused
 
 __all__ = ["Inspection", "inspect"]
 
@@ -140,8 +141,7 @@ def _explain_nothing(topics: Sequence[TopicSurvey]) -> str:
         reasons.update({reason.value: count for reason, count in topic.left_out.items()})
     if not reasons:
         return "holds no scan that can be read"
-    counts = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
-    return f"none of {reasons.total()} scans can be used: {counts}"
+    return write_unused(reasons.total(), reasons)
 
 
 def _describe(log: Log) -> LogFindings:
@@ -230,8 +230,7 @@ def _is_usable(topic: ScanFindings, options: BuildOptions) -> bool:
 
 def _explain(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
     reasons = {**topic.left_out, **topic.poses.dropped}
-    counts = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
-    return f"none of {topic.scans} scans can be used: {counts}{_bridge_clocks(log, topic, stamps)}"
+    return write_unused(topic.scans, reasons) + _bridge_clocks(log, topic, stamps)
 
 
 def _bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
