@@ -150,15 +150,11 @@ def tell_sources(sources: tuple[Coverage, ...]) -> list[str]:
     return moving + ([f"{count(fixed, 'transform')} that never {changes}"] if fixed else [])
 
 
-def describe_size(grid: MapFindings) -> str:
-    """Say how many cells the map would have."""
-    return f"{grid.columns:,} x {grid.rows:,} cells of {grid.resolution:g} m"
-
-
 def describe_map(grid: MapFindings) -> str:
     """Say how large the map would be."""
     return (
-        f"{describe_size(grid)}, {write_box(grid.extent)}; {write_bytes(grid.file_bytes)} as PGM, "
+        f"{grid.columns:,} x {grid.rows:,} cells of {grid.resolution:g} m, "
+        f"{write_box(grid.extent)}; {write_bytes(grid.file_bytes)} as PGM, "
         f"{write_bytes(grid.memory_bytes)} of memory at most"
     )
 

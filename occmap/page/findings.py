@@ -1,6 +1,5 @@
 """What commands say, as sections of a page: the figures are those of the JSON."""
 
-import math
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
@@ -13,9 +12,9 @@ from occmap.inspection.telling import (
     list_scan_facts,
     tell_crossed,
     tell_ranges,
+    tell_sources,
 )
 from occmap.page.document import Block, Section, Tone
-from occmap.posing.coverage import Coverage
 from occmap.readers import Role
 from occmap.wording import count, write_box
 
@@ -108,15 +107,7 @@ def list_log(log: LogFindings) -> Iterator[Block]:
             for metres, share, meaning in list_repeated(topic.ranges)
         )
         kinds = [*list_kinds(topic.ranges), *repeated]
-        yield Block("table", kinds, ("range", "#values", "#share", "what it means"))
-    moving = [each for each in log.coverage if each.moves]
-    if moving:
-        head = ("transform", "topic", "#samples", "#largest gap (s)", "#largest step (m)", "#(deg)")
-        yield Block("table", [list_source(each) for each in moving], head, title="Pose sources")
-
-
-def list_source(source: Coverage) -> tuple[str, ...]:
-    """A row of the table of pose sources."""
-    name = f"{source.parent} \u2192 {source.child or '?'}"
-    step = f"{source.largest_step_m:.3g}", f"{math.degrees(source.largest_step_rad):.3g}"
-    return name, source.topic, f"{source.samples:,}", f"{source.largest_gap_s:.3g}", *step
+        if kinds:
+            yield Block("table", kinds, ("range", "#values", "#share", "what it means"))
+    if log.coverage:
+        yield Block("list", title="Pose sources", texts=tell_sources(log.coverage))

@@ -232,8 +232,8 @@ class ChunkedSource(ABC, Generic[Table]):
         left = self._size - position
         text = f"from byte {position} on, the last {count(left, 'byte')} hold no whole record"
         if record is not None and record.end - position <= LONGEST_RECORD:
-            there = f"{left} of its {record.end - position} bytes are there"
-            text = f"the file ends in the middle of a record: {there}"
+            there = f"{left:,} of its {record.end - position:,} bytes are there"
+            text = f"the file ends in the middle of the record at byte {position}: {there}"
         add_note(self.notes, text)
         if record is not None and record.opcode == self.chunk and record.start < self._size:
             file.seek(record.start)

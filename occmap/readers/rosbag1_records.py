@@ -229,11 +229,10 @@ def parse_header(block: Buffer, at: int) -> Header:
     (length,) = _LENGTH.unpack_from(block, at)
     end = at + _LENGTH.size + length
     (data_length,) = _LENGTH.unpack_from(block, end)
-    raw = bytes(block[at : end + _LENGTH.size])
-    fields = _parse_fields(raw[_LENGTH.size : -_LENGTH.size])
+    fields = _parse_fields(bytes(block[at + _LENGTH.size : end]))
     if fields.get(b"op") not in _OPCODES:
         raise LookupError("a record of no known kind")
-    return Header(raw, fields, data_length)
+    return Header(bytes(block[at : end + _LENGTH.size]), fields, data_length)
 
 
 def _parse_fields(header: bytes) -> dict[bytes, bytes]:

@@ -177,5 +177,5 @@ def test_damage_is_a_warning_and_told_once(tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     path.write_bytes((SAMPLE_LOGS / "drive.mcap").read_bytes()[:60_000])
     lines = occmap("check", path).out.splitlines()
-    (line,) = (line for line in lines if "the file ends in the middle of a record" in line)
+    (line,) = (line for line in lines if "the file ends in the middle of the record" in line)
     assert line.startswith(f"warning   {path}: ")

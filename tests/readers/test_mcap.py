@@ -60,8 +60,10 @@ def test_a_cut_chunk_is_told_from_a_damaged_one(options: dict[str, object], tmp_
 
     cut = [note for note in open_log(path).notes if "chunk at byte" not in note.text]
 
-    there = f"{length - 20} of its {length} bytes are there"
-    assert cut == [Note(f"the file ends in the middle of a record: {there}", damage=True)]
+    there = f"{length - 20:,} of its {length:,} bytes are there"
+    assert cut == [
+        Note(f"the file ends in the middle of the record at byte {position}: {there}", damage=True)
+    ]
 
 
 def test_a_file_without_footer_says_so(tmp_path: Path) -> None:
@@ -91,7 +93,7 @@ def test_a_cut_zstd_chunk_gives_what_can_be_decompressed(tmp_path: Path) -> None
     assert [scan.stamp_ns for scan in scans] == list(range(len(scans)))
     assert 100 < len(scans) < 200
     ends, *others = (note.text for note in cut.notes)
-    assert ends.startswith("the file ends in the middle of a record")
+    assert ends.startswith("the file ends in the middle of the record at byte ")
     assert any("is damaged" in text for text in others)
 
 
