@@ -131,6 +131,8 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
         notes=(*known.notes, *posing.poser.notes, *limits.list_notes(), *survey.list_notes()),
         problem=problem or ("" if scans else f"{log.path}: {_explain_nothing(seen)}"),
     )
+    if problem:  # what was read before it says nothing of a log of which no map is made
+        return replace(findings, scans=()), []
     return findings, list_concerns(findings, spoilers)
 
 

@@ -179,3 +179,13 @@ def test_damage_is_a_warning_and_told_once(tmp_path: Path) -> None:
     lines = occmap("check", path).out.splitlines()
     (line,) = (line for line in lines if "the file ends in the middle of the record" in line)
     assert line.startswith(f"warning   {path}: ")
+
+
+def test_a_log_that_cannot_be_read_through_has_one_problem(tmp_path: Path) -> None:
+    log = tmp_path / "few.csv"
+    head = "# angle_min: -1\n# angle_increment: 1\n# range_max: 10\nstamp,x,y,yaw,r0,r1\n"
+    log.write_text(head + "1,0,0,0,1,2\n2,0,0,0,1,2\njunk\n3,0,0,0,1,2\n")
+    found = json.loads(occmap("check", log, "--json").out)
+    assert found["warnings"] == []
+    (problem,) = found["problems"]
+    assert problem.startswith(f"{log}:7: 1 cells where the header has 6")
