@@ -6,6 +6,8 @@ import re
 import subprocess
 import sys
 import tomllib
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +89,21 @@ def test_links_lead_somewhere(page: str) -> None:
             titles = re.findall(r"^#+ (.*)$", place.read_text(encoding="utf-8"), re.MULTILINE)
             marks = [re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles]
             assert anchor in marks, target
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_modules_and_files_that_a_page_names_exist(page: str) -> None:
+    text = read_page(page)
+    for module in re.findall(r"python -m ([\w.]*\w)", text):
+        assert find_spec(module), module
+    for path in re.findall(r"`((?:occmap|tests)/[a-z_/]+|[\w/]+\.(?:py|cpp))`", text):
+        places = (ROOT, *ROOT.glob("occmap/**/"), *ROOT.glob("tests/**/"))
+        assert any((place / path).exists() for place in places), path
+    if page == "docs/architecture.md":
+        names = re.findall(r"`([a-z.]+)\.(?!py\b|toml\b)(\w+)`", text)
+        assert len(names) > 5
+        for module, name in names:
+            assert hasattr(import_module(f"occmap.{module}"), name), f"{module}.{name}"
 
 
 def test_every_option_that_a_page_names_exists(tmp_path: Path) -> None:
