@@ -24,18 +24,27 @@ class Told(TypedDict):
     """Those of the notes that tell of damage to a log"""
 
 
-def to_plain(value: Any) -> Any:  # noqa: PLR0911  a line for each kind
+class Printed:
+    """A dataclass whose fields are what a command prints."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Give it as values that JSON has; a number that is not finite becomes None."""
+        plain: dict[str, Any] = to_plain(self)
+        return plain
+
+
+def to_plain(value: Any) -> Any:
     """Turn a result into JSON values; a number that is not finite becomes None.
 
     The underscore of a name such as `class_`, which keeps it apart from a word of Python, is left
     out.
     """
+    if is_dataclass(value):
+        value = {each.name: getattr(value, each.name) for each in fields(value)}
+    elif isinstance(value, tuple) and hasattr(value, "_asdict"):
+        value = value._asdict()
     if isinstance(value, dict):
         return {str(key).removesuffix("_"): to_plain(item) for key, item in value.items()}
-    if is_dataclass(value):
-        return {each.name: to_plain(getattr(value, each.name)) for each in fields(value)}
-    if isinstance(value, tuple) and hasattr(value, "_asdict"):
-        return to_plain(value._asdict())
     if isinstance(value, list | tuple):
         return [to_plain(item) for item in value]
     if isinstance(value, Enum):

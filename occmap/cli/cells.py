@@ -5,9 +5,9 @@ from pathlib import Path
 
 from occmap.cli.summary import LABEL
 from occmap.explanation import Explanation, describe_numbers
-from occmap.explanation.history import CellHistory, Visits
+from occmap.explanation.history import Seen, Visits
 from occmap.explanation.provenance import shorten
-from occmap.explanation.sightings import Sighting, add_up
+from occmap.explanation.sightings import add_up
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.wording import count, write_box, write_time
 
@@ -18,39 +18,38 @@ MOST_BUILDS = 6
 Row = tuple[str, ...]
 
 
-def format_explanation(explanation: Explanation) -> list[str]:
-    """Write all that was found."""
+def format_explanation(explanation: Explanation, with_scans: bool) -> list[str]:
+    """Write all that was found; the scans only where logs were looked through for them."""
     lines = [*list_cell(explanation)]
     if explanation.digest:
         lines.append(("digest", explanation.digest))
-    if explanation.question.logs:
+    if with_scans:
         lines += list_scans(explanation)
     return [f"{name:<{LABEL}}{text}".rstrip() for name, text in lines]
 
 
 def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
     """Say where the cell is, what it is, and what is beside it."""
-    history, observed = explanation.history, explanation.cell.observed.all()
-    place = f"row {history.row}, column {history.col}"
-    yield "cell", f"{place}: {write_box(history.extent)}"
-    if observed:
+    cell, seen = explanation.cell, explanation.seen
+    yield "cell", f"row {cell.row}, column {cell.column}: {write_box(cell.extent)}"
+    if explanation.class_ != "unknown":
         by = f"probability {explanation.probability:.3f} by {explanation.model}"
-        yield "class", f"{explanation.verdict}: {by}"
-    elif history.observed:
+        yield "class", f"{explanation.class_}: {by}"
+    elif seen.observations:
         yield "class", "unknown: it was hit, but on fewer visits than --min-passes"
     else:
         yield "class", "unknown: nothing observed this cell"
-    if history.observed:
-        yield "seen", describe_numbers((history.first, history.second), history)
+    if seen.observations:
+        yield "seen", describe_numbers(seen.numbers, seen.kind, explanation.unit)
         yield from list_builds(explanation)
-    if explanation.extent:
-        low_x, low_y, high_x, high_y = explanation.extent
-        x, y = explanation.question.x, explanation.question.y
+    if explanation.map_extent:
+        low_x, low_y, high_x, high_y = explanation.map_extent
+        x, y = explanation.point
         if not (low_x <= x < high_x and low_y <= y < high_y):
-            yield "", f"it lies outside of the map: {write_box(explanation.extent)}"
+            yield "", f"it lies outside of the map: {write_box(explanation.map_extent)}"
     else:
         yield "", "nor any other: the evidence is empty"
-    if history.around.any():
+    if any(each.observations for row in explanation.around for each in row):
         yield from list_around(explanation)
 
 
@@ -61,8 +60,8 @@ def list_builds(explanation: Explanation) -> Iterator[tuple[str, str]]:
         yield "" if index else "visits", f"{shorten(build.logs)}: {describe_visits(build)}"
     if len(shown) < len(explanation.builds):
         yield "", f"and {len(explanation.builds) - len(shown):,} more builds: --json lists all"
-    if len(shown) > 1 and explanation.history.visits:
-        yield "", f"together: {describe_visits(explanation.history.visits)}"
+    if len(shown) > 1 and explanation.visits:
+        yield "", f"together: {describe_visits(explanation.visits)}"
 
 
 def describe_visits(visits: Visits) -> str:
@@ -75,65 +74,63 @@ def describe_visits(visits: Visits) -> str:
 
 def list_around(explanation: Explanation) -> Iterator[tuple[str, str]]:
     """Write the cell and its eight neighbours as they lie on a map, y upwards."""
-    history = explanation.history
-    names = "log-odds/observations" if history.kind is EvidenceKind.LOG_ODDS else "hits/misses"
-    rows = history.around[::-1].tolist()
+    counts = explanation.seen.kind is EvidenceKind.COUNTS
+    names = "hits/misses" if counts else "log-odds/observations"
     table = [
-        tuple("/".join(split_pair(cell, history)) if any(cell) else "-" for cell in row)
-        for row in rows
+        tuple("/".join(split_pair(each, explanation)) if any(each.numbers) else "-" for each in row)
+        for row in explanation.around
     ]
     yield "around", f"{names} of the cells beside it, y upwards"
     for line in align(table):
         yield "", line
 
 
-def split_pair(numbers: Sequence[int], history: CellHistory) -> Row:
+def split_pair(seen: Seen, explanation: Explanation) -> Row:
     """Write the two numbers of a cell, in observations."""
-    first, second = (each / history.unit for each in numbers)
-    if history.kind is EvidenceKind.LOG_ODDS:
+    first, second = (each / explanation.unit for each in seen.numbers)
+    if seen.kind is EvidenceKind.LOG_ODDS:
         return f"{first * LOG_ODDS_UNIT:.2f}", f"{second:.15g}"
     return f"{first:.15g}", f"{second:.15g}"
 
 
 def list_scans(explanation: Explanation) -> Iterator[tuple[str, str]]:
     """Sum up the scans that observed the cell, and list the first and the last of them."""
-    scans = explanation.sightings
+    scans = explanation.scans
     used = f"of {count(explanation.scans_used, 'scan')} used"
     if not scans:
         yield "scans", f"none {used} observed the cell"
         return
-    history = explanation.history
-    yield "scans", f"{len(scans):,} {used}: {describe_sum(scans, history)}"
+    yield "scans", f"{len(scans):,} {used}: {describe_sum(explanation)}"
     half = MOST_SCANS // 2
     shown = scans if len(scans) <= MOST_SCANS else (*scans[:half], *scans[-half:])
-    names = ("log-odds", "obs.") if history.kind is EvidenceKind.LOG_ODDS else ("hits", "misses")
+    counts = explanation.seen.kind is EvidenceKind.COUNTS
+    names = ("hits", "misses") if counts else ("log-odds", "obs.")
     head = ("stamp (s)", *names, "sensor at (m)", "away (m)", "from")
-    table = [head, *(describe_scan(each, history) for each in shown)]
-    for index, line in enumerate(align(table)):
+    rows = [
+        (
+            f"{scan.stamp_ns / 1e9:.3f}",
+            *split_pair(scan.seen, explanation),
+            f"{scan.x:.3f}, {scan.y:.3f}",
+            f"{scan.distance:.3f}",
+            f"{Path(scan.log).name} {scan.topic}",
+        )
+        for scan in shown
+    ]
+    for index, line in enumerate(align([head, *rows])):
         if index == half + 1 and len(shown) < len(scans):
             yield "", f"... {len(scans) - len(shown):,} more: --json lists all ..."
         yield "", line
 
 
-def describe_sum(scans: Sequence[Sighting], history: CellHistory) -> str:
+def describe_sum(explanation: Explanation) -> str:
     """Say how many scans spoke for what, and what they add up to."""
-    sums = describe_numbers(add_up(scans), history)
-    if history.kind is EvidenceKind.LOG_ODDS:
-        raised = sum(each.seen.numbers[0] > 0 for each in scans)
-        lowered = sum(each.seen.numbers[0] < 0 for each in scans)
+    pairs, kind = [each.seen.numbers for each in explanation.scans], explanation.seen.kind
+    sums = describe_numbers(add_up(explanation.scans), kind, explanation.unit)
+    if kind is EvidenceKind.LOG_ODDS:
+        raised, lowered = sum(first > 0 for first, _ in pairs), sum(first < 0 for first, _ in pairs)
         return f"{raised:,} for occupied, {lowered:,} for free; {sums}"
-    hit, cleared = (sum(each.seen.numbers[part] > 0 for each in scans) for part in (0, 1))
+    hit, cleared = sum(first > 0 for first, _ in pairs), sum(second > 0 for _, second in pairs)
     return f"{hit:,} hit it, {cleared:,} cleared it; {sums}"
-
-
-def describe_scan(scan: Sighting, history: CellHistory) -> Row:
-    """Write what one scan did as a row of that table."""
-    where = (
-        f"{scan.x:.3f}, {scan.y:.3f}",
-        f"{scan.distance:.3f}",
-        f"{Path(scan.log).name} {scan.topic}",
-    )
-    return (f"{scan.stamp_ns / 1e9:.3f}", *split_pair(scan.seen.numbers, history), *where)
 
 
 def align(table: Sequence[Row]) -> Iterator[str]:

@@ -81,4 +81,4 @@ def command(console: Console, /, path: Path, **values: Any) -> None:
     if values["as_json"]:
         console.put_json("explain", explanation.to_json())
     else:
-        console.put(format_explanation(explanation))
+        console.put(format_explanation(explanation, with_scans=bool(values["logs"])))

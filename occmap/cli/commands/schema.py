@@ -16,7 +16,7 @@ SCHEMAS = {
     "check": "occmap.inspection.findings:Inspection",
     "compare": "occmap.scoring.compare:PrintedComparison",
     "diff": "occmap.difference:PrintedDifference",
-    "explain": "occmap.explanation.printed:PrintedExplanation",
+    "explain": "occmap.explanation:Explanation",
     "merge": "occmap.report:Report",
     "models": "occmap.cli.listing:PrintedModels",
     "readers": "occmap.cli.listing:PrintedReaders",
