@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # each command makes one kind of result, and need not load wh
     from occmap.difference import MapDifference
     from occmap.inspection.findings import Inspection, ScanFindings
     from occmap.report import Report
-    from occmap.scoring.compare import VariantComparison
+    from occmap.scoring.compare import Scored, VariantComparison
     from occmap.tuning import Tuning
 
 Measures = tuple[Measure[Any], ...]
@@ -120,15 +120,15 @@ CHECK: "tuple[Measure[Inspection], ...]" = (
     count("damage", "notes on damage to a log", lambda it: sum(len(log.damage) for log in it.logs)),
 )
 
-SCORED: "tuple[Measure[VariantComparison | Tuning], ...]" = (
-    count("scans_read", "scans in the logs", lambda it: it.tally.scans_read),
-    count("scans_used", "scans with a pose", lambda it: it.tally.scans_used),
+SCORED: "tuple[Measure[Scored], ...]" = (
+    count("scans_read", "scans in the logs", lambda it: it.scans.read),
+    count("scans_used", "scans with a pose", lambda it: it.scans.used),
     share(
         "dropped_scans",
         "scans asked for that are not used",
-        lambda it: it.tally.scans.dropped_share,
+        lambda it: it.scans.dropped_share,
     ),
-    count("damage", "notes on damage to a log", lambda it: len(it.remarks.damage)),
+    count("damage", "notes on damage to a log", lambda it: len(it.damage)),
 )
 """What can be limited of anything that is scored on held-out scans"""
 
@@ -160,11 +160,11 @@ COMPARE: "tuple[Measure[VariantComparison], ...]" = (
 )
 
 TUNE: "tuple[Measure[Tuning], ...]" = (
-    share("gain", "by how much more of the held-out beams are predicted", lambda it: it.gain.share),
+    share("gain", "by how much more of the held-out beams are predicted", lambda it: it.gain),
     share(
         "share",
         "held-out beams that the recommended correction predicts",
-        lambda it: it.after.score.share,
+        lambda it: it.share,
     ),
     *SCORED,
 )

@@ -21,7 +21,7 @@ SCHEMAS = {
     "models": "occmap.cli.listing:PrintedModels",
     "readers": "occmap.cli.listing:PrintedReaders",
     "render": "occmap.report:Report",
-    "tune": "occmap.tuning.result:PrintedTuning",
+    "tune": "occmap.tuning.result:Tuning",
     "writers": "occmap.cli.listing:PrintedWriters",
     "error": "occmap.cli.console:PrintedError",
 }
