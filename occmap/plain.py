@@ -20,7 +20,7 @@ HIDDEN = {"is_printed": False}
 
 
 class Printed:
-    """A dataclass whose fields, but for the HIDDEN ones, are what a command prints."""
+    """What a command finds, and prints: its fields, but for the HIDDEN ones."""
 
     def to_json(self) -> dict[str, Any]:
         """Give it as values that JSON has; a number that is not finite becomes None."""

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from occmap.cli.summary import LABEL
+from occmap.cli.console import label_first, write_rows
 from occmap.explanation import Explanation, describe_numbers
 from occmap.explanation.history import Seen, Visits
 from occmap.explanation.provenance import shorten
@@ -18,14 +18,14 @@ MOST_BUILDS = 6
 Row = tuple[str, ...]
 
 
-def format_explanation(explanation: Explanation, with_scans: bool) -> list[str]:
+def format_explanation(explanation: Explanation, with_scans: bool) -> Iterator[str]:
     """Write all that was found; the scans only where logs were looked through for them."""
-    lines = [*list_cell(explanation)]
+    rows = [*list_cell(explanation)]
     if explanation.digest:
-        lines.append(("digest", explanation.digest))
+        rows.append(("digest", explanation.digest))
     if with_scans:
-        lines += list_scans(explanation)
-    return [f"{name:<{LABEL}}{text}".rstrip() for name, text in lines]
+        rows += list_scans(explanation)
+    return write_rows(rows)
 
 
 def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
@@ -80,9 +80,7 @@ def list_around(explanation: Explanation) -> Iterator[tuple[str, str]]:
         tuple("/".join(split_pair(each, explanation)) if any(each.numbers) else "-" for each in row)
         for row in explanation.around
     ]
-    yield "around", f"{names} of the cells beside it, y upwards"
-    for line in align(table):
-        yield "", line
+    yield from label_first("around", [f"{names} of the cells beside it, y upwards", *align(table)])
 
 
 def split_pair(seen: Seen, explanation: Explanation) -> Row:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
-from occmap.cli.console import write_command
+from occmap.cli.console import label_first, write_command, write_rows
 from occmap.inspection.findings import Inspection, LogFindings, RangeFindings
 from occmap.inspection.telling import (
     Row,
@@ -21,36 +21,32 @@ LABEL = 10
 """Width of the first column."""
 
 
-def format_inspection(inspection: Inspection) -> list[str]:
+def format_inspection(inspection: Inspection) -> Iterator[str]:
     """Write all findings; problems and the recommended command come last."""
-    lines = [line for log in inspection.logs for line in list_log(log)]
-    if inspection.map is not None:
-        lines += [label("map", describe_map(inspection.map))]
-    lines += [label("warning", text) for text in inspection.warnings]
-    lines += [label("problem", text) for text in inspection.problems]
+    for log in inspection.logs:
+        yield log.path
+        yield from write_rows(((f"  {name}", text) for name, text in list_log(log)), LABEL)
+        yield ""
+    rows = [] if inspection.map is None else [("map", describe_map(inspection.map))]
+    rows += [("warning", text) for text in inspection.warnings]
+    rows += [("problem", text) for text in inspection.problems]
+    yield from write_rows(rows, LABEL)
     if inspection.command:
-        lines += ["", write_command(inspection.command)]
-    return lines
+        yield from ("", write_command(inspection.command))
 
 
-def label(name: str, text: str) -> str:
-    """Put a text beside its label."""
-    return f"{name:<{LABEL}}{text}"
-
-
-def list_log(log: LogFindings) -> Iterator[str]:
-    """Write all about one log, and a blank line."""
-    rows = label_first("topics", list(list_streams(log.streams)))
+def list_log(log: LogFindings) -> Iterator[Row]:
+    """List all about one log."""
+    yield from label_first("topics", list_streams(log.streams))
     for topic in log.scans:
-        rows += [("", ""), *list_scan_facts(topic)]
-        rows += label_first("ranges", list(list_ranges(topic.ranges)))
-        rows += list_pose_facts(topic)
-    sources = label_first("sources", tell_sources(log.coverage))
-    rows += [("", ""), *sources] if sources else []
-    rows += label_first("note", [text for text in log.notes if text not in log.damage])
-    yield log.path
-    yield from (label(f"  {name}", text).rstrip() for name, text in rows)
-    yield ""
+        yield "", ""
+        yield from list_scan_facts(topic)
+        yield from label_first("ranges", list_ranges(topic.ranges))
+        yield from list_pose_facts(topic)
+    if log.coverage:
+        yield "", ""
+    yield from label_first("sources", tell_sources(log.coverage))
+    yield from label_first("note", [text for text in log.notes if text not in log.damage])
 
 
 def list_streams(streams: Sequence[Stream]) -> Iterator[str]:
@@ -71,8 +67,3 @@ def list_ranges(ranges: RangeFindings) -> Iterator[str]:
         yield f"{value:<12} repeated: {share}; {meaning}"
     if crossed := tell_crossed(ranges):
         yield crossed
-
-
-def label_first(name: str, texts: Sequence[str]) -> list[Row]:
-    """Label the first of several rows."""
-    return [("" if index else name, text) for index, text in enumerate(texts)]

@@ -4,11 +4,12 @@ import math
 import operator
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import Any, Generic, TypedDict, TypeVar
+from typing import Any, Generic, TypeVar
 
 from occmap.errors import UsageError
+from occmap.plain import HIDDEN
 
 Result_contra = TypeVar("Result_contra", contravariant=True)
 
@@ -59,9 +60,9 @@ class Limit:
         return SIGNS[self.sign](value, self.bound)
 
     @property
-    def text(self) -> str:
-        """The limit as it can be typed."""
-        return f"{self.measure.name} {self.sign} {self._write(self.bound, 15)}"
+    def condition(self) -> str:
+        """The sign and the number as they can be typed."""
+        return f"{self.sign} {self._write(self.bound, 15)}"
 
     def format_value(self, value: float) -> str:
         """Write a value in few digits, but in so many that it lies where it does."""
@@ -76,7 +77,8 @@ class Limit:
         return f"{100 * value:.{digits}g}%" if self.in_percent else f"{value:.{digits}g}"
 
 
-class PrintedFailed(TypedDict):
+@dataclass(frozen=True)
+class Failed:
     """A limit that the result does not keep to."""
 
     name: str
@@ -85,25 +87,8 @@ class PrintedFailed(TypedDict):
     """What was measured; a share from 0 to 1, else in the unit of the measure"""
     limit: str
     """The limit, such as dropped_scans > 5%"""
-
-
-@dataclass(frozen=True)
-class Failed:
-    """A limit that a result does not keep to."""
-
-    limit: Limit
-    value: float
-
-    @property
-    def sentence(self) -> str:
-        """What was measured, and what the user says of it."""
-        limit, value = self.limit, self.limit.format_value(self.value)
-        bound = limit.text.removeprefix(f"{limit.measure.name} ")
-        return f"{limit.measure.name} is {value}, and {limit.option} says {bound}"
-
-    def describe(self) -> PrintedFailed:
-        """Give it in the form that is printed."""
-        return {"name": self.limit.measure.name, "value": self.value, "limit": self.limit.text}
+    sentence: str = field(metadata=HIDDEN)
+    """What was measured, and what the user says of it"""
 
 
 def parse_limit(text: str, measures: Sequence[Measure[Any]]) -> Limit:
@@ -179,5 +164,11 @@ def parse_bound(text: str, measure: Measure[Any], where: str) -> float:
 
 def judge(limits: Iterable[Limit], result: object) -> list[Failed]:
     """Hold a result against every limit; list those that it does not keep to."""
-    measured = ((limit, limit.measure.take(result)) for limit in limits)
-    return [Failed(limit, value) for limit, value in measured if limit.is_broken_by(value)]
+    failed = []
+    for limit in limits:
+        name, value = limit.measure.name, limit.measure.take(result)
+        if limit.is_broken_by(value):
+            told = f"{name} is {limit.format_value(value)}, and {limit.option} says"
+            condition = limit.condition
+            failed.append(Failed(name, value, f"{name} {condition}", f"{told} {condition}"))
+    return failed

@@ -1,8 +1,7 @@
-"""What commands say, as sections of a page: the figures are those of the JSON."""
+"""What commands say, as sections of a page."""
 
 import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
 
 from occmap.inspection.findings import Inspection, LogFindings
 from occmap.inspection.telling import (
@@ -16,43 +15,10 @@ from occmap.inspection.telling import (
 )
 from occmap.page.document import Block, Section, Tone
 from occmap.readers import Role
-from occmap.wording import count, write_box
+from occmap.wording import count
 
-Json = Mapping[str, Any]
 MOST_LOGS = 20
 """With all that is found in them; warnings and problems are those of all logs."""
-
-
-def tell_map(report: Json) -> Section:
-    """Say what a map is, from the JSON of `build` or `render`."""
-    grid = report["map"]
-    shares = ("occupied", "free", "undecided", "unknown")
-    rows = [
-        ("size", f"{grid['columns']:,} x {grid['rows']:,} cells of {grid['resolution']:g} m"),
-        ("extent", write_box(grid["extent"])),
-        ("cells", ", ".join(f"{grid[name]:.1%} {name}" for name in shares if grid[name] > 5e-4)),
-    ]
-    if grid["agreement"] is not None:
-        rows.append(("agreement", f"{grid['agreement']:.1%} of the hits lie in occupied cells"))
-    rows += [("update", grid["update"]), ("model", grid["model"])]
-    if grid["min_passes"] is not None:
-        rows.append(("hits kept", f"of {grid['min_passes']} visits or more"))
-    return Section("The map", [Block("facts", rows)])
-
-
-def tell_scans(report: Json) -> Section:
-    """Say what became of scans and beams."""
-    scans, beams = report["scans"], report["beams"]
-    used = f"{scans['used']:,} of {scans['read']:,} used"
-    rows = [("scans", used)]
-    rows += [("dropped", f"{number:,} {why}") for why, number in scans["dropped"].items()]
-    if report["resumed"]:
-        past = report["resumed"]
-        rows.append(("added to", f"{past['used']:,} of {past['read']:,} in {past['file']}"))
-    rows += [
-        (name.replace("_", " "), f"{number:,} beams") for name, number in beams.items() if number
-    ]
-    return Section("Scans and beams", [Block("facts", rows)])
 
 
 def tell_notes(notes: Iterable[str], damage: Iterable[str] = ()) -> Section:

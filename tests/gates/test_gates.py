@@ -6,6 +6,7 @@ import pytest
 
 from occmap.errors import UsageError
 from occmap.gates import COUNT, SHARE, Measure, judge, parse_limit
+from occmap.plain import to_plain
 
 MEASURES = (
     Measure[dict[str, float]]("lost", SHARE, "of the scans", lambda result: result["lost"]),
@@ -66,7 +67,7 @@ def test_all_limits_are_held_and_each_that_fails_is_listed() -> None:
     failed = judge(
         [parse_limit(text, MEASURES) for text in texts], {"scans": 4, "lost": 0, "gap": 3}
     )
-    assert [each.describe() for each in failed] == [
+    assert to_plain(failed) == [
         {"name": "scans", "value": 4, "limit": "scans < 5"},
         {"name": "gap", "value": 3, "limit": "gap > 1"},
     ]
@@ -74,7 +75,7 @@ def test_all_limits_are_held_and_each_that_fails_is_listed() -> None:
 
 @pytest.mark.parametrize("text", ["0.1%", "7%", "12.5%", "0.001", "100%"])
 def test_a_limit_is_written_as_it_is_read(text: str) -> None:
-    assert parse_limit(f"lost > {text}", MEASURES).text == f"lost > {text}"
+    assert parse_limit(f"lost > {text}", MEASURES).condition == f"> {text}"
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,10 @@ import click
 
 from occmap.cli import COMMANDS, limits, log_options, options
 from occmap.cli.collect import collect_options, split_words
-from occmap.cli.console import Console
+from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.progress import Bar, show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.streams import gather_logs, hide_caught, place_outputs
-from occmap.cli.summary import format_report
 from occmap.cli.values import PATH, parse_size, read_by
 from occmap.errors import LogError, UsageError
 from occmap.gates.measures import BUILD
@@ -20,6 +19,7 @@ from occmap.grid.framing import Framing
 from occmap.options import DEFAULT_UPDATE, BuildOptions
 from occmap.pipeline import build
 from occmap.report import Report
+from occmap.summary import tell_beams, tell_map, tell_scans
 
 HELP = f"""{COMMANDS["build"]}
 
@@ -95,8 +95,14 @@ def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
     with show_progress(console) as progress:
         report = hide_caught(run_build(request, values, progress))
     console.note(*report.notes)
-    lines = format_report(report, perf_counter() - start)
-    failed = limits.answer(console, "build", report, lines, values)
+    rows = [
+        *tell_map(report.map),
+        *tell_scans(report),
+        tell_beams(report),
+        ("time", describe_time(report, perf_counter() - start)),
+        *label_first("files", report.files),
+    ]
+    failed = limits.answer(console, "build", report, write_rows(rows), values)
     if values["strict"]:
         refuse_damage(report)
     limits.leave(failed)
@@ -132,6 +138,13 @@ def run_build(request: Request, values: dict[str, Any], progress: Bar) -> Report
     from occmap.fleet.storing import build_store  # noqa: PLC0415  late: it brings zarr
 
     return build_store(fleet, logs, chosen, outputs[0], progress)
+
+
+def describe_time(report: Report, seconds: float) -> str:
+    """Say how long it took, and what took long; the stages of several threads add up."""
+    rate = report.scans.used / max(seconds, 1e-9)
+    stages = ", ".join(f"{name} {spent:.2f}" for name, spent in report.seconds.items())
+    return f"{seconds:.2f} s, {rate:,.0f} scans/s ({stages})"
 
 
 def refuse_damage(report: Report) -> None:
