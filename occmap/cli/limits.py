@@ -7,7 +7,6 @@ import click
 
 from occmap.cli.console import Console
 from occmap.cli.sections import Command, option
-from occmap.cli.values import read_by
 from occmap.errors import OccmapError
 from occmap.gates import SHARE, Failed, judge, parse_limit
 from occmap.gates.measures import Measures
@@ -24,7 +23,7 @@ def fail_if(measures: Measures) -> Callable[[Command], Command]:
         LIMITS,
         "--fail-if",
         "limits",
-        **read_by(lambda text: parse_limit(text, measures)),
+        type=lambda text: parse_limit(text, measures),
         multiple=True,
         metavar='"NAME > NUMBER"',
         help=f'Exit with 3 where this holds, such as "{suggest_limit(measures)}"; < <= >= == != '

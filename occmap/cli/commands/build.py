@@ -12,7 +12,7 @@ from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.progress import Bar, show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.streams import gather_logs, hide_caught, place_outputs
-from occmap.cli.values import PATH, parse_size, read_by
+from occmap.cli.values import PATH, parse_size
 from occmap.errors import LogError, UsageError
 from occmap.gates.measures import BUILD
 from occmap.grid.framing import Framing
@@ -59,7 +59,7 @@ fleet = join(
         options.RUN,
         "--slice",
         "slice_bytes",
-        **read_by(parse_size),
+        type=parse_size,
         metavar="SIZE",
         default="256MB",
         show_default=True,

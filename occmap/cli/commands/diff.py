@@ -9,7 +9,7 @@ import click
 from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.sections import SectionCommand, join, option
-from occmap.cli.values import PATH, read_by
+from occmap.cli.values import PATH
 from occmap.difference import MapDifference, compare_files
 from occmap.gates import Limit, parse_bound
 from occmap.gates.measures import DIFF
@@ -49,7 +49,7 @@ picture = options.one_output(
 fail_above = option(
     limits.LIMITS,
     "--fail-above",
-    **read_by(limit_change),
+    type=limit_change,
     metavar="SHARE",
     help="Exit with 3 if more of the known cells changed: 0.01, or 1%.",
 )
