@@ -37,8 +37,6 @@ class Measure(Generic[Result_contra]):
     name: str
     unit: str
     """Such as s, or m2; SHARE or COUNT"""
-    meaning: str
-    """What is counted or measured; of a share, the part"""
     take: Callable[[Result_contra], float]
 
 
@@ -105,26 +103,14 @@ def parse_limit(text: str, measures: Sequence[Measure[Any]]) -> Limit:
         first = measures[0]
         example = FORM.format(first.name, "5%" if first.unit == SHARE else "5")
         raise UsageError("is not a limit", where=where, fix=example)
-    measure = find_measure(found[1], measures, where)
-    bound = parse_bound(found[3] + found[4], measure, where)
-    return Limit(measure, found[2], bound, in_percent=bool(found[4]))
-
-
-def find_measure(name: str, measures: Sequence[Measure[Any]], where: str) -> Measure[Any]:
-    """Find a measure by its name.
-
-    Raises
-    ------
-    UsageError
-        There is none; the message lists what there is.
-    """
-    by_name = {measure.name: measure for measure in measures}
-    if name in by_name:
-        return by_name[name]
-    close = get_close_matches(name, by_name, n=1)
-    guess = f"did you mean {close[0]!r}? " if close else ""
-    names = ", ".join(by_name)
-    raise UsageError(f"no measure is called {name!r}", where=where, fix=f"{guess}there are {names}")
+    name, by_name = found[1], {measure.name: measure for measure in measures}
+    if name not in by_name:
+        close = get_close_matches(name, by_name, n=1)
+        fix = f"did you mean {close[0]!r}? " if close else ""
+        fix += f"there are {', '.join(by_name)}"
+        raise UsageError(f"no measure is called {name!r}", where=where, fix=fix)
+    bound = parse_bound(found[3] + found[4], by_name[name], where)
+    return Limit(by_name[name], found[2], bound, in_percent=bool(found[4]))
 
 
 def parse_bound(text: str, measure: Measure[Any], where: str) -> float:
@@ -144,20 +130,16 @@ def parse_bound(text: str, measure: Measure[Any], where: str) -> float:
         fix = "write a share such as 5% or 0.05" if measure.unit == SHARE else ""
         raise UsageError(f"{text!r} is not a number", where=where, fix=fix)
     if measure.unit != SHARE and in_percent:
-        raise UsageError(
-            f"{measure.name} is not a share ({measure.meaning})", where=where, fix="leave out the %"
-        )
+        raise UsageError(f"{measure.name} is not a share", where=where, fix="leave out the %")
     if measure.unit == SHARE and not in_percent and bound == 1:  # most who write 1 mean 1%
         found = "1 is the whole, not 1%"
         raise UsageError(found, where=where, fix="write 1% or 0.01, or else 100%")
     if in_percent:
         bound /= 100
     if measure.unit == SHARE and not 0 <= bound <= 1:
-        fix = (
-            f"write {bound:g}% or {bound / 100:g}"
-            if not in_percent and 1 < bound <= 100
-            else "write 0% to 100%"
-        )
+        fix = "write 0% to 100%"
+        if not in_percent and 1 < bound <= 100:
+            fix = f"write {bound:g}% or {bound / 100:g}"
         raise UsageError(f"{text} is not a share between 0 and 1", where=where, fix=fix)
     return bound
 

@@ -9,9 +9,9 @@ from occmap.gates import COUNT, SHARE, Measure, judge, parse_limit
 from occmap.plain import to_plain
 
 MEASURES = (
-    Measure[dict[str, float]]("lost", SHARE, "of the scans", lambda result: result["lost"]),
-    Measure[dict[str, float]]("scans", COUNT, "scans there are", lambda result: result["scans"]),
-    Measure[dict[str, float]]("gap", "s", "longest gap, in s", lambda result: result["gap"]),
+    Measure[dict[str, float]]("lost", SHARE, lambda result: result["lost"]),
+    Measure[dict[str, float]]("scans", COUNT, lambda result: result["scans"]),
+    Measure[dict[str, float]]("gap", "s", lambda result: result["gap"]),
 )
 
 
@@ -98,7 +98,7 @@ def test_a_limit_is_written_as_it_is_read(text: str) -> None:
             "no measure is called 'lots'; did you mean 'lost'? there are lost, scans",
         ),
         ("zzz > 5", "no measure is called 'zzz'; there are lost, scans, gap"),
-        ("scans > 5%", "scans is not a share (scans there are); leave out the %"),
+        ("scans > 5%", "scans is not a share; leave out the %"),
         ("lost > 1", "1 is the whole, not 1%; write 1% or 0.01, or else 100%"),
         ("lost < 1", "1 is the whole, not 1%"),
         ("lost > 5", "5 is not a share between 0 and 1; write 5% or 0.05"),
