@@ -192,13 +192,7 @@ def measure_extent(saved: Saved, model: SensorModel) -> Box | None:
         box = measure_bounds(choose_tiles(to_grid(saved), model))
     else:
         box = find_bounds(View(saved, model)) if saved.blocks else None
-    lattice = Lattice(saved.manifest.resolution)
-    if box is None:
-        return None
-    low_x, low_y, high_x, high_y = map(
-        lattice.to_metres, (box.col, box.row, box.col_end, box.row_end)
-    )
-    return low_x, low_y, high_x, high_y
+    return None if box is None else Lattice(saved.manifest.resolution).measure(box)
 
 
 def read_around(saved: Saved, x: float, y: float) -> Evidence:

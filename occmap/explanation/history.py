@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from occmap.errors import UsageError
-from occmap.grid.lattice import Lattice
+from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.slices import count_visits, take, unite, unpack
 from occmap.grid.spec import find_unit
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
@@ -113,13 +113,12 @@ def look_at(evidence: Evidence, x: float, y: float) -> CellHistory:
     """
     lattice = Lattice(evidence.manifest.resolution)
     row, col = find_cell(lattice, x, y)
-    low_x, low_y, high_x, high_y = (lattice.to_metres(at) for at in (col, row, col + 1, row + 1))
     tile = row // TILE, col // TILE
     layers = [
         take(layer, np.flatnonzero((layer.tiles == tile).all(axis=1))) for layer in evidence.slices
     ]
     return CellHistory(
-        Cell(row, col, (low_x, low_y, high_x, high_y)),
+        Cell(row, col, lattice.measure(CellBox(row, col, row + 1, col + 1))),
         unit=find_unit(Update(evidence.manifest.update)),
         around=[
             [read_cell(evidence, row + up, col + right) for right in (-1, 0, 1)]
