@@ -2,9 +2,12 @@
 
 import shlex
 from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 
+from occmap.evidence.manifest import describe_files
 from occmap.inspection.findings import Inspection, LogFindings
 from occmap.inspection.telling import (
+    describe_map,
     list_kinds,
     list_pose_facts,
     list_repeated,
@@ -13,7 +16,15 @@ from occmap.inspection.telling import (
     tell_ranges,
     tell_sources,
 )
-from occmap.page.document import Block, Section, Tone
+from occmap.page.document import (
+    Block,
+    Page,
+    Section,
+    Tone,
+    describe_maker,
+    name_logs,
+    write_page,
+)
 from occmap.readers import Role
 from occmap.wording import count
 
@@ -77,3 +88,23 @@ def list_log(log: LogFindings) -> Iterator[Block]:
             yield Block("table", kinds, ("range", "#values", "#share", "what it means"))
     if log.coverage:
         yield Block("list", title="Pose sources", texts=tell_sources(log.coverage))
+
+
+def write_inspection(path: Path, inspection: Inspection) -> None:
+    """Write the page of an inspection.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written; then nothing is left behind.
+    """
+    logs = [Path(log.path) for log in inspection.logs]
+    names = name_logs(log.name for log in logs)
+    verdict = "can be mapped" if inspection.buildable else "cannot be mapped as it is"
+    sections = list(tell_findings(inspection))
+    if inspection.map is not None:
+        facts = [("size", describe_map(inspection.map))]
+        sections.append(Section("The map that they would make", [Block("facts", facts)], wide=True))
+    inputs = [entry for log in logs if log.exists() for entry in describe_files(log)]
+    page = Page(f"Check of {names}", verdict, [*sections, describe_maker(inputs)])
+    write_page(path, page)
