@@ -73,7 +73,7 @@ class Map(OccupancyMap):
         """
         outputs = [Path(path)]
         check_outputs(outputs, self.inputs)
-        product = Product(self, self._take_evidence, report=self.report.to_json)
+        product = Product(self, self._take_evidence, report=self.report)
         return tuple(map(Path, write_outputs(outputs, product, self.writing)))
 
     def __repr__(self) -> str:

@@ -140,7 +140,7 @@ def build_locked(
         grid,
         cache(partial(to_evidence, tiles, manifest, slices, saved.where if saved else "")),
         tally.recorder.finish() if tally.recorder else None,
-        report.to_json,
+        report,
         inspect,
     )
     with tally.time("write"):

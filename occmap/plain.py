@@ -7,7 +7,7 @@ each field.
 import math
 from dataclasses import fields, is_dataclass
 from enum import Enum
-from typing import Annotated, Any, TypeAlias, TypedDict
+from typing import Annotated, Any, TypeAlias
 
 Count: TypeAlias = Annotated[int, ("minimum", 0)]
 Share: TypeAlias = Annotated[float, ("minimum", 0), ("maximum", 1)]
@@ -15,27 +15,36 @@ Finite: TypeAlias = Annotated[float, ("type", ("number", "null"))]
 """A number that becomes null where it is infinite or not a number."""
 
 
-class Told(TypedDict):
-    """What a command says beside its numbers."""
-
-    notes: list[str]
-    """What a user should know, one sentence each, as on stderr"""
-    damage: list[str]
-    """Those of the notes that tell of damage to a log"""
+HIDDEN = {"is_printed": False}
+"""Metadata of a dataclass field that is not part of what is printed"""
 
 
-def to_plain(value: Any) -> Any:  # noqa: PLR0911  a line for each kind
+class Printed:
+    """What a command finds, and prints: its fields, but for the HIDDEN ones."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Give it as values that JSON has; a number that is not finite becomes None."""
+        plain: dict[str, Any] = to_plain(self)
+        return plain
+
+
+def list_printed(kind: Any) -> list[str]:
+    """Name the fields of a dataclass that are printed."""
+    return [each.name for each in fields(kind) if each.metadata != HIDDEN]
+
+
+def to_plain(value: Any) -> Any:
     """Turn a result into JSON values; a number that is not finite becomes None.
 
     The underscore of a name such as `class_`, which keeps it apart from a word of Python, is left
     out.
     """
+    if is_dataclass(value):
+        value = {name: getattr(value, name) for name in list_printed(value)}
+    elif isinstance(value, tuple) and hasattr(value, "_asdict"):
+        value = value._asdict()
     if isinstance(value, dict):
         return {str(key).removesuffix("_"): to_plain(item) for key, item in value.items()}
-    if is_dataclass(value):
-        return {each.name: to_plain(getattr(value, each.name)) for each in fields(value)}
-    if isinstance(value, tuple) and hasattr(value, "_asdict"):
-        return to_plain(value._asdict())
     if isinstance(value, list | tuple):
         return [to_plain(item) for item in value]
     if isinstance(value, Enum):

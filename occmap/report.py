@@ -1,11 +1,11 @@
 """What a build did: numbers for people and for programs."""
 
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.plain import Count, Share, to_plain
+from occmap.plain import Count, Printed, Share
 from occmap.sensor.returns import ReturnCounts
 from occmap.tally import ScanCounts
 from occmap.types import Box, Manifest, OccupancyMap, Update
@@ -109,7 +109,7 @@ class MapSummary:
 
 
 @dataclass(frozen=True)
-class Report:
+class Report(Printed):
     """A map and how it came about: what occmap build, render and merge print."""
 
     logs: tuple[str, ...]
@@ -146,11 +146,6 @@ class Report:
     def no_return_share(self) -> float:
         """The share of beams that nothing came back to; 0 of nothing."""
         return self.beams.no_return / max(sum(self.beams), 1)
-
-    def to_json(self) -> dict[str, Any]:
-        """Give the report as values that JSON has."""
-        plain: dict[str, Any] = to_plain(self)
-        return plain
 
 
 def describe_map(grid: OccupancyMap, writing: WriteOptions) -> MapFacts:

@@ -445,7 +445,7 @@ def test_tune_gives_what_the_command_prints() -> None:
     found = occmap.tune(DRIVE, stride=4)
     printed = run("tune", DRIVE, "--stride", "4")
     assert printed == {**printed, **as_printed(found.to_json())}
-    assert found.tally.scans_used == 104
+    assert found.scans.used == 104
 
 
 def test_check_finds_what_a_build_would_raise(tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def test_logs_in_frames_of_different_names_are_noted(tmp_path: Path) -> None:
     one_frame = replace(PLAIN, posing=PosingOptions(map_frame="odom"))
     for made in (build([first, second], one_frame), build([first, first], PLAIN)):
         assert not [each for each in made.report.notes if "different frames" in each]
-    assert note in compare([first, second], combine([Update.BEAM], []), PLAIN).remarks.notes
+    assert note in compare([first, second], combine([Update.BEAM], []), PLAIN).notes
 
 
 @pytest.mark.parametrize("update", list(Update))

@@ -45,7 +45,7 @@ BUILD_COMMAND = {
     f"occmap.cli.{name}"
     for name in [
         *("commands", "commands.build", "collect", "config", "console", "limits", "log_options"),
-        *("options", "progress", "sections", "signals", "streams", "summary", "values"),
+        *("options", "progress", "sections", "signals", "streams", "values"),
     ]
 }
 

@@ -32,6 +32,8 @@ COMMANDS = {
     "writers": "List the map formats that can be written.",
 }
 """Each is `command` in the module of that name in `commands`; the texts are those of --help."""
+LISTS = ("models", "readers", "writers")
+"""These are made by `listing`."""
 
 NEW_OBJECTS = 100_000
 """Allocations between two garbage collections; at Python's 700 an import sets off many."""
@@ -48,6 +50,10 @@ class CommandTable(click.Group):
         """Import one command."""
         if cmd_name not in COMMANDS:
             return None
+        if cmd_name in LISTS:
+            from occmap.cli.listing import make_command  # noqa: PLC0415  late, as all commands
+
+            return make_command(cmd_name)
         command: click.Command = import_module(f"occmap.cli.commands.{cmd_name}").command
         return command
 

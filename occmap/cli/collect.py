@@ -1,32 +1,16 @@
-"""From the values of a command line to the options of the pipeline, group by group."""
+"""The sensor model that a command line asks for."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields
-from difflib import get_close_matches
-from pathlib import Path
 from typing import Any
 
 from occmap.command import MODEL_PARAMETERS, spell_flag
 from occmap.errors import UsageError
-from occmap.keywords import take
-from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
+from occmap.evidence import Described, read_model
 from occmap.sensor.models import SensorModel, describe_model, parse_model
-from occmap.types import Update
 
 Values = Mapping[str, Any]
 """What click has read, by the names of the options."""
-
-
-def collect_options(update: Update, values: Values) -> BuildOptions:
-    """Gather all that a user chose about a map.
-
-    Raises
-    ------
-    UsageError
-        A value is out of its range, or does not fit another.
-    """
-    model = collect_model(values, choose_model(update))
-    return take(BuildOptions, {**values, "update": update, "model": model})
 
 
 def collect_model(values: Values, usual: SensorModel) -> SensorModel:
@@ -42,7 +26,7 @@ def collect_model(values: Values, usual: SensorModel) -> SensorModel:
     text = values["model"] or describe_model(usual)
     name = text.partition(":")[0]
     given = {key: values[key] for key in MODEL_PARAMETERS if values[key] is not None}
-    known = [field.name for field in fields(parse_model(name))]  # type: ignore[arg-type]  # as above
+    known = [field.name for field in fields(parse_model(name))]  # type: ignore[arg-type]  # a dataclass
     flags = ", ".join(spell_flag(key) for key in MODEL_PARAMETERS if key in known)
     for key in given:
         if key not in known:
@@ -54,23 +38,14 @@ def collect_model(values: Values, usual: SensorModel) -> SensorModel:
     return parse_model(f"{name}:{','.join(filter(None, pairs))}")
 
 
-def split_words(words: Sequence[str]) -> tuple[Update, list[Path]]:
-    """Tell the update, where one is named, from the logs.
+def choose_saved_model(evidence: Described, values: Values) -> SensorModel | None:
+    """Make the model that the user wants, if any; a shorthand changes the one of the evidence.
 
     Raises
     ------
     UsageError
-        There is no log, or the first word looks like a mistyped update.
+        No such model, or a parameter that it does not have or allow.
     """
-    updates = [update.value for update in Update]
-    update = DEFAULT_UPDATE
-    if words and words[0] in updates:
-        update, words = Update(words[0]), words[1:]
-    elif words and words[0].isalpha() and not Path(words[0]).exists():
-        close = get_close_matches(words[0].lower(), updates, n=1)
-        if close:
-            found = f"{words[0]!r} is neither a log nor an update"
-            raise UsageError(found, fix=f"did you mean {close[0]!r}?")
-    if not words:
-        raise UsageError("no log is given", fix="type: occmap build LOG -o map.pgm")
-    return update, [Path(word) for word in words]
+    if all(values.get(name) is None for name in ("model", *MODEL_PARAMETERS)):
+        return None
+    return collect_model(values, read_model(evidence))

@@ -4,7 +4,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -128,6 +128,17 @@ class Console:
         found = f"{type(error).__name__}: {error} (at {find_place(error)})"
         advice = "this is a fault in occmap: please report it, with what the same command prints"
         return self.fail(OccmapError(found, fix=f"{advice} with -v"), 1)
+
+
+def write_rows(rows: Iterable[tuple[str, str]], width: int = 9) -> Iterator[str]:
+    """Write texts under each other beside their labels; "" is the label of the row before."""
+    for label, text in rows:
+        yield f"{label:<{width}}{text}".rstrip()
+
+
+def label_first(label: str, texts: Iterable[str]) -> list[tuple[str, str]]:
+    """Label the first of several rows."""
+    return [("" if index else label, text) for index, text in enumerate(texts)]
 
 
 def find_place(error: BaseException) -> str:

@@ -1,24 +1,16 @@
 """Limits as options, and what becomes of them: one line on stderr each, and exit code 3."""
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import click
 
 from occmap.cli.console import Console
 from occmap.cli.sections import Command, option
-from occmap.cli.values import read_by
 from occmap.errors import OccmapError
 from occmap.gates import SHARE, Failed, judge, parse_limit
 from occmap.gates.measures import Measures
-
-
-class Result(Protocol):
-    """What a command found out."""
-
-    def to_json(self) -> dict[str, Any]:
-        """Give it as values that JSON has."""
-
+from occmap.plain import Printed, to_plain
 
 LIMITS = "Limits"
 LIMIT_BROKEN = 3
@@ -31,7 +23,7 @@ def fail_if(measures: Measures) -> Callable[[Command], Command]:
         LIMITS,
         "--fail-if",
         "limits",
-        **read_by(lambda text: parse_limit(text, measures)),
+        type=lambda text: parse_limit(text, measures),
         multiple=True,
         metavar='"NAME > NUMBER"',
         help=f'Exit with 3 where this holds, such as "{suggest_limit(measures)}"; < <= >= == != '
@@ -46,13 +38,12 @@ def suggest_limit(measures: Measures) -> str:
 
 
 def answer(
-    console: Console, command: str, result: Result, lines: Iterable[str], values: dict[str, Any]
+    console: Console, command: str, result: Printed, lines: Iterable[str], values: dict[str, Any]
 ) -> list[Failed]:
     """Print a result as JSON or as text, and a line for each limit that it does not keep to."""
     failed = judge(values["limits"], result)
     if values["as_json"]:
-        broken = {"failed": [each.describe() for each in failed]}
-        console.put_json(command, result.to_json() | broken)
+        console.put_json(command, result.to_json() | {"failed": to_plain(failed)})
     else:
         console.put(lines)
     for each in failed:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, TypedDict
+from typing import Any
 
 import click
 
@@ -24,35 +24,21 @@ class Listed:
     """Those of a sensor model with their defaults; empty for readers and writers"""
 
 
-class PrintedReaders(TypedDict):
-    """Log formats: what occmap readers prints."""
-
-    readers: list[Listed]
-    """Log formats"""
-    broken: list[Broken]
-    """Plugins that do not load"""
+@dataclass(frozen=True)
+class Listing:
+    """What is installed of one kind; what works is printed by the name of the command."""
 
 
-class PrintedModels(TypedDict):
-    """Sensor models: what occmap models prints."""
-
-    models: list[Listed]
-    """Sensor models"""
-    broken: list[Broken]
-    """Plugins that do not load"""
-
-
-class PrintedWriters(TypedDict):
-    """Map formats: what occmap writers prints."""
-
-    writers: list[Listed]
-    """Map formats"""
-    broken: list[Broken]
-    """Plugins that do not load"""
+KINDS: dict[str, tuple[Group, str]] = {
+    "models": ("occmap.models", "Sensor models"),
+    "readers": ("occmap.readers", "Log formats"),
+    "writers": ("occmap.writers", "Map formats"),
+}
+"""Which plugins each of these commands lists, and what they are"""
 
 
-def make_command(kind: str, group: Group) -> click.Command:
-    """Make the command that lists a group of plugins; `kind` is what they are called."""
+def make_command(kind: str) -> click.Command:
+    """Make the command that lists the plugins of a kind."""
 
     @click.command(kind, help=COMMANDS[kind])
     @options.as_json
@@ -60,7 +46,7 @@ def make_command(kind: str, group: Group) -> click.Command:
     @click.pass_obj
     def command(console: Console, /, as_json: bool) -> None:
         """List what is installed."""
-        loaded, broken = load_plugins(group)
+        loaded, broken = load_plugins(KINDS[kind][0])
         working = [
             Listed(name, plugin.description, list_parameters(plugin) if kind == "models" else {})
             for name, plugin in loaded.items()

@@ -4,6 +4,7 @@ Most set a field of `BuildOptions`: they are spelt like it, and take its type an
 """
 
 import math
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,6 @@ from occmap.cli.values import (
     one_of,
     parse_align,
     parse_numbers,
-    read_by,
     set_verbosity,
     take_one,
 )
@@ -26,34 +26,46 @@ from occmap.command import spell_flag
 from occmap.keywords import drop_none, list_options, list_values
 from occmap.options import BuildOptions
 from occmap.sensor.models import describe_model
-from occmap.types import Update
 from occmap.writers import Shade
 
 HINTS, DEFAULTS = list_options(BuildOptions), list_values(BuildOptions())
 TYPES: dict[Any, Any] = {float: float, int: int, Path: PATH}
 
+SHORT = {"resolution": ("-r",)}
+
 MAP, MODEL, RANGES = "Map", "Sensor model", "What a range means"
 SCANS, POSES, FILES, RUN = "Which scans", "Where the scans were taken", "Files", "Run"
 
 
-def field(
-    section: str, name: str, metavar: str, text: str, *, short: str = "", **settings: Any
-) -> Any:
-    """Declare the option for a field of BuildOptions; `settings` replace what the field says."""
-    names = [short, spell_flag(name), name] if short else [spell_flag(name), name]
+def field(section: str, name: str, metavar: str, text: str, usual: str = "", **more: Any) -> Any:
+    """Declare the option for a field of BuildOptions.
+
+    Parameters
+    ----------
+    metavar
+        What stands for the value; "" where it is one of some words, which --help lists.
+    usual
+        What --help shows as the default, where that is no number.
+    more
+        Settings of the option that replace what the field says.
+    """
     hint, default = drop_none(HINTS[name]), DEFAULTS[name]
-    usual: dict[str, Any] = {"metavar": metavar, "type": TYPES.get(hint)}
-    if name in NUMBERS:
-        usual |= read_by(lambda value: parse_numbers(name, value))
-    if isinstance(default, int | float):
-        usual |= {"default": default, "show_default": math.isfinite(default)}
-    return option(section, *names, help=text, **usual | settings)
+    settings: dict[str, Any] = {"metavar": metavar, "type": TYPES.get(hint)}
+    if isinstance(default, StrEnum):
+        settings = {**one_of(hint), "default": default.value, "show_default": True}
+    elif name in NUMBERS:
+        settings["type"] = lambda text: parse_numbers(name, text)
+    elif isinstance(default, int | float):
+        settings |= {"default": default, "show_default": math.isfinite(default)}
+    settings |= {"multiple": default == (), "help": text}
+    if usual:
+        settings["show_default"] = usual
+    return option(section, *SHORT.get(name, ()), spell_flag(name), name, **settings | more)
 
 
-def choice(section: str, name: str, text: str) -> Any:
-    """Declare the option for a field of BuildOptions that is one of some words."""
-    settings = {**one_of(HINTS[name]), "default": DEFAULTS[name].value, "show_default": True}
-    return option(section, spell_flag(name), name, help=text, **settings)
+def fields(section: str, **rows: tuple[str, ...]) -> Any:
+    """Declare options for fields of BuildOptions, each by its metavar, its text and its default."""
+    return join(*(field(section, name, *row) for name, row in rows.items()))
 
 
 output = option(
@@ -76,25 +88,18 @@ def one_output(name: str, metavar: str, text: str) -> Any:
     return option(*names, type=PATH, multiple=True, callback=take_one, metavar=metavar, help=text)
 
 
-thresholds = join(
-    field(
-        FILES,
-        "occupied_thresh",
+thresholds = fields(
+    FILES,
+    occupied_thresh=(
         "P",
         "Occupied above this probability.",
-        show_default="the model's --cut; in the YAML 0.65",
+        "the model's --cut; in the YAML 0.65",
     ),
-    field(
-        FILES,
-        "free_thresh",
-        "P",
-        "Free below this probability.",
-        show_default="the model's --cut; in the YAML 0.196",
-    ),
+    free_thresh=("P", "Free below this probability.", "the model's --cut; in the YAML 0.196"),
 )
 writing = join(
     output,
-    choice(FILES, "mode", "What the pixels of a PGM mean."),
+    field(FILES, "mode", "", "What the pixels of a PGM mean."),
     thresholds,
     option(
         FILES,
@@ -105,27 +110,21 @@ writing = join(
         help="PNG: light is occupied, as in Elfes' figures.",
     ),
 )
-resume = join(
-    field(FILES, "resume", "NPZ", "Add to the evidence in this file, which -o may name again."),
-    field(FILES, "resume_if_there", "NPZ", "The same where the file exists; else start anew."),
+resume = fields(
+    FILES,
+    resume=("NPZ", "Add to the evidence in this file, which -o may name again."),
+    resume_if_there=("NPZ", "The same where the file exists; else start anew."),
 )
 
-resolution = field(MAP, "resolution", "M", "Side of a cell.", short="-r")
+resolution = field(MAP, "resolution", "M", "Side of a cell.")
 max_cells = field(MAP, "max_cells", "N", "Refuse to make a larger map.", type=click.IntRange(min=1))
 lattice = join(
     resolution,
-    field(MAP, "jump", "M", "Neighbours see one surface where ranges differ by at most this."),
-    field(
+    fields(
         MAP,
-        "hit_offset",
-        "CELLS",
-        "A hit lies so far behind the measured point, which is on a surface.",
-    ),
-    field(
-        MAP,
-        "border_gap",
-        "CELLS",
-        f"{Update.POLYGON}: close a surface over so many cells between end cells.",
+        jump=("M", "Neighbours see one surface where ranges differ by at most this."),
+        hit_offset=("CELLS", "A hit lies so far behind the measured point, which is on a surface."),
+        border_gap=("CELLS", "polygon: close a surface over so many cells between end cells."),
     ),
     max_cells,
 )
@@ -136,22 +135,20 @@ align = field(
     "[DEG]",
     "Turn the map by so many degrees counter-clockwise; without a number by the smallest angle "
     "that brings its walls along the axes.",
+    "not turned",
     cls=BareOption,
     bare=FROM_SCANS,
-    type=str,
-    **read_by(parse_align),
+    type=parse_align,
     default="0",
-    show_default="not turned",
 )
-framing = join(
-    field(
-        MAP,
-        "extent",
+framing = fields(
+    MAP,
+    extent=(
         "X_MIN,Y_MIN,X_MAX,Y_MAX",
         "Cover exactly this box (m), to whole cells; evidence (.npz) stays whole.",
-        show_default="what was observed",
+        "what was observed",
     ),
-    field(MAP, "margin", "M", "Add unknown space around what was observed."),
+    margin=("M", "Add unknown space around what was observed."),
 )
 
 min_passes = field(
@@ -194,7 +191,7 @@ model_parameters = join(
 model = join(model_option(describe_model(DEFAULTS["model"])), model_parameters)
 saved_model = join(model_option("what it was built with"), model_parameters)
 
-jobs = field(RUN, "jobs", "N", "Threads.", show_default="one for each core")
+jobs = field(RUN, "jobs", "N", "Threads.", "one for each core")
 config = option(
     RUN,
     "--config",

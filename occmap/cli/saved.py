@@ -5,35 +5,25 @@ from pathlib import Path
 from typing import Any
 
 from occmap.cli import limits
-from occmap.cli.collect import collect_model
-from occmap.cli.console import Console
+from occmap.cli.collect import choose_saved_model
+from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.streams import hide_caught, place_outputs
-from occmap.cli.summary import format_report
-from occmap.command import MODEL_PARAMETERS
 from occmap.errors import UsageError
-from occmap.evidence import Described, read_model
 from occmap.evidence.publishing import RenderOptions, publish
-from occmap.grid.framing import Framing
 from occmap.keywords import take
-from occmap.sensor.models import SensorModel
 from occmap.store.sources import Saved
-from occmap.writers import WriteOptions
+from occmap.summary import tell_map, tell_scans
 from occmap.writers.outputs import check_outputs
 
 
 def put_out(console: Console, command: str, evidence: Saved, values: dict[str, Any]) -> None:
     """Render evidence, write it as the user wants, sum it up, and hold the limits."""
-    options = RenderOptions(
-        choose_model(evidence, values),
-        take(WriteOptions, values),
-        values["max_cells"],
-        take(Framing, values),
-        values["min_passes"],
-        values.get("overview"),
-    )
+    model = choose_saved_model(evidence, values)
+    options = take(RenderOptions, {**values, "model": model})
     report = hide_caught(publish(evidence, options, values["outputs"]))
     console.note(*report.notes)
-    limits.leave(limits.answer(console, command, report, format_report(report), values))
+    rows = [*tell_map(report.map), *tell_scans(report), *label_first("files", report.files)]
+    limits.leave(limits.answer(console, command, report, write_rows(rows), values))
 
 
 def choose_outputs(
@@ -51,16 +41,3 @@ def choose_outputs(
     placed = place_outputs(console, outputs, inputs[0])
     check_outputs(placed, inputs)
     return placed
-
-
-def choose_model(evidence: Described, values: dict[str, Any]) -> SensorModel | None:
-    """Make the model that the user wants, if any; a shorthand changes the one of the evidence.
-
-    Raises
-    ------
-    UsageError
-        No such model, or a parameter that it does not have or allow.
-    """
-    if all(values.get(name) is None for name in ("model", *MODEL_PARAMETERS)):
-        return None
-    return collect_model(values, read_model(evidence))

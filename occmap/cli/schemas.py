@@ -20,6 +20,8 @@ from typing import (
     is_typeddict,
 )
 
+from occmap.plain import list_printed
+
 Schema = dict[str, Any]
 
 PLAIN: dict[Any, Schema] = {
@@ -97,10 +99,10 @@ MAKERS: dict[Any, Callable[[tuple[Any, ...], dict[str, Schema]], Schema]] = {
 
 def describe_fields(kind: Any, defs: dict[str, Schema]) -> Schema:
     """Make the schema of a type with fields; all are there, and no others."""
-    texts = read_texts(kind)
+    texts, hints = read_texts(kind), get_type_hints(kind, include_extras=True)
     properties = {
-        name.removesuffix("_"): make_part(hint, defs) | {"description": texts.get(name, "")}
-        for name, hint in get_type_hints(kind, include_extras=True).items()
+        name.removesuffix("_"): make_part(hints[name], defs) | {"description": texts.get(name, "")}
+        for name in (list_printed(kind) if is_dataclass(kind) else hints)
     }
     return {
         "type": "object",

@@ -123,17 +123,6 @@ def read_numbers(words: list[str], where: str, form: str) -> list[float]:
     return numbers
 
 
-def read_by(parse: Callable[[str], Any]) -> dict[str, Any]:
-    """Return the settings of an option, given once or often, whose text a function reads."""
-
-    def convert(_ctx: click.Context, _param: click.Parameter, value: Any) -> Any:
-        if isinstance(value, tuple):
-            return tuple(parse(text) for text in value)
-        return None if value is None else parse(value)
-
-    return {"callback": convert}
-
-
 def take_one(_ctx: click.Context, param: click.Parameter, values: tuple[Any, ...]) -> Any:
     """Take what an option was given once, or None; raises UsageError where it was given twice."""
     if len(values) > 1:

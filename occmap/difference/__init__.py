@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from itertools import permutations
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from occmap.difference.blobs import find_largest_blob
 from occmap.difference.maps import ClassMap, Place, load_map
 from occmap.errors import MapError
 from occmap.grid.tiles import MAX_CELLS
-from occmap.plain import Count, Share, to_plain
+from occmap.plain import Count, Printed, Share
 from occmap.types import Box, CellClass, UInt8
 from occmap.writers import WriteOptions
 from occmap.writers.outputs import check_picture, is_page, refuse_input
@@ -47,7 +47,8 @@ class ChangedBlob:
     """Lowest x and y, highest x and y (m; cells where the maps are bare images)"""
 
 
-class PrintedDifference(TypedDict):
+@dataclass(frozen=True)
+class PrintedDifference(Printed):
     """What changed between two maps: what occmap diff prints."""
 
     share: Share
@@ -70,7 +71,7 @@ class PrintedDifference(TypedDict):
 
 
 @dataclass(frozen=True, eq=False)
-class MapDifference:
+class MapDifference(Printed):
     """How one map differs from another."""
 
     before: UInt8
@@ -94,18 +95,17 @@ class MapDifference:
 
     def to_json(self) -> dict[str, Any]:
         """The difference as values that JSON has."""
-        printed: PrintedDifference = {
-            "share": self.share,
-            "known": self.known,
-            "changed": sum(self.changed.values()),
-            "by_class": self.changed,
-            "largest_blob": self.largest,
-            "columns": self.before.shape[1],
-            "rows": self.before.shape[0],
-            "digests": self.digests,
-        }
-        plain: dict[str, Any] = to_plain(printed)
-        return plain
+        rows, columns = self.before.shape
+        return PrintedDifference(
+            share=self.share,
+            known=self.known,
+            changed=sum(self.changed.values()),
+            by_class=self.changed,
+            largest_blob=self.largest,
+            columns=columns,
+            rows=rows,
+            digests=self.digests,
+        ).to_json()
 
 
 def compare_files(

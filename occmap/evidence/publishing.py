@@ -105,7 +105,7 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
         elif isinstance(writer, WindowWriter):
             files += map(str, writer.write_windows(path, grid, options.writing))
         elif isinstance(grid, OccupancyMap):
-            product = Product(grid, keep, report=report.to_json)
+            product = Product(grid, keep, report=report)
             files += write_outputs([path], product, options.writing)
     return replace(report, files=tuple(files))
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -11,10 +11,14 @@ from occmap.errors import UsageError
 from occmap.evidence import choose_tiles, read_model, refuse_other_profile, to_grid, weigh
 from occmap.evidence.persistence import check_passes, keep_lasting
 from occmap.evidence.publishing import list_notes
-from occmap.explanation.history import CellHistory, Numbers, Seen, find_cell, look_at
-from occmap.explanation.printed import (
-    BuildVisits,
-    PrintedExplanation,
+from occmap.explanation.history import (
+    Cell,
+    CellHistory,
+    Numbers,
+    Seen,
+    Visits,
+    find_cell,
+    look_at,
 )
 from occmap.explanation.provenance import Use, find_uses, list_logs, list_missing, shorten
 from occmap.explanation.sightings import Sighting, add_up, find_sightings
@@ -22,7 +26,7 @@ from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import measure_bounds
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
 from occmap.observing import Progress, ignore_progress
-from occmap.plain import to_plain
+from occmap.plain import Count, Printed, Share
 from occmap.sensor.models import SensorModel, describe_model, find_decision
 from occmap.store.reading import Store
 from occmap.store.rendering import View, find_bounds
@@ -51,68 +55,60 @@ class Question:
     """Its thresholds decide what the cell is called"""
 
 
-@dataclass(frozen=True, eq=False)
-class Explanation:
-    """What was found out about a cell."""
+@dataclass(frozen=True, kw_only=True)
+class BuildVisits(Visits):
+    """When one build observed the cell."""
 
-    question: Question
-    history: CellHistory
-    model: str
-    cell: OccupancyMap
-    """The map of this one cell; not observed where `min_passes` leaves nothing"""
-    builds: tuple[BuildVisits, ...]
-    """Those that observed the cell"""
-    extent: Box | None
-    """Of all observed cells: lowest x and y, highest x and y (m); None: there are none"""
+    build: Count
+    """Which build of the evidence, counted from 0 as in the manifest"""
+    logs: list[str]
+    """The names of its logs"""
+
+
+Verdict = Literal["occupied", "free", "undecided", "unknown"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Explanation(Printed):
+    """What was seen at a point, and by which scans: what occmap explain prints."""
+
+    point: tuple[float, float]
+    """x and y that were asked for (m)"""
+    cell: Cell
+    """The cell that holds the point"""
     digest: str | None
-    """SHA-256 of all that a store holds; None for a file, which is not read for it"""
-    scans_used: int = 0
-    """Scans of the logs that were looked through: those that their builds used"""
-    sightings: tuple[Sighting, ...] = ()
-    """By time; those scans of the logs that observed the cell"""
-    notes: tuple[str, ...] = ()
-
-    @property
-    def probability(self) -> float:
-        """The probability that the cell is occupied."""
-        return float(self.cell.probability[0, 0])
-
-    @property
-    def verdict(self) -> Literal["occupied", "free", "undecided", "unknown"]:
-        """Occupied, free, undecided, or unknown."""
-        if not self.cell.observed.all():
-            return "unknown"
-        written = self.question.writing.decide(self.cell.decision)
-        decided = replace(self.cell, decision=written)
-        if decided.occupied.all():
-            return "occupied"
-        return "free" if decided.free.all() else "undecided"
-
-    def to_json(self) -> dict[str, Any]:
-        """The explanation as values that JSON has."""
-        history, kind = self.history, self.history.kind
-        rows = history.around.tolist()
-        around = [[Seen.read((a, b), kind) for a, b in row] for row in rows]
-        printed: PrintedExplanation = {
-            "point": (self.question.x, self.question.y),
-            "cell": {"row": history.row, "column": history.col, "extent": history.extent},
-            "digest": self.digest,
-            "map_extent": self.extent,
-            "class_": self.verdict,
-            "probability": self.probability,
-            "model": self.model,
-            "unit": history.unit,
-            "seen": Seen.read((history.first, history.second), kind),
-            "around": around[::-1],
-            "min_passes": self.question.min_passes,
-            "visits": history.visits,
-            "builds": self.builds,
-            "scans_used": self.scans_used,
-            "scans": self.sightings,
-            "notes": list(self.notes),
-        }
-        plain: dict[str, Any] = to_plain(printed)
-        return plain
+    """SHA-256 of all that a store holds, however it is compressed; null for a file"""
+    map_extent: Box | None
+    """Lowest x and y, highest x and y of all observed cells (m); null where there are none"""
+    class_: Verdict
+    """What the cell is; unknown is what nothing observed, undecided what is neither occupied nor
+    free"""
+    probability: Share
+    """How much the cell is thought to be occupied, from 0 to 1; the prior where it is
+    unknown"""
+    model: str
+    """The sensor model that says so, with its parameters"""
+    unit: Count
+    """What one observation counts in hits, misses, log_odds and observations: divide these by
+    it"""
+    seen: Seen
+    """What observed the cell"""
+    around: list[list[Seen]]
+    """What observed the cell, in the middle, and its neighbours: rows by falling y, in them
+    cells by rising x"""
+    min_passes: Count | None
+    """On how many visits the cell has to be hit to keep its hits (`min_passes`); null where
+    nobody asked"""
+    visits: Visits | None
+    """When all builds together observed the cell; null where nothing did"""
+    builds: tuple[BuildVisits, ...]
+    """The builds that observed the cell"""
+    scans_used: Count
+    """Scans of the logs given that their builds used"""
+    scans: tuple[Sighting, ...]
+    """Those of them that observed the cell, by time"""
+    notes: tuple[str, ...]
+    """What else to know of the evidence, and what the scans leave unexplained"""
 
 
 def explain(saved: Saved, question: Question, progress: Progress = ignore_progress) -> Explanation:
@@ -134,43 +130,60 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
     uses = find_uses(evidence, question.logs, question.poses)
     sightings, scans_used = find_sightings(uses, history, progress)
     builds = evidence.manifest.builds
+    made = map_cell(evidence, history.cell, model, question.min_passes)
     return Explanation(
-        question,
-        history,
-        describe_model(model),
-        judge_cell(evidence, history, model, question.min_passes),
-        tuple(
+        point=(question.x, question.y),
+        cell=history.cell,
+        digest=saved.digest if isinstance(saved, Store) else None,
+        map_extent=measure_extent(saved, model),
+        class_=name_class(made, question.writing),
+        probability=float(made.probability[0, 0]),
+        model=describe_model(model),
+        unit=history.unit,
+        seen=history.seen,
+        around=history.around,
+        min_passes=question.min_passes,
+        visits=history.visits,
+        builds=tuple(
             BuildVisits(**vars(visits), build=index, logs=list_logs(build))
             for index, (visits, build) in enumerate(zip(history.builds, builds, strict=True))
             if visits is not None
         ),
-        measure_extent(saved, model),
-        saved.digest if isinstance(saved, Store) else None,
-        scans_used,
-        tuple(sorted(sightings, key=lambda each: each.stamp_ns)),
-        (
+        scans_used=scans_used,
+        scans=tuple(sorted(sightings, key=lambda each: each.stamp_ns)),
+        notes=(
             *list_notes(evidence.manifest),
             *(list_unexplained(evidence, history, uses, sightings) if uses else ()),
         ),
     )
 
 
-def judge_cell(
-    evidence: Evidence, history: CellHistory, model: SensorModel, min_passes: int | None
+def map_cell(
+    evidence: Evidence, cell: Cell, model: SensorModel, min_passes: int | None
 ) -> OccupancyMap:
-    """Make a map of the one cell."""
+    """Make a map of the one cell; it is not observed where `min_passes` leaves nothing."""
     lasting = keep_lasting(to_grid(evidence), evidence.slices, min_passes)
     tiles = choose_tiles(lasting, model)
-    key = history.row // TILE, history.col // TILE
-    row, col = history.row % TILE, history.col % TILE
+    key = cell.row // TILE, cell.column // TILE
+    row, col = cell.row % TILE, cell.column % TILE
     numbers = tiles.read(key) if key in tiles.keys else np.zeros((2, TILE, TILE))
     first, second = (each[row : row + 1, col : col + 1] for each in numbers)
     observed = tiles.observed(first, second)
     log_odds = np.full((1, 1), to_log_odds(model.prior))
     log_odds[observed] = weigh(model)(first[observed], second[observed])
-    low_x, low_y, high_x, _ = history.extent
+    low_x, low_y, high_x, _ = cell.extent
     place = high_x - low_x, (low_x, low_y)
     return OccupancyMap(log_odds.astype(np.float32), observed, *place, find_decision(model))
+
+
+def name_class(made: OccupancyMap, writing: WriteOptions) -> Verdict:
+    """Name what the one cell of a map is."""
+    if not made.observed.all():
+        return "unknown"
+    decided = replace(made, decision=writing.decide(made.decision))
+    if decided.occupied.all():
+        return "occupied"
+    return "free" if decided.free.all() else "undecided"
 
 
 def measure_extent(saved: Saved, model: SensorModel) -> Box | None:
@@ -179,13 +192,7 @@ def measure_extent(saved: Saved, model: SensorModel) -> Box | None:
         box = measure_bounds(choose_tiles(to_grid(saved), model))
     else:
         box = find_bounds(View(saved, model)) if saved.blocks else None
-    lattice = Lattice(saved.manifest.resolution)
-    if box is None:
-        return None
-    low_x, low_y, high_x, high_y = map(
-        lattice.to_metres, (box.col, box.row, box.col_end, box.row_end)
-    )
-    return low_x, low_y, high_x, high_y
+    return None if box is None else Lattice(saved.manifest.resolution).measure(box)
 
 
 def read_around(saved: Saved, x: float, y: float) -> Evidence:
@@ -204,11 +211,11 @@ def list_unexplained(
     evidence: Evidence, history: CellHistory, uses: Sequence[Use], sightings: Sequence[Sighting]
 ) -> Iterator[str]:
     """Say what is not explained by the scans that were found."""
-    found = add_up(sightings)
-    held = history.first, history.second
+    found, held = add_up(sightings), history.seen.numbers
     if found == held:
         return
-    sums = f"{describe_numbers(found, history)} of {describe_numbers(held, history)}"
+    kind, unit = history.seen.kind, history.unit
+    sums = f"{describe_numbers(found, kind, unit)} of {describe_numbers(held, kind, unit)}"
     missing = list_missing(evidence, uses)
     if missing:
         yield f"these logs explain {sums}; the rest is in {shorten(missing)}"
@@ -219,9 +226,9 @@ def list_unexplained(
         yield f"the scans explain {sums}: the occmap that built it ({makers}) read them otherwise"
 
 
-def describe_numbers(numbers: Numbers, history: CellHistory) -> str:
+def describe_numbers(numbers: Numbers, kind: EvidenceKind, unit: int) -> str:
     """Spell out the two numbers of a cell, in observations."""
-    first, second = (each / history.unit for each in numbers)
-    if history.kind is EvidenceKind.LOG_ODDS:
+    first, second = (each / unit for each in numbers)
+    if kind is EvidenceKind.LOG_ODDS:
         return f"log-odds {first * LOG_ODDS_UNIT:.3f} of {count(second, 'observation')}"
     return f"{count(first, 'hit')} and {count(second, 'miss')}"

@@ -1,24 +1,24 @@
 """What evidence holds at one point: the numbers of a cell and of those around it."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Self, TypeAlias
+from typing import Self
 
 import numpy as np
 
 from occmap.errors import UsageError
-from occmap.grid.lattice import Lattice
+from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.slices import count_visits, take, unite, unpack
 from occmap.grid.spec import find_unit
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
 from occmap.plain import Count
-from occmap.types import Box, Evidence, Int64, Manifest, Slices, Update
+from occmap.types import Box, Evidence, Manifest, Slices, Update
 
 FARTHEST_CELL = 1 << 44
 """Beyond this a float cannot tell the parts of a cell apart."""
 
-
-Numbers: TypeAlias = tuple[int, int]
+Numbers = tuple[int, int]
 """Hits and misses, or log-odds in units of 1/65536 and observations"""
 
 
@@ -36,12 +36,17 @@ class Seen:
     """Observations: hits and misses, or those that the sum is of"""
 
     @classmethod
-    def read(cls, numbers: Numbers, kind: EvidenceKind) -> Self:
+    def read(cls, numbers: Iterable[int], kind: EvidenceKind) -> Self:
         """Read the two numbers of a cell."""
         first, second = numbers
         if kind is EvidenceKind.LOG_ODDS:
             return cls(None, None, first * LOG_ODDS_UNIT, second)
         return cls(first, second, None, first + second)
+
+    @property
+    def kind(self) -> EvidenceKind:
+        """What the two numbers of the cell are."""
+        return EvidenceKind.COUNTS if self.log_odds is None else EvidenceKind.LOG_ODDS
 
     @property
     def numbers(self) -> Numbers:
@@ -65,40 +70,37 @@ class Visits:
     """Visits that observed the cell"""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
+class Cell:
+    """A cell of the map."""
+
+    row: int
+    """Row of the cell in the lattice: floor(y / resolution)"""
+    column: int
+    """Column of the cell in the lattice: floor(x / resolution)"""
+    extent: Box
+    """Lowest x and y, highest x and y (m)"""
+
+
+@dataclass(frozen=True)
 class CellHistory:
     """What was observed in one cell."""
 
-    row: int
-    col: int
-    extent: Box
-    """Lowest x and y, highest x and y (m)"""
-    kind: EvidenceKind
-    """What the two numbers are"""
+    cell: Cell
     unit: int
     """What one beam, or one scan, adds to a number"""
-    around: Int64
-    """(3, 3, 2) the two numbers of the cell, in the middle, and its neighbours; row 0 is the lowest
-    y"""
+    around: list[list[Seen]]
+    """What observed the cell, in the middle, and its neighbours: 3 rows by falling y, in them 3
+    cells by rising x"""
     visits: Visits | None
     """When all builds together observed the cell; None where nothing did"""
     builds: tuple[Visits | None, ...]
     """For each of the manifest's builds; None where it did not observe the cell"""
 
     @property
-    def first(self) -> int:
-        """Hits, or the sum of log-odds in units of 1/65536."""
-        return int(self.around[1, 1, 0])
-
-    @property
-    def second(self) -> int:
-        """Misses, or observations."""
-        return int(self.around[1, 1, 1])
-
-    @property
-    def observed(self) -> bool:
-        """Whether anything observed the cell."""
-        return bool(self.around[1, 1].any())
+    def seen(self) -> Seen:
+        """What observed the cell."""
+        return self.around[1][1]
 
 
 def look_at(evidence: Evidence, x: float, y: float) -> CellHistory:
@@ -111,20 +113,17 @@ def look_at(evidence: Evidence, x: float, y: float) -> CellHistory:
     """
     lattice = Lattice(evidence.manifest.resolution)
     row, col = find_cell(lattice, x, y)
-    low_x, low_y, high_x, high_y = (lattice.to_metres(at) for at in (col, row, col + 1, row + 1))
-    steps = -1, 0, 1
     tile = row // TILE, col // TILE
     layers = [
         take(layer, np.flatnonzero((layer.tiles == tile).all(axis=1))) for layer in evidence.slices
     ]
-    around = [[read_cell(evidence, row + up, col + right) for right in steps] for up in steps]
     return CellHistory(
-        row,
-        col,
-        extent=(low_x, low_y, high_x, high_y),
-        kind=EvidenceKind(evidence.manifest.kind),
+        Cell(row, col, lattice.measure(CellBox(row, col, row + 1, col + 1))),
         unit=find_unit(Update(evidence.manifest.update)),
-        around=np.array(around),
+        around=[
+            [read_cell(evidence, row + up, col + right) for right in (-1, 0, 1)]
+            for up in (1, 0, -1)
+        ],
         visits=read_visits(unite(layers), (row, col), evidence.manifest),
         builds=tuple(read_visits(layer, (row, col), evidence.manifest) for layer in layers),
     )
@@ -159,10 +158,8 @@ def read_visits(slices: Slices, cell: tuple[int, int], manifest: Manifest) -> Vi
     return Visits(numbers[0] * slice_ns, (numbers[-1] + 1) * slice_ns, hit_visits, seen_visits)
 
 
-def read_cell(evidence: Evidence, row: int, col: int) -> Int64:
-    """(2,) the two numbers of a cell; zeros where it is in no tile."""
-    tile = row // TILE, col // TILE
-    at = np.flatnonzero((evidence.tiles == tile).all(axis=1))
-    if not len(at):
-        return np.zeros(2, np.int64)
-    return evidence.cells[at[0], :, row % TILE, col % TILE].astype(np.int64)
+def read_cell(evidence: Evidence, row: int, col: int) -> Seen:
+    """Read what observed a cell; nothing did where it is in no tile."""
+    at = np.flatnonzero((evidence.tiles == (row // TILE, col // TILE)).all(axis=1))
+    numbers = evidence.cells[at, :, row % TILE, col % TILE].astype(np.int64).sum(axis=0).tolist()
+    return Seen.read(numbers, EvidenceKind(evidence.manifest.kind))

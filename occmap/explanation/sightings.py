@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from occmap.explanation.history import CellHistory, Numbers, Seen
 from occmap.explanation.provenance import Use
 from occmap.observing import Progress
 from occmap.opening import choose_topics, count_scans, make_poser
+from occmap.options import BuildOptions
 from occmap.plain import Count
 from occmap.readers import Log, open_log, read_scans
 from occmap.sensor.no_return import RangeLimits
@@ -41,15 +41,6 @@ class Sighting:
     """From there to the middle of the cell (m)"""
 
 
-class Look(NamedTuple):
-    """What came of one batch of scans."""
-
-    found: list[Sighting]
-    used: int
-    """Scans of it that have a pose: all that a build uses"""
-    read: int
-
-
 def find_sightings(
     uses: Sequence[Use], history: CellHistory, progress: Progress
 ) -> tuple[list[Sighting], int]:
@@ -60,23 +51,25 @@ def find_sightings(
     sightings, used
         In the order of the logs; and how many scans of these logs the builds used.
     """
+    from occmap.grid.probe import CellProbe  # noqa: PLC0415  late: it brings numba
+
     opened = [(use, open_log(use.log, use.options.reading)) for use in uses]
     total = sum(count_scans(log, use.options.selection.topics) for use, log in opened)
     sightings: list[Sighting] = []
     used = 0
-    for look in (look for use, log in opened for look in look_through(use, log, history)):
-        sightings += look.found
-        used += look.used
-        progress(look.read, total)
+    for use, log in opened:
+        probe = CellProbe(plan_grid(use.options), history.cell.row, history.cell.column)
+        for posed, read in pose_scans(log, use.options):
+            if posed is not None:
+                rays, _ = interpret(posed, use.options.returns)
+                sightings += list_sightings(use, posed, probe.look(rays), history)
+                used += len(posed.batch.stamp_ns)
+            progress(read, total)
     return sightings, used
 
 
-def look_through(use: Use, log: Log, history: CellHistory) -> Iterator[Look]:
-    """Read, pose, interpret and trace the scans of a log, batch by batch."""
-    from occmap.grid.probe import CellProbe  # noqa: PLC0415  late: it brings numba
-
-    options = use.options
-    probe = CellProbe(plan_grid(options), history.row, history.col)
+def pose_scans(log: Log, options: BuildOptions) -> Iterator[tuple[PosedScans | None, int]]:
+    """Read and pose the scans of a log as a build does; of each batch say how many were read."""
     topics = choose_topics(log, options.selection.topics)
     poser = make_poser(log, topics, options.posing)
     limits = RangeLimits(options.returns)
@@ -85,20 +78,14 @@ def look_through(use: Use, log: Log, history: CellHistory) -> Iterator[Look]:
     limits.settle()
     batcher = Batcher(options.selection, options.posing.stamps, limits)
     for batch, posed, _ in poser.attach(batcher.stack(read_scans(log, topics))):
-        found: list[Sighting] = []
-        used = 0
-        if posed is not None:
-            rays, _ = interpret(posed, options.returns)
-            found += list_sightings(use, posed, probe.look(rays), history)
-            used = len(posed.batch.stamp_ns)
-        yield Look(found, used, len(batch.stamp_ns))
+        yield posed, len(batch.stamp_ns)
 
 
 def list_sightings(
     use: Use, posed: PosedScans, numbers: Int64, history: CellHistory
 ) -> Iterator[Sighting]:
     """List the scans of a batch that added something (S, 2) to the cell."""
-    low_x, low_y, high_x, high_y = history.extent
+    low_x, low_y, high_x, high_y = history.cell.extent
     middle = np.array([low_x + high_x, low_y + high_y]) / 2
     for scan in np.flatnonzero(numbers.any(axis=1)):
         place = posed.position[scan].reshape(-1, 3)  # one, or one a beam
@@ -108,7 +95,7 @@ def list_sightings(
             str(use.log),
             use.build,
             posed.batch.topic,
-            Seen.read((int(numbers[scan, 0]), int(numbers[scan, 1])), history.kind),
+            Seen.read(numbers[scan].tolist(), history.seen.kind),
             x=float(sensor[0]),
             y=float(sensor[1]),
             distance=float(np.hypot(*(sensor - middle))),

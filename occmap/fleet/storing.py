@@ -233,12 +233,10 @@ def sum_up(measured: Sequence[Measured], options: BuildOptions) -> MapFacts:
     box = reduce(CellBox.join, (each.reach for each in measured if each.reach))
     columns = zip(*(each[1:] for each in measured), strict=True)
     observed, occupied, free, walls, agreeing, hits = map(sum, columns)
-    lattice = Lattice(options.resolution)
-    x, y, right, top = map(lattice.to_metres, (box.col, box.row, box.col_end, box.row_end))
     cells = box.cells
     return MapFacts(
         (box.rows, box.cols),
-        (x, y, right, top),
+        Lattice(options.resolution).measure(box),
         Shares(occupied / cells, free / cells, (cells - observed) / cells),
         agreeing / hits if hits else None,
         walls > 0,

@@ -4,11 +4,12 @@ import math
 import operator
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import Any, Generic, TypedDict, TypeVar
+from typing import Any, Generic, TypeVar
 
 from occmap.errors import UsageError
+from occmap.plain import HIDDEN
 
 Result_contra = TypeVar("Result_contra", contravariant=True)
 
@@ -36,8 +37,6 @@ class Measure(Generic[Result_contra]):
     name: str
     unit: str
     """Such as s, or m2; SHARE or COUNT"""
-    meaning: str
-    """What is counted or measured; of a share, the part"""
     take: Callable[[Result_contra], float]
 
 
@@ -59,9 +58,9 @@ class Limit:
         return SIGNS[self.sign](value, self.bound)
 
     @property
-    def text(self) -> str:
-        """The limit as it can be typed."""
-        return f"{self.measure.name} {self.sign} {self._write(self.bound, 15)}"
+    def condition(self) -> str:
+        """The sign and the number as they can be typed."""
+        return f"{self.sign} {self._write(self.bound, 15)}"
 
     def format_value(self, value: float) -> str:
         """Write a value in few digits, but in so many that it lies where it does."""
@@ -76,7 +75,8 @@ class Limit:
         return f"{100 * value:.{digits}g}%" if self.in_percent else f"{value:.{digits}g}"
 
 
-class PrintedFailed(TypedDict):
+@dataclass(frozen=True)
+class Failed:
     """A limit that the result does not keep to."""
 
     name: str
@@ -85,25 +85,8 @@ class PrintedFailed(TypedDict):
     """What was measured; a share from 0 to 1, else in the unit of the measure"""
     limit: str
     """The limit, such as dropped_scans > 5%"""
-
-
-@dataclass(frozen=True)
-class Failed:
-    """A limit that a result does not keep to."""
-
-    limit: Limit
-    value: float
-
-    @property
-    def sentence(self) -> str:
-        """What was measured, and what the user says of it."""
-        limit, value = self.limit, self.limit.format_value(self.value)
-        bound = limit.text.removeprefix(f"{limit.measure.name} ")
-        return f"{limit.measure.name} is {value}, and {limit.option} says {bound}"
-
-    def describe(self) -> PrintedFailed:
-        """Give it in the form that is printed."""
-        return {"name": self.limit.measure.name, "value": self.value, "limit": self.limit.text}
+    sentence: str = field(metadata=HIDDEN)
+    """What was measured, and what the user says of it"""
 
 
 def parse_limit(text: str, measures: Sequence[Measure[Any]]) -> Limit:
@@ -120,26 +103,14 @@ def parse_limit(text: str, measures: Sequence[Measure[Any]]) -> Limit:
         first = measures[0]
         example = FORM.format(first.name, "5%" if first.unit == SHARE else "5")
         raise UsageError("is not a limit", where=where, fix=example)
-    measure = find_measure(found[1], measures, where)
-    bound = parse_bound(found[3] + found[4], measure, where)
-    return Limit(measure, found[2], bound, in_percent=bool(found[4]))
-
-
-def find_measure(name: str, measures: Sequence[Measure[Any]], where: str) -> Measure[Any]:
-    """Find a measure by its name.
-
-    Raises
-    ------
-    UsageError
-        There is none; the message lists what there is.
-    """
-    by_name = {measure.name: measure for measure in measures}
-    if name in by_name:
-        return by_name[name]
-    close = get_close_matches(name, by_name, n=1)
-    guess = f"did you mean {close[0]!r}? " if close else ""
-    names = ", ".join(by_name)
-    raise UsageError(f"no measure is called {name!r}", where=where, fix=f"{guess}there are {names}")
+    name, by_name = found[1], {measure.name: measure for measure in measures}
+    if name not in by_name:
+        close = get_close_matches(name, by_name, n=1)
+        fix = f"did you mean {close[0]!r}? " if close else ""
+        fix += f"there are {', '.join(by_name)}"
+        raise UsageError(f"no measure is called {name!r}", where=where, fix=fix)
+    bound = parse_bound(found[3] + found[4], by_name[name], where)
+    return Limit(by_name[name], found[2], bound, in_percent=bool(found[4]))
 
 
 def parse_bound(text: str, measure: Measure[Any], where: str) -> float:
@@ -159,25 +130,27 @@ def parse_bound(text: str, measure: Measure[Any], where: str) -> float:
         fix = "write a share such as 5% or 0.05" if measure.unit == SHARE else ""
         raise UsageError(f"{text!r} is not a number", where=where, fix=fix)
     if measure.unit != SHARE and in_percent:
-        raise UsageError(
-            f"{measure.name} is not a share ({measure.meaning})", where=where, fix="leave out the %"
-        )
+        raise UsageError(f"{measure.name} is not a share", where=where, fix="leave out the %")
     if measure.unit == SHARE and not in_percent and bound == 1:  # most who write 1 mean 1%
         found = "1 is the whole, not 1%"
         raise UsageError(found, where=where, fix="write 1% or 0.01, or else 100%")
     if in_percent:
         bound /= 100
     if measure.unit == SHARE and not 0 <= bound <= 1:
-        fix = (
-            f"write {bound:g}% or {bound / 100:g}"
-            if not in_percent and 1 < bound <= 100
-            else "write 0% to 100%"
-        )
+        fix = "write 0% to 100%"
+        if not in_percent and 1 < bound <= 100:
+            fix = f"write {bound:g}% or {bound / 100:g}"
         raise UsageError(f"{text} is not a share between 0 and 1", where=where, fix=fix)
     return bound
 
 
 def judge(limits: Iterable[Limit], result: object) -> list[Failed]:
     """Hold a result against every limit; list those that it does not keep to."""
-    measured = ((limit, limit.measure.take(result)) for limit in limits)
-    return [Failed(limit, value) for limit, value in measured if limit.is_broken_by(value)]
+    failed = []
+    for limit in limits:
+        name, value = limit.measure.name, limit.measure.take(result)
+        if limit.is_broken_by(value):
+            told = f"{name} is {limit.format_value(value)}, and {limit.option} says"
+            condition = limit.condition
+            failed.append(Failed(name, value, f"{name} {condition}", f"{told} {condition}"))
+    return failed

@@ -97,8 +97,7 @@ def choose_box(whole: CellBox, framing: Framing, lattice: Lattice) -> CellBox:
     row_end, col_end = math.ceil(y_max - CELL_SLACK), math.ceil(x_max - CELL_SLACK)
     box = CellBox(row, col, max(row_end, row + 1), max(col_end, col + 1))
     if not whole.clip(box).cells:
-        edges = (whole.col, whole.row, whole.col_end, whole.row_end)
-        reach = ", ".join(f"{lattice.to_metres(edge):.6g}" for edge in edges)
+        reach = ", ".join(f"{edge:.6g}" for edge in lattice.measure(whole))
         raise MapError("no cell of the map lies in `extent`", fix=f"the map's own box is {reach}")
     return box
 

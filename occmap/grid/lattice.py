@@ -14,7 +14,7 @@ import numpy as np
 
 from occmap.errors import UsageError
 from occmap.grid.kernels.units import CELL_SHIFT, UNITS_PER_CELL
-from occmap.types import Bool, Float64, Int64
+from occmap.types import Bool, Box, Float64, Int64
 
 MOST_CELLS_OF_BEAM = 1 << 22
 """The longest beam (cells): an int32 holds its end, with the sensor half as far from the anchor."""
@@ -133,3 +133,8 @@ class Lattice:
     def to_metres(self, cells: int) -> float:
         """The coordinate of the lower or left edge of a row or column (m)."""
         return round(cells * self.resolution, 12)  # -3.05, and not -3.0500000000000003
+
+    def measure(self, box: CellBox) -> Box:
+        """Lowest x and y, highest x and y of a box of cells (m)."""
+        x, y = self.to_metres(box.col), self.to_metres(box.row)
+        return x, y, self.to_metres(box.col_end), self.to_metres(box.row_end)

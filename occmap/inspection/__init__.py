@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from occmap.batching import LeftOut
 from occmap.command import format_mount, spell_flag
 from occmap.errors import LogError, OccmapError
 from occmap.grid.lattice import MOST_CELLS_OF_BEAM
@@ -28,7 +29,6 @@ from occmap.inspection.survey import Survey, TopicSurvey
 from occmap.mounts import find_better
 from occmap.opening import choose_topics, count_messages
 from occmap.options import BuildOptions
-from occmap.posing.attach import Poser
 from occmap.posing.concerns import Concern
 from occmap.posing.coverage import list_coverage
 from occmap.posing.options import DropReason, Stamps
@@ -59,10 +59,13 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
     concerns = [concern for _, found in looks for concern in found]
     grid = extent.sum_up(options.resolution)
     problems = [log.problem for log in logs if log.problem]
-    too_large = _list_size_problems(grid, options) or _list_beam_problems(extent, options)
-    unseen = _list_unseen(logs, grid)
-    problems += _list_pose_problems(logs, options.posing.stamps) or too_large or unseen
-    mapped = [look for look in looks if any(_is_usable(topic, options) for topic in look[0].scans)]
+    too_large = find_size_problem(grid, extent, options)
+    is_posed = any(topic.poses.posed for log in logs for topic in log.scans)
+    is_unseen = grid is None and is_posed
+    unseen = "no beam of any scan observes a cell: see the ranges" if is_unseen else ""
+    others = [text for text in (too_large, unseen) if text][:1]
+    problems += list_pose_problems(logs, options.posing.stamps) or others
+    mapped = [look for look in looks if any(is_usable(topic, options) for topic in look[0].scans)]
     apart = () if too_large else tuple(list_apart(mapped, options))
     usable = mapped and not too_large and not apart
     command = compose_command([log for log, _ in mapped], options, concerns) if usable else ()
@@ -87,15 +90,13 @@ Look = tuple[LogFindings, list[Concern]]
 
 def inspect_path(path: Path, options: BuildOptions, extent: Extent) -> Look:
     """Look into one log; `extent` grows by what its map would cover."""
+    log = None
     try:
         log = open_log(path, options.reading)
+        posing = prepare(log, choose_topics(log, options.selection.topics), options)
     except OccmapError as error:
-        return LogFindings(str(path), problem=_place(error, path)), []
-    try:
-        topics = choose_topics(log, options.selection.topics)
-        posing = prepare(log, topics, options)
-    except OccmapError as error:
-        return replace(_describe(log), problem=_place(error, path)), []
+        known = describe_log(log) if log else LogFindings(str(path))
+        return replace(known, problem=str(error.placed(path))), []
     return inspect_log(log, posing, options, extent)
 
 
@@ -113,40 +114,38 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
         try:
             survey.read(read_scans(log, topics))
         except LogError as error:
-            problem = _place(error, log.path)
+            problem = str(error.placed(log.path))
         if limits.settle():
             break
     extent.join(reach)
     seen = [survey.topics[topic] for topic in topics if topic in survey.topics]
     types = {stream.topic: stream.type for stream in reversed(log.streams)}
     scans = tuple(
-        _sum_up(log, types[topic.topic], topic, posing, options) for topic in seen if topic.shapes
+        sum_up(log, types[topic.topic], topic, posing, options) for topic in seen if topic.shapes
     )
     spoilers = list(posing.poser.list_concerns(survey.first_ns, options.returns.max_range))
-    known = _describe(log)
+    known = describe_log(log)
     findings = replace(
         known,
         scans=scans,
         coverage=tuple(list_coverage(posing.poser.sources)),
         notes=(*known.notes, *posing.poser.notes, *limits.list_notes(), *survey.list_notes()),
-        problem=problem or ("" if scans else f"{log.path}: {_explain_nothing(seen)}"),
+        problem=problem or ("" if scans else f"{log.path}: {explain_nothing(seen)}"),
     )
     if problem:  # what was read before it says nothing of a log of which no map is made
         return replace(findings, scans=()), []
     return findings, list_concerns(findings, spoilers)
 
 
-def _explain_nothing(topics: Sequence[TopicSurvey]) -> str:
+def explain_nothing(topics: Sequence[TopicSurvey]) -> str:
     """Say why no scan of a log is left."""
-    reasons: Counter[str] = Counter()
-    for topic in topics:
-        reasons.update({reason.value: count for reason, count in topic.left_out.items()})
+    reasons = sum((topic.left_out for topic in topics), Counter[LeftOut]())
     if not reasons:
         return "holds no scan that can be read"
-    return write_unused(reasons.total(), reasons)
+    return write_unused(reasons.total(), {reason.value: count for reason, count in reasons.items()})
 
 
-def _describe(log: Log) -> LogFindings:
+def describe_log(log: Log) -> LogFindings:
     """Describe a log by what its reader says of it."""
     return LogFindings(
         str(log.path),
@@ -156,16 +155,17 @@ def _describe(log: Log) -> LogFindings:
     )
 
 
-def _place(error: OccmapError, path: Path) -> str:
-    """Write an error with its place; that is the log where the error names none."""
-    return str(error.placed(path))
-
-
-def _sum_up(
+def sum_up(
     log: Log, kind: str, topic: TopicSurvey, posing: Posing, options: BuildOptions
 ) -> ScanFindings:
+    """Sum up all about one topic of scans, whose messages are of some kind."""
     ranked = topic.shapes.most_common()
     crossed = measure_crossing(topic.sample.parts, options.returns)
+    stamps, moving_ns = suggest_stamps(log, posing, topic), find_moving_stamp(posing.poser)
+    mount, stance = None, posing.poser.watch.courses[topic.topic].stance
+    if stance is not None:  # of no scan where none has a pose
+        better = find_better(posing.poser, topic.sample.parts, options.returns)
+        mount = MountFindings(stance.upside_down, stance.tilt, stance.height, better)
     return ScanFindings(
         topic=topic.topic,
         type=kind,
@@ -175,31 +175,18 @@ def _sum_up(
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
         ranges=topic.census.sum_up(crossed),
-        times=topic.stamps.sum_up(
-            suggest_stamps(log, posing, topic), find_moving_stamp(posing.poser)
-        ),
-        poses=_sum_up_poses(topic, posing),
-        mount=_describe_mount(topic, posing.poser, options),
+        times=topic.stamps.sum_up(stamps, moving_ns),
+        poses=sum_up_poses(topic, posing),
+        mount=mount,
         agreement=estimate_agreement(topic.sample.parts, options),
     )
 
 
-def _describe_mount(
-    topic: TopicSurvey, poser: Poser, options: BuildOptions
-) -> MountFindings | None:
-    """Say how a sensor sits; None where no scan has a pose."""
-    stance = poser.watch.courses[topic.topic].stance
-    if stance is None:
-        return None
-    better = find_better(poser, topic.sample.parts, options.returns)
-    return MountFindings(stance.upside_down, stance.tilt, stance.height, better)
-
-
-def _sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
-    frames = tuple(topic.frames)
+def sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
+    """Sum up how the scans of a topic get their poses."""
     stated = topic.stated and posing.poser.sources.trajectory is None
-    chain = None if stated else posing.poser.chains.get(frames[0])
-    faults = [posing.faults[frame] for frame in frames if frame in posing.faults]
+    chain = None if stated else posing.poser.chains.get(next(iter(topic.frames)))
+    faults = [posing.faults[frame] for frame in topic.frames if frame in posing.faults]
     return PoseFindings(
         stated=stated,
         chain=chain.frames if chain else (),
@@ -211,31 +198,27 @@ def _sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
     )
 
 
-def _list_pose_problems(logs: Sequence[LogFindings], stamps: Stamps) -> list[str]:
+def list_pose_problems(logs: Sequence[LogFindings], stamps: Stamps) -> list[str]:
     """Say why no scan has a pose, of each log or of all: a build needs at least one."""
     found = []
     for log in logs:
-        faults = dict.fromkeys(topic.poses.problem for topic in log.scans if topic.poses.problem)
-        unfaulted = any(not topic.poses.problem for topic in log.scans)
-        if faults and not unfaulted:
+        faults = dict.fromkeys(topic.poses.problem for topic in log.scans)
+        if "" not in faults:  # else some topic of the log has poses
             found += [f"{log.path}: {fault}" for fault in faults]
     topics = [(log, topic) for log in logs for topic in log.scans]
     if topics and not found and not any(topic.poses.posed for _, topic in topics):
-        found += [f"{topic.topic}: {_explain(log, topic, stamps)}" for log, topic in topics]
+        for log, topic in topics:
+            unused = write_unused(topic.scans, {**topic.left_out, **topic.poses.dropped})
+            found.append(f"{topic.topic}: {unused}{bridge_clocks(log, topic, stamps)}")
     return found
 
 
-def _is_usable(topic: ScanFindings, options: BuildOptions) -> bool:
+def is_usable(topic: ScanFindings, options: BuildOptions) -> bool:
     """Whether scans have poses, or would with the other of their two times."""
     return topic.poses.posed > 0 or topic.times.suggested_stamps != options.posing.stamps
 
 
-def _explain(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
-    reasons = {**topic.left_out, **topic.poses.dropped}
-    return write_unused(topic.scans, reasons) + _bridge_clocks(log, topic, stamps)
-
-
-def _bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
+def bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
     """Suggest an option for scans and poses whose times do not overlap."""
     if not topic.poses.dropped.keys() & {DropReason.BEFORE.value, DropReason.AFTER.value}:
         return ""
@@ -251,28 +234,18 @@ def _bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str
     return "; compare stamps and sources: `time_offset_s=S` or `stamps=record`"
 
 
-def _list_unseen(logs: Sequence[LogFindings], grid: MapFindings | None) -> list[str]:
-    """Say where scans have poses, and yet observe no cell."""
-    if grid is not None or not any(topic.poses.posed for log in logs for topic in log.scans):
-        return []
-    return ["no beam of any scan observes a cell: see the ranges"]
-
-
-def _list_beam_problems(extent: Extent, options: BuildOptions) -> list[str]:
-    if extent.longest / options.resolution <= MOST_CELLS_OF_BEAM:
-        return []
-    return [
-        f"a beam of {extent.longest:.6g} m is too long for cells of {options.resolution} m; limit "
-        "ranges with `max_range`, or use a coarser `resolution`"
-    ]
-
-
-def _list_size_problems(grid: MapFindings | None, options: BuildOptions) -> list[str]:
-    if grid is None or grid.columns * grid.rows <= options.max_cells:
-        return []
-    x, y, x_end, y_end = grid.extent
-    return [
-        f"the map would have {grid.columns} x {grid.rows} cells, more than "
-        f"`max_cells={options.max_cells}`: x from {x:g} to {x_end:g} m, y from "
-        f"{y:g} to {y_end:g} m; try a coarser `resolution` or a `max_range`"
-    ]
+def find_size_problem(grid: MapFindings | None, extent: Extent, options: BuildOptions) -> str:
+    """Say why no map can be made for its size; "" where it can."""
+    if grid is not None and grid.columns * grid.rows > options.max_cells:
+        x, y, x_end, y_end = grid.extent
+        return (
+            f"the map would have {grid.columns} x {grid.rows} cells, more than "
+            f"`max_cells={options.max_cells}`: x from {x:g} to {x_end:g} m, y from "
+            f"{y:g} to {y_end:g} m; try a coarser `resolution` or a `max_range`"
+        )
+    if extent.longest / options.resolution > MOST_CELLS_OF_BEAM:
+        return (
+            f"a beam of {extent.longest:.6g} m is too long for cells of {options.resolution} m; "
+            "limit ranges with `max_range`, or use a coarser `resolution`"
+        )
+    return ""

@@ -5,12 +5,12 @@ from collections.abc import Iterator, Sequence
 
 from occmap.batching import find_oddity
 from occmap.command import chain_builds, compose_build
-from occmap.inspection.findings import LogFindings, ScanFindings
+from occmap.inspection.findings import LogFindings, ScanFindings, TimeFindings
 from occmap.mounts import warn_of_misfit
 from occmap.options import BuildOptions
 from occmap.posing.concerns import Concern
 from occmap.remarks import LEAST_AGREEMENT
-from occmap.wording import count
+from occmap.wording import count, write_counts
 
 SHARE_OF_NOTE = 0.05
 DRIFT_S = 0.1
@@ -74,63 +74,44 @@ def list_concerns(log: LogFindings, spoilers: Sequence[tuple[str, Concern]]) -> 
     spoilers
         What the poses show, with the topics of the scans.
     """
-    posed = any(topic.poses.posed for topic in log.scans)  # that none is, is a problem
-    lacking = [_warn_poses] if posed else []
-    warn = [_warn_shapes, _warn_mount, *lacking, _warn_times, _warn_ranges]
+    has_poses = any(topic.poses.posed for topic in log.scans)  # that none has, is a problem
     found = []
     for topic in log.scans:
         mine = [concern for name, concern in spoilers if name == topic.topic]
-        mine += [concern for each in warn for concern in each(topic)]
-        mine += _warn_agreement(topic, is_mended=any(concern.remedy for concern in mine))
+        mine += list_doubts(topic, has_poses)
+        if topic.agreement is not None and topic.agreement < LEAST_AGREEMENT:
+            share = f"only {topic.agreement:.0%} of the hits of a sample of scans"
+            text = f"{share} lie in occupied cells: the poses do not fit the scans; {ASK_TUNE}"
+            is_mended = any(concern.remedy for concern in mine)
+            mine.append(Concern(f"{text}, or another trajectory", {} if is_mended else None))
         found += [Concern(f"{log.path}: {topic.topic}: {text}", cure) for text, cure in mine]
     return found
 
 
-def _warn_shapes(topic: ScanFindings) -> list[Concern]:
+def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
+    """Say what is strange about the beams of a topic, its mount, poses, stamps and ranges."""
     oddities = (find_oddity(shape.angle_increment, shape.beams) for shape in topic.shapes)
-    return [Concern(oddity, None) for oddity in dict.fromkeys(oddities) if oddity]
-
-
-def _warn_mount(topic: ScanFindings) -> list[Concern]:
-    better = topic.mount.better if topic.mount else ""
-    return [warn_of_misfit(better)] if better else []
-
-
-def _warn_poses(topic: ScanFindings) -> list[Concern]:
+    yield from (Concern(oddity, None) for oddity in dict.fromkeys(oddities) if oddity)
+    if topic.mount and topic.mount.better:
+        yield warn_of_misfit(topic.mount.better)
     lost = topic.poses.dropped
-    if sum(lost.values()) > SHARE_OF_NOTE * topic.kept:
-        reasons = ", ".join(f"{scans} {reason}" for reason, scans in lost.items())
-        return [Concern(f"scans without a pose: {reasons}")]
-    return []
+    if has_poses and sum(lost.values()) > SHARE_OF_NOTE * topic.kept:
+        yield Concern(f"scans without a pose: {write_counts(lost)}")
+    if not topic.poses.stated:  # else stamps do not matter
+        yield from map(Concern, list_clock_faults(topic.times))
+    for item in topic.ranges.repeated:
+        if not item.is_no_return:
+            share = f"{item.value:g} m is {item.share:.0%} of the ranges"
+            yield Concern(f"{share} and may mean no return")
+    if not topic.ranges.measured:
+        yield Concern("no range value is a measurement")
 
 
-def _warn_agreement(topic: ScanFindings, is_mended: bool) -> list[Concern]:
-    if topic.agreement is None or topic.agreement >= LEAST_AGREEMENT:
-        return []
-    found = f"only {topic.agreement:.0%} of the hits of a sample of scans lie in occupied cells"
-    text = f"{found}: the poses do not fit the scans; {ASK_TUNE}, or another trajectory"
-    return [Concern(text, {} if is_mended else None)]
-
-
-def _warn_times(topic: ScanFindings) -> list[Concern]:
-    times = topic.times
-    if topic.poses.stated:
-        return []  # stamps do not matter where the pose stands beside the scan
-    found = []
+def list_clock_faults(times: TimeFindings) -> Iterator[str]:
+    """Say what is wrong with stamps."""
     if times.all_equal:
-        found.append("all stamps are equal")
+        yield "all stamps are equal"
     if times.jumps_back:
-        found.append(f"stamps jump back {count(times.jumps_back, 'time')}")
+        yield f"stamps jump back {count(times.jumps_back, 'time')}"
     if abs(times.drift_s) > DRIFT_S:
-        found.append(f"stamps drift by {times.drift_s:.3g} s against the record times")
-    return [Concern(text) for text in found]
-
-
-def _warn_ranges(topic: ScanFindings) -> list[Concern]:
-    found = [
-        f"{item.value:g} m is {item.share:.0%} of the ranges and may mean no return"
-        for item in topic.ranges.repeated
-        if not item.is_no_return
-    ]
-    found += [] if topic.ranges.measured else ["no range value is a measurement"]
-    return [Concern(text) for text in found]
+        yield f"stamps drift by {times.drift_s:.3g} s against the record times"

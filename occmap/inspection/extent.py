@@ -62,14 +62,10 @@ class Extent:
             lattice.to_cell(float(x), float(y)) for x, y in (self.low, self.high)
         )
         box = CellBox(row, col, last_row + 1, last_col + 1)
+        x, y, x_end, y_end = (round(edge, 9) for edge in lattice.measure(box))
         return MapFindings(
             resolution=resolution,
-            extent=(
-                round(lattice.to_metres(box.col), 9),
-                round(lattice.to_metres(box.row), 9),
-                round(lattice.to_metres(box.col_end), 9),
-                round(lattice.to_metres(box.row_end), 9),
-            ),
+            extent=(x, y, x_end, y_end),
             columns=box.cols,
             rows=box.rows,
             file_bytes=box.cells,

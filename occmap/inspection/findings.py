@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from occmap.batching import count_wanted
-from occmap.plain import Finite, Share, to_plain
+from occmap.plain import Finite, Printed, Share
 from occmap.posing.coverage import Coverage
 from occmap.posing.options import Stamps
 from occmap.readers import Stream
@@ -234,7 +234,7 @@ class LogFindings:
 
 
 @dataclass(frozen=True)
-class Inspection:
+class Inspection(Printed):
     """What a build of these logs would meet."""
 
     logs: tuple[LogFindings, ...]
@@ -255,5 +255,4 @@ class Inspection:
 
     def to_json(self) -> dict[str, Any]:
         """The findings as values that JSON has; what is not finite becomes null."""
-        plain: dict[str, Any] = to_plain(self)
-        return plain | {"buildable": self.buildable}
+        return super().to_json() | {"buildable": self.buildable}

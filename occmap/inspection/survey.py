@@ -54,7 +54,8 @@ class TopicSurvey:
         self.stated &= some.first.pose is not None
         geometry = Geometry.of(some.first)
         self.frames.setdefault(geometry.frame)
-        shape = _strip(geometry)
+        angles = geometry.angle_min, geometry.angle_increment
+        shape = Shape(geometry.beams, *angles, geometry.range_min, geometry.range_max, scans=0)
         if shape in self.shapes or len(self.shapes) < MAX_SHAPES:
             self.shapes[shape] += some.scans
 
@@ -127,15 +128,3 @@ class Survey:
                 f"the mount and the agreement are estimated for {SAMPLED_TOPICS} of "
                 f"{len(self.topics):,} topics with scans"
             )
-
-
-def _strip(geometry: Geometry) -> Shape:
-    """Keep what tells shapes apart."""
-    return Shape(
-        beams=geometry.beams,
-        angle_min=geometry.angle_min,
-        angle_increment=geometry.angle_increment,
-        range_min=geometry.range_min,
-        range_max=geometry.range_max,
-        scans=0,
-    )

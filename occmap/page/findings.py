@@ -1,11 +1,13 @@
-"""What commands say, as sections of a page: the figures are those of the JSON."""
+"""What commands say, as sections of a page."""
 
 import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 
+from occmap.evidence.manifest import describe_files
 from occmap.inspection.findings import Inspection, LogFindings
 from occmap.inspection.telling import (
+    describe_map,
     list_kinds,
     list_pose_facts,
     list_repeated,
@@ -14,45 +16,20 @@ from occmap.inspection.telling import (
     tell_ranges,
     tell_sources,
 )
-from occmap.page.document import Block, Section, Tone
+from occmap.page.document import (
+    Block,
+    Page,
+    Section,
+    Tone,
+    describe_maker,
+    name_logs,
+    write_page,
+)
 from occmap.readers import Role
-from occmap.wording import count, write_box
+from occmap.wording import count
 
-Json = Mapping[str, Any]
 MOST_LOGS = 20
 """With all that is found in them; warnings and problems are those of all logs."""
-
-
-def tell_map(report: Json) -> Section:
-    """Say what a map is, from the JSON of `build` or `render`."""
-    grid = report["map"]
-    shares = ("occupied", "free", "undecided", "unknown")
-    rows = [
-        ("size", f"{grid['columns']:,} x {grid['rows']:,} cells of {grid['resolution']:g} m"),
-        ("extent", write_box(grid["extent"])),
-        ("cells", ", ".join(f"{grid[name]:.1%} {name}" for name in shares if grid[name] > 5e-4)),
-    ]
-    if grid["agreement"] is not None:
-        rows.append(("agreement", f"{grid['agreement']:.1%} of the hits lie in occupied cells"))
-    rows += [("update", grid["update"]), ("model", grid["model"])]
-    if grid["min_passes"] is not None:
-        rows.append(("hits kept", f"of {grid['min_passes']} visits or more"))
-    return Section("The map", [Block("facts", rows)])
-
-
-def tell_scans(report: Json) -> Section:
-    """Say what became of scans and beams."""
-    scans, beams = report["scans"], report["beams"]
-    used = f"{scans['used']:,} of {scans['read']:,} used"
-    rows = [("scans", used)]
-    rows += [("dropped", f"{number:,} {why}") for why, number in scans["dropped"].items()]
-    if report["resumed"]:
-        past = report["resumed"]
-        rows.append(("added to", f"{past['used']:,} of {past['read']:,} in {past['file']}"))
-    rows += [
-        (name.replace("_", " "), f"{number:,} beams") for name, number in beams.items() if number
-    ]
-    return Section("Scans and beams", [Block("facts", rows)])
 
 
 def tell_notes(notes: Iterable[str], damage: Iterable[str] = ()) -> Section:
@@ -111,3 +88,23 @@ def list_log(log: LogFindings) -> Iterator[Block]:
             yield Block("table", kinds, ("range", "#values", "#share", "what it means"))
     if log.coverage:
         yield Block("list", title="Pose sources", texts=tell_sources(log.coverage))
+
+
+def write_inspection(path: Path, inspection: Inspection) -> None:
+    """Write the page of an inspection.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written; then nothing is left behind.
+    """
+    logs = [Path(log.path) for log in inspection.logs]
+    names = name_logs(log.name for log in logs)
+    verdict = "can be mapped" if inspection.buildable else "cannot be mapped as it is"
+    sections = list(tell_findings(inspection))
+    if inspection.map is not None:
+        facts = [("size", describe_map(inspection.map))]
+        sections.append(Section("The map that they would make", [Block("facts", facts)], wide=True))
+    inputs = [entry for log in logs if log.exists() for entry in describe_files(log)]
+    page = Page(f"Check of {names}", verdict, [*sections, describe_maker(inputs)])
+    write_page(path, page)

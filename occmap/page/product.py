@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 
 from occmap.evidence.manifest import list_inputs
-from occmap.page.document import Page, Section, Stage, describe_maker, name_logs
-from occmap.page.findings import tell_findings, tell_map, tell_notes, tell_scans
+from occmap.page.document import Block, Page, Section, Stage, describe_maker, name_logs
+from occmap.page.findings import tell_findings, tell_notes
 from occmap.page.layers import describe_rasters, name_layers
 from occmap.page.packing import Packed, pack
 from occmap.page.plots import WAY_COLOURS, add_scan, add_way, plot_map
 from occmap.page.raster import Raster, make_raster
+from occmap.summary import tell_beams, tell_map, tell_scans
 from occmap.types import Evidence, Journey
 from occmap.writers import Product, WriteOptions
 
@@ -38,11 +39,15 @@ def describe_product(product: Product, options: WriteOptions) -> Page:
 
 def list_sections(product: Product, inputs: list[dict[str, Any]]) -> list[Section]:
     """Say what is known beside the map."""
-    report = product.report()
+    report = product.report
     sections = []
-    if report:
-        sections += [tell_map(report), tell_scans(report)]
-        sections.append(tell_notes(report["notes"], report["damage"]))
+    if report is not None:
+        scans = [*tell_scans(report), tell_beams(report)]
+        sections += [
+            Section("The map", [Block("facts", tell_map(report.map))]),
+            Section("Scans and beams", [Block("facts", scans)]),
+            tell_notes(report.notes, report.damage),
+        ]
     if product.inspect:
         sections += tell_findings(product.inspect())
     return [*sections, describe_maker(inputs)]

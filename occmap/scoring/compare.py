@@ -11,7 +11,7 @@ from occmap.errors import LogError
 from occmap.observing import Progress, ignore_progress
 from occmap.opening import count_scans
 from occmap.options import DEFAULT_UPDATE, BuildOptions
-from occmap.plain import Count, Finite, Share, Told, to_plain
+from occmap.plain import Count, Finite, Printed, Share, list_printed
 from occmap.readers import open_log
 from occmap.remarks import Remarks, list_frames
 from occmap.scoring.score import Score
@@ -35,8 +35,9 @@ class HeldOutScans(ScanCounts):
     """Scans that the maps are scored on and not made of"""
 
 
-class Scored(Told):
-    """What is printed of a run that scores maps on held-out scans."""
+@dataclass(frozen=True, kw_only=True)
+class Scored(Printed):
+    """What is said of any run that scores maps on held-out scans."""
 
     logs: list[str]
     """Logs, as they were given"""
@@ -44,6 +45,10 @@ class Scored(Told):
     """What became of the scans"""
     resolution: float
     """Side of a cell (m)"""
+    notes: list[str]
+    """What a user should know, one sentence each, as on stderr"""
+    damage: list[str]
+    """Those of the notes that tell of damage to a log"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +78,7 @@ class PrintedVariant(Score):
     """Size of the evidence in memory (bytes)"""
 
 
+@dataclass(frozen=True, kw_only=True)
 class PrintedComparison(Scored):
     """Updates and sensor models, scored on held-out scans: what occmap compare prints."""
 
@@ -81,28 +87,26 @@ class PrintedComparison(Scored):
     best: str
     """Name of the variant to use: of those with as good a share as the best, the default, else
     that of the best log-likelihood"""
-    command: list[str]
+    command: tuple[str, ...]
     """The command line that builds its map from all scans, word by word"""
     likeliest: str
     """Name of the variant to use where probabilities matter: of those with as good a share as
     the best, that of the best log-likelihood"""
-    likeliest_command: list[str]
+    likeliest_command: tuple[str, ...]
     """The command line that builds its map from all scans, word by word"""
     files: list[str]
     """Files that were written"""
 
 
-@dataclass(frozen=True, eq=False)
-class VariantComparison:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class VariantComparison(Scored):
     """What was compared, on what, and how it came out."""
 
     options: BuildOptions
-    remarks: Remarks
-    tally: Tally
-    held_out: int
-    """Scans that the maps were scored on and not made from"""
     results: tuple[Result, ...]
     """The best share first"""
+    files: list[str]
+    """Files that were written"""
 
     @property
     def recommended(self) -> Result:
@@ -148,21 +152,19 @@ class VariantComparison:
         if variant.update is Update.BEAM:  # which knows no surfaces
             options = replace(options, jump=BuildOptions.jump)
         chosen = {"model": shorten_model(variant.model)}
-        return compose_build(self.remarks.logs, options, chosen, variant.update.value)
+        return compose_build(self.logs, options, chosen, variant.update.value)
 
     def to_json(self) -> dict[str, Any]:
         """The comparison as values that JSON has."""
-        printed: PrintedComparison = {
-            **describe_run(self.options, self.remarks, self.tally, self.held_out),
-            "variants": [describe_result(result) for result in self.results],
-            "best": self.recommended.variant.name,
-            "command": list(self.build_command(self.recommended)),
-            "likeliest": self.likeliest.variant.name,
-            "likeliest_command": list(self.build_command(self.likeliest)),
-            "files": self.remarks.files,
-        }
-        plain: dict[str, Any] = to_plain(printed)
-        return plain
+        return PrintedComparison(
+            **{name: getattr(self, name) for name in list_printed(Scored)},
+            variants=[describe_result(result) for result in self.results],
+            best=self.recommended.variant.name,
+            command=self.build_command(self.recommended),
+            likeliest=self.likeliest.variant.name,
+            likeliest_command=self.build_command(self.likeliest),
+            files=self.files,
+        ).to_json()
 
 
 def compare(
@@ -207,8 +209,14 @@ def compare(
     if hold_out.scans < FEW_SCANS:
         held_out = count(hold_out.scans, "held-out scan")
         remarks.notes.append(f"{held_out}: too few to tell variants apart; give a longer log")
-    results = tuple(trials.score())
-    comparison = VariantComparison(options, remarks, tally, hold_out.scans, results)
+    scans = HeldOutScans(**vars(tally.scans), held_out=hold_out.scans)
+    comparison = VariantComparison(
+        **describe_run(remarks, options),
+        scans=scans,
+        options=options,
+        results=tuple(trials.score()),
+        files=remarks.files,
+    )
     if picture is not None:
         draw(picture, comparison)
         remarks.files.append(str(picture))
@@ -249,11 +257,10 @@ def refuse_unscored(logs: Sequence[str], hold_out: HoldOut) -> None:
         )
 
 
-def describe_run(options: BuildOptions, remarks: Remarks, tally: Tally, held_out: int) -> Scored:
-    """Say what maps were scored on, in the form that is printed."""
+def describe_run(remarks: Remarks, options: BuildOptions) -> dict[str, Any]:
+    """Say what maps were scored on, and what there is to know of that: fields of `Scored`."""
     return {
         "logs": remarks.logs,
-        "scans": HeldOutScans(**vars(tally.scans), held_out=held_out),
         "resolution": options.resolution,
         "notes": remarks.notes,
         "damage": remarks.damage,

@@ -116,9 +116,7 @@ class BlockMap:
     @property
     def extent(self) -> Box:
         """Lowest x and y, highest x and y (m)."""
-        edges = (self.box.col, self.box.row, self.box.col_end, self.box.row_end)
-        x, y, x_end, y_end = map(self.lattice.to_metres, edges)
-        return x, y, x_end, y_end
+        return self.lattice.measure(self.box)
 
     def walk(self) -> Iterator[Piece]:
         """Paint all pieces; what is in none of them was not observed."""

@@ -1,20 +1,22 @@
 """Tuning: the time offset and the mount by which a map predicts scans best."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from occmap.command import compose_build
 from occmap.observing import Progress, ignore_progress
 from occmap.opening import count_scans
 from occmap.options import BuildOptions
 from occmap.readers import open_log
 from occmap.remarks import LEAST_AGREEMENT, Remarks
-from occmap.scoring.compare import FEW_SCANS
+from occmap.scoring.compare import FEW_SCANS, describe_run
 from occmap.tally import Tally
 from occmap.tuning.kept import MOST_SCANS, KeptLog, find_mount, keep_logs
-from occmap.tuning.result import Tuning
+from occmap.tuning.result import KeptScans, TriedCorrection, Tuning
 from occmap.tuning.search import TIME, TOGETHER, YAW, Correction, Knob, Scorer, X, Y
 from occmap.tuning.verdict import Finding, Gain, Verdict, find
 from occmap.types import Pose, Rays
@@ -62,22 +64,40 @@ def tune(
     # One may have hidden part of the other.
     again = timed and way.mount.verdict is Verdict.FOUND
     both = find(scorer, way.correction, TOGETHER if again else [])
+    after = scorer.score(both.correction)
+    gain, error = Gain.measure(before, after)
     tuning = Tuning(
-        options=options,
-        remarks=remarks,
-        tally=tally,
-        kept=kept,
+        **describe_run(remarks, options),
+        scans=KeptScans(**vars(tally.scans), held_out=len(before.predicted), kept=kept),
+        beams=before.score.beams,
+        share_before=before.score.share,
+        share=after.score.share,
+        gain=gain,
+        gain_error=error,
+        correction=both.correction,
         time=way.time,
         mount=way.mount,
         together=both,
-        sensor_pose=mount,
-        before=before,
-        after=scorer.score(both.correction),
-        tried=scorer.tried,
+        tried=[
+            TriedCorrection(**vars(correction), share=trial.score.share)
+            for correction, trial in scorer.tried.items()
+        ],
+        command=compose_better(remarks.logs, options, both.correction, mount),
         agreement=scorer.measure_agreement(both.correction),
     )
-    remarks.notes += [*list_unsearched(logs, mount, motion), *list_doubts(tuning)]
+    remarks.notes += list_unsearched(logs, mount, motion)
+    remarks.notes += list_doubts(tuning, options.posing.time_offset_s)
     return tuning
+
+
+def compose_better(
+    logs: Sequence[str], options: BuildOptions, correction: Correction, mount: Pose | None
+) -> tuple[str, ...]:
+    """Compose the command line that builds the better map; empty where there is nothing to gain."""
+    if correction == Correction():
+        return ()
+    posing = correction.apply(options.posing, mount)
+    return compose_build(logs, replace(options, posing=posing), {})
 
 
 class Way(NamedTuple):
@@ -172,7 +192,7 @@ def list_unsearched(logs: Sequence[KeptLog], mount: Pose | None, motion: Motion)
         yield f"x and y of the mount are not searched: it takes a turn of {TURN_RAD:g} rad"
 
 
-def list_doubts(tuning: Tuning) -> Iterator[str]:
+def list_doubts(tuning: Tuning, time_offset_s: float) -> Iterator[str]:
     """Say what makes the result less sure."""
     if tuning.is_doubtful:
         yield (
@@ -182,9 +202,9 @@ def list_doubts(tuning: Tuning) -> Iterator[str]:
         )
     if tuning.time.verdict is Verdict.DISAGREE:
         yield "the mount is not searched: it would make up for times that change within the log"
-    half = tuning.held_out // 2
+    half = tuning.scans.held_out // 2
     if half < FEW_SCANS:
         yield f"{count(half, 'held-out scan')} in each half: too few to tell; give a longer log"
     if abs(tuning.correction.time_s) > TIME.reach - TIME.steps[-1]:
-        offset = tuning.options.posing.time_offset_s + tuning.correction.time_s
+        offset = time_offset_s + tuning.correction.time_s
         yield f"no larger time offset is tried: tune again with `time_offset_s={offset:g}`"

@@ -136,8 +136,8 @@ class Product:
     """Called where a format wants it: it takes memory, and time to hash the logs"""
     journey: Journey | None = None
     """None: nobody asked for it while the map was built, or the map is of saved evidence"""
-    report: Callable[[], dict[str, Any]] = dict
-    """What there is to say of the map so far, as the JSON of the command has it"""
+    report: Any = None
+    """What there is to say of the map so far, as a `Report`; None: nothing is known"""
     inspect: Callable[[], Any] | None = None
     """Finds what `occmap check` does, as an `Inspection`; it reads the logs once more"""
 

@@ -4,13 +4,22 @@ import io
 from contextlib import redirect_stderr, redirect_stdout
 from typing import Any, NamedTuple
 
-from occmap.cli import run
+import click
+
+from occmap.cli import cli, run
 
 
 class Result(NamedTuple):
     code: int
     out: str
     err: str
+
+
+def find_command(name: str) -> click.Command:
+    """Import a command, as its first word does."""
+    command = cli.get_command(click.Context(cli), name)
+    assert command is not None
+    return command
 
 
 def occmap(*words: Any) -> Result:

@@ -9,7 +9,7 @@ import pytest
 
 from occmap.batching import Selection
 from occmap.cli import progress
-from occmap.cli.commands.build import collect_request
+from occmap.cli.commands.build import read_request
 from occmap.cli.console import Console, Verbosity
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.pipeline import build
@@ -30,7 +30,8 @@ def parse(*words: str) -> BuildOptions:
 
     context = command.make_context("build", [*words, "x.log", "-o", "m.pgm"], obj=Console())
     values = dict(context.params)
-    return collect_request(values.pop("words"), values).options
+    _, options = read_request(values.pop("words"), values)
+    return options
 
 
 def test_no_flag_leaves_every_default() -> None:

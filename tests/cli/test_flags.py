@@ -1,7 +1,5 @@
 """Texts from below the command line name options by their fields; here they become flags."""
 
-from importlib import import_module
-
 import click
 import pytest
 
@@ -9,6 +7,7 @@ from occmap.cli import COMMANDS
 from occmap.cli.console import Console
 from occmap.command import OPTIONS, spell_flag, spell_flags
 from occmap.errors import UsageError
+from tests.cli.runner import find_command
 
 
 @pytest.mark.parametrize(
@@ -33,7 +32,7 @@ def test_a_named_option_becomes_its_flag(text: str, spelled: str) -> None:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_flag_is_what_the_rule_says(name: str) -> None:
-    command: click.Command = import_module(f"occmap.cli.commands.{name}").command
+    command = find_command(name)
     options = [each for each in command.params if isinstance(each, click.Option)]
     flags = {each.name: each.opts for each in options if each.name in OPTIONS}
     assert all(spell_flag(option) in flags[option] for option in flags)
@@ -41,7 +40,7 @@ def test_a_flag_is_what_the_rule_says(name: str) -> None:
 
 def test_every_option_can_be_typed() -> None:
     names = ("build", "explain", "render")
-    commands = [import_module(f"occmap.cli.commands.{name}").command for name in names]
+    commands = [find_command(name) for name in names]
     typed = {option for command in commands for each in command.params for option in each.opts}
     positional = {"update"}  # the first word of a build
     assert {spell_flag(name) for name in OPTIONS - positional} <= typed

@@ -1,21 +1,19 @@
 """The command table: its help agrees with the commands, and errors become exit codes."""
 
 import json
-from importlib import import_module
 from importlib.metadata import version
 
-import click
 import pytest
 
 from occmap import cli
 from occmap.cli import COMMANDS, listing
 from occmap.errors import LogError, OccmapError, UsageError
-from tests.cli.runner import occmap, read_error
+from tests.cli.runner import find_command, occmap, read_error
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_the_table_says_what_the_command_says(name: str) -> None:
-    command: click.Command = import_module(f"occmap.cli.commands.{name}").command
+    command = find_command(name)
     assert command.name == name
     assert command.get_short_help_str(limit=200) == COMMANDS[name]
     (help_line,) = [line for line in occmap("--help").out.splitlines() if f"  {name} " in line]

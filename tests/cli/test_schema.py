@@ -3,7 +3,6 @@
 import gzip
 import json
 from collections.abc import Iterator
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from jsonschema import Draft202012Validator
 
 from occmap.cli import COMMANDS
 from occmap.cli.commands.schema import SCHEMAS
-from tests.cli.runner import occmap, read_error
+from tests.cli.runner import find_command, occmap, read_error
 from tests.inspection_logs import Drive, write_bag
 from tests.samples import DRIVES, SAMPLE_LOGS, write_csv
 
@@ -65,7 +64,7 @@ def folder(logs: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_every_command_that_has_json_has_a_schema() -> None:
-    commands = {name: import_module(f"occmap.cli.commands.{name}").command for name in COMMANDS}
+    commands = {name: find_command(name) for name in COMMANDS}
     having = {
         name
         for name, command in commands.items()

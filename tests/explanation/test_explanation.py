@@ -65,8 +65,8 @@ def test_scans_of_the_drive_add_up(tmp_path: Path, update: Update, model: str) -
     evidence = save(tmp_path, DRIVE, options)
     for x, y in choose_points(evidence, 4):
         found = explain(evidence, Question(x, y, (DRIVE,)))
-        assert found.history.observed
-        assert add_up(found.sightings) == (found.history.first, found.history.second)
+        assert found.seen.observations
+        assert add_up(found.scans) == found.seen.numbers
         assert found.scans_used == 414
         assert found.notes == ()
 
@@ -88,11 +88,11 @@ def test_a_cell_is_judged_as_the_map_is(tmp_path: Path) -> None:
             )
             found = explain(evidence, Question(x, y, model=model, min_passes=min_passes))
             assert found.probability == grid.probability[row, col]
-            assert (found.verdict == "unknown") == (not grid.observed[row, col])
-            assert (found.verdict == "occupied") == grid.occupied[row, col]
-            assert (found.verdict == "free") == grid.free[row, col]
+            assert (found.class_ == "unknown") == (not grid.observed[row, col])
+            assert (found.class_ == "occupied") == grid.occupied[row, col]
+            assert (found.class_ == "free") == grid.free[row, col]
             if min_passes is None:
-                assert found.extent == pytest.approx(grid.extent)
+                assert found.map_extent == pytest.approx(grid.extent)
 
 
 @pytest.mark.skipif(not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}")
@@ -101,8 +101,8 @@ def test_scans_of_a_real_log_add_up(tmp_path: Path) -> None:
     evidence = save(tmp_path, log, BuildOptions(jobs=2))
     point = choose_points(evidence, 0)[0]
     found = explain(evidence, Question(*point, (log,)))
-    assert add_up(found.sightings) == (found.history.first, found.history.second)
-    assert found.history.first > 20
+    assert add_up(found.scans) == found.seen.numbers
+    assert found.seen.numbers[0] > 20
 
 
 def ask(folder: Path, poses: list[Planar], point: tuple[float, float]) -> Explanation:
@@ -114,25 +114,25 @@ def ask(folder: Path, poses: list[Planar], point: tuple[float, float]) -> Explan
 def test_one_beam(tmp_path: Path) -> None:
     pose = (0.05, 0.05, 0.0)  # across cells 0, 1 and 2 to x = 0.37
     found = ask(tmp_path, [pose], (0.37, 0.05))
-    (scan,) = found.sightings
+    (scan,) = found.scans
     assert (scan.stamp_ns, scan.topic, scan.build, scan.seen.numbers) == (0, "scan", 0, (1, 0))
     assert (scan.log, scan.x, scan.y) == (str(tmp_path / "log.csv"), 0.05, 0.05)
     assert scan.distance == pytest.approx(0.3)  # to the middle of the cell, x = 0.35
-    assert found.verdict == "occupied"
+    assert found.class_ == "occupied"
     assert found.probability == pytest.approx(0.7)
     on_the_way = ask(tmp_path, [pose], (0.15, 0.05))
-    assert [each.seen.numbers for each in on_the_way.sightings] == [(0, 1)]
-    assert on_the_way.verdict == "free"
+    assert [each.seen.numbers for each in on_the_way.scans] == [(0, 1)]
+    assert on_the_way.class_ == "free"
     assert on_the_way.probability == pytest.approx(0.4)
 
 
 def test_a_wall_seen_twice_and_then_crossed(tmp_path: Path) -> None:
     poses = [(0.05, 0.05, 0.0), (0.65, 0.05, math.pi), (5, 5, 0.0), (0.25, 0.05, 0.0)]
     found = ask(tmp_path, poses, (0.35, 0.05))
-    seconds = [each.stamp_ns / 1e9 for each in found.sightings]
+    seconds = [each.stamp_ns / 1e9 for each in found.scans]
     assert seconds == [0, 1, 3]  # the scan at 2 s was elsewhere
-    assert [each.seen.numbers for each in found.sightings] == [(1, 0), (1, 0), (0, 1)]
-    assert [each.x for each in found.sightings] == [0.05, 0.65, 0.25]
+    assert [each.seen.numbers for each in found.scans] == [(1, 0), (1, 0), (0, 1)]
+    assert [each.x for each in found.scans] == [0.05, 0.65, 0.25]
     odds = (0.7 / 0.3) ** 2 * 0.4 / 0.6
     assert found.probability == pytest.approx(odds / (1 + odds))
     assert found.scans_used == 4
@@ -140,14 +140,14 @@ def test_a_wall_seen_twice_and_then_crossed(tmp_path: Path) -> None:
 
 def test_a_cell_that_nothing_observed(tmp_path: Path) -> None:
     found = ask(tmp_path, [(0.05, 0.05, 0.0), (0.05, 0.25, 0.0)], (0.15, 0.15))
-    assert (found.verdict, found.probability, found.sightings) == ("unknown", 0.5, ())
-    assert found.extent == pytest.approx((0, 0, 0.4, 0.3))
+    assert (found.class_, found.probability, found.scans) == ("unknown", 0.5, ())
+    assert found.map_extent == pytest.approx((0, 0, 0.4, 0.3))
     assert found.notes == ()
 
 
 def test_a_point_outside_of_the_map(tmp_path: Path) -> None:
     found = ask(tmp_path, [(0.05, 0.05, 0.0)], (-70, 1e5))
-    assert (found.verdict, found.sightings) == ("unknown", ())
+    assert (found.class_, found.scans) == ("unknown", ())
 
 
 def test_scans_come_by_time_whatever_the_order_of_the_file(tmp_path: Path) -> None:
@@ -155,7 +155,7 @@ def test_scans_come_by_time_whatever_the_order_of_the_file(tmp_path: Path) -> No
     lines = log.read_text().splitlines()
     log.write_text("\n".join([*lines[:-3], lines[-1], lines[-3], lines[-2], ""]))
     found = explain(save(tmp_path, log), Question(0.35, 0.05, (log,)))
-    assert [each.stamp_ns / 1e9 for each in found.sightings] == [0, 1, 2]
+    assert [each.stamp_ns / 1e9 for each in found.scans] == [0, 1, 2]
 
 
 def test_only_the_scans_that_a_build_used_are_named(tmp_path: Path) -> None:
@@ -163,7 +163,7 @@ def test_only_the_scans_that_a_build_used_are_named(tmp_path: Path) -> None:
     early = save(tmp_path, log, replace(TENTH, selection=Selection(end_s=2.5)), "early")
     third = save(tmp_path, log, replace(TENTH, selection=Selection(start_s=4, stride=3)), "third")
     found = explain(merge([early, third]), Question(0.35, 0.05, (log,)))
-    assert [(each.build, each.stamp_ns / 1e9) for each in found.sightings] == [
+    assert [(each.build, each.stamp_ns / 1e9) for each in found.scans] == [
         *((0, 0), (0, 1), (0, 2)),
         *((1, 4), (1, 7)),
     ]
@@ -214,13 +214,13 @@ def test_deskewed_scans_add_up(tmp_path: Path, update: Update, model: str) -> No
     evidence = save(tmp_path, log, options)
     for x, y in choose_points(evidence, 8):
         found = explain(evidence, Question(x, y, (log,), (path,)))
-        assert add_up(found.sightings) == (found.history.first, found.history.second)
+        assert add_up(found.scans) == found.seen.numbers
 
 
 def test_evidence_that_holds_nothing_has_no_extent(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", [(0.05, 0.05, 0.0)], [0.32])
     evidence = save(tmp_path, log)
-    assert explain(subtract(evidence, evidence), Question(0.35, 0.05)).extent is None
+    assert explain(subtract(evidence, evidence), Question(0.35, 0.05)).map_extent is None
 
 
 def test_thresholds_decide_what_a_cell_is(tmp_path: Path) -> None:
@@ -233,7 +233,7 @@ def test_thresholds_decide_what_a_cell_is(tmp_path: Path) -> None:
         ((0.8, 0.71), "free"),
     ):
         writing = WriteOptions(MapMode.TRINARY, *thresholds)
-        assert explain(evidence, Question(0.35, 0.05, writing=writing)).verdict == verdict
+        assert explain(evidence, Question(0.35, 0.05, writing=writing)).class_ == verdict
 
 
 def test_json_says_it_all(tmp_path: Path) -> None:

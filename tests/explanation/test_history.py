@@ -4,7 +4,6 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from occmap.errors import UsageError
@@ -29,11 +28,11 @@ def observe(folder: Path, poses: list[Planar], model: str = "simple") -> Evidenc
 def test_one_beam_clears_three_cells_and_hits_the_fourth(tmp_path: Path) -> None:
     evidence = observe(tmp_path, [(0.05, 0.05, 0.0)])
     seen = [look_at(evidence, x, 0.05) for x in (0.05, 0.15, 0.25, 0.35, 0.45)]
-    assert [(cell.first, cell.second) for cell in seen] == [(0, 1), (0, 1), (0, 1), (1, 0), (0, 0)]
-    assert [cell.observed for cell in seen] == [True] * 4 + [False]
+    assert [each.seen.numbers for each in seen] == [(0, 1), (0, 1), (0, 1), (1, 0), (0, 0)]
+    assert [each.seen.observations for each in seen] == [1, 1, 1, 1, 0]
     hit = seen[3]
-    assert (hit.row, hit.col, hit.kind) == (0, 3, EvidenceKind.COUNTS)
-    assert hit.extent == pytest.approx((0.3, 0.0, 0.4, 0.1))
+    assert (hit.cell.row, hit.cell.column, hit.seen.kind) == (0, 3, EvidenceKind.COUNTS)
+    assert hit.cell.extent == pytest.approx((0.3, 0.0, 0.4, 0.1))
 
 
 def test_slices_are_told_build_by_build_and_together(tmp_path: Path) -> None:
@@ -58,33 +57,36 @@ def test_slices_are_told_build_by_build_and_together(tmp_path: Path) -> None:
 def test_neighbours_lie_around_the_cell(tmp_path: Path) -> None:
     evidence = observe(tmp_path, [(0.05, 0.05, 0.0)])
     around = look_at(evidence, 0.3, 0.099).around
-    assert around.shape == (3, 3, 2)
-    assert around[1].tolist() == [[0, 1], [1, 0], [0, 0]]
-    assert not around[[0, 2]].any()
+    numbers = [[each.numbers for each in row] for row in around]
+    assert numbers == [[(0, 0)] * 3, [(0, 1), (1, 0), (0, 0)], [(0, 0)] * 3]
+
+
+def test_neighbours_above_come_first(tmp_path: Path) -> None:
+    up = look_at(observe(tmp_path, [(0.05, 0.05, math.pi / 2)]), 0.05, 0.25).around
+    assert [row[1].numbers for row in up] == [(1, 0), (0, 1), (0, 1)]
 
 
 def test_cells_below_zero_are_in_tiles_below_zero(tmp_path: Path) -> None:
     evidence = observe(tmp_path, [(-6.45, -6.45, math.pi / 2)])
     assert evidence.tiles.tolist() == [[-2, -2], [-1, -2]]  # the beam goes up across row -64
-    cell = look_at(evidence, -6.45, -6.15)
-    assert (cell.row, cell.col) == (-62, -65)
-    assert (cell.first, cell.second) == (1, 0)
-    assert look_at(evidence, -6.45, -6.45).second == 1
+    found = look_at(evidence, -6.45, -6.15)
+    assert (found.cell.row, found.cell.column) == (-62, -65)
+    assert found.seen.numbers == (1, 0)
+    assert look_at(evidence, -6.45, -6.45).seen.misses == 1
 
 
 def test_log_odds_come_with_observations(tmp_path: Path) -> None:
     pose = (0.05, 0.05, 0.0)
     once = look_at(observe(tmp_path, [pose], "quadratic"), 0.15, 0.05)
     twice = look_at(observe(tmp_path, [pose, pose], "quadratic"), 0.15, 0.05)
-    assert once.kind is EvidenceKind.LOG_ODDS
-    assert once.first < 0
-    assert (twice.first, twice.second) == (2 * once.first, 2)
+    assert once.seen.kind is EvidenceKind.LOG_ODDS
+    assert once.seen.numbers[0] < 0
+    assert twice.seen.numbers == (2 * once.seen.numbers[0], 2)
 
 
 def test_a_point_elsewhere_is_not_observed(tmp_path: Path) -> None:
     far = look_at(observe(tmp_path, [(0.05, 0.05, 0.0)]), -1e6, 1e6)
-    assert not far.observed
-    assert not np.any(far.around)
+    assert [each.observations for row in far.around for each in row] == [0] * 9
 
 
 @pytest.mark.parametrize("point", [(math.nan, 0), (0, math.inf), (1e30, 0)])

@@ -6,11 +6,12 @@ import pytest
 
 from occmap.errors import UsageError
 from occmap.gates import COUNT, SHARE, Measure, judge, parse_limit
+from occmap.plain import to_plain
 
 MEASURES = (
-    Measure[dict[str, float]]("lost", SHARE, "of the scans", lambda result: result["lost"]),
-    Measure[dict[str, float]]("scans", COUNT, "scans there are", lambda result: result["scans"]),
-    Measure[dict[str, float]]("gap", "s", "longest gap, in s", lambda result: result["gap"]),
+    Measure[dict[str, float]]("lost", SHARE, lambda result: result["lost"]),
+    Measure[dict[str, float]]("scans", COUNT, lambda result: result["scans"]),
+    Measure[dict[str, float]]("gap", "s", lambda result: result["gap"]),
 )
 
 
@@ -66,7 +67,7 @@ def test_all_limits_are_held_and_each_that_fails_is_listed() -> None:
     failed = judge(
         [parse_limit(text, MEASURES) for text in texts], {"scans": 4, "lost": 0, "gap": 3}
     )
-    assert [each.describe() for each in failed] == [
+    assert to_plain(failed) == [
         {"name": "scans", "value": 4, "limit": "scans < 5"},
         {"name": "gap", "value": 3, "limit": "gap > 1"},
     ]
@@ -74,7 +75,7 @@ def test_all_limits_are_held_and_each_that_fails_is_listed() -> None:
 
 @pytest.mark.parametrize("text", ["0.1%", "7%", "12.5%", "0.001", "100%"])
 def test_a_limit_is_written_as_it_is_read(text: str) -> None:
-    assert parse_limit(f"lost > {text}", MEASURES).text == f"lost > {text}"
+    assert parse_limit(f"lost > {text}", MEASURES).condition == f"> {text}"
 
 
 @pytest.mark.parametrize(
@@ -97,7 +98,7 @@ def test_a_limit_is_written_as_it_is_read(text: str) -> None:
             "no measure is called 'lots'; did you mean 'lost'? there are lost, scans",
         ),
         ("zzz > 5", "no measure is called 'zzz'; there are lost, scans, gap"),
-        ("scans > 5%", "scans is not a share (scans there are); leave out the %"),
+        ("scans > 5%", "scans is not a share; leave out the %"),
         ("lost > 1", "1 is the whole, not 1%; write 1% or 0.01, or else 100%"),
         ("lost < 1", "1 is the whole, not 1%"),
         ("lost > 5", "5 is not a share between 0 and 1; write 5% or 0.05"),

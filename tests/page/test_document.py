@@ -53,11 +53,13 @@ def test_a_map_says_what_the_json_says(tmp_path: Path, capsys: pytest.CaptureFix
     path = tmp_path / "m.html"
     found = run_json(capsys, "build", DRIVE, "--resolution", 0.1, "-o", path)
     grid, texts = found["map"], read(path).texts
-    assert f"{grid['columns']:,} x {grid['rows']:,} cells of 0.1 m" in texts
+    size = f"{grid['columns']:,} x {grid['rows']:,} cells of 0.1 m, x "
+    assert any(text.startswith(size) for text in texts)
     assert f"{grid['agreement']:.1%} of the hits lie in occupied cells" in texts
     assert f"{found['scans']['used']:,} of {found['scans']['read']:,} used" in texts
     assert any(text.startswith(f"{grid['occupied']:.1%} occupied") for text in texts)
-    assert f"{found['beams']['hit']:,} beams" in texts
+    beams = f"{sum(found['beams'].values()):,}: {found['beams']['hit']:,} hit"
+    assert any(text.startswith(beams) for text in texts)
     assert hashlib.sha256(DRIVE.read_bytes()).hexdigest() in texts
     assert found["files"] == [str(path)]
 

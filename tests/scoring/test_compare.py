@@ -13,7 +13,7 @@ from occmap.errors import LogError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions
 from occmap.pipeline import build
 from occmap.remarks import Remarks
-from occmap.scoring.compare import VariantComparison, compare
+from occmap.scoring.compare import HeldOutScans, VariantComparison, compare, describe_run
 from occmap.scoring.score import Score, estimate_error
 from occmap.scoring.trials import HoldOut, Result
 from occmap.scoring.variants import Variant, combine, shorten_model
@@ -25,7 +25,6 @@ from occmap.sensor.models import (
     parse_model,
 )
 from occmap.sensor.returns import ReturnOptions
-from occmap.tally import Tally
 from occmap.types import Kind, OccupancyMap, Rays, Update
 from tests.samples import PLAIN, REAL_LOGS, SAMPLE_LOGS, write_csv
 
@@ -137,7 +136,7 @@ def test_the_scores_of_a_wall(tmp_path: Path) -> None:
     comparison = stand_before_a_wall(tmp_path, [1.0])
     score = comparison.results[0].score
     wall, free = (1 / (1 + math.exp(-8 * math.log(p / (1 - p)))) for p in (0.7, 0.4))
-    assert comparison.held_out == 2
+    assert comparison.scans.held_out == 2
     assert (score.beams, score.share) == (2, 1.0)
     assert score.occupied_cost == pytest.approx(-math.log(wall), rel=1e-4)
     assert score.free_cost == pytest.approx(-math.log(1 - free), rel=1e-4)
@@ -163,7 +162,7 @@ def test_scans_that_all_differ_in_geometry_are_held_out_one_by_one(tmp_path: Pat
     head = "# angle_increment: 0\nstamp,x,y,yaw,angle_min,r0\n"
     log.write_text(head + "".join(f"{i},0.025,0.025,0,{0.001 * i},1.0\n" for i in range(10)))
     comparison = compare([log], combine([Update.BEAM], []), BuildOptions(jobs=2))
-    assert comparison.held_out == 2
+    assert comparison.scans.held_out == 2
     assert all(result.score.share == 1 for result in comparison.results)
 
 
@@ -202,7 +201,9 @@ def make_result(
 
 def rank(*results: Result) -> VariantComparison:
     ranked = tuple(result.compare_with(results[0]) for result in results)
-    return VariantComparison(BuildOptions(), Remarks(["x"]), Tally(), 3, ranked)
+    options, scans = BuildOptions(), HeldOutScans(15, 15, {}, held_out=3)
+    run = describe_run(Remarks(["x"]), options)
+    return VariantComparison(**run, scans=scans, options=options, results=ranked, files=[])
 
 
 def choose(*results: Result) -> str:
@@ -262,7 +263,7 @@ def test_a_drive_is_foretold_well_by_every_variant(drive: VariantComparison) -> 
     shares = [result.score.share for result in drive.results]
     assert shares == sorted(shares, reverse=True)
     assert shares[-1] > 0.9
-    assert (drive.tally.scans_used, drive.held_out) == (414, 83)
+    assert (drive.scans.used, drive.scans.held_out) == (414, 83)
     assert all(result.bytes > 0 and result.seconds > 0 for result in drive.results)
 
 

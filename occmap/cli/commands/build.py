@@ -1,25 +1,29 @@
 """`occmap build`: one map from one or more logs."""
 
+from collections.abc import Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import click
 
 from occmap.cli import COMMANDS, limits, log_options, options
-from occmap.cli.collect import collect_options, split_words
-from occmap.cli.console import Console
+from occmap.cli.collect import Values, collect_model
+from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.progress import Bar, show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.streams import gather_logs, hide_caught, place_outputs
-from occmap.cli.summary import format_report
-from occmap.cli.values import PATH, parse_size, read_by
+from occmap.cli.values import PATH, parse_size
 from occmap.errors import LogError, UsageError
 from occmap.gates.measures import BUILD
 from occmap.grid.framing import Framing
-from occmap.options import DEFAULT_UPDATE, BuildOptions
+from occmap.keywords import take
+from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.pipeline import build
 from occmap.report import Report
+from occmap.summary import tell_beams, tell_map, tell_scans
+from occmap.types import Update
 
 HELP = f"""{COMMANDS["build"]}
 
@@ -59,21 +63,13 @@ fleet = join(
         options.RUN,
         "--slice",
         "slice_bytes",
-        **read_by(parse_size),
+        type=parse_size,
         metavar="SIZE",
         default="256MB",
         show_default=True,
         help="With --dask: how much of a log is one task.",
     ),
 )
-
-
-class Request(NamedTuple):
-    """What a command line asks for."""
-
-    logs: list[Path]
-    options: BuildOptions
-    outputs: tuple[Path, ...]
 
 
 @click.command("build", cls=SectionCommand, help=HELP, short_help=COMMANDS["build"])
@@ -87,22 +83,27 @@ class Request(NamedTuple):
 @click.pass_obj
 def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
     """Build a map, write it, and say how it came about."""
-    request = collect_request(words, values)
-    logs = gather_logs(console, request.logs, request.options, request.outputs)
-    outputs = place_outputs(console, request.outputs, logs[0])
-    request = request._replace(logs=logs, outputs=outputs)
+    given, chosen = read_request(words, values)
+    logs = gather_logs(console, given, chosen, values["outputs"])
+    values["outputs"] = place_outputs(console, values["outputs"], logs[0])
     start = perf_counter()
     with show_progress(console) as progress:
-        report = hide_caught(run_build(request, values, progress))
+        report = hide_caught(run_build(logs, chosen, values, progress))
     console.note(*report.notes)
-    lines = format_report(report, perf_counter() - start)
-    failed = limits.answer(console, "build", report, lines, values)
+    rows = [
+        *tell_map(report.map),
+        *tell_scans(report),
+        tell_beams(report),
+        ("time", describe_time(report, perf_counter() - start)),
+        *label_first("files", report.files),
+    ]
+    failed = limits.answer(console, "build", report, write_rows(rows), values)
     if values["strict"]:
         refuse_damage(report)
     limits.leave(failed)
 
 
-def collect_request(words: tuple[str, ...], values: dict[str, Any]) -> Request:
+def read_request(words: Sequence[str], values: Values) -> tuple[list[Path], BuildOptions]:
     """Read the command line as a whole.
 
     Raises
@@ -113,12 +114,35 @@ def collect_request(words: tuple[str, ...], values: dict[str, Any]) -> Request:
     update, logs = split_words(words)
     if not values["outputs"]:
         raise UsageError("where to write the map is not given", fix="add -o map.pgm")
-    return Request(logs, collect_options(update, values), values["outputs"])
+    model = collect_model(values, choose_model(update))
+    return logs, take(BuildOptions, {**values, "update": update, "model": model})
 
 
-def run_build(request: Request, values: dict[str, Any], progress: Bar) -> Report:
+def split_words(words: Sequence[str]) -> tuple[Update, list[Path]]:
+    """Tell the update, where one is named, from the logs.
+
+    Raises
+    ------
+    UsageError
+        There is no log, or the first word looks like a mistyped update.
+    """
+    updates = [update.value for update in Update]
+    update = DEFAULT_UPDATE
+    if words and words[0] in updates:
+        update, words = Update(words[0]), words[1:]
+    elif words and words[0].isalpha() and not Path(words[0]).exists():
+        close = get_close_matches(words[0].lower(), updates, n=1)
+        if close:
+            found = f"{words[0]!r} is neither a log nor an update"
+            raise UsageError(found, fix=f"did you mean {close[0]!r}?")
+    if not words:
+        raise UsageError("no log is given", fix="type: occmap build LOG -o map.pgm")
+    return update, [Path(word) for word in words]
+
+
+def run_build(logs: list[Path], chosen: BuildOptions, values: Values, progress: Bar) -> Report:
     """Build in this process, or by the workers that --dask names."""
-    logs, chosen, outputs = request
+    outputs = values["outputs"]
     if values["dask"] is None:
         return build(logs, chosen, outputs, progress).report
     from occmap.fleet import Fleet  # noqa: PLC0415  late: few builds need it
@@ -132,6 +156,13 @@ def run_build(request: Request, values: dict[str, Any], progress: Bar) -> Report
     from occmap.fleet.storing import build_store  # noqa: PLC0415  late: it brings zarr
 
     return build_store(fleet, logs, chosen, outputs[0], progress)
+
+
+def describe_time(report: Report, seconds: float) -> str:
+    """Say how long it took, and what took long; the stages of several threads add up."""
+    rate = report.scans.used / max(seconds, 1e-9)
+    stages = ", ".join(f"{name} {spent:.2f}" for name, spent in report.seconds.items())
+    return f"{seconds:.2f} s, {rate:,.0f} scans/s ({stages})"
 
 
 def refuse_damage(report: Report) -> None:

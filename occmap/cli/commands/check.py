@@ -1,21 +1,37 @@
 """`occmap check`: what is in logs and what will go wrong, before they are mapped."""
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
 from occmap.cli import COMMANDS, limits, log_options, options
-from occmap.cli.console import Console, Verbosity
-from occmap.cli.findings import format_inspection
+from occmap.cli.console import Console, Verbosity, label_first, write_command, write_rows
 from occmap.cli.sections import SectionCommand, join
 from occmap.cli.streams import gather_logs
 from occmap.cli.values import PATH
 from occmap.gates.measures import CHECK
 from occmap.inspection import inspect
+from occmap.inspection.findings import Inspection, LogFindings, RangeFindings
+from occmap.inspection.telling import (
+    Row,
+    describe_map,
+    list_kinds,
+    list_pose_facts,
+    list_repeated,
+    list_scan_facts,
+    tell_crossed,
+    tell_ranges,
+    tell_sources,
+)
 from occmap.keywords import take
 from occmap.options import BuildOptions
+from occmap.readers import Role, Stream
 from occmap.writers.outputs import check_picture
+
+LABEL = 10
+"""Width of the column of labels"""
 
 HELP = f"""{COMMANDS["check"]}
 
@@ -46,7 +62,7 @@ def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> Non
     chosen = take(BuildOptions, values)
     inspection = inspect(gather_logs(console, logs, chosen), chosen)
     if values["output"]:
-        from occmap.page.inspection import write_inspection  # noqa: PLC0415  late: few want it
+        from occmap.page.findings import write_inspection  # noqa: PLC0415  late: few want it
 
         write_inspection(values["output"], inspection)
     if console.verbosity is Verbosity.QUIET:
@@ -56,3 +72,51 @@ def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> Non
     if not inspection.buildable:
         ctx.exit(1)
     limits.leave(failed)
+
+
+def format_inspection(inspection: Inspection) -> Iterator[str]:
+    """Write all findings; problems and the recommended command come last."""
+    for log in inspection.logs:
+        yield log.path
+        yield from write_rows(((f"  {name}", text) for name, text in list_log(log)), LABEL)
+        yield ""
+    rows = [] if inspection.map is None else [("map", describe_map(inspection.map))]
+    rows += [("warning", text) for text in inspection.warnings]
+    rows += [("problem", text) for text in inspection.problems]
+    yield from write_rows(rows, LABEL)
+    if inspection.command:
+        yield from ("", write_command(inspection.command))
+
+
+def list_log(log: LogFindings) -> Iterator[Row]:
+    """List all about one log."""
+    yield from label_first("topics", list_streams(log.streams))
+    for topic in log.scans:
+        yield "", ""
+        yield from list_scan_facts(topic)
+        yield from label_first("ranges", list_ranges(topic.ranges))
+        yield from list_pose_facts(topic)
+    if log.coverage:
+        yield "", ""
+    yield from label_first("sources", tell_sources(log.coverage))
+    yield from label_first("note", [text for text in log.notes if text not in log.damage])
+
+
+def list_streams(streams: Sequence[Stream]) -> Iterator[str]:
+    """List the topics with their types and counts, and what each is good for."""
+    width = max((len(stream.topic) for stream in streams), default=0)
+    kinds = max((len(stream.type) for stream in streams), default=0)
+    for stream in streams:
+        role = "" if stream.role is Role.OTHER else f"  {stream.role}s"
+        yield f"{stream.topic:<{width}}  {stream.type:<{kinds}}  {stream.count:>8,}{role}"
+
+
+def list_ranges(ranges: RangeFindings) -> Iterator[str]:
+    """Write a histogram of the range values that are special, and what each suggests."""
+    yield tell_ranges(ranges)
+    for name, number, share, meaning in list_kinds(ranges):
+        yield f"{name:<12} {number:>10} {share:>6}  {meaning}"
+    for value, share, meaning in list_repeated(ranges):
+        yield f"{value:<12} repeated: {share}; {meaning}"
+    if crossed := tell_crossed(ranges):
+        yield crossed

@@ -84,7 +84,7 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     found = gather_logs(console, logs, common)
     with show_progress(console) as progress:
         comparison = compare(found, chosen, common, values["picture"], progress)
-    console.note(*comparison.remarks.notes)
+    console.note(*comparison.notes)
     lines = format_comparison(comparison)
     limits.leave(limits.answer(console, "compare", comparison, lines, values))
 
@@ -93,15 +93,15 @@ def format_comparison(comparison: VariantComparison) -> list[str]:
     """Write the table, on what it rests, and the command line of the best."""
     best, likeliest = comparison.recommended, comparison.likeliest
     preference = comparison.preference
-    held = count(comparison.held_out, "held-out scan")
+    held = count(comparison.scans.held_out, "held-out scan")
     rest = f"scored by {count(best.score.beams, 'beam')} of {held}"
     lines = [
         *format_table(comparison.results),
         "",
         *format_reliability(best),
         "",
-        f"{rest}; {comparison.tally.scans_used:,} of {comparison.tally.scans_read:,} used",
-        *(f"picture: {file}" for file in comparison.remarks.files),
+        f"{rest}; {comparison.scans.used:,} of {comparison.scans.read:,} used",
+        *(f"picture: {file}" for file in comparison.files),
         *([f"as good within the error: {preference}"] if preference else []),
         f"best: {best.variant.name}",
         write_command(comparison.build_command(best)),

@@ -7,10 +7,9 @@ from typing import Any
 import click
 
 from occmap.cli import COMMANDS, limits, options
-from occmap.cli.console import Console
+from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.sections import SectionCommand, join, option
-from occmap.cli.summary import LABEL
-from occmap.cli.values import PATH, read_by
+from occmap.cli.values import PATH
 from occmap.difference import MapDifference, compare_files
 from occmap.gates import Limit, parse_bound
 from occmap.gates.measures import DIFF
@@ -50,7 +49,7 @@ picture = options.one_output(
 fail_above = option(
     limits.LIMITS,
     "--fail-above",
-    **read_by(limit_change),
+    type=limit_change,
     metavar="SHARE",
     help="Exit with 3 if more of the known cells changed: 0.01, or 1%.",
 )
@@ -67,26 +66,22 @@ def command(console: Console, /, before: Path, after: Path, **values: Any) -> No
     difference = compare_files(before, after, take(WriteOptions, values), values["output"])
     if values["fail_above"]:
         values["limits"] = (values["fail_above"], *values["limits"])
-    lines = format_comparison(difference)
+    lines = write_rows(list_changes(difference))
     limits.leave(limits.answer(console, "diff", difference, lines, values))
 
 
-def format_comparison(difference: MapDifference) -> Iterator[str]:
-    """Sum up a difference in a few lines."""
+def list_changes(difference: MapDifference) -> Iterator[tuple[str, str]]:
+    """Sum up a difference in a few rows."""
     changed = sum(difference.changed.values())
     known = f"{difference.share:.3%} of {count(difference.known, 'known cell')}"
-    yield f"{'changed':<{LABEL}}{count(changed, 'cell')}, {known}"
-    for name, cells in difference.changed.items():
-        if cells:
-            yield f"{'':<{LABEL}}{cells:,} {name}"
+    by_class = [f"{cells:,} {name}" for name, cells in difference.changed.items() if cells]
+    yield from label_first("changed", [f"{count(changed, 'cell')}, {known}", *by_class])
     if difference.largest:
         low_x, low_y, high_x, high_y = (f"{value:.6g}" for value in difference.largest.extent)
         blob = count(difference.largest.cells, "connected cell")
-        where = f"x {low_x} to {high_x}, y {low_y} to {high_y}"
-        yield f"{'largest':<{LABEL}}{blob}, {where}"
+        yield "largest", f"{blob}, x {low_x} to {high_x}, y {low_y} to {high_y}"
     before, after = difference.digests
     if before and after and before == after:
-        yield f"{'digest':<{LABEL}}{before}, of both"
+        yield "digest", f"{before}, of both"
     elif before and after:
-        yield f"{'digests':<{LABEL}}{before}"
-        yield f"{'':<{LABEL}}{after}"
+        yield from label_first("digests", [before, after])

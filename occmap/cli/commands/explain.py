@@ -1,21 +1,26 @@
 """`occmap explain`: what was seen at a point, and by which scans."""
 
 import re
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
 from occmap.cli import COMMANDS, options
-from occmap.cli.cells import format_explanation
-from occmap.cli.console import Console
+from occmap.cli.collect import choose_saved_model
+from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.progress import show_progress
-from occmap.cli.saved import choose_model
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.values import PATH
-from occmap.explanation import Question, explain
+from occmap.explanation import Explanation, Question, describe_numbers, explain
+from occmap.explanation.history import Seen, Visits
+from occmap.explanation.provenance import shorten
+from occmap.explanation.sightings import add_up
+from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.keywords import take
 from occmap.store.sources import open_saved
+from occmap.wording import count, write_box, write_time
 from occmap.writers import WriteOptions
 
 HELP = f"""{COMMANDS["explain"]}
@@ -29,6 +34,11 @@ it lies now.
   occmap explain map.npz 1.5 -0.25 --log drive.mcap
   occmap explain map.npz 1.5 -0.25 --log scans.csv --poses trajectory.txt --json
 """
+
+MOST_SCANS = 12
+"""More are cut out of the middle of the list"""
+MOST_BUILDS = 6
+Row = tuple[str, ...]
 
 NUMBER = r"(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?"
 NEGATIVE = re.compile(f"-{NUMBER}")
@@ -73,7 +83,7 @@ poses = option(
 def command(console: Console, /, path: Path, **values: Any) -> None:
     """Look at a cell, and print what was found."""
     evidence = open_saved(path)
-    view = {"model": choose_model(evidence, values), "writing": take(WriteOptions, values)}
+    view = {"model": choose_saved_model(evidence, values), "writing": take(WriteOptions, values)}
     question = take(Question, values | view)
     with show_progress(console) as progress:
         explanation = explain(evidence, question, progress)
@@ -81,4 +91,124 @@ def command(console: Console, /, path: Path, **values: Any) -> None:
     if values["as_json"]:
         console.put_json("explain", explanation.to_json())
     else:
-        console.put(format_explanation(explanation))
+        console.put(format_explanation(explanation, with_scans=bool(values["logs"])))
+
+
+def format_explanation(explanation: Explanation, with_scans: bool) -> Iterator[str]:
+    """Write all that was found; the scans only where logs were looked through for them."""
+    rows = [*list_cell(explanation)]
+    if explanation.digest:
+        rows.append(("digest", explanation.digest))
+    if with_scans:
+        rows += list_scans(explanation)
+    return write_rows(rows)
+
+
+def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
+    """Say where the cell is, what it is, and what is beside it."""
+    cell, seen = explanation.cell, explanation.seen
+    yield "cell", f"row {cell.row}, column {cell.column}: {write_box(cell.extent)}"
+    if explanation.class_ != "unknown":
+        by = f"probability {explanation.probability:.3f} by {explanation.model}"
+        yield "class", f"{explanation.class_}: {by}"
+    elif seen.observations:
+        yield "class", "unknown: it was hit, but on fewer visits than --min-passes"
+    else:
+        yield "class", "unknown: nothing observed this cell"
+    if seen.observations:
+        yield "seen", describe_numbers(seen.numbers, seen.kind, explanation.unit)
+        yield from list_builds(explanation)
+    if explanation.map_extent:
+        low_x, low_y, high_x, high_y = explanation.map_extent
+        x, y = explanation.point
+        if not (low_x <= x < high_x and low_y <= y < high_y):
+            yield "", f"it lies outside of the map: {write_box(explanation.map_extent)}"
+    else:
+        yield "", "nor any other: the evidence is empty"
+    if any(each.observations for row in explanation.around for each in row):
+        yield from list_around(explanation)
+
+
+def list_builds(explanation: Explanation) -> Iterator[tuple[str, str]]:
+    """Say on how many visits each build observed the cell, and when; and then all together."""
+    shown = explanation.builds[:MOST_BUILDS]
+    for index, build in enumerate(shown):
+        yield "" if index else "visits", f"{shorten(build.logs)}: {describe_visits(build)}"
+    if len(shown) < len(explanation.builds):
+        yield "", f"and {len(explanation.builds) - len(shown):,} more builds: --json lists all"
+    if len(shown) > 1 and explanation.visits:
+        yield "", f"together: {describe_visits(explanation.visits)}"
+
+
+def describe_visits(visits: Visits) -> str:
+    """Write on how many visits a cell was observed, and between which ends of slices."""
+    found = count(visits.seen_visits, "visit")
+    if visits.hit_visits is not None:
+        found = f"hit on {visits.hit_visits:,} of {found}"
+    return f"{found}, between {write_time(visits.since_ns)} and {write_time(visits.until_ns)}"
+
+
+def list_around(explanation: Explanation) -> Iterator[tuple[str, str]]:
+    """Write the cell and its eight neighbours as they lie on a map, y upwards."""
+    counts = explanation.seen.kind is EvidenceKind.COUNTS
+    names = "hits/misses" if counts else "log-odds/observations"
+    table = [
+        tuple("/".join(split_pair(each, explanation)) if any(each.numbers) else "-" for each in row)
+        for row in explanation.around
+    ]
+    yield from label_first("around", [f"{names} of the cells beside it, y upwards", *align(table)])
+
+
+def split_pair(seen: Seen, explanation: Explanation) -> Row:
+    """Write the two numbers of a cell, in observations."""
+    first, second = (each / explanation.unit for each in seen.numbers)
+    if seen.kind is EvidenceKind.LOG_ODDS:
+        return f"{first * LOG_ODDS_UNIT:.2f}", f"{second:.15g}"
+    return f"{first:.15g}", f"{second:.15g}"
+
+
+def list_scans(explanation: Explanation) -> Iterator[tuple[str, str]]:
+    """Sum up the scans that observed the cell, and list the first and the last of them."""
+    scans = explanation.scans
+    used = f"of {count(explanation.scans_used, 'scan')} used"
+    if not scans:
+        yield "scans", f"none {used} observed the cell"
+        return
+    yield "scans", f"{len(scans):,} {used}: {describe_sum(explanation)}"
+    half = MOST_SCANS // 2
+    shown = scans if len(scans) <= MOST_SCANS else (*scans[:half], *scans[-half:])
+    counts = explanation.seen.kind is EvidenceKind.COUNTS
+    names = ("hits", "misses") if counts else ("log-odds", "obs.")
+    head = ("stamp (s)", *names, "sensor at (m)", "away (m)", "from")
+    rows = [
+        (
+            f"{scan.stamp_ns / 1e9:.3f}",
+            *split_pair(scan.seen, explanation),
+            f"{scan.x:.3f}, {scan.y:.3f}",
+            f"{scan.distance:.3f}",
+            f"{Path(scan.log).name} {scan.topic}",
+        )
+        for scan in shown
+    ]
+    for index, line in enumerate(align([head, *rows])):
+        if index == half + 1 and len(shown) < len(scans):
+            yield "", f"... {len(scans) - len(shown):,} more: --json lists all ..."
+        yield "", line
+
+
+def describe_sum(explanation: Explanation) -> str:
+    """Say how many scans spoke for what, and what they add up to."""
+    pairs, kind = [each.seen.numbers for each in explanation.scans], explanation.seen.kind
+    sums = describe_numbers(add_up(explanation.scans), kind, explanation.unit)
+    if kind is EvidenceKind.LOG_ODDS:
+        raised, lowered = sum(first > 0 for first, _ in pairs), sum(first < 0 for first, _ in pairs)
+        return f"{raised:,} for occupied, {lowered:,} for free; {sums}"
+    hit, cleared = sum(first > 0 for first, _ in pairs), sum(second > 0 for _, second in pairs)
+    return f"{hit:,} hit it, {cleared:,} cleared it; {sums}"
+
+
+def align(table: Sequence[Row]) -> Iterator[str]:
+    """Write rows with their columns under each other, numbers to the right."""
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    for row in table:
+        yield "  ".join(f"{text:>{width}}" for text, width in zip(row, widths, strict=True))

@@ -8,21 +8,23 @@ import click
 
 from occmap.cli import COMMANDS, options
 from occmap.cli.console import RESULT_VERSION, put_line, spell_all
+from occmap.cli.listing import KINDS, Listed
 from occmap.cli.schemas import make_schema
-from occmap.gates import PrintedFailed
+from occmap.gates import Failed
+from occmap.plugins import Broken
 
 SCHEMAS = {
     "build": "occmap.report:Report",
     "check": "occmap.inspection.findings:Inspection",
     "compare": "occmap.scoring.compare:PrintedComparison",
     "diff": "occmap.difference:PrintedDifference",
-    "explain": "occmap.explanation.printed:PrintedExplanation",
+    "explain": "occmap.explanation:Explanation",
     "merge": "occmap.report:Report",
-    "models": "occmap.cli.listing:PrintedModels",
-    "readers": "occmap.cli.listing:PrintedReaders",
+    "models": "occmap.cli.listing:Listing",
+    "readers": "occmap.cli.listing:Listing",
     "render": "occmap.report:Report",
-    "tune": "occmap.tuning.result:PrintedTuning",
-    "writers": "occmap.cli.listing:PrintedWriters",
+    "tune": "occmap.tuning.result:Tuning",
+    "writers": "occmap.cli.listing:Listing",
     "error": "occmap.cli.console:PrintedError",
 }
 """The type of what a command prints; `error` is what any of them prints where it fails."""
@@ -65,6 +67,12 @@ def describe_printed(name: str) -> dict[str, Any]:
     if name == "check":
         more["buildable"] = bool, "Whether occmap build with the options given makes a map"
     if name not in WITHOUT_LIMITS:
-        more["failed"] = list[PrintedFailed], FAILED
+        more["failed"] = list[Failed], FAILED
+    if name in KINDS:
+        more[name] = list[Listed], KINDS[name][1]
+        more["broken"] = list[Broken], "Plugins that do not load"
     printed = getattr(import_module(module), kind)
-    return make_schema(f"occmap {name} --json", printed, {"schema": version}, more)
+    schema = make_schema(f"occmap {name} --json", printed, {"schema": version}, more)
+    if name in KINDS:
+        schema["description"] = f"{KINDS[name][1]}: what occmap {name} prints."
+    return schema

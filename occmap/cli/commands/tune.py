@@ -51,24 +51,23 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     found = gather_logs(console, logs, common)
     with show_progress(console) as progress:
         tuning = tune(found, common, progress)
-    console.note(*tuning.remarks.notes)
+    console.note(*tuning.notes)
     limits.leave(limits.answer(console, "tune", tuning, format_tuning(tuning), values))
 
 
 def format_tuning(tuning: Tuning) -> Iterator[str]:
     """Write what came of each search, on what that rests, and the build line."""
-    before, after = tuning.before.score, tuning.after.score
-    gained = (
-        f" -> {after.share:.4f}, a gain of {format_gain(*tuning.gain)}" if tuning.command else ""
-    )
-    held = f"{count(before.beams, 'beam')} of {count(tuning.held_out, 'held-out scan')}"
+    gain = format_gain(tuning.gain, tuning.gain_error)
+    gained = f" -> {tuning.share:.4f}, a gain of {gain}" if tuning.command else ""
+    held = f"{count(tuning.beams, 'beam')} of {count(tuning.scans.held_out, 'held-out scan')}"
+    maps = f"{count(len(tuning.tried), 'map')} of {count(tuning.scans.kept, 'scan')}"
     yield f"time     {format_finding(tuning.time, ['time_s'])}"
     yield f"mount    {format_finding(tuning.mount, ['yaw', 'x', 'y'])}"
     if tuning.together.verdict is Verdict.FOUND:
         together = format_finding(tuning.together, ["time_s", "yaw", "x", "y"])
         yield f"together {together}"
-    yield f"share    {before.share:.4f}{gained}"
-    yield f"scored   by {held}; {count(len(tuning.tried), 'map')} of {count(tuning.kept, 'scan')}"
+    yield f"share    {tuning.share_before:.4f}{gained}"
+    yield f"scored   by {held}; {maps}"
     disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
     unsure = disagree or tuning.is_doubtful
     nothing = "nothing is recommended" if unsure else "nothing to gain"

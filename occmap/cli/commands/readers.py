@@ -1,5 +1,0 @@
-"""`occmap readers`: the log formats that can be read."""
-
-from occmap.cli.listing import make_command
-
-command = make_command("readers", "occmap.readers")

@@ -1,5 +1,0 @@
-"""`occmap writers`: the map formats that can be written."""
-
-from occmap.cli.listing import make_command
-
-command = make_command("writers", "occmap.writers")
