@@ -9,8 +9,8 @@ import numpy as np
 
 from occmap.errors import MapError, OccmapError
 from occmap.evidence.manifest import describe_profile
-from occmap.grid.lattice import Lattice
-from occmap.grid.rendering import SpreadHits, TileSource, find_bounds, measure_agreement, paint
+from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid.rendering import SpreadHits, TileSource, count_agreeing, find_bounds, paint
 from occmap.grid.spec import find_unit
 from occmap.grid.stacks import add_stack, stack_tiles
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid, refuse_large
@@ -38,14 +38,18 @@ def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
     MapError
         Nothing was observed, or the map would be too large.
     """
-    tiles = choose_tiles(grid, model)
-    box = find_bounds(tiles)
+    box = find_bounds(choose_tiles(grid, model))
     refuse_large(box, grid.lattice, max_cells)
-    log_odds, observed = paint(tiles, weigh(model), to_log_odds(model.prior), box)
-    origin = (grid.lattice.to_metres(box.col), grid.lattice.to_metres(box.row))
-    decision = find_decision(model)
-    made = OccupancyMap(log_odds, observed, grid.lattice.resolution, origin, decision)
-    return replace(made, agreement=measure_agreement(grid, made.occupied, box))
+    made = paint_box(grid, model, box)
+    agreeing, hits = count_agreeing(grid, made.occupied, box)
+    return replace(made, agreement=agreeing / hits if hits else None)
+
+
+def paint_box(grid: TileGrid, model: SensorModel, box: CellBox) -> OccupancyMap:
+    """Let a model say what the evidence means in a box of cells; the map knows no agreement."""
+    painted = paint(choose_tiles(grid, model), weigh(model), to_log_odds(model.prior), box)
+    x, y, _, _ = grid.lattice.measure(box)
+    return OccupancyMap(*painted, grid.lattice.resolution, (x, y), find_decision(model))
 
 
 def choose_tiles(grid: TileGrid, model: SensorModel) -> TileSource:

@@ -20,15 +20,16 @@ from occmap.engines import make_grid
 from occmap.errors import OutputError
 from occmap.evidence.manifest import UNRECORDED, write_value
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
-from occmap.fleet.reducing import ReduceJob, reduce_block
 from occmap.fleet.runs import Piece, read_pieces
 from occmap.fleet.settling import LogTrace
 from occmap.fleet.tasks import (
+    BlockJob,
     Setting,
     Survey,
     SurveyJob,
     Traced,
     count_in_window,
+    reduce_block,
     survey_log,
     trace_part,
 )
@@ -228,10 +229,10 @@ def plan_traces(cluster: Cluster, setting: Setting, surveys: Sequence[Survey]) -
     return [LogTrace(setting, survey, counts[survey.log]) for survey in surveys]
 
 
-def list_reductions(work: Work) -> list[ReduceJob]:
+def list_reductions(work: Work) -> list[BlockJob]:
     """List the blocks that are to be added up, each with all that was observed in it."""
     return [
-        ReduceJob(work.setting, block, tuple(chain.from_iterable(work.blocks[block].values())))
+        BlockJob(work.setting, block, tuple(chain.from_iterable(work.blocks[block].values())))
         for block in sorted(work.blocks)
     ]
 

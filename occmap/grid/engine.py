@@ -156,7 +156,7 @@ def add_room(box: CellBox, most_cells: int) -> CellBox:
     room = max(box.rows // 2, box.cols // 2, 128)
     while room > 0 and (box.rows + 2 * room) * (box.cols + 2 * room) > limit:
         room //= 2
-    return CellBox(box.row - room, box.col - room, box.row_end + room, box.col_end + room)
+    return box.grow(room)
 
 
 def split_box(box: CellBox, most_cells: int) -> list[CellBox]:

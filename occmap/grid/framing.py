@@ -71,8 +71,8 @@ def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) ->
     box = choose_box(whole, framing, lattice)
     refuse_large(box, lattice, max_cells)
     shared = whole.clip(box)
-    log_odds = np.full((box.rows, box.cols), to_log_odds(prior), np.float32)
-    observed = np.zeros((box.rows, box.cols), np.bool_)
+    log_odds = np.full(box.shape, to_log_odds(prior), np.float32)
+    observed = np.zeros(box.shape, np.bool_)
     inside, own = find_window(shared, box), find_window(shared, whole)
     log_odds[inside], observed[inside] = grid.log_odds[own], grid.observed[own]
     origin = lattice.to_metres(box.col), lattice.to_metres(box.row)
@@ -90,15 +90,13 @@ def choose_box(whole: CellBox, framing: Framing, lattice: Lattice) -> CellBox:
     size = lattice.resolution
     if framing.extent is None:
         more = math.ceil(framing.margin / size - CELL_SLACK)
-        row, col, row_end, col_end = whole
-        return CellBox(row - more, col - more, row_end + more, col_end + more)
+        return whole.grow(more)
     x_min, y_min, x_max, y_max = (edge / size for edge in framing.extent)
     row, col = math.floor(y_min + CELL_SLACK), math.floor(x_min + CELL_SLACK)
     row_end, col_end = math.ceil(y_max - CELL_SLACK), math.ceil(x_max - CELL_SLACK)
     box = CellBox(row, col, max(row_end, row + 1), max(col_end, col + 1))
     if not whole.clip(box).cells:
-        edges = (whole.col, whole.row, whole.col_end, whole.row_end)
-        reach = ", ".join(f"{lattice.to_metres(edge):.6g}" for edge in edges)
+        reach = ", ".join(f"{edge:.6g}" for edge in lattice.measure(whole))
         raise MapError("no cell of the map lies in `extent`", fix=f"the map's own box is {reach}")
     return box
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from occmap.errors import UsageError
 from occmap.grid.kernels.units import CELL_SHIFT, UNITS_PER_CELL
-from occmap.types import Bool, Float64, Int64
+from occmap.types import Bool, Box, Float64, Int64
 
 MOST_CELLS_OF_BEAM = 1 << 22
 """The longest beam (cells): an int32 holds its end, with the sensor half as far from the anchor."""
@@ -51,6 +51,11 @@ class CellBox(NamedTuple):
         return self.col_end - self.col
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.rows, self.cols
+
+    @property
     def cells(self) -> int:
         """How many cells it covers."""
         return self.rows * self.cols
@@ -77,6 +82,11 @@ class CellBox(NamedTuple):
         """Move the box up by `rows` and to the right by `cols`."""
         ends = (self.row + rows, self.col + cols, self.row_end + rows, self.col_end + cols)
         return type(self)(*ends)
+
+    def grow(self, cells: int) -> Self:
+        """The box with so many cells more on each side."""
+        ends = self.row_end + cells, self.col_end + cells
+        return type(self)(self.row - cells, self.col - cells, *ends)
 
     def align(self, side: int) -> Self:
         """The smallest box around this one that is made of squares of `side` by `side` cells."""
@@ -133,3 +143,8 @@ class Lattice:
     def to_metres(self, cells: int) -> float:
         """The coordinate of the lower or left edge of a row or column (m)."""
         return round(cells * self.resolution, 12)  # -3.05, and not -3.0500000000000003
+
+    def measure(self, box: CellBox) -> Box:
+        """The edges of a box of cells (m)."""
+        row, col, row_end, col_end = map(self.to_metres, box)
+        return col, row, col_end, row_end

@@ -144,13 +144,10 @@ def refuse_large(box: CellBox, lattice: Lattice, max_cells: int) -> None:
         Saying how far it would reach, and what to do.
     """
     if box.cells > max_cells:
-        low, high = (
-            f"({lattice.to_metres(col):.6g}, {lattice.to_metres(row):.6g})"
-            for row, col in ((box.row, box.col), (box.row_end, box.col_end))
-        )
+        x, y, right, top = (f"{edge:.6g}" for edge in lattice.measure(box))
         raise MapError(
-            f"the map would reach from {low} to {high} m: {box.cols} x {box.rows} cells, more than "
-            f"`max_cells={max_cells}`",
+            f"the map would reach from ({x}, {y}) to ({right}, {top}) m: {box.cols} x {box.rows} "
+            f"cells, more than `max_cells={max_cells}`",
             fix="if a pose is wrong, leave it out with `start_s` and `end_s`; else use a coarser "
             "`resolution`, a shorter `max_range`, or raise `max_cells`",
         )

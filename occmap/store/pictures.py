@@ -4,16 +4,15 @@ from typing import Any
 
 import numpy as np
 
-from occmap.evidence import choose_tiles, weigh
+from occmap.evidence import paint_box
 from occmap.grid.lattice import CellBox, Lattice
-from occmap.grid.rendering import paint
 from occmap.grid.spec import find_unit
 from occmap.grid.stacks import add_stack
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
-from occmap.sensor.models import find_decision, parse_model
+from occmap.sensor.models import parse_model
 from occmap.store.blocks import Block, gather_tiles
 from occmap.store.layout import LAYERS
-from occmap.types import Int64, OccupancyMap, UInt8, Update, to_log_odds
+from occmap.types import Int64, OccupancyMap, UInt8, Update
 
 
 def read_around(root: Any, head: dict[str, Any], box: CellBox) -> TileGrid:
@@ -21,8 +20,7 @@ def read_around(root: Any, head: dict[str, Any], box: CellBox) -> TileGrid:
     kind, (row, col) = EvidenceKind(head["kind"]), head["offset"]
     first, second = (root[name] for name in LAYERS[kind])
     whole = CellBox(row, col, row + first.shape[0], col + first.shape[1])
-    wide = CellBox(box.row - TILE, box.col - TILE, box.row_end + TILE, box.col_end + TILE)
-    part = whole.clip(wide)
+    part = whole.clip(box.grow(TILE))
     place = slice(part.row - row, part.row_end - row), slice(part.col - col, part.col_end - col)
     cells: Int64 = np.stack([first[place], second[place]])
     grid = TileGrid(Lattice(head["resolution"]), kind, find_unit(Update(head["update"])))
@@ -30,14 +28,11 @@ def read_around(root: Any, head: dict[str, Any], box: CellBox) -> TileGrid:
     return grid
 
 
-def classify_block(root: Any, head: dict[str, Any], block: Block) -> UInt8:
-    """(1024, 1024) of CellClass: what the model of the store says of a block."""
-    model = parse_model(head["model"])
-    box = block.box
-    tiles = choose_tiles(read_around(root, head, box), model)
-    log_odds, observed = paint(tiles, weigh(model), to_log_odds(model.prior), box)
-    decision = find_decision(model)
-    return OccupancyMap(log_odds, observed, head["resolution"], (0.0, 0.0), decision).classes
+def paint_block(root: Any, block: Block) -> tuple[TileGrid, OccupancyMap]:
+    """Read a block and the tiles beside it; the map says what the store's own model makes of it."""
+    head = root.attrs["occmap"]
+    grid = read_around(root, head, block.box)
+    return grid, paint_box(grid, parse_model(head["model"]), block.box)
 
 
 def reduce_classes(classes: UInt8, side: int) -> UInt8:

@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.errors import MapError, UsageError
-from occmap.evidence import choose_tiles, to_grid, weigh
+from occmap.evidence import choose_tiles, paint_box, to_grid
 from occmap.evidence.persistence import describe_lost, drop_passing, refuse_nothing_left
 from occmap.grid.framing import Framing, choose_box, find_window
 from occmap.grid.lattice import CellBox, Lattice
-from occmap.grid.rendering import count_agreeing, measure_bounds, paint
+from occmap.grid.rendering import count_agreeing, measure_bounds
 from occmap.grid.tiles import TileGrid, refuse_large
-from occmap.report import MapFacts, Shares
+from occmap.report import MapFacts, count_cells
 from occmap.sensor.models import SensorModel, find_decision
 from occmap.store.blocks import Block
 from occmap.store.layout import refuse_damage
@@ -54,13 +54,6 @@ class View:
         if self.min_passes is None:
             return grid
         return drop_passing(grid, evidence.slices, self.min_passes)
-
-    def paint(self, grid: TileGrid, box: CellBox) -> OccupancyMap:
-        """The map of a box of cells."""
-        tiles, lattice = choose_tiles(grid, self.model), grid.lattice
-        painted = paint(tiles, weigh(self.model), to_log_odds(self.model.prior), box)
-        origin = lattice.to_metres(box.col), lattice.to_metres(box.row)
-        return OccupancyMap(*painted, lattice.resolution, origin, find_decision(self.model))
 
     def measure_block(self, block: Block) -> CellBox | None:
         """The smallest box around the cells that are observed in a block or beside it."""
@@ -116,9 +109,7 @@ class BlockMap:
     @property
     def extent(self) -> Box:
         """Lowest x and y, highest x and y (m)."""
-        edges = (self.box.col, self.box.row, self.box.col_end, self.box.row_end)
-        x, y, x_end, y_end = map(self.lattice.to_metres, edges)
-        return x, y, x_end, y_end
+        return self.lattice.measure(self.box)
 
     def walk(self) -> Iterator[Piece]:
         """Paint all pieces; what is in none of them was not observed."""
@@ -127,7 +118,7 @@ class BlockMap:
             box = self.box.clip(place)
             grid = to_grid(evidence)
             lasting = self.view.forget(grid, evidence)
-            made = self.view.paint(lasting, box)
+            made = paint_box(lasting, self.view.model, box)
             hits = count_agreeing(lasting, made.occupied, box)
             yield Piece(box, made, hits, self._count_kept(grid, made, place, box))
 
@@ -136,7 +127,7 @@ class BlockMap:
     ) -> tuple[int, int]:
         if self.view.min_passes is None:
             return 0, 0
-        before = self.view.paint(grid, place).occupied
+        before = paint_box(grid, self.view.model, place).occupied
         still = before[find_window(box, place)] & made.occupied
         return int(np.count_nonzero(before)), int(np.count_nonzero(still))
 
@@ -202,17 +193,12 @@ def survey_blocks(made: BlockMap, writing: WriteOptions) -> tuple[MapFacts, list
     MapError
         A block cannot be read.
     """
-    decision = writing.decide(made.decision)
     cells, counts = np.zeros(4, np.int64), np.zeros((2, 2), np.int64)
     for piece in made.walk():
-        written = replace(piece.map, decision=decision)
-        masks = (written.occupied, written.free, written.observed, piece.map.occupied)
-        cells += [np.count_nonzero(mask) for mask in masks]
+        cells += count_cells(piece.map, writing)
         counts += (piece.hits, piece.occupied)
-    occupied, free, observed, walls = (cells / made.box.cells).tolist()
     agreement, notes = sum_up(made, counts)
-    shares = Shares(occupied, free, 1 - observed)
-    return MapFacts(made.shape, made.extent, shares, agreement, walls > 0), notes
+    return MapFacts.of_counts(made.extent, made.shape, cells, agreement), notes
 
 
 def sum_up(made: BlockMap, counts: Int64) -> tuple[float | None, list[str]]:

@@ -34,7 +34,7 @@ from occmap.store.layout import (
     make_head,
     refuse_unwritable,
 )
-from occmap.store.pictures import classify_block, reduce_classes
+from occmap.store.pictures import paint_block, reduce_classes
 from occmap.types import Manifest, UInt8, Update
 from occmap.writers.atomic import publish_folder
 
@@ -152,7 +152,8 @@ def write_overview(path: Path, block: Block) -> None:
     zarr = import_zarr()
     with refuse_unwritable(path):
         root = zarr.open_group(path, mode="r+")
-        write_classes(root, block, classify_block(root, root.attrs["occmap"], block))
+        _, made = paint_block(root, block)
+        write_classes(root, block, made.classes)
 
 
 def write_classes(root: Any, block: Block, classes: UInt8) -> None:
