@@ -1,7 +1,7 @@
 """Saved evidence made into files again, and what the report says of it."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 from occmap.errors import UsageError
 from occmap.evidence import read_model, refuse_other_profile, to_grid
-from occmap.evidence.manifest import list_mixed
+from occmap.evidence.manifest import list_doubts
 from occmap.evidence.persistence import check_passes, render_lasting
-from occmap.evidence.repetition import list_repeated
 from occmap.grid.framing import Framing, frame
 from occmap.grid.tiles import MAX_CELLS
 from occmap.remarks import list_disagreement, list_unreached
@@ -204,14 +203,6 @@ def survey_saved(
     return made, Seen(made.resolution, facts, (*lost, *list_disagreement(facts)))
 
 
-def list_notes(manifest: Manifest) -> Iterator[str]:
-    """Say what a reader of evidence should know of it."""
-    yield from list_repeated(manifest.builds)
-    yield from list_mixed(manifest)
-    if manifest.subtracted:
-        yield "what was subtracted was not a whole build, so numbers of visits are upper bounds"
-
-
 def summarise(
     manifest: Manifest,
     model: SensorModel,
@@ -229,7 +220,7 @@ def summarise(
         beams=sum((read_counts(each["beams"]) for each in scans), ReturnCounts()),
         map=MapSummary.describe(seen.facts, seen.resolution, manifest, options.min_passes),
         notes=(
-            *list_notes(manifest),
+            *list_doubts(manifest),
             *list_idle(outputs, options.writing),
             *list_unreached(model, options.writing),
             *seen.notes,

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from occmap.alignment import settle_align
-from occmap.evidence.manifest import describe_build, describe_files, plan_manifest
-from occmap.evidence.repetition import list_repeated
+from occmap.evidence.manifest import describe_build, describe_files, list_doubts, plan_manifest
 from occmap.fleet import Fleet, Work, list_reductions
 from occmap.fleet.runs import do_once, read_stub, write_stub
 from occmap.fleet.tasks import BlockJob, Setting, SurveyJob, add_up, hash_log
@@ -20,8 +19,7 @@ from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing
 from occmap.observing import Keep, Progress
 from occmap.options import BuildOptions
-from occmap.pipeline import list_contradictions, list_inputs, make_report
-from occmap.remarks import list_frames, list_idle_and_repeated, list_lacking, note_idle_end
+from occmap.pipeline import list_inputs, list_notes, make_report
 from occmap.report import MapFacts, Report, count_cells
 from occmap.store.blocks import BLOCK, Block, BlockRecord
 from occmap.store.layout import import_zarr, refuse_unwritable
@@ -79,19 +77,9 @@ def build_store(
         with tally.time("write"):
             finish_store(store, manifest, records, run=skip_painted)
             publish_store(store, follow_links(output))
-    remarks.notes = [
-        *list_idle_and_repeated(paths, [output], options.writing, options.model),
-        *remarks.notes,
-        *unaligned,
-        *options.list_idle(),
-        *note_idle_end(options.selection, tally),
-        *list_frames(tally),
-        *list_lacking(tally, None),
-        *list_contradictions(paths, options, facts, tally.lasers),
-        *list_repeated(manifest.builds),
-    ]
-    remarks.files = [str(output)]
-    return make_report(facts, options, tally, remarks)
+    remarks.notes += [*unaligned, *list_doubts(manifest)]
+    remarks.notes += list_notes(paths, options, [output], tally, facts)
+    return replace(make_report(options, tally, remarks, facts), files=(str(output),))
 
 
 def hash_logs(work: Work, paths: Sequence[Path]) -> dict[Path, list[dict[str, Any]]]:
