@@ -14,8 +14,7 @@ from occmap.evidence.merging import open_resumed
 from occmap.evidence.persistence import render_lasting
 from occmap.evidence.publishing import describe_resumed
 from occmap.grid.framing import frame
-from occmap.grid.stacks import add_stack, view_tiles
-from occmap.grid.tiles import TileGrid
+from occmap.grid.tiles import TileGrid, add_stack, view_tiles
 from occmap.mounts import list_misfits
 from occmap.observing import Keep, Observe, Observed, Progress, ignore_progress
 from occmap.observing import observe as observe_here

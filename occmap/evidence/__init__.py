@@ -12,8 +12,14 @@ from occmap.evidence.manifest import describe_profile
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import SpreadHits, TileSource, count_agreeing, find_bounds, paint
 from occmap.grid.spec import find_unit
-from occmap.grid.stacks import add_stack, stack_tiles
-from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid, refuse_large
+from occmap.grid.tiles import (
+    LOG_ODDS_UNIT,
+    EvidenceKind,
+    TileGrid,
+    add_stack,
+    refuse_large,
+    stack_tiles,
+)
 from occmap.sensor.bounds import Clamped, Spreading
 from occmap.sensor.models import RadialModel, SensorModel, find_decision, parse_model
 from occmap.types import (

@@ -12,8 +12,7 @@ from occmap.evidence import Described, read_model, to_evidence, to_grid
 from occmap.evidence.fit import list_misfit
 from occmap.evidence.manifest import MEANING
 from occmap.grid.slices import restrict
-from occmap.grid.stacks import add_stack, drop_empty, stack_tiles, view_tiles
-from occmap.grid.tiles import EvidenceKind, TileGrid
+from occmap.grid.tiles import EvidenceKind, TileGrid, add_stack, drop_empty, stack_tiles, view_tiles
 from occmap.sensor.models import SensorModel
 from occmap.store.sources import Combined, Saved, as_blocks, open_saved, read_all
 from occmap.types import Evidence, Manifest

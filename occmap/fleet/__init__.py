@@ -34,7 +34,7 @@ from occmap.fleet.tasks import (
     trace_part,
 )
 from occmap.grid.slices import unite
-from occmap.grid.stacks import view_tiles
+from occmap.grid.tiles import view_tiles
 from occmap.observing import Keep, Observed, Progress
 from occmap.options import BuildOptions
 from occmap.remarks import Remarks

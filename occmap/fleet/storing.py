@@ -23,10 +23,10 @@ from occmap.pipeline import list_inputs, list_notes, make_report
 from occmap.report import MapFacts, Report, count_cells
 from occmap.store.blocks import BLOCK, Block, BlockRecord
 from occmap.store.layout import import_zarr, refuse_unwritable
-from occmap.store.pictures import paint_block
 from occmap.store.writing import (
     create_store,
     finish_store,
+    paint_block,
     publish_store,
     write_block,
     write_classes,

@@ -26,7 +26,7 @@ from occmap.fleet.runs import (
     write_stub,
 )
 from occmap.grid.slices import unite
-from occmap.grid.stacks import add_stack, stack_tiles
+from occmap.grid.tiles import add_stack, stack_tiles
 from occmap.observing import Keep
 from occmap.opening import count_scans
 from occmap.options import BuildOptions

@@ -94,13 +94,6 @@ def make_head(manifest: Manifest, offset: tuple[int, int]) -> dict[str, Any]:
     return plain
 
 
-def read_manifest(head: dict[str, Any]) -> Manifest:
-    """Make the manifest of what the attributes say."""
-    fields = {name: head[name] for name in Manifest.__dataclass_fields__}
-    lists = {name: tuple(head[name]) for name in ("builds", "subtracted")}
-    return Manifest(**{**fields, **lists})
-
-
 def compute_checksum(head: dict[str, Any]) -> str:
     """SHA-256 over all that the attributes say, but the checksum itself."""
     said = {name: value for name, value in head.items() if name != "checksum"}

@@ -18,7 +18,6 @@ from occmap.store.blocks import (
     gather_tiles,
     hash_content,
     hash_table,
-    join_contents,
     narrow_cells,
     read_table,
     unpack_layers,
@@ -30,7 +29,6 @@ from occmap.store.layout import (
     compute_checksum,
     find_place,
     import_zarr,
-    read_manifest,
     refuse_damage,
 )
 from occmap.types import Evidence, Manifest
@@ -84,22 +82,11 @@ class Store:
                 where=self.path,
                 fix="build it again",
             )
-        fault = find_fault(Evidence(self.manifest, tiles, numbers, slices))
-        if fault:
+        if fault := find_fault(Evidence(self.manifest, tiles, numbers, slices)):
             raise MapError(
                 f"is not what occmap writes: {fault}", where=self.path, fix="build it again"
             )
         return content
-
-    def read_evidence(self) -> Evidence:
-        """Read all of it, as an .npz would give it.
-
-        Raises
-        ------
-        MapError
-            As `read_block`.
-        """
-        return join_contents(map(self.read_block, self.blocks), self.manifest, self.where)
 
 
 def open_store(path: Path) -> Store:
@@ -125,7 +112,7 @@ def open_store(path: Path) -> Store:
         refuse_other_format(path, head)
         if head["checksum"] != compute_checksum(head):
             raise MapError("its attributes were altered", where=path, fix="build it again")
-        manifest = read_manifest(head)
+        manifest = Manifest.from_json(head)
         for fault in list_manifest_faults(manifest):
             raise MapError(f"is not what occmap writes: {fault}", where=path, fix="build it again")
         table = {name: root[f"blocks/{name}"][...] for name in TABLE}

@@ -203,20 +203,17 @@ def unpack(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidence:
         raise MapError(
             "the checksum does not fit: the file was altered", where=path, fix="build it again"
         )
-    fields = {name: head[name] for name in Manifest.__dataclass_fields__}
-    lists = {name: tuple(head[name]) for name in ("builds", "subtracted")}
     observed: UInt8 = arrays["observed"]
     seen = np.unpackbits(observed, axis=1).reshape(-1, SIDE, SIDE).astype(np.bool_)
     width = max(arrays["first"].dtype.itemsize, arrays["second"].dtype.itemsize, 4)
     cells = np.zeros((len(arrays["tiles"]), 2, SIDE, SIDE), f"<i{width}")
     cells[:, 0][seen] = arrays["first"]
     cells[:, 1][seen] = arrays["second"]
-    manifest = Manifest(**{**fields, **lists})
+    manifest = Manifest.from_json(head)
     slices = unpack_slices(arrays)
     if len(slices) != len(manifest.builds):
         raise ValueError("layers")
     evidence = Evidence(manifest, arrays["tiles"], cells, slices, str(path))
-    fault = find_fault(evidence)
-    if fault:
+    if fault := find_fault(evidence):
         raise MapError(f"is not what occmap writes: {fault}", where=path, fix="build it again")
     return evidence
