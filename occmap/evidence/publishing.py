@@ -35,7 +35,6 @@ from occmap.writers.outputs import (
     check_outputs,
     find_writer,
     list_idle,
-    refuse_journeys,
     write_outputs,
 )
 
@@ -84,11 +83,11 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
         As `render_kept`, or an output cannot be written.
     """
     check_outputs(outputs)
-    refuse_journeys(outputs)
-    if options.overview is not None:
-        refuse_layers(outputs)
-    model, manifest = choose_model(saved, options)
     writers = list(map(find_writer, outputs))
+    for path, writer in zip(outputs, writers, strict=True):
+        if isinstance(writer, ProductWriter):
+            refuse_unknown(path, writer, options)
+    model, manifest = choose_model(saved, options)
     in_parts = all(isinstance(writer, ZarrWriter | WindowWriter) for writer in writers)
     grid: OccupancyMap | BlockMap
     if isinstance(saved, Evidence) or options.overview or not in_parts:
@@ -102,29 +101,27 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
         if isinstance(writer, ZarrWriter):
             files += map(str, writer.write_blocks(path, as_blocks(saved), manifest))
         elif isinstance(writer, WindowWriter):
-            files += map(str, writer.write_windows(path, grid, options.writing))
+            files += map(str, writer.write(path, grid, options.writing))
         elif isinstance(grid, OccupancyMap):
             product = Product(grid, keep, report=report.to_json)
             files += write_outputs([path], product, options.writing)
     return replace(report, files=tuple(files))
 
 
-def refuse_layers(outputs: Sequence[Path]) -> None:
-    """Refuse to show, on an overview, what was observed in each cell.
+def refuse_unknown(path: Path, writer: ProductWriter, options: RenderOptions) -> None:
+    """Refuse an output of what saved evidence, or an overview of it, does not say.
 
     Raises
     ------
     UsageError
-        An output shows that.
+        It holds nothing but where the robot went, or, of an overview, shows what was observed.
     """
-    for path in outputs:
-        writer = find_writer(path)
-        if isinstance(writer, ProductWriter) and writer.needs_evidence:
-            raise UsageError(
-                "shows single cells, and `overview` has none",
-                where=path,
-                fix="leave out `overview`, or write a .png",
-            )
+    if writer.needs_journey:
+        found = "evidence does not say where the robot went, only the logs do"
+        raise UsageError(found, where=path, fix="build it from the logs: `occmap build`")
+    if writer.needs_evidence and options.overview is not None:
+        found = "shows single cells, and `overview` has none"
+        raise UsageError(found, where=path, fix="leave out `overview`, or write a .png")
 
 
 def render_kept(saved: Saved, options: RenderOptions, outputs: Sequence[Path] = ()) -> Rendered:

@@ -22,7 +22,7 @@ from occmap.options import BuildOptions
 from occmap.pipeline import list_inputs, list_notes, make_report
 from occmap.report import MapFacts, Report, count_cells
 from occmap.store.blocks import BLOCK, Block, BlockRecord
-from occmap.store.layout import import_zarr, refuse_unwritable
+from occmap.store.layout import import_zarr
 from occmap.store.writing import (
     create_store,
     finish_store,
@@ -33,7 +33,7 @@ from occmap.store.writing import (
 )
 from occmap.tally import refuse_unseen, refuse_unused
 from occmap.types import Int64, Manifest
-from occmap.writers.atomic import follow_links
+from occmap.writers.atomic import follow_links, refuse_unwritable
 from occmap.writers.outputs import check_outputs
 
 

@@ -17,11 +17,11 @@ from occmap.grid.tiles import TileGrid, refuse_large
 from occmap.report import MapFacts, count_cells
 from occmap.sensor.models import SensorModel, find_decision
 from occmap.store.blocks import Block, BlockContent
-from occmap.store.layout import refuse_damage
 from occmap.store.reading import Store
 from occmap.store.sources import Blocks, read_part
 from occmap.types import Box, CellClass, Decision, Int64, OccupancyMap, UInt8, to_log_odds
 from occmap.writers import WriteOptions
+from occmap.writers.soundness import refuse_damage
 
 KEPT_BLOCKS = 18
 """How many blocks are kept that were read last, up to 8 MiB each"""

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from occmap.grid.tiles import EvidenceKind
 from occmap.store.blocks import Block, BlockRecord, describe_block
-from occmap.store.layout import LAYERS, find_place, import_zarr, refuse_unwritable
+from occmap.store.layout import LAYERS, find_place, import_zarr
 from occmap.store.reading import Store, open_store
 from occmap.store.sources import Blocks, Held
 from occmap.store.writing import create_store, finish_store, write_block
 from occmap.types import Evidence, Manifest
-from occmap.writers.atomic import make_folder
+from occmap.writers.atomic import make_folder, refuse_unwritable
 
 
 class ZarrWriter:

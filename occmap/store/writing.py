@@ -36,10 +36,9 @@ from occmap.store.layout import (
     find_place,
     import_zarr,
     make_head,
-    refuse_unwritable,
 )
 from occmap.types import Int64, Manifest, OccupancyMap, UInt8, Update
-from occmap.writers.atomic import publish_folder
+from occmap.writers.atomic import publish_folder, refuse_unwritable
 
 Run = Callable[[Callable[[Block], None], Sequence[Block]], Iterable[None]]
 """Calls a function for each block, as `map` does: in this process, or in others"""

@@ -90,6 +90,16 @@ class WriteOptions:
 DEFAULT_THRESHOLDS = Decision(free_below=0.196, occupied_above=0.65)
 
 
+class OneFile:
+    """What most formats have in common: all that they write is one file."""
+
+    needs_evidence = needs_journey = False
+
+    def targets(self, path: Path) -> tuple[Path, ...]:
+        """Return the file."""
+        return (path,)
+
+
 class Writer(Protocol):
     """A map format."""
 
@@ -222,7 +232,10 @@ class Windows(Protocol):
 class WindowWriter(Protocol):
     """A format that is written part by part, so that there need not be a whole map."""
 
-    def write_windows(self, path: Path, grid: Windows, options: WriteOptions) -> tuple[Path, ...]:
+    in_windows: bool
+    """True; it tells such a format from others"""
+
+    def write(self, path: Path, grid: Windows, options: WriteOptions) -> tuple[Path, ...]:
         """As `Writer.write`."""
 
 
