@@ -66,10 +66,8 @@ class Selection:
         if self.stride < 1:
             raise UsageError(f"a stride of {self.stride} is not possible", fix="give 1 or more")
         if not self.start_s < self.end_s:
-            raise UsageError(
-                f"`start_s={self.start_s}` is not before `end_s={self.end_s}`",
-                fix="both are in seconds after the log's first scan",
-            )
+            found = f"`start_s={self.start_s}` is not before `end_s={self.end_s}`"
+            raise UsageError(found, fix="both are in seconds after the log's first scan")
 
 
 class Geometry(NamedTuple):

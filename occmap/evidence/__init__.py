@@ -104,11 +104,9 @@ def read_model(evidence: Described) -> SensorModel:
     try:
         return parse_model(evidence.manifest.model)
     except OccmapError as error:
-        raise MapError(
-            f"its model {evidence.manifest.model!r} cannot be made ({error.found})",
-            where=evidence.where,
-            fix="give another with `model`, or install what has it",
-        ) from None
+        found = f"its model {evidence.manifest.model!r} cannot be made ({error.found})"
+        fix = "give another with `model`, or install what has it"
+        raise MapError(found, where=evidence.where, fix=fix) from None
 
 
 def to_evidence(

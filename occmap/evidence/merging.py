@@ -141,11 +141,8 @@ def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None
         wrong = (cells[:, 1] < 0) | ((cells[:, 1] == 0) & (cells[:, 0] != 0))
     if wrong.any():
         minuend = evidence.where or "the sum"
-        raise MapError(
-            f"holds observations of {np.count_nonzero(wrong)} cells that {minuend} lacks",
-            where=other.where,
-            fix="subtract only what was merged before",
-        )
+        found = f"holds observations of {np.count_nonzero(wrong)} cells that {minuend} lacks"
+        raise MapError(found, where=other.where, fix="subtract only what was merged before")
 
 
 def refuse_different(manifest: Manifest, other: Described) -> None:

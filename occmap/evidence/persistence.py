@@ -51,10 +51,8 @@ def refuse_nothing_left(min_passes: int | None) -> NoReturn:
     """Say that no cell was observed, or that none lasts; raises MapError."""
     if min_passes is None:
         raise MapError("no beam of any scan observed a cell, so there is no map")
-    raise MapError(
-        f"no cell was hit on {min_passes} visits, and none was seen free: there is no map",
-        fix="give a smaller `min_passes`",
-    )
+    found = f"no cell was hit on {min_passes} visits, and none was seen free: there is no map"
+    raise MapError(found, fix="give a smaller `min_passes`")
 
 
 def render_lasting(
@@ -130,7 +128,5 @@ def check_gap(pass_gap_s: float) -> None:
         They are too short or too long.
     """
     if not SHORTEST_GAP_S <= pass_gap_s <= LONGEST_GAP_S:
-        raise UsageError(
-            f"`pass_gap_s={pass_gap_s:g}` is not possible",
-            fix=f"give {SHORTEST_GAP_S:g} to {LONGEST_GAP_S:g} seconds",
-        )
+        found = f"`pass_gap_s={pass_gap_s:g}` is not possible"
+        raise UsageError(found, fix=f"give {SHORTEST_GAP_S:g} to {LONGEST_GAP_S:g} seconds")

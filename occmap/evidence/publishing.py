@@ -184,10 +184,8 @@ def check_overview(saved: Saved, options: RenderOptions) -> Store:
     if not isinstance(saved, Store):
         raise UsageError("`overview` goes with a store", where=saved.where, fix="leave it out")
     if options.model or options.min_passes:
-        raise UsageError(
-            "the pictures in a store show what its own model decided of all that was observed",
-            fix="leave out `overview`, or the model and `min_passes`",
-        )
+        found = "the pictures in a store show what its own model decided of all that was observed"
+        raise UsageError(found, fix="leave out `overview`, or the model and `min_passes`")
     return saved
 
 

@@ -173,19 +173,14 @@ def connect(address: str, processes: int) -> Iterator["Client"]:
             client = stack.enter_context(distributed.Client(place, timeout=PATIENCE_S))
         except (OSError, ValueError) as error:
             reason = str(error).splitlines()[0] if isinstance(error, ValueError) else ""
-            raise FleetError(
-                f"no scheduler answers within {PATIENCE_S} s{reason and f' ({reason})'}",
-                where=address,
-                fix="start one with `dask scheduler`, or build with `dask=local`",
-            ) from None
+            found = f"no scheduler answers within {PATIENCE_S} s{reason and f' ({reason})'}"
+            fix = "start one with `dask scheduler`, or build with `dask=local`"
+            raise FleetError(found, where=address, fix=fix) from None
         try:
             client.wait_for_workers(1, timeout=PATIENCE_S)
         except TimeoutError:
-            raise FleetError(
-                "the scheduler has no workers",
-                where=address,
-                fix=f"start some: dask worker {address}",
-            ) from None
+            fix = f"start some: dask worker {address}"
+            raise FleetError("the scheduler has no workers", where=address, fix=fix) from None
         yield client
 
 
@@ -243,11 +238,8 @@ def refuse_unseen_files(cluster: Cluster, paths: Sequence[Path]) -> None:
     answers = cluster.ask(list_missing, paths)
     missing = [each for each in answers if isinstance(each, list) and each]
     if missing:
-        raise FleetError(
-            f"is not there on {len(missing)} of {count(len(answers), 'worker')}",
-            where=missing[0][0],
-            fix="give a path that all of them share",
-        )
+        found = f"is not there on {len(missing)} of {count(len(answers), 'worker')}"
+        raise FleetError(found, where=missing[0][0], fix="give a path that all of them share")
 
 
 def list_missing(paths: Sequence[Path]) -> list[Path]:

@@ -44,10 +44,8 @@ class Framing:
         x_min, y_min, x_max, y_max = self.extent
         near = max(map(abs, self.extent)) <= FARTHEST_M
         if not (near and x_min < x_max and y_min < y_max):
-            raise UsageError(
-                f"the extent {self.extent} is no box",
-                fix="write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4",
-            )
+            found = f"the extent {self.extent} is no box"
+            raise UsageError(found, fix="write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4")
 
 
 def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) -> OccupancyMap:

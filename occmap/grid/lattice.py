@@ -121,10 +121,8 @@ class Lattice:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.resolution) and self.resolution > 0):
-            raise UsageError(
-                f"a resolution of {self.resolution} m is not possible",
-                fix="give the side of a cell in metres, such as `resolution=0.05`",
-            )
+            fix = "give the side of a cell in metres, such as `resolution=0.05`"
+            raise UsageError(f"a resolution of {self.resolution} m is not possible", fix=fix)
 
     @property
     def units_per_metre(self) -> float:

@@ -166,10 +166,9 @@ def add_stack(grid: TileGrid, tiles: Int64, cells: Int64) -> None:
         wide = tile.astype(np.int64)
         total = grid.tiles[key] = wide if known is None else known + wide
         if max(-int(total.min()), int(total.max())) > MOST_OBSERVED:
-            raise MapError(
-                f"the observations of a cell add up to more than {MOST_OBSERVED:,}",
-                fix="no log holds so many: build the evidence again from its logs",
-            )
+            found = f"the observations of a cell add up to more than {MOST_OBSERVED:,}"
+            fix = "no log holds so many: build the evidence again from its logs"
+            raise MapError(found, fix=fix)
 
 
 def drop_empty(grid: TileGrid) -> None:

@@ -76,10 +76,8 @@ class ReturnOptions:
         if self.footprint is not None:
             check_box(self.footprint)
         if not 0 <= self.min_range < self.max_range:
-            raise UsageError(
-                f"`min_range={self.min_range}` and `max_range={self.max_range}` leave no range",
-                fix="they must satisfy 0 <= min < max",
-            )
+            found = f"`min_range={self.min_range}` and `max_range={self.max_range}` leave no range"
+            raise UsageError(found, fix="they must satisfy 0 <= min < max")
         if self.range_max is not None and not self.range_max > 0:
             raise UsageError(
                 f"a sensor limit of {self.range_max} m is not possible", fix="try `range_max=30`"

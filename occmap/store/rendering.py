@@ -253,11 +253,9 @@ def read_overview(store: Store, side: int, framing: Framing, max_cells: int) -> 
     """
     sides = sorted(map(int, store.root["classes"].array_keys()))
     if side not in sides:
-        raise UsageError(
-            f"`overview={side}`: there is no picture of squares of {side} x {side} cells",
-            where=store.path,
-            fix=f"there are those of {', '.join(map(str, sides))}",
-        )
+        found = f"`overview={side}`: there is no picture of squares of {side} x {side} cells"
+        fix = f"there are those of {', '.join(map(str, sides))}"
+        raise UsageError(found, where=store.path, fix=fix)
     if not store.blocks:
         refuse_nothing_left(None)
     fine = Lattice(store.manifest.resolution)

@@ -160,11 +160,8 @@ class Product:
             It is not known.
         """
         if self.journey is None:
-            raise UsageError(
-                "the map does not say where the robot went, only its logs do",
-                where=path,
-                fix="name this file among the outputs of the build",
-            )
+            found = "the map does not say where the robot went, only its logs do"
+            raise UsageError(found, where=path, fix="name this file among the outputs of the build")
         return self.journey
 
 
