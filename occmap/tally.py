@@ -56,9 +56,7 @@ class Tally:
     """
 
     def __init__(
-        self,
-        tell: Callable[[int], None] = ignore_advance,
-        recorder: JourneyRecorder | None = None,
+        self, tell: Callable[[int], None] = ignore_advance, recorder: JourneyRecorder | None = None
     ) -> None:
         self.tell = tell
         """Called now and then with the scans read since the last call"""

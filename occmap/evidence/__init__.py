@@ -22,15 +22,7 @@ from occmap.grid.tiles import (
 )
 from occmap.sensor.bounds import Clamped, Spreading
 from occmap.sensor.models import RadialModel, SensorModel, find_decision, parse_model
-from occmap.types import (
-    Evidence,
-    Float64,
-    Manifest,
-    OccupancyMap,
-    Slices,
-    Update,
-    to_log_odds,
-)
+from occmap.types import Evidence, Float64, Manifest, OccupancyMap, Slices, Update, to_log_odds
 
 Weigh: TypeAlias = Callable[[Float64, Float64], Float64]
 """Takes hits and misses, or log-odds and observations; gives log-odds"""

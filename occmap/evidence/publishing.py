@@ -31,12 +31,7 @@ from occmap.store.writer import ZarrWriter
 from occmap.tally import ScanCounts
 from occmap.types import Evidence, Manifest, OccupancyMap
 from occmap.writers import Product, ProductWriter, WindowWriter, WriteOptions
-from occmap.writers.outputs import (
-    check_outputs,
-    find_writer,
-    list_idle,
-    write_outputs,
-)
+from occmap.writers.outputs import check_outputs, find_writer, list_idle, write_outputs
 
 
 @dataclass(frozen=True)

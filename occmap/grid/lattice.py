@@ -62,12 +62,7 @@ class CellBox(NamedTuple):
 
     def contains(self, other: Self) -> bool:
         """Whether `other` lies wholly in this box."""
-        return (
-            self.row <= other.row
-            and self.col <= other.col
-            and other.row_end <= self.row_end
-            and other.col_end <= self.col_end
-        )
+        return self.clip(other) == other
 
     def clip(self, other: Self) -> Self:
         """The part of `other` that lies in this box."""

@@ -120,10 +120,7 @@ def _list_edges(tiles: TileSource) -> Iterator[CellBox]:
 
 
 def paint(
-    tiles: TileSource,
-    log_odds: Callable[[Float64, Float64], Float64],
-    prior: float,
-    box: CellBox,
+    tiles: TileSource, log_odds: Callable[[Float64, Float64], Float64], prior: float, box: CellBox
 ) -> tuple[Float32, Bool]:
     """Let a model say what the numbers mean, cell by cell.
 

@@ -131,10 +131,7 @@ def compute_digest(manifest: Manifest, blocks: Mapping[Block, str]) -> str:
     It says nothing of how the evidence is cut, compressed or kept, nor of who observed it.
     """
     meaning = {name: getattr(manifest, name) for name in MEANING}
-    lines = [
-        json.dumps(meaning),
-        *(f"{key.row} {key.col} {blocks[key]}" for key in sorted(blocks)),
-    ]
+    lines = [json.dumps(meaning), *(f"{key.row} {key.col} {blocks[key]}" for key in sorted(blocks))]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
