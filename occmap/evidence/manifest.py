@@ -2,12 +2,13 @@
 
 import hashlib
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from importlib.metadata import version
 from itertools import combinations
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from occmap.errors import LogError
@@ -30,7 +31,7 @@ def describe_build(
     paths: Sequence[Path],
     options: Any,
     scans: dict[str, Any],
-    describe: Callable[[Path], Iterable[dict[str, Any]]] | None = None,
+    known: Mapping[Path, Iterable[dict[str, Any]]] = MappingProxyType({}),
 ) -> BuildRecord:
     """Describe what one build used, in values that JSON has.
 
@@ -39,8 +40,8 @@ def describe_build(
 
     Parameters
     ----------
-    describe
-        Takes the place of `describe_files` where the hashes are known already.
+    known
+        What `describe_files` says of logs whose hashes are known already.
 
     Raises
     ------
@@ -52,10 +53,10 @@ def describe_build(
     trajectory = [Path(poses)] if poses and Path(poses).is_file() else []
     if trajectory:
         chosen["posing"]["poses"] = trajectory[0].name
-    look = describe or describe_files
+    files = [*paths, *trajectory]
     return {
         "occmap": version("occmap"),
-        "inputs": [entry for path in (*paths, *trajectory) for entry in look(path)],
+        "inputs": [entry for path in files for entry in known.get(path) or describe_files(path)],
         "options": {**chosen, "model": describe_model(options.model)},
         "scans": scans,
     }

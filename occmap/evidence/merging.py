@@ -50,17 +50,13 @@ def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:
     parts = list(map(open_saved, (*added, *taken)))
     held = [each for each in parts if isinstance(each, Evidence)]
     if len(held) == len(parts):
-        return add_up(held, find_model(held[0]))
+        model = None
+        with suppress(MapError):  # where it cannot be made, nothing is said of what does not fit
+            model = read_model(held[0])
+        return add_up(held, model)
     made = Combined(tuple(map(as_blocks, parts)), add_up)
     refuse_different(made.manifest, parts[0])  # of nothing yet: what differs is refused at once
     return made
-
-
-def find_model(evidence: Evidence) -> SensorModel | None:
-    """The model that evidence was built with; None where it cannot be made."""
-    with suppress(MapError):
-        return read_model(evidence)
-    return None
 
 
 def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Evidence:

@@ -26,7 +26,7 @@ from occmap.store.rendering import (
     render_blocks,
     survey_blocks,
 )
-from occmap.store.sources import Blocks, Saved, as_blocks, read_all
+from occmap.store.sources import Saved, as_blocks, read_all
 from occmap.store.writer import ZarrWriter
 from occmap.tally import ScanCounts
 from occmap.types import Evidence, Manifest, OccupancyMap
@@ -64,7 +64,8 @@ class Seen(NamedTuple):
     resolution: float
     """Side of a cell, or of a pixel of an overview (m)"""
     facts: MapFacts
-    notes: tuple[str, ...]
+    lost: list[str]
+    """What there is to say of cells that do not last"""
 
 
 def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Report:
@@ -88,7 +89,8 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
     if isinstance(saved, Evidence) or options.overview or not in_parts:
         grid, seen = paint_saved(saved, model, options)
     else:
-        grid, seen = survey_saved(saved, model, options)
+        grid = open_map(View(saved, model, options.min_passes), options.framing)
+        seen = Seen(grid.resolution, *survey_blocks(grid, options.writing))
     report = summarise(manifest, model, seen, options, outputs)
     keep = cache(lambda: replace(read_all(saved), manifest=manifest))
     files: list[str] = []
@@ -164,8 +166,7 @@ def paint_saved(
     else:
         view = View(saved, model, options.min_passes)
         shown, lost = render_blocks(open_map(view, framing), most)
-    facts = describe_map(shown, options.writing)
-    return shown, Seen(shown.resolution, facts, (*lost, *list_disagreement(facts)))
+    return shown, Seen(shown.resolution, describe_map(shown, options.writing), lost)
 
 
 def check_overview(saved: Saved, options: RenderOptions) -> Store:
@@ -182,15 +183,6 @@ def check_overview(saved: Saved, options: RenderOptions) -> Store:
         found = "the pictures in a store show what its own model decided of all that was observed"
         raise UsageError(found, fix="leave out `overview`, or the model and `min_passes`")
     return saved
-
-
-def survey_saved(
-    saved: Blocks, model: SensorModel, options: RenderOptions
-) -> tuple[BlockMap, Seen]:
-    """Measure a map that is never in memory as a whole; raises MapError."""
-    made = open_map(View(saved, model, options.min_passes), options.framing)
-    facts, lost = survey_blocks(made, options.writing)
-    return made, Seen(made.resolution, facts, (*lost, *list_disagreement(facts)))
 
 
 def summarise(
@@ -213,7 +205,8 @@ def summarise(
             *list_doubts(manifest),
             *list_idle(outputs, options.writing),
             *list_unreached(model, options.writing),
-            *seen.notes,
+            *seen.lost,
+            *list_disagreement(seen.facts),
         ),
     )
 
@@ -221,12 +214,11 @@ def summarise(
 def sum_scans(manifest: Manifest) -> ScanCounts:
     """Add up what became of the scans of all builds of evidence."""
     scans = [build["scans"] for build in manifest.builds]
+    read, used = (sum(each[name] for each in scans) for name in ("read", "used"))
     dropped: Counter[str] = Counter()
     for each in scans:
         dropped.update(each["dropped"])
-    return ScanCounts(
-        sum(each["read"] for each in scans), sum(each["used"] for each in scans), dict(dropped)
-    )
+    return ScanCounts(read, used, dict(dropped))
 
 
 def describe_resumed(evidence: Evidence) -> Resumed:

@@ -53,10 +53,6 @@ ROOMY_BYTES = 4 << 30
 """What a worker without a limit is taken to have"""
 
 
-def ignore_text(_text: str) -> None:
-    """Tell nobody."""
-
-
 class Work(NamedTuple):
     """What workers found in logs, and where they left what was observed."""
 
@@ -78,7 +74,7 @@ class Fleet:
     """A folder that all workers share"""
     slice_bytes: int = SLICE_BYTES
     """About how much of a log is one task"""
-    describe: Callable[[str], None] = ignore_text
+    describe: Callable[[str], None] = lambda _text: None
     """Told how far the work is"""
 
     def observe(

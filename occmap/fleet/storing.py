@@ -1,7 +1,7 @@
 """A store that the workers write themselves, block by block: the driver never holds the map."""
 
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial, reduce
 from itertools import product
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from occmap.alignment import settle_align
-from occmap.evidence.manifest import describe_build, describe_files, list_doubts, plan_manifest
+from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
 from occmap.fleet import Fleet, Work, list_reductions
 from occmap.fleet.runs import do_once, read_stub, write_stub
 from occmap.fleet.tasks import BlockJob, Setting, SurveyJob, add_up, hash_log
@@ -27,13 +27,12 @@ from occmap.store.writing import (
     create_store,
     finish_store,
     paint_block,
-    publish_store,
     write_block,
     write_classes,
 )
 from occmap.tally import refuse_unseen, refuse_unused
 from occmap.types import Int64, Manifest
-from occmap.writers.atomic import follow_links, refuse_unwritable
+from occmap.writers.atomic import follow_links, publish_folder, refuse_unwritable
 from occmap.writers.outputs import check_outputs
 
 
@@ -66,8 +65,7 @@ def build_store(
         refuse_unseen(paths, tally, work.blocks)
         with tally.time("fold"):
             known = hash_logs(work, paths)
-            describe = partial(take_known, known)
-            build = describe_build(paths, options, tally.to_json(), describe)
+            build = describe_build(paths, options, tally.to_json(), known)
             manifest = replace(plan_manifest(options), builds=(build,))
             store = open_target(work.setting, output, manifest, work.blocks)
             records = write_blocks(work, store, known, paths)
@@ -75,8 +73,10 @@ def build_store(
             facts = paint_blocks(work, store, records)
         remarks.notes += work.cluster.list_losses()
         with tally.time("write"):
-            finish_store(store, manifest, records, run=skip_painted)
-            publish_store(store, follow_links(output))
+            # The workers have painted the blocks.
+            finish_store(store, manifest, records, run=lambda _paint, _blocks: ())
+            with refuse_unwritable(output):
+                publish_folder(store, follow_links(output))
     remarks.notes += [*unaligned, *list_doubts(manifest)]
     remarks.notes += list_notes(paths, options, [output], tally, facts)
     return replace(make_report(options, tally, remarks, facts), files=(str(output),))
@@ -87,11 +87,6 @@ def hash_logs(work: Work, paths: Sequence[Path]) -> dict[Path, list[dict[str, An
     different = list(dict.fromkeys(paths))
     jobs = [SurveyJob(work.setting, place, path) for place, path in enumerate(different)]
     return dict(zip(different, work.cluster.run("hash", hash_log, jobs), strict=True))
-
-
-def take_known(known: dict[Path, list[dict[str, Any]]], path: Path) -> Iterable[dict[str, Any]]:
-    """What is known of the files of a log; a trajectory is looked at now."""
-    return known[path] if path in known else describe_files(path)
 
 
 def open_target(
@@ -180,8 +175,3 @@ def sum_up(measured: Sequence[Measured], options: BuildOptions) -> MapFacts:
     cells = np.sum([each.cells for each in measured], axis=0)
     extent = Lattice(options.resolution).measure(box)
     return MapFacts.of_counts(extent, box.shape, cells, agreeing / hits if hits else None)
-
-
-def skip_painted(_paint: Callable[[Block], None], _blocks: Sequence[Block]) -> Iterable[None]:
-    """Paint nothing: the workers did."""
-    return ()

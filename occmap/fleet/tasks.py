@@ -174,7 +174,10 @@ def survey_log(job: SurveyJob) -> Survey:
             find_breaks(chain)  # so that every part is pickled with tracks that have cached steps
         drives = [drive._replace(log=part) for part in parts]
         write_mapped(stub.with_suffix(".parts"), drives)
-    size, notes, first_ns = measure_size(job.path), tuple(log.notes), find_first(drive, options)
+    first = next(iter(read_scans(log, drive.topics)), None)
+    clock = Selector(options.selection, options.posing.stamps)
+    first_ns = None if first is None else clock.stamp(first.first)
+    size, notes = measure_size(job.path), tuple(log.notes)
     survey = Survey(job.log, job.path, scans, len(parts) or 1, size, notes, first_ns)
     write_stub(stub, survey)
     return survey
@@ -184,13 +187,6 @@ def measure_size(path: Path) -> int:
     """Bytes of a file, or of all in a folder."""
     inner = path.rglob("*") if path.is_dir() else [path]
     return sum(each.stat().st_size for each in inner)
-
-
-def find_first(drive: Drive, options: BuildOptions) -> int | None:
-    """The stamp of the first scan of a log; None where there is none."""
-    first = next(iter(read_scans(drive.log, drive.topics)), None)
-    clock = Selector(options.selection, options.posing.stamps)
-    return None if first is None else clock.stamp(first.first)
 
 
 def open_part(job: TraceJob) -> Drive:

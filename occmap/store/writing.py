@@ -38,7 +38,7 @@ from occmap.store.layout import (
     make_head,
 )
 from occmap.types import Int64, Manifest, OccupancyMap, UInt8, Update
-from occmap.writers.atomic import publish_folder, refuse_unwritable
+from occmap.writers.atomic import refuse_unwritable
 
 Run = Callable[[Callable[[Block], None], Sequence[Block]], Iterable[None]]
 """Calls a function for each block, as `map` does: in this process, or in others"""
@@ -248,15 +248,3 @@ def add_coarse_levels(root: Any, places: Sequence[tuple[slice, slice]]) -> None:
 def square(place: int, side: int) -> slice:
     """Rows, or columns, of one of the squares that an array is cut into."""
     return slice(place * side, (place + 1) * side)
-
-
-def publish_store(temporary: Path, path: Path) -> None:
-    """Put a finished store in its place; one that was there before is removed.
-
-    Raises
-    ------
-    OutputError
-        It cannot be put there; then the one before stays.
-    """
-    with refuse_unwritable(path):
-        publish_folder(temporary, path)
