@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import NamedTuple, Self, overload
+from typing import Any, NamedTuple, Self, overload
 
 import numpy as np
 
@@ -66,10 +66,8 @@ class Selection:
         if self.stride < 1:
             raise UsageError(f"a stride of {self.stride} is not possible", fix="give 1 or more")
         if not self.start_s < self.end_s:
-            raise UsageError(
-                f"`start_s={self.start_s}` is not before `end_s={self.end_s}`",
-                fix="both are in seconds after the log's first scan",
-            )
+            found = f"`start_s={self.start_s}` is not before `end_s={self.end_s}`"
+            raise UsageError(found, fix="both are in seconds after the log's first scan")
 
 
 class Geometry(NamedTuple):
@@ -87,17 +85,8 @@ class Geometry(NamedTuple):
     @classmethod
     def of(cls, scan: Scan) -> Self:
         """Take it from a scan."""
-        range_min, range_max = read_limits(scan)
-        return cls(
-            scan.topic,
-            scan.frame,
-            scan.angle_min,
-            scan.angle_increment,
-            len(scan.ranges),
-            range_min,
-            range_max,
-            scan.pose is not None,
-        )
+        shape = scan.topic, scan.frame, scan.angle_min, scan.angle_increment, len(scan.ranges)
+        return cls(*shape, *read_limits(scan), posed=scan.pose is not None)
 
     def stack(
         self,
@@ -108,17 +97,14 @@ class Geometry(NamedTuple):
         number: Int64 | None = None,
     ) -> ScanBatch:
         """Make a batch of what differs between its scans."""
+        shared: dict[str, Any] = self._asdict()
+        del shared["beams"], shared["posed"]  # the arrays tell
         return ScanBatch(
-            frame=self.frame,
-            angle_min=self.angle_min,
-            angle_increment=self.angle_increment,
-            range_min=self.range_min,
-            range_max=self.range_max,
+            **shared,
             stamp_ns=stamp_ns,
             ranges=ranges,
             time_increment=time_increment,
             pose=pose,
-            topic=self.topic,
             number=number,
         )
 
@@ -163,7 +149,8 @@ class Selector:
     ) -> Iterator[tuple[Scan | ScanRun, LeftOut | None]]:
         """Give each scan with why it is not used, None where it is; a run whole where all is."""
         for some in scans:
-            if isinstance(some, Scan) or self._takes_all(some):
+            # A run is taken whole where the user wants every scan, and these can be used.
+            if isinstance(some, Scan) or (self._wants_all and find_flaw(some.first) is None):
                 yield some, self._judge_next(some.first)
             else:
                 yield from ((scan, self._judge_next(scan)) for scan in some.split())
@@ -179,10 +166,6 @@ class Selector:
             return LeftOut.TIME
         self._wanted += 1
         return LeftOut.STRIDE if (self._wanted - 1) % self.selection.stride else None
-
-    def _takes_all(self, run: ScanRun) -> bool:
-        """Whether the user wants every scan there is, and these can be used."""
-        return self._wants_all and find_flaw(run.first) is None
 
     @overload
     def stamp(self, some: Scan) -> int: ...
@@ -207,7 +190,7 @@ class Batcher:
         seam: Seam = FROM_THE_START,
     ) -> None:
         self.read = 0
-        self.left_out: dict[LeftOut, int] = {}
+        self.left_out: Counter[LeftOut] = Counter()
         self.notes: list[str] = []
         self._selector = Selector(selection, stamps, seam)
         self._limits = limits
@@ -221,11 +204,19 @@ class Batcher:
         """Stack scans, holding no more than a batch at a time; a run is a batch as it is."""
         held: dict[Geometry, dict[int, Scan]] = {}
         beams = 0
-        for some in self._choose(scans):
+        for some, reason in self._selector.judge(scans):
+            self.read += some.scans
+            if self._limits is not None:
+                self._limits.see(some)
+            if reason is not None:
+                self.left_out[reason] += 1
+                continue
             if isinstance(some, ScanRun):
                 yield from self._release(held)
-                yield self._look_at(self._pass_on(some))
                 held, beams = {}, 0
+                stamp_ns, geometry = self._selector.stamp(some), Geometry.of(some.first)
+                batch = geometry.stack(stamp_ns, some.ranges, some.time_increment, some.pose)
+                yield self._look_at(batch)
                 continue
             held.setdefault(Geometry.of(some), {})[self.read] = some
             beams += len(some.ranges)
@@ -233,21 +224,6 @@ class Batcher:
                 yield from self._release(held)
                 held, beams = {}, 0
         yield from self._release(held)
-
-    def _choose(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
-        """Give the scans that are wanted, and runs in which all are."""
-        for some, reason in self._selector.judge(scans):
-            self.read += some.scans
-            if self._limits is not None:
-                self._limits.see(some)
-            if reason is None:
-                yield some
-            else:
-                self.left_out[reason] = self.left_out.get(reason, 0) + 1
-
-    def _pass_on(self, run: ScanRun) -> ScanBatch:
-        stamp_ns = self._selector.stamp(run)
-        return Geometry.of(run.first).stack(stamp_ns, run.ranges, run.time_increment, run.pose)
 
     def _release(self, held: Mapping[Geometry, Mapping[int, Scan]]) -> Iterator[ScanBatch]:
         lasers = Counter((geometry.topic, geometry.frame) for geometry in held)

@@ -46,10 +46,5 @@ def plan_grid(options: BuildOptions) -> GridSpec:
     if isinstance(model, RadialModel):
         radial = tabulate(model.free, model.hit, model.depth(options.resolution))
     return GridSpec(
-        options.update,
-        lattice,
-        options.jump,
-        options.border_gap,
-        options.hit_offset,
-        radial,
+        options.update, lattice, options.jump, options.border_gap, options.hit_offset, radial
     )

@@ -1,5 +1,6 @@
 """The errors that occmap raises: each writes its own sentence and knows its exit code."""
 
+from functools import partial
 from typing import Any, ClassVar, Self
 
 
@@ -26,7 +27,7 @@ class OccmapError(Exception):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Survive pickling: what is wrong, where and the fix are more than one argument."""
-        return _revive, (type(self), self.found, self.where, self.fix)
+        return partial(type(self), self.found, where=self.where, fix=self.fix), ()
 
     def placed(self, where: object) -> Self:
         """The same error with a place, unless it names one already."""
@@ -37,11 +38,6 @@ class OccmapError(Exception):
         if self.fix:
             sentence = f"{sentence}; {self.fix}"
         return " ".join(sentence.split())
-
-
-def _revive(kind: type[OccmapError], found: str, where: str, fix: str) -> OccmapError:
-    """Make an error anew that another process raised."""
-    return kind(found, where=where, fix=fix)
 
 
 class LogError(OccmapError):

@@ -95,19 +95,15 @@ class Map(OccupancyMap):
 
     def _take_evidence(self) -> Evidence:
         if self.evidence is None:
-            raise UsageError(
-                "this map did not keep when its cells were seen, which an .npz holds",
-                fix='build it with outputs="map.npz"',
-            )
+            found = "this map did not keep when its cells were seen, which an .npz holds"
+            raise UsageError(found, fix='build it with outputs="map.npz"')
         return self.evidence
 
     def _read_counts(self) -> CellNumbers:
         if self.tiles.kind is not EvidenceKind.COUNTS:
             name, _, _ = self.report.map.model.partition(":")
-            raise UsageError(
-                f"the model {name} sums up log-odds: it keeps no hits and misses",
-                fix='build with model="counting" or model="simple"',
-            )
+            found = f"the model {name} sums up log-odds: it keeps no hits and misses"
+            raise UsageError(found, fix='build with model="counting" or model="simple"')
         (row, col), (rows, cols) = self.place.tolist(), self.shape
         hits, misses = read_cells(self.tiles, CellBox(row, col, row + rows, col + cols))
         return hits, misses

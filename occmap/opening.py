@@ -27,11 +27,8 @@ def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
         raise LogError(f"holds no laser scans; it holds {held or 'nothing'}", where=log.path)
     missing = sorted(set(wanted) - set(there))
     if missing:
-        raise LogError(
-            f"has no scans on the topic {missing[0]}",
-            where=log.path,
-            fix=f"it has scans on {', '.join(there)}",
-        )
+        found = f"has no scans on the topic {missing[0]}"
+        raise LogError(found, where=log.path, fix=f"it has scans on {', '.join(there)}")
     return [topic for topic in there if topic in wanted or not wanted]
 
 
@@ -87,11 +84,9 @@ def refuse_shared_mount(log: Log, first: Sequence[Scan], options: PosingOptions)
         return
     frame, topic = next(iter(lasers.items()))
     own = f"`static_transforms={options.base_frame or 'BASE'},{frame},X,Y,Z,ROLL,PITCH,YAW`"
-    raise UsageError(
-        f"`sensor_pose` would put {len(lasers)} lasers at one place: {', '.join(lasers)}",
-        where=log.path,
-        fix=f"choose one: `topics={topic}`, or give each a mount of its own: {own}",
-    )
+    found = f"`sensor_pose` would put {len(lasers)} lasers at one place: {', '.join(lasers)}"
+    fix = f"choose one: `topics={topic}`, or give each a mount of its own: {own}"
+    raise UsageError(found, where=log.path, fix=fix)
 
 
 def take_first(log: Log, topics: Sequence[str]) -> list[Scan]:

@@ -73,10 +73,8 @@ class BuildOptions:
         if not self.jump >= 0:
             raise UsageError(f"a jump of {self.jump} m is not possible", fix="try `jump=0.1`")
         if not 0 <= self.hit_offset <= MOST_OFFSET:
-            raise UsageError(
-                f"a hit offset of {self.hit_offset} cells is not possible",
-                fix=f"give 0 to {MOST_OFFSET}",
-            )
+            found = f"a hit offset of {self.hit_offset} cells is not possible"
+            raise UsageError(found, fix=f"give 0 to {MOST_OFFSET}")
         if not 0 <= self.border_gap <= 1000:
             raise UsageError(
                 f"a border gap of {self.border_gap} cells is not possible", fix="give 0 to 1000"

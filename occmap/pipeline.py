@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, NamedTuple
 from occmap.alignment import settle_align
 from occmap.evidence import to_evidence
 from occmap.evidence.fit import list_misfit
-from occmap.evidence.manifest import describe_build, list_mixed, plan_manifest
+from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
 from occmap.evidence.merging import open_resumed
 from occmap.evidence.persistence import render_lasting
 from occmap.evidence.publishing import describe_resumed
-from occmap.evidence.repetition import list_repeated
 from occmap.grid.framing import frame
-from occmap.grid.stacks import add_stack, view_tiles
-from occmap.grid.tiles import TileGrid
+from occmap.grid.tiles import TileGrid, add_stack, view_tiles
 from occmap.mounts import list_misfits
 from occmap.observing import Keep, Observe, Observed, Progress, ignore_progress
 from occmap.observing import observe as observe_here
@@ -25,8 +23,9 @@ from occmap.remarks import (
     Remarks,
     list_disagreement,
     list_frames,
-    list_idle_and_repeated,
+    list_given_twice,
     list_lacking,
+    list_unreached,
     note_idle_end,
 )
 from occmap.report import MapFacts, MapSummary, Report, describe_map
@@ -35,7 +34,13 @@ from occmap.tally import Tally, refuse_unseen, refuse_unused
 from occmap.types import Evidence, Manifest, OccupancyMap
 from occmap.writers import Product
 from occmap.writers.atomic import hold_alone
-from occmap.writers.outputs import check_outputs, want_evidence, want_journey, write_outputs
+from occmap.writers.outputs import (
+    check_outputs,
+    list_idle,
+    want_evidence,
+    want_journey,
+    write_outputs,
+)
 
 if TYPE_CHECKING:
     from occmap.inspection import Inspection
@@ -117,24 +122,10 @@ def build_locked(
     if want_evidence(outputs):  # only then: it takes time to hash the logs
         manifest = describe_evidence(paths, options, tally, saved)
 
-    resumed = describe_resumed(saved) if saved else None
     facts = describe_map(grid, options.writing)
-    remarks.notes = [
-        *list_idle_and_repeated(paths, outputs, options.writing, options.model),
-        *remarks.notes,
-        *list_unresumed(options, saved),
-        *unaligned,
-        *options.list_idle(),
-        *note_idle_end(options.selection, tally),
-        *list_frames(tally),
-        *list_lacking(tally, resumed),
-        *misfit,
-        *lost,
-        *list_contradictions(paths, options, facts, tally.lasers),
-        *list_repeated(manifest.builds),
-        *list_mixed(manifest),
-    ]
-    report = replace(make_report(facts, options, tally, remarks), resumed=resumed)
+    remarks.notes += [*unaligned, *misfit, *lost, *list_doubts(manifest)]
+    remarks.notes += list_notes(paths, options, outputs, tally, facts)
+    report = make_report(options, tally, remarks, facts, saved)
 
     product = Product(
         grid,
@@ -189,33 +180,44 @@ def describe_evidence(
     return replace(manifest, builds=(*past.builds, made), subtracted=past.subtracted)
 
 
-def list_unresumed(options: BuildOptions, saved: Evidence | None) -> Iterator[str]:
-    """Say that the file that a build may be added to is not there."""
-    if options.resume_if_there and not saved:
-        yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
-
-
-def list_contradictions(
-    paths: Sequence[Path], options: BuildOptions, facts: MapFacts, lasers: int
+def list_notes(
+    paths: Sequence[Path],
+    options: BuildOptions,
+    outputs: Sequence[Path],
+    tally: Tally,
+    facts: MapFacts,
 ) -> Iterator[str]:
-    """Say that the scans of a map contradict each other, and which mount would fit better."""
+    """Say what a user should know of the options, the logs and the map of a build."""
+    yield from list_idle(outputs, options.writing)
+    yield from list_unreached(options.model, options.writing)
+    yield from options.list_idle()
+    if options.resume_if_there and not options.resume_if_there.exists():
+        yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
+    yield from note_idle_end(options.selection, tally)
+    yield from list_given_twice(paths)
+    yield from list_frames(tally)
+    yield from list_lacking(tally, facts)
     yield from list_disagreement(facts)
-    yield from list_misfits(paths, options, facts.agreement, lasers)
+    yield from list_misfits(paths, options, facts.agreement, tally.lasers)
 
 
-def make_report(facts: MapFacts, options: BuildOptions, tally: Tally, remarks: Remarks) -> Report:
-    """Sum up what was done."""
+def make_report(
+    options: BuildOptions,
+    tally: Tally,
+    remarks: Remarks,
+    facts: MapFacts,
+    saved: Evidence | None = None,
+) -> Report:
+    """Sum up what was done; `saved` is the evidence that it was added to."""
+    manifest = plan_manifest(options)
     return Report(
         logs=tuple(remarks.logs),
         scans=tally.scans,
         builds=1,
-        resumed=None,
+        resumed=describe_resumed(saved) if saved else None,
         beams=tally.beams,
-        map=MapSummary.describe(
-            facts, options.resolution, plan_manifest(options), options.min_passes
-        ),
+        map=MapSummary.describe(facts, options.resolution, manifest, options.min_passes),
         notes=tuple(remarks.notes),
         damage=tuple(remarks.damage),
-        files=tuple(remarks.files),
         seconds=tally.list_seconds(),
     )

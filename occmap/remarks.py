@@ -9,12 +9,11 @@ from typing import Protocol
 
 from occmap.batching import LeftOut, Selection
 from occmap.readers import Note
-from occmap.report import MapFacts, Resumed
+from occmap.report import MapFacts
 from occmap.sensor.bounds import Clamped
 from occmap.sensor.models import SensorModel, find_decision
 from occmap.tally import Tally
 from occmap.writers import WriteOptions
-from occmap.writers.outputs import list_idle
 
 LONGEST_LOG_S = 1e8
 """Three years: a time that is later is a date."""
@@ -53,12 +52,8 @@ class Remarks:
         self.damage += [f"{log.path}: {note.text}" for note in log.notes if note.damage]
 
 
-def list_idle_and_repeated(
-    logs: Sequence[object], outputs: Sequence[Path], writing: WriteOptions, model: SensorModel
-) -> Iterator[str]:
-    """Say which options do nothing, and which logs were given more than once and count as often."""
-    yield from list_idle(outputs, writing)
-    yield from list_unreached(model, writing)
+def list_given_twice(logs: Sequence[Path]) -> Iterator[str]:
+    """Say which logs were given more than once, and count as often."""
     for log, times in Counter(map(str, logs)).items():
         if times > 1:
             yield f"{log}: given {times} times, and counted as often"
@@ -76,10 +71,11 @@ def list_frames(tally: Tally) -> Iterator[str]:
         )
 
 
-def list_lacking(tally: Tally, resumed: Resumed | None) -> Iterator[str]:
-    """Say that the logs show no walls."""
+def list_lacking(tally: Tally, facts: MapFacts) -> Iterator[str]:
+    """Say that the logs show no walls; evidence that they are added to may have some."""
     if not tally.beams.hit:
-        lack = "of the logs hit anything" if resumed else "hit anything, so the map has no walls"
+        lack = "hit anything, so the map has no walls"
+        lack = "of the logs hit anything" if facts.has_walls else lack
         yield f"no beam {lack}: see the ranges in `occmap check`"
 
 

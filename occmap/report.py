@@ -8,7 +8,7 @@ import numpy as np
 from occmap.plain import Count, Printed, Share
 from occmap.sensor.returns import ReturnCounts
 from occmap.tally import ScanCounts
-from occmap.types import Box, Manifest, OccupancyMap, Update
+from occmap.types import Box, Int64, Manifest, OccupancyMap, Update
 from occmap.writers import WriteOptions
 
 
@@ -42,6 +42,16 @@ class MapFacts(NamedTuple):
     agreement: float | None
     has_walls: bool
     """Whether it calls any cell occupied"""
+
+    @classmethod
+    def of_counts(
+        cls, extent: Box, shape: tuple[int, int], counts: Int64, agreement: float | None
+    ) -> Self:
+        """Make them of the numbers that `count_cells` gives, added up over the whole map."""
+        cells = shape[0] * shape[1]
+        observed, occupied, free, walls = counts.tolist()
+        shares = Shares(occupied / cells, free / cells, (cells - observed) / cells)
+        return cls(shape, extent, shares, agreement, walls > 0)
 
 
 @dataclass(frozen=True)
@@ -150,8 +160,11 @@ class Report(Printed):
 
 def describe_map(grid: OccupancyMap, writing: WriteOptions) -> MapFacts:
     """Measure a map, as it is written."""
+    return MapFacts.of_counts(grid.extent, grid.shape, count_cells(grid, writing), grid.agreement)
+
+
+def count_cells(grid: OccupancyMap, writing: WriteOptions) -> Int64:
+    """(4,) how many cells are observed, occupied and free as written, and occupied by the model."""
     written = replace(grid, decision=writing.decide(grid.decision))
-    masks = written.occupied, written.free, ~written.observed
-    shares = Shares(*(int(np.count_nonzero(mask)) / mask.size for mask in masks))
-    has_walls = bool(grid.occupied.any())
-    return MapFacts(grid.shape, grid.extent, shares, grid.agreement, has_walls)
+    masks = grid.observed, written.occupied, written.free, grid.occupied
+    return np.array([np.count_nonzero(mask) for mask in masks])

@@ -56,9 +56,7 @@ class Tally:
     """
 
     def __init__(
-        self,
-        tell: Callable[[int], None] = ignore_advance,
-        recorder: JourneyRecorder | None = None,
+        self, tell: Callable[[int], None] = ignore_advance, recorder: JourneyRecorder | None = None
     ) -> None:
         self.tell = tell
         """Called now and then with the scans read since the last call"""
@@ -154,11 +152,8 @@ def refuse_unused(logs: Sequence[object], tally: Tally) -> None:
         return
     where = name_logs(logs)
     if tally.scans_read:
-        raise PoseError(
-            write_unused(tally.scans_read, tally.dropped),
-            where=where,
-            fix="`occmap check` shows the times of scans and poses",
-        )
+        found = write_unused(tally.scans_read, tally.dropped)
+        raise PoseError(found, where=where, fix="`occmap check` shows the times of scans and poses")
     raise LogError("holds no laser scan that can be read", where=where)
 
 
@@ -173,11 +168,8 @@ def refuse_unseen(logs: Sequence[object], tally: Tally, seen: Collection[object]
     if seen:
         return
     clear = ", or try `no_return=clear`" if tally.beams.no_return else ""
-    raise MapError(
-        f"no beam of any scan observed a cell: {write_counts(tally.beams.by_name)}",
-        where=name_logs(logs),
-        fix=f"see the ranges in `occmap check`{clear}",
-    )
+    found = f"no beam of any scan observed a cell: {write_counts(tally.beams.by_name)}"
+    raise MapError(found, where=name_logs(logs), fix=f"see the ranges in `occmap check`{clear}")
 
 
 def name_logs(logs: Sequence[object]) -> str:

@@ -51,10 +51,7 @@ def open_drive(log: Log, options: BuildOptions) -> Drive:
 
 
 def trace_logs(
-    logs: Sequence[Log],
-    options: BuildOptions,
-    begin: Callable[[], AddRays],
-    tally: Tally,
+    logs: Sequence[Log], options: BuildOptions, begin: Callable[[], AddRays], tally: Tally
 ) -> list[tuple[Log, list[str]]]:
     """Read logs and trace their scans; return each log with the notes on it.
 

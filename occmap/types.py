@@ -8,7 +8,7 @@ otherwise. Frames follow REP 103 and REP 105: x forward, y left, z up, yaw count
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from numbers import Real
@@ -638,6 +638,13 @@ class Manifest:
     """What was taken away that no entry of `builds` stands for"""
     align: float | None = 0.0
     """By what the map is turned (degrees); None only in a plan: it is yet to be found"""
+
+    @classmethod
+    def from_json(cls, said: Mapping[str, Any]) -> Self:
+        """Make one of what a file says; raises LookupError or TypeError where it lacks some."""
+        fields = {name: said[name] for name in cls.__dataclass_fields__}
+        lists = {name: tuple(said[name]) for name in ("builds", "subtracted")}
+        return cls(**{**fields, **lists})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

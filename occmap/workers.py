@@ -53,15 +53,11 @@ class Workers(Generic[Item]):
         if self._pool is None:
             return
         try:
-            if kind is None:
-                self._finish()
+            # What no thread has begun is done here, last things first.
+            for future, item in reversed(self._given.items()) if kind is None else ():
+                if future.cancel():
+                    self._work(item)
+                else:
+                    future.result()
         finally:
             self._pool.shutdown(cancel_futures=True)
-
-    def _finish(self) -> None:
-        """Work on what no thread has begun, last things first, and wait for the others."""
-        for future, item in reversed(self._given.items()):
-            if future.cancel():
-                self._work(item)
-            else:
-                future.result()

@@ -9,22 +9,20 @@ import numpy as np
 
 from occmap.errors import MapError, OccmapError
 from occmap.evidence.manifest import describe_profile
-from occmap.grid.lattice import Lattice
-from occmap.grid.rendering import SpreadHits, TileSource, find_bounds, measure_agreement, paint
+from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid.rendering import SpreadHits, TileSource, count_agreeing, find_bounds, paint
 from occmap.grid.spec import find_unit
-from occmap.grid.stacks import add_stack, stack_tiles
-from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid, refuse_large
+from occmap.grid.tiles import (
+    LOG_ODDS_UNIT,
+    EvidenceKind,
+    TileGrid,
+    add_stack,
+    refuse_large,
+    stack_tiles,
+)
 from occmap.sensor.bounds import Clamped, Spreading
 from occmap.sensor.models import RadialModel, SensorModel, find_decision, parse_model
-from occmap.types import (
-    Evidence,
-    Float64,
-    Manifest,
-    OccupancyMap,
-    Slices,
-    Update,
-    to_log_odds,
-)
+from occmap.types import Evidence, Float64, Manifest, OccupancyMap, Slices, Update, to_log_odds
 
 Weigh: TypeAlias = Callable[[Float64, Float64], Float64]
 """Takes hits and misses, or log-odds and observations; gives log-odds"""
@@ -38,14 +36,18 @@ def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
     MapError
         Nothing was observed, or the map would be too large.
     """
-    tiles = choose_tiles(grid, model)
-    box = find_bounds(tiles)
+    box = find_bounds(choose_tiles(grid, model))
     refuse_large(box, grid.lattice, max_cells)
-    log_odds, observed = paint(tiles, weigh(model), to_log_odds(model.prior), box)
-    origin = (grid.lattice.to_metres(box.col), grid.lattice.to_metres(box.row))
-    decision = find_decision(model)
-    made = OccupancyMap(log_odds, observed, grid.lattice.resolution, origin, decision)
-    return replace(made, agreement=measure_agreement(grid, made.occupied, box))
+    made = paint_box(grid, model, box)
+    agreeing, hits = count_agreeing(grid, made.occupied, box)
+    return replace(made, agreement=agreeing / hits if hits else None)
+
+
+def paint_box(grid: TileGrid, model: SensorModel, box: CellBox) -> OccupancyMap:
+    """Let a model say what the evidence means in a box of cells; the map knows no agreement."""
+    painted = paint(choose_tiles(grid, model), weigh(model), to_log_odds(model.prior), box)
+    x, y, _, _ = grid.lattice.measure(box)
+    return OccupancyMap(*painted, grid.lattice.resolution, (x, y), find_decision(model))
 
 
 def choose_tiles(grid: TileGrid, model: SensorModel) -> TileSource:
@@ -94,11 +96,9 @@ def read_model(evidence: Described) -> SensorModel:
     try:
         return parse_model(evidence.manifest.model)
     except OccmapError as error:
-        raise MapError(
-            f"its model {evidence.manifest.model!r} cannot be made ({error.found})",
-            where=evidence.where,
-            fix="give another with `model`, or install what has it",
-        ) from None
+        found = f"its model {evidence.manifest.model!r} cannot be made ({error.found})"
+        fix = "give another with `model`, or install what has it"
+        raise MapError(found, where=evidence.where, fix=fix) from None
 
 
 def to_evidence(

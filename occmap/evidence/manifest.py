@@ -2,11 +2,13 @@
 
 import hashlib
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from importlib.metadata import version
+from itertools import combinations
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from occmap.errors import LogError
@@ -29,7 +31,7 @@ def describe_build(
     paths: Sequence[Path],
     options: Any,
     scans: dict[str, Any],
-    describe: Callable[[Path], Iterable[dict[str, Any]]] | None = None,
+    known: Mapping[Path, Iterable[dict[str, Any]]] = MappingProxyType({}),
 ) -> BuildRecord:
     """Describe what one build used, in values that JSON has.
 
@@ -38,8 +40,8 @@ def describe_build(
 
     Parameters
     ----------
-    describe
-        Takes the place of `describe_files` where the hashes are known already.
+    known
+        What `describe_files` says of logs whose hashes are known already.
 
     Raises
     ------
@@ -51,10 +53,10 @@ def describe_build(
     trajectory = [Path(poses)] if poses and Path(poses).is_file() else []
     if trajectory:
         chosen["posing"]["poses"] = trajectory[0].name
-    look = describe or describe_files
+    files = [*paths, *trajectory]
     return {
         "occmap": version("occmap"),
-        "inputs": [entry for path in (*paths, *trajectory) for entry in look(path)],
+        "inputs": [entry for path in files for entry in known.get(path) or describe_files(path)],
         "options": {**chosen, "model": describe_model(options.model)},
         "scans": scans,
     }
@@ -119,6 +121,51 @@ def plan_manifest(options: Any) -> Manifest:
         builds=(),
         align=options.posing.align,
     )
+
+
+def list_doubts(manifest: Manifest) -> Iterator[str]:
+    """Say what a reader of evidence should know of it."""
+    yield from list_repeated(manifest.builds)
+    yield from list_mixed(manifest)
+    if manifest.subtracted:
+        yield "what was subtracted was not a whole build, so numbers of visits are upper bounds"
+
+
+def list_repeated(builds: Sequence[BuildRecord]) -> Iterator[str]:
+    """Say which logs count twice. Parts of one log that share no scan do not."""
+    said: dict[str, None] = {}
+    for build in builds:
+        hashes = [entry["sha256"] for entry in list_inputs(build)]
+        again = (e for i, e in enumerate(list_inputs(build)) if e["sha256"] in hashes[:i])
+        said |= dict.fromkeys(tell_repeated(entry["name"]) for entry in again)
+    for one, other in combinations(builds, 2):
+        mine, its = one["options"]["selection"], other["options"]["selection"]
+        hashes = [entry["sha256"] for entry in list_inputs(one)]
+        again = (entry for entry in list_inputs(other) if entry["sha256"] in hashes)
+        if overlap(mine, its):
+            part = "" if mine == its else ", in part"
+            said |= dict.fromkeys(tell_repeated(entry["name"], part) for entry in again)
+    yield from said
+
+
+def tell_repeated(name: str, part: str = "") -> str:
+    """Say that a log counts twice, and how to take it out."""
+    return (
+        f"{name} is in it twice{part}, and what it observed counts as often; to take it out once, "
+        "build it again alone, and let `occmap merge` subtract that"
+    )
+
+
+def overlap(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    """Whether two selections share scans, as far as can be told without the log.
+
+    Where both leave out scans by a stride and are not the same, they may well take turns.
+    """
+    begin = max(float(each["start_s"]) for each in (one, other))
+    end = min(float(each["end_s"]) for each in (one, other))
+    topics, others = set(one["topics"]), set(other["topics"])
+    apart = begin >= end or (topics and others and not topics & others)
+    return not apart and (one == other or 1 in (one["stride"], other["stride"]))
 
 
 def list_mixed(manifest: Manifest) -> Iterator[str]:

@@ -12,8 +12,7 @@ from occmap.evidence import Described, read_model, to_evidence, to_grid
 from occmap.evidence.fit import list_misfit
 from occmap.evidence.manifest import MEANING
 from occmap.grid.slices import restrict
-from occmap.grid.stacks import add_stack, drop_empty, stack_tiles, view_tiles
-from occmap.grid.tiles import EvidenceKind, TileGrid
+from occmap.grid.tiles import EvidenceKind, TileGrid, add_stack, drop_empty, stack_tiles, view_tiles
 from occmap.sensor.models import SensorModel
 from occmap.store.sources import Combined, Saved, as_blocks, open_saved, read_all
 from occmap.types import Evidence, Manifest
@@ -51,17 +50,13 @@ def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:
     parts = list(map(open_saved, (*added, *taken)))
     held = [each for each in parts if isinstance(each, Evidence)]
     if len(held) == len(parts):
-        return add_up(held, find_model(held[0]))
+        model = None
+        with suppress(MapError):  # where it cannot be made, nothing is said of what does not fit
+            model = read_model(held[0])
+        return add_up(held, model)
     made = Combined(tuple(map(as_blocks, parts)), add_up)
     refuse_different(made.manifest, parts[0])  # of nothing yet: what differs is refused at once
     return made
-
-
-def find_model(evidence: Evidence) -> SensorModel | None:
-    """The model that evidence was built with; None where it cannot be made."""
-    with suppress(MapError):
-        return read_model(evidence)
-    return None
 
 
 def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Evidence:
@@ -142,11 +137,8 @@ def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None
         wrong = (cells[:, 1] < 0) | ((cells[:, 1] == 0) & (cells[:, 0] != 0))
     if wrong.any():
         minuend = evidence.where or "the sum"
-        raise MapError(
-            f"holds observations of {np.count_nonzero(wrong)} cells that {minuend} lacks",
-            where=other.where,
-            fix="subtract only what was merged before",
-        )
+        found = f"holds observations of {np.count_nonzero(wrong)} cells that {minuend} lacks"
+        raise MapError(found, where=other.where, fix="subtract only what was merged before")
 
 
 def refuse_different(manifest: Manifest, other: Described) -> None:

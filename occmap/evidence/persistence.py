@@ -8,10 +8,9 @@ import numpy as np
 from occmap.errors import MapError, UsageError
 from occmap.evidence import render
 from occmap.grid.slices import count_visits, split_tiles, unite
-from occmap.grid.stacks import drop_empty
-from occmap.grid.tiles import Tile, TileGrid
+from occmap.grid.tiles import TileGrid, drop_empty
 from occmap.sensor.models import RadialModel, SensorModel
-from occmap.types import Int64, OccupancyMap, Slices
+from occmap.types import OccupancyMap, Slices
 
 SHORTEST_GAP_S, LONGEST_GAP_S = 1e-3, 1e9
 MUCH = 0.25
@@ -33,45 +32,27 @@ def keep_lasting(grid: TileGrid, slices: Sequence[Slices], min_passes: int | Non
         When the cells were observed, build by build; a slice that several builds share is one.
     min_passes
         None: all stays as it is.
-
-    Raises
-    ------
-    MapError
-        Nothing is left.
     """
     if min_passes is None:
         return grid
-    lasting = drop_passing(grid, slices, min_passes)
-    if grid.tiles and not lasting.tiles:
-        refuse_nothing_left(min_passes)
-    return lasting
-
-
-def refuse_nothing_left(min_passes: int) -> NoReturn:
-    """Say that no cell lasts; raises MapError."""
-    raise MapError(
-        f"no cell was hit on {min_passes} visits, and none was seen free: there is no map",
-        fix="give a smaller `min_passes`",
-    )
-
-
-def drop_passing(grid: TileGrid, slices: Sequence[Slices], min_passes: int) -> TileGrid:
-    """As `keep_lasting` with a number of visits, but the result may be empty."""
     lasting = TileGrid(grid.lattice, grid.kind, grid.unit)
     for key, of_tile in split_tiles(unite(slices)):
         if key in grid.tiles:
-            visits = count_visits(of_tile)
-            lasting.tiles[key] = weigh_visits(grid.tiles[key], visits, min_passes)
+            (hits, misses), (hit, seen) = grid.tiles[key], count_visits(of_tile)
+            often = hit >= min_passes
+            mostly = often & (2 * hit >= seen)
+            kept = np.where(often, hits, 0), np.where(mostly, 0, misses)
+            lasting.tiles[key] = np.stack(kept)
     drop_empty(lasting)
     return lasting
 
 
-def weigh_visits(numbers: Tile, visits: Int64, min_passes: int) -> Int64:
-    """Forget hits or misses (2, ...) of cells by the visits (2, ...) that hit and that saw them."""
-    (hits, misses), (hit, seen) = numbers, visits
-    often = hit >= min_passes
-    mostly = often & (2 * hit >= seen)
-    return np.stack([np.where(often, hits, 0), np.where(mostly, 0, misses)])
+def refuse_nothing_left(min_passes: int | None) -> NoReturn:
+    """Say that no cell was observed, or that none lasts; raises MapError."""
+    if min_passes is None:
+        raise MapError("no beam of any scan observed a cell, so there is no map")
+    found = f"no cell was hit on {min_passes} visits, and none was seen free: there is no map"
+    raise MapError(found, fix="give a smaller `min_passes`")
 
 
 def render_lasting(
@@ -86,9 +67,11 @@ def render_lasting(
     Raises
     ------
     MapError
-        As `keep_lasting` and `render`.
+        Nothing is left, or as `render`.
     """
     lasting = keep_lasting(grid, slices, min_passes)
+    if grid.tiles and not lasting.tiles:
+        refuse_nothing_left(min_passes)
     made = render(lasting, model, max_cells)
     if lasting is grid:
         return made, []
@@ -145,7 +128,5 @@ def check_gap(pass_gap_s: float) -> None:
         They are too short or too long.
     """
     if not SHORTEST_GAP_S <= pass_gap_s <= LONGEST_GAP_S:
-        raise UsageError(
-            f"`pass_gap_s={pass_gap_s:g}` is not possible",
-            fix=f"give {SHORTEST_GAP_S:g} to {LONGEST_GAP_S:g} seconds",
-        )
+        found = f"`pass_gap_s={pass_gap_s:g}` is not possible"
+        raise UsageError(found, fix=f"give {SHORTEST_GAP_S:g} to {LONGEST_GAP_S:g} seconds")

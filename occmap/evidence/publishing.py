@@ -1,7 +1,7 @@
 """Saved evidence made into files again, and what the report says of it."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 from occmap.errors import UsageError
 from occmap.evidence import read_model, refuse_other_profile, to_grid
-from occmap.evidence.manifest import list_mixed
+from occmap.evidence.manifest import list_doubts
 from occmap.evidence.persistence import check_passes, render_lasting
-from occmap.evidence.repetition import list_repeated
 from occmap.grid.framing import Framing, frame
 from occmap.grid.tiles import MAX_CELLS
 from occmap.remarks import list_disagreement, list_unreached
@@ -27,18 +26,12 @@ from occmap.store.rendering import (
     render_blocks,
     survey_blocks,
 )
-from occmap.store.sources import Blocks, Saved, as_blocks, read_all
+from occmap.store.sources import Saved, as_blocks, read_all
 from occmap.store.writer import ZarrWriter
 from occmap.tally import ScanCounts
 from occmap.types import Evidence, Manifest, OccupancyMap
 from occmap.writers import Product, ProductWriter, WindowWriter, WriteOptions
-from occmap.writers.outputs import (
-    check_outputs,
-    find_writer,
-    list_idle,
-    refuse_journeys,
-    write_outputs,
-)
+from occmap.writers.outputs import check_outputs, find_writer, list_idle, write_outputs
 
 
 @dataclass(frozen=True)
@@ -71,7 +64,8 @@ class Seen(NamedTuple):
     resolution: float
     """Side of a cell, or of a pixel of an overview (m)"""
     facts: MapFacts
-    notes: tuple[str, ...]
+    lost: list[str]
+    """What there is to say of cells that do not last"""
 
 
 def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Report:
@@ -85,17 +79,18 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
         As `render_kept`, or an output cannot be written.
     """
     check_outputs(outputs)
-    refuse_journeys(outputs)
-    if options.overview is not None:
-        refuse_layers(outputs)
-    model, manifest = choose_model(saved, options)
     writers = list(map(find_writer, outputs))
+    for path, writer in zip(outputs, writers, strict=True):
+        if isinstance(writer, ProductWriter):
+            refuse_unknown(path, writer, options)
+    model, manifest = choose_model(saved, options)
     in_parts = all(isinstance(writer, ZarrWriter | WindowWriter) for writer in writers)
     grid: OccupancyMap | BlockMap
     if isinstance(saved, Evidence) or options.overview or not in_parts:
         grid, seen = paint_saved(saved, model, options)
     else:
-        grid, seen = survey_saved(saved, model, options)
+        grid = open_map(View(saved, model, options.min_passes), options.framing)
+        seen = Seen(grid.resolution, *survey_blocks(grid, options.writing))
     report = summarise(manifest, model, seen, options, outputs)
     keep = cache(lambda: replace(read_all(saved), manifest=manifest))
     files: list[str] = []
@@ -103,29 +98,27 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
         if isinstance(writer, ZarrWriter):
             files += map(str, writer.write_blocks(path, as_blocks(saved), manifest))
         elif isinstance(writer, WindowWriter):
-            files += map(str, writer.write_windows(path, grid, options.writing))
+            files += map(str, writer.write(path, grid, options.writing))
         elif isinstance(grid, OccupancyMap):
             product = Product(grid, keep, report=report)
             files += write_outputs([path], product, options.writing)
     return replace(report, files=tuple(files))
 
 
-def refuse_layers(outputs: Sequence[Path]) -> None:
-    """Refuse to show, on an overview, what was observed in each cell.
+def refuse_unknown(path: Path, writer: ProductWriter, options: RenderOptions) -> None:
+    """Refuse an output of what saved evidence, or an overview of it, does not say.
 
     Raises
     ------
     UsageError
-        An output shows that.
+        It holds nothing but where the robot went, or, of an overview, shows what was observed.
     """
-    for path in outputs:
-        writer = find_writer(path)
-        if isinstance(writer, ProductWriter) and writer.needs_evidence:
-            raise UsageError(
-                "shows single cells, and `overview` has none",
-                where=path,
-                fix="leave out `overview`, or write a .png",
-            )
+    if writer.needs_journey:
+        found = "evidence does not say where the robot went, only the logs do"
+        raise UsageError(found, where=path, fix="build it from the logs: `occmap build`")
+    if writer.needs_evidence and options.overview is not None:
+        found = "shows single cells, and `overview` has none"
+        raise UsageError(found, where=path, fix="leave out `overview`, or write a .png")
 
 
 def render_kept(saved: Saved, options: RenderOptions, outputs: Sequence[Path] = ()) -> Rendered:
@@ -173,8 +166,7 @@ def paint_saved(
     else:
         view = View(saved, model, options.min_passes)
         shown, lost = render_blocks(open_map(view, framing), most)
-    facts = describe_map(shown, options.writing)
-    return shown, Seen(shown.resolution, facts, (*lost, *list_disagreement(facts)))
+    return shown, Seen(shown.resolution, describe_map(shown, options.writing), lost)
 
 
 def check_overview(saved: Saved, options: RenderOptions) -> Store:
@@ -188,28 +180,9 @@ def check_overview(saved: Saved, options: RenderOptions) -> Store:
     if not isinstance(saved, Store):
         raise UsageError("`overview` goes with a store", where=saved.where, fix="leave it out")
     if options.model or options.min_passes:
-        raise UsageError(
-            "the pictures in a store show what its own model decided of all that was observed",
-            fix="leave out `overview`, or the model and `min_passes`",
-        )
+        found = "the pictures in a store show what its own model decided of all that was observed"
+        raise UsageError(found, fix="leave out `overview`, or the model and `min_passes`")
     return saved
-
-
-def survey_saved(
-    saved: Blocks, model: SensorModel, options: RenderOptions
-) -> tuple[BlockMap, Seen]:
-    """Measure a map that is never in memory as a whole; raises MapError."""
-    made = open_map(View(saved, model, options.min_passes), options.framing)
-    facts, lost = survey_blocks(made, options.writing)
-    return made, Seen(made.resolution, facts, (*lost, *list_disagreement(facts)))
-
-
-def list_notes(manifest: Manifest) -> Iterator[str]:
-    """Say what a reader of evidence should know of it."""
-    yield from list_repeated(manifest.builds)
-    yield from list_mixed(manifest)
-    if manifest.subtracted:
-        yield "what was subtracted was not a whole build, so numbers of visits are upper bounds"
 
 
 def summarise(
@@ -229,10 +202,11 @@ def summarise(
         beams=sum((read_counts(each["beams"]) for each in scans), ReturnCounts()),
         map=MapSummary.describe(seen.facts, seen.resolution, manifest, options.min_passes),
         notes=(
-            *list_notes(manifest),
+            *list_doubts(manifest),
             *list_idle(outputs, options.writing),
             *list_unreached(model, options.writing),
-            *seen.notes,
+            *seen.lost,
+            *list_disagreement(seen.facts),
         ),
     )
 
@@ -240,12 +214,11 @@ def summarise(
 def sum_scans(manifest: Manifest) -> ScanCounts:
     """Add up what became of the scans of all builds of evidence."""
     scans = [build["scans"] for build in manifest.builds]
+    read, used = (sum(each[name] for each in scans) for name in ("read", "used"))
     dropped: Counter[str] = Counter()
     for each in scans:
         dropped.update(each["dropped"])
-    return ScanCounts(
-        sum(each["read"] for each in scans), sum(each["used"] for each in scans), dict(dropped)
-    )
+    return ScanCounts(read, used, dict(dropped))
 
 
 def describe_resumed(evidence: Evidence) -> Resumed:

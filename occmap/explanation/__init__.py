@@ -9,8 +9,8 @@ import numpy as np
 
 from occmap.errors import UsageError
 from occmap.evidence import choose_tiles, read_model, refuse_other_profile, to_grid, weigh
+from occmap.evidence.manifest import list_doubts
 from occmap.evidence.persistence import check_passes, keep_lasting
-from occmap.evidence.publishing import list_notes
 from occmap.explanation.history import (
     Cell,
     CellHistory,
@@ -152,7 +152,7 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
         scans_used=scans_used,
         scans=tuple(sorted(sightings, key=lambda each: each.stamp_ns)),
         notes=(
-            *list_notes(evidence.manifest),
+            *list_doubts(evidence.manifest),
             *(list_unexplained(evidence, history, uses, sightings) if uses else ()),
         ),
     )

@@ -20,20 +20,21 @@ from occmap.engines import make_grid
 from occmap.errors import OutputError
 from occmap.evidence.manifest import UNRECORDED, write_value
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
-from occmap.fleet.reducing import ReduceJob, reduce_block
 from occmap.fleet.runs import Piece, read_pieces
 from occmap.fleet.settling import LogTrace
 from occmap.fleet.tasks import (
+    BlockJob,
     Setting,
     Survey,
     SurveyJob,
     Traced,
     count_in_window,
+    reduce_block,
     survey_log,
     trace_part,
 )
 from occmap.grid.slices import unite
-from occmap.grid.stacks import view_tiles
+from occmap.grid.tiles import view_tiles
 from occmap.observing import Keep, Observed, Progress
 from occmap.options import BuildOptions
 from occmap.remarks import Remarks
@@ -50,10 +51,6 @@ WINDOW_CELL_BYTES = 20
 LARGEST_WINDOW = 1 << 24
 ROOMY_BYTES = 4 << 30
 """What a worker without a limit is taken to have"""
-
-
-def ignore_text(_text: str) -> None:
-    """Tell nobody."""
 
 
 class Work(NamedTuple):
@@ -77,7 +74,7 @@ class Fleet:
     """A folder that all workers share"""
     slice_bytes: int = SLICE_BYTES
     """About how much of a log is one task"""
-    describe: Callable[[str], None] = ignore_text
+    describe: Callable[[str], None] = lambda _text: None
     """Told how far the work is"""
 
     def observe(
@@ -228,10 +225,10 @@ def plan_traces(cluster: Cluster, setting: Setting, surveys: Sequence[Survey]) -
     return [LogTrace(setting, survey, counts[survey.log]) for survey in surveys]
 
 
-def list_reductions(work: Work) -> list[ReduceJob]:
+def list_reductions(work: Work) -> list[BlockJob]:
     """List the blocks that are to be added up, each with all that was observed in it."""
     return [
-        ReduceJob(work.setting, block, tuple(chain.from_iterable(work.blocks[block].values())))
+        BlockJob(work.setting, block, tuple(chain.from_iterable(work.blocks[block].values())))
         for block in sorted(work.blocks)
     ]
 

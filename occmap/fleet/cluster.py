@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from occmap.errors import FleetError, OccmapError
+from occmap.errors import FleetError
 from occmap.plugins import need_extra
 from occmap.wording import count
 
@@ -34,13 +34,11 @@ LEAST_BYTES = 512 << 20
 """The least memory for a worker (bytes): a third of it is gone before the first scan"""
 MUST_EQUAL = ("occmap", "numpy", "numba")
 """Packages that may make other cells in another version"""
+_MALLOC = "distributed.nanny.pre-spawn-environ.MALLOC"
 ALLOCATOR = {
-    f"distributed.nanny.pre-spawn-environ.MALLOC_{name}": value
-    for name, value in {
-        "TRIM_THRESHOLD_": 64 << 20,
-        "MMAP_THRESHOLD_": 4 << 20,
-        "ARENA_MAX": 1,
-    }.items()
+    f"{_MALLOC}_TRIM_THRESHOLD_": 64 << 20,
+    f"{_MALLOC}_MMAP_THRESHOLD_": 4 << 20,
+    f"{_MALLOC}_ARENA_MAX": 1,
 }
 """For workers of this machine: as Dask sets it, the C library gives every array back at once, and
 new pages for the next take a third of a worker's time; and each thread would keep its own"""
@@ -98,27 +96,20 @@ class Cluster:
                 # What comes later does not matter any more; what comes earlier may fail, too.
                 self._client.cancel([each for each in futures[place + 1 :] if not each.done()])
             future.release()
-            self._show(f"{phase} {done}/{len(jobs)}")
+            workers, link = count(self.workers, "worker"), self._client.dashboard_link
+            self._describe(f"{phase} {done}/{len(jobs)}, {workers}{link and f', {link}'}")
         if failed:
             place = min(failed)
             raise explain(failed[place], jobs[place], self.memory)
         return [results[place] for place in range(len(jobs))]
 
-    def _show(self, text: str) -> None:
-        link = self._client.dashboard_link
-        self._describe(f"{text}, {count(self.workers, 'worker')}{link and f', {link}'}")
-
     def list_losses(self) -> Iterator[str]:
         """Say how often a worker was lost, and how many tasks ran again for it."""
         events = [event for _, event in self._client.get_events("all")]
         lost = [each for each in events if each["action"] == "remove-worker"]
-        tasks = [
-            key
-            for each in lost
-            for key in {*each["processing-tasks"], *each["lost-computed-tasks"]} & self._keys
-        ]
-        if tasks:
-            yield f"{count(len(tasks), 'task')} ran again, since workers were lost"
+        held = ({*each["processing-tasks"], *each["lost-computed-tasks"]} for each in lost)
+        if again := sum(len(tasks & self._keys) for tasks in held):
+            yield f"{count(again, 'task')} ran again, since workers were lost"
 
     def ask(self, question: Callable[..., Any], *args: Any) -> list[Any]:
         """Ask every worker; an error is an answer."""
@@ -141,8 +132,7 @@ def open_cluster(
     UsageError, FleetError
         Dask is not installed, nobody answers, or the workers are not fit for the work.
     """
-    with ExitStack() as stack:
-        client = stack.enter_context(connect(address, processes))
+    with connect(address, processes) as client:
         cluster = Cluster(client, describe)
         refuse_unequal(cluster)
         refuse_small(cluster)
@@ -160,32 +150,26 @@ def connect(address: str, processes: int) -> Iterator["Client"]:
         place: Any = address
         if address == LOCAL:
             stack.enter_context(dask.config.set(ALLOCATOR))
-            place = stack.enter_context(
-                distributed.LocalCluster(
-                    n_workers=processes,
-                    threads_per_worker=1,
-                    dashboard_address=":0",
-                    silence_logs=logging.CRITICAL,
-                    config={"distributed.worker.profile.enabled": False},  # it takes time
-                )
+            local = distributed.LocalCluster(
+                n_workers=processes,
+                threads_per_worker=1,
+                dashboard_address=":0",
+                silence_logs=logging.CRITICAL,
+                config={"distributed.worker.profile.enabled": False},  # it takes time
             )
+            place = stack.enter_context(local)
         try:
             client = stack.enter_context(distributed.Client(place, timeout=PATIENCE_S))
         except (OSError, ValueError) as error:
             reason = str(error).splitlines()[0] if isinstance(error, ValueError) else ""
-            raise FleetError(
-                f"no scheduler answers within {PATIENCE_S} s{reason and f' ({reason})'}",
-                where=address,
-                fix="start one with `dask scheduler`, or build with `dask=local`",
-            ) from None
+            found = f"no scheduler answers within {PATIENCE_S} s{reason and f' ({reason})'}"
+            fix = "start one with `dask scheduler`, or build with `dask=local`"
+            raise FleetError(found, where=address, fix=fix) from None
         try:
             client.wait_for_workers(1, timeout=PATIENCE_S)
         except TimeoutError:
-            raise FleetError(
-                "the scheduler has no workers",
-                where=address,
-                fix=f"start some: dask worker {address}",
-            ) from None
+            fix = f"start some: dask worker {address}"
+            raise FleetError("the scheduler has no workers", where=address, fix=fix) from None
         yield client
 
 
@@ -243,11 +227,8 @@ def refuse_unseen_files(cluster: Cluster, paths: Sequence[Path]) -> None:
     answers = cluster.ask(list_missing, paths)
     missing = [each for each in answers if isinstance(each, list) and each]
     if missing:
-        raise FleetError(
-            f"is not there on {len(missing)} of {count(len(answers), 'worker')}",
-            where=missing[0][0],
-            fix="give a path that all of them share",
-        )
+        found = f"is not there on {len(missing)} of {count(len(answers), 'worker')}"
+        raise FleetError(found, where=missing[0][0], fix="give a path that all of them share")
 
 
 def list_missing(paths: Sequence[Path]) -> list[Path]:
@@ -259,7 +240,7 @@ def explain(error: BaseException, job: Job, memory: int | None) -> BaseException
     """Say what to do where a task killed its workers; any other error speaks for itself."""
     from distributed import KilledWorker  # noqa: PLC0415  late: an extra
 
-    if isinstance(error, OccmapError) or not isinstance(error, KilledWorker):
+    if not isinstance(error, KilledWorker):
         return error
     limit = "" if memory is None else f", which had {memory >> 20} MiB of memory"
     return FleetError(

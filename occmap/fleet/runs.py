@@ -5,27 +5,23 @@ are renamed into place, the stub last: where it is there, the task is done for g
 """
 
 import pickle
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from io import BytesIO
+from collections.abc import Callable, Iterable, Iterator
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-import numpy as np
 import zstandard
 
 from occmap.errors import MapError
-from occmap.grid.slices import take
-from occmap.grid.stacks import stack_tiles
-from occmap.grid.tiles import TileGrid
-from occmap.store.blocks import Block, group_by_block
-from occmap.types import Int64, Slices
+from occmap.store.blocks import Block, BlockContent
 from occmap.writers.atomic import open_atomic
 
 Result = TypeVar("Result")
 
 ALIGNED = 64
 """Arrays begin at multiples of this (bytes)"""
+COMPRESSOR = zstandard.ZstdCompressor(write_checksum=True)
+"""What was altered does not pass for what was written"""
 
 
 class Piece(NamedTuple):
@@ -37,30 +33,8 @@ class Piece(NamedTuple):
     size: int
 
 
-class Content(NamedTuple):
-    """What was observed in a block."""
-
-    tiles: Int64
-    """(T, 2), as in `Evidence`"""
-    cells: Int64
-    """(T, 2, 64, 64), as in `Evidence`"""
-    slices: tuple[Slices, ...]
-    """One where slices of time are kept, in order; else none"""
-
-
-def split_blocks(grid: TileGrid, slices: Sequence[Slices]) -> Iterator[tuple[Block, Content]]:
-    """Cut evidence into blocks, one after the other: a copy of all of it would not fit."""
-    keys = np.array(sorted(grid.keys), np.int64).reshape(-1, 2)
-    layers = [(layer, group_by_block(layer.tiles)) for layer in slices]
-    nothing = np.zeros(0, np.int64)
-    for block, which in group_by_block(keys).items():
-        part = {(row, col): grid.tiles[row, col] for row, col in keys[which].tolist()}
-        of_block = (take(layer, places.get(block, nothing)) for layer, places in layers)
-        yield block, Content(*stack_tiles(part), tuple(of_block))
-
-
 def write_run(
-    folder: Path, name: str, parts: Iterable[tuple[Block, Content]]
+    folder: Path, name: str, parts: Iterable[tuple[Block, BlockContent]]
 ) -> dict[Block, Piece]:
     """Write a run file; say where each block lies in it.
 
@@ -72,14 +46,14 @@ def write_run(
     pieces, offset = {}, 0
     with open_atomic(folder / name) as (file,):
         for key, content in parts:
-            data = pack_content(content)
+            data = COMPRESSOR.compress(pickle.dumps(content, protocol=5))
             file.write(data)
             pieces[key] = Piece(name, offset, len(data))
             offset += len(data)
     return pieces
 
 
-def read_pieces(folder: Path, pieces: Iterable[Piece]) -> Iterable[Content]:
+def read_pieces(folder: Path, pieces: Iterable[Piece]) -> Iterator[BlockContent]:
     """Read parts of blocks, one after the other.
 
     Raises
@@ -91,31 +65,12 @@ def read_pieces(folder: Path, pieces: Iterable[Piece]) -> Iterable[Content]:
         try:
             with (folder / name).open("rb") as file:
                 file.seek(offset)
-                yield unpack_content(file.read(size))
-        except (OSError, ValueError, LookupError, zstandard.ZstdError) as error:
+                data = zstandard.decompress(file.read(size))
+        except (OSError, zstandard.ZstdError) as error:
             raise MapError(
                 f"cannot be read ({error})", where=folder / name, fix="remove it, and build again"
             ) from None
-
-
-def pack_content(content: Content) -> bytes:
-    """Make bytes of a part of a block."""
-    names = Slices.__dataclass_fields__
-    arrays = {
-        f"{n}.{name}": getattr(s, name) for n, s in enumerate(content.slices) for name in names
-    }
-    buffer = BytesIO()
-    np.savez(buffer, tiles=content.tiles, cells=content.cells, **arrays)
-    return zstandard.compress(buffer.getbuffer())
-
-
-def unpack_content(data: bytes) -> Content:
-    """Make a part of a block of bytes."""
-    with np.load(BytesIO(zstandard.decompress(data)), allow_pickle=False) as arrays:
-        layers = sorted({name.partition(".")[0] for name in arrays.files if "." in name})
-        names = Slices.__dataclass_fields__
-        slices = tuple(Slices(*(arrays[f"{n}.{name}"] for name in names)) for n in layers)
-        return Content(arrays["tiles"], arrays["cells"], slices)
+        yield pickle.loads(data)
 
 
 def write_mapped(path: Path, value: Any) -> None:

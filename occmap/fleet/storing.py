@@ -1,7 +1,7 @@
 """A store that the workers write themselves, block by block: the driver never holds the map."""
 
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial, reduce
 from itertools import product
@@ -11,79 +11,40 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from occmap.alignment import settle_align
-from occmap.evidence import choose_tiles, weigh
-from occmap.evidence.manifest import describe_build, describe_files, plan_manifest
-from occmap.evidence.repetition import list_repeated
+from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
 from occmap.fleet import Fleet, Work, list_reductions
-from occmap.fleet.reducing import ReduceJob, add_up
 from occmap.fleet.runs import do_once, read_stub, write_stub
-from occmap.fleet.tasks import Setting, SurveyJob, hash_log
+from occmap.fleet.tasks import BlockJob, Setting, SurveyJob, add_up, hash_log
 from occmap.grid.lattice import CellBox, Lattice
-from occmap.grid.rendering import count_agreeing, paint
+from occmap.grid.rendering import count_agreeing
 from occmap.observing import Keep, Progress
 from occmap.options import BuildOptions
-from occmap.pipeline import list_contradictions, list_inputs, make_report
-from occmap.remarks import list_frames, list_idle_and_repeated, list_lacking, note_idle_end
-from occmap.report import MapFacts, Report, Shares
-from occmap.sensor.models import find_decision
-from occmap.store.blocks import BLOCK, Block, BlockContent, BlockRecord
-from occmap.store.layout import import_zarr, refuse_unwritable
-from occmap.store.pictures import read_around
+from occmap.pipeline import list_inputs, list_notes, make_report
+from occmap.report import MapFacts, Report, count_cells
+from occmap.store.blocks import BLOCK, Block, BlockRecord
+from occmap.store.layout import import_zarr
 from occmap.store.writing import (
     create_store,
     finish_store,
-    publish_store,
+    paint_block,
     write_block,
     write_classes,
 )
 from occmap.tally import refuse_unseen, refuse_unused
-from occmap.types import Manifest, OccupancyMap, to_log_odds
-from occmap.writers.atomic import follow_links
+from occmap.types import Int64, Manifest
+from occmap.writers.atomic import follow_links, publish_folder, refuse_unwritable
 from occmap.writers.outputs import check_outputs
 
 
-class StoreJob(NamedTuple):
-    """A block to be added up and written."""
-
-    block: ReduceJob
-    store: Path
-    logs: tuple[int, ...]
-    """Which files of logs observed something in it"""
-
-    @property
-    def where(self) -> str:
-        """What an error is about."""
-        return self.block.where
-
-
-class PaintJob(NamedTuple):
-    """A block of a store to be painted and measured."""
-
-    setting: Setting
-    store: Path
-    block: Block
-    is_written: bool
-    """Else it lies beside one that is, where hits speak for the cells around them"""
-
-    @property
-    def where(self) -> str:
-        """What an error is about."""
-        return f"block {tuple(self.block)}"
-
-
 class Measured(NamedTuple):
-    """What the report tells of a block, in cells."""
+    """What the report tells of a block."""
 
     reach: CellBox | None
-    """Around those that are observed; None: there is none"""
-    observed: int
-    occupied: int
-    free: int
-    walls: int
-    """Those that the model calls occupied, whatever the thresholds of a picture are"""
-    agreeing: int
-    hits: int
-    """Hits in these, and all hits"""
+    """Around the cells that are observed; None: there is none"""
+    cells: Int64
+    """(4,) as `count_cells` gives them"""
+    hits: tuple[int, int]
+    """Those in cells called occupied, and all"""
 
 
 def build_store(
@@ -104,8 +65,7 @@ def build_store(
         refuse_unseen(paths, tally, work.blocks)
         with tally.time("fold"):
             known = hash_logs(work, paths)
-            describe = partial(take_known, known)
-            build = describe_build(paths, options, tally.to_json(), describe)
+            build = describe_build(paths, options, tally.to_json(), known)
             manifest = replace(plan_manifest(options), builds=(build,))
             store = open_target(work.setting, output, manifest, work.blocks)
             records = write_blocks(work, store, known, paths)
@@ -113,21 +73,13 @@ def build_store(
             facts = paint_blocks(work, store, records)
         remarks.notes += work.cluster.list_losses()
         with tally.time("write"):
-            finish_store(store, manifest, records, run=skip_painted)
-            publish_store(store, follow_links(output))
-    remarks.notes = [
-        *list_idle_and_repeated(paths, [output], options.writing, options.model),
-        *remarks.notes,
-        *unaligned,
-        *options.list_idle(),
-        *note_idle_end(options.selection, tally),
-        *list_frames(tally),
-        *list_lacking(tally, None),
-        *list_contradictions(paths, options, facts, tally.lasers),
-        *list_repeated(manifest.builds),
-    ]
-    remarks.files = [str(output)]
-    return make_report(facts, options, tally, remarks)
+            # The workers have painted the blocks.
+            finish_store(store, manifest, records, run=lambda _paint, _blocks: ())
+            with refuse_unwritable(output):
+                publish_folder(store, follow_links(output))
+    remarks.notes += [*unaligned, *list_doubts(manifest)]
+    remarks.notes += list_notes(paths, options, [output], tally, facts)
+    return replace(make_report(options, tally, remarks, facts), files=(str(output),))
 
 
 def hash_logs(work: Work, paths: Sequence[Path]) -> dict[Path, list[dict[str, Any]]]:
@@ -135,11 +87,6 @@ def hash_logs(work: Work, paths: Sequence[Path]) -> dict[Path, list[dict[str, An
     different = list(dict.fromkeys(paths))
     jobs = [SurveyJob(work.setting, place, path) for place, path in enumerate(different)]
     return dict(zip(different, work.cluster.run("hash", hash_log, jobs), strict=True))
-
-
-def take_known(known: dict[Path, list[dict[str, Any]]], path: Path) -> Iterable[dict[str, Any]]:
-    """What is known of the files of a log; a trajectory is looked at now."""
-    return known[path] if path in known else describe_files(path)
 
 
 def open_target(
@@ -165,14 +112,14 @@ def write_blocks(
     """Write all blocks of a store."""
     ends = np.cumsum([len(known[path]) for path in paths])
     files = [range(end - len(known[path]), end) for end, path in zip(ends, paths, strict=True)]
-    jobs = []
-    for job in list_reductions(work):
-        logs = work.blocks[job.block]
-        jobs.append(StoreJob(job, store, tuple(file for log in logs for file in files[log])))
-    return work.cluster.run("reduce", store_block, jobs)
+    jobs = [
+        job._replace(logs=tuple(file for log in work.blocks[job.block] for file in files[log]))
+        for job in list_reductions(work)
+    ]
+    return work.cluster.run("reduce", partial(store_block, store), jobs)
 
 
-def store_block(job: StoreJob) -> BlockRecord:
+def store_block(store: Path, job: BlockJob) -> BlockRecord:
     """Add up a block and write it.
 
     Raises
@@ -180,69 +127,51 @@ def store_block(job: StoreJob) -> BlockRecord:
     OccmapError
         A run file cannot be read, or the store cannot be written.
     """
-    row, col = job.block.block
-
-    def store() -> BlockRecord:
-        content = BlockContent(*add_up(job.block), job.logs)
-        return write_block(job.store, job.block.block, content)
-
-    return do_once(job.block.setting.folder / f"block{row}_{col}.stored", store)
+    stub = job.setting.folder / "block{}_{}.stored".format(*job.block)
+    return do_once(stub, lambda: write_block(store, job.block, add_up(job)))
 
 
 def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> MapFacts:
-    """Paint the pictures of all blocks, and sum up what the report tells of them."""
-    written = {record.block for record in records}
+    """Paint the pictures of all blocks, and sum up what the report tells of them.
+
+    Blocks beside those that are written are looked at, too: hits speak for the cells around them.
+    """
+    written = {record.block: record.logs for record in records}
     around = {block for record in records for block in list_touched(record.reach)}
-    jobs = [PaintJob(work.setting, store, block, block in written) for block in sorted(around)]
-    return sum_up(work.cluster.run("paint", paint_block, jobs), work.setting.options)
+    jobs = [BlockJob(work.setting, block, logs=written.get(block, ())) for block in sorted(around)]
+    measured = work.cluster.run("paint", partial(measure_block, store), jobs)
+    return sum_up(measured, work.setting.options)
 
 
 def list_touched(reach: CellBox) -> Iterator[Block]:
     """The blocks that the cells of a box lie in or beside."""
-    wide = CellBox(reach.row - 1, reach.col - 1, reach.row_end + 1, reach.col_end + 1)
-    row, col, row_end, col_end = wide.align(BLOCK).shrink(BLOCK)
+    row, col, row_end, col_end = reach.grow(1).align(BLOCK).shrink(BLOCK)
     return (Block(*place) for place in product(range(row, row_end), range(col, col_end)))
 
 
-def paint_block(job: PaintJob) -> Measured:
-    """Paint the pictures of a block, and measure it.
+def measure_block(store: Path, job: BlockJob) -> Measured:
+    """Paint the pictures of a block, if it is one that was written, and measure it.
 
     Raises
     ------
     OutputError
         They cannot be written.
     """
-    model, box = job.setting.options.model, job.block.box
-    with refuse_unwritable(job.store):
-        root = import_zarr().open_group(job.store, mode="r+")
-        grid = read_around(root, root.attrs["occmap"], box)
-        painted = paint(choose_tiles(grid, model), weigh(model), to_log_odds(model.prior), box)
-        made = OccupancyMap(*painted, grid.lattice.resolution, (0.0, 0.0), find_decision(model))
-        if job.is_written:
+    box = job.block.box
+    with refuse_unwritable(store):
+        root = import_zarr().open_group(store, mode="r+")
+        grid, made = paint_block(root, job.block)
+        if job.logs:
             write_classes(root, job.block, made.classes)
-    written = replace(made, decision=job.setting.options.writing.decide(made.decision))
     reach = CellBox.around(made.observed, box.row, box.col)
-    masks = made.observed, written.occupied, written.free, made.occupied
-    observed, occupied, free, walls = (int(np.count_nonzero(mask)) for mask in masks)
-    agreeing, hits = count_agreeing(grid, made.occupied, box)
-    return Measured(reach, observed, occupied, free, walls, agreeing, hits)
+    cells = count_cells(made, job.setting.options.writing)
+    return Measured(reach, cells, count_agreeing(grid, made.occupied, box))
 
 
 def sum_up(measured: Sequence[Measured], options: BuildOptions) -> MapFacts:
     """Make of the blocks what is told of their map."""
     box = reduce(CellBox.join, (each.reach for each in measured if each.reach))
-    columns = zip(*(each[1:] for each in measured), strict=True)
-    observed, occupied, free, walls, agreeing, hits = map(sum, columns)
-    cells = box.cells
-    return MapFacts(
-        (box.rows, box.cols),
-        Lattice(options.resolution).measure(box),
-        Shares(occupied / cells, free / cells, (cells - observed) / cells),
-        agreeing / hits if hits else None,
-        walls > 0,
-    )
-
-
-def skip_painted(_paint: Callable[[Block], None], _blocks: Sequence[Block]) -> Iterable[None]:
-    """Paint nothing: the workers did."""
-    return ()
+    agreeing, hits = (sum(column) for column in zip(*(each.hits for each in measured), strict=True))
+    cells = np.sum([each.cells for each in measured], axis=0)
+    extent = Lattice(options.resolution).measure(box)
+    return MapFacts.of_counts(extent, box.shape, cells, agreeing / hits if hits else None)

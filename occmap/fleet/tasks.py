@@ -7,22 +7,26 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from occmap.batching import Seam, Selector
-from occmap.engines import choose_engine
+from occmap.engines import choose_engine, make_grid
 from occmap.errors import LogError, PoseError
 from occmap.evidence.manifest import describe_files
 from occmap.fleet.runs import (
     Piece,
     do_once,
     read_mapped,
+    read_pieces,
     read_stub,
-    split_blocks,
     write_mapped,
     write_run,
     write_stub,
 )
+from occmap.grid.slices import unite
+from occmap.grid.tiles import add_stack, stack_tiles
 from occmap.observing import Keep
 from occmap.opening import count_scans
 from occmap.options import BuildOptions
@@ -30,10 +34,10 @@ from occmap.posing.jumps import find_breaks
 from occmap.posing.sifting import Ends, Laser
 from occmap.readers import Note, open_log, read_scans, split_log
 from occmap.sensor.no_return import RangeLimits
-from occmap.store.blocks import Block
+from occmap.store.blocks import Block, BlockContent, split_blocks
 from occmap.tally import Tally
 from occmap.tracing import Drive, open_drive, trace
-from occmap.types import Float64, Rays
+from occmap.types import Float64, Int64, Rays, Slices
 
 
 @dataclass(frozen=True)
@@ -81,8 +85,24 @@ class Survey(NamedTuple):
     notes: tuple[Note, ...]
     first_ns: int | None
     """The stamp of the first scan; None where there is none"""
-    error: PoseError | None
+    error: PoseError | None = None
     """Why its scans have no poses"""
+
+
+class BlockJob(NamedTuple):
+    """A block of the map to be added up, written or painted."""
+
+    setting: Setting
+    block: Block
+    pieces: tuple[Piece, ...] = ()
+    """All that parts of logs observed in it"""
+    logs: tuple[int, ...] = ()
+    """Which files of logs observed something in it; none in a block that lies beside others"""
+
+    @property
+    def where(self) -> str:
+        """What an error is about."""
+        return f"block {tuple(self.block)}"
 
 
 class TraceJob(NamedTuple):
@@ -154,17 +174,11 @@ def survey_log(job: SurveyJob) -> Survey:
             find_breaks(chain)  # so that every part is pickled with tracks that have cached steps
         drives = [drive._replace(log=part) for part in parts]
         write_mapped(stub.with_suffix(".parts"), drives)
-    first_ns = find_first(drive, options)
-    survey = Survey(
-        job.log,
-        job.path,
-        scans,
-        len(parts) or 1,
-        measure_size(job.path),
-        tuple(log.notes),
-        first_ns,
-        None,
-    )
+    first = next(iter(read_scans(log, drive.topics)), None)
+    clock = Selector(options.selection, options.posing.stamps)
+    first_ns = None if first is None else clock.stamp(first.first)
+    size, notes = measure_size(job.path), tuple(log.notes)
+    survey = Survey(job.log, job.path, scans, len(parts) or 1, size, notes, first_ns)
     write_stub(stub, survey)
     return survey
 
@@ -173,13 +187,6 @@ def measure_size(path: Path) -> int:
     """Bytes of a file, or of all in a folder."""
     inner = path.rglob("*") if path.is_dir() else [path]
     return sum(each.stat().st_size for each in inner)
-
-
-def find_first(drive: Drive, options: BuildOptions) -> int | None:
-    """The stamp of the first scan of a log; None where there is none."""
-    first = next(iter(read_scans(drive.log, drive.topics)), None)
-    clock = Selector(options.selection, options.posing.stamps)
-    return None if first is None else clock.stamp(first.first)
 
 
 def open_part(job: TraceJob) -> Drive:
@@ -267,8 +274,14 @@ class RunWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Write what memory holds."""
-        parts = split_blocks(self._engine.finish(), self._engine.read_slices())
+        """Write what memory holds, block by block: a copy of all of it would not fit."""
+        seen = self._engine.finish().tiles
+        keys = np.array(sorted(seen), np.int64).reshape(-1, 2)
+
+        def take_cells(places: Int64) -> Int64:
+            return stack_tiles({(r, c): seen[r, c] for r, c in keys[places].tolist()})[1]
+
+        parts = split_blocks(keys, take_cells, self._engine.read_slices())
         name = f"{self._job.name}-{self._runs}.run"
         for key, piece in write_run(self._job.setting.folder, name, parts).items():
             self.pieces.setdefault(key, []).append(piece)
@@ -276,7 +289,40 @@ class RunWriter:
         self._begin()
 
 
-def hash_log(job: SurveyJob) -> list[dict[str, object]]:
+def reduce_block(job: BlockJob) -> Piece:
+    """Add up all that was observed in a block, and leave it in a run file of its own.
+
+    Raises
+    ------
+    OccmapError
+        A run file cannot be read, or the scratch folder cannot be written.
+    """
+    folder, name = job.setting.folder, "block{}_{}".format(*job.block)
+
+    def reduce() -> Piece:
+        return write_run(folder, f"{name}.run", [(job.block, add_up(job))])[job.block]
+
+    return do_once(folder / f"{name}.sum", reduce)
+
+
+def add_up(job: BlockJob) -> BlockContent:
+    """Add up all that was observed in a block.
+
+    Raises
+    ------
+    OccmapError
+        A run file cannot be read.
+    """
+    grid = make_grid(job.setting.options)
+    layers: list[Slices] = []
+    for content in read_pieces(job.setting.folder, job.pieces):
+        add_stack(grid, content.tiles, content.cells)
+        layers += content.slices
+    slices = (unite(layers),) if job.setting.keep.slices else ()
+    return BlockContent(*stack_tiles(grid.tiles), slices, job.logs)
+
+
+def hash_log(job: SurveyJob) -> list[dict[str, Any]]:
     """Name, size and SHA-256 of the files of a log.
 
     Raises

@@ -138,10 +138,9 @@ def refuse_many_beams(rays: Rays, spec: GridSpec) -> None:
         Saying how many beams a scan has.
     """
     if count_observations(rays.take(slice(1)), spec) > find_most_observations(spec):
-        raise MapError(
-            f"a scan of {rays.kind.shape[1]} beams is more than this model can count",
-            fix="no laser has so many: see what is in the log with `occmap check`",
-        )
+        found = f"a scan of {rays.kind.shape[1]} beams is more than this model can count"
+        fix = "no laser has so many: see what is in the log with `occmap check`"
+        raise MapError(found, fix=fix)
 
 
 def lie_far_apart(rays: Rays, resolution: float) -> bool:
@@ -156,7 +155,7 @@ def add_room(box: CellBox, most_cells: int) -> CellBox:
     room = max(box.rows // 2, box.cols // 2, 128)
     while room > 0 and (box.rows + 2 * room) * (box.cols + 2 * room) > limit:
         room //= 2
-    return CellBox(box.row - room, box.col - room, box.row_end + room, box.col_end + room)
+    return box.grow(room)
 
 
 def split_box(box: CellBox, most_cells: int) -> list[CellBox]:
@@ -197,7 +196,5 @@ def refuse_long_beams(rays: Rays, resolution: float) -> None:
     """
     longest = float(rays.distance.max(initial=0.0))
     if longest / resolution > MOST_CELLS_OF_BEAM:
-        raise MapError(
-            f"a beam of {longest:.6g} m is too long for cells of {resolution} m",
-            fix="limit ranges with `max_range`, or use a coarser `resolution`",
-        )
+        found = f"a beam of {longest:.6g} m is too long for cells of {resolution} m"
+        raise MapError(found, fix="limit ranges with `max_range`, or use a coarser `resolution`")

@@ -44,10 +44,8 @@ class Framing:
         x_min, y_min, x_max, y_max = self.extent
         near = max(map(abs, self.extent)) <= FARTHEST_M
         if not (near and x_min < x_max and y_min < y_max):
-            raise UsageError(
-                f"the extent {self.extent} is no box",
-                fix="write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4",
-            )
+            found = f"the extent {self.extent} is no box"
+            raise UsageError(found, fix="write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4")
 
 
 def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) -> OccupancyMap:
@@ -71,8 +69,8 @@ def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) ->
     box = choose_box(whole, framing, lattice)
     refuse_large(box, lattice, max_cells)
     shared = whole.clip(box)
-    log_odds = np.full((box.rows, box.cols), to_log_odds(prior), np.float32)
-    observed = np.zeros((box.rows, box.cols), np.bool_)
+    log_odds = np.full(box.shape, to_log_odds(prior), np.float32)
+    observed = np.zeros(box.shape, np.bool_)
     inside, own = find_window(shared, box), find_window(shared, whole)
     log_odds[inside], observed[inside] = grid.log_odds[own], grid.observed[own]
     origin = lattice.to_metres(box.col), lattice.to_metres(box.row)
@@ -90,8 +88,7 @@ def choose_box(whole: CellBox, framing: Framing, lattice: Lattice) -> CellBox:
     size = lattice.resolution
     if framing.extent is None:
         more = math.ceil(framing.margin / size - CELL_SLACK)
-        row, col, row_end, col_end = whole
-        return CellBox(row - more, col - more, row_end + more, col_end + more)
+        return whole.grow(more)
     x_min, y_min, x_max, y_max = (edge / size for edge in framing.extent)
     row, col = math.floor(y_min + CELL_SLACK), math.floor(x_min + CELL_SLACK)
     row_end, col_end = math.ceil(y_max - CELL_SLACK), math.ceil(x_max - CELL_SLACK)

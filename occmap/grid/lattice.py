@@ -51,18 +51,18 @@ class CellBox(NamedTuple):
         return self.col_end - self.col
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.rows, self.cols
+
+    @property
     def cells(self) -> int:
         """How many cells it covers."""
         return self.rows * self.cols
 
     def contains(self, other: Self) -> bool:
         """Whether `other` lies wholly in this box."""
-        return (
-            self.row <= other.row
-            and self.col <= other.col
-            and other.row_end <= self.row_end
-            and other.col_end <= self.col_end
-        )
+        return self.clip(other) == other
 
     def clip(self, other: Self) -> Self:
         """The part of `other` that lies in this box."""
@@ -77,6 +77,11 @@ class CellBox(NamedTuple):
         """Move the box up by `rows` and to the right by `cols`."""
         ends = (self.row + rows, self.col + cols, self.row_end + rows, self.col_end + cols)
         return type(self)(*ends)
+
+    def grow(self, cells: int) -> Self:
+        """The box with so many cells more on each side."""
+        ends = self.row_end + cells, self.col_end + cells
+        return type(self)(self.row - cells, self.col - cells, *ends)
 
     def align(self, side: int) -> Self:
         """The smallest box around this one that is made of squares of `side` by `side` cells."""
@@ -111,10 +116,8 @@ class Lattice:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.resolution) and self.resolution > 0):
-            raise UsageError(
-                f"a resolution of {self.resolution} m is not possible",
-                fix="give the side of a cell in metres, such as `resolution=0.05`",
-            )
+            fix = "give the side of a cell in metres, such as `resolution=0.05`"
+            raise UsageError(f"a resolution of {self.resolution} m is not possible", fix=fix)
 
     @property
     def units_per_metre(self) -> float:

@@ -99,14 +99,7 @@ def project(rays: Rays, spec: GridSpec) -> Projected:
         weights, between = np.ones_like(rays.kind), np.zeros_like(rays.kind)
     if spec.update is Update.SURFACE:
         link_neighbours(
-            rays.distance,
-            rays.kind,
-            ends_x,
-            ends_y,
-            rays.full_circle,
-            spec.jump,
-            weights,
-            between,
+            rays.distance, rays.kind, ends_x, ends_y, rays.full_circle, spec.jump, weights, between
         )
     beams = Beams(origins, ends_x, ends_y, rays.kind, ranges, weights, between)
     return Projected(rays, anchor, beams, box)

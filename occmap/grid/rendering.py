@@ -120,10 +120,7 @@ def _list_edges(tiles: TileSource) -> Iterator[CellBox]:
 
 
 def paint(
-    tiles: TileSource,
-    log_odds: Callable[[Float64, Float64], Float64],
-    prior: float,
-    box: CellBox,
+    tiles: TileSource, log_odds: Callable[[Float64, Float64], Float64], prior: float, box: CellBox
 ) -> tuple[Float32, Bool]:
     """Let a model say what the numbers mean, cell by cell.
 
@@ -173,25 +170,11 @@ def _overlap(key: Key, box: CellBox) -> tuple[Part, Part]:
     return in_tile, in_box
 
 
-def measure_agreement(grid: TileGrid, occupied: Bool, box: CellBox) -> float | None:
-    """The share of hits that lie in cells called occupied: what a map says of its own poses.
-
-    Parameters
-    ----------
-    occupied
-        (H, W) of the cells of the box.
-
-    Returns
-    -------
-    float or None
-        None where the evidence keeps no hits, or has none.
-    """
-    agreed, total = count_agreeing(grid, occupied, box)
-    return agreed / total if total else None
-
-
 def count_agreeing(grid: TileGrid, occupied: Bool, box: CellBox) -> tuple[int, int]:
-    """Hits in the cells of a box that are called occupied, and in all of them."""
+    """Hits in the cells of a box that are called occupied (H, W), and in all of them.
+
+    Their share is what a map says of its own poses. Both are 0 where the evidence keeps no hits.
+    """
     if grid.kind is not EvidenceKind.COUNTS:
         return 0, 0
     total = agreed = 0

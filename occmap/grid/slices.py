@@ -10,8 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from occmap.grid.stacks import stack_tiles
-from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
+from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, stack_tiles
 from occmap.types import Int64, Slices, UInt8
 
 BITS = (2, TILE, TILE // 8)

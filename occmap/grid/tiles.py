@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from occmap.errors import MapError
 from occmap.grid.kernels import units
 from occmap.grid.lattice import CellBox, Lattice
-from occmap.types import Bool, Float64
+from occmap.types import MOST_OBSERVED, Bool, Float64, Int64
 
 TILE = units.TILE
 """Cells along the side of a tile."""
@@ -135,6 +135,48 @@ class TileGrid:
         return first, second
 
 
+def stack_tiles(tiles: Mapping[Key, Tile]) -> tuple[Int64, Int64]:
+    """Row and column of each tile (T, 2), in ascending order, and their cells (T, 2, 64, 64).
+
+    These are 64 bits wide only where a number needs it.
+    """
+    keys = sorted(tiles)
+    fits = all(t.min() >= -INT32_LIMIT and t.max() <= INT32_LIMIT for t in tiles.values())
+    cells = np.empty((len(keys), 2, TILE, TILE), np.int32 if fits else np.int64)
+    for place, key in enumerate(keys):
+        cells[place] = tiles[key]
+    return np.array(keys, np.int64).reshape(-1, 2), cells
+
+
+def view_tiles(tiles: Int64, cells: Int64) -> dict[Key, Tile]:
+    """Stacked tiles by their places; they share the stack's memory."""
+    return {(row, col): tile for (row, col), tile in zip(tiles.tolist(), cells, strict=True)}
+
+
+def add_stack(grid: TileGrid, tiles: Int64, cells: Int64) -> None:
+    """Add stacked tiles to a grid; a sum is 64 bits wide, and no tile is shared with the stack.
+
+    Raises
+    ------
+    MapError
+        A sum is more than evidence may hold.
+    """
+    for key, tile in view_tiles(tiles, cells).items():
+        known = grid.tiles.get(key)
+        wide = tile.astype(np.int64)
+        total = grid.tiles[key] = wide if known is None else known + wide
+        if max(-int(total.min()), int(total.max())) > MOST_OBSERVED:
+            found = f"the observations of a cell add up to more than {MOST_OBSERVED:,}"
+            fix = "no log holds so many: build the evidence again from its logs"
+            raise MapError(found, fix=fix)
+
+
+def drop_empty(grid: TileGrid) -> None:
+    """Forget tiles in which nothing is observed any more."""
+    for key in [key for key, tile in grid.tiles.items() if not tile.any()]:
+        del grid.tiles[key]
+
+
 def refuse_large(box: CellBox, lattice: Lattice, max_cells: int) -> None:
     """Refuse a map of more cells than the user allows.
 
@@ -144,13 +186,10 @@ def refuse_large(box: CellBox, lattice: Lattice, max_cells: int) -> None:
         Saying how far it would reach, and what to do.
     """
     if box.cells > max_cells:
-        low, high = (
-            f"({lattice.to_metres(col):.6g}, {lattice.to_metres(row):.6g})"
-            for row, col in ((box.row, box.col), (box.row_end, box.col_end))
-        )
+        x, y, right, top = (f"{edge:.6g}" for edge in lattice.measure(box))
         raise MapError(
-            f"the map would reach from {low} to {high} m: {box.cols} x {box.rows} cells, more than "
-            f"`max_cells={max_cells}`",
+            f"the map would reach from ({x}, {y}) to ({right}, {top}) m: {box.cols} x {box.rows} "
+            f"cells, more than `max_cells={max_cells}`",
             fix="if a pose is wrong, leave it out with `start_s` and `end_s`; else use a coarser "
             "`resolution`, a shorter `max_range`, or raise `max_cells`",
         )

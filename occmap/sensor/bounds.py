@@ -66,10 +66,8 @@ def check_probabilities(model: Any) -> None:
         value = getattr(model, field.name)
         is_probability = field.name in ("prior", "cut") or field.name.startswith("p_")
         if is_probability and not 0 < value < 1:
-            raise UsageError(
-                f"{field.name} {value} is not a probability between 0 and 1",
-                fix=f"give a value such as `{field.name}={field.default}`",
-            )
+            found = f"{field.name} {value} is not a probability between 0 and 1"
+            raise UsageError(found, fix=f"give a value such as `{field.name}={field.default}`")
 
 
 def check_prior(prior: float, free: tuple[str, float], occupied: tuple[str, float]) -> None:
@@ -118,7 +116,5 @@ def check_weight(name: str, weight: float) -> None:
         It is not positive, or extreme.
     """
     if not LEAST_WEIGHT <= weight <= MOST_WEIGHT:
-        raise UsageError(
-            f"{name} {weight} is not possible",
-            fix=f"give {LEAST_WEIGHT:g} to {MOST_WEIGHT:g}, such as `model=counting:{name}=1`",
-        )
+        fix = f"give {LEAST_WEIGHT:g} to {MOST_WEIGHT:g}, such as `model=counting:{name}=1`"
+        raise UsageError(f"{name} {weight} is not possible", fix=fix)

@@ -25,20 +25,16 @@ def check_sector(sector: Sector) -> None:
     """Raise UsageError unless a sector has two ends that differ."""
     start, end = sector
     if not (math.isfinite(start) and math.isfinite(end)) or start == end:
-        raise UsageError(
-            f"from {start} to {end} rad is no sector",
-            fix="give two bearings, counter-clockwise, such as `ignore_sectors=2.5,-2.5`",
-        )
+        fix = "give two bearings, counter-clockwise, such as `ignore_sectors=2.5,-2.5`"
+        raise UsageError(f"from {start} to {end} rad is no sector", fix=fix)
 
 
 def check_box(box: Box) -> None:
     """Raise UsageError unless a box has an inside."""
     x_min, y_min, x_max, y_max = box
     if not (all(map(math.isfinite, box)) and x_min < x_max and y_min < y_max):
-        raise UsageError(
-            f"{box} is no footprint",
-            fix="give x_min,y_min,x_max,y_max around the sensor in metres",
-        )
+        found = f"{box} is no footprint"
+        raise UsageError(found, fix="give x_min,y_min,x_max,y_max around the sensor in metres")
 
 
 @lru_cache(maxsize=64)

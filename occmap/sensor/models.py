@@ -93,10 +93,8 @@ class SimpleModel:
         check_spread(self.spread)
         check_clamp(self)
         if not self.p_miss < self.p_hit:
-            raise UsageError(
-                f"p_miss {self.p_miss} is not below p_hit {self.p_hit}",
-                fix="a hit must speak more for occupied than a miss: try `p_hit=0.7` `p_miss=0.4`",
-            )
+            fix = "a hit must speak more for occupied than a miss: try `p_hit=0.7` `p_miss=0.4`"
+            raise UsageError(f"p_miss {self.p_miss} is not below p_hit {self.p_hit}", fix=fix)
         check_prior(self.prior, ("p_miss", self.p_miss), ("p_hit", self.p_hit))
 
     def log_odds(self, hits: Float64, misses: Float64) -> Float64:

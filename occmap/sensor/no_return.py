@@ -82,11 +82,7 @@ class RangeTally:
         self.above += above.size
         self.largest = max(self.largest, float(above.max(initial=0)))
         if (far := far[(far >= self._floor) & (far < limit)]).size:
-            self._count(far)
-
-    def _count(self, far: Float32) -> None:
-        """Count ranges (N,), and forget those that no band can reach down to any more."""
-        self._keep(*np.unique(round_down(far), return_counts=True))
+            self._keep(*np.unique(round_down(far), return_counts=True))
 
     def merge(self, other: Self) -> None:
         """Count what another tally counted, as if this one had seen it, too."""
@@ -189,8 +185,8 @@ class RangeLimits:
 
     def _find(self, topic: str) -> float:
         tally = self._tallies.get(topic)  # of this topic alone: there may be very many
-        band = None if tally is None else tally.find_band()
-        return math.inf if band is None else band.limit
+        band = tally and tally.find_band()
+        return band.limit if band else math.inf
 
     def list_notes(self) -> Iterator[str]:
         """Say what the user should know of each topic, and how to change it."""
@@ -200,24 +196,17 @@ class RangeLimits:
             if topic in self._senseless:
                 limit = f"{self._senseless[topic]:g} m as its range limit, which is none"
             band = tally.find_band()
-            if band is not None:
-                found = f"{tell_share(band.count, tally.total)} read {band.values}"
-            elif tally.above:
-                share = tell_share(tally.above, tally.total)
-                found = f"{share} are above it, up to {tally.largest:.4g} m"
-            if band is not None or tally.above:
-                advice = "taken as no return: `range_max` overrides"
-                yield f"{topic} states {limit}; {found}, {advice}"
+            count = tally.above if band is None else band.count
+            if count:
+                where = f"are above it, up to {tally.largest:.4g} m"
+                where = where if band is None else f"read {band.values}"
+                found = f"{count:,} of {tally.total:,} ranges ({count / tally.total:.1%}) {where}"
+                yield f"{topic} states {limit}; {found}, taken as no return: `range_max` overrides"
             elif unstated:
                 yield (
                     f'{topic} states {limit}; no value stands for "no return", so every range is '
                     "used as measured: `range_max` sets a limit"
                 )
-
-
-def tell_share(part: int, total: int) -> str:
-    """Write how many of all ranges some are."""
-    return f"{part:,} of {total:,} ranges ({part / total:.1%})"
 
 
 def settle(limits: Iterable[RangeLimits]) -> bool:

@@ -76,10 +76,8 @@ class ReturnOptions:
         if self.footprint is not None:
             check_box(self.footprint)
         if not 0 <= self.min_range < self.max_range:
-            raise UsageError(
-                f"`min_range={self.min_range}` and `max_range={self.max_range}` leave no range",
-                fix="they must satisfy 0 <= min < max",
-            )
+            found = f"`min_range={self.min_range}` and `max_range={self.max_range}` leave no range"
+            raise UsageError(found, fix="they must satisfy 0 <= min < max")
         if self.range_max is not None and not self.range_max > 0:
             raise UsageError(
                 f"a sensor limit of {self.range_max} m is not possible", fix="try `range_max=30`"
@@ -153,7 +151,10 @@ def classify(batch: ScanBatch, options: ReturnOptions) -> tuple[UInt8, Float32, 
     kind, reach, counts
         (S, B) of Kind; (S, B) m along the beam, 0 where SKIP; and the tally.
     """
-    limits = _find_limits(batch, options)
+    sensor_limit = batch.range_max if options.range_max is None else options.range_max
+    nearest = max(batch.range_min, options.min_range, float(np.finfo(np.float32).tiny))
+    free_reach = min(sensor_limit, options.max_range)
+    limits = _Limits(*as_float32((nearest, options.max_range, sensor_limit, free_reach)))
     own = _find_own(batch, options)
     hit = (batch.ranges >= limits.nearest) & (batch.ranges < limits.no_return)
     if np.isfinite(limits.farthest):
@@ -180,13 +181,6 @@ class _Limits(NamedTuple):
     free_reach: np.float32
 
 
-def _find_limits(batch: ScanBatch, options: ReturnOptions) -> _Limits:
-    sensor_limit = batch.range_max if options.range_max is None else options.range_max
-    nearest = max(batch.range_min, options.min_range, float(np.finfo(np.float32).tiny))
-    values = nearest, options.max_range, sensor_limit, min(sensor_limit, options.max_range)
-    return _Limits(*as_float32(values))
-
-
 def _classify_others(
     ranges: Float32, own: Bool | None, limits: _Limits, options: ReturnOptions
 ) -> tuple[Bool, ReturnCounts]:
@@ -194,12 +188,11 @@ def _classify_others(
     robot = np.zeros(ranges.shape, np.bool_) if own is None else own
     close = (ranges < limits.nearest) & ~robot
     no_return = (ranges >= limits.no_return) & ~close & ~robot
-    beyond = ~(close | no_return | robot | np.isnan(ranges))
+    missing = np.isnan(ranges) & ~robot
+    beyond = ~(close | no_return | robot | missing)
     clears = options.no_return is NoReturn.CLEAR and bool(np.isfinite(limits.free_reach))
-    far, none, near, own_robot = map(int, map(np.count_nonzero, (beyond, no_return, close, robot)))
-    counts = ReturnCounts(
-        0, far, none, near, ranges.size - far - none - near - own_robot, own_robot
-    )
+    kinds = beyond, no_return, close, missing, robot
+    counts = ReturnCounts(0, *map(int, map(np.count_nonzero, kinds)))
     return (beyond | no_return if clears else beyond), counts
 
 

@@ -2,8 +2,8 @@
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import Any, NamedTuple, Self
 
@@ -50,15 +50,13 @@ class BlockContent:
     """(T, 2) row and column of each tile, as in `Evidence`"""
     cells: Int64
     """(T, 2, 64, 64) the two numbers of every cell"""
-    slices: tuple[Slices, ...]
+    slices: tuple[Slices, ...] = ()
     """When cells were observed, for each build"""
-    logs: tuple[int, ...]
+    logs: tuple[int, ...] = ()
     """Which logs observed something: places among the logs of all builds, one after the other"""
 
 
-NO_CONTENT = BlockContent(
-    np.zeros((0, 2), np.int64), np.zeros((0, 2, TILE, TILE), np.int32), (), ()
-)
+NO_CONTENT = BlockContent(np.zeros((0, 2), np.int64), np.zeros((0, 2, TILE, TILE), np.int32))
 
 
 class BlockRecord(NamedTuple):
@@ -133,10 +131,7 @@ def compute_digest(manifest: Manifest, blocks: Mapping[Block, str]) -> str:
     It says nothing of how the evidence is cut, compressed or kept, nor of who observed it.
     """
     meaning = {name: getattr(manifest, name) for name in MEANING}
-    lines = [
-        json.dumps(meaning),
-        *(f"{key.row} {key.col} {blocks[key]}" for key in sorted(blocks)),
-    ]
+    lines = [json.dumps(meaning), *(f"{key.row} {key.col} {blocks[key]}" for key in sorted(blocks))]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
@@ -235,18 +230,29 @@ def gather_tiles(cells: Int64, row: int, col: int) -> tuple[Int64, Int64]:
 
 
 def split_evidence(evidence: Evidence) -> Iterator[tuple[Block, BlockContent]]:
-    """Cut evidence into blocks, in ascending order."""
-    layers = [group_by_block(layer.tiles) for layer in evidence.slices]
-    of_tiles = group_by_block(evidence.tiles)
+    """Cut evidence into blocks; the logs of a build touched all blocks that it observed."""
+    take_cells = evidence.cells.__getitem__
+    for block, content in split_blocks(evidence.tiles, take_cells, evidence.slices):
+        yield block, replace(content, logs=list_observing_logs(evidence.manifest, content.slices))
+
+
+def split_blocks(
+    tiles: Int64, take_cells: Callable[[Int64], Int64], slices: Sequence[Slices]
+) -> Iterator[tuple[Block, BlockContent]]:
+    """Cut tiles (T, 2) and slices of time into blocks, one after the other, in ascending order.
+
+    Parameters
+    ----------
+    take_cells
+        Gives the cells (N, 2, 64, 64) of some of the tiles by their places (N,).
+    """
+    of_tiles, layers = group_by_block(tiles), [group_by_block(layer.tiles) for layer in slices]
     nothing = np.zeros(0, np.int64)
     for block in sorted(set(of_tiles).union(*layers)):
         places = of_tiles.get(block, nothing)
-        slices = tuple(
-            take(layer, which.get(block, nothing))
-            for layer, which in zip(evidence.slices, layers, strict=True)
-        )
-        logs = list_observing_logs(evidence.manifest, slices)
-        yield block, BlockContent(evidence.tiles[places], evidence.cells[places], slices, logs)
+        pairs = zip(slices, layers, strict=True)
+        parts = tuple(take(layer, which.get(block, nothing)) for layer, which in pairs)
+        yield block, BlockContent(tiles[places], take_cells(places), parts)
 
 
 def list_observing_logs(manifest: Manifest, slices: Sequence[Slices]) -> tuple[int, ...]:

@@ -11,14 +11,10 @@
 """
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from hashlib import sha256
-from pathlib import Path
 from typing import Any
 
-from occmap.errors import MapError, OutputError
 from occmap.grid.tiles import EvidenceKind
 from occmap.plugins import need_extra
 from occmap.store.blocks import BLOCK, Block
@@ -38,8 +34,6 @@ OVERVIEW = 16
 """The side of those of which there is always a picture, as one of a city is read at once"""
 LEVEL_CELLS = 1024
 """The coarsest picture has no side that is longer, unless it is that"""
-DAMAGE = (OSError, LookupError, ValueError, TypeError, RuntimeError, OverflowError, MemoryError)
-"""What zarr, its codecs, json and NumPy raise on damaged files"""
 
 
 def import_zarr() -> Any:
@@ -55,50 +49,11 @@ def import_zarr() -> Any:
     return zarr
 
 
-@contextmanager
-def refuse_unwritable(path: Path) -> Iterator[None]:
-    """Say in one line what keeps a store from being written.
-
-    Raises
-    ------
-    OutputError
-        Whatever the system says.
-    """
-    try:
-        yield
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
-        raise OutputError(f"cannot be written ({reason})", where=path) from None
-
-
-@contextmanager
-def refuse_damage(path: Path) -> Iterator[None]:
-    """Say in one line that a part of a store cannot be read.
-
-    Raises
-    ------
-    MapError
-        Naming what is missing, cut or altered.
-    """
-    try:
-        yield
-    except DAMAGE as error:
-        reason = getattr(error, "strerror", None) or "it is cut or altered"
-        raise MapError(f"cannot be read: {reason}", where=path, fix="build it again") from None
-
-
 def make_head(manifest: Manifest, offset: tuple[int, int]) -> dict[str, Any]:
     """Make what the attributes of a store say of it."""
     head = {"format": FORMAT, "version": VERSION, "block": BLOCK, "offset": list(offset)}
     plain: dict[str, Any] = json.loads(json.dumps({**head, **asdict(manifest)}, allow_nan=False))
     return plain
-
-
-def read_manifest(head: dict[str, Any]) -> Manifest:
-    """Make the manifest of what the attributes say."""
-    fields = {name: head[name] for name in Manifest.__dataclass_fields__}
-    lists = {name: tuple(head[name]) for name in ("builds", "subtracted")}
-    return Manifest(**{**fields, **lists})
 
 
 def compute_checksum(head: dict[str, Any]) -> str:

@@ -18,23 +18,13 @@ from occmap.store.blocks import (
     gather_tiles,
     hash_content,
     hash_table,
-    join_contents,
     narrow_cells,
     read_table,
     unpack_layers,
 )
-from occmap.store.layout import (
-    FORMAT,
-    LAYERS,
-    VERSION,
-    compute_checksum,
-    find_place,
-    import_zarr,
-    read_manifest,
-    refuse_damage,
-)
+from occmap.store.layout import FORMAT, LAYERS, VERSION, compute_checksum, find_place, import_zarr
 from occmap.types import Evidence, Manifest
-from occmap.writers.soundness import find_fault, list_manifest_faults
+from occmap.writers.soundness import list_faults, list_manifest_faults, refuse_damage, refuse_faults
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,27 +69,10 @@ class Store:
             slices = unpack_layers(array[:], array.attrs["arrays"], builds)
             content = BlockContent(tiles, narrow_cells(numbers), slices, record.logs)
         if hash_content(content) != record.sha256:
-            raise MapError(
-                f"its block ({block.row}, {block.col}) was altered or a file of it is missing",
-                where=self.path,
-                fix="build it again",
-            )
-        fault = find_fault(Evidence(self.manifest, tiles, numbers, slices))
-        if fault:
-            raise MapError(
-                f"is not what occmap writes: {fault}", where=self.path, fix="build it again"
-            )
+            found = f"its block ({block.row}, {block.col}) was altered or a file of it is missing"
+            raise MapError(found, where=self.path, fix="build it again")
+        refuse_faults(self.path, list_faults(Evidence(self.manifest, tiles, numbers, slices)))
         return content
-
-    def read_evidence(self) -> Evidence:
-        """Read all of it, as an .npz would give it.
-
-        Raises
-        ------
-        MapError
-            As `read_block`.
-        """
-        return join_contents(map(self.read_block, self.blocks), self.manifest, self.where)
 
 
 def open_store(path: Path) -> Store:
@@ -115,9 +88,8 @@ def open_store(path: Path) -> Store:
     if not path.exists():
         raise MapError("no such folder", where=path, fix="check the path")
     if not (path / "zarr.json").is_file():
-        raise MapError(
-            "is no store of evidence", where=path, fix="build one with `outputs=map.zarr`"
-        )
+        fix = "build one with `outputs=map.zarr`"
+        raise MapError("is no store of evidence", where=path, fix=fix)
     zarr = import_zarr()
     with refuse_damage(path):
         root = zarr.open_group(path, mode="r", zarr_format=3)
@@ -125,9 +97,8 @@ def open_store(path: Path) -> Store:
         refuse_other_format(path, head)
         if head["checksum"] != compute_checksum(head):
             raise MapError("its attributes were altered", where=path, fix="build it again")
-        manifest = read_manifest(head)
-        for fault in list_manifest_faults(manifest):
-            raise MapError(f"is not what occmap writes: {fault}", where=path, fix="build it again")
+        manifest = Manifest.from_json(head)
+        refuse_faults(path, list_manifest_faults(manifest))
         table = {name: root[f"blocks/{name}"][...] for name in TABLE}
         if head["table"] != hash_table(table):
             raise MapError("its table of blocks was altered", where=path, fix="build it again")
@@ -147,14 +118,8 @@ def refuse_other_format(path: Path, head: dict[str, Any]) -> None:
     if head.get("format") != FORMAT:
         raise MapError("a Zarr folder, but no evidence of occmap", where=path)
     if head["version"] > VERSION:
-        raise MapError(
-            f"{FORMAT} of version {head['version']}, while this occmap reads {VERSION}",
-            where=path,
-            fix="use a newer occmap",
-        )
+        found = f"{FORMAT} of version {head['version']}, while this occmap reads {VERSION}"
+        raise MapError(found, where=path, fix="use a newer occmap")
     if not head.get("complete"):
-        raise MapError(
-            "is not complete: what wrote it did not come to its end",
-            where=path,
-            fix="build it again",
-        )
+        found = "is not complete: what wrote it did not come to its end"
+        raise MapError(found, where=path, fix="build it again")

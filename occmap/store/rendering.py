@@ -1,28 +1,30 @@
 """Maps of evidence that is read block by block: memory is that of the map and of a few blocks."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import cached_property, lru_cache, reduce
 from typing import NamedTuple
 
 import numpy as np
 
-from occmap.errors import MapError, UsageError
-from occmap.evidence import choose_tiles, to_grid, weigh
-from occmap.evidence.persistence import describe_lost, drop_passing, refuse_nothing_left
+from occmap.errors import UsageError
+from occmap.evidence import choose_tiles, paint_box, to_grid
+from occmap.evidence.persistence import describe_lost, keep_lasting, refuse_nothing_left
 from occmap.grid.framing import Framing, choose_box, find_window
 from occmap.grid.lattice import CellBox, Lattice
-from occmap.grid.rendering import count_agreeing, measure_bounds, paint
+from occmap.grid.rendering import count_agreeing, measure_bounds
 from occmap.grid.tiles import TileGrid, refuse_large
-from occmap.report import MapFacts, Shares
+from occmap.report import MapFacts, count_cells
 from occmap.sensor.models import SensorModel, find_decision
-from occmap.store.blocks import Block
-from occmap.store.layout import refuse_damage
+from occmap.store.blocks import Block, BlockContent
 from occmap.store.reading import Store
-from occmap.store.sources import Blocks, Recent, read_part
-from occmap.types import Box, CellClass, Decision, Evidence, Int64, OccupancyMap, UInt8, to_log_odds
+from occmap.store.sources import Blocks, read_part
+from occmap.types import Box, CellClass, Decision, Int64, OccupancyMap, UInt8, to_log_odds
 from occmap.writers import WriteOptions
+from occmap.writers.soundness import refuse_damage
 
+KEPT_BLOCKS = 18
+"""How many blocks are kept that were read last, up to 8 MiB each"""
 STRIPE = 3
 """Blocks are painted in stripes so many rows high, so that few of them are read twice"""
 
@@ -35,10 +37,9 @@ class Piece(NamedTuple):
 
     box: CellBox
     map: OccupancyMap
-    hits: tuple[int, int]
-    """Those in cells called occupied, and all"""
-    occupied: tuple[int, int]
-    """Cells that were occupied before anything was forgotten, and those of them that are still"""
+    counts: Int64
+    """(2, 2): hits in cells called occupied, and all hits; cells that were occupied before anything
+    was forgotten, and those of them that are still"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,24 +50,16 @@ class View:
     model: SensorModel
     min_passes: int | None = None
 
-    def forget(self, grid: TileGrid, evidence: Evidence) -> TileGrid:
-        """What lasts of a grid of some evidence."""
-        if self.min_passes is None:
-            return grid
-        return drop_passing(grid, evidence.slices, self.min_passes)
+    @cached_property
+    def read_block(self) -> Callable[[Block], BlockContent]:
+        """Read a block, unless it is one of those that were read last."""
+        return lru_cache(KEPT_BLOCKS)(self.source.read_block)
 
-    def paint(self, grid: TileGrid, box: CellBox) -> OccupancyMap:
-        """The map of a box of cells."""
-        tiles, lattice = choose_tiles(grid, self.model), grid.lattice
-        painted = paint(tiles, weigh(self.model), to_log_odds(self.model.prior), box)
-        origin = lattice.to_metres(box.col), lattice.to_metres(box.row)
-        return OccupancyMap(*painted, lattice.resolution, origin, find_decision(self.model))
-
-    def measure_block(self, block: Block) -> CellBox | None:
-        """The smallest box around the cells that are observed in a block or beside it."""
-        evidence = read_part(self.source, block.box)
-        grid = self.forget(to_grid(evidence), evidence)
-        return measure_bounds(choose_tiles(grid, self.model))
+    def read(self, box: CellBox) -> tuple[TileGrid, TileGrid]:
+        """What was observed in a box of cells or beside it, and what of that lasts."""
+        evidence = read_part(self.source, box, self.read_block)
+        grid = to_grid(evidence)
+        return grid, keep_lasting(grid, evidence.slices, self.min_passes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,22 +114,15 @@ class BlockMap:
     def walk(self) -> Iterator[Piece]:
         """Paint all pieces; what is in none of them was not observed."""
         for place in list_pieces(self.view.source, self.before):
-            evidence = read_part(self.view.source, place)
+            grid, lasting = self.view.read(place)
             box = self.box.clip(place)
-            grid = to_grid(evidence)
-            lasting = self.view.forget(grid, evidence)
-            made = self.view.paint(lasting, box)
-            hits = count_agreeing(lasting, made.occupied, box)
-            yield Piece(box, made, hits, self._count_kept(grid, made, place, box))
-
-    def _count_kept(
-        self, grid: TileGrid, made: OccupancyMap, place: CellBox, box: CellBox
-    ) -> tuple[int, int]:
-        if self.view.min_passes is None:
-            return 0, 0
-        before = self.view.paint(grid, place).occupied
-        still = before[find_window(box, place)] & made.occupied
-        return int(np.count_nonzero(before)), int(np.count_nonzero(still))
+            made = paint_box(lasting, self.view.model, box)
+            counts = np.array([count_agreeing(lasting, made.occupied, box), (0, 0)])
+            if lasting is not grid:
+                before = paint_box(grid, self.view.model, place).occupied
+                still = before[find_window(box, place)] & made.occupied
+                counts[1] = np.count_nonzero(before), np.count_nonzero(still)
+            yield Piece(box, made, counts)
 
 
 def open_map(view: View, framing: Framing) -> BlockMap:
@@ -147,7 +133,6 @@ def open_map(view: View, framing: Framing) -> BlockMap:
     MapError
         Nothing was observed, or lasts, or lies in the extent; or a block cannot be read.
     """
-    view = replace(view, source=Recent(view.source))
     box = before = find_bounds(view)
     if view.min_passes is not None:
         before = find_bounds(replace(view, min_passes=None))
@@ -175,7 +160,7 @@ def render_blocks(made: BlockMap, max_cells: int) -> tuple[OccupancyMap, list[st
     for piece in made.walk():
         window = find_window(piece.box, made.box)
         log_odds[window], observed[window] = piece.map.log_odds, piece.map.observed
-        counts += (piece.hits, piece.occupied)
+        counts += piece.counts
     painted = OccupancyMap(log_odds, observed, made.resolution, (x, y), made.decision)
     agreement, notes = sum_up(made, counts)
     return replace(painted, agreement=agreement), notes
@@ -200,17 +185,12 @@ def survey_blocks(made: BlockMap, writing: WriteOptions) -> tuple[MapFacts, list
     MapError
         A block cannot be read.
     """
-    decision = writing.decide(made.decision)
     cells, counts = np.zeros(4, np.int64), np.zeros((2, 2), np.int64)
     for piece in made.walk():
-        written = replace(piece.map, decision=decision)
-        masks = (written.occupied, written.free, written.observed, piece.map.occupied)
-        cells += [np.count_nonzero(mask) for mask in masks]
-        counts += (piece.hits, piece.occupied)
-    occupied, free, observed, walls = (cells / made.box.cells).tolist()
+        cells += count_cells(piece.map, writing)
+        counts += piece.counts
     agreement, notes = sum_up(made, counts)
-    shares = Shares(occupied, free, 1 - observed)
-    return MapFacts(made.shape, made.extent, shares, agreement, walls > 0), notes
+    return MapFacts.of_counts(made.extent, made.shape, cells, agreement), notes
 
 
 def sum_up(made: BlockMap, counts: Int64) -> tuple[float | None, list[str]]:
@@ -251,14 +231,12 @@ def find_bounds(view: View) -> CellBox:
             if found and outward * found[side] >= outward * reach[block] + 1:
                 break
             if block not in known:
-                known[block] = view.measure_block(block)
-            box = known[block]
-            if box:
+                _, lasting = view.read(block.box)
+                known[block] = measure_bounds(choose_tiles(lasting, view.model))
+            if box := known[block]:
                 found = found.join(box) if found else box
     if found is None:
-        if view.source.blocks and view.min_passes is not None:
-            refuse_nothing_left(view.min_passes)
-        raise MapError("no beam of any scan observed a cell, so there is no map")
+        refuse_nothing_left(view.min_passes if view.source.blocks else None)
     return found
 
 
@@ -275,13 +253,11 @@ def read_overview(store: Store, side: int, framing: Framing, max_cells: int) -> 
     """
     sides = sorted(map(int, store.root["classes"].array_keys()))
     if side not in sides:
-        raise UsageError(
-            f"`overview={side}`: there is no picture of squares of {side} x {side} cells",
-            where=store.path,
-            fix=f"there are those of {', '.join(map(str, sides))}",
-        )
+        found = f"`overview={side}`: there is no picture of squares of {side} x {side} cells"
+        fix = f"there are those of {', '.join(map(str, sides))}"
+        raise UsageError(found, where=store.path, fix=fix)
     if not store.blocks:
-        raise MapError("no beam of any scan observed a cell, so there is no map")
+        refuse_nothing_left(None)
     fine = Lattice(store.manifest.resolution)
     coarse = Lattice(round(fine.resolution * side, 12))
     observed = reduce(CellBox.join, (record.reach for record in store.blocks.values()))

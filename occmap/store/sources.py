@@ -2,13 +2,14 @@
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
 from typing import Protocol, TypeAlias
 
 import numpy as np
 
+from occmap.evidence import Described
 from occmap.evidence.manifest import list_inputs
 from occmap.grid.lattice import CellBox
 from occmap.grid.slices import take
@@ -25,20 +26,9 @@ from occmap.store.reading import Store, open_store
 from occmap.types import Evidence, Int64, Manifest
 from occmap.writers.npz import read_evidence
 
-KEPT_BLOCKS = 18
-"""How many blocks are kept that were read last, up to 8 MiB each"""
 
-
-class Blocks(Protocol):
+class Blocks(Described, Protocol):
     """Evidence that is read block by block."""
-
-    @property
-    def manifest(self) -> Manifest:
-        """What it is."""
-
-    @property
-    def where(self) -> str:
-        """What it was read from."""
 
     @property
     def blocks(self) -> Collection[Block]:
@@ -82,10 +72,19 @@ def read_all(saved: Saved) -> Evidence:
     return join_contents(contents, saved.manifest, saved.where)
 
 
-def read_part(saved: Saved, box: CellBox) -> Evidence:
-    """Read the tiles that lie in a box of cells or beside it; of evidence in memory, all."""
+def read_part(
+    saved: Saved, box: CellBox, read_block: Callable[[Block], BlockContent] | None = None
+) -> Evidence:
+    """Read the tiles that lie in a box of cells or beside it; of evidence in memory, all.
+
+    Parameters
+    ----------
+    read_block
+        Takes the place of the evidence's own.
+    """
     if isinstance(saved, Evidence):
         return saved
+    read = read_block or saved.read_block
     low = np.array([box.row, box.col]) // TILE - 1
     high = np.array([box.row_end - 1, box.col_end - 1]) // TILE + 2
     first, last = Block.of_tile(*low.tolist()), Block.of_tile(*(high - 1).tolist())
@@ -94,7 +93,7 @@ def read_part(saved: Saved, box: CellBox) -> Evidence:
         for row in range(first.row, last.row + 1)
         for col in range(first.col, last.col + 1)
     )
-    contents = [saved.read_block(block) for block in touched if block in saved.blocks]
+    contents = (read(block) for block in touched if block in saved.blocks)
     cut = (cut_content(content, low, high) for content in contents)
     return join_contents(cut, saved.manifest, saved.where)
 
@@ -188,34 +187,3 @@ class Combined:
 def count_logs(manifest: Manifest) -> int:
     """How many logs all builds have."""
     return sum(len(list_inputs(build)) for build in manifest.builds)
-
-
-@dataclass(frozen=True, eq=False)
-class Recent:
-    """Blocks of evidence, which keeps those in memory that were read last."""
-
-    source: Blocks
-
-    @property
-    def manifest(self) -> Manifest:
-        """What it is."""
-        return self.source.manifest
-
-    @property
-    def where(self) -> str:
-        """What it was read from."""
-        return self.source.where
-
-    @property
-    def blocks(self) -> Collection[Block]:
-        """Those of the source."""
-        return self.source.blocks
-
-    def find_reach(self, block: Block) -> CellBox:
-        """As the source has it."""
-        return self.source.find_reach(block)
-
-    @cached_property
-    def read_block(self) -> Callable[[Block], BlockContent]:
-        """Read a block, unless it is kept."""
-        return lru_cache(KEPT_BLOCKS)(self.source.read_block)

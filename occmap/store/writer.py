@@ -1,15 +1,18 @@
 """The writer of stores, which are files whose names end in `.zarr`."""
 
+import os
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
+from occmap.grid.tiles import EvidenceKind
 from occmap.store.blocks import Block, BlockRecord, describe_block
-from occmap.store.layout import import_zarr
-from occmap.store.reading import Store
-from occmap.store.sharing import open_base, share_block
+from occmap.store.layout import LAYERS, find_place, import_zarr
+from occmap.store.reading import Store, open_store
 from occmap.store.sources import Blocks, Held
 from occmap.store.writing import create_store, finish_store, write_block
 from occmap.types import Evidence, Manifest
-from occmap.writers.atomic import make_folder
+from occmap.writers.atomic import make_folder, refuse_unwritable
 
 
 class ZarrWriter:
@@ -63,3 +66,57 @@ class ZarrWriter:
             if is_equal and share_block(base, folder, block):
                 return record
         return write_block(folder, block, content)
+
+
+def open_base(where: str) -> Store | None:
+    """Open the store that evidence was read from; None where it was no store."""
+    path = Path(where)
+    return open_store(path) if where and (path / "zarr.json").is_file() else None
+
+
+def share_block(base: Store, path: Path, block: Block) -> bool:
+    """Put a block of one store into a new one; False where that compresses in another way.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    root = import_zarr().open_group(path, mode="r")
+    names = LAYERS[EvidenceKind(base.manifest.kind)]
+    if any(base.root[name].metadata.codecs != root[name].metadata.codecs for name in names):
+        return False
+    offset = root.attrs["occmap"]["offset"]
+    with refuse_unwritable(path):
+        for name in names:
+            source, target = (
+                folder / name / locate_shard(base, block, start)
+                for folder, start in ((base.path, base.offset), (path, offset))
+            )
+            if source.exists():  # a shard of zeros is not kept
+                link(source, target)
+        slices = base.path / "slices" / f"{block.row}.{block.col}"
+        for file in list_files(slices):
+            link(file, path / file.relative_to(base.path))
+    return True
+
+
+def locate_shard(base: Store, block: Block, offset: tuple[int, int]) -> str:
+    """Name the file of a block in an array that begins at a row and column of the lattice."""
+    rows, cols = find_place(block, offset)
+    height, width = base.root[LAYERS[EvidenceKind(base.manifest.kind)][0]].shards
+    return f"c/{rows.start // height}/{cols.start // width}"
+
+
+def list_files(folder: Path) -> Iterator[Path]:
+    """All files in a folder."""
+    return (each for each in sorted(folder.rglob("*")) if each.is_file())
+
+
+def link(source: Path, target: Path) -> None:
+    """Link a file, or copy it where the file system has no links."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)

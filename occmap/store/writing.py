@@ -8,8 +8,11 @@ from typing import Any
 import numpy as np
 
 from occmap.errors import OutputError
+from occmap.evidence import paint_box
+from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.spec import find_unit
-from occmap.grid.tiles import EvidenceKind
+from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, add_stack
+from occmap.sensor.models import parse_model
 from occmap.store.blocks import (
     BLOCK,
     Block,
@@ -17,6 +20,7 @@ from occmap.store.blocks import (
     BlockRecord,
     compute_digest,
     describe_block,
+    gather_tiles,
     hash_table,
     make_table,
     pack_layers,
@@ -32,11 +36,9 @@ from occmap.store.layout import (
     find_place,
     import_zarr,
     make_head,
-    refuse_unwritable,
 )
-from occmap.store.pictures import classify_block, reduce_classes
-from occmap.types import Manifest, UInt8, Update
-from occmap.writers.atomic import publish_folder
+from occmap.types import Int64, Manifest, OccupancyMap, UInt8, Update
+from occmap.writers.atomic import refuse_unwritable
 
 Run = Callable[[Callable[[Block], None], Sequence[Block]], Iterable[None]]
 """Calls a function for each block, as `map` does: in this process, or in others"""
@@ -152,7 +154,8 @@ def write_overview(path: Path, block: Block) -> None:
     zarr = import_zarr()
     with refuse_unwritable(path):
         root = zarr.open_group(path, mode="r+")
-        write_classes(root, block, classify_block(root, root.attrs["occmap"], block))
+        _, made = paint_block(root, block)
+        write_classes(root, block, made.classes)
 
 
 def write_classes(root: Any, block: Block, classes: UInt8) -> None:
@@ -160,6 +163,35 @@ def write_classes(root: Any, block: Block, classes: UInt8) -> None:
     for side in FINE_LEVELS:
         place = find_place(block, root.attrs["occmap"]["offset"], side)
         root["classes"][str(side)][place] = reduce_classes(classes, side)
+
+
+def read_around(root: Any, head: dict[str, Any], box: CellBox) -> TileGrid:
+    """Read the tiles of a box, which begins and ends with tiles, and those beside it."""
+    kind, (row, col) = EvidenceKind(head["kind"]), head["offset"]
+    first, second = (root[name] for name in LAYERS[kind])
+    whole = CellBox(row, col, row + first.shape[0], col + first.shape[1])
+    part = whole.clip(box.grow(TILE))
+    place = slice(part.row - row, part.row_end - row), slice(part.col - col, part.col_end - col)
+    cells: Int64 = np.stack([first[place], second[place]])
+    grid = TileGrid(Lattice(head["resolution"]), kind, find_unit(Update(head["update"])))
+    add_stack(grid, *gather_tiles(cells, part.row // TILE, part.col // TILE))
+    return grid
+
+
+def paint_block(root: Any, block: Block) -> tuple[TileGrid, OccupancyMap]:
+    """Read a block and the tiles beside it; the map says what the store's own model makes of it."""
+    head = root.attrs["occmap"]
+    grid = read_around(root, head, block.box)
+    return grid, paint_box(grid, parse_model(head["model"]), block.box)
+
+
+def reduce_classes(classes: UInt8, side: int) -> UInt8:
+    """Make squares of cells one pixel: occupied where any cell is, else free where any is."""
+    height, width = (-(-length // side) * side for length in classes.shape)
+    classes = np.pad(classes, [(0, height - classes.shape[0]), (0, width - classes.shape[1])])
+    squares = classes.reshape(height // side, side, width // side, side)
+    reduced: UInt8 = squares.max(axis=(1, 3))
+    return reduced
 
 
 def finish_store(
@@ -216,15 +248,3 @@ def add_coarse_levels(root: Any, places: Sequence[tuple[slice, slice]]) -> None:
 def square(place: int, side: int) -> slice:
     """Rows, or columns, of one of the squares that an array is cut into."""
     return slice(place * side, (place + 1) * side)
-
-
-def publish_store(temporary: Path, path: Path) -> None:
-    """Put a finished store in its place; one that was there before is removed.
-
-    Raises
-    ------
-    OutputError
-        It cannot be put there; then the one before stays.
-    """
-    with refuse_unwritable(path):
-        publish_folder(temporary, path)

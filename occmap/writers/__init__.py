@@ -90,6 +90,16 @@ class WriteOptions:
 DEFAULT_THRESHOLDS = Decision(free_below=0.196, occupied_above=0.65)
 
 
+class OneFile:
+    """What most formats have in common: all that they write is one file."""
+
+    needs_evidence = needs_journey = False
+
+    def targets(self, path: Path) -> tuple[Path, ...]:
+        """Return the file."""
+        return (path,)
+
+
 class Writer(Protocol):
     """A map format."""
 
@@ -150,11 +160,8 @@ class Product:
             It is not known.
         """
         if self.journey is None:
-            raise UsageError(
-                "the map does not say where the robot went, only its logs do",
-                where=path,
-                fix="name this file among the outputs of the build",
-            )
+            found = "the map does not say where the robot went, only its logs do"
+            raise UsageError(found, where=path, fix="name this file among the outputs of the build")
         return self.journey
 
 
@@ -222,7 +229,10 @@ class Windows(Protocol):
 class WindowWriter(Protocol):
     """A format that is written part by part, so that there need not be a whole map."""
 
-    def write_windows(self, path: Path, grid: Windows, options: WriteOptions) -> tuple[Path, ...]:
+    in_windows: bool
+    """True; it tells such a format from others"""
+
+    def write(self, path: Path, grid: Windows, options: WriteOptions) -> tuple[Path, ...]:
         """As `Writer.write`."""
 
 

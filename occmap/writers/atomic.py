@@ -43,10 +43,9 @@ def check_target(path: Path) -> None:
         mode = stat.S_IFREG
     except OSError as error:  # the name is too long, or its links lead in a circle
         raise OutputError(f"cannot be written ({error.strerror})", where=path) from None
-    if stat.S_ISDIR(mode):
-        raise OutputError("is a folder, not a file", where=path, fix="give a file name")
     if not stat.S_ISREG(mode):
-        raise OutputError("is a device or a pipe, not a file", where=path, fix="give a file name")
+        kind = "a folder" if stat.S_ISDIR(mode) else "a device or a pipe"
+        raise OutputError(f"is {kind}, not a file", where=path, fix="give a file name")
     check_parent(path, folder)
 
 
@@ -59,17 +58,23 @@ def check_parent(path: Path, folder: Path) -> None:
         The folder is missing or cannot be written.
     """
     if not folder.exists():
-        raise OutputError(
-            f"the folder {folder} does not exist", where=path, fix=f"create it: mkdir -p {folder}"
-        )
+        found, fix = f"the folder {folder} does not exist", f"create it: mkdir -p {folder}"
+        raise OutputError(found, where=path, fix=fix)
     if not folder.is_dir():
         raise OutputError(f"{folder} is a file, not a folder", where=path)
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise OutputError(
-            f"no permission to write into the folder {folder}",
-            where=path,
-            fix="choose another folder",
-        )
+        found = f"no permission to write into the folder {folder}"
+        raise OutputError(found, where=path, fix="choose another folder")
+
+
+@contextmanager
+def refuse_unwritable(path: Path) -> Iterator[None]:
+    """Say in one line what keeps the system from writing a file or a folder; raises OutputError."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise OutputError(f"cannot be written ({reason})", where=path) from None
 
 
 @contextmanager
@@ -90,22 +95,20 @@ def open_atomic(*paths: Path) -> Iterator[Sequence[BinaryIO]]:
     # The name says nothing of the target's: that may be as long as a name can be.
     temporaries = [each.with_name(f".occmap-{secrets.token_hex(8)}.tmp") for each in targets]
     try:
-        with ExitStack() as stack:
-            # Not tempfile: its files are readable by their owner only, whatever the umask says.
-            files = [stack.enter_context(each.open("xb")) for each in temporaries]
-            for temporary, target in zip(temporaries, targets, strict=True):
-                keep_access(temporary, target)
-            yield files
-            for file in files:
-                file.flush()
-                os.fsync(file.fileno())
-        names = [str(each) for each in temporaries], [str(each) for each in targets]
-        list(map(os.replace, *names))  # all of it in C: no signal is answered between two renames
-        for folder in {target.parent for target in targets}:
-            sync_folder(folder)
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
-        raise OutputError(f"cannot be written ({reason})", where=paths[0]) from None
+        with refuse_unwritable(paths[0]):
+            with ExitStack() as stack:
+                # Not tempfile: its files are readable by their owner only, whatever the umask says.
+                files = [stack.enter_context(each.open("xb")) for each in temporaries]
+                for temporary, target in zip(temporaries, targets, strict=True):
+                    keep_access(temporary, target)
+                yield files
+                for file in files:
+                    file.flush()
+                    os.fsync(file.fileno())
+            names = [str(each) for each in temporaries], [str(each) for each in targets]
+            list(map(os.replace, *names))  # all in C: no signal is answered between two renames
+            for folder in {target.parent for target in targets}:
+                sync_folder(folder)
     finally:
         for temporary in temporaries:
             temporary.unlink(missing_ok=True)
@@ -125,13 +128,11 @@ def make_folder(path: Path) -> Iterator[Path]:
     """
     temporary = follow_links(path).with_name(f".occmap-{secrets.token_hex(8)}.tmp")
     try:
-        yield temporary
-        publish_folder(temporary, follow_links(path))
+        with refuse_unwritable(path):
+            yield temporary
+            publish_folder(temporary, follow_links(path))
     except OutputError as error:  # of the temporary folder, which nobody knows
         raise OutputError(error.found, where=path, fix=error.fix) from None
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
-        raise OutputError(f"cannot be written ({reason})", where=path) from None
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 

@@ -20,17 +20,14 @@ class GeoTiffWriter:
     """8 bit, 0 to 100 per cent of being occupied, with overviews; 255 is no data."""
 
     description = "cloud-optimised GeoTIFF of the probability in per cent, for GIS"
+    in_windows = True
 
     def targets(self, path: Path) -> tuple[Path, ...]:
         """Return the image."""
         import_rasterio()
         return (path,)
 
-    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
-        """Write the image; return its path. Raises OutputError as below."""
-        return self.write_windows(path, grid, options)
-
-    def write_windows(self, path: Path, grid: Windows, options: WriteOptions) -> tuple[Path, ...]:  # noqa: ARG002  it has no options
+    def write(self, path: Path, grid: Windows, options: WriteOptions) -> tuple[Path, ...]:  # noqa: ARG002  it has no options
         """Write the image part by part; return its path.
 
         Raises

@@ -29,7 +29,7 @@ from rosbags.rosbag2.metadata import dump_qos_v8
 from rosbags.typesys import Stores, get_typestore
 
 from occmap.types import Float64, OccupancyMap, Trajectory
-from occmap.writers import MapMode, Product, WriteOptions
+from occmap.writers import MapMode, OneFile, Product, WriteOptions
 from occmap.writers.atomic import open_atomic
 
 MAP_FRAME = "map"
@@ -56,15 +56,10 @@ ROS = SimpleNamespace(**{name.rpartition("/")[2]: kind for name, kind in STORE.t
 """Message classes by their short names"""
 
 
-class McapWriter:
+class McapWriter(OneFile):
     """An MCAP file of ROS 2 messages, with the map at the time of the first scan."""
 
     description = "MCAP for RViz and Foxglove: OccupancyGrid, Path and transforms"
-    needs_evidence = needs_journey = False
-
-    def targets(self, path: Path) -> tuple[Path, ...]:
-        """Return the file."""
-        return (path,)
 
     def write_product(
         self, path: Path, product: Product, options: WriteOptions

@@ -38,8 +38,6 @@ Equal evidence makes equal bytes on every machine: no time stamps, no compressio
 import hashlib
 import io
 import json
-import struct
-import tokenize
 import zipfile
 from dataclasses import asdict
 from pathlib import Path
@@ -49,30 +47,22 @@ import numpy as np
 
 from occmap.errors import MapError
 from occmap.types import Bool, Evidence, Manifest, UInt8
+from occmap.writers import OneFile
 from occmap.writers.atomic import open_atomic
 from occmap.writers.compact import SLICE_ARRAYS, Arrays, narrow, pack_slices, unpack_slices
-from occmap.writers.soundness import find_fault
+from occmap.writers.soundness import list_faults, refuse_damage, refuse_faults
 
 FORMAT, VERSION = "occmap evidence", 4
 SIDE = 64
 """Cells along the side of a tile."""
 MAGIC = b"PK\x03\x04"
 ARRAYS = ("tiles", "observed", "first", "second", *SLICE_ARRAYS)
-DAMAGE = (
-    *(zipfile.BadZipFile, struct.error, tokenize.TokenError, EOFError, NotImplementedError),
-    *(LookupError, ValueError, TypeError, OverflowError, RuntimeError, MemoryError, OSError),
-)
-"""What zipfile, json and NumPy raise on damaged files."""
 
 
-class NpzWriter:
+class NpzWriter(OneFile):
     """What was observed, to be rendered, merged and resumed."""
 
     description = "evidence, not yet a map: to render, merge and resume"
-
-    def targets(self, path: Path) -> tuple[Path, ...]:
-        """Return the file."""
-        return (path,)
 
     def write_evidence(self, path: Path, evidence: Evidence) -> tuple[Path, ...]:
         """Write evidence; return its path.
@@ -132,20 +122,11 @@ def read_evidence(path: Path) -> Evidence:
     MapError
         It is missing, no evidence file, of another format, or not as it was written.
     """
-    try:
-        with path.open("rb") as file:
-            if file.read(len(MAGIC)) != MAGIC:
-                raise MapError(
-                    "is no evidence file", where=path, fix="build one with `outputs=map.npz`"
-                )
-            return unpack(path, *load(path, file.seek(0) or file))
-    except FileNotFoundError:
-        raise MapError("no such file", where=path, fix="check the path") from None
-    except DAMAGE as error:
-        reason = getattr(error, "strerror", None) or "it is cut or altered"
-        raise MapError(
-            f"the evidence cannot be read: {reason}", where=path, fix="build it again"
-        ) from None
+    with refuse_damage(path), path.open("rb") as file:
+        if file.read(len(MAGIC)) != MAGIC:
+            fix = "build one with `outputs=map.npz`"
+            raise MapError("is no evidence file", where=path, fix=fix)
+        return unpack(path, *load(path, file.seek(0) or file))
 
 
 def load(path: Path, file: Any) -> tuple[dict[str, Any], Arrays]:
@@ -163,17 +144,12 @@ def load(path: Path, file: Any) -> tuple[dict[str, Any], Arrays]:
         if head["format"] != FORMAT:
             raise MapError(f"holds {head['format']!r}, and no evidence of occmap", where=path)
         if head["version"] > VERSION:
-            raise MapError(
-                f"{FORMAT} of version {head['version']}, while this occmap reads {VERSION}",
-                where=path,
-                fix="use a newer occmap",
-            )
+            found = f"{FORMAT} of version {head['version']}, while this occmap reads {VERSION}"
+            raise MapError(found, where=path, fix="use a newer occmap")
         if head["version"] < VERSION:
-            raise MapError(
-                f"{FORMAT} of an older occmap (version {head['version']}, now {VERSION})",
-                where=path,
-                fix=f"build it again from its logs, with `outputs={path.name}`",
-            )
+            found = f"{FORMAT} of an older occmap (version {head['version']}, now {VERSION})"
+            fix = f"build it again from its logs, with `outputs={path.name}`"
+            raise MapError(found, where=path, fix=fix)
         return head, {name: read_array(archive, name) for name in ARRAYS}
 
 
@@ -200,23 +176,18 @@ def unpack(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidence:
         The checksum does not fit, or what it is of is no evidence.
     """
     if head["checksum"] != compute_checksum(head, arrays):
-        raise MapError(
-            "the checksum does not fit: the file was altered", where=path, fix="build it again"
-        )
-    fields = {name: head[name] for name in Manifest.__dataclass_fields__}
-    lists = {name: tuple(head[name]) for name in ("builds", "subtracted")}
+        found = "the checksum does not fit: the file was altered"
+        raise MapError(found, where=path, fix="build it again")
     observed: UInt8 = arrays["observed"]
     seen = np.unpackbits(observed, axis=1).reshape(-1, SIDE, SIDE).astype(np.bool_)
     width = max(arrays["first"].dtype.itemsize, arrays["second"].dtype.itemsize, 4)
     cells = np.zeros((len(arrays["tiles"]), 2, SIDE, SIDE), f"<i{width}")
     cells[:, 0][seen] = arrays["first"]
     cells[:, 1][seen] = arrays["second"]
-    manifest = Manifest(**{**fields, **lists})
+    manifest = Manifest.from_json(head)
     slices = unpack_slices(arrays)
     if len(slices) != len(manifest.builds):
         raise ValueError("layers")
     evidence = Evidence(manifest, arrays["tiles"], cells, slices, str(path))
-    fault = find_fault(evidence)
-    if fault:
-        raise MapError(f"is not what occmap writes: {fault}", where=path, fix="build it again")
+    refuse_faults(path, list_faults(evidence))
     return evidence

@@ -48,8 +48,8 @@ def check_outputs(outputs: Sequence[Path], inputs: Sequence[Path] = ()) -> None:
         A suffix that no writer has, two outputs that are one file, a file that cannot be made, or
         one that is an input.
     """
-    writers = [(writer, path) for path in outputs for writer in [find_writer(path)]]
-    targets = [(target, writer) for writer, path in writers for target in writer.targets(path)]
+    writers = [(path, find_writer(path)) for path in outputs]
+    targets = [(target, writer) for path, writer in writers for target in writer.targets(path)]
     files = [follow_links(target) for target, _ in targets]
     for (target, writer), file in zip(targets, files, strict=True):
         if isinstance(writer, FolderWriter):
@@ -127,21 +127,6 @@ def want_evidence(outputs: Sequence[Path]) -> bool:
 def want_journey(outputs: Sequence[Path]) -> bool:
     """Whether any output shows where the robot went."""
     return any(isinstance(find_writer(path), ProductWriter) for path in outputs)
-
-
-def refuse_journeys(outputs: Sequence[Path]) -> None:
-    """Refuse to write, of a map of saved evidence, where the robot went.
-
-    Raises
-    ------
-    UsageError
-        An output holds nothing else.
-    """
-    for path in outputs:
-        writer = find_writer(path)
-        if isinstance(writer, ProductWriter) and writer.needs_journey:
-            found = "evidence does not say where the robot went, only the logs do"
-            raise UsageError(found, where=path, fix="build it from the logs: `occmap build`")
 
 
 def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:

@@ -82,8 +82,5 @@ def arrange(panels: Sequence[Panel], text_width: float) -> Layout:
     def lay_out(columns: int) -> Layout:
         return Layout(columns, -(-len(panels) // columns), width, height, head)
 
-    def stray(layout: Layout) -> float:
-        across, down = layout.size
-        return abs(math.log(across / down / ASPECT))
-
-    return min((lay_out(columns + 1) for columns in range(len(panels))), key=stray)
+    layouts = map(lay_out, range(1, len(panels) + 1))
+    return min(layouts, key=lambda each: abs(math.log(each.size[0] / each.size[1] / ASPECT)))

@@ -9,21 +9,17 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from occmap.types import OccupancyMap, UInt8
-from occmap.writers import Shade, WriteOptions, bands_from_top
+from occmap.writers import OneFile, Shade, WriteOptions, bands_from_top
 from occmap.writers.atomic import open_atomic
 
 HIDDEN_GREY = 127
 """Under transparent pixels, for viewers that show no transparency."""
 
 
-class PngWriter:
+class PngWriter(OneFile):
     """8-bit grey with alpha, first row = largest y; dark or light is occupied."""
 
     description = "PNG image of the probability, unknown transparent"
-
-    def targets(self, path: Path) -> tuple[Path, ...]:
-        """Return the image."""
-        return (path,)
 
     def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
         """Write the image; return its path.

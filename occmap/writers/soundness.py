@@ -1,12 +1,24 @@
 """What evidence must be beyond a checksum that fits, since others may write this format, too."""
 
-from collections.abc import Iterator
+import struct
+import tokenize
+import zipfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from reprlib import repr as brief
 from typing import Any
 
 import numpy as np
 
+from occmap.errors import MapError
 from occmap.types import MOST_OBSERVED, Evidence, Int64, Manifest, Slices, Update
+
+DAMAGE = (
+    *(zipfile.BadZipFile, struct.error, tokenize.TokenError, EOFError, NotImplementedError),
+    *(LookupError, ValueError, TypeError, OverflowError, RuntimeError, MemoryError, OSError),
+)
+"""What zipfile, zarr, its codecs, json and NumPy raise on damaged files"""
 
 COUNTS, LOG_ODDS = "counts", "log_odds"
 FARTHEST_TILE = 1 << 38
@@ -30,16 +42,29 @@ BUILD = {
 more of ...], (one of ...), types, and texts as they are."""
 
 
-def find_fault(evidence: Evidence) -> str | None:
-    """Say what is wrong with evidence; None where it is as occmap writes it."""
-    return next(list_faults(evidence), None)
+@contextmanager
+def refuse_damage(path: Path) -> Iterator[None]:
+    """Say in one line that evidence is not there, or cannot be read; raises MapError."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise MapError("no such file", where=path, fix="check the path") from None
+    except DAMAGE as error:
+        reason = getattr(error, "strerror", None) or "it is cut or altered"
+        raise MapError(f"cannot be read: {reason}", where=path, fix="build it again") from None
+
+
+def refuse_faults(path: Path, faults: Iterable[str]) -> None:
+    """Refuse what is not as occmap writes it; raises MapError with the first of its faults."""
+    for fault in faults:
+        raise MapError(f"is not what occmap writes: {fault}", where=path, fix="build it again")
 
 
 def list_faults(evidence: Evidence) -> Iterator[str]:
     """List what is wrong; what comes first is what the rest relies on."""
     manifest = evidence.manifest
     yield from list_manifest_faults(manifest)
-    if not are_tiles(evidence.tiles):
+    if not (are_near(evidence.tiles) and are_ascending(evidence.tiles)):
         yield "its tiles are not in ascending order, or too far away"
     if not are_observations(evidence.cells, manifest.kind):
         yield "its cells hold what no observation makes"
@@ -80,11 +105,6 @@ def fits(value: Any, shape: Any) -> bool:
     if str in shape:
         return all(fits(each, shape[str]) for each in value.values())
     return all(name in value and fits(value[name], inner) for name, inner in shape.items())
-
-
-def are_tiles(tiles: Int64) -> bool:
-    """Whether these are rows and columns (T, 2) of tiles, each once and in order."""
-    return are_near(tiles) and are_ascending(tiles)
 
 
 def are_near(tiles: Int64) -> bool:

@@ -14,8 +14,8 @@ from typing import TypeAlias
 import numpy as np
 from PIL import Image
 
-from occmap.types import CellClass, OccupancyMap, UInt8
-from occmap.writers import Windows, WriteOptions
+from occmap.types import CellClass, UInt8
+from occmap.writers import OneFile, Windows, WriteOptions
 from occmap.writers.atomic import make_folder
 from occmap.writers.pgm import FREE, OCCUPIED, UNKNOWN, describe_map, write_yaml
 
@@ -31,24 +31,17 @@ Address: TypeAlias = tuple[int, int, int]
 """Level, x and y of a tile"""
 
 
-class TilesWriter:
+class TilesWriter(OneFile):
     """A folder of PNG tiles."""
 
     description = "folder of PNG tiles (z/x/y), those at full resolution with a YAML each"
-
-    def targets(self, path: Path) -> tuple[Path, ...]:
-        """Return the folder."""
-        return (path,)
+    in_windows = True
 
     def owns(self, path: Path) -> bool:
         """Whether a folder is one that this writer made."""
         return all(each.name.isdigit() for each in path.iterdir())
 
-    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
-        """Write all tiles; return the folder. Raises OutputError as below."""
-        return self.write_windows(path, grid, options)
-
-    def write_windows(self, path: Path, grid: Windows, options: WriteOptions) -> tuple[Path, ...]:
+    def write(self, path: Path, grid: Windows, options: WriteOptions) -> tuple[Path, ...]:
         """Write all tiles; return the folder.
 
         Raises

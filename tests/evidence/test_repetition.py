@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from occmap.evidence.repetition import list_repeated, tell_repeated
+from occmap.evidence.manifest import list_repeated, tell_repeated
 
 ALL = {"topics": [], "start_s": "-inf", "end_s": "inf", "stride": 1}
 

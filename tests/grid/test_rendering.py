@@ -16,7 +16,7 @@ from occmap.errors import MapError
 from occmap.evidence import render
 from occmap.grid.engine import GridEngine
 from occmap.grid.lattice import CellBox, Lattice
-from occmap.grid.rendering import SpreadHits, find_bounds, measure_agreement, paint
+from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
 from occmap.grid.spec import GridSpec, find_unit
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
 from occmap.sensor.models import CountingModel, QuadraticModel, SensorModel, SimpleModel
@@ -150,7 +150,7 @@ def test_agreement_is_not_known_without_hits() -> None:
     add_cell(grid, 0, 0, 9, 1)
     assert render(grid, QuadraticModel(), 100).agreement is None
     box = CellBox(0, 0, 1, 1)
-    assert measure_agreement(grid, np.ones((1, 1), np.bool_), box) is None
+    assert count_agreeing(grid, np.ones((1, 1), np.bool_), box) == (0, 0)
 
 
 @pytest.mark.parametrize("update", Update)

@@ -7,13 +7,13 @@ from occmap.errors import MapError
 from occmap.evidence import render
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import find_bounds, paint
-from occmap.grid.stacks import add_stack
 from occmap.grid.tiles import (
     INT32_LIMIT,
     LOG_ODDS_UNIT,
     TILE,
     EvidenceKind,
     TileGrid,
+    add_stack,
     refuse_large,
 )
 from occmap.sensor.models import CountingModel

@@ -20,6 +20,7 @@ from occmap.grid.tiles import TILE
 from occmap.store.blocks import BLOCK, Block, digest_evidence, split_evidence
 from occmap.store.layout import compute_checksum
 from occmap.store.reading import open_store
+from occmap.store.sources import read_all
 from occmap.store.writer import ZarrWriter
 from occmap.store.writing import create_store, finish_store, write_block, write_overview
 from occmap.types import CellClass, Evidence, Manifest, UInt8, Update
@@ -67,7 +68,7 @@ def test_an_npz_that_is_written_from_a_store_is_that_of_the_build(
     evidence = save(tmp_path / "m.npz", replace(choose(update, model), resolution=FINE))
     ZarrWriter().write_evidence(tmp_path / "m.zarr", evidence)
     store = open_store(tmp_path / "m.zarr")
-    assert write_bytes(tmp_path, store.read_evidence()) == (tmp_path / "m.npz").read_bytes()
+    assert write_bytes(tmp_path, read_all(store)) == (tmp_path / "m.npz").read_bytes()
     assert store.digest == digest_evidence(evidence)
 
 
@@ -131,7 +132,7 @@ def test_coarse_pictures_of_a_store_of_blocks_far_apart(tmp_path: Path, drive: E
     rows, cols = np.nonzero(coarse[:])
     expected = {tuple((np.array(t) * TILE - store.offset) // 4096) for t in tiles.tolist()}
     assert set(zip(rows.tolist(), cols.tolist(), strict=True)) == expected
-    assert np.array_equal(store.read_evidence().tiles, tiles)
+    assert np.array_equal(read_all(store).tiles, tiles)
 
 
 def test_the_table_says_what_is_where_and_who_saw_it(tmp_path: Path, drive: Evidence) -> None:
@@ -169,7 +170,7 @@ def test_processes_write_blocks_at_once_and_a_task_may_run_twice(
         digests = {finish_store(path, drive.manifest, records, pool.map) for _ in range(2)}
         (digest,) = digests
     assert digest == open_store(kept).digest
-    assert write_bytes(tmp_path, open_store(path).read_evidence()) == write_bytes(tmp_path, drive)
+    assert write_bytes(tmp_path, read_all(open_store(path))) == write_bytes(tmp_path, drive)
 
 
 def test_a_store_that_is_not_finished_is_refused(tmp_path: Path, drive: Evidence) -> None:
@@ -188,7 +189,7 @@ def test_a_store_that_is_not_finished_is_refused(tmp_path: Path, drive: Evidence
 def refuse(path: Path) -> str:
     """Return the one line that a store is refused with."""
     with pytest.raises(MapError) as caught:
-        open_store(path).read_evidence()
+        read_all(open_store(path))
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
     return str(caught.value)
@@ -218,7 +219,7 @@ def test_every_file_that_is_missing_or_cut_is_refused(path: Path) -> None:
             file.write_bytes(whole[: int(part * len(whole))])
             refuse(path)
         file.write_bytes(whole)
-    open_store(path).read_evidence()
+    read_all(open_store(path))
 
 
 def test_every_list_and_shard_with_a_byte_altered_is_refused(path: Path) -> None:
@@ -268,4 +269,4 @@ def test_evidence_of_nothing(tmp_path: Path) -> None:
     evidence = Evidence(manifest, *nothing)
     ZarrWriter().write_evidence(tmp_path / "m.zarr", evidence)
     store = open_store(tmp_path / "m.zarr")
-    assert (store.blocks, len(store.read_evidence().tiles)) == ({}, 0)
+    assert (store.blocks, len(read_all(store).tiles)) == ({}, 0)

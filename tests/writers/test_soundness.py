@@ -11,7 +11,7 @@ from occmap.errors import MapError
 from occmap.grid.tiles import EvidenceKind
 from occmap.types import Evidence
 from occmap.writers.npz import read_evidence
-from occmap.writers.soundness import COUNTS, LOG_ODDS, find_fault
+from occmap.writers.soundness import COUNTS, LOG_ODDS, list_faults
 from tests.writers.test_npz import BUILD, MANIFEST, NO_SLICES, SELECTION, SMALL, write
 
 LAYER = SMALL.slices[0]
@@ -35,7 +35,7 @@ def test_the_kinds_are_those_of_the_grid() -> None:
 def test_what_occmap_may_write_is_sound(changed: dict[str, Any]) -> None:
     cells = SMALL.cells.copy()
     cells[:, 1][cells[:, 0] != 0] += 1  # log-odds are those of an observation
-    assert find_fault(replace(SMALL, manifest=replace(MANIFEST, **changed), cells=cells)) is None
+    assert not list(list_faults(replace(SMALL, manifest=replace(MANIFEST, **changed), cells=cells)))
 
 
 @pytest.mark.parametrize(
