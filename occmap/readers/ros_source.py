@@ -2,14 +2,12 @@
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from operator import ne
 from pathlib import Path
 from typing import Literal, Protocol, TypeAlias, runtime_checkable
 
 from occmap.readers import Note, Role
-from occmap.readers.foxglove import find_foxglove_role, states_origins
-from occmap.readers.messages import KNOWN_TYPES, find_role
+from occmap.readers.messages import POSE_TYPES, SHAPES, find_role, normalise_type
 
 Encoding: TypeAlias = Literal["cdr", "ros1", "json", "protobuf", ""]
 """How messages are written as bytes; "" stands for a way that occmap does not read."""
@@ -39,11 +37,15 @@ class Channel:
         return self.topic, self.type, self.encoding, self.definition, self.descriptors
 
     @property
+    def kind(self) -> str:
+        """The type in its ROS 2 form."""
+        return normalise_type(self.type)
+
+    @property
     def role(self) -> Role:
-        """What the messages can be used for."""
-        if self.encoding in {"cdr", "ros1"}:
-            return find_role(self.type)
-        return find_foxglove_role(self.type) if self.encoding else Role.OTHER
+        """What the messages can be used for: ROS and Foxglove each write theirs in two ways."""
+        encodings = {"cdr", "ros1"} if "/" in self.type else {"json", "protobuf"}
+        return find_role(self.type) if self.encoding in encodings else Role.OTHER
 
     @property
     def oddity(self) -> str:
@@ -53,31 +55,27 @@ class Channel:
         """
         if self.role is not Role.OTHER:
             return ""
-        if (
-            find_role(self.type) is not Role.OTHER
-            or find_foxglove_role(self.type) is not Role.OTHER
-        ):
+        if self.kind in SHAPES:
             return "which are written in a way that occmap does not know"
         if not (self.type.isascii() and self.type.isprintable()):
             return "which is the name of no type"
-        alike = (name for name in KNOWN_TYPES if is_nearly(self.type, name))
-        return "".join(f"which may be meant to be {name}" for name in islice(alike, 1))
+        for known in SHAPES:
+            for name in (known, known.replace("/msg/", "/")):  # as ROS 2 and ROS 1 write it
+                if len(name) == len(self.type) and sum(map(ne, name, self.type)) <= _MOST_LETTERS:
+                    return f"which may be meant to be {name}"
+        return ""
 
     @property
     def has_poses(self) -> bool:
         """Whether the messages state poses, alone or beside a scan."""
-        return self.role is Role.POSE or (self.role is Role.SCAN and states_origins(self.type))
+        return self.role is not Role.OTHER and self.kind in POSE_TYPES
 
 
 _MOST_LETTERS = 2
+"""In so many letters at most a type's name differs from that of one that may be meant."""
 
 RawMessage: TypeAlias = tuple[Channel, int, memoryview]
 """A message as it lies in a log: its channel, when it was recorded (ns), and its bytes."""
-
-
-def is_nearly(name: str, other: str) -> bool:
-    """Whether two names are equally long and differ in at most two letters."""
-    return len(name) == len(other) and sum(map(ne, name, other)) <= _MOST_LETTERS
 
 
 class Source(Protocol):
