@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import BinaryIO, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
 
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList, Role, Span, make_part
+from occmap.readers import Note, NoteList, Span, make_part
 from occmap.readers.inflate import Buffer
-from occmap.readers.ros_source import Channel, RawMessage, add_note
+from occmap.readers.ros_source import SCAN_ROLES, Channel, RawMessage, add_note
 from occmap.wording import count
 
 NEVER_NS = 2**64 - 1
@@ -25,7 +25,6 @@ NEVER_NS = 2**64 - 1
 LONGEST_RECORD = 2**32 - 1
 """Bytes of a record at most; one that states more is damaged."""
 _EVERY_ID = range(1 << 32)
-_SCANS = frozenset({Role.SCAN, Role.CLOUD})
 
 
 class Record(NamedTuple):
@@ -139,7 +138,7 @@ class ChunkedSource(ABC, Generic[Table]):
         """Cut the file between chunks; a part has about `size` bytes of chunks that hold scans."""
         if self.notes or not self._chunks:
             return [self]
-        scans = {key for key, channel in self._by_id.items() if channel.role in _SCANS}
+        scans = {key for key, channel in self._by_id.items() if channel.role in SCAN_ROLES}
         cuts, gathered = [self._span.start], 0
         for start, end in pairwise(self._chunks):
             gathered += end - start if self._may_hold(start, scans) else 0

@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from operator import ne
 from pathlib import Path
-from typing import Literal, Protocol, TypeAlias, runtime_checkable
+from typing import Literal, Protocol, TypeAlias
 
 from occmap.readers import Note, Role
 from occmap.readers.messages import POSE_TYPES, SHAPES, find_role, normalise_type
@@ -71,6 +71,7 @@ class Channel:
         return self.role is not Role.OTHER and self.kind in POSE_TYPES
 
 
+SCAN_ROLES = frozenset({Role.SCAN, Role.CLOUD})
 _MOST_LETTERS = 2
 """In so many letters at most a type's name differs from that of one that may be meant."""
 
@@ -91,12 +92,7 @@ class Source(Protocol):
     def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some channels, in file order."""
 
-
-@runtime_checkable
-class SplittableSource(Protocol):
-    """A container that can be read in parts."""
-
-    def split(self, size: int) -> Sequence[Source]:
+    def split(self, size: int) -> Sequence["Source"]:
         """Cut it into parts of about so many bytes, as `occmap.readers.Splittable` has it."""
 
 

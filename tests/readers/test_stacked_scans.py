@@ -84,7 +84,7 @@ def test_what_nobody_uses_may_differ_within_a_run(
         (channel, 100 + i, write(encoding, "laser", i, [i, 0.5], changes[i])) for i in range(10)
     ]
     monkeypatch.setattr(ros_log, "MESSAGE_BYTES", 0)
-    monkeypatch.setattr(ros_log, "RUN_BYTES", 3 * len(messages[0][2]))
+    monkeypatch.setattr(ros_log, "STACK_BYTES", 4 * len(messages[0][2]))
     monkeypatch.setattr(ros_log, "SHORTEST_RUN", 4)
 
     items = list(RosLog(Memory(messages)).stacked_scans(["/scan"]))

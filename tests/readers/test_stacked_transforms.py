@@ -2,7 +2,7 @@
 
 import tracemalloc
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from occmap.readers import ros_log
 from occmap.readers.ros_log import RosLog
-from occmap.readers.ros_source import Channel, Encoding
+from occmap.readers.ros_source import Channel, Encoding, RawMessage
 from occmap.types import Pose, PoseBatch, PoseSample
 from tests.readers.ros import ROS1, ROS2, TF, Memory, transforms
 
@@ -104,16 +104,26 @@ def test_messages_laid_out_alike_are_read_at_a_stroke(
 def test_a_log_whose_messages_all_differ_in_length_holds_only_some_of_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(ros_log, "MOST_STACKS", 5)
+    monkeypatch.setattr(ros_log, "MOST_KINDS", 5)
     channel = make_channel("/tf", 30)
     messages = [
         (channel, i, write([("odom", "base", float(k)) for k in range(i)], i)) for i in range(30)
     ]
 
-    items = list(RosLog(Memory(messages)).stacked_poses())
+    taken = []
 
-    assert sum(isinstance(item, PoseBatch) for item in items) == 0 + 1 + 2 + 3 + 4
-    assert sum(isinstance(item, PoseSample) for item in items) == sum(range(5, 30))
+    class Watched(Memory):
+        def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+            for message in super().messages(wanted):
+                taken.append(message)
+                yield message
+
+    items = RosLog(Watched(messages)).stacked_poses()
+    first = next(items)
+    assert len(taken) == 5 + 1
+
+    counts = [len(item.pose) if isinstance(item, PoseBatch) else 1 for item in [first, *items]]
+    assert sum(counts) == sum(range(30))
 
 
 def test_a_message_of_very_many_transforms_is_held_once() -> None:
