@@ -14,7 +14,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel as McapChannel
 from mcap.records import Chunk, ChunkIndex, Footer, Schema, Statistics
 
-from occmap.readers.ros_source import Channel, Encoding, Syntax
+from occmap.readers.ros_source import Channel
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
@@ -25,18 +25,6 @@ MESSAGE_DATA = 31
 # What the mcap library raises on records that are not well formed.
 RECORD_ERRORS = (McapError, struct.error, ArithmeticError, LookupError, MemoryError, ValueError)
 
-_ENCODINGS: Mapping[str, Encoding] = {
-    "cdr": "cdr",
-    "ros1": "ros1",
-    "json": "json",
-    "protobuf": "protobuf",
-}
-_SYNTAXES: Mapping[str, Syntax] = {
-    "ros1msg": "msg",
-    "ros2msg": "msg",
-    "ros2idl": "idl",
-    "omgidl": "idl",
-}
 _FOOTER_BODY = 20
 _FOOTER_LENGTH = RECORD.size + _FOOTER_BODY
 _LONGEST_DATA_END = 255
@@ -111,19 +99,18 @@ class ChannelTable:
     def build(self) -> Iterator[tuple[int, Channel]]:
         """Combine channels and their schemas; where a log is damaged, a schema may come later."""
         for key, channel in self._channels.items():
-            yield key, self._combine(channel)
-
-    def _combine(self, channel: McapChannel) -> Channel:
-        schema = self._schemas.get(channel.schema_id, Schema(0, b"", "", ""))
-        syntax = _SYNTAXES.get(schema.encoding, "")
-        return Channel(
-            topic=channel.topic,
-            type=schema.name,
-            encoding=_ENCODINGS.get(channel.message_encoding, ""),
-            definition=schema.data.decode(errors="replace") if syntax else "",
-            syntax=syntax,
-            descriptors=schema.data if schema.encoding == "protobuf" else b"",
-        )
+            schema = self._schemas.get(channel.schema_id, Schema(0, b"", "", ""))
+            is_text = schema.encoding in {"ros1msg", "ros2msg"}
+            yield (
+                key,
+                Channel(
+                    topic=channel.topic,
+                    type=schema.name,
+                    encoding=channel.message_encoding,
+                    definition=schema.data.decode(errors="replace") if is_text else "",
+                    descriptors=schema.data if schema.encoding == "protobuf" else b"",
+                ),
+            )
 
 
 def find_record(file: BinaryIO, start: int, size: int, chunk_end: int = 0) -> int | None:

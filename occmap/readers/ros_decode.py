@@ -156,16 +156,13 @@ def _load_standard(encoding: str) -> Typestore:
 def _load_types(channel: Channel) -> _Types:
     """Load the log's own definition of a message type, or ROS's where it has none or the same.
 
-    A definition in IDL is one that ROS made of its own types; these are read by what ROS has.
-
     Raises
     ------
     LogError
         The definition cannot be understood, or asks for more than any message needs.
     """
-    text = "" if channel.syntax == "idl" else channel.definition
     try:
-        return _make_store(text, channel.type, channel.encoding)
+        return _make_store(channel.definition, channel.type, channel.encoding)
     except LogError as error:
         raise error.placed(channel.topic) from None
 

@@ -198,7 +198,7 @@ class _ChannelReader(Generic[T]):
         self.failures = 0
         self.uses_standard = False
         self._decided = not channel.definition
-        self._make_standard = partial(make, replace(channel, definition="", syntax=""))
+        self._make_standard = partial(make, replace(channel, definition=""))
         try:
             self.decode = make(channel)
         except LogError:

@@ -4,15 +4,10 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from operator import ne
 from pathlib import Path
-from typing import Literal, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
 from occmap.readers import Note, Role
 from occmap.readers.messages import POSE_TYPES, SHAPES, find_role, normalise_type
-
-Encoding: TypeAlias = Literal["cdr", "ros1", "json", "protobuf", ""]
-"""How messages are written as bytes; "" stands for a way that occmap does not read."""
-Syntax: TypeAlias = Literal["msg", "idl", ""]
-"""The language of a message definition; "" where there is no definition."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -22,10 +17,11 @@ class Channel:
     topic: str
     type: str
     """As recorded, in ROS 1 or ROS 2 form."""
-    encoding: Encoding
+    encoding: str
+    """How messages are written as bytes; occmap reads cdr, ros1, json and protobuf."""
     definition: str = ""
-    """The text of the message type and those it is made of, where the log holds it."""
-    syntax: Syntax = ""
+    """The text of the message type and those it is made of, where the log holds it as ROS writes
+    it; one in IDL is made by ROS of its own types, and these are read by what ROS has."""
     count: int = 0
     """Messages in the log."""
     descriptors: bytes = b""

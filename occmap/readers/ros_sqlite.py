@@ -6,7 +6,7 @@ The index on time is not used to find rows; it says how many there should be.
 import os
 import struct
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -15,14 +15,12 @@ import apsw
 
 from occmap.errors import LogError
 from occmap.readers import Note, NoteList, Span, cut_evenly, make_part
-from occmap.readers.ros_source import Channel, Encoding, RawMessage, Syntax, add_note
+from occmap.readers.ros_source import Channel, RawMessage, add_note
 from occmap.readers.sqlite_pages import Row, count_lost_frames, find_rows
 from occmap.wording import count
 
 MAGIC = b"SQLite format 3\x00"
 
-_SYNTAXES: Mapping[str, Syntax] = {"ros2msg": "msg", "ros2idl": "idl"}
-_ENCODINGS: Mapping[str, Encoding] = {"cdr": "cdr"}
 _ERRORS = (apsw.Error, UnicodeDecodeError)
 """What the library raises on damaged files; texts in them may be anything."""
 _LOCKLESS = "win32-none" if os.name == "nt" else "unix-none"
@@ -179,17 +177,15 @@ def _refuse_imitations(database: apsw.Connection) -> None:
 
 def _read_topics(database: apsw.Connection) -> dict[int, Channel]:
     """Read the topics and their types; recorders before ROS 2 Iron stored no definitions."""
-    definitions: dict[str, tuple[str, Syntax]] = {}
+    definitions: dict[str, str] = {}
     columns = ("topic_type", "encoding", "encoded_message_definition")
     with suppress(apsw.SQLError):
-        for kind, form, text in _read_texts(database, "message_definitions", columns):
-            if form in _SYNTAXES:
-                definitions[kind] = text, _SYNTAXES[form]
+        rows = _read_texts(database, "message_definitions", columns)
+        definitions = {kind: text for kind, form, text in rows if form == "ros2msg"}
     topics = {}
     fields = ("name", "type", "serialization_format", "ifnull(CAST(id AS INTEGER), -1)")
     for name, kind, encoding, key in _read_texts(database, "topics", fields):
-        text, syntax = definitions.get(kind, ("", ""))
-        topics[int(key)] = Channel(name, kind, _ENCODINGS.get(encoding, ""), text, syntax)
+        topics[int(key)] = Channel(name, kind, encoding, definitions.get(kind, ""))
     return topics
 
 

@@ -116,7 +116,6 @@ class ChannelTable:
             type=fields.text(b"type"),
             encoding="ros1",
             definition=fields.text(b"message_definition"),
-            syntax="msg",
         )
         self._channels.setdefault((header.number(b"conn"), channel.description), channel)
 
