@@ -6,13 +6,13 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
-from typing import BinaryIO, cast
+from typing import BinaryIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel as McapChannel
-from mcap.records import Chunk, ChunkIndex, Footer, Schema, Statistics
+from mcap.records import ChunkIndex, Footer, Schema, Statistics
 
 from occmap.readers.ros_source import Channel
 
@@ -39,7 +39,10 @@ _SHORTEST: Mapping[int, int] = {
 }
 """Bytes of records whose texts and lists are empty."""
 LAST_OPCODE = 15
-_CHUNK_HEAD = struct.Struct("<QQQII")
+CHUNK_HEAD = struct.Struct("<QQQII")
+"""Of a chunk: its first and last time, its size and checksum when it is decompressed, and the
+length of the name of its compression, which follows; then come the length of its data, and these"""
+LENGTH = struct.Struct("<Q")
 _CHUNK = re.compile(
     rb".{28}(\x00{4}|\x03\x00{3}lz4|\x04\x00{3}(none|zstd))(?P<length>.{5}\x00{3})", re.DOTALL
 )
@@ -153,33 +156,6 @@ def is_plausible(opcode: int, length: int, left: int) -> bool:
     if opcode == Opcode.FOOTER:
         return length == _FOOTER_BODY and left == _FOOTER_BODY + len(MAGIC)
     return 0 < opcode <= LAST_OPCODE and _SHORTEST.get(opcode, 0) <= length <= left
-
-
-def parse_chunk(body: bytes) -> tuple[Chunk, int]:
-    """Parse a chunk record, and count the bytes behind its data.
-
-    Where the file is cut within it, or its data is to be longer than it is, the data is what there
-    is: the library would have none.
-
-    Raises
-    ------
-    struct.error, ValueError
-        Not even its head is whole.
-    """
-    first_ns, last_ns, size, crc, name_length = _CHUNK_HEAD.unpack_from(body)
-    view = memoryview(body)[_CHUNK_HEAD.size :]
-    (length,) = struct.unpack_from("<Q", view, name_length)
-    start = name_length + 8
-    data = view[start : start + length]
-    chunk = Chunk(
-        compression=str(view[:name_length], "utf-8"),
-        data=cast("bytes", data),
-        message_start_time=first_ns,
-        message_end_time=last_ns,
-        uncompressed_size=size,
-        uncompressed_crc=crc,
-    )
-    return chunk, len(view) - start - len(data)
 
 
 def count_indexed(file: BinaryIO) -> int:

@@ -93,9 +93,8 @@ def test_a_cut_zstd_chunk_gives_what_can_be_decompressed(tmp_path: Path) -> None
 
     assert [scan.stamp_ns for scan in scans] == list(range(len(scans)))
     assert 100 < len(scans) < 200
-    ends, *others = (note.text for note in cut.notes)
-    assert ends.startswith("the file ends in the middle of the record at byte ")
-    assert any("is damaged" in text for text in others)
+    (note,) = cut.notes  # not also that the chunk is damaged, nor that it breaks off
+    assert note.text.startswith("the file ends in the middle of the record at byte ")
 
 
 def test_a_record_time_beyond_64_bits_is_the_latest_there_is(tmp_path: Path) -> None:
