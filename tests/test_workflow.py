@@ -32,7 +32,7 @@ def test_a_pipeline_stops_at_a_log_that_is_damaged(tmp_path: Path) -> None:
     done = run(log, tmp_path)
     assert done.returncode == 1
     assert done.stderr.startswith(f"not as it should be: check {log}")
-    assert "exit code 3, not 0; error: damage is 3, and --fail-if says > 0" in done.stderr
+    assert "exit code 3, not 0; error: damage is 1, and --fail-if says > 0" in done.stderr
 
 
 def test_the_workflow_knows_nothing_of_the_inside() -> None:

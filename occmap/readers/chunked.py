@@ -8,16 +8,16 @@ and rosbags needs an index, which the bags of robots that lost power do not have
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
 
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList, Role, Span, make_part
+from occmap.readers import Note, NoteList, Span, make_part
 from occmap.readers.inflate import Buffer
-from occmap.readers.ros_source import Channel, RawMessage, add_note
+from occmap.readers.ros_source import SCAN_ROLES, Channel, RawMessage, add_note
 from occmap.wording import count
 
 NEVER_NS = 2**64 - 1
@@ -25,7 +25,6 @@ NEVER_NS = 2**64 - 1
 LONGEST_RECORD = 2**32 - 1
 """Bytes of a record at most; one that states more is damaged."""
 _EVERY_ID = range(1 << 32)
-_SCANS = frozenset({Role.SCAN, Role.CLOUD})
 
 
 class Record(NamedTuple):
@@ -105,13 +104,18 @@ class ChunkedSource(ABC, Generic[Table]):
         """Whether chunks may be there twice"""
         self._chunks: Sequence[int] = ()
         """Where chunks begin, in a file that can be cut between them"""
+        self._cut_at = -1
+        """Where a record begins in the middle of which the file ends"""
         try:
             with path.open("rb") as file:
                 self._size = file.seek(0, 2)
                 self._span = Span(len(self.magic), self._size)
-                self._by_id = self._find_channels(file)
+                channels, counts = self._find_channels(file)
         except OSError as error:
             raise LogError(f"cannot be read ({error.strerror})", where=path) from None
+        self._by_id = {key: replace(each, count=counts[key]) for key, each in channels.items()}
+        if lost := sum(messages for key, messages in counts.items() if key not in channels):
+            add_note(self.notes, f"the file names no {self.unit} for {count(lost, 'message')}")
         if self.notes and not self._by_id:
             found = "; ".join(note.text for note in self.notes[:3])
             raise LogError(f"nothing in it can be read: {found}", where=path)
@@ -139,7 +143,7 @@ class ChunkedSource(ABC, Generic[Table]):
         """Cut the file between chunks; a part has about `size` bytes of chunks that hold scans."""
         if self.notes or not self._chunks:
             return [self]
-        scans = {key for key, channel in self._by_id.items() if channel.role in _SCANS}
+        scans = {key for key, channel in self._by_id.items() if channel.role in SCAN_ROLES}
         cuts, gathered = [self._span.start], 0
         for start, end in pairwise(self._chunks):
             gathered += end - start if self._may_hold(start, scans) else 0
@@ -149,8 +153,8 @@ class ChunkedSource(ABC, Generic[Table]):
         return [make_part(self, _span=Span(*ends)) for ends in pairwise([*cuts, self._span.end])]
 
     @abstractmethod
-    def _find_channels(self, file: BinaryIO) -> dict[int, Channel]:
-        """Find the channels and their counts, as the file announces them or by a survey."""
+    def _find_channels(self, file: BinaryIO) -> tuple[dict[int, Channel], Counter[int]]:
+        """Find the channels, and count their messages, as the file announces or by a survey."""
 
     @abstractmethod
     def _read_record(self, file: BinaryIO, position: int) -> Record | None:
@@ -180,11 +184,6 @@ class ChunkedSource(ABC, Generic[Table]):
         for key, channel in table.build():
             channels.setdefault(key, channel)
         return channels, held
-
-    def _note_nameless(self, channels: Container[int], held: Mapping[int, int]) -> None:
-        """Note messages of channels that the file does not describe."""
-        if lost := sum(messages for key, messages in held.items() if key not in channels):
-            add_note(self.notes, f"the file names no {self.unit} for {count(lost, 'message')}")
 
     def _iterate_blocks(self, file: BinaryIO, wanted: Container[int]) -> Iterator[Block]:
         """Give the records that may hold messages of these channels."""
@@ -234,15 +233,13 @@ class ChunkedSource(ABC, Generic[Table]):
         if record is not None and record.end - position <= LONGEST_RECORD:
             there = f"{left:,} of its {record.end - position:,} bytes are there"
             text = f"the file ends in the middle of the record at byte {position}: {there}"
+            self._cut_at = position
         add_note(self.notes, text)
         if record is not None and record.opcode == self.chunk and record.start < self._size:
             file.seek(record.start)
             yield record._replace(length=self._size - record.start)
 
     def _note(self, position: int, problem: str) -> None:
-        add_note(self.notes, f"the chunk at byte {position} {problem}")
-
-
-def with_counts(channels: Mapping[int, Channel], counts: Mapping[int, int]) -> dict[int, Channel]:
-    """State for each channel how many messages it has."""
-    return {key: replace(item, count=counts.get(key, 0)) for key, item in channels.items()}
+        """Note what is wrong with a chunk, unless it is clear since the file ends within it."""
+        if position != self._cut_at:
+            add_note(self.notes, f"the chunk at byte {position} {problem}")

@@ -5,34 +5,27 @@ brought into shape, so that messages of both encodings have the same fields as a
 """
 
 import math
-from collections.abc import Callable, Mapping
-from typing import Any, TypeAlias
+from collections.abc import Mapping
+from typing import Any
 
-from occmap.readers import Role
-from occmap.readers.shapes import POSE, QUATERNION, VECTOR, Shape, as_row, get_field, read_frame
+from occmap.readers.options import ReaderOptions
+from occmap.readers.shapes import (
+    POSE,
+    QUATERNION,
+    VECTOR,
+    Shape,
+    ToPoses,
+    ToScan,
+    as_row,
+    get_field,
+    read_frame,
+)
 from occmap.types import Pose, PoseSample, Scan, as_number, as_stamp, as_text
 
-SCAN_SCHEMA = "foxglove.LaserScan"
 IDENTITY = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
-ToScan: TypeAlias = Callable[[Any, str, int], Scan]
-"""From a decoded message, its topic and its record time in ns."""
-ToPoses: TypeAlias = Callable[[Any, str, int], list[PoseSample]]
 
-
-def find_foxglove_role(name: str) -> Role:
-    """Say what messages of a schema can be used for."""
-    if name in SCAN_SCHEMAS:
-        return Role.SCAN
-    return Role.POSE if name in POSE_SCHEMAS else Role.OTHER
-
-
-def states_origins(name: str) -> bool:
-    """Whether scans of a type state where in their frame they were taken."""
-    return name == SCAN_SCHEMA
-
-
-def convert_scan(message: Any, topic: str, record_ns: int) -> Scan:
+def convert_scan(_options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Scan:
     """Convert a foxglove.LaserScan, which has no range limits.
 
     Where it states an origin other than its frame's, it gets a frame of its own, whose pose
@@ -129,16 +122,14 @@ def as_time(value: Any) -> int:
     return as_stamp(seconds * 1_000_000_000 + nanoseconds)
 
 
-SCAN_SCHEMAS: Mapping[str, ToScan] = {
-    SCAN_SCHEMA: convert_scan,
-}
+SCAN_TYPES: Mapping[str, ToScan] = {"foxglove.LaserScan": convert_scan}
 
-POSE_SCHEMAS: Mapping[str, ToPoses] = {
+POSE_TYPES: Mapping[str, ToPoses] = {
     "foxglove.FrameTransform": convert_transform,
     "foxglove.FrameTransforms": convert_transforms,
     "foxglove.PoseInFrame": convert_pose,
     "foxglove.PosesInFrame": convert_poses,
-    SCAN_SCHEMA: convert_origin,
+    "foxglove.LaserScan": convert_origin,
 }
 
 _FRAMED: Mapping[str, Shape] = {"timestamp": as_time, "frame_id": as_text}
@@ -149,8 +140,8 @@ _TRANSFORM: Shape = {
     "translation": VECTOR,
     "rotation": QUATERNION,
 }
-SCHEMA_SHAPES: Mapping[str, Shape] = {
-    SCAN_SCHEMA: {
+SHAPES: Mapping[str, Shape] = {
+    "foxglove.LaserScan": {
         **_FRAMED,
         "pose": POSE,
         "start_angle": as_number,

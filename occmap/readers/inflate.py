@@ -1,14 +1,14 @@
 """Decompression that never gives more than was announced, and gives what lies before damage."""
 
-import bz2
-import zlib
-from collections.abc import Callable
+from bz2 import BZ2File
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
-import lz4.frame  # type: ignore[import-untyped]  # it ships no types
 import zstandard
+from lz4.frame import LZ4FrameFile  # type: ignore[import-untyped]  # it ships no types
 
 Buffer: TypeAlias = bytes | memoryview
 
@@ -21,36 +21,12 @@ MAX_RATIO = 1000
 _STEP = 1 << 16
 _LARGEST_READ = 1 << 24
 _UNKNOWN_SIZE = -1
-_INFLATE_ERRORS = (zstandard.ZstdError, zlib.error, OSError, EOFError, RuntimeError, ValueError)
+_INFLATE_ERRORS = (zstandard.ZstdError, OSError, EOFError, RuntimeError, ValueError)
 
-
-class _Stream(Protocol):
-    def read(self, size: int, /) -> bytes:
-        """Give at most `size` bytes, and none at the end."""
-
-
-class _Steps:
-    """Reads from a decompressor with the interface of bz2's, one step of its input at a time."""
-
-    def __init__(self, decompressor: Any, data: Buffer) -> None:
-        self._decompressor = decompressor
-        self._input = BytesIO(data)
-
-    def read(self, size: int, /) -> bytes:
-        """Give at most `size` bytes, and none at the end."""
-        while not self._decompressor.eof:
-            hungry = self._decompressor.needs_input
-            step = self._input.read(_STEP) if hungry else b""
-            piece: bytes = self._decompressor.decompress(step, size)
-            if piece or (hungry and not step):
-                return piece
-        return b""
-
-
-_OPENERS: dict[str, Callable[[Buffer], _Stream]] = {
-    "zstd": lambda data: zstandard.ZstdDecompressor().stream_reader(data),
-    "lz4": lambda data: _Steps(lz4.frame.LZ4FrameDecompressor(), data),
-    "bz2": lambda data: _Steps(bz2.BZ2Decompressor(), data),
+_OPENERS: Mapping[str, Callable[[BytesIO], Any]] = {
+    "zstd": lambda packed: zstandard.ZstdDecompressor().stream_reader(packed),
+    "lz4": LZ4FrameFile,
+    "bz2": BZ2File,
 }
 
 
@@ -80,44 +56,28 @@ def inflate(data: Buffer, compression: str, size: int) -> tuple[Buffer, str]:
         return b"", f"announces {size} bytes, more than any recorder writes in one block"
     if size > max(_LARGEST_READ, MAX_RATIO * len(data)):
         return b"", f"announces {size} bytes in {len(data)}, as only a bomb does"
-    block = _read_whole(_OPENERS[compression](data), min(size, _LARGEST_READ), size)
-    if len(block) != size:
-        block = _read_whole(_OPENERS[compression](data), _STEP, size)
-        return block, f"is damaged: {len(block)} of its {size} bytes come out of {compression}"
-    return block, ""
-
-
-def _read_whole(stream: _Stream, step: int, size: int) -> bytes:
-    """Read at most `size` bytes, ending early where the data is damaged."""
     pieces = []
     left = size
-    try:
-        while left and (piece := stream.read(min(step, left))):
+    stream = _OPENERS[compression](BytesIO(data))
+    with suppress(*_INFLATE_ERRORS):
+        while left and (piece := stream.read1(min(left, _STEP))):
             pieces.append(piece)
             left -= len(piece)
-    except _INFLATE_ERRORS:
-        pass
-    return pieces[0] if len(pieces) == 1 else b"".join(pieces)
+    problem = f"is damaged: {size - left} of its {size} bytes come out of {compression}"
+    return b"".join(pieces), problem if left else ""
 
 
-def inflate_message(data: Buffer) -> memoryview:
+def inflate_message(data: memoryview) -> memoryview:
     """Decompress one message that was compressed on its own with zstd.
 
-    Raises
-    ------
-    ValueError
-        It is damaged, or announces no size or an absurd one.
+    One that is damaged, or announces no size or an absurd one, is given as it is, so that it is
+    counted as one that cannot be decoded.
     """
-    try:
-        size = zstandard.frame_content_size(data)
-    except zstandard.ZstdError as error:
-        raise ValueError("the message is not compressed with zstd") from error
-    if size == _UNKNOWN_SIZE:
-        raise ValueError("the message announces no size")
-    message, problem = inflate(data, "zstd", size)
-    if problem:
-        raise ValueError(f"the message {problem}")
-    return memoryview(message)
+    with suppress(zstandard.ZstdError):
+        if (size := zstandard.frame_content_size(data)) != _UNKNOWN_SIZE:
+            message, problem = inflate(data, "zstd", size)
+            return data if problem else memoryview(message)
+    return data
 
 
 def unzip_file(path: Path, target: Path) -> str:

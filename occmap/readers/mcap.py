@@ -1,6 +1,7 @@
 """MCAP files with ROS 2, ROS 1 or Foxglove messages: whole, without index or summary, or cut."""
 
 import zlib
+from collections import Counter
 from collections.abc import Container, Iterator
 from io import BytesIO
 from pathlib import Path
@@ -10,11 +11,13 @@ from typing import BinaryIO
 from mcap.opcode import Opcode
 
 from occmap.readers import Probe
-from occmap.readers.chunked import NEVER_NS, Block, ChunkedSource, Record, with_counts
+from occmap.readers.chunked import NEVER_NS, Block, ChunkedSource, Record
 from occmap.readers.inflate import inflate
 from occmap.readers.mcap_records import (
+    CHUNK_HEAD,
     CHUNK_START,
     LAST_OPCODE,
+    LENGTH,
     MAGIC,
     MESSAGE_DATA,
     RECORD,
@@ -26,7 +29,6 @@ from occmap.readers.mcap_records import (
     is_plausible,
     leads_on,
     measure_chunk,
-    parse_chunk,
     read_summary,
 )
 from occmap.readers.ros_log import RosReader
@@ -59,11 +61,11 @@ class McapSource(ChunkedSource[ChannelTable]):
         self._summary = Summary()
         super().__init__(path)
 
-    def _find_channels(self, file: BinaryIO) -> dict[int, Channel]:
+    def _find_channels(self, file: BinaryIO) -> tuple[dict[int, Channel], Counter[int]]:
         """Take the channels and their counts from the summary; where it lacks some, survey all."""
         self._summary, problem = read_summary(file, self._size)
         channels, statistics = self._summary.channels, self._summary.statistics
-        counts = statistics.channel_message_counts if statistics else {}
+        counts = Counter(statistics.channel_message_counts if statistics else {})
         if self._summary.is_complete:
             self._chunks = sorted(self._summary.chunk_channels) if self._summary.is_checked else ()
         else:
@@ -74,13 +76,12 @@ class McapSource(ChunkedSource[ChannelTable]):
                 text = f"{held.total()} messages are in it, its statistics have {stated}"
                 add_note(self.notes, text)
             channels, counts = channels | found, counts or held
-            self._note_nameless(channels, held)
         for channel in channels.values():
             if channel.encoding in {"cdr", "ros1"} and not channel.type:
                 add_note(self.notes, f"the type of the messages on {channel.topic} is not stated")
         if problem and not self.notes:
             add_note(self.notes, f"{problem}: how many messages there should be is not known")
-        return with_counts(channels, counts)
+        return channels, counts
 
     def _walk(self, file: BinaryIO) -> Iterator[Record]:
         """Give the records, and note chunks that the index has and the file has not."""
@@ -125,22 +126,25 @@ class McapSource(ChunkedSource[ChannelTable]):
         """Decompress a chunk, and verify its checksum when it is first read."""
         position = record.position
         indexed = count_indexed(file)
-        try:
-            chunk, left = parse_chunk(body)
+        try:  # not by the library, which gives nothing of a chunk that is cut
+            first_ns, last_ns, size, crc, name_length = CHUNK_HEAD.unpack_from(body)
+            start = CHUNK_HEAD.size + name_length
+            compression = str(body[CHUNK_HEAD.size : start], "utf-8")
+            (length,) = LENGTH.unpack_from(body, start)
         except RECORD_ERRORS:
             self._note(position, "has no head that can be read")
             return Block(position, b"")
-        block, problem = inflate(chunk.data, chunk.compression, chunk.uncompressed_size)
-        if left > _LONGEST_PADDING:
+        data = memoryview(body)[start + LENGTH.size :]
+        block, problem = inflate(data[:length], compression, size)
+        if (left := len(data) - length) > _LONGEST_PADDING:
             problem = problem or f"has {count(left, 'byte')} that it does not state"
         if not problem and position not in self._verified:
             self._verified.add(position)
-            if chunk.uncompressed_crc not in {0, zlib.crc32(block)}:
+            if crc not in {0, zlib.crc32(block)}:
                 problem = "has a wrong checksum, and is used as far as it can be read"
         if problem:
             self._note(position, problem)
-        last_ns = chunk.message_end_time or NEVER_NS
-        return Block(position, block, chunk.message_start_time, last_ns, indexed)
+        return Block(position, block, first_ns, last_ns or NEVER_NS, indexed)
 
     def _split_block(
         self, block: Block, wanted: Container[int], table: ChannelTable

@@ -6,15 +6,15 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
-from typing import BinaryIO, cast
+from typing import BinaryIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel as McapChannel
-from mcap.records import Chunk, ChunkIndex, Footer, Schema, Statistics
+from mcap.records import ChunkIndex, Footer, Schema, Statistics
 
-from occmap.readers.ros_source import Channel, Encoding, Syntax
+from occmap.readers.ros_source import Channel
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
@@ -25,18 +25,6 @@ MESSAGE_DATA = 31
 # What the mcap library raises on records that are not well formed.
 RECORD_ERRORS = (McapError, struct.error, ArithmeticError, LookupError, MemoryError, ValueError)
 
-_ENCODINGS: Mapping[str, Encoding] = {
-    "cdr": "cdr",
-    "ros1": "ros1",
-    "json": "json",
-    "protobuf": "protobuf",
-}
-_SYNTAXES: Mapping[str, Syntax] = {
-    "ros1msg": "msg",
-    "ros2msg": "msg",
-    "ros2idl": "idl",
-    "omgidl": "idl",
-}
 _FOOTER_BODY = 20
 _FOOTER_LENGTH = RECORD.size + _FOOTER_BODY
 _LONGEST_DATA_END = 255
@@ -51,7 +39,10 @@ _SHORTEST: Mapping[int, int] = {
 }
 """Bytes of records whose texts and lists are empty."""
 LAST_OPCODE = 15
-_CHUNK_HEAD = struct.Struct("<QQQII")
+CHUNK_HEAD = struct.Struct("<QQQII")
+"""Of a chunk: its first and last time, its size and checksum when it is decompressed, and the
+length of the name of its compression, which follows; then come the length of its data, and these"""
+LENGTH = struct.Struct("<Q")
 _CHUNK = re.compile(
     rb".{28}(\x00{4}|\x03\x00{3}lz4|\x04\x00{3}(none|zstd))(?P<length>.{5}\x00{3})", re.DOTALL
 )
@@ -111,19 +102,18 @@ class ChannelTable:
     def build(self) -> Iterator[tuple[int, Channel]]:
         """Combine channels and their schemas; where a log is damaged, a schema may come later."""
         for key, channel in self._channels.items():
-            yield key, self._combine(channel)
-
-    def _combine(self, channel: McapChannel) -> Channel:
-        schema = self._schemas.get(channel.schema_id, Schema(0, b"", "", ""))
-        syntax = _SYNTAXES.get(schema.encoding, "")
-        return Channel(
-            topic=channel.topic,
-            type=schema.name,
-            encoding=_ENCODINGS.get(channel.message_encoding, ""),
-            definition=schema.data.decode(errors="replace") if syntax else "",
-            syntax=syntax,
-            descriptors=schema.data if schema.encoding == "protobuf" else b"",
-        )
+            schema = self._schemas.get(channel.schema_id, Schema(0, b"", "", ""))
+            is_text = schema.encoding in {"ros1msg", "ros2msg"}
+            yield (
+                key,
+                Channel(
+                    topic=channel.topic,
+                    type=schema.name,
+                    encoding=channel.message_encoding,
+                    definition=schema.data.decode(errors="replace") if is_text else "",
+                    descriptors=schema.data if schema.encoding == "protobuf" else b"",
+                ),
+            )
 
 
 def find_record(file: BinaryIO, start: int, size: int, chunk_end: int = 0) -> int | None:
@@ -166,33 +156,6 @@ def is_plausible(opcode: int, length: int, left: int) -> bool:
     if opcode == Opcode.FOOTER:
         return length == _FOOTER_BODY and left == _FOOTER_BODY + len(MAGIC)
     return 0 < opcode <= LAST_OPCODE and _SHORTEST.get(opcode, 0) <= length <= left
-
-
-def parse_chunk(body: bytes) -> tuple[Chunk, int]:
-    """Parse a chunk record, and count the bytes behind its data.
-
-    Where the file is cut within it, or its data is to be longer than it is, the data is what there
-    is: the library would have none.
-
-    Raises
-    ------
-    struct.error, ValueError
-        Not even its head is whole.
-    """
-    first_ns, last_ns, size, crc, name_length = _CHUNK_HEAD.unpack_from(body)
-    view = memoryview(body)[_CHUNK_HEAD.size :]
-    (length,) = struct.unpack_from("<Q", view, name_length)
-    start = name_length + 8
-    data = view[start : start + length]
-    chunk = Chunk(
-        compression=str(view[:name_length], "utf-8"),
-        data=cast("bytes", data),
-        message_start_time=first_ns,
-        message_end_time=last_ns,
-        uncompressed_size=size,
-        uncompressed_crc=crc,
-    )
-    return chunk, len(view) - start - len(data)
 
 
 def count_indexed(file: BinaryIO) -> int:

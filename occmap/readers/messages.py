@@ -2,17 +2,16 @@
 
 A type is listed under its ROS 2 name; ROS 1 names are brought to that form. To support another
 type, write what is read of it, its converter, and a line in one of the tables at the end: the
-table that a type stands in is its role.
+table that a type stands in is its role. Foxglove's schemas stand in these tables, too.
 """
 
 import math
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping
 from typing import Any
 
 from numpy.typing import ArrayLike
 
-from occmap.readers import Role
+from occmap.readers import Role, foxglove
 from occmap.readers.flatten import CLOUD, convert_cloud
 from occmap.readers.options import Echo, ReaderOptions
 from occmap.readers.shapes import (
@@ -21,40 +20,29 @@ from occmap.readers.shapes import (
     QUATERNION,
     VECTOR,
     Shape,
+    ToPoses,
+    ToScan,
     as_row,
     read_frame,
     read_stamp,
 )
 from occmap.types import Pose, PoseSample, Scan, as_number, as_text
 
-ToScan = Callable[[Any, str, int], Scan]
-"""From a decoded message, its topic and its record time in ns."""
-TuneToScan = Callable[[ReaderOptions, Any, str, int], Scan]
-ToPoses = Callable[[Any, str, int], list[PoseSample]]
+_CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 
 
 def normalise_type(name: str) -> str:
     """Bring a message type to its ROS 2 form: `tf/tfMessage` becomes `tf/msg/tfMessage`."""
-    package, _, base = name.rpartition("/")
-    return name if package.endswith("/msg") else f"{package}/msg/{base}"
+    package, slash, base = name.rpartition("/")
+    return f"{package}/msg/{base}" if slash and not package.endswith("/msg") else name
 
 
 def find_role(name: str) -> Role:
-    """Say what messages of a type, in its ROS 1 or ROS 2 form, can be used for."""
-    normal = normalise_type(name)
-    if normal in SCAN_TYPES or normal in ECHO_TYPES:
-        return Role.SCAN
-    if normal in CLOUD_TYPES:
-        return Role.CLOUD
-    return Role.POSE if normal in POSE_TYPES else Role.OTHER
-
-
-def find_converter(name: str, options: ReaderOptions) -> ToScan:
-    """Find what makes scans of messages whose role is SCAN or CLOUD."""
+    """Say what messages of a type can be used for; a ROS type is in its ROS 1 or ROS 2 form."""
     normal = normalise_type(name)
     if normal in SCAN_TYPES:
-        return SCAN_TYPES[normal]
-    return partial((ECHO_TYPES | CLOUD_TYPES)[normal], options)
+        return Role.CLOUD if normal == _CLOUD_TYPE else Role.SCAN
+    return Role.POSE if normal in POSE_TYPES else Role.OTHER
 
 
 def is_static_topic(topic: str) -> bool:
@@ -62,7 +50,7 @@ def is_static_topic(topic: str) -> bool:
     return topic.rpartition("/")[2] == "tf_static"
 
 
-def convert_laser_scan(message: Any, topic: str, record_ns: int) -> Scan:
+def convert_laser_scan(_options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Scan:
     """Convert a sensor_msgs/LaserScan."""
     return _make_scan(message, message.ranges, topic, record_ns)
 
@@ -170,14 +158,9 @@ _UNCERTAIN: Mapping[str, Shape] = {"header": HEADER, "pose": {"pose": POSE}}
 
 SCAN_TYPES: Mapping[str, ToScan] = {
     "sensor_msgs/msg/LaserScan": convert_laser_scan,
-}
-
-ECHO_TYPES: dict[str, TuneToScan] = {
     "sensor_msgs/msg/MultiEchoLaserScan": convert_multi_echo,
-}
-
-CLOUD_TYPES: dict[str, TuneToScan] = {
-    "sensor_msgs/msg/PointCloud2": convert_cloud,
+    _CLOUD_TYPE: convert_cloud,
+    **foxglove.SCAN_TYPES,
 }
 
 POSE_TYPES: Mapping[str, ToPoses] = {
@@ -187,20 +170,19 @@ POSE_TYPES: Mapping[str, ToPoses] = {
     "geometry_msgs/msg/PoseStamped": convert_pose,
     "geometry_msgs/msg/PoseWithCovarianceStamped": convert_pose_with_covariance,
     "nav_msgs/msg/Path": convert_path,
+    **foxglove.POSE_TYPES,
 }
 
 SHAPES: Mapping[str, Shape] = {
     "sensor_msgs/msg/LaserScan": _LASER,
     "sensor_msgs/msg/MultiEchoLaserScan": {**_LASER, "ranges": [{"echoes": as_row}]},
-    "sensor_msgs/msg/PointCloud2": CLOUD,
+    _CLOUD_TYPE: CLOUD,
     "tf2_msgs/msg/TFMessage": _TRANSFORMS,
     "tf/msg/tfMessage": _TRANSFORMS,
     "nav_msgs/msg/Odometry": {**_UNCERTAIN, "child_frame_id": as_text},
     "geometry_msgs/msg/PoseStamped": _STAMPED,
     "geometry_msgs/msg/PoseWithCovarianceStamped": _UNCERTAIN,
     "nav_msgs/msg/Path": {"header": HEADER, "poses": [_STAMPED]},
+    **foxglove.SHAPES,
 }
 """The fields that a converter reads, for logs that define a type in another way than ROS does."""
-
-KNOWN_TYPES = (*SHAPES, *(name.replace("/msg/", "/") for name in SHAPES))
-"""The names of these types, as ROS 2 and as ROS 1 write them."""

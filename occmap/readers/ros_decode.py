@@ -7,7 +7,7 @@ damage of the log. Any other error is a fault of occmap's, and is not caught.
 import struct
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from rosbags.interfaces import Nodetype
@@ -17,9 +17,8 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from rosbags.typesys.store import Typestore
 
 from occmap.errors import DamageError, LogError
-from occmap.readers.foxglove import POSE_SCHEMAS, SCAN_SCHEMAS, SCHEMA_SHAPES
 from occmap.readers.foxglove_decode import DECODERS
-from occmap.readers.messages import POSE_TYPES, SHAPES, find_converter, normalise_type
+from occmap.readers.messages import POSE_TYPES, SCAN_TYPES, SHAPES, normalise_type
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_source import Channel
 from occmap.readers.shapes import take
@@ -73,9 +72,7 @@ def make_scan_reader(channel: Channel, options: ReaderOptions) -> FromBytes[Scan
     LogError
         The channel's message definition cannot be understood.
     """
-    is_foxglove = channel.encoding in DECODERS
-    convert = SCAN_SCHEMAS[channel.type] if is_foxglove else find_converter(channel.type, options)
-    return _combine(channel, convert)
+    return _combine(channel, partial(SCAN_TYPES[channel.kind], options))
 
 
 def make_pose_reader(channel: Channel) -> FromBytes[list[PoseSample]]:
@@ -86,9 +83,7 @@ def make_pose_reader(channel: Channel) -> FromBytes[list[PoseSample]]:
     LogError
         The channel's message definition cannot be understood.
     """
-    is_foxglove = channel.encoding in DECODERS
-    types = POSE_SCHEMAS if is_foxglove else POSE_TYPES
-    return _combine(channel, types[channel.type if is_foxglove else normalise_type(channel.type)])
+    return _combine(channel, POSE_TYPES[channel.kind])
 
 
 def is_laid_out_plainly(channel: Channel) -> bool:
@@ -96,10 +91,10 @@ def is_laid_out_plainly(channel: Channel) -> bool:
 
     Little-endian ones can then be stacked, and read many at once.
     """
-    if normalise_type(channel.type) not in _PLAIN_TYPES:
+    if channel.kind not in _PLAIN_TYPES:
         return False
     try:
-        return channel.encoding in _STORES and _is_standard(channel)
+        return channel.encoding in _STORES and _load_types(channel).is_standard
     except LogError:
         return False
 
@@ -110,17 +105,17 @@ def _combine(channel: Channel, convert: Callable[[Any, str, int], T]) -> FromByt
     Where the type is not as ROS defines it, what was decoded is brought into shape between the two.
     """
     topic = channel.topic
-    if channel.encoding not in DECODERS and _is_standard(channel):
+    if channel.encoding not in DECODERS and _load_types(channel).is_standard:
         decode = _make_ros_decoder(channel)
         return lambda data, record_ns: convert(decode(data), topic, record_ns)
     decode = DECODERS.get(channel.encoding, _make_ros_decoder)(channel)
-    shape = SCHEMA_SHAPES.get(channel.type) or SHAPES[normalise_type(channel.type)]
+    shape = SHAPES[channel.kind]
     return lambda data, record_ns: convert(take(decode(data), shape), topic, record_ns)
 
 
 def _make_ros_decoder(channel: Channel) -> Callable[[memoryview], Any]:
     """Build what decodes a message by its definition; it raises DamageError."""
-    store, name = _load_types(channel).store, normalise_type(channel.type)
+    store, name = _load_types(channel).store, channel.kind
     try:
         store.get_msgdef(name)
     except _DEFINITION_ERRORS as error:
@@ -138,10 +133,6 @@ def _make_ros_decoder(channel: Channel) -> Callable[[memoryview], Any]:
 
 def _refuse(kind: str, why: str) -> LogError:
     return LogError(f"the definition of {kind} cannot be understood ({why})")
-
-
-def _is_standard(channel: Channel) -> bool:
-    return _load_types(channel).is_standard
 
 
 class _Types(NamedTuple):
@@ -165,16 +156,13 @@ def _load_standard(encoding: str) -> Typestore:
 def _load_types(channel: Channel) -> _Types:
     """Load the log's own definition of a message type, or ROS's where it has none or the same.
 
-    A definition in IDL is one that ROS made of its own types; these are read by what ROS has.
-
     Raises
     ------
     LogError
         The definition cannot be understood, or asks for more than any message needs.
     """
-    text = "" if channel.syntax == "idl" else channel.definition
     try:
-        return _make_store(text, channel.type, channel.encoding)
+        return _make_store(channel.definition, channel.type, channel.encoding)
     except LogError as error:
         raise error.placed(channel.topic) from None
 

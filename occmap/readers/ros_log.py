@@ -5,12 +5,12 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from itertools import groupby, islice
 from pathlib import Path
 from typing import Generic, TypeVar
 
 from occmap.errors import DamageError, LogError
 from occmap.readers import DEFAULT_OPTIONS, Note, Role, Stream
+from occmap.readers.inflate import Buffer
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_decode import (
     FromBytes,
@@ -18,7 +18,7 @@ from occmap.readers.ros_decode import (
     make_pose_reader,
     make_scan_reader,
 )
-from occmap.readers.ros_source import Channel, RawMessage, Source, SplittableSource, add_note
+from occmap.readers.ros_source import SCAN_ROLES, Channel, RawMessage, Source, add_note
 from occmap.readers.ros_stacks import Stacked, read_scan_run, read_transforms
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
@@ -47,12 +47,10 @@ class RosReader:
 
 MESSAGE_BYTES = 100
 """What a message that is held takes in memory beside its own bytes."""
-STACK_BYTES = 1 << 19
-"""Transforms of one channel and length are held until they take this much memory."""
-MOST_STACKS = 64
-"""Channels and lengths for which transforms are held at most; more of them are damage."""
-RUN_BYTES = 1 << 20
-"""Scans of one channel and length that follow one another are held up to this much memory."""
+STACK_BYTES = 1 << 20
+"""Messages of one channel and length are held until they take this much memory."""
+MOST_KINDS = 32
+"""Channels and lengths for which transforms are held at once; a log that has more is damaged."""
 SHORTEST_RUN = 64
 """A run of fewer scans is read one by one, to be stacked with others of their kind."""
 
@@ -76,8 +74,6 @@ class RosLog:
 
     def split(self, size: int) -> Sequence["RosLog"]:
         """Cut the log into parts of about `size` bytes, as `occmap.readers.Splittable` says."""
-        if not isinstance(self._source, SplittableSource):
-            return ()
         parts = [RosLog(part, self._options) for part in self._source.split(size)]
         for part in parts:
             part._is_whole = len(parts) == 1
@@ -98,20 +94,8 @@ class RosLog:
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
         """Every sample, as `poses` gives them, but many messages of transforms at once."""
-        readers = self._make_pose_readers()
-        stacks: dict[tuple[Channel, int], list[Stacked]] = {}
-        for channel, record_ns, data in self._messages(readers):
-            key = channel, len(data)
-            if not (readers[channel].plain and (key in stacks or len(stacks) < MOST_STACKS)):
-                yield from readers[channel].read(data, record_ns) or ()
-                continue
-            stack = stacks.setdefault(key, [])
-            stack.append((bytes(data), record_ns))
-            if len(stack) * (len(data) + MESSAGE_BYTES) >= STACK_BYTES:
-                yield from _read_stack(stacks.pop(key), channel, readers[channel])
-        for (channel, _), stack in stacks.items():
-            yield from _read_stack(stack, channel, readers[channel])
-        self._note_damage(readers)
+        for reader, stack in self._stack(self._make_pose_readers(), MOST_KINDS):
+            yield from _read_stack(reader, stack)
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """The scans of these topics, in file order."""
@@ -119,36 +103,21 @@ class RosLog:
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The scans, as `scans` gives them, but many at once where one laser follows on itself."""
-        readers = self._make_scan_readers(topics)
-        for (channel, length), messages in groupby(self._messages(readers), _find_kind):
-            reader = readers[channel]
-            if not reader.plain:
-                yield from reader.read_all((data, record_ns) for _, record_ns, data in messages)
-                continue
-            # Copied, so that the chunks of the file that they lie in need not be kept.
-            copies = ((bytes(data), record_ns) for _, record_ns, data in messages)
-            while run := list(islice(copies, 1 + RUN_BYTES // (length + MESSAGE_BYTES))):
-                yield from _read_run(run, channel, reader)
-        self._note_damage(readers)
+        for reader, run in self._stack(self._make_scan_readers(topics), 1):
+            yield from _read_run(reader, run)
 
-    def _make_pose_readers(self) -> Mapping[Channel, "_ChannelReader[list[PoseSample]]"]:
+    def _make_pose_readers(self) -> dict[Channel, "_ChannelReader[list[PoseSample]]"]:
         wanted = [channel for channel in self._source.channels if channel.has_poses]
         return self._make_readers(wanted, make_pose_reader)
 
-    def _make_scan_readers(
-        self, topics: Collection[str]
-    ) -> Mapping[Channel, "_ChannelReader[Scan]"]:
-        wanted = [
-            channel
-            for channel in self._source.channels
-            if channel.role in {Role.SCAN, Role.CLOUD} and channel.topic in topics
-        ]
-        make = partial(make_scan_reader, options=self._options)
-        return self._make_readers(wanted, make)
+    def _make_scan_readers(self, topics: Collection[str]) -> dict[Channel, "_ChannelReader[Scan]"]:
+        channels = [channel for channel in self._source.channels if channel.topic in topics]
+        wanted = [channel for channel in channels if channel.role in SCAN_ROLES]
+        return self._make_readers(wanted, partial(make_scan_reader, options=self._options))
 
     def _make_readers(
         self, channels: Collection[Channel], make: Callable[[Channel], FromBytes[T]]
-    ) -> Mapping[Channel, "_ChannelReader[T]"]:
+    ) -> dict[Channel, "_ChannelReader[T]"]:
         """Build a reader for each channel; note and leave out what cannot be understood."""
         readers = {}
         for channel in channels:
@@ -159,17 +128,39 @@ class RosLog:
         return readers
 
     def _read(self, readers: Mapping[Channel, "_ChannelReader[T]"]) -> Iterator[T]:
-        """Read messages, passing over those that are damaged."""
+        """Read messages one by one, passing over those that are damaged."""
         for channel, record_ns, data in self._messages(readers):
-            item = readers[channel].read(data, record_ns)
-            if item is not None:
-                yield item
+            yield from readers[channel].read_all([(data, record_ns)])
+        self._note_damage(readers)
+
+    def _stack(
+        self, readers: Mapping[Channel, "_ChannelReader[T]"], most_kinds: int
+    ) -> Iterator[tuple["_ChannelReader[T]", list[Stacked]]]:
+        """Gather messages of one channel and length, of at most so many kinds at a time."""
+        stacks: dict[tuple[Channel, int], list[Stacked]] = {}
+        for channel, record_ns, data in self._messages(readers):
+            key = channel, len(data)
+            if key not in stacks and len(stacks) == most_kinds:
+                yield from ((readers[kind], stack) for (kind, _), stack in stacks.items())
+                stacks.clear()
+            stack = stacks.setdefault(key, [])
+            # Copied, so that the chunk of the file that it lies in need not be kept.
+            stack.append((bytes(data), record_ns))
+            if len(stack) * (len(data) + MESSAGE_BYTES) >= STACK_BYTES:
+                yield readers[channel], stacks.pop(key)
+        yield from ((readers[kind], stack) for (kind, _), stack in stacks.items())
         self._note_damage(readers)
 
     def _note_damage(self, readers: Mapping[Channel, "_ChannelReader[T]"]) -> None:
-        for reader in readers.values():
-            for text in reader.list_damage():
-                add_note(self.notes, text)
+        """Say what of the messages was damaged so far."""
+        for channel, reader in readers.items():
+            topic = channel.topic
+            if reader.uses_standard:
+                text = f"the definition of {channel.type} on {topic} is damaged"
+                add_note(self.notes, f"{text}; the standard one is used")
+            if reader.failures:
+                text = f"{reader.failures} of {channel.count} messages on {topic} are damaged"
+                add_note(self.notes, f"{text} and not used")
 
     def _messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give raw messages, and note where they are not as many as the log announces.
@@ -202,31 +193,37 @@ class _ChannelReader(Generic[T]):
     """
 
     def __init__(self, channel: Channel, make: Callable[[Channel], FromBytes[T]]) -> None:
-        self._channel = channel
-        self.plain = is_laid_out_plainly(channel)
-        self._make = make
-        self._failures = 0
+        self.encoding = channel.encoding
+        self.is_plain = is_laid_out_plainly(channel)
+        self.failures = 0
+        self.uses_standard = False
         self._decided = not channel.definition
-        self._uses_standard = False
+        self._make_standard = partial(make, replace(channel, definition=""))
         try:
             self.decode = make(channel)
         except LogError:
-            if self._decided or (standard := self._make_standard()) is None:
+            if self._decided:
                 raise
-            self.decode, self._decided, self._uses_standard = standard, True, True
+            self._use(self._make_standard())
 
-    def read_all(self, messages: Iterable[tuple[memoryview, int]]) -> Iterator[T]:
-        """Read messages one by one, passing over those that are damaged."""
-        items = (self.read(data, record_ns) for data, record_ns in messages)
-        return (item for item in items if item is not None)
+    def _use(self, standard: FromBytes[T]) -> None:
+        self.decode, self._decided, self.uses_standard = standard, True, True
 
-    def read(self, data: memoryview, record_ns: int) -> T | None:
+    def read_all(self, messages: Iterable[tuple[Buffer, int]]) -> Iterator[T]:
+        """Read messages one by one; those that are damaged are counted and left out."""
+        for data, record_ns in messages:
+            item = self.read(data, record_ns)
+            if item is not None:
+                yield item
+
+    def read(self, data: Buffer, record_ns: int) -> T | None:
         """Read a message. One that is damaged is counted, and gives None."""
+        view = memoryview(data)
         try:
-            item: T | None = self.decode(data, record_ns)
+            item: T | None = self.decode(view, record_ns)
         except DamageError:
-            item = None if self._decided else self._read_by_standard(data, record_ns)
-            self._failures += item is None
+            item = None if self._decided else self._read_by_standard(view, record_ns)
+            self.failures += item is None
             return item
         self._decided = True
         return item
@@ -234,57 +231,33 @@ class _ChannelReader(Generic[T]):
     def _read_by_standard(self, data: memoryview, record_ns: int) -> T | None:
         """Try the standard definition on a message that the log's own definition does not fit."""
         standard = self._make_standard()
-        if standard is None:
-            return None
-        try:
+        with suppress(DamageError):
             item = standard(data, record_ns)
-        except DamageError:
-            return None
-        self.decode, self._decided, self._uses_standard = standard, True, True
-        return item
-
-    def _make_standard(self) -> FromBytes[T] | None:
-        with suppress(LogError):
-            return self._make(replace(self._channel, definition="", syntax=""))
+            self._use(standard)
+            return item
         return None
 
-    def list_damage(self) -> Iterator[str]:
-        """Say in a sentence each what was damaged so far."""
-        topic, count = self._channel.topic, self._channel.count
-        if self._uses_standard:
-            kind = self._channel.type
-            yield f"the definition of {kind} on {topic} is damaged; the standard one is used"
-        if self._failures:
-            yield f"{self._failures} of {count} messages on {topic} are damaged and not used"
 
-
-def _find_kind(message: RawMessage) -> tuple[Channel, int]:
-    """Find what messages that are read at once have in common: channel and length."""
-    return message[0], len(message[2])
-
-
-def _read_run(
-    run: list[Stacked], channel: Channel, reader: _ChannelReader[Scan]
-) -> Iterator[Scan | ScanRun]:
+def _read_run(reader: _ChannelReader[Scan], run: list[Stacked]) -> Iterator[Scan | ScanRun]:
     """Read scans all at once; one by one where they are few, or not all alike."""
-    messages = [(memoryview(data), record_ns) for data, record_ns in run]
-    first = reader.read(*messages[0])
-    if first is not None:
-        if len(run) >= SHORTEST_RUN and (scans := read_scan_run(run, channel.encoding, first)):
-            yield scans
-            return
-        yield first
-    yield from reader.read_all(messages[1:])
+    if reader.is_plain and len(run) >= SHORTEST_RUN:
+        first = reader.read(*run[0])
+        if first is not None:
+            if scans := read_scan_run(run, reader.encoding, first):
+                yield scans
+                return
+            yield first
+        run = run[1:]
+    yield from reader.read_all(run)
 
 
 def _read_stack(
-    stack: list[Stacked], channel: Channel, reader: _ChannelReader[list[PoseSample]]
+    reader: _ChannelReader[list[PoseSample]], stack: Sequence[Stacked]
 ) -> Iterator[PoseSample | PoseBatch]:
     """Read transforms all at once; one by one those that are damaged or like no other."""
-    try:
-        batches, others = read_transforms(stack, channel.encoding, reader.decode)
-    except DamageError:
-        batches, others = [], stack
-    yield from batches
-    for data, record_ns in others:
-        yield from reader.read(memoryview(data), record_ns) or ()
+    if reader.is_plain:
+        with suppress(DamageError):
+            batches, stack = read_transforms(stack, reader.encoding, reader.decode)
+            yield from batches
+    for samples in reader.read_all(stack):
+        yield from samples

@@ -2,19 +2,12 @@
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from operator import ne
 from pathlib import Path
-from typing import Literal, Protocol, TypeAlias, runtime_checkable
+from typing import Protocol, TypeAlias
 
 from occmap.readers import Note, Role
-from occmap.readers.foxglove import find_foxglove_role, states_origins
-from occmap.readers.messages import KNOWN_TYPES, find_role
-
-Encoding: TypeAlias = Literal["cdr", "ros1", "json", "protobuf", ""]
-"""How messages are written as bytes; "" stands for a way that occmap does not read."""
-Syntax: TypeAlias = Literal["msg", "idl", ""]
-"""The language of a message definition; "" where there is no definition."""
+from occmap.readers.messages import POSE_TYPES, SHAPES, find_role, normalise_type
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -24,10 +17,11 @@ class Channel:
     topic: str
     type: str
     """As recorded, in ROS 1 or ROS 2 form."""
-    encoding: Encoding
+    encoding: str
+    """How messages are written as bytes; occmap reads cdr, ros1, json and protobuf."""
     definition: str = ""
-    """The text of the message type and those it is made of, where the log holds it."""
-    syntax: Syntax = ""
+    """The text of the message type and those it is made of, where the log holds it as ROS writes
+    it; one in IDL is made by ROS of its own types, and these are read by what ROS has."""
     count: int = 0
     """Messages in the log."""
     descriptors: bytes = b""
@@ -39,11 +33,15 @@ class Channel:
         return self.topic, self.type, self.encoding, self.definition, self.descriptors
 
     @property
+    def kind(self) -> str:
+        """The type in its ROS 2 form."""
+        return normalise_type(self.type)
+
+    @property
     def role(self) -> Role:
-        """What the messages can be used for."""
-        if self.encoding in {"cdr", "ros1"}:
-            return find_role(self.type)
-        return find_foxglove_role(self.type) if self.encoding else Role.OTHER
+        """What the messages can be used for: ROS and Foxglove each write theirs in two ways."""
+        encodings = {"cdr", "ros1"} if "/" in self.type else {"json", "protobuf"}
+        return find_role(self.type) if self.encoding in encodings else Role.OTHER
 
     @property
     def oddity(self) -> str:
@@ -53,31 +51,28 @@ class Channel:
         """
         if self.role is not Role.OTHER:
             return ""
-        if (
-            find_role(self.type) is not Role.OTHER
-            or find_foxglove_role(self.type) is not Role.OTHER
-        ):
+        if self.kind in SHAPES:
             return "which are written in a way that occmap does not know"
         if not (self.type.isascii() and self.type.isprintable()):
             return "which is the name of no type"
-        alike = (name for name in KNOWN_TYPES if is_nearly(self.type, name))
-        return "".join(f"which may be meant to be {name}" for name in islice(alike, 1))
+        for known in SHAPES:
+            for name in (known, known.replace("/msg/", "/")):  # as ROS 2 and ROS 1 write it
+                if len(name) == len(self.type) and sum(map(ne, name, self.type)) <= _MOST_LETTERS:
+                    return f"which may be meant to be {name}"
+        return ""
 
     @property
     def has_poses(self) -> bool:
         """Whether the messages state poses, alone or beside a scan."""
-        return self.role is Role.POSE or (self.role is Role.SCAN and states_origins(self.type))
+        return self.role is not Role.OTHER and self.kind in POSE_TYPES
 
 
+SCAN_ROLES = frozenset({Role.SCAN, Role.CLOUD})
 _MOST_LETTERS = 2
+"""In so many letters at most a type's name differs from that of one that may be meant."""
 
 RawMessage: TypeAlias = tuple[Channel, int, memoryview]
 """A message as it lies in a log: its channel, when it was recorded (ns), and its bytes."""
-
-
-def is_nearly(name: str, other: str) -> bool:
-    """Whether two names are equally long and differ in at most two letters."""
-    return len(name) == len(other) and sum(map(ne, name, other)) <= _MOST_LETTERS
 
 
 class Source(Protocol):
@@ -93,12 +88,7 @@ class Source(Protocol):
     def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some channels, in file order."""
 
-
-@runtime_checkable
-class SplittableSource(Protocol):
-    """A container that can be read in parts."""
-
-    def split(self, size: int) -> Sequence[Source]:
+    def split(self, size: int) -> Sequence["Source"]:
         """Cut it into parts of about so many bytes, as `occmap.readers.Splittable` has it."""
 
 

@@ -3,28 +3,28 @@
 The index on time is not used to find rows; it says how many there should be.
 """
 
+import os
 import struct
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import apsw
 
 from occmap.errors import LogError
 from occmap.readers import Note, NoteList, Span, cut_evenly, make_part
-from occmap.readers.ros_source import Channel, Encoding, RawMessage, Syntax, add_note
+from occmap.readers.ros_source import Channel, RawMessage, add_note
 from occmap.readers.sqlite_pages import Row, count_lost_frames, find_rows
 from occmap.wording import count
 
 MAGIC = b"SQLite format 3\x00"
 
-_SYNTAXES: Mapping[str, Syntax] = {"ros2msg": "msg", "ros2idl": "idl"}
-_ENCODINGS: Mapping[str, Encoding] = {"cdr": "cdr"}
 _ERRORS = (apsw.Error, UnicodeDecodeError)
 """What the library raises on damaged files; texts in them may be anything."""
+_LOCKLESS = "win32-none" if os.name == "nt" else "unix-none"
+"""SQLite's way to open files without a lock"""
 _MOST_BYTES = 1 << 30
 """The largest value that is read; no message is near it."""
 _FIRST = -(2**63)
@@ -49,7 +49,7 @@ class SqliteSource:
             with closing(self._connect()) as database:
                 _refuse_imitations(database)
                 topics = _read_topics(database)
-                counts = self._count_messages(database)
+                counts = self._count_messages(database, topics)
                 self._note_state()
         except _ERRORS as error:
             raise LogError(
@@ -101,32 +101,24 @@ class SqliteSource:
                 add_note(self.notes, f"the storage file is damaged ({error})")
         yield from find_rows(self.path, last)
 
-    def _count_messages(self, database: apsw.Connection) -> Counter[int]:
+    def _count_messages(self, database: apsw.Connection, topics: Collection[int]) -> Counter[int]:
         """Count the messages of each topic, and compare their number with that of the index."""
-        counts: Counter[int] = Counter()
-        last, problem = _FIRST, ""
         announced: int | None = None
         try:
-            query = "SELECT rowid, CAST(topic_id AS INTEGER) FROM messages NOT INDEXED"
-            for key, topic in database.execute(f"{query} ORDER BY rowid"):
-                last = key
-                counts[topic] += 1
+            query = "SELECT count(timestamp) FROM messages INDEXED BY timestamp_idx"
+            with suppress(apsw.SQLError):  # there is no index
+                ((announced,),) = database.execute(query)
+            query = (
+                "SELECT CAST(topic_id AS INTEGER), count(*) FROM messages NOT INDEXED GROUP BY 1"
+            )
+            counts = Counter(dict(database.execute(query)))
+            if announced in {counts.total(), None}:
+                return counts
+            problem = "its table and its index differ"
         except _ERRORS as error:
             problem = str(error)
-        try:
-            query = "SELECT count(timestamp) FROM messages INDEXED BY timestamp_idx"
-            ((announced,),) = database.execute(query)
-        except apsw.SQLError:
-            pass  # there is no index
-        except _ERRORS as error:
-            problem = problem or str(error)
-        if not problem and announced in {counts.total(), None}:
-            return counts
-        problem = problem or "its table and its index differ"
-        if not self._has_log:  # the rows in a log lie on no page of the file
-            self._is_sound, last = False, _FIRST
-            counts.clear()
-        counts.update(topic for _, topic, _, _ in find_rows(self.path, last))
+        self._is_sound = self._has_log  # the rows in a log lie on no page of the file
+        counts = Counter(topic for _, topic, _, _ in self._read_rows(database, topics))
         share = f"{counts.total()} of {announced}" if announced else f"{counts.total()}"
         add_note(self.notes, f"the storage file is damaged ({problem}): {share} messages are found")
         return counts
@@ -150,50 +142,18 @@ class SqliteSource:
 
     def _connect(self) -> apsw.Connection:
         """Open the file in a way that never writes anything beside it, not even a lock."""
-        vfs = _make_vfs().vfs_name if self._has_log else None
         database = apsw.Connection(
-            self.path.resolve().as_uri() + ("" if vfs else "?immutable=1"),
+            self.path.resolve().as_uri() + ("" if self._has_log else "?immutable=1"),
             flags=apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI,
-            vfs=vfs,
+            vfs=_LOCKLESS if self._has_log else None,
         )
+        database.config(apsw.SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1)  # of the write-ahead log
         database.limit(apsw.SQLITE_LIMIT_LENGTH, _MOST_BYTES)
         # SQLite refuses a file that is shorter than its header says, unless told to try.
         database.execute("PRAGMA writable_schema = ON; PRAGMA trusted_schema = OFF")
         # With this, SQLite keeps the index of a write-ahead log in memory, not in a file.
         database.execute("PRAGMA locking_mode = EXCLUSIVE")
         return database
-
-
-class _UnlockedFile(apsw.VFSFile):
-    """A file that takes no locks."""
-
-    def xLock(self, level: int) -> None:  # noqa: N802  the library names it
-        """Take none."""
-
-    def xUnlock(self, level: int) -> None:  # noqa: N802
-        """There is none."""
-
-
-class _ReadOnly(apsw.VFS):
-    """Files as the system has them, the write-ahead log opened to be read only, too."""
-
-    vfs_name = "occmap-read-only"
-
-    def __init__(self) -> None:
-        super().__init__(self.vfs_name, "")
-
-    def xOpen(  # noqa: N802
-        self, name: str | apsw.URIFilename | None, flags: list[int]
-    ) -> apsw.VFSFile:
-        """Open a file."""
-        if flags[0] & apsw.SQLITE_OPEN_WAL:
-            flags[0] = apsw.SQLITE_OPEN_WAL | apsw.SQLITE_OPEN_READONLY
-        return _UnlockedFile("", name, flags)
-
-
-@cache
-def _make_vfs() -> _ReadOnly:
-    return _ReadOnly()
 
 
 def _refuse_imitations(database: apsw.Connection) -> None:
@@ -217,17 +177,15 @@ def _refuse_imitations(database: apsw.Connection) -> None:
 
 def _read_topics(database: apsw.Connection) -> dict[int, Channel]:
     """Read the topics and their types; recorders before ROS 2 Iron stored no definitions."""
-    definitions: dict[str, tuple[str, Syntax]] = {}
+    definitions: dict[str, str] = {}
     columns = ("topic_type", "encoding", "encoded_message_definition")
     with suppress(apsw.SQLError):
-        for kind, form, text in _read_texts(database, "message_definitions", columns):
-            if form in _SYNTAXES:
-                definitions[kind] = text, _SYNTAXES[form]
+        rows = _read_texts(database, "message_definitions", columns)
+        definitions = {kind: text for kind, form, text in rows if form == "ros2msg"}
     topics = {}
     fields = ("name", "type", "serialization_format", "ifnull(CAST(id AS INTEGER), -1)")
     for name, kind, encoding, key in _read_texts(database, "topics", fields):
-        text, syntax = definitions.get(kind, ("", ""))
-        topics[int(key)] = Channel(name, kind, _ENCODINGS.get(encoding, ""), text, syntax)
+        topics[int(key)] = Channel(name, kind, encoding, definitions.get(kind, ""))
     return topics
 
 

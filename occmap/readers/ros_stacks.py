@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occmap.readers.ros_decode import FromBytes
-from occmap.readers.ros_source import Encoding
 from occmap.types import Bool, Int64, PoseBatch, PoseSample, Scan, ScanRun, UInt8
 
 Stacked: TypeAlias = tuple[bytes, int]
@@ -36,7 +35,7 @@ _POSE = 56
 _count = Struct("<I").unpack_from
 
 
-def read_scan_run(messages: Sequence[Stacked], encoding: Encoding, first: Scan) -> ScanRun | None:
+def read_scan_run(messages: Sequence[Stacked], encoding: str, first: Scan) -> ScanRun | None:
     """Read scans of one length that follow one another.
 
     Parameters
@@ -81,7 +80,7 @@ class _Transform(NamedTuple):
 
 
 def read_transforms(
-    messages: Sequence[Stacked], encoding: Encoding, read: FromBytes[list[PoseSample]]
+    messages: Sequence[Stacked], encoding: str, read: FromBytes[list[PoseSample]]
 ) -> tuple[list[PoseBatch], Sequence[Stacked]]:
     """Read messages of transforms of one length.
 
@@ -134,7 +133,7 @@ def read_transforms(
     return batches, [messages[i] for i in left.tolist()]
 
 
-def _locate(message: bytes, encoding: Encoding) -> list[_Transform]:
+def _locate(message: bytes, encoding: str) -> list[_Transform]:
     """Find the numbers of a message of transforms."""
     at = 4 if encoding == "cdr" else 0
     count, at = _count_at(message, at), at + 4
@@ -148,7 +147,7 @@ def _locate(message: bytes, encoding: Encoding) -> list[_Transform]:
     return places
 
 
-def _pass_name(message: bytes, at: int, encoding: Encoding) -> int:
+def _pass_name(message: bytes, at: int, encoding: str) -> int:
     """Find where a name ends that begins, with its length, at an offset or, in CDR, behind it."""
     start = _align(at, 4, encoding)
     return start + 4 + _count_at(message, start)
@@ -160,22 +159,22 @@ def _count_at(message: bytes, at: int) -> int:
     return count
 
 
-def _align(at: int, size: int, encoding: Encoding) -> int:
+def _align(at: int, size: int, encoding: str) -> int:
     """Round an offset up, as CDR does from behind its four encapsulation bytes; ROS 1 does not."""
     return at + (4 - at) % size if encoding == "cdr" else at
 
 
-def _span_stamp(at: int, encoding: Encoding) -> tuple[int, int]:
+def _span_stamp(at: int, encoding: str) -> tuple[int, int]:
     """Find the bytes of a stamp, and of the number that counts messages before it in ROS 1."""
     return at if encoding == "cdr" else at - 4, at + 8
 
 
-def _is_stackable(message: bytes, encoding: Encoding) -> bool:
+def _is_stackable(message: bytes, encoding: str) -> bool:
     """Whether the numbers of a message lie as NumPy reads them here: little-endian."""
     return encoding == "ros1" or message.startswith(_LITTLE_ENDIAN)
 
 
-def _stack(messages: Sequence[Stacked], encoding: Encoding) -> UInt8 | None:
+def _stack(messages: Sequence[Stacked], encoding: str) -> UInt8 | None:
     """Stack messages as rows (M, L); None where the first cannot be read so."""
     first = messages[0][0]
     if not _is_stackable(first, encoding):

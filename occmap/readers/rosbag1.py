@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from occmap.errors import LogError
-from occmap.readers.chunked import Block, ChunkedSource, Record, with_counts
+from occmap.readers.chunked import Block, ChunkedSource, Record
 from occmap.readers.inflate import inflate
 from occmap.readers.ros_source import Channel, add_note
 from occmap.readers.rosbag1_records import (
@@ -36,41 +36,32 @@ class _Index:
 
     def __init__(self) -> None:
         self.bag = Header(b"", {}, 0)
-        self.kinds: Counter[int] = Counter()
         self.table = ChannelTable()
+        self.chunks: list[int] = []
+        """Where they begin"""
+        self.infos = 0
+        """Chunks, as the end of the bag has them."""
         self.counts: Counter[int] = Counter()
         """Messages by connection, as the end of the bag has them."""
         self.entries: Counter[int] = Counter()
         """Messages by connection, as the records behind each chunk have them."""
 
-    def add(self, header: Header, data: bytes) -> None:
-        """Take in a record.
-
-        Raises
-        ------
-        struct.error, LookupError
-            It is not well formed.
-        """
-        if header.opcode == BAG:
+    def add(self, record: Record, file: BinaryIO) -> None:
+        """Take in a record, whose data the file is at."""
+        header = parse_header(record.head, 0)
+        if record.opcode == BAG:
             self.bag = header
-        elif header.opcode == INDEX:
+        elif record.opcode == CHUNK:
+            self.chunks.append(record.position)
+        elif record.opcode == INDEX:
             self.entries[header.number(b"conn")] += header.number(b"count")
-        elif header.opcode == CHUNK_INFO:
-            for key, messages in INFO_ENTRY.iter_unpack(data):
-                self.counts[key] += messages
-        elif header.opcode == CONNECTION:
-            self.table.add(header, data)
-        self.kinds[header.opcode] += 1
-
-    def is_whole(self) -> bool:
-        """Say whether the bag was closed, and its end is as long as its header has it."""
-        try:
-            return self.bag.number(b"index_pos") > 0 and (
-                len(dict(self.table.build())),
-                self.kinds[CHUNK_INFO],
-            ) == (self.bag.number(b"conn_count"), self.bag.number(b"chunk_count"))
-        except LookupError:
-            return False
+        with suppress(*RECORD_ERRORS):
+            if record.opcode == CONNECTION:
+                self.table.add(header, file.read(record.length))
+            elif record.opcode == CHUNK_INFO:
+                self.infos += 1
+                for key, messages in INFO_ENTRY.iter_unpack(file.read(record.length)):
+                    self.counts[key] += messages
 
 
 class Bag1Source(ChunkedSource[ChannelTable]):
@@ -88,42 +79,32 @@ class Bag1Source(ChunkedSource[ChannelTable]):
         self._odd_index = False
         super().__init__(path)
 
-    def _find_channels(self, file: BinaryIO) -> dict[int, Channel]:
+    def _find_channels(self, file: BinaryIO) -> tuple[dict[int, Channel], Counter[int]]:
         """Take the connections and their counts from a whole index; else read all of the bag."""
         index = _Index()
-        chunks = []
         for record in self._walk(file):
-            if record.opcode == CHUNK:
-                chunks.append(record.position)
-            data = file.read(record.length) if record.opcode in {CHUNK_INFO, CONNECTION} else b""
-            with suppress(*RECORD_ERRORS):
-                index.add(parse_header(record.head, 0), data)
-        self._refuse_encrypted(index.bag)
-        infos = index.kinds[CHUNK_INFO]
-        self._has_doubles = len(chunks) > infos
-        if index.is_whole():
-            if len(chunks) != infos:
-                add_note(self.notes, f"{len(chunks)} chunks are in it, its index has {infos}")
-            if +index.entries != +index.counts:
-                text = "the indexes of its chunks and the one at its end differ"
-                add_note(self.notes, text)
-            self._chunks = chunks
-            channels, counts = dict(index.table.build()), index.counts
-        else:
-            if not self.notes:
-                text = "the bag was not closed, or its index is damaged: all of it is read"
-                add_note(self.notes, text)
-            channels, counts = self._survey(file)
-        self._note_nameless(channels, counts)
-        return with_counts(channels, counts)
-
-    def _refuse_encrypted(self, bag: Header) -> None:
+            index.add(record, file)
+        bag, chunks, infos = index.bag, len(index.chunks), index.infos
         if encryptor := bag.text(b"encryptor"):
             raise LogError(
                 f"the bag is encrypted with {encryptor}",
                 where=self.path,
                 fix="decrypt it with `rosbag decrypt` first",
             )
+        self._has_doubles = chunks > infos
+        channels = dict(index.table.build())
+        stated = bag.number(b"conn_count"), bag.number(b"chunk_count")
+        if not (channels and bag.number(b"index_pos") and stated == (len(channels), infos)):
+            if not self.notes:
+                text = "the bag was not closed, or its index is damaged: all of it is read"
+                add_note(self.notes, text)
+            return self._survey(file)
+        if chunks != infos:
+            add_note(self.notes, f"{chunks} chunks are in it, its index has {infos}")
+        if +index.entries != +index.counts:
+            add_note(self.notes, "the indexes of its chunks and the one at its end differ")
+        self._chunks = index.chunks
+        return channels, index.counts
 
     def _read_record(self, file: BinaryIO, position: int) -> Record | None:
         file.seek(position)
@@ -137,7 +118,7 @@ class Bag1Source(ChunkedSource[ChannelTable]):
     def _find_length(self, file: BinaryIO, header: Header, position: int) -> int:
         """Find how long a record's data is, where it states another length than it has."""
         start = position + len(header.raw)
-        if header.opcode == INDEX and b"count" in header.fields:
+        if header.opcode == INDEX:
             length = INDEX_ENTRY * header.number(b"count")
             if length != header.length and not self._odd_index:
                 self._odd_index = True
@@ -156,8 +137,7 @@ class Bag1Source(ChunkedSource[ChannelTable]):
 
     def _open_chunk(self, record: Record, body: bytes, _file: BinaryIO) -> Block:
         header = parse_header(record.head, 0)
-        size = int.from_bytes(header.fields.get(b"size", b""), "little")
-        block, problem = inflate(body, header.text(b"compression"), size)
+        block, problem = inflate(body, header.text(b"compression"), header.number(b"size"))
         if problem:
             self._note(record.position, problem)
         return Block(record.position, block)

@@ -34,14 +34,13 @@ _MESSAGE_HEAD_SIZE = 46
 """Bytes of such a header; only with each field once the pattern has as many."""
 _FIELDS = {
     MESSAGE: {b"conn", b"time"},
-    BAG: {b"index_pos"},
+    BAG: set(),
     INDEX: {b"conn", b"count"},
     CHUNK: {b"compression", b"size"},
     CHUNK_INFO: {b"chunk_pos", b"count"},
     CONNECTION: {b"conn", b"topic"},
 }
 """Which fields the header of each kind must have."""
-_OPCODES = {bytes([opcode]) for opcode in _FIELDS}
 _OPCODE = re.compile(rb"\x04\x00{3}op=[\x02-\x07]")
 _WINDOW = 1 << 20
 _OVERLAP = 1 << 12
@@ -67,14 +66,8 @@ class Header(NamedTuple):
         return self.fields.get(b"op", b"\0")[0]
 
     def number(self, name: bytes) -> int:
-        """Read an unsigned integer.
-
-        Raises
-        ------
-        LookupError
-            The header has no such field.
-        """
-        return int.from_bytes(self.fields[name], "little")
+        """Read an unsigned integer, 0 where there is none."""
+        return int.from_bytes(self.fields.get(name, b""), "little")
 
     def text(self, name: bytes) -> str:
         """Read a text, "" where there is none."""
@@ -116,7 +109,6 @@ class ChannelTable:
             type=fields.text(b"type"),
             encoding="ros1",
             definition=fields.text(b"message_definition"),
-            syntax="msg",
         )
         self._channels.setdefault((header.number(b"conn"), channel.description), channel)
 
@@ -206,8 +198,7 @@ def _try_header(block: Buffer, at: int, size: int) -> Header | None:
     """Parse what may be a header; None where it is none, or its data reaches beyond a size."""
     with suppress(*RECORD_ERRORS):
         header = parse_header(block, at)
-        is_whole = at + len(header.raw) + header.length <= size
-        if is_whole and _FIELDS[header.opcode] <= header.fields.keys():
+        if at + len(header.raw) + header.length <= size:
             return header
     return None
 
@@ -230,9 +221,10 @@ def parse_header(block: Buffer, at: int) -> Header:
     end = at + _LENGTH.size + length
     (data_length,) = _LENGTH.unpack_from(block, end)
     fields = _parse_fields(bytes(block[at + _LENGTH.size : end]))
-    if fields.get(b"op") not in _OPCODES:
-        raise LookupError("a record of no known kind")
-    return Header(bytes(block[at : end + _LENGTH.size]), fields, data_length)
+    header = Header(bytes(block[at : end + _LENGTH.size]), fields, data_length)
+    if not _FIELDS[header.opcode] <= fields.keys():
+        raise LookupError("a field is missing")
+    return header
 
 
 def _parse_fields(header: bytes) -> dict[bytes, bytes]:

@@ -9,7 +9,6 @@ import tempfile
 import weakref
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -81,7 +80,7 @@ class Bag2Source:
             self._parts = self._open_parts(files)
         except OSError as error:
             raise LogError(f"cannot be read ({error.strerror})", where=path) from None
-        self._zipped_messages = metadata.zipped_messages
+        self._zipped = metadata.zipped_messages
         self._gather_notes()
         self._compare_counts(metadata.counts)
 
@@ -94,8 +93,8 @@ class Bag2Source:
         """Give the messages of some channels, one storage file after the other."""
         for part in self._parts:
             if inner := [channel for channel in part.channels if channel in wanted]:
-                messages = part.messages(inner)
-                yield from map(_unzip_message, messages) if self._zipped_messages else messages
+                for channel, record_ns, data in part.messages(inner):
+                    yield channel, record_ns, inflate_message(data) if self._zipped else data
             self._gather_notes()
 
     def split(self, size: int) -> Sequence["Bag2Source"]:
@@ -189,14 +188,6 @@ class Bag2Source:
 def _read_start(file: Path) -> bytes:
     with file.open("rb") as opened:
         return opened.read(16)
-
-
-def _unzip_message(message: RawMessage) -> RawMessage:
-    """Decompress a message; leave a damaged one as it is, so that it is counted as undecodable."""
-    channel, record_ns, data = message
-    with suppress(ValueError):
-        data = inflate_message(data)
-    return channel, record_ns, data
 
 
 def _parse_metadata(path: Path) -> _Metadata:

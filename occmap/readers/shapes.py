@@ -12,7 +12,12 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from occmap.errors import DamageError
-from occmap.types import Float64, UInt8, as_number, as_stamp, as_text, shorten
+from occmap.readers.options import ReaderOptions
+from occmap.types import Float64, PoseSample, Scan, UInt8, as_number, as_stamp, as_text, shorten
+
+ToScan: TypeAlias = Callable[[ReaderOptions, Any, str, int], Scan]
+"""From what the user chose, a decoded message, its topic and its record time in ns."""
+ToPoses: TypeAlias = Callable[[Any, str, int], list[PoseSample]]
 
 Shape: TypeAlias = "Mapping[str, Shape] | list[Shape] | Callable[[Any], Any]"
 """The fields of a message, a list of messages, or what brings a value to its type."""

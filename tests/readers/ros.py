@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from mcap.writer import CompressionType
@@ -56,6 +56,9 @@ class Memory:
         for channel, record_ns, data in self._messages:
             if channel in wanted:
                 yield channel, record_ns, memoryview(data)
+
+    def split(self, _size: int) -> Sequence[Self]:
+        return [self]
 
 
 def header(store: Typestore, stamp_ns: int, frame: str) -> Any:

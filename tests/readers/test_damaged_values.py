@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from occmap.readers import foxglove, messages, open_log
+from occmap.readers import messages, open_log
 from occmap.readers.flatten import convert_cloud
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_log import RosLog
@@ -142,8 +142,8 @@ def test_a_single_row_of_points_needs_no_row_step() -> None:
 def test_a_fault_of_a_converter_is_no_damage_of_the_log(
     kind: str, read: Callable[[RosLog], Iterator[Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def convert(message: Any, _topic: str, _record_ns: int) -> Any:
-        return message.anlge_min
+    def convert(*given: Any) -> Any:
+        return given[-3].anlge_min  # before it the options, behind it topic and record time
 
     table = messages.SCAN_TYPES if kind == SCAN else messages.POSE_TYPES
     monkeypatch.setitem(table, kind, convert)
@@ -160,9 +160,9 @@ def test_a_fault_of_a_foxglove_converter_is_no_damage_of_the_log(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setitem(
-        foxglove.SCAN_SCHEMAS,
+        messages.SCAN_TYPES,
         "foxglove.LaserScan",
-        lambda message, _topic, _record_ns: message.anlge_min,
+        lambda _options, message, _topic, _record_ns: message.anlge_min,
     )
     log = open_log(write_json(tmp_path / "log.mcap", SCANS))
 

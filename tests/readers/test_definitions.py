@@ -19,7 +19,7 @@ from occmap.readers import ros_decode
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_decode import make_scan_reader
 from occmap.readers.ros_log import RosLog
-from occmap.readers.ros_source import Channel, Encoding, Syntax
+from occmap.readers.ros_source import Channel
 from tests.fuzz.__main__ import alarm
 from tests.readers.foxglove_logs import encode_protobuf, make_descriptors
 from tests.readers.foxglove_logs import scan as foxglove_scan
@@ -44,10 +44,8 @@ def bounded() -> Iterator[None]:
         tracemalloc.stop()
 
 
-def read(
-    definition: str, data: bytes = MESSAGE, syntax: Syntax = "msg", encoding: Encoding = "cdr"
-) -> RosLog:
-    channel = Channel("/scan", SCAN, encoding, definition, syntax, 1)
+def read(definition: str, data: bytes = MESSAGE, encoding: str = "cdr") -> RosLog:
+    channel = Channel("/scan", SCAN, encoding, definition, 1)
     return RosLog(Memory([(channel, 7, data)]))
 
 
@@ -93,23 +91,6 @@ def test_a_definition_that_asks_for_too_much_is_noted_and_the_standard_one_used(
     np.testing.assert_array_equal(found.ranges, RANGES)
     text = f"the definition of {SCAN} on /scan is damaged; the standard one is used"
     assert [note.text for note in log.notes] == [text]
-
-
-@pytest.mark.parametrize(
-    "definition",
-    [
-        "module a { const long X = 1 << 30000000000; };",
-        "module a { const long X = " + "(" * 200 + "1" + ")" * 200 + "; };",
-        "module a { " * 400 + "const long X = 1;" + " };" * 400,
-    ],
-    ids=["shift", "brackets", "modules"],
-)
-def test_idl_is_not_parsed(definition: str) -> None:
-    log = read(definition, syntax="idl")
-    with bounded():
-        (found,) = log.scans({"/scan"})
-
-    np.testing.assert_array_equal(found.ranges, RANGES)
 
 
 def test_a_definition_of_its_own_is_followed() -> None:
@@ -223,7 +204,7 @@ def test_a_log_that_defines_its_types_as_ros_does_needs_no_other_types(name: str
 
 
 @pytest.mark.parametrize("encoding", ["cdr", "ros1"])
-def test_plain_types_are_those_of_ros(encoding: Encoding) -> None:
+def test_plain_types_are_those_of_ros(encoding: str) -> None:
     store = ros_decode._load_standard(encoding)
     hashes = {store.hash_rihs01(kind) for kind in ros_decode._PLAIN_TYPES}
     assert ros_decode._PLAIN_HASHES[encoding] <= hashes

@@ -76,10 +76,9 @@ def test_an_unknown_compression_is_named() -> None:
 
 
 def test_messages_compressed_on_their_own() -> None:
-    assert bytes(inflate_message(zstandard.compress(NOISE))) == NOISE
+    assert bytes(inflate_message(memoryview(zstandard.compress(NOISE)))) == NOISE
     for damaged in (zstandard.compress(NOISE)[:1000], b"", b"no zstd"):
-        with pytest.raises(ValueError, match="the message"):
-            inflate_message(damaged)
+        assert inflate_message(memoryview(damaged)) == damaged
 
 
 def test_files(tmp_path: Path) -> None:

@@ -1,4 +1,3 @@
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,8 @@ from occmap.readers.messages import (
     is_static_topic,
     normalise_type,
 )
+from occmap.readers.options import ReaderOptions
+from occmap.readers.ros_source import Channel
 from occmap.types import Pose, PoseSample
 from tests.readers.ros import RANGES, ROS1, ROS2, header, pose, scan, transforms
 
@@ -32,7 +33,7 @@ def store(request: pytest.FixtureRequest) -> Typestore:
 
 
 def test_laser_scan_becomes_a_scan(store: Typestore) -> None:
-    result = convert_laser_scan(scan(store, STAMP, "//robot/laser"), "/scan", 42)
+    result = convert_laser_scan(ReaderOptions(), scan(store, STAMP, "//robot/laser"), "/scan", 42)
 
     np.testing.assert_array_equal(result.ranges, RANGES)
     assert result.ranges.dtype == np.float32
@@ -44,7 +45,8 @@ def test_laser_scan_becomes_a_scan(store: Typestore) -> None:
 def test_ranges_are_a_copy(store: Typestore) -> None:
     message = scan(store, STAMP)
 
-    assert not np.shares_memory(convert_laser_scan(message, "/scan", 42).ranges, message.ranges)
+    ranges = convert_laser_scan(ReaderOptions(), message, "/scan", 42).ranges
+    assert not np.shares_memory(ranges, message.ranges)
 
 
 @pytest.mark.parametrize("kind", ["tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"])
@@ -119,7 +121,8 @@ def test_each_pose_of_a_path_is_a_sample_with_its_own_stamp(store: Typestore) ->
         ("tf/tfMessage", Role.POSE),
         ("nav_msgs/msg/Path", Role.POSE),
         ("sensor_msgs/Image", Role.OTHER),
-        ("foxglove.LaserScan", Role.OTHER),
+        ("foxglove.LaserScan", Role.SCAN),
+        ("foxglove.Log", Role.OTHER),
         ("", Role.OTHER),
     ],
 )
@@ -127,10 +130,16 @@ def test_the_type_decides_the_role(name: str, role: Role) -> None:
     assert find_role(name) is role
 
 
-def test_no_type_is_both_a_scan_and_a_pose() -> None:
-    tables: list[dict[str, Callable[..., Any]]] = [dict(SCAN_TYPES), dict(POSE_TYPES)]
-    assert not set(tables[0]) & set(tables[1])
-    assert all(normalise_type(name) == name for table in tables for name in table)
+def test_only_foxglove_states_the_pose_of_a_scan_in_it() -> None:
+    assert SCAN_TYPES.keys() & POSE_TYPES.keys() == {"foxglove.LaserScan"}
+    assert all(normalise_type(name) == name for name in (*SCAN_TYPES, *POSE_TYPES))
+
+
+def test_a_type_counts_only_as_it_is_written() -> None:
+    assert Channel("/x", "sensor_msgs/LaserScan", "ros1").role is Role.SCAN
+    assert Channel("/x", "sensor_msgs/LaserScan", "json").role is Role.OTHER
+    assert Channel("/x", "foxglove.LaserScan", "json").role is Role.SCAN
+    assert Channel("/x", "foxglove.LaserScan", "cdr").role is Role.OTHER
 
 
 @pytest.mark.parametrize(

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from occmap.readers import ros_log
 from occmap.readers.ros_log import RosLog
-from occmap.readers.ros_source import Channel, Encoding
+from occmap.readers.ros_source import Channel
 from occmap.types import Scan, ScanRun
 from tests.readers.ros import ROS1, ROS2, SCAN, Memory, scan
 from tests.readers.runs import flatten, list_fields
 
-ENCODINGS: Sequence[Encoding] = ("cdr", "ros1")
+ENCODINGS: Sequence[str] = ("cdr", "ros1")
 # Fields behind the header; a driver that measures its own speed changes them from scan to scan.
 FIELDS = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_max")
 CHANGES = st.sampled_from(["", "", "", "", "", "", "cut", "beams", "big-endian", *FIELDS])
@@ -29,7 +29,7 @@ MESSAGES = st.tuples(
 
 
 def write(
-    encoding: Encoding, frame: str, stamp_ns: int, ranges: Sequence[float], change: str = ""
+    encoding: str, frame: str, stamp_ns: int, ranges: Sequence[float], change: str = ""
 ) -> bytes:
     store = ROS1 if encoding == "ros1" else ROS2
     message = scan(store, stamp_ns, frame, np.array(ranges, np.float32))
@@ -47,15 +47,15 @@ def write(
     return bytes(data)
 
 
-def make_channel(encoding: Encoding, topic: str = "/scan", count: int = 99) -> Channel:
+def make_channel(encoding: str, topic: str = "/scan", count: int = 99) -> Channel:
     store = ROS1 if encoding == "ros1" else ROS2
-    return Channel(topic, SCAN, encoding, store.generate_msgdef(SCAN)[0], "msg", count)
+    return Channel(topic, SCAN, encoding, store.generate_msgdef(SCAN)[0], count)
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @given(st.data())
 @settings(max_examples=150, deadline=None)
-def test_scans_of_a_run_are_those_read_one_by_one(encoding: Encoding, data: st.DataObject) -> None:
+def test_scans_of_a_run_are_those_read_one_by_one(encoding: str, data: st.DataObject) -> None:
     written = data.draw(st.lists(MESSAGES, max_size=12))
     channels = [make_channel(encoding, topic) for topic in ("/front", "/rear")]
     messages = [
@@ -76,7 +76,7 @@ def test_scans_of_a_run_are_those_read_one_by_one(encoding: Encoding, data: st.D
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("changing", ["stamp", "angle_max", "scan_time"])
 def test_what_nobody_uses_may_differ_within_a_run(
-    encoding: Encoding, changing: str, monkeypatch: pytest.MonkeyPatch
+    encoding: str, changing: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     channel = make_channel(encoding)
     changes = [changing if changing in FIELDS and i % 2 else "" for i in range(10)]
@@ -84,7 +84,7 @@ def test_what_nobody_uses_may_differ_within_a_run(
         (channel, 100 + i, write(encoding, "laser", i, [i, 0.5], changes[i])) for i in range(10)
     ]
     monkeypatch.setattr(ros_log, "MESSAGE_BYTES", 0)
-    monkeypatch.setattr(ros_log, "RUN_BYTES", 3 * len(messages[0][2]))
+    monkeypatch.setattr(ros_log, "STACK_BYTES", 4 * len(messages[0][2]))
     monkeypatch.setattr(ros_log, "SHORTEST_RUN", 4)
 
     items = list(RosLog(Memory(messages)).stacked_scans(["/scan"]))
@@ -99,7 +99,7 @@ def test_what_nobody_uses_may_differ_within_a_run(
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_each_scan_of_a_run_has_its_own_time_between_beams(
-    encoding: Encoding, monkeypatch: pytest.MonkeyPatch
+    encoding: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     channel = make_channel(encoding)
     changes = ["", "time_increment", ""]
@@ -117,7 +117,7 @@ def test_each_scan_of_a_run_has_its_own_time_between_beams(
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("change", ["angle_min", "angle_increment", "range_max"])
 def test_scans_of_another_geometry_are_no_run(
-    encoding: Encoding, change: str, monkeypatch: pytest.MonkeyPatch
+    encoding: str, change: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     channel = make_channel(encoding)
     messages = [
@@ -133,7 +133,7 @@ def test_scans_of_another_geometry_are_no_run(
 
 def test_messages_of_an_own_definition_are_read_by_it(monkeypatch: pytest.MonkeyPatch) -> None:
     definition = ROS2.generate_msgdef(SCAN)[0].replace("float32 scan_time", "float32 scan_times")
-    channel = Channel("/scan", SCAN, "cdr", definition, "msg", 9)
+    channel = Channel("/scan", SCAN, "cdr", definition, 9)
     messages = [(channel, i, write("cdr", "laser", i, [1, 2])) for i in range(9)]
     monkeypatch.setattr(ros_log, "SHORTEST_RUN", 2)
 
