@@ -1,4 +1,4 @@
-"""Compile the kernels of a build now, to ship them: `python -m occmap.warm` in a container."""
+"""Compile all kernels now, to ship them: `python -m occmap.warm` in a container."""
 
 from itertools import product
 from pathlib import Path
@@ -11,6 +11,7 @@ from occmap.grid.spec import GridSpec
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions
+from occmap.scoring.score import score_map
 from occmap.sensor.models import CountingModel, QuadraticModel, SensorModel
 from occmap.types import Kind, Rays, Update
 
@@ -18,7 +19,7 @@ HEADER = "# angle_min: 0\n# angle_increment: 1\n# time_increment: 0.0001\nstamp,
 
 
 def compile_kernels() -> None:
-    """Build maps of few scans and of many by every update, for counts and for a radial model."""
+    """Build maps of few scans and of many by every update and kind of model, and score one."""
     models: tuple[SensorModel, ...] = CountingModel(), QuadraticModel()
     choices = product((1, 500), Update, models, Deskew)
     with TemporaryDirectory(prefix="occmap-") as name:
@@ -28,7 +29,8 @@ def compile_kernels() -> None:
             poses.write_text("".join(f"{at / 1000} 0 0 0 0 0 0 1\n" for at in range(scans + 1)))
             posing = PosingOptions(poses=str(poses), deskew=deskew)
             options = BuildOptions(update=update, model=model, posing=posing, jobs=1)
-            build([log], options, [Path(name) / "map.npz"])
+            made = build([log], options, [Path(name) / "map.npz"])
+    score_map(made.map, [make_scans(1)], jobs=1)
 
 
 def warm_up(spec: GridSpec) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from occmap import jit
 from occmap.grid.kernels.beams import note_beams
+from occmap.grid.kernels.cast import cast_beams
 from occmap.grid.kernels.polygon import trace_polygons
 from occmap.grid.kernels.project import project_ends
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
@@ -16,6 +17,8 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions
 from occmap.readers.kernels.decimals import parse_rows
+from occmap.scoring.compare import compare
+from occmap.scoring.variants import combine
 from occmap.sensor.models import parse_model
 from occmap.types import Update
 from occmap.warm import compile_kernels
@@ -56,6 +59,17 @@ def test_a_build_needs_no_kernel_that_was_not_compiled_before(
     options = BuildOptions(update=update, model=parse_model(model), jobs=1, posing=posing)
     assert build([log], options, [tmp_path / "m.npz"]).report.scans.used == 9
     assert [len(kernel.signatures) for kernel in KERNELS] == compiled
+
+
+def test_a_comparison_needs_no_kernel_that_was_not_compiled_before(tmp_path: Path) -> None:
+    log, poses = write_log(tmp_path)
+    compile_kernels()
+    kernels = [*KERNELS, cast_beams]
+    compiled = [len(kernel.signatures) for kernel in kernels]
+    assert min(compiled) >= 1
+    options = BuildOptions(jobs=1, posing=PosingOptions(poses=str(poses)))
+    compare([log], combine([], []), options)
+    assert [len(kernel.signatures) for kernel in kernels] == compiled
 
 
 def test_machine_code_is_kept_for_just_these_sources_and_settings(

@@ -43,6 +43,16 @@ def test_check_reads_stdin(tmp_path: Path) -> None:
     assert lines[-1].startswith("occmap build - ")
 
 
+def test_explain_reads_stdin(tmp_path: Path) -> None:
+    assert occmap("build", DRIVE, "-o", tmp_path / "m.npz", "--stride", 20).code == 0
+    words = ["explain", "m.npz", "1.5", "-0.25", "--log"]
+    named = occmap("explain", tmp_path / "m.npz", *words[2:], DRIVE, "--json").out
+    piped = pipe([*words, "-", "--json"], DRIVE.read_bytes(), tmp_path).stdout
+    assert json.loads(named.replace(json.dumps(str(DRIVE)), '"-"')) == json.loads(piped)
+    text = pipe([*words, "-"], DRIVE.read_bytes(), tmp_path).stdout.decode()
+    assert text.splitlines()[-1].endswith(" - scan")
+
+
 def test_a_log_on_stdin_is_called_by_what_was_typed(tmp_path: Path) -> None:
     words = ["check", "-", "--json"]
     found = json.loads(pipe(words, DRIVE.read_bytes(), tmp_path).stdout)

@@ -18,9 +18,10 @@ from occmap.explanation.history import Seen, Visits
 from occmap.explanation.provenance import shorten
 from occmap.explanation.sightings import add_up
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
+from occmap.inputs import keep_stdin
 from occmap.keywords import take
 from occmap.store.sources import open_saved
-from occmap.wording import count, write_box, write_time
+from occmap.wording import count, name_stdin, write_box, write_time
 from occmap.writers import WriteOptions
 
 HELP = f"""{COMMANDS["explain"]}
@@ -84,6 +85,7 @@ def command(console: Console, /, path: Path, **values: Any) -> None:
     """Look at a cell, and print what was found."""
     evidence = open_saved(path)
     view = {"model": choose_saved_model(evidence, values), "writing": take(WriteOptions, values)}
+    values["logs"] = click.get_current_context().with_resource(keep_stdin(values["logs"]))
     question = take(Question, values | view)
     with show_progress(console) as progress:
         explanation = explain(evidence, question, progress)
@@ -186,7 +188,7 @@ def list_scans(explanation: Explanation) -> Iterator[tuple[str, str]]:
             *split_pair(scan.seen, explanation),
             f"{scan.x:.3f}, {scan.y:.3f}",
             f"{scan.distance:.3f}",
-            f"{Path(scan.log).name} {scan.topic}",
+            f"{Path(name_stdin(scan.log)).name} {scan.topic}",
         )
         for scan in shown
     ]
