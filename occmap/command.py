@@ -76,7 +76,12 @@ def compose_build(
     changes
         Values of options by name, which go before those of `options`.
     """
-    given = {name: list_texts(value) for name, value in list_changed(options).items()}
+    usual = list_values(BuildOptions())
+    given = {
+        name: list_texts(value)
+        for name, value in list_values(options).items()
+        if value != usual[name] and name not in NOT_WRITTEN
+    }
     for name, text in changes.items():
         given[name] = [*list_beside(name, given.get(name, []), text), text]
     words = [w for name, texts in given.items() for text in texts for w in (spell_flag(name), text)]
@@ -104,13 +109,6 @@ def name_map(path: str) -> str:
     """Name a map after its log: the base name without what it is packed and written in."""
     name = Path(path).resolve().name.removesuffix(".gz")
     return Path(name).stem or "map"
-
-
-def list_changed(options: BuildOptions) -> dict[str, Any]:
-    """List the options that differ from their defaults and belong into a build line."""
-    usual = list_values(BuildOptions())
-    given = list_values(options).items()
-    return {name: v for name, v in given if v != usual[name] and name not in NOT_WRITTEN}
 
 
 def list_texts(value: Any) -> list[str]:

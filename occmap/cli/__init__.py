@@ -114,11 +114,18 @@ def run(args: Sequence[str], signals: Signals | None = None) -> int:
 
 def answer(error: BaseException, console: Console) -> int:
     """Say in one line what went wrong; return the exit code."""
-    if isinstance(error, OccmapError):
-        return console.fail(error, error.exit_code)
+    if isinstance(error, BrokenPipeError):  # who reads the output has seen enough
+        discard_stdout()
+        return 0
     if isinstance(error, click.ClickException):
         return console.fail(describe_misuse(error), error.exit_code)
-    return answer_unforeseen(error, console)
+    if isinstance(error, OSError):  # a path too long, a disk that fails
+        error = OccmapError(error.strerror or type(error).__name__, where=error.filename or "")
+    elif isinstance(error, MemoryError):
+        error = OccmapError("out of memory", fix="try a coarser --resolution or fewer --jobs")
+    if isinstance(error, OccmapError):
+        return console.fail(error, error.exit_code)
+    return console.fail_unexpectedly(error)
 
 
 def describe_misuse(error: click.ClickException) -> OccmapError:
@@ -132,20 +139,6 @@ def describe_misuse(error: click.ClickException) -> OccmapError:
     if examples and isinstance(error, click.MissingParameter):
         return UsageError(found, fix=f"write, for example, {examples[0]}")
     return UsageError(found, fix=f"see `{context.command_path} --help`")
-
-
-def answer_unforeseen(error: BaseException, console: Console) -> int:
-    """Answer what no layer foresaw: the system refused something, or occmap has a fault."""
-    if isinstance(error, BrokenPipeError):  # who reads the output has seen enough
-        discard_stdout()
-        return 0
-    if isinstance(error, OSError):  # a path too long, a disk that fails
-        reason = error.strerror or type(error).__name__
-        return console.fail(OccmapError(reason, where=error.filename or ""), 1)
-    if isinstance(error, MemoryError):
-        full = OccmapError("out of memory", fix="try a coarser --resolution or fewer --jobs")
-        return console.fail(full, 1)
-    return console.fail_unexpectedly(error)
 
 
 def main() -> None:

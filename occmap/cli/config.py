@@ -61,16 +61,11 @@ def place_error(config: Config, command: click.Command, error: UsageError) -> Us
     text = spell(str(error))
     taken = [param for param in command.params if param.name in config.values]
     names_one = any(re.search(rf"{flag}(?![\w-])", text) for param in taken for flag in param.opts)
-    if not names_one and error.where not in list_texts(config.values.values()):
+    several = (value if isinstance(value, list) else [value] for value in config.values.values())
+    if not names_one and error.where not in (str(each) for some in several for each in some):
         return error
     where = f"{config.path}: {error.where}" if error.where else config.path
     return UsageError(error.found, where=where, fix=error.fix)
-
-
-def list_texts(values: Iterable[Any]) -> list[str]:
-    """List values, and those in lists, as texts."""
-    several = (value if isinstance(value, list) else [value] for value in values)
-    return [str(each) for some in several for each in some]
 
 
 def list_beside(log: Path) -> list[Path]:

@@ -19,6 +19,7 @@ LIMIT_BROKEN = 3
 def fail_if(measures: Measures) -> Callable[[Command], Command]:
     """Declare the option that sets limits on what a command measures."""
     names = ", ".join(measure.name for measure in measures)
+    share = next(measure.name for measure in measures if measure.unit == SHARE)
     return option(
         LIMITS,
         "--fail-if",
@@ -26,15 +27,9 @@ def fail_if(measures: Measures) -> Callable[[Command], Command]:
         type=lambda text: parse_limit(text, measures),
         multiple=True,
         metavar='"NAME > NUMBER"',
-        help=f'Exit with 3 where this holds, such as "{suggest_limit(measures)}"; < <= >= == != '
+        help=f'Exit with 3 where this holds, such as "{share} > 5%"; < <= >= == != '
         f"work, too. May repeat. Names: {names}.",
     )
-
-
-def suggest_limit(measures: Measures) -> str:
-    """Give an example: the first share there is."""
-    name = next(measure.name for measure in measures if measure.unit == SHARE)
-    return f"{name} > 5%"
 
 
 def answer(

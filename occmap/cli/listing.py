@@ -47,21 +47,17 @@ def make_command(kind: str) -> click.Command:
     def command(console: Console, /, as_json: bool) -> None:
         """List what is installed."""
         loaded, broken = load_plugins(KINDS[kind][0])
-        working = [
-            Listed(name, plugin.description, list_parameters(plugin) if kind == "models" else {})
-            for name, plugin in loaded.items()
-        ]
+        working = []
+        for name, plugin in loaded.items():
+            parameters: Any = fields(plugin) if kind == "models" else ()
+            defaults = {each.name: each.default for each in parameters}
+            working.append(Listed(name, plugin.description, defaults))
         if as_json:
             console.put_json(kind, to_plain({kind: working, "broken": broken}))
         else:
             console.put(format_plugins(working, broken))
 
     return command
-
-
-def list_parameters(model: Any) -> dict[str, Any]:
-    """List the parameters that `--model NAME:KEY=NUMBER` takes, with their defaults."""
-    return {each.name: each.default for each in fields(model)}
 
 
 def format_plugins(working: Sequence[Listed], broken: Sequence[Broken]) -> Iterator[str]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from occmap.cli.console import Verbosity
+from occmap.cli.console import Console, Verbosity
 from occmap.cli.sections import BareOption, join, option
 from occmap.cli.values import (
     FROM_SCANS,
@@ -19,7 +19,6 @@ from occmap.cli.values import (
     one_of,
     parse_align,
     parse_numbers,
-    set_verbosity,
     take_one,
 )
 from occmap.command import spell_flag
@@ -206,8 +205,12 @@ as_json = option(RUN, "--json", "as_json", is_flag=True, help="Print the result 
 
 def loudness(short: str, long: str, level: Verbosity, text: str) -> Any:
     """Declare a flag that says how much a command tells."""
-    callback = set_verbosity(level)
-    return option(RUN, short, long, is_flag=True, expose_value=False, callback=callback, help=text)
+
+    def choose(ctx: click.Context, _param: click.Parameter, given: bool) -> None:
+        if given:
+            ctx.ensure_object(Console).verbosity = level
+
+    return option(RUN, short, long, is_flag=True, expose_value=False, callback=choose, help=text)
 
 
 verbosity = join(

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import click
 
-from occmap.cli.console import Console, Verbosity
 from occmap.command import spell_flag
 from occmap.errors import UsageError
 from occmap.keywords import read_pose, read_sector, read_transform
@@ -140,13 +139,3 @@ def one_of(kind: type[StrEnum]) -> dict[str, Any]:
         "type": click.Choice([member.value for member in kind]),
         "callback": lambda _ctx, _param, value: kind(value),
     }
-
-
-def set_verbosity(level: Verbosity) -> Any:
-    """Return the callback of a flag that says how much to tell."""
-
-    def choose(ctx: click.Context, _param: click.Parameter, given: bool) -> None:
-        if given:
-            ctx.ensure_object(Console).verbosity = level
-
-    return choose

@@ -165,7 +165,12 @@ def compare_maps(before: ClassMap, after: ClassMap) -> MapDifference:
     low_row, low_col = min(row, 0), min(col, 0)
     (rows, cols), (more_rows, more_cols) = before.classes.shape, after.classes.shape
     shape = max(rows, row + more_rows) - low_row, max(cols, col + more_cols) - low_col
-    refuse_far_apart(after, shape)
+    if shape[0] * shape[1] > MAX_CELLS:
+        raise MapError(
+            f"both maps together take {shape[1]} x {shape[0]} cells, too many to compare",
+            where=after.path,
+            fix="check that both are in one map frame",
+        )
     one = place_in(shape, before.classes, (-low_row, -low_col))
     other = place_in(shape, after.classes, (row - low_row, col - low_col))
     corner = Place(
@@ -216,23 +221,6 @@ def align(before: ClassMap, after: ClassMap) -> tuple[Place, tuple[int, int]]:
             fix="maps that occmap builds with one `resolution` share a lattice",
         )
     return a, (round(row), round(col))
-
-
-def refuse_far_apart(after: ClassMap, shape: tuple[int, int]) -> None:
-    """Refuse to compare maps with the world between them.
-
-    Raises
-    ------
-    MapError
-        The box around both has too many cells.
-    """
-    rows, cols = shape
-    if rows * cols > MAX_CELLS:
-        raise MapError(
-            f"both maps together take {cols} x {rows} cells, too many to compare",
-            where=after.path,
-            fix="check that both are in one map frame",
-        )
 
 
 def place_in(shape: tuple[int, int], classes: UInt8, at: tuple[int, int]) -> UInt8:

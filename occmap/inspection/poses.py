@@ -8,7 +8,7 @@ import numpy as np
 from occmap.command import format_mount
 from occmap.errors import MountError, PoseError
 from occmap.inspection.survey import TopicSurvey
-from occmap.mounts import UNTURNED, Guess, guess_place
+from occmap.mounts import UNTURNED, guess_place
 from occmap.opening import refuse_shared_mount, take_first
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
@@ -66,16 +66,13 @@ def assume_mount(
     posing = replace(unturned.poser.options, sensor_pose=guess.mount if guess else UNTURNED)
     poser = Poser(unturned.poser.sources, posing, notes=list(unturned.poser.sources.notes))
     faults = unturned.faults
-    if guess is not None:
-        faults = {frame: name_found(fault, guess) for frame, fault in faults.items()}
+    if guess is not None:  # the error that the mount is missing names the one that was found
+        found = format_mount(guess.mount), guess.why
+        faults = {
+            frame: fault.named(*found) if isinstance(fault, MountError) else fault
+            for frame, fault in faults.items()
+        }
     return Posing(poser, faults, posing.sensor_pose, is_guess=guess is None)
-
-
-def name_found(fault: PoseError, guess: Guess) -> PoseError:
-    """Name the mount that was found in the error that it is missing."""
-    if isinstance(fault, MountError):
-        return fault.named(format_mount(guess.mount), guess.why)
-    return fault
 
 
 def find_moving_stamp(poser: Poser) -> int | None:

@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,11 @@ MEANINGS = {
 NO_RETURNS = ("+inf", "= range_max", "> range_max")
 """The kinds that `no_return` decides about; all others are skipped."""
 
+MOSTLY_OPEN = 0.05
+"""Space is open where a smaller share of the beams without return than this leads through or beyond
+what others hit. On most real logs nearly all of them do; in a building that is larger than the
+sensor's range none does."""
+
 
 class RangeCensus:
     """Counts the range values of one topic, batch by batch, in bounded memory."""
@@ -75,16 +81,11 @@ class RangeCensus:
         self.counts.update({name: int(np.count_nonzero(mask)) for name, mask in masks.items()})
         self.total += ranges.size
         self.limit = max(self.limit, batch.range_max)
-        self._add_measured(ranges[positive & (ranges >= low) & (ranges < high)])
-        self._add_finite(ranges[positive])
-
-    def _add_measured(self, measured: Float32) -> None:
+        measured = ranges[positive & (ranges >= low) & (ranges < high)]
         self.smallest = min(self.smallest, float(measured.min(initial=np.inf)))
         self.largest = max(self.largest, float(measured.max(initial=-np.inf)))
-
-    def _add_finite(self, finite: Float32) -> None:
-        self._block.append(finite)
-        self._block_size += finite.size
+        self._block.append(ranges[positive])
+        self._block_size += self._block[-1].size
         if self._block_size >= BLOCK_RANGES:
             self._fold()
 
@@ -115,47 +116,38 @@ class RangeCensus:
         """Sum up; `crossed` is what is known about beams without return."""
         repeated = self.list_repeated()
         measured = self.total - self.counts.total()
+        suggested = self._suggest_no_return(repeated, crossed)
         return RangeFindings(
             total=self.total,
             measured=measured,
             smallest=self.smallest if measured else math.nan,
             largest=self.largest if measured else math.nan,
-            specials=self._list_specials(suggest_no_return(self, crossed)),
+            specials=tuple(
+                Special(
+                    name,
+                    count,
+                    count / self.total,
+                    meaning,
+                    suggested if name in NO_RETURNS else "",
+                )
+                for name, meaning in MEANINGS.items()
+                if (count := self.counts[name])
+            ),
             repeated=repeated,
             crossed=crossed,
         )
 
-    def _list_specials(self, suggested: str) -> tuple[Special, ...]:
-        return tuple(
-            Special(
-                name,
-                self.counts[name],
-                self.counts[name] / self.total,
-                meaning,
-                suggested if name in NO_RETURNS else "",
-            )
-            for name, meaning in MEANINGS.items()
-            if self.counts[name]
-        )
+    def _suggest_no_return(self, repeated: Sequence[Repeated], crossed: float | None) -> str:
+        """Suggest whether beams without return are to clear space.
 
-
-MOSTLY_OPEN = 0.05
-"""Space is open where a smaller share of the beams without return than this leads through or beyond
-what others hit. On most real logs nearly all of them do; in a building that is larger than the
-sensor's range none does."""
-
-
-def suggest_no_return(census: RangeCensus, crossed: float | None) -> str:
-    """Suggest whether beams without return are to clear space.
-
-    Such beams are to clear space only where the log states a limit up to which, where their value
-    is no error code, and where hardly one of them leads through a wall, or out of all that was hit,
-    as through glass.
-    """
-    low, high = SICK_CODES
-    is_code = any(low <= item.value <= high for item in census.list_repeated())
-    open_space = crossed is not None and crossed < MOSTLY_OPEN
-    return "clear" if open_space and not is_code and math.isfinite(census.limit) else "ignore"
+        Such beams are to clear space only where the log states a limit up to which, where their
+        value is no error code, and where hardly one of them leads through a wall, or out of all
+        that was hit, as through glass.
+        """
+        low, high = SICK_CODES
+        is_code = any(low <= item.value <= high for item in repeated)
+        open_space = crossed is not None and crossed < MOSTLY_OPEN
+        return "clear" if open_space and not is_code and math.isfinite(self.limit) else "ignore"
 
 
 def find_repeated(values: Float32, counts: NDArray[np.intp]) -> Float32:

@@ -41,7 +41,8 @@ def measure_crossing(parts: Sequence[PosedScans], options: ReturnOptions) -> flo
     hits, origins, directions, reaches = [], [], [], []
     for part in parts:
         rays, _ = interpret(part, options)
-        lost = (rays.kind == Kind.FREE) & is_lost(part, options)
+        limit = part.batch.range_max if options.range_max is None else options.range_max
+        lost = (rays.kind == Kind.FREE) & (part.batch.ranges >= as_float32(limit))
         hits.append(rays.end[rays.kind == Kind.HIT])
         origins.append(np.broadcast_to(rays.origin, rays.direction.shape)[lost])
         directions.append(rays.direction[lost])
@@ -54,13 +55,6 @@ def measure_crossing(parts: Sequence[PosedScans], options: ReturnOptions) -> flo
     reach, hit = np.minimum(reach[some], MAX_REACH_M), np.concatenate(hits)
     leaves = find_outside(origin + reach[:, None] * direction, hit)
     return float((leaves | find_crossing(origin, direction, reach, hit)).mean())
-
-
-def is_lost(part: PosedScans, options: ReturnOptions) -> Bool:
-    """(S, B) whether nothing came back to a beam."""
-    limit = part.batch.range_max if options.range_max is None else options.range_max
-    lost: Bool = part.batch.ranges >= as_float32(limit)
-    return lost
 
 
 def find_outside(points: Float64, hit: Float64) -> Bool:

@@ -7,7 +7,7 @@ import numpy as np
 from occmap.inspection.findings import TimeFindings
 from occmap.posing.options import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
-from occmap.types import Float64, Int64, Scan, ScanRun
+from occmap.types import Int64, Scan, ScanRun
 
 LONGEST_RUN_NS = 10**16
 """A simulation lasts no longer than this: 115 days."""
@@ -61,6 +61,10 @@ class StampLog:
         simulated = (
             not all_equal and poses_ns is not None and is_simulated(header, record, poses_ns)
         )
+        tenth = max(len(offset) // 10, 1)
+        drift_s = float(np.median(offset[-tenth:]) - np.median(offset[:tenth]))
+        increments = np.array(self._increment)
+        increments = increments[np.isfinite(increments)]
         return TimeFindings(
             start_ns=int(header.min()),
             end_ns=int(header.max()),
@@ -68,11 +72,11 @@ class StampLog:
             rate_hz=(len(header) - 1) / duration_s if duration_s else 0.0,
             largest_gap_s=float(steps.max(initial=0)),
             offset_s=float(np.median(offset)),
-            drift_s=0.0 if simulated else _measure_drift(offset),
+            drift_s=0.0 if simulated else drift_s,
             jumps_back=int(np.count_nonzero(steps < 0)),
             largest_jump_back_s=float((-steps).max(initial=0)),
             duplicates=int(np.count_nonzero(steps == 0)),
-            time_increment_s=_take_median(np.array(self._increment)),
+            time_increment_s=float(np.median(increments)) if len(increments) else 0.0,
             all_equal=all_equal,
             all_zero=all_zero,
             simulated=simulated,
@@ -87,15 +91,3 @@ def is_simulated(header: Int64, record: Int64, poses_ns: int) -> bool:
     """
     began = max(int(header.max()), poses_ns) < LONGEST_RUN_NS
     return began and int(header.min()) >= 0 and int(record.min()) >= EARLIEST_DATE_NS
-
-
-def _take_median(values: Float64) -> float:
-    """Take the median of what is finite; 0 where nothing is."""
-    finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if len(finite) else 0.0
-
-
-def _measure_drift(offset: Float64) -> float:
-    """How much the median offset grew from the first tenth of the scans to the last (s)."""
-    tenth = max(len(offset) // 10, 1)
-    return float(np.median(offset[-tenth:]) - np.median(offset[:tenth]))

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from bokeh.models import Range1d
 from bokeh.palettes import Category10_10
 from bokeh.plotting import figure
@@ -17,7 +16,6 @@ from occmap.page.plots import plot_map
 from occmap.page.raster import MOST_BYTES, make_raster
 from occmap.scoring.compare import VariantComparison
 from occmap.scoring.trials import Result
-from occmap.types import Box
 
 HEAD = (
     *("variant", "#share", "#error", "#log-likelihood", "#entropy", "#free", "#occupied"),
@@ -117,7 +115,9 @@ def stage(results: Sequence[Result]) -> Stage:
     """Set out the maps side by side; what one shows, all show."""
     share = MOST_BYTES // len(results)
     rasters = [make_raster(result.map, None, share) for result in results]
-    data, arrays = describe_rasters(rasters, name_layers(rasters), join_boxes(results))
+    low_x, low_y, high_x, high_y = zip(*(result.map.extent for result in results), strict=True)
+    box = min(low_x), min(low_y), max(high_x), max(high_y)
+    data, arrays = describe_rasters(rasters, name_layers(rasters), box)
     first = plot_map(0)
     plots = [first, *(plot_map(index, first) for index in range(1, len(results)))]
     coarse = max(raster.step for raster in rasters)
@@ -129,9 +129,3 @@ def stage(results: Sequence[Result]) -> Stage:
         arrays=arrays,
         note=note if coarse > 1 else "",
     )
-
-
-def join_boxes(results: Sequence[Result]) -> Box:
-    """The smallest box around all maps."""
-    low_x, low_y, high_x, high_y = np.array([result.map.extent for result in results]).T
-    return float(low_x.min()), float(low_y.min()), float(high_x.max()), float(high_y.max())

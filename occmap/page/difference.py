@@ -73,20 +73,13 @@ def stage(difference: MapDifference) -> Stage:
     rows, cols = difference.before.shape
     place = difference.place
     size = place.resolution
-    packed = {name: pack(layer) for name, layer in thin_all(layers, step).items()}
+    shown = thin(layers | {"rank": layers["change"]}, step)  # of each block one that changed
+    packed = {name: pack(shown[name]) for name in layers}
     raster = Raster(place.x, place.y, size * step, step, packed, 0.0)
     box: Box = (place.x, place.y, place.x + cols * size, place.y + rows * size)
     data, arrays = describe_rasters([raster], list_layers(), box)
     note = f"Of each {step} x {step} cells the one that changed most is shown."
     return Stage([plot_map(0)], [""], data, arrays, note=note if step > 1 else "")
-
-
-def thin_all(layers: Layers, step: int) -> Layers:
-    """Keep one cell of each block of `step` x `step`: one that changed, where any did."""
-    rows, cols = (-side % step for side in layers["change"].shape)
-    padded = {name: np.pad(layer, ((0, rows), (0, cols))) for name, layer in layers.items()}
-    thinned = thin(padded | {"rank": padded["change"]}, step)
-    return {name: thinned[name] for name in layers}
 
 
 def list_layers() -> list[Layer]:

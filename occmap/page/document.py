@@ -4,7 +4,7 @@ import json
 import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from platform import python_version
@@ -74,8 +74,6 @@ class Page:
     subtitle: str
     sections: Sequence[Section]
     stage: Stage | None = None
-    plots: Sequence[Any] = field(default=())
-    """Figures of the sections"""
 
 
 def require_bokeh(path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from bokeh.palettes import Blues256, Greys256, Oranges256, Purples256, Viridis256
 
 from occmap.page.packing import Packed
-from occmap.page.raster import NOT_OBSERVED, Raster
+from occmap.page.raster import NOT_OBSERVED, Raster, to_blocks
 from occmap.types import Box
 from occmap.writers.images import encode_png
 
@@ -105,9 +105,6 @@ def describe_rasters(
 def draw_poster(classes: Packed, colours: Sequence[str]) -> str:
     """Draw a small PNG, in base 64: of the cells that share a pixel the largest, y upwards."""
     cells = classes.unpack_bytes()
-    step = -(-max(cells.shape) // POSTER_PX)
-    rows, cols = (-side % step for side in cells.shape)
-    padded = np.pad(cells, ((0, rows), (0, cols)))
-    small = padded.reshape(padded.shape[0] // step, step, -1, step).max(axis=(1, 3))
+    small = to_blocks(cells, -(-max(cells.shape) // POSTER_PX)).max(axis=2)
     table = np.array([list(bytes.fromhex(each[1:])) for each in colours], np.uint8)
     return b64encode(encode_png(table[small[::-1]])).decode()

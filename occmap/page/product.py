@@ -64,7 +64,9 @@ def stage_map(product: Product, evidence: Evidence, options: WriteOptions) -> St
     start_ns = int(min(starts, default=raster.start_s * 1e9))
     if journey.trajectories:
         add_way(plot, journey.trajectories, start_ns)
-        data["journey"] = {"ramp": describe_ramp(journey, start_ns)}
+        ends = [int(each.stamp_ns.max()) for each in journey.trajectories if each.stamp_ns.size]
+        marks = f"{start_ns / 1e9:.3f} s", f"{max(ends) / 1e9:.3f} s"
+        data["journey"] = {"ramp": (WAY_COLOURS[::4], *marks)}  # colours, and what is at their ends
     if journey.scans:
         add_scan(plot)
         scans, packed = pack_scans(journey)
@@ -100,12 +102,6 @@ def list_losses(raster: Raster, product: Product, evidence: Evidence) -> list[st
             "The way and the scans are those of this build, without what it was added to."
         )
     return losses
-
-
-def describe_ramp(journey: Journey, start_ns: int) -> tuple[list[str], str, str]:
-    """The colours of the way, and what stands at their ends."""
-    end_ns = max(int(each.stamp_ns.max()) for each in journey.trajectories if each.stamp_ns.size)
-    return list(WAY_COLOURS[::4]), f"{start_ns / 1e9:.3f} s", f"{end_ns / 1e9:.3f} s"
 
 
 def pack_scans(journey: Journey) -> tuple[dict[str, Any], dict[str, Packed]]:

@@ -16,7 +16,7 @@ from occmap.grid.slices import count_visits, split_tiles, take, unite, unpack
 from occmap.grid.spec import find_unit
 from occmap.grid.tiles import TILE, EvidenceKind
 from occmap.page.packing import Packed, pack, pack_few
-from occmap.types import Bool, Evidence, Float32, Int64, OccupancyMap, Slices, Update
+from occmap.types import Bool, Evidence, Int64, OccupancyMap, Slices, Update
 
 MOST_CELLS = 4100 * 4100
 """A page with more of them takes long to open."""
@@ -206,11 +206,12 @@ def thin(band: Layers, step: int) -> Layers:
     }
 
 
-def to_blocks(layer: NDArray[Any] | Float32, step: int) -> NDArray[Any]:
-    """Sort the cells of (H, W) into (H / step, W / step, step * step)."""
-    rows, cols = layer.shape
-    blocks = layer.reshape(rows // step, step, cols // step, step).swapaxes(1, 2)
-    return blocks.reshape(rows // step, cols // step, step * step)
+def to_blocks(layer: NDArray[Any], step: int) -> NDArray[Any]:
+    """Sort the cells of (H, W) into (H / step, W / step, step * step); zeros fill up the last."""
+    rows, cols = (-(-side // step) for side in layer.shape)
+    filling = [(0, -side % step) for side in layer.shape]
+    blocks = np.pad(layer, filling).reshape(rows, step, cols, step).swapaxes(1, 2)
+    return blocks.reshape(rows, cols, step * step)
 
 
 def round_counts(counts: NDArray[Any], steps: int) -> NDArray[Any]:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import thread_time
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -53,13 +53,6 @@ class HoldOut:
         return sum(int(np.count_nonzero(rays.kind == Kind.HIT)) for rays in self.held)
 
 
-class Task(NamedTuple):
-    """Scans for one piece of evidence."""
-
-    evidence: "SharedEvidence"
-    rays: Rays
-
-
 class SharedEvidence:
     """The evidence of one or more variants, and the processor time that it took."""
 
@@ -87,6 +80,10 @@ class SharedEvidence:
     def seconds(self) -> float:
         """Processor time of all threads together (s)."""
         return sum(self._seconds)
+
+
+Task = tuple[SharedEvidence, Rays]
+"""Scans for one piece of evidence"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +128,7 @@ class Trials:
 
     def tracing(self) -> Workers[Task]:
         """Make threads that trace."""
-        return Workers(lambda task: task.evidence.add(task.rays), self._options.jobs)
+        return Workers(lambda task: task[0].add(task[1]), self._options.jobs)
 
     def begin(self, workers: Workers[Task]) -> Callable[[Rays], None]:
         """Start anew; return what holds some scans out and has the others traced."""
@@ -144,7 +141,7 @@ class Trials:
         def observe(rays: Rays) -> None:
             seen = self.hold_out.split(rays)
             for evidence in self.evidence.values() if len(seen.kind) else ():
-                workers.give(Task(evidence, seen))
+                workers.give((evidence, seen))
 
         return observe
 

@@ -14,10 +14,9 @@ from occmap.posing.rotations import to_quaternions
 from occmap.readers import Log, read_scans
 from occmap.remarks import Remarks, list_frames
 from occmap.sensor.no_return import RangeLimits
-from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.tally import Tally, name_logs, refuse_unused
 from occmap.tracing import open_drive
-from occmap.types import Float64, Pose, PosedScans, Rays, Scan, ScanBatch, ScanRun
+from occmap.types import Float64, Pose, PosedScans, Scan, ScanBatch, ScanRun
 
 MOST_SCANS = 1000
 """Spread over the logs: more tell little more, and they are traced more than thirty times."""
@@ -128,13 +127,6 @@ def drop_outer(log: KeptLog, options: PosingOptions) -> KeptLog:
         shifted = replace(options, time_offset_s=options.time_offset_s + offset)
         log = replace(log, batches=tuple(posed.batch for posed in log.pose(shifted)))
     return log
-
-
-def trace_rays(
-    logs: Sequence[KeptLog], posing: PosingOptions, returns: ReturnOptions
-) -> list[Rays]:
-    """Turn all kept scans, posed with these options, into rays."""
-    return [interpret(posed, returns)[0] for log in logs for posed in log.pose(posing)]
 
 
 def find_mount(logs: Sequence[KeptLog], options: PosingOptions) -> Pose | None:

@@ -13,7 +13,8 @@ from occmap.scoring.compare import refuse_unscored
 from occmap.scoring.score import Trial
 from occmap.scoring.trials import Trials
 from occmap.scoring.variants import Variant
-from occmap.tuning.kept import MOST_OFFSET_S, KeptLog, trace_rays
+from occmap.sensor.returns import interpret
+from occmap.tuning.kept import MOST_OFFSET_S, KeptLog
 from occmap.types import Pose, Rays
 
 
@@ -94,7 +95,8 @@ class Scorer:
     def trace(self, correction: Correction) -> list[Rays]:
         """Turn all scans, posed with a correction, into rays."""
         posing = correction.apply(self._posing, self._mount)
-        return trace_rays(self._logs, posing, self._options.returns)
+        every = (posed for log in self._logs for posed in log.pose(posing))
+        return [interpret(posed, self._options.returns)[0] for posed in every]
 
     def measure_agreement(self, correction: Correction) -> float | None:
         """Measure the share of hits in occupied cells, in a map with a correction; None: no hit."""
