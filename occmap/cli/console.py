@@ -4,7 +4,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -139,6 +139,15 @@ def write_rows(rows: Iterable[tuple[str, str]], width: int = 9) -> Iterator[str]
 def label_first(label: str, texts: Iterable[str]) -> list[tuple[str, str]]:
     """Label the first of several rows."""
     return [("" if index else label, text) for index, text in enumerate(texts)]
+
+
+def align(table: Sequence[Sequence[str]], labels: int = 0) -> Iterator[str]:
+    """Write rows with their columns under each other: the first so many to the left."""
+    sides = "<" * labels + ">" * len(table[0])
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    for row in table:
+        cells = zip(row, sides, widths, strict=False)
+        yield "  ".join(f"{text:{side}{width}}" for text, side, width in cells)
 
 
 def find_place(error: BaseException) -> str:

@@ -14,13 +14,8 @@ from occmap.page.findings import tell_notes
 from occmap.page.layers import describe_rasters, name_layers
 from occmap.page.plots import plot_map
 from occmap.page.raster import MOST_BYTES, make_raster
-from occmap.scoring.compare import VariantComparison
+from occmap.scoring.compare import SCORES, VariantComparison, list_scores
 from occmap.scoring.trials import Result
-
-HEAD = (
-    *("variant", "#share", "#error", "#log-likelihood", "#entropy", "#free", "#occupied"),
-    *("#time (s)", "#memory (MB)", "as good within the error"),
-)
 
 
 def write_comparison(path: Path, comparison: VariantComparison) -> None:
@@ -42,7 +37,7 @@ def write_comparison(path: Path, comparison: VariantComparison) -> None:
     inputs = [entry for log in found["logs"] for entry in describe_files(Path(log))]
     sections = [
         tell_verdict(found, comparison.preference),
-        Section("Scores", [Block("table", list_rows(found), HEAD)], wide=True),
+        Section("Scores", [tell_scores(comparison)], wide=True),
         Section("Do probabilities mean what they say?", [tell_reliability(results)], wide=True),
         tell_notes(found["notes"], found["damage"]),
         describe_maker(inputs),
@@ -63,21 +58,14 @@ def tell_verdict(found: dict[str, Any], preference: str) -> Section:
     return Section("Verdict", blocks, wide=True)
 
 
-def list_rows(found: dict[str, Any]) -> list[list[str]]:
-    """A row of the table of scores for each variant, as the JSON has them."""
-    return [
-        [
-            each["name"],
-            f"{each['share']:.4f}",
-            "" if each["share_error"] is None else f"{each['share_error']:.4f}",
-            f"{each['log_likelihood']:.3f}",
-            *(f"{each[name]:.3f}" for name in ("cross_entropy", "free_cost", "occupied_cost")),
-            f"{each['seconds']:.2f}",
-            f"{each['bytes'] / 1e6:.1f}",
-            "preferred" if each["name"] == found["best"] else "yes" if each["as_good"] else "",
-        ]
-        for each in found["variants"]
-    ]
+def tell_scores(comparison: VariantComparison) -> Block:
+    """Tabulate the scores of all variants."""
+    variant, *numbers = SCORES
+    head = [variant, *(f"#{name}" for name in numbers), "as good within the error"]
+    words = {True: "yes", False: ""}
+    rows = [[*list_scores(each), words[each.as_good]] for each in comparison.results]
+    rows[comparison.results.index(comparison.recommended)][-1] = "preferred"
+    return Block("table", rows, head)
 
 
 def tell_reliability(results: Sequence[Result]) -> Block:

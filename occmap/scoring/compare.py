@@ -1,5 +1,6 @@
 """Several ways to map the same logs, in one read: which of them predicts scans best."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -265,6 +266,29 @@ def describe_run(remarks: Remarks, options: BuildOptions) -> dict[str, Any]:
         "notes": remarks.notes,
         "damage": remarks.damage,
     }
+
+
+SCORES = (
+    *("variant", "share", "error", "log-likelihood", "entropy", "free", "occupied"),
+    *("time (s)", "memory (MB)"),
+)
+"""What `list_scores` lists: `free` and `occupied` are the two parts of the entropy"""
+
+
+def list_scores(result: Result) -> list[str]:
+    """Write the scores of a variant as a row of a table, whose columns are SCORES."""
+    score = result.score
+    return [
+        result.variant.name,
+        f"{score.share:.4f}",
+        f"{score.share_error:.4f}" if math.isfinite(score.share_error) else "-",
+        f"{score.log_likelihood:.3f}",
+        f"{score.cross_entropy:.3f}",
+        f"{score.free_cost:.3f}",
+        f"{score.occupied_cost:.3f}",
+        f"{result.seconds:.2f}",
+        f"{result.bytes / 1e6:.1f}",
+    ]
 
 
 def describe_result(result: Result) -> PrintedVariant:

@@ -29,7 +29,7 @@ def test_the_table_names_the_best_and_how_to_build_it(log: Path) -> None:
     )
     lines = result.out.splitlines()
     assert " ".join(lines[0].split()) == (
-        "variant share error log-lik entropy (free, occupied) time memory"
+        "variant share error log-likelihood entropy free occupied time (s) memory (MB)"
     )
     names = [" ".join(line.split()[:2]) for line in lines[1:7]]
     updates, models = ("beam", "polygon", "surface"), ("simple", "counting")

@@ -1,14 +1,12 @@
 """`occmap compare`: several updates and sensor models in one read, scored on held-out scans."""
 
-import math
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
 from occmap.cli import COMMANDS, limits, log_options, options
-from occmap.cli.console import Console, write_command
+from occmap.cli.console import Console, align, write_command
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.streams import gather_logs
@@ -16,8 +14,7 @@ from occmap.cli.values import PATH
 from occmap.gates.measures import COMPARE
 from occmap.keywords import take
 from occmap.options import BuildOptions
-from occmap.scoring.compare import VariantComparison, compare
-from occmap.scoring.trials import Result
+from occmap.scoring.compare import SCORES, VariantComparison, compare, list_scores
 from occmap.scoring.variants import DEFAULT_MODELS, combine
 from occmap.sensor.models import parse_model
 from occmap.types import Update
@@ -95,10 +92,18 @@ def format_comparison(comparison: VariantComparison) -> list[str]:
     preference = comparison.preference
     held = count(comparison.scans.held_out, "held-out scan")
     rest = f"scored by {count(best.score.beams, 'beam')} of {held}"
+    reliability = [
+        ("predicted occupied", "found occupied", "looks"),
+        *(
+            (f"{each.predicted:.3f}", f"{each.observed:.3f}", f"{each.looks:,}")
+            for each in best.score.reliability
+        ),
+    ]
     lines = [
-        *format_table(comparison.results),
+        *align([SCORES, *map(list_scores, comparison.results)], labels=1),
         "",
-        *format_reliability(best),
+        f"cells of {best.variant.name}, as held-out beams look at them",
+        *align([*zip(*reliability, strict=True)], labels=1),
         "",
         f"{rest}; {comparison.scans.used:,} of {comparison.scans.read:,} used",
         *(f"picture: {file}" for file in comparison.files),
@@ -110,32 +115,3 @@ def format_comparison(comparison: VariantComparison) -> list[str]:
         lines.append(f"where probabilities matter: {likeliest.variant.name}")
         lines.append(write_command(comparison.build_command(likeliest)))
     return lines
-
-
-def format_reliability(result: Result) -> Iterator[str]:
-    """Write what a map says of its cells over what beams found in them, a column for each bin."""
-    yield f"cells of {result.variant.name}, as held-out beams look at them"
-    columns = [
-        ("predicted occupied", "found occupied", "looks"),
-        *(
-            (f"{each.predicted:.3f}", f"{each.observed:.3f}", f"{each.looks:,}")
-            for each in result.score.reliability
-        ),
-    ]
-    for row in range(3):
-        cells = [f"{column[row]:>{max(map(len, column))}}" for column in columns]
-        yield "  ".join([columns[0][row].ljust(len(cells[0])), *cells[1:]])
-
-
-def format_table(results: Sequence[Result]) -> Iterator[str]:
-    """Write a line for each variant, the best share first; entropy as free / occupied cells."""
-    width = max(len(result.variant.name) for result in results)
-    costs = "entropy (free, occupied)"
-    yield f"{'variant':<{width}}   share   error  log-lik  {costs}    time   memory"
-    for result in results:
-        score = result.score
-        costs = f"{score.cross_entropy:7.3f} ({score.free_cost:.3f}, {score.occupied_cost:.3f})"
-        spent = f"{result.seconds:5.2f} s {result.bytes / 1e6:5.1f} MB"
-        error = f"{score.share_error:.4f}" if math.isfinite(score.share_error) else "-"
-        shares = f"{score.share:7.4f}  {error:>6}  {score.log_likelihood:7.3f}"
-        yield f"{result.variant.name:<{width}} {shares}  {costs:<24} {spent:>16}"

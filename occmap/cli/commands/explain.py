@@ -1,7 +1,7 @@
 """`occmap explain`: what was seen at a point, and by which scans."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,7 @@ import click
 
 from occmap.cli import COMMANDS, options
 from occmap.cli.collect import choose_saved_model
-from occmap.cli.console import Console, label_first, write_rows
+from occmap.cli.console import Console, align, label_first, write_rows
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.values import PATH
@@ -207,10 +207,3 @@ def describe_sum(explanation: Explanation) -> str:
         return f"{raised:,} for occupied, {lowered:,} for free; {sums}"
     hit, cleared = sum(first > 0 for first, _ in pairs), sum(second > 0 for _, second in pairs)
     return f"{hit:,} hit it, {cleared:,} cleared it; {sums}"
-
-
-def align(table: Sequence[Row]) -> Iterator[str]:
-    """Write rows with their columns under each other, numbers to the right."""
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    for row in table:
-        yield "  ".join(f"{text:>{width}}" for text, width in zip(row, widths, strict=True))
