@@ -5,7 +5,6 @@ import inspect
 import re
 import sys
 import textwrap
-from collections.abc import Callable
 from dataclasses import is_dataclass
 from enum import Enum
 from types import NoneType, UnionType
@@ -59,10 +58,23 @@ def make_schema(title: str, kind: Any, first: Schema, more: dict[str, Any]) -> S
 def make_part(hint: Any, defs: dict[str, Schema]) -> Schema:
     """Make the schema of a type; what has fields goes to `defs`, and is referred to."""
     origin, parts = get_origin(hint), get_args(hint)
-    if origin in MAKERS:
-        return MAKERS[origin](parts, defs)
-    if hint in PLAIN:
-        return PLAIN[hint]
+    if origin is Annotated:
+        return make_part(parts[0], defs) | dict(parts[1:])
+    if origin is Literal:
+        return {"enum": list(parts)}
+    if origin in (UnionType, Union):
+        return {"anyOf": [make_part(part, defs) for part in parts]}
+    if origin is dict:
+        return {"type": "object", "additionalProperties": make_part(parts[1], defs)}
+    if origin in (list, tuple):
+        items = {"type": "array", "items": make_part(parts[0], defs)}
+        is_sized = len(parts) > 1 and parts[1] is not Ellipsis  # so many items of one type
+        return items | ({"minItems": len(parts), "maxItems": len(parts)} if is_sized else {})
+    return PLAIN[hint] if hint in PLAIN else refer_to(hint, defs)
+
+
+def refer_to(hint: Any, defs: dict[str, Schema]) -> Schema:
+    """Make the schema of an enum, or refer to that of a type with fields."""
     if issubclass(hint, Enum):
         return {"enum": [member.name.lower() for member in hint]}
     name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", hint.__name__.removeprefix("Printed")).lower()
@@ -70,31 +82,6 @@ def make_part(hint: Any, defs: dict[str, Schema]) -> Schema:
         defs[name] = {}  # its place, ahead of what it holds
         defs[name] = describe_fields(hint, defs)
     return {"$ref": f"#/$defs/{name}"}
-
-
-def make_list(parts: tuple[Any, ...], defs: dict[str, Schema]) -> Schema:
-    """Make the schema of a list, or of a tuple of so many items of one type."""
-    items = {"type": "array", "items": make_part(parts[0], defs)}
-    if len(parts) > 1 and parts[1] is not Ellipsis:
-        return items | {"minItems": len(parts), "maxItems": len(parts)}
-    return items
-
-
-def make_union(parts: tuple[Any, ...], defs: dict[str, Schema]) -> Schema:
-    """Make the schema of one type or another."""
-    return {"anyOf": [make_part(part, defs) for part in parts]}
-
-
-MAKERS: dict[Any, Callable[[tuple[Any, ...], dict[str, Schema]], Schema]] = {
-    Annotated: lambda parts, defs: make_part(parts[0], defs) | dict(parts[1:]),
-    Literal: lambda parts, _defs: {"enum": list(parts)},
-    UnionType: make_union,
-    Union: make_union,
-    dict: lambda parts, defs: {"type": "object", "additionalProperties": make_part(parts[1], defs)},
-    list: make_list,
-    tuple: make_list,
-}
-"""How the schema of a type with parts is made."""
 
 
 def describe_fields(kind: Any, defs: dict[str, Schema]) -> Schema:

@@ -59,9 +59,6 @@ class Stage:
     """What the script knows of them; see page.js"""
     arrays: Mapping[str, str]
     """Packed arrays as text, by their name"""
-    has_way: bool = False
-    scans: int = 0
-    """How many the slider shows"""
     note: str = ""
     """What of the map is not shown as it is"""
 

@@ -77,8 +77,6 @@ def stage_map(product: Product, evidence: Evidence, options: WriteOptions) -> St
         titles=[""],
         data=data,
         arrays=arrays,
-        has_way=bool(journey.trajectories),
-        scans=len(journey.scans),
         note=" ".join(list_losses(raster, product, evidence)),
     )
 
