@@ -15,8 +15,13 @@ Finite: TypeAlias = Annotated[float, ("type", ("number", "null"))]
 """A number that becomes null where it is infinite or not a number."""
 
 
-HIDDEN = {"is_printed": False}
+HIDDEN = {"printed": ""}
 """Metadata of a dataclass field that is not part of what is printed"""
+
+
+def printed_as(name: str) -> dict[str, str]:
+    """Make the metadata of a dataclass field that is printed by another name."""
+    return {"printed": name}
 
 
 class Printed:
@@ -28,23 +33,20 @@ class Printed:
         return plain
 
 
-def list_printed(kind: Any) -> list[str]:
-    """Name the fields of a dataclass that are printed."""
-    return [each.name for each in fields(kind) if each.metadata != HIDDEN]
+def list_printed(kind: Any) -> dict[str, str]:
+    """List the fields of a dataclass that are printed, and by which names."""
+    names = {each.name: each.metadata.get("printed", each.name) for each in fields(kind)}
+    return {name: printed for name, printed in names.items() if printed}
 
 
 def to_plain(value: Any) -> Any:
-    """Turn a result into JSON values; a number that is not finite becomes None.
-
-    The underscore of a name such as `class_`, which keeps it apart from a word of Python, is left
-    out.
-    """
+    """Turn a result into JSON values; a number that is not finite becomes None."""
     if is_dataclass(value):
-        value = {name: getattr(value, name) for name in list_printed(value)}
+        value = {printed: getattr(value, name) for name, printed in list_printed(value).items()}
     elif isinstance(value, tuple) and hasattr(value, "_asdict"):
         value = value._asdict()
     if isinstance(value, dict):
-        return {str(key).removesuffix("_"): to_plain(item) for key, item in value.items()}
+        return {str(key): to_plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [to_plain(item) for item in value]
     if isinstance(value, Enum):

@@ -87,9 +87,10 @@ def refer_to(hint: Any, defs: dict[str, Schema]) -> Schema:
 def describe_fields(kind: Any, defs: dict[str, Schema]) -> Schema:
     """Make the schema of a type with fields; all are there, and no others."""
     texts, hints = read_texts(kind), get_type_hints(kind, include_extras=True)
+    names = list_printed(kind) if is_dataclass(kind) else {name: name for name in hints}
     properties = {
-        name.removesuffix("_"): make_part(hints[name], defs) | {"description": texts.get(name, "")}
-        for name in (list_printed(kind) if is_dataclass(kind) else hints)
+        printed: make_part(hints[name], defs) | {"description": texts.get(name, "")}
+        for name, printed in names.items()
     }
     return {
         "type": "object",

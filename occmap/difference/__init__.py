@@ -1,9 +1,8 @@
 """What changed between two maps on one lattice: cells by class, the largest blob, a picture."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import permutations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from occmap.difference.blobs import find_largest_blob
 from occmap.difference.maps import ClassMap, Place, load_map
 from occmap.errors import MapError
 from occmap.grid.tiles import MAX_CELLS
-from occmap.plain import Count, Printed, Share
+from occmap.plain import HIDDEN, Count, Printed, Share, printed_as
 from occmap.types import Box, CellClass, UInt8
 from occmap.writers import WriteOptions
 from occmap.writers.outputs import check_picture, is_page, refuse_input
@@ -47,19 +46,19 @@ class ChangedBlob:
     """Lowest x and y, highest x and y (m; cells where the maps are bare images)"""
 
 
-@dataclass(frozen=True)
-class PrintedDifference(Printed):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MapDifference(Printed):
     """What changed between two maps: what occmap diff prints."""
 
     share: Share
     """Share of the known cells that changed"""
     known: Count
     """Cells that are occupied or free in either map"""
-    changed: Count
+    changed_cells: Count = field(metadata=printed_as("changed"))
     """Cells that changed"""
-    by_class: dict[str, Count]
+    changed: dict[str, Count] = field(metadata=printed_as("by_class"))
     """Cells that changed, by what they were and are, such as free to occupied"""
-    largest_blob: ChangedBlob | None
+    largest: ChangedBlob | None = field(metadata=printed_as("largest_blob"))
     """The largest connected change; null where nothing changed"""
     columns: Count
     """Cells of both maps together from left to right (along x)"""
@@ -68,44 +67,11 @@ class PrintedDifference(Printed):
     digests: tuple[str | None, str | None]
     """SHA-256 of what was observed for each map, equal where it is, in whatever file; null for an
     image"""
-
-
-@dataclass(frozen=True, eq=False)
-class MapDifference(Printed):
-    """How one map differs from another."""
-
-    before: UInt8
-    after: UInt8
+    before: UInt8 = field(metadata=HIDDEN)
+    after: UInt8 = field(metadata=HIDDEN)
     """(H, W) of CellClass, over both maps; NEITHER is also what a map does not reach"""
-    place: Place
+    place: Place = field(metadata=HIDDEN)
     """Where cell (0, 0) of both lies"""
-    changed: dict[str, int]
-    """Cells by what they were and are, such as "free to occupied"."""
-    known: int
-    """Cells that are occupied or free in either map"""
-    largest: ChangedBlob | None
-    """None: nothing changed"""
-    digests: tuple[str | None, str | None] = (None, None)
-    """SHA-256 of what was observed for each map; None for an image"""
-
-    @property
-    def share(self) -> float:
-        """The share of the known cells that changed."""
-        return sum(self.changed.values()) / self.known if self.known else 0.0
-
-    def to_json(self) -> dict[str, Any]:
-        """The difference as values that JSON has."""
-        rows, columns = self.before.shape
-        return PrintedDifference(
-            share=self.share,
-            known=self.known,
-            changed=sum(self.changed.values()),
-            by_class=self.changed,
-            largest_blob=self.largest,
-            columns=columns,
-            rows=rows,
-            digests=self.digests,
-        ).to_json()
 
 
 def compare_files(
@@ -178,14 +144,20 @@ def compare_maps(before: ClassMap, after: ClassMap) -> MapDifference:
         place.x + low_col * place.resolution,
         place.y + low_row * place.resolution,
     )
+    changed, known = count_changes(one, other), int(np.count_nonzero(one | other))
+    changed_cells = sum(changed.values())
     return MapDifference(
+        share=changed_cells / max(known, 1),
+        known=known,
+        changed_cells=changed_cells,
+        changed=changed,
+        largest=measure_largest(one, other, corner),
+        columns=shape[1],
+        rows=shape[0],
+        digests=(before.digest, after.digest),
         before=one,
         after=other,
         place=corner,
-        changed=count_changes(one, other),
-        known=int(np.count_nonzero(one | other)),
-        largest=measure_largest(one, other, corner),
-        digests=(before.digest, after.digest),
     )
 
 

@@ -26,7 +26,7 @@ from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import measure_bounds
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
 from occmap.observing import Progress, ignore_progress
-from occmap.plain import Count, Printed, Share
+from occmap.plain import Count, Printed, Share, printed_as
 from occmap.sensor.models import SensorModel, describe_model, find_decision
 from occmap.store.reading import Store
 from occmap.store.rendering import View, find_bounds
@@ -80,7 +80,7 @@ class Explanation(Printed):
     """SHA-256 of all that a store holds, however it is compressed; null for a file"""
     map_extent: Box | None
     """Lowest x and y, highest x and y of all observed cells (m); null where there are none"""
-    class_: Verdict
+    verdict: Verdict = field(metadata=printed_as("class"))
     """What the cell is; unknown is what nothing observed, undecided what is neither occupied nor
     free"""
     probability: Share
@@ -136,7 +136,7 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
         cell=history.cell,
         digest=saved.digest if isinstance(saved, Store) else None,
         map_extent=measure_extent(saved, model),
-        class_=name_class(made, question.writing),
+        verdict=name_class(made, question.writing),
         probability=float(made.probability[0, 0]),
         model=describe_model(model),
         unit=history.unit,

@@ -115,7 +115,7 @@ PAIRS = [f"{was} to {now}" for was, now in permutations(("neither", "free", "occ
 DIFF: "tuple[Measure[MapDifference], ...]" = (
     Measure("changed", SHARE, lambda it: it.share),
     *(Measure(pair.replace(" ", "_"), SHARE, share_pair(pair)) for pair in PAIRS),
-    Measure("changed_cells", COUNT, lambda it: sum(it.changed.values())),
+    Measure("changed_cells", COUNT, lambda it: it.changed_cells),
     Measure("largest_blob", COUNT, lambda it: it.largest.cells if it.largest else 0),
     Measure("known", COUNT, lambda it: it.known),
 )

@@ -81,6 +81,7 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
         problems=tuple(problems),
         warnings=(*damage, *(concern.text for concern in concerns), *apart),
         command=command,
+        buildable=not problems,
     )
 
 

@@ -1,7 +1,6 @@
 """What an inspection finds, as frozen values that know their JSON form."""
 
 from dataclasses import dataclass
-from typing import Any
 
 from occmap.batching import count_wanted
 from occmap.plain import Finite, Printed, Share
@@ -247,12 +246,5 @@ class Inspection(Printed):
     """What will spoil the map, or surprise its maker"""
     command: tuple[str, ...]
     """The recommended command line, word by word; empty where nothing helps"""
-
-    @property
-    def buildable(self) -> bool:
-        """Whether `occmap build`, with the options given, makes a map."""
-        return not self.problems
-
-    def to_json(self) -> dict[str, Any]:
-        """The findings as values that JSON has; what is not finite becomes null."""
-        return super().to_json() | {"buildable": self.buildable}
+    buildable: bool
+    """Whether occmap build with the options given makes a map"""

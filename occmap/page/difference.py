@@ -34,25 +34,22 @@ def write_difference(path: Path, difference: MapDifference, maps: tuple[Path, Pa
         It cannot be written; then nothing is left behind.
     """
     before, after = maps
-    found = difference.to_json()
-    subtitle = (
-        f"{found['changed']:,} cells changed, {found['share']:.3%} of {found['known']:,} known ones"
-    )
+    changed = f"{difference.changed_cells:,} cells changed, {difference.share:.3%}"
+    subtitle = f"{changed} of {difference.known:,} known ones"
     rows = [
         (name.replace("neither", CLASSES[NEITHER]), f"{cells:,}")
-        for name, cells in found["by_class"].items()
+        for name, cells in difference.changed.items()
         if cells
     ]
     facts = [("before", str(before)), ("after", str(after))]
     facts.append((CLASSES[NEITHER], "or undecided: what is neither occupied nor free"))
-    if found["largest_blob"]:
-        blob = found["largest_blob"]
-        facts.append(("largest", f"{blob['cells']:,} connected cells, {write_box(blob['extent'])}"))
-    changed = [Block("facts", facts)]
+    if blob := difference.largest:
+        facts.append(("largest", f"{blob.cells:,} connected cells, {write_box(blob.extent)}"))
+    blocks = [Block("facts", facts)]
     if rows:
-        changed.append(Block("table", rows, ("what changed", "#cells")))
+        blocks.append(Block("table", rows, ("what changed", "#cells")))
     inputs = [entry for each in maps for entry in describe_files(each)]
-    sections = [Section("Changes", changed, wide=True), describe_maker(inputs)]
+    sections = [Section("Changes", blocks, wide=True), describe_maker(inputs)]
     title = f"From {before.name} to {after.name}"
     write_page(path, Page(title, subtitle, sections, stage(difference)))
 

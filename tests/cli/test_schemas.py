@@ -1,6 +1,6 @@
 """A schema says of a type what its fields are, and refuses what is not of the type."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Literal, NamedTuple, TypedDict
 
@@ -8,7 +8,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from occmap.cli.schemas import make_schema
-from occmap.plain import Count, Finite, Share, to_plain
+from occmap.plain import HIDDEN, Count, Finite, Share, printed_as, to_plain
 from occmap.types import Box
 
 
@@ -33,8 +33,9 @@ class Room:
     wall to wall (m2)"""
     corners: tuple[Corner, ...]
     """Its corners"""
-    colour: Colour | None
+    paint: Colour | None = field(metadata=printed_as("colour"))
     """Of its walls"""
+    key: object = field(default=None, metadata=HIDDEN)
 
 
 class Named(TypedDict):
@@ -53,7 +54,7 @@ class House(Named):
     """Who lives there, by age"""
     lit: Share
     """Share of the rooms that are lit"""
-    class_: Literal["old", "new"]
+    age: Literal["old", "new"]
     """How old it is"""
     extent: Box
     """Lowest x and y, highest x and y (m)"""
@@ -67,7 +68,7 @@ HOUSE: House = {
     ],
     "people": {"children": 2},
     "lit": 0.5,
-    "class_": "old",
+    "age": "old",
     "extent": (0.0, 0.0, 4.0, 5.0),
 }
 
@@ -79,7 +80,7 @@ PRINTED = {
     ],
     "people": {"children": 2},
     "lit": 0.5,
-    "class": "old",
+    "age": "old",
     "extent": [0.0, 0.0, 4.0, 5.0],
 }
 
@@ -117,7 +118,7 @@ def test_a_schema_is_the_type_with_the_texts_below_its_fields() -> None:
     assert found["description"] == "A house."
     assert found["$defs"]["room"] == ROOM
     assert list(found["$defs"]) == ["room", "corner"]
-    names = ["version", "name", "rooms", "people", "lit", "class", "extent", "sold"]
+    names = ["version", "name", "rooms", "people", "lit", "age", "extent", "sold"]
     assert found["required"] == list(found["properties"]) == names
     assert found["properties"]["name"]["description"] == "What it is called"
     assert found["properties"]["lit"] == {
@@ -145,7 +146,7 @@ def test_a_schema_is_the_type_with_the_texts_below_its_fields() -> None:
         {"people": {"children": -1}},
         {"people": {"children": 1.5}},
         {"lit": 1.5},
-        {"class": "odd"},
+        {"age": "odd"},
         {"extent": [0.0, 0.0, 4.0]},
         {"sold": 1},
         {"news": 1},

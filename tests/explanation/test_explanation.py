@@ -88,9 +88,9 @@ def test_a_cell_is_judged_as_the_map_is(tmp_path: Path) -> None:
             )
             found = explain(evidence, Question(x, y, model=model, min_passes=min_passes))
             assert found.probability == grid.probability[row, col]
-            assert (found.class_ == "unknown") == (not grid.observed[row, col])
-            assert (found.class_ == "occupied") == grid.occupied[row, col]
-            assert (found.class_ == "free") == grid.free[row, col]
+            assert (found.verdict == "unknown") == (not grid.observed[row, col])
+            assert (found.verdict == "occupied") == grid.occupied[row, col]
+            assert (found.verdict == "free") == grid.free[row, col]
             if min_passes is None:
                 assert found.map_extent == pytest.approx(grid.extent)
 
@@ -118,11 +118,11 @@ def test_one_beam(tmp_path: Path) -> None:
     assert (scan.stamp_ns, scan.topic, scan.build, scan.seen.numbers) == (0, "scan", 0, (1, 0))
     assert (scan.log, scan.x, scan.y) == (str(tmp_path / "log.csv"), 0.05, 0.05)
     assert scan.distance == pytest.approx(0.3)  # to the middle of the cell, x = 0.35
-    assert found.class_ == "occupied"
+    assert found.verdict == "occupied"
     assert found.probability == pytest.approx(0.7)
     on_the_way = ask(tmp_path, [pose], (0.15, 0.05))
     assert [each.seen.numbers for each in on_the_way.scans] == [(0, 1)]
-    assert on_the_way.class_ == "free"
+    assert on_the_way.verdict == "free"
     assert on_the_way.probability == pytest.approx(0.4)
 
 
@@ -140,14 +140,14 @@ def test_a_wall_seen_twice_and_then_crossed(tmp_path: Path) -> None:
 
 def test_a_cell_that_nothing_observed(tmp_path: Path) -> None:
     found = ask(tmp_path, [(0.05, 0.05, 0.0), (0.05, 0.25, 0.0)], (0.15, 0.15))
-    assert (found.class_, found.probability, found.scans) == ("unknown", 0.5, ())
+    assert (found.verdict, found.probability, found.scans) == ("unknown", 0.5, ())
     assert found.map_extent == pytest.approx((0, 0, 0.4, 0.3))
     assert found.notes == ()
 
 
 def test_a_point_outside_of_the_map(tmp_path: Path) -> None:
     found = ask(tmp_path, [(0.05, 0.05, 0.0)], (-70, 1e5))
-    assert (found.class_, found.scans) == ("unknown", ())
+    assert (found.verdict, found.scans) == ("unknown", ())
 
 
 def test_scans_come_by_time_whatever_the_order_of_the_file(tmp_path: Path) -> None:
@@ -233,7 +233,7 @@ def test_thresholds_decide_what_a_cell_is(tmp_path: Path) -> None:
         ((0.8, 0.71), "free"),
     ):
         writing = WriteOptions(MapMode.TRINARY, *thresholds)
-        assert explain(evidence, Question(0.35, 0.05, writing=writing)).class_ == verdict
+        assert explain(evidence, Question(0.35, 0.05, writing=writing)).verdict == verdict
 
 
 def test_json_says_it_all(tmp_path: Path) -> None:

@@ -72,10 +72,11 @@ def command(console: Console, /, before: Path, after: Path, **values: Any) -> No
 
 def list_changes(difference: MapDifference) -> Iterator[tuple[str, str]]:
     """Sum up a difference in a few rows."""
-    changed = sum(difference.changed.values())
     known = f"{difference.share:.3%} of {count(difference.known, 'known cell')}"
     by_class = [f"{cells:,} {name}" for name, cells in difference.changed.items() if cells]
-    yield from label_first("changed", [f"{count(changed, 'cell')}, {known}", *by_class])
+    yield from label_first(
+        "changed", [f"{count(difference.changed_cells, 'cell')}, {known}", *by_class]
+    )
     if difference.largest:
         low_x, low_y, high_x, high_y = (f"{value:.6g}" for value in difference.largest.extent)
         blob = count(difference.largest.cells, "connected cell")

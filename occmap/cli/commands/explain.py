@@ -110,9 +110,9 @@ def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
     """Say where the cell is, what it is, and what is beside it."""
     cell, seen = explanation.cell, explanation.seen
     yield "cell", f"row {cell.row}, column {cell.column}: {write_box(cell.extent)}"
-    if explanation.class_ != "unknown":
+    if explanation.verdict != "unknown":
         by = f"probability {explanation.probability:.3f} by {explanation.model}"
-        yield "class", f"{explanation.class_}: {by}"
+        yield "class", f"{explanation.verdict}: {by}"
     elif seen.observations:
         yield "class", "unknown: it was hit, but on fewer visits than --min-passes"
     else:

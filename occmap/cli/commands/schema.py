@@ -17,7 +17,7 @@ SCHEMAS = {
     "build": "occmap.report:Report",
     "check": "occmap.inspection.findings:Inspection",
     "compare": "occmap.scoring.compare:PrintedComparison",
-    "diff": "occmap.difference:PrintedDifference",
+    "diff": "occmap.difference:MapDifference",
     "explain": "occmap.explanation:Explanation",
     "merge": "occmap.report:Report",
     "models": "occmap.cli.listing:Listing",
@@ -64,8 +64,6 @@ def describe_printed(name: str) -> dict[str, Any]:
         "const": f"occmap/{name}/{RESULT_VERSION}",
     }
     more: dict[str, Any] = {}
-    if name == "check":
-        more["buildable"] = bool, "Whether occmap build with the options given makes a map"
     if name not in WITHOUT_LIMITS:
         more["failed"] = list[Failed], FAILED
     if name in KINDS:
