@@ -1,5 +1,6 @@
 """The page of a comparison: all variants on one linked view, their scores and reliability."""
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -26,34 +27,33 @@ def write_comparison(path: Path, comparison: VariantComparison) -> None:
     OutputError
         It cannot be written; then nothing is left behind.
     """
-    found = comparison.to_json()
-    names = name_logs(Path(log).name for log in found["logs"])
-    scans = found["scans"]
+    logs, scans, results = list(map(Path, comparison.logs)), comparison.scans, comparison.results
     subtitle = (
-        f"{len(comparison.results)} ways to make a map of {scans['used']:,} scans, "
-        f"scored on {scans['held_out']:,} that were held out"
+        f"{len(results)} ways to make a map of {scans.used:,} scans, "
+        f"scored on {scans.held_out:,} that were held out"
     )
-    results = comparison.results
-    inputs = [entry for log in found["logs"] for entry in describe_files(Path(log))]
     sections = [
-        tell_verdict(found, comparison.preference),
+        tell_verdict(comparison),
         Section("Scores", [tell_scores(comparison)], wide=True),
         Section("Do probabilities mean what they say?", [tell_reliability(results)], wide=True),
-        tell_notes(found["notes"], found["damage"]),
-        describe_maker(inputs),
+        tell_notes(comparison.notes, comparison.damage),
+        describe_maker(entry for log in logs for entry in describe_files(log)),
     ]
-    write_page(path, Page(f"Comparison of maps of {names}", subtitle, sections, stage(results)))
+    title = f"Comparison of maps of {name_logs(log.name for log in logs)}"
+    write_page(path, Page(title, subtitle, sections, stage(results)))
 
 
-def tell_verdict(found: dict[str, Any], preference: str) -> Section:
+def tell_verdict(comparison: VariantComparison) -> Section:
     """Say which variant to use, and how."""
-    rows = [("best", found["best"])]
-    if preference:
-        rows.append(("as good within the error", preference))
-    blocks = [Block("facts", rows), Block("code", texts=[" ".join(found["command"])])]
-    if found["likeliest"] != found["best"]:
-        rows = [("where probabilities matter", found["likeliest"])]
-        command = " ".join(found["likeliest_command"])
+    best, likeliest = comparison.recommended, comparison.likeliest
+    rows = [("best", best.variant.name)]
+    if comparison.preference:
+        rows.append(("as good within the error", comparison.preference))
+    command = shlex.join(comparison.build_command(best))
+    blocks = [Block("facts", rows), Block("code", texts=[command])]
+    if likeliest is not best:
+        rows = [("where probabilities matter", likeliest.variant.name)]
+        command = shlex.join(comparison.build_command(likeliest))
         blocks += [Block("facts", rows), Block("code", texts=[command])]
     return Section("Verdict", blocks, wide=True)
 

@@ -134,6 +134,13 @@ def test_a_comparison_says_what_the_json_says(tmp_path: Path) -> None:
         assert row[row.index(each["name"]) + 1] == f"{each['share']:.4f}"
 
 
+def test_a_comparison_says_what_to_type_of_a_log_whose_name_has_a_space(tmp_path: Path) -> None:
+    log = tmp_path / "my room.csv"
+    shutil.copy(DRIVE, log)
+    made = api.compare(log, models=["simple"], resolution=0.4, picture=tmp_path / "c.html")
+    assert shlex.join(made.build_command(made.recommended)) in read(tmp_path / "c.html").texts
+
+
 def test_a_difference_says_what_the_json_says(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
