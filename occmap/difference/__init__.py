@@ -9,6 +9,8 @@ import numpy as np
 from occmap.difference.blobs import find_largest_blob
 from occmap.difference.maps import ClassMap, Place, load_map
 from occmap.errors import MapError
+from occmap.grid.framing import find_window
+from occmap.grid.lattice import CellBox
 from occmap.grid.tiles import MAX_CELLS
 from occmap.plain import HIDDEN, Count, Printed, Share, printed_as
 from occmap.types import Box, CellClass, UInt8
@@ -127,23 +129,19 @@ def compare_maps(before: ClassMap, after: ClassMap) -> MapDifference:
     MapError
         They lie on different lattices, or too far apart.
     """
-    place, (row, col) = align(before, after)
-    low_row, low_col = min(row, 0), min(col, 0)
-    (rows, cols), (more_rows, more_cols) = before.classes.shape, after.classes.shape
-    shape = max(rows, row + more_rows) - low_row, max(cols, col + more_cols) - low_col
-    if shape[0] * shape[1] > MAX_CELLS:
+    place, shift = align(before, after)
+    first = CellBox(0, 0, *before.classes.shape)
+    second = CellBox(0, 0, *after.classes.shape).move(*shift)
+    both = first.join(second)
+    if both.cells > MAX_CELLS:
         raise MapError(
-            f"both maps together take {shape[1]} x {shape[0]} cells, too many to compare",
+            f"both maps together take {both.cols} x {both.rows} cells, too many to compare",
             where=after.path,
             fix="check that both are in one map frame",
         )
-    one = place_in(shape, before.classes, (-low_row, -low_col))
-    other = place_in(shape, after.classes, (row - low_row, col - low_col))
-    corner = Place(
-        place.resolution,
-        place.x + low_col * place.resolution,
-        place.y + low_row * place.resolution,
-    )
+    one, other = place_in(both, first, before.classes), place_in(both, second, after.classes)
+    size = place.resolution
+    corner = Place(size, place.x + both.col * size, place.y + both.row * size)
     changed, known = count_changes(one, other), int(np.count_nonzero(one | other))
     changed_cells = sum(changed.values())
     return MapDifference(
@@ -152,8 +150,8 @@ def compare_maps(before: ClassMap, after: ClassMap) -> MapDifference:
         changed_cells=changed_cells,
         changed=changed,
         largest=measure_largest(one, other, corner),
-        columns=shape[1],
-        rows=shape[0],
+        columns=both.cols,
+        rows=both.rows,
         digests=(before.digest, after.digest),
         before=one,
         after=other,
@@ -195,12 +193,12 @@ def align(before: ClassMap, after: ClassMap) -> tuple[Place, tuple[int, int]]:
     return a, (round(row), round(col))
 
 
-def place_in(shape: tuple[int, int], classes: UInt8, at: tuple[int, int]) -> UInt8:
-    """Put a map into a larger one, whose other cells are neither occupied nor free."""
-    if classes.shape == shape:
+def place_in(both: CellBox, box: CellBox, classes: UInt8) -> UInt8:
+    """Put a map, which covers a box, into a larger one; its other cells are neither."""
+    if box == both:
         return classes
-    larger = np.full(shape, NEITHER, np.uint8)
-    larger[at[0] : at[0] + classes.shape[0], at[1] : at[1] + classes.shape[1]] = classes
+    larger = np.full((both.rows, both.cols), NEITHER, np.uint8)
+    larger[find_window(box, both)] = classes
     return larger
 
 

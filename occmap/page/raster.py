@@ -12,6 +12,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from occmap.grid.framing import find_window
+from occmap.grid.lattice import CellBox
 from occmap.grid.slices import count_visits, split_tiles, take, unite, unpack
 from occmap.grid.spec import find_unit
 from occmap.grid.tiles import TILE, EvidenceKind
@@ -100,22 +102,21 @@ def read_layers(
     grid: OccupancyMap, evidence: Evidence | None, step: int
 ) -> tuple[Layers, tuple[float, float]]:
     """Read the layers of a map, one cell of each block of `step` x `step`, and their corner (m)."""
-    row, col = grid.place.tolist()
-    rows, cols = grid.shape
+    (row, col), (rows, cols) = grid.place.tolist(), grid.shape
     bands = [
         thin(band, step)
         for band in read_bands(grid, Sights(evidence) if evidence else None, (row, col))
     ]
-    first = row // TILE * TILE // step, col // TILE * TILE // step
-    low, left = row // step - first[0], col // step - first[1]
-    high, right = -(-(row + rows) // step) - first[0], -(-(col + cols) // step) - first[1]
+    box = CellBox(row, col, row + rows, col + cols)
+    shown = box.align(step).shrink(step)
+    window = find_window(shown, box.align(TILE).shrink(step))
     layers = {
-        name: np.concatenate([band[name] for band in bands])[low:high, left:right]
+        name: np.concatenate([band[name] for band in bands])[window]
         for name in bands[0]
         if name != "rank"
     }
-    size = grid.resolution
-    return layers, (round(col // step * step * size, 9), round(row // step * step * size, 9))
+    size = grid.resolution * step
+    return layers, (round(shown.col * size, 9), round(shown.row * size, 9))
 
 
 def read_bands(
