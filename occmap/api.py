@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from occmap import difference, inspection, tuning
+from occmap import difference, inspection, pictures, tuning
 from occmap.errors import UsageError
 from occmap.evidence import merging, publishing, to_grid
 from occmap.inputs import find_inputs
@@ -183,7 +183,9 @@ def compare(
         [read_option("update", hints["update"], each) for each in updates],
         [read_option("model", hints["model"], each) for each in models],
     )
-    return scoring.compare(paths, variants, common, None if picture is None else Path(picture))
+    return pictures.compare_logs(
+        paths, variants, common, None if picture is None else Path(picture)
+    )
 
 
 def tune(*logs: AnyPath, **options: Any) -> tuning.Tuning:
@@ -269,7 +271,7 @@ def diff(
     """
     one, other = list_paths([before, after])
     chosen = read_options(WriteOptions, thresholds, "diff")
-    return difference.compare_files(one, other, chosen, None if picture is None else Path(picture))
+    return pictures.compare_files(one, other, chosen, None if picture is None else Path(picture))
 
 
 def read_log(path: AnyPath) -> Log:

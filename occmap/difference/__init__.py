@@ -2,20 +2,17 @@
 
 from dataclasses import dataclass, field
 from itertools import permutations
-from pathlib import Path
 
 import numpy as np
 
 from occmap.difference.blobs import find_largest_blob
-from occmap.difference.maps import ClassMap, Place, load_map
+from occmap.difference.maps import ClassMap, Place
 from occmap.errors import MapError
 from occmap.grid.framing import find_window
 from occmap.grid.lattice import CellBox
 from occmap.grid.tiles import MAX_CELLS
 from occmap.plain import HIDDEN, Count, Printed, Share, printed_as
 from occmap.types import Box, CellClass, UInt8
-from occmap.writers import WriteOptions
-from occmap.writers.outputs import check_picture, is_page, refuse_input
 
 LATTICE_TOLERANCE = 0.05
 """In cells: other tools round the origin to millimetres."""
@@ -74,51 +71,6 @@ class MapDifference(Printed):
     """(H, W) of CellClass, over both maps; NEITHER is also what a map does not reach"""
     place: Place = field(metadata=HIDDEN)
     """Where cell (0, 0) of both lies"""
-
-
-def compare_files(
-    before: Path, after: Path, thresholds: WriteOptions, picture: Path | None = None
-) -> MapDifference:
-    """Load two maps, compare them, and draw what changed where a picture is wanted.
-
-    Parameters
-    ----------
-    thresholds
-        For formats that hold probabilities.
-    picture
-        A PNG or a page (.html) to write.
-
-    Raises
-    ------
-    OccmapError
-        A map cannot be read, they do not lie on one lattice, or the picture cannot be written.
-    """
-    if picture is not None:
-        check_picture(picture, [before, after])
-    maps = [load_map(path, thresholds) for path in (before, after)]
-    found = compare_maps(*maps)
-    if picture is not None:
-        refuse_input(picture, [each.image for each in maps if each.image])
-        draw(picture, found, (before, after))
-    return found
-
-
-def draw(path: Path, difference: MapDifference, maps: tuple[Path, Path]) -> None:
-    """Draw a difference as a PNG, or lay it out on a page.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
-    if is_page(path):
-        from occmap.page.difference import write_difference  # noqa: PLC0415  late: it brings Bokeh
-
-        write_difference(path, difference, maps)
-    else:
-        from occmap.writers.images import write_colours  # noqa: PLC0415  late: it brings pillow
-
-        write_colours(path, paint(difference))
 
 
 def compare_maps(before: ClassMap, after: ClassMap) -> MapDifference:

@@ -22,7 +22,6 @@ from occmap.tally import ScanCounts, Tally, refuse_unused
 from occmap.tracing import trace_logs
 from occmap.types import Update
 from occmap.wording import count
-from occmap.writers.outputs import check_picture, is_page
 
 FEW_SCANS = 10
 """Fewer draws do not tell how far the next one may lie from them."""
@@ -106,7 +105,7 @@ class VariantComparison(Scored):
     options: BuildOptions
     results: tuple[Result, ...]
     """The best share first"""
-    files: list[str]
+    files: Sequence[str] = ()
     """Files that were written"""
 
     @property
@@ -164,7 +163,7 @@ class VariantComparison(Scored):
             command=self.build_command(self.recommended),
             likeliest=self.likeliest.variant.name,
             likeliest_command=self.build_command(self.likeliest),
-            files=self.files,
+            files=list(self.files),
         ).to_json()
 
 
@@ -172,7 +171,6 @@ def compare(
     paths: Sequence[Path],
     variants: Sequence[Variant],
     options: BuildOptions,
-    picture: Path | None = None,
     progress: Progress = ignore_progress,
 ) -> VariantComparison:
     """Map logs in several ways, with every fifth scan held out, and score the maps on those.
@@ -183,16 +181,12 @@ def compare(
     ----------
     options
         Shared by all variants; its own update and model do not matter.
-    picture
-        Where to draw the maps and where they disagree: a PNG, or a page (.html).
 
     Raises
     ------
     OccmapError
         As `build`, or no held-out beam measured a range.
     """
-    if picture is not None:
-        check_picture(picture, paths)
     tally = Tally()
     logs = [open_log(path, options.reading) for path in paths]
     total = sum(count_scans(log, options.selection.topics) for log in logs)
@@ -211,35 +205,9 @@ def compare(
         held_out = count(hold_out.scans, "held-out scan")
         remarks.notes.append(f"{held_out}: too few to tell variants apart; give a longer log")
     scans = HeldOutScans(**vars(tally.scans), held_out=hold_out.scans)
-    comparison = VariantComparison(
-        **describe_run(remarks, options),
-        scans=scans,
-        options=options,
-        results=tuple(trials.score()),
-        files=remarks.files,
-    )
-    if picture is not None:
-        draw(picture, comparison)
-        remarks.files.append(str(picture))
-    return comparison
-
-
-def draw(path: Path, comparison: VariantComparison) -> None:
-    """Draw all maps as a picture, or lay them out on a page.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
-    if is_page(path):
-        from occmap.page.comparison import write_comparison  # noqa: PLC0415  late: it brings Bokeh
-
-        write_comparison(path, comparison)
-    else:
-        from occmap.scoring.picture import write_picture  # noqa: PLC0415  late: it brings PIL
-
-        write_picture(path, comparison.results)
+    results = tuple(trials.score())
+    run = describe_run(remarks, options)
+    return VariantComparison(**run, scans=scans, options=options, results=results)
 
 
 def refuse_unscored(logs: Sequence[str], hold_out: HoldOut) -> None:

@@ -203,7 +203,7 @@ def rank(*results: Result) -> VariantComparison:
     ranked = tuple(result.compare_with(results[0]) for result in results)
     options, scans = BuildOptions(), HeldOutScans(15, 15, {}, held_out=3)
     run = describe_run(Remarks(["x"]), options)
-    return VariantComparison(**run, scans=scans, options=options, results=ranked, files=[])
+    return VariantComparison(**run, scans=scans, options=options, results=ranked)
 
 
 def choose(*results: Result) -> str:

@@ -14,7 +14,8 @@ from occmap.cli.values import PATH
 from occmap.gates.measures import COMPARE
 from occmap.keywords import take
 from occmap.options import BuildOptions
-from occmap.scoring.compare import SCORES, VariantComparison, compare, list_scores
+from occmap.pictures import compare_logs
+from occmap.scoring.compare import SCORES, VariantComparison, list_scores
 from occmap.scoring.variants import DEFAULT_MODELS, combine
 from occmap.sensor.models import parse_model
 from occmap.types import Update
@@ -80,7 +81,7 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     common = take(BuildOptions, values)
     found = gather_logs(console, logs, common)
     with show_progress(console) as progress:
-        comparison = compare(found, chosen, common, values["picture"], progress)
+        comparison = compare_logs(found, chosen, common, values["picture"], progress)
     console.note(*comparison.notes)
     lines = format_comparison(comparison)
     limits.leave(limits.answer(console, "compare", comparison, lines, values))

@@ -10,10 +10,11 @@ from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.values import PATH
-from occmap.difference import MapDifference, compare_files
+from occmap.difference import MapDifference
 from occmap.gates import Limit, parse_bound
 from occmap.gates.measures import DIFF
 from occmap.keywords import take
+from occmap.pictures import compare_files
 from occmap.wording import count
 from occmap.writers import WriteOptions
 

@@ -1,0 +1,76 @@
+"""Comparisons with a picture of what was found: a PNG, or a page where the name ends in .html."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from occmap.difference import MapDifference, compare_maps, paint
+from occmap.difference.maps import load_map
+from occmap.observing import Progress, ignore_progress
+from occmap.options import BuildOptions
+from occmap.scoring.compare import VariantComparison, compare
+from occmap.scoring.variants import Variant
+from occmap.writers import WriteOptions
+from occmap.writers.outputs import check_picture, is_page, refuse_input
+
+
+def compare_logs(
+    paths: Sequence[Path],
+    variants: Sequence[Variant],
+    options: BuildOptions,
+    picture: Path | None,
+    progress: Progress = ignore_progress,
+) -> VariantComparison:
+    """Score several ways to map logs, and draw all maps and where they disagree, if wanted.
+
+    Raises
+    ------
+    OccmapError
+        As `occmap.scoring.compare.compare`, or the picture cannot be written.
+    """
+    if picture is None:
+        return compare(paths, variants, options, progress)
+    check_picture(picture, paths)
+    comparison = compare(paths, variants, options, progress)
+    if is_page(picture):
+        from occmap.page.comparison import write_comparison  # noqa: PLC0415  late: it brings Bokeh
+
+        write_comparison(picture, comparison)
+    else:
+        from occmap.scoring.picture import write_picture  # noqa: PLC0415  late: it brings PIL
+
+        write_picture(picture, comparison.results)
+    return replace(comparison, files=[str(picture)])
+
+
+def compare_files(
+    before: Path, after: Path, thresholds: WriteOptions, picture: Path | None
+) -> MapDifference:
+    """Load two maps, compare them, and draw what changed, if wanted.
+
+    Parameters
+    ----------
+    thresholds
+        For formats that hold probabilities.
+
+    Raises
+    ------
+    OccmapError
+        A map cannot be read, they do not lie on one lattice, or the picture cannot be written.
+    """
+    if picture is not None:
+        check_picture(picture, [before, after])
+    maps = [load_map(path, thresholds) for path in (before, after)]
+    difference = compare_maps(*maps)
+    if picture is None:
+        return difference
+    refuse_input(picture, [each.image for each in maps if each.image])
+    if is_page(picture):
+        from occmap.page.difference import write_difference  # noqa: PLC0415  late: it brings Bokeh
+
+        write_difference(picture, difference, (before, after))
+    else:
+        from occmap.writers.images import write_colours  # noqa: PLC0415  late: it brings pillow
+
+        write_colours(picture, paint(difference))
+    return difference
