@@ -104,6 +104,5 @@ class Map(OccupancyMap):
             name, _, _ = self.report.map.model.partition(":")
             found = f"the model {name} sums up log-odds: it keeps no hits and misses"
             raise UsageError(found, fix='build with model="counting" or model="simple"')
-        (row, col), (rows, cols) = self.place.tolist(), self.shape
-        hits, misses = read_cells(self.tiles, CellBox(row, col, row + rows, col + cols))
+        hits, misses = read_cells(self.tiles, CellBox.of(self))
         return hits, misses

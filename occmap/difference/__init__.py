@@ -149,7 +149,7 @@ def place_in(both: CellBox, box: CellBox, classes: UInt8) -> UInt8:
     """Put a map, which covers a box, into a larger one; its other cells are neither."""
     if box == both:
         return classes
-    larger = np.full((both.rows, both.cols), NEITHER, np.uint8)
+    larger = np.full(both.shape, NEITHER, np.uint8)
     larger[find_window(box, both)] = classes
     return larger
 

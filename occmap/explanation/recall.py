@@ -1,10 +1,11 @@
 """From what evidence keeps of a build's options back to the options: `write_value` undone."""
 
 from dataclasses import fields, is_dataclass
-from types import UnionType
+from types import NoneType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from occmap.errors import MapError, OccmapError
+from occmap.keywords import drop_none
 from occmap.options import BuildOptions
 from occmap.sensor.models import parse_model
 
@@ -65,9 +66,9 @@ def make_value(kind: Any, plain: Any) -> Any:
     """
     if is_dataclass(kind) and isinstance(kind, type):
         return make_group(kind, plain)
-    if get_origin(kind) is UnionType:  # with None; no option is one of several types
-        (only,) = (each for each in get_args(kind) if each is not type(None))
-        return None if plain is None else make_value(only, plain)
+    if plain is None and NoneType in get_args(kind):
+        return None
+    kind = drop_none(kind)
     if get_origin(kind) is tuple:
         return make_tuple(get_args(kind), plain)
     if issubclass(kind, tuple):  # a NamedTuple

@@ -64,8 +64,7 @@ def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) ->
     if framing == Framing():
         return grid
     lattice = Lattice(grid.resolution)
-    (row, col), (rows, cols) = grid.place.tolist(), grid.shape
-    whole = CellBox(row, col, row + rows, col + cols)
+    whole = CellBox.of(grid)
     box = choose_box(whole, framing, lattice)
     refuse_large(box, lattice, max_cells)
     shared = whole.clip(box)

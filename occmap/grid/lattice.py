@@ -14,7 +14,7 @@ import numpy as np
 
 from occmap.errors import UsageError
 from occmap.grid.kernels.units import CELL_SHIFT, UNITS_PER_CELL
-from occmap.types import Bool, Box, Float64, Int64
+from occmap.types import Bool, Box, Float64, Int64, OccupancyMap
 
 MOST_CELLS_OF_BEAM = 1 << 22
 """The longest beam (cells): an int32 holds its end, with the sensor half as far from the anchor."""
@@ -27,6 +27,12 @@ class CellBox(NamedTuple):
     col: int
     row_end: int
     col_end: int
+
+    @classmethod
+    def of(cls, grid: OccupancyMap) -> Self:
+        """The cells of a map, on the lattice of its resolution."""
+        (row, col), (rows, cols) = grid.place.tolist(), grid.shape
+        return cls(row, col, row + rows, col + cols)
 
     @classmethod
     def around(cls, mask: Bool, row: int, col: int) -> Self | None:

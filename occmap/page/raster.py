@@ -102,12 +102,8 @@ def read_layers(
     grid: OccupancyMap, evidence: Evidence | None, step: int
 ) -> tuple[Layers, tuple[float, float]]:
     """Read the layers of a map, one cell of each block of `step` x `step`, and their corner (m)."""
-    (row, col), (rows, cols) = grid.place.tolist(), grid.shape
-    bands = [
-        thin(band, step)
-        for band in read_bands(grid, Sights(evidence) if evidence else None, (row, col))
-    ]
-    box = CellBox(row, col, row + rows, col + cols)
+    box, sights = CellBox.of(grid), Sights(evidence) if evidence else None
+    bands = [thin(band, step) for band in read_bands(grid, sights, box)]
     shown = box.align(step).shrink(step)
     window = find_window(shown, box.align(TILE).shrink(step))
     layers = {
@@ -119,27 +115,25 @@ def read_layers(
     return layers, (round(shown.col * size, 9), round(shown.row * size, 9))
 
 
-def read_bands(
-    grid: OccupancyMap, sights: "Sights | None", place: tuple[int, int]
-) -> Iterator[Layers]:
-    """Read all layers of one row of tiles after the other; `place` is the map's first cell."""
-    (row, col), (rows, cols) = place, grid.shape
-    left = col // TILE * TILE
-    width = -(-(col + cols) // TILE) * TILE - left
-    inner = slice(col - left, col - left + cols)
-    for tile_row in range(row // TILE, -(-(row + rows) // TILE)):
-        begin, end = max(tile_row * TILE, row), min((tile_row + 1) * TILE, row + rows)
+def read_bands(grid: OccupancyMap, sights: "Sights | None", box: CellBox) -> Iterator[Layers]:
+    """Read all layers of one row of tiles after the other; `box` is the map's."""
+    outer = box.align(TILE)
+    inner = slice(box.col - outer.col, box.col_end - outer.col)
+    for tile_row in range(outer.row // TILE, outer.row_end // TILE):
+        begin, end = max(tile_row * TILE, box.row), min((tile_row + 1) * TILE, box.row_end)
         there = slice(begin - tile_row * TILE, end - tile_row * TILE), inner
-        part = grid.take(slice(begin - row, end - row), slice(0, cols))
+        part = grid.take(slice(begin - box.row, end - box.row), slice(0, box.cols))
         band: Layers = {
-            "class": np.zeros((TILE, width), np.uint8),
-            "p": np.full((TILE, width), NOT_OBSERVED, np.uint8),
-            "rank": np.full((TILE, width), -np.inf, np.float32),
+            "class": np.zeros((TILE, outer.cols), np.uint8),
+            "p": np.full((TILE, outer.cols), NOT_OBSERVED, np.uint8),
+            "rank": np.full((TILE, outer.cols), -np.inf, np.float32),
         }
         band["class"][there] = classify(part)
         band["p"][there] = np.where(part.observed, np.rint(100 * part.probability), NOT_OBSERVED)
         band["rank"][there] = np.where(part.observed, part.log_odds, -np.inf)
-        yield band | (sights.read(tile_row, left // TILE, width // TILE) if sights else {})
+        if sights:
+            band |= sights.read(tile_row, outer.col // TILE, outer.cols // TILE)
+        yield band
 
 
 def classify(grid: OccupancyMap) -> NDArray[np.uint8]:

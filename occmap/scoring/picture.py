@@ -1,10 +1,13 @@
 """The picture of a comparison: every variant's map on one scale, and where they disagree."""
 
 from collections.abc import Sequence
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
 
+from occmap.grid.framing import find_window
+from occmap.grid.lattice import CellBox
 from occmap.scoring.trials import Result
 from occmap.types import Bool, OccupancyMap, UInt8
 from occmap.writers.panels import Panel, write_panels
@@ -14,25 +17,20 @@ LARGEST_PX, SMALLEST_PX = 1000, 360
 UNKNOWN_GREY = 205
 RED, BLUE = (214, 39, 40), (110, 160, 230)
 
-CellSlices = tuple[slice, slice]
-"""Rows and columns"""
-
 
 class Frame:
     """The cells that any of several maps covers, and how large they are drawn."""
 
     def __init__(self, maps: Sequence[OccupancyMap]) -> None:
-        corners = np.array([each.place for each in maps])
-        self._low = corners.min(axis=0)
-        self.shape = tuple((corners + [each.shape for each in maps]).max(axis=0) - self._low)
+        self._box = reduce(CellBox.join, map(CellBox.of, maps))
+        self.shape = self._box.shape
         longest = max(self.shape)
         self._step = -(-longest // LARGEST_PX)
         self._times = -(-SMALLEST_PX // longest)
 
-    def locate(self, grid: OccupancyMap) -> CellSlices:
-        """Where a map's cells are."""
-        row, col = grid.place - self._low
-        return slice(row, row + grid.shape[0]), slice(col, col + grid.shape[1])
+    def locate(self, grid: OccupancyMap) -> tuple[slice, slice]:
+        """Rows and columns of a map's cells."""
+        return find_window(CellBox.of(grid), self._box)
 
     def shrink(self, cells: UInt8) -> UInt8:
         """Draw (H, W) cells: the darkest of those that share a pixel, highest y on top."""
