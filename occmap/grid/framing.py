@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from occmap.errors import MapError, UsageError
+from occmap.errors import MapError, require
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.tiles import refuse_large
 from occmap.types import Box, OccupancyMap, to_log_odds
@@ -32,20 +32,17 @@ class Framing:
     """How much unknown space the map has around what was observed (m), to whole cells"""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.margin <= FARTHEST_M:
-            raise UsageError(f"a margin of {self.margin} m is not possible", fix="give 0 or more")
+        found = f"a margin of {self.margin} m is not possible"
+        require(0 <= self.margin <= FARTHEST_M, found, "give 0 or more")
         if self.extent is None:
             return
-        if self.margin:
-            raise UsageError(
-                "a margin goes around what was observed, while the extent says where the map ends",
-                fix="leave out `margin` or `extent`",
-            )
+        found = "a margin goes around what was observed, while the extent says where the map ends"
+        require(not self.margin, found, "leave out `margin` or `extent`")
         x_min, y_min, x_max, y_max = self.extent
-        near = max(map(abs, self.extent)) <= FARTHEST_M
-        if not (near and x_min < x_max and y_min < y_max):
-            found = f"the extent {self.extent} is no box"
-            raise UsageError(found, fix="write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4")
+        is_near = max(map(abs, self.extent)) <= FARTHEST_M
+        fix = "write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4"
+        is_box = is_near and x_min < x_max and y_min < y_max
+        require(is_box, f"the extent {self.extent} is no box", fix)
 
 
 def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) -> OccupancyMap:

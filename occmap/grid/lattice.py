@@ -12,7 +12,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.errors import UsageError
+from occmap.errors import require
 from occmap.grid.kernels.units import CELL_SHIFT, UNITS_PER_CELL
 from occmap.types import Bool, Box, Float64, Int64
 
@@ -115,9 +115,9 @@ class Lattice:
     resolution: float
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.resolution) and self.resolution > 0):
-            fix = "give the side of a cell in metres, such as `resolution=0.05`"
-            raise UsageError(f"a resolution of {self.resolution} m is not possible", fix=fix)
+        found = f"a resolution of {self.resolution} m is not possible"
+        fix = "give the side of a cell in metres, such as `resolution=0.05`"
+        require(0 < self.resolution < math.inf, found, fix)
 
     @property
     def units_per_metre(self) -> float:

@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from occmap.errors import UsageError
+from occmap.errors import require
 from occmap.types import Bool, Box, Float32, Float64, as_float32
 
 Sector: TypeAlias = tuple[float, float]
@@ -24,17 +24,17 @@ EDGE_RAD = 1e-6
 def check_sector(sector: Sector) -> None:
     """Raise UsageError unless a sector has two ends that differ."""
     start, end = sector
-    if not (math.isfinite(start) and math.isfinite(end)) or start == end:
-        fix = "give two bearings, counter-clockwise, such as `ignore_sectors=2.5,-2.5`"
-        raise UsageError(f"from {start} to {end} rad is no sector", fix=fix)
+    is_sector = math.isfinite(start) and math.isfinite(end) and start != end
+    fix = "give two bearings, counter-clockwise, such as `ignore_sectors=2.5,-2.5`"
+    require(is_sector, f"from {start} to {end} rad is no sector", fix)
 
 
 def check_box(box: Box) -> None:
     """Raise UsageError unless a box has an inside."""
     x_min, y_min, x_max, y_max = box
-    if not (all(map(math.isfinite, box)) and x_min < x_max and y_min < y_max):
-        found = f"{box} is no footprint"
-        raise UsageError(found, fix="give x_min,y_min,x_max,y_max around the sensor in metres")
+    is_box = all(map(math.isfinite, box)) and x_min < x_max and y_min < y_max
+    fix = "give x_min,y_min,x_max,y_max around the sensor in metres"
+    require(is_box, f"{box} is no footprint", fix)
 
 
 @lru_cache(maxsize=64)

@@ -12,7 +12,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.errors import UsageError
+from occmap.errors import require
 from occmap.sensor.ignore import Sector, check_box, check_sector, mask_box, mask_sectors
 from occmap.types import (
     Bool,
@@ -75,13 +75,11 @@ class ReturnOptions:
             check_sector(sector)
         if self.footprint is not None:
             check_box(self.footprint)
-        if not 0 <= self.min_range < self.max_range:
-            found = f"`min_range={self.min_range}` and `max_range={self.max_range}` leave no range"
-            raise UsageError(found, fix="they must satisfy 0 <= min < max")
-        if self.range_max is not None and not self.range_max > 0:
-            raise UsageError(
-                f"a sensor limit of {self.range_max} m is not possible", fix="try `range_max=30`"
-            )
+        found = f"`min_range={self.min_range}` and `max_range={self.max_range}` leave no range"
+        fix = "they must satisfy 0 <= min < max"
+        require(0 <= self.min_range < self.max_range, found, fix)
+        found = f"a sensor limit of {self.range_max} m is not possible"
+        require(self.range_max is None or self.range_max > 0, found, "try `range_max=30`")
 
 
 class ReturnCounts(NamedTuple):
