@@ -68,10 +68,9 @@ def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) ->
     shared = whole.clip(box)
     log_odds = np.full(box.shape, to_log_odds(prior), np.float32)
     observed = np.zeros(box.shape, np.bool_)
-    inside, own = find_window(shared, box), find_window(shared, whole)
+    inside, own = shared.within(box), shared.within(whole)
     log_odds[inside], observed[inside] = grid.log_odds[own], grid.observed[own]
-    origin = lattice.to_metres(box.col), lattice.to_metres(box.row)
-    return replace(grid, log_odds=log_odds, observed=observed, origin=origin)
+    return replace(grid, log_odds=log_odds, observed=observed, origin=lattice.measure(box)[:2])
 
 
 def choose_box(whole: CellBox, framing: Framing, lattice: Lattice) -> CellBox:
@@ -94,11 +93,3 @@ def choose_box(whole: CellBox, framing: Framing, lattice: Lattice) -> CellBox:
         reach = ", ".join(f"{edge:.6g}" for edge in lattice.measure(whole))
         raise MapError("no cell of the map lies in `extent`", fix=f"the map's own box is {reach}")
     return box
-
-
-def find_window(inner: CellBox, outer: CellBox) -> tuple[slice, slice]:
-    """Rows and columns of a box within another one."""
-    return (
-        slice(inner.row - outer.row, inner.row_end - outer.row),
-        slice(inner.col - outer.col, inner.col_end - outer.col),
-    )

@@ -40,6 +40,11 @@ class CellBox(NamedTuple):
         edges = rows[0], cols[0], rows[-1] + 1, cols[-1] + 1
         return cls(*map(int, edges)).move(row, col)
 
+    @classmethod
+    def at(cls, row: int, col: int) -> Self:
+        """The box of a single cell."""
+        return cls(row, col, row + 1, col + 1)
+
     @property
     def rows(self) -> int:
         """Height in cells."""
@@ -64,6 +69,11 @@ class CellBox(NamedTuple):
         """Whether `other` lies wholly in this box."""
         return self.clip(other) == other
 
+    def within(self, outer: Self) -> tuple[slice, slice]:
+        """Its rows and columns in the array of a box around it."""
+        moved = self.move(-outer.row, -outer.col)
+        return slice(moved.row, moved.row_end), slice(moved.col, moved.col_end)
+
     def clip(self, other: Self) -> Self:
         """The part of `other` that lies in this box."""
         return type(self)(
@@ -87,6 +97,10 @@ class CellBox(NamedTuple):
         """The smallest box around this one that is made of squares of `side` by `side` cells."""
         ends = (-(-edge // side) * side for edge in (self.row_end, self.col_end))
         return type(self)(self.row // side * side, self.col // side * side, *ends)
+
+    def scale(self, side: int) -> Self:
+        """The box in cells, where it counts squares of `side` by `side` cells."""
+        return type(self)(*(edge * side for edge in self))
 
     def shrink(self, side: int) -> Self:
         """Count the box in squares of `side` by `side` cells, of which it is made."""

@@ -18,7 +18,7 @@ class CellProbe:
 
     def __init__(self, spec: GridSpec, row: int, col: int) -> None:
         self.spec = spec
-        self.box = CellBox(row, col, row + 1, col + 1)
+        self.box = CellBox.at(row, col)
 
     def look(self, rays: Rays) -> Int64:
         """(S, 2) the two numbers that each scan adds to the cell.

@@ -90,7 +90,7 @@ class TileGrid:
         mine = self.tiles.get(key)
         if mine is None:
             self.tiles[key] = tile
-            place = CellBox(*key, key[0] + 1, key[1] + 1)
+            place = CellBox.at(*key)
             self._reach = place if self._reach is None else self._reach.join(place)
             return
         if total > INT32_LIMIT:

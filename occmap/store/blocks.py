@@ -38,8 +38,7 @@ class Block(NamedTuple):
     @property
     def box(self) -> CellBox:
         """Its cells."""
-        row, col = self.row * BLOCK, self.col * BLOCK
-        return CellBox(row, col, row + BLOCK, col + BLOCK)
+        return CellBox.at(*self).scale(BLOCK)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 from occmap.errors import UsageError
 from occmap.evidence import choose_tiles, paint_box, to_grid
 from occmap.evidence.persistence import describe_lost, keep_lasting, refuse_nothing_left
-from occmap.grid.framing import Framing, choose_box, find_window
+from occmap.grid.framing import Framing, choose_box
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing, measure_bounds
 from occmap.grid.tiles import TileGrid, refuse_large
@@ -120,7 +120,7 @@ class BlockMap:
             counts = np.array([count_agreeing(lasting, made.occupied, box), (0, 0)])
             if lasting is not grid:
                 before = paint_box(grid, self.view.model, place).occupied
-                still = before[find_window(box, place)] & made.occupied
+                still = before[box.within(place)] & made.occupied
                 counts[1] = np.count_nonzero(before), np.count_nonzero(still)
             yield Piece(box, made, counts)
 
@@ -158,7 +158,7 @@ def render_blocks(made: BlockMap, max_cells: int) -> tuple[OccupancyMap, list[st
     observed = np.zeros(made.shape, np.bool_)
     counts = np.zeros((2, 2), np.int64)
     for piece in made.walk():
-        window = find_window(piece.box, made.box)
+        window = piece.box.within(made.box)
         log_odds[window], observed[window] = piece.map.log_odds, piece.map.observed
         counts += piece.counts
     painted = OccupancyMap(log_odds, observed, made.resolution, (x, y), made.decision)
@@ -172,7 +172,7 @@ def classify_blocks(made: BlockMap, writing: WriteOptions, max_cells: int) -> UI
     decision = writing.decide(made.decision)
     classes = np.full(made.shape, CellClass.NEITHER, np.uint8)
     for piece in made.walk():
-        window = find_window(piece.box, made.box)
+        window = piece.box.within(made.box)
         classes[window] = replace(piece.map, decision=decision).classes
     return classes
 
@@ -269,7 +269,7 @@ def read_overview(store: Store, side: int, framing: Framing, max_cells: int) -> 
     there = whole.clip(box)
     classes = np.full((box.rows, box.cols), CellClass.NEITHER, np.uint8)
     with refuse_damage(store.path):
-        classes[find_window(there, box)] = array[find_window(there, whole)]
+        classes[there.within(box)] = array[there.within(whole)]
     origin = fine.to_metres(col + box.col * side), fine.to_metres(row + box.row * side)
     is_known = classes != CellClass.NEITHER
     return OccupancyMap(CLASS_LOG_ODDS[classes], is_known, coarse.resolution, origin)
