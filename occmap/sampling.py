@@ -73,8 +73,6 @@ def estimate_agreement(parts: Sequence[PosedScans], options: BuildOptions) -> fl
     float or None
         None where the sample makes no map, or one too large to be made in passing.
     """
-    if not parts:
-        return None
     engine = make_engine(replace(options, model=CountingModel(), max_cells=MOST_CELLS))
     try:
         for part in parts:

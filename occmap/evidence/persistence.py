@@ -35,7 +35,7 @@ def keep_lasting(grid: TileGrid, slices: Sequence[Slices], min_passes: int | Non
     """
     if min_passes is None:
         return grid
-    lasting = TileGrid(grid.lattice, grid.kind, grid.unit)
+    lasting = grid.like({})
     for key, of_tile in split_tiles(unite(slices)):
         if key in grid.tiles:
             (hits, misses), (hit, seen) = grid.tiles[key], count_visits(of_tile)

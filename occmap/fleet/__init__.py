@@ -111,7 +111,10 @@ class Fleet:
         ):
             # What is nowhere is an error like any other.
             refuse_unseen_files(cluster, [folder, *(path for path in paths if path.exists())])
-            setting = self.plan(cluster, options, keep, folder, len(paths))
+            spare = ((cluster.memory or ROOMY_BYTES) - BASE_BYTES) // 4
+            window = min(1 << (spare // WINDOW_CELL_BYTES).bit_length() - 1, LARGEST_WINDOW)
+            sizes = self.slice_bytes, window, spare
+            setting = Setting(options, keep, folder, *sizes, logs=len(paths))
             with tally.time("open"):
                 surveys = survey_logs(cluster, setting, paths)
             blocks: dict[Block, dict[int, list[Piece]]] = {}
@@ -124,14 +127,6 @@ class Fleet:
                         of_log.extend(pieces)
                 remarks.notes += log.list_uncut()
             yield Work(cluster, setting, tally, remarks, blocks)
-
-    def plan(
-        self, cluster: Cluster, options: BuildOptions, keep: Keep, folder: Path, logs: int
-    ) -> Setting:
-        """Fit the work to the memory of the smallest worker."""
-        spare = ((cluster.memory or ROOMY_BYTES) - BASE_BYTES) // 4
-        cells = min(1 << (spare // WINDOW_CELL_BYTES).bit_length() - 1, LARGEST_WINDOW)
-        return Setting(options, keep, folder, self.slice_bytes, cells, most_bytes=spare, logs=logs)
 
 
 @contextmanager

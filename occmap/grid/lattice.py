@@ -108,12 +108,8 @@ class CellBox(NamedTuple):
 
     def join(self, other: Self) -> Self:
         """The smallest box around both."""
-        return type(self)(
-            min(self.row, other.row),
-            min(self.col, other.col),
-            max(self.row_end, other.row_end),
-            max(self.col_end, other.col_end),
-        )
+        starts, ends = map(min, self[:2], other[:2]), map(max, self[2:], other[2:])
+        return type(self)(*starts, *ends)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from itertools import product
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -13,6 +14,8 @@ from occmap.types import Bool, Float32, Float64
 
 Part: TypeAlias = tuple[slice, slice]
 """Rows and columns."""
+ENDS: dict[int, int | slice] = {-1: 0, 0: slice(None), 1: -1}
+"""Which rows, or columns, of a tile lie at the tile before it, at any, and at the one behind it"""
 RIM = TILE + 2
 """Cells along the side of a tile with those around it."""
 
@@ -47,17 +50,9 @@ class SpreadHits:
         """Row and column of each tile that has observations, or lies beside a hit."""
         reached = set(self.grid.keys)
         for (row, col), (hits, _) in self.grid.tiles.items():
-            beside = {
-                (-1, 0): hits[0],
-                (1, 0): hits[-1],
-                (0, -1): hits[:, 0],
-                (0, 1): hits[:, -1],
-                (-1, -1): hits[0, 0],
-                (-1, 1): hits[0, -1],
-                (1, -1): hits[-1, 0],
-                (1, 1): hits[-1, -1],
-            }
-            reached |= {(row + up, col + right) for (up, right), at in beside.items() if at.any()}
+            for (up, rows), (right, cols) in product(ENDS.items(), repeat=2):
+                if hits[rows, cols].any():
+                    reached.add((row + up, col + right))
         return reached
 
     def read(self, key: Key) -> CellNumbers:

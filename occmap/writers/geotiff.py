@@ -1,6 +1,7 @@
 """GeoTIFF images, cloud-optimised, for maps that a GIS shows: one file, read part by part."""
 
 import secrets
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -48,8 +49,7 @@ class GeoTiffWriter:
                 plain, done, driver="COG", compress="DEFLATE", overview_resampling="average"
             )
             with open_atomic(path) as (file,), done.open("rb") as made:
-                while data := made.read(1 << 20):
-                    file.write(data)
+                shutil.copyfileobj(made, file)
         except (OSError, rasterio.errors.RasterioError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise OutputError(f"cannot be written ({reason})", where=path) from None
