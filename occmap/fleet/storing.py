@@ -1,10 +1,9 @@
 """A store that the workers write themselves, block by block: the driver never holds the map."""
 
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial, reduce
-from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +20,7 @@ from occmap.observing import Keep, Progress
 from occmap.options import BuildOptions
 from occmap.pipeline import list_inputs, list_notes, make_report
 from occmap.report import MapFacts, Report, count_cells
-from occmap.store.blocks import BLOCK, Block, BlockRecord
+from occmap.store.blocks import Block, BlockRecord, list_blocks
 from occmap.store.layout import import_zarr
 from occmap.store.writing import (
     create_store,
@@ -137,16 +136,10 @@ def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> Map
     Blocks beside those that are written are looked at, too: hits speak for the cells around them.
     """
     written = {record.block: record.logs for record in records}
-    around = {block for record in records for block in list_touched(record.reach)}
+    around = {block for record in records for block in list_blocks(record.reach.grow(1))}
     jobs = [BlockJob(work.setting, block, logs=written.get(block, ())) for block in sorted(around)]
     measured = work.cluster.run("paint", partial(measure_block, store), jobs)
     return sum_up(measured, work.setting.options)
-
-
-def list_touched(reach: CellBox) -> Iterator[Block]:
-    """The blocks that the cells of a box lie in or beside."""
-    row, col, row_end, col_end = reach.grow(1).align(BLOCK).shrink(BLOCK)
-    return (Block(*place) for place in product(range(row, row_end), range(col, col_end)))
 
 
 def measure_block(store: Path, job: BlockJob) -> Measured:

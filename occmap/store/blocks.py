@@ -4,8 +4,8 @@ import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate
-from typing import Any, NamedTuple, Self
+from itertools import accumulate, product
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,15 +30,16 @@ class Block(NamedTuple):
     row: int
     col: int
 
-    @classmethod
-    def of_tile(cls, row: int, col: int) -> Self:
-        """The block that a tile lies in."""
-        return cls(row // SIDE, col // SIDE)
-
     @property
     def box(self) -> CellBox:
         """Its cells."""
         return CellBox.at(*self).scale(BLOCK)
+
+
+def list_blocks(box: CellBox) -> Iterator[Block]:
+    """The blocks that the cells of a box lie in."""
+    row, col, row_end, col_end = box.align(BLOCK).shrink(BLOCK)
+    return (Block(*place) for place in product(range(row, row_end), range(col, col_end)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

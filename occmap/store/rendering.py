@@ -16,7 +16,7 @@ from occmap.grid.rendering import count_agreeing, measure_bounds
 from occmap.grid.tiles import TileGrid, refuse_large
 from occmap.report import MapFacts, count_cells
 from occmap.sensor.models import SensorModel, find_decision
-from occmap.store.blocks import Block, BlockContent
+from occmap.store.blocks import Block, BlockContent, list_blocks
 from occmap.store.reading import Store
 from occmap.store.sources import Blocks, read_part
 from occmap.types import Box, CellClass, Decision, Int64, OccupancyMap, UInt8, to_log_odds
@@ -202,12 +202,7 @@ def sum_up(made: BlockMap, counts: Int64) -> tuple[float | None, list[str]]:
 
 def list_pieces(source: Blocks, box: CellBox) -> Iterator[CellBox]:
     """Cut a box where blocks begin; pieces far from all that was observed are left out."""
-    beside = {
-        Block(block.row + up, block.col + right)
-        for block in source.blocks
-        for up in (-1, 0, 1)
-        for right in (-1, 0, 1)
-    }
+    beside = {each for block in source.blocks for each in list_blocks(block.box.grow(1))}
     for block in sorted(beside, key=lambda each: (each.row // STRIPE, each.col, each.row)):
         piece = box.clip(block.box)
         if piece.cells:

@@ -19,6 +19,7 @@ from occmap.store.blocks import (
     Block,
     BlockContent,
     join_contents,
+    list_blocks,
     list_observing_logs,
     split_evidence,
 )
@@ -85,24 +86,17 @@ def read_part(
     if isinstance(saved, Evidence):
         return saved
     read = read_block or saved.read_block
-    low = np.array([box.row, box.col]) // TILE - 1
-    high = np.array([box.row_end - 1, box.col_end - 1]) // TILE + 2
-    first, last = Block.of_tile(*low.tolist()), Block.of_tile(*(high - 1).tolist())
-    touched = (
-        Block(row, col)
-        for row in range(first.row, last.row + 1)
-        for col in range(first.col, last.col + 1)
-    )
-    contents = (read(block) for block in touched if block in saved.blocks)
-    cut = (cut_content(content, low, high) for content in contents)
+    near = box.align(TILE).grow(TILE)
+    contents = (read(block) for block in list_blocks(near) if block in saved.blocks)
+    cut = (cut_content(content, near.shrink(TILE)) for content in contents)
     return join_contents(cut, saved.manifest, saved.where)
 
 
-def cut_content(content: BlockContent, low: Int64, high: Int64) -> BlockContent:
-    """Keep the tiles from one row and column (2,) on to another, which is left out."""
+def cut_content(content: BlockContent, box: CellBox) -> BlockContent:
+    """Keep the tiles in a box, which counts tiles."""
 
     def find(tiles: Int64) -> Int64:
-        return np.flatnonzero(((tiles >= low) & (tiles < high)).all(axis=1))
+        return np.flatnonzero(((tiles >= box[:2]) & (tiles < box[2:])).all(axis=1))
 
     which = find(content.tiles)
     slices = tuple(take(layer, find(layer.tiles)) for layer in content.slices)
