@@ -54,10 +54,8 @@ def sample_scans(
     log: Log, topics: Sequence[str], poser: Poser, options: BuildOptions
 ) -> list[PosedScans]:
     """Pose some of the scans that a build uses, spread evenly over a log."""
-    scans = count_messages(log, topics)
-    samples: defaultdict[str, Sample] = defaultdict(
-        lambda: Sample(expect_scans(scans // len(topics), options.selection))
-    )
+    expected = expect_scans(count_messages(log, topics) // len(topics), options.selection)
+    samples: defaultdict[str, Sample] = defaultdict(lambda: Sample(expected))
     batcher = Batcher(options.selection, options.posing.stamps, RangeLimits(options.returns))
     for _, posed, _ in poser.attach(batcher.stack(read_scans(log, topics))):
         if posed is not None:

@@ -181,18 +181,15 @@ def refuse_unequal(cluster: Cluster) -> None:
     FleetError
         Saying how many there are, and what they run.
     """
-    mine = list_versions()
-    theirs = cluster.ask(list_versions)
-    other = [each for each in theirs if each != mine]
-    if other:
+    mine, theirs = list_versions(), cluster.ask(list_versions)
+    if other := [each for each in theirs if each != mine]:
         runs = other[0] if isinstance(other[0], dict) else {}
-        found = [f"{name} {runs.get(name)}" for name in mine if runs.get(name) != mine[name]]
-        here = [f"{name} {mine[name]}" for name in mine if runs.get(name) != mine[name]]
-        raise FleetError(
-            f"{len(other)} of {count(len(theirs), 'worker')} run {', '.join(found)}, "
-            f"where {', '.join(here)} runs here",
-            fix="install the same versions everywhere",
-        )
+        wrong = [name for name in mine if runs.get(name) != mine[name]]
+        there = ", ".join(f"{name} {runs.get(name)}" for name in wrong)
+        here = ", ".join(f"{name} {mine[name]}" for name in wrong)
+        workers = f"{len(other)} of {count(len(theirs), 'worker')}"
+        found = f"{workers} run {there}, where {here} runs here"
+        raise FleetError(found, fix="install the same versions everywhere")
 
 
 def list_versions() -> dict[str, str]:
@@ -209,11 +206,9 @@ def refuse_small(cluster: Cluster) -> None:
         Saying how much the smallest has.
     """
     if cluster.memory is not None and cluster.memory < LEAST_BYTES:
-        raise FleetError(
-            f"a worker may take {cluster.memory >> 20} MiB of memory, and {LEAST_BYTES >> 20} MiB "
-            "are the least",
-            fix="start fewer workers, or give each more memory",
-        )
+        memory, least = cluster.memory >> 20, LEAST_BYTES >> 20
+        found = f"a worker may take {memory} MiB of memory, and {least} MiB are the least"
+        raise FleetError(found, fix="start fewer workers, or give each more memory")
 
 
 def refuse_unseen_files(cluster: Cluster, paths: Sequence[Path]) -> None:

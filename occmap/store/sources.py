@@ -163,18 +163,15 @@ class Combined:
         contents = [
             part.read_block(block) if block in part.blocks else NO_CONTENT for part in self.parts
         ]
-        made = self.combine(
-            [
-                join_contents([content], part.manifest, part.where)
-                for part, content in zip(self.parts, contents, strict=True)
-            ]
-        )
+        pairs = zip(self.parts, contents, strict=True)
+        parts = [join_contents([content], part.manifest, part.where) for part, content in pairs]
+        made = self.combine(parts)
         if len(self.manifest.builds) < sum(len(each.manifest.builds) for each in self.parts):
             logs = list_observing_logs(self.manifest, made.slices)
         else:
             starts = accumulate((count_logs(each.manifest) for each in self.parts), initial=0)
-            pairs = zip(starts, contents, strict=False)
-            logs = tuple(start + log for start, content in pairs for log in content.logs)
+            shifts = zip(starts, contents, strict=False)
+            logs = tuple(start + log for start, content in shifts for log in content.logs)
         return BlockContent(made.tiles, made.cells, made.slices, logs)
 
 

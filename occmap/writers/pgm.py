@@ -82,9 +82,8 @@ def written_thresholds(options: WriteOptions) -> tuple[float, float]:
 def _write_image(file: BinaryIO, grid: OccupancyMap, options: WriteOptions) -> None:
     rows, cols = grid.shape
     file.write(f"P5\n{cols} {rows}\n255\n".encode("ascii"))
-    to_pixels = {MapMode.TRINARY: _trinary, MapMode.SCALE: _scale, MapMode.RAW: to_raw}[
-        options.mode
-    ]
+    painters = {MapMode.TRINARY: _trinary, MapMode.SCALE: _scale, MapMode.RAW: to_raw}
+    to_pixels = painters[options.mode]
     decided = replace(grid, decision=options.decide(grid.decision))
     for band in bands_from_top(decided):
         file.write(to_pixels(band)[::-1].tobytes())
