@@ -18,7 +18,8 @@ from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing
 from occmap.observing import Keep, Progress
 from occmap.options import BuildOptions
-from occmap.pipeline import list_inputs, list_notes, make_report
+from occmap.pipeline import list_inputs, make_report
+from occmap.remarks import list_notes
 from occmap.report import MapFacts, Report, count_cells
 from occmap.store.blocks import Block, BlockRecord, list_blocks
 from occmap.store.layout import import_zarr
