@@ -8,6 +8,7 @@ notes alone.
 import hashlib
 import json
 import shutil
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -117,14 +118,13 @@ class Fleet:
             setting = Setting(options, keep, folder, *sizes, logs=len(paths))
             with tally.time("open"):
                 surveys = survey_logs(cluster, setting, paths)
-            blocks: dict[Block, dict[int, list[Piece]]] = {}
+            blocks: dict[Block, dict[int, list[Piece]]] = defaultdict(lambda: defaultdict(list))
             for log in trace_parts(cluster, setting, surveys, progress):
                 remarks.note(log, log.list_findings())
                 for part in log.parts:
                     tally.add(part.tally)
                     for block, pieces in part.pieces.items():
-                        of_log = blocks.setdefault(block, {}).setdefault(log.survey.log, [])
-                        of_log.extend(pieces)
+                        blocks[block][log.survey.log] += pieces
                 remarks.notes += log.list_uncut()
             yield Work(cluster, setting, tally, remarks, blocks)
 
