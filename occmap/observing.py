@@ -98,7 +98,7 @@ def observe(
             except MapError as error:
                 raise error.placed(log.path) from None
             slices += engine.read_slices()
-        remarks.note(log, notes)
+        remarks.note(log.path, log.notes, notes)
     with tally.time("fold"):
         return Observed(tiles, (unite(slices),) if keep.slices else (), tally, remarks)
 

@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 from occmap.batching import LeftOut, Selection
 from occmap.mounts import list_misfits
@@ -28,18 +27,6 @@ DOUBTFUL_AGREEMENT = 0.78
 that are doubled here and there, and `tune` takes a floor from 0.72 to 0.85."""
 
 
-class Noted(Protocol):
-    """A log, or what stands for a log that another process read."""
-
-    @property
-    def path(self) -> Path:
-        """Where it is."""
-
-    @property
-    def notes(self) -> Sequence[Note]:
-        """What its reader has to say."""
-
-
 @dataclass
 class Remarks:
     """What is said of logs beside numbers; it grows while they are read."""
@@ -49,10 +36,10 @@ class Remarks:
     damage: list[str] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
 
-    def note(self, log: Noted, others: Iterable[str]) -> None:
-        """Keep the notes of a log, and the notes of others on it."""
-        self.notes += [f"{log.path}: {text}" for text in (*others, *(n.text for n in log.notes))]
-        self.damage += [f"{log.path}: {note.text}" for note in log.notes if note.damage]
+    def note(self, log: Path, notes: Sequence[Note], others: Iterable[str]) -> None:
+        """Keep the notes of a log's reader, and the notes of others on it."""
+        self.notes += [f"{log}: {text}" for text in (*others, *(note.text for note in notes))]
+        self.damage += [f"{log}: {note.text}" for note in notes if note.damage]
 
 
 def list_notes(

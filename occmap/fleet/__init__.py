@@ -120,7 +120,7 @@ class Fleet:
                 surveys = survey_logs(cluster, setting, paths)
             blocks: dict[Block, dict[int, list[Piece]]] = defaultdict(lambda: defaultdict(list))
             for log in trace_parts(cluster, setting, surveys, progress):
-                remarks.note(log, log.list_findings())
+                remarks.note(log.survey.path, log.parts[0].log_notes, log.list_findings())
                 for part in log.parts:
                     tally.add(part.tally)
                     for block, pieces in part.pieces.items():

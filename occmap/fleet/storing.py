@@ -22,9 +22,9 @@ from occmap.pipeline import list_inputs, make_report
 from occmap.remarks import list_notes
 from occmap.report import MapFacts, Report, count_cells
 from occmap.store.blocks import Block, BlockRecord, list_blocks
-from occmap.store.layout import import_zarr
 from occmap.store.writing import (
     create_store,
+    edit_store,
     finish_store,
     paint_block,
     write_block,
@@ -152,8 +152,7 @@ def measure_block(store: Path, job: BlockJob) -> Measured:
         They cannot be written.
     """
     box = job.block.box
-    with refuse_unwritable(store):
-        root = import_zarr().open_group(store, mode="r+")
+    with edit_store(store) as root:
         grid, made = paint_block(root, job.block)
         if job.logs:
             write_classes(root, job.block, made.classes)
