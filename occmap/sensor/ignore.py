@@ -52,20 +52,11 @@ def mask_sectors(
 
 def mask_box(ranges: Float32, bearing: Float64, box: Box) -> Bool:
     """(S, B): which ranges, along bearings (2, B), end in the box."""
-    near, far = cross_box(bearing, box)
-    inside: Bool = (ranges >= near) & (ranges <= far)
-    return inside
-
-
-def cross_box(bearing: Float64, box: Box) -> tuple[Float32, Float32]:
-    """Where rays along unit vectors (2, B) from zero enter and leave a box (B,): slab by slab.
-
-    A ray that misses the box enters it behind where it leaves it.
-    """
+    # Slab by slab: a ray that misses the box enters it behind where it leaves it.
     tiny = float(np.finfo(np.float32).tiny)
     along = np.where(np.abs(bearing) < tiny, tiny, bearing)
     corners = np.array(box).reshape(2, 2, 1)
     low, high = corners / along
     near = np.maximum(np.minimum(low, high).max(axis=0), 0)
     far = np.maximum(low, high).min(axis=0)
-    return as_float32(near), as_float32(far)
+    return np.asarray((ranges >= as_float32(near)) & (ranges <= as_float32(far)))

@@ -12,7 +12,7 @@ import numpy as np
 from occmap.evidence.manifest import MEANING, list_inputs
 from occmap.grid.lattice import CellBox
 from occmap.grid.slices import take, unite
-from occmap.grid.tiles import INT32_LIMIT, TILE
+from occmap.grid.tiles import TILE
 from occmap.types import Evidence, Int64, Manifest, Slices, UInt8
 from occmap.writers.compact import pack_slices, unpack_slices
 
@@ -288,10 +288,3 @@ def join_contents(contents: Iterable[BlockContent], manifest: Manifest, where: s
         for build in range(len(manifest.builds))
     )
     return Evidence(manifest, tiles[order], cells[order], slices, where)
-
-
-def narrow_cells(cells: Int64) -> Int64:
-    """The same numbers in 32 bits, where these hold them."""
-    fits = cells.min(initial=0) >= -INT32_LIMIT and cells.max(initial=0) <= INT32_LIMIT
-    narrow: Int64 = cells.astype(np.int32) if fits else cells
-    return narrow

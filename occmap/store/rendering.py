@@ -217,10 +217,13 @@ def find_bounds(view: View) -> CellBox:
     MapError
         Nothing was observed, or lasts.
     """
-    found: CellBox | None = None
+    source, found = view.source, None
+    # Only a store says how far its cells reach.
+    stated = source.blocks if isinstance(source, Store) else {}
+    reaches = {block: stated[block].reach if stated else block.box for block in source.blocks}
     known: dict[Block, CellBox | None] = {}
     for side, outward in enumerate((-1, -1, 1, 1)):
-        reach = {block: view.source.find_reach(block)[side] for block in view.source.blocks}
+        reach = {block: box[side] for block, box in reaches.items()}
         for block in sorted(reach, key=lambda each: -outward * reach[each]):
             # A hit speaks for the cell beside it, so a block may reach one cell farther.
             if found and outward * found[side] >= outward * reach[block] + 1:

@@ -35,9 +35,6 @@ class Blocks(Described, Protocol):
     def blocks(self) -> Collection[Block]:
         """All blocks that anything was observed in."""
 
-    def find_reach(self, block: Block) -> CellBox:
-        """A box around the cells of a block that were observed; it may be too large."""
-
     def read_block(self, block: Block) -> BlockContent:
         """What was observed in one of the blocks."""
 
@@ -124,10 +121,6 @@ class Held:
         """All of it."""
         return dict(split_evidence(self.evidence))
 
-    def find_reach(self, block: Block) -> CellBox:
-        """All cells of the block."""
-        return block.box
-
     def read_block(self, block: Block) -> BlockContent:
         """What was observed in a block."""
         return self.blocks[block]
@@ -153,10 +146,6 @@ class Combined:
         """Those of all parts."""
         known: set[Block] = set().union(*(each.blocks for each in self.parts))
         return dict.fromkeys(sorted(known))
-
-    def find_reach(self, block: Block) -> CellBox:
-        """All cells of the block."""
-        return block.box
 
     def read_block(self, block: Block) -> BlockContent:
         """What is in a block of the sum or the difference."""
