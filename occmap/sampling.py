@@ -92,5 +92,4 @@ def expect_scans(scans: int, selection: Selection) -> int:
 def encode_cells(points: Float64, cell: float) -> Int64:
     """Number the cells (...,) of a size (m) that points (..., 2) are nearest to."""
     cells = np.rint(np.clip(points / cell, -(2**30), 2**30)).astype(np.int64)
-    codes: Int64 = (cells[..., 0] << 32) + cells[..., 1]
-    return codes
+    return np.asarray((cells[..., 0] << 32) + cells[..., 1])

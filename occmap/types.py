@@ -433,11 +433,8 @@ class Rays:
     @property
     def direction(self) -> Float64:
         """(S, B, 2): of length 1, or less where a tilted beam is projected down."""
-        turned: Float64 = (
-            self.turn[..., 0] * self.bearing[0, :, None]
-            + self.turn[..., 1] * self.bearing[1, :, None]
-        )
-        return turned
+        x, y = self.bearing[..., None]
+        return np.asarray(self.turn[..., 0] * x + self.turn[..., 1] * y)
 
     @property
     def end(self) -> Float64:
@@ -559,8 +556,7 @@ class OccupancyMap:
         """(H, W) probability of being occupied, 1 / (1 + exp(-log_odds))."""
         odds = np.exp(-np.abs(self.log_odds))
         numerator: Float32 = np.where(self.log_odds < 0, odds, np.float32(1))
-        probability: Float32 = numerator / (1 + odds)
-        return probability
+        return np.asarray(numerator / (1 + odds))
 
     @property
     def occupied(self) -> Bool:

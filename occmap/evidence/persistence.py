@@ -80,10 +80,8 @@ def render_lasting(
 
 def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:
     """Say where many cells are no longer occupied after hits and misses were forgotten."""
-    rows, cols = (
-        slice(place, place + size)
-        for place, size in zip(after.place - before.place, after.shape, strict=True)
-    )
+    start = after.place - before.place
+    rows, cols = map(slice, start, start + after.shape)
     were = int(np.count_nonzero(before.occupied))
     lost = were - int(np.count_nonzero(before.occupied[rows, cols] & after.occupied))
     yield from describe_lost(were, lost)

@@ -238,8 +238,6 @@ def explain(error: BaseException, job: Job, memory: int | None) -> BaseException
     if not isinstance(error, KilledWorker):
         return error
     limit = "" if memory is None else f", which had {memory >> 20} MiB of memory"
-    return FleetError(
-        f"killed its workers {error.allowed_failures + 1} times{limit}",
-        where=job.where,
-        fix="give workers more memory, or build with a smaller `slice`",
-    )
+    found = f"killed its workers {error.allowed_failures + 1} times{limit}"
+    fix = "give workers more memory, or build with a smaller `slice`"
+    return FleetError(found, where=job.where, fix=fix)

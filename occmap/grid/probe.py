@@ -51,8 +51,7 @@ class CellProbe:
         # longer; a beam's other viewpoints are nearer.
         reach = rays.distance.max(axis=1) + 3 * spread + (0.0 if radial is None else radial.depth)
         reach += self.spec.hit_offset * resolution
-        near: Bool = away <= reach + 2 * math.sqrt(2) * resolution
-        return near
+        return np.asarray(away <= reach + 2 * math.sqrt(2) * resolution)
 
     def _trace(self, rays: Rays) -> tuple[int, int]:
         projected = project(offset_hits(rays, self.spec), self.spec)

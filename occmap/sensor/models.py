@@ -100,11 +100,8 @@ class SimpleModel:
     def log_odds(self, hits: Float64, misses: Float64) -> Float64:
         """l0 + hits (logit(p_hit) - l0) + misses (logit(p_miss) - l0)."""
         prior = to_log_odds(self.prior)
-        return (
-            prior
-            + hits * (to_log_odds(self.p_hit) - prior)
-            + misses * (to_log_odds(self.p_miss) - prior)
-        )
+        hit, miss = to_log_odds(self.p_hit) - prior, to_log_odds(self.p_miss) - prior
+        return prior + hits * hit + misses * miss
 
 
 @dataclass(frozen=True)

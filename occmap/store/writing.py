@@ -195,8 +195,7 @@ def reduce_classes(classes: UInt8, side: int) -> UInt8:
     height, width = (-(-length // side) * side for length in classes.shape)
     classes = np.pad(classes, [(0, height - classes.shape[0]), (0, width - classes.shape[1])])
     squares = classes.reshape(height // side, side, width // side, side)
-    reduced: UInt8 = squares.max(axis=(1, 3))
-    return reduced
+    return np.asarray(squares.max(axis=(1, 3)))
 
 
 def finish_store(

@@ -90,8 +90,7 @@ class TileTree:
         one, two, three, four = (blank if each is None else each for each in quarters)
         whole = np.block([[three, four], [one, two]])
         half = TILE_PIXELS
-        classes: UInt8 = whole.reshape(half, 2, half, 2).max(axis=(1, 3))
-        return classes
+        return np.asarray(whole.reshape(half, 2, half, 2).max(axis=(1, 3)))
 
     def paint(self, x: int, y: int) -> UInt8 | None:
         """Paint the cells of a tile at the top level, and say where it lies."""
