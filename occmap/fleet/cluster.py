@@ -122,6 +122,8 @@ def open_cluster(
 ) -> Iterator[Cluster]:
     """Find the workers at an address, or start as many as asked for on this machine.
 
+    What they log is not for the user of a map.
+
     Parameters
     ----------
     describe
@@ -132,16 +134,6 @@ def open_cluster(
     UsageError, FleetError
         Dask is not installed, nobody answers, or the workers are not fit for the work.
     """
-    with connect(address, processes) as client:
-        cluster = Cluster(client, describe)
-        refuse_unequal(cluster)
-        refuse_small(cluster)
-        yield cluster
-
-
-@contextmanager
-def connect(address: str, processes: int) -> Iterator["Client"]:
-    """Connect to a scheduler, or start one; what they log is not for the user of a map."""
     with need_extra("dask", "`dask` needs the library distributed"):
         import dask  # noqa: PLC0415  late: an extra, and it takes half a second
         import distributed  # noqa: PLC0415
@@ -170,7 +162,10 @@ def connect(address: str, processes: int) -> Iterator["Client"]:
         except TimeoutError:
             fix = f"start some: dask worker {address}"
             raise FleetError("the scheduler has no workers", where=address, fix=fix) from None
-        yield client
+        cluster = Cluster(client, describe)
+        refuse_unequal(cluster)
+        refuse_small(cluster)
+        yield cluster
 
 
 def refuse_unequal(cluster: Cluster) -> None:

@@ -140,7 +140,11 @@ def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> Map
     around = {block for record in records for block in list_blocks(record.reach.grow(1))}
     jobs = [BlockJob(work.setting, block, logs=written.get(block, ())) for block in sorted(around)]
     measured = work.cluster.run("paint", partial(measure_block, store), jobs)
-    return sum_up(measured, work.setting.options)
+    box = reduce(CellBox.join, (each.reach for each in measured if each.reach))
+    agreeing, hits = (sum(column) for column in zip(*(each.hits for each in measured), strict=True))
+    cells = np.sum([each.cells for each in measured], axis=0)
+    extent = Lattice(work.setting.options.resolution).measure(box)
+    return MapFacts.of_counts(extent, box.shape, cells, agreeing / hits if hits else None)
 
 
 def measure_block(store: Path, job: BlockJob) -> Measured:
@@ -159,12 +163,3 @@ def measure_block(store: Path, job: BlockJob) -> Measured:
     reach = CellBox.around(made.observed, box.row, box.col)
     cells = count_cells(made, job.setting.options.writing)
     return Measured(reach, cells, count_agreeing(grid, made.occupied, box))
-
-
-def sum_up(measured: Sequence[Measured], options: BuildOptions) -> MapFacts:
-    """Make of the blocks what is told of their map."""
-    box = reduce(CellBox.join, (each.reach for each in measured if each.reach))
-    agreeing, hits = (sum(column) for column in zip(*(each.hits for each in measured), strict=True))
-    cells = np.sum([each.cells for each in measured], axis=0)
-    extent = Lattice(options.resolution).measure(box)
-    return MapFacts.of_counts(extent, box.shape, cells, agreeing / hits if hits else None)
