@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Self, overload
 
 import numpy as np
 
-from occmap.errors import UsageError
+from occmap.errors import require
 from occmap.posing.options import Stamps
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import read_limits
@@ -63,11 +63,10 @@ class Selection:
     stride: int = 1
 
     def __post_init__(self) -> None:
-        if self.stride < 1:
-            raise UsageError(f"a stride of {self.stride} is not possible", fix="give 1 or more")
-        if not self.start_s < self.end_s:
-            found = f"`start_s={self.start_s}` is not before `end_s={self.end_s}`"
-            raise UsageError(found, fix="both are in seconds after the log's first scan")
+        require(self.stride >= 1, f"a stride of {self.stride} is not possible", "give 1 or more")
+        found = f"`start_s={self.start_s}` is not before `end_s={self.end_s}`"
+        fix = "both are in seconds after the log's first scan"
+        require(self.start_s < self.end_s, found, fix)
 
 
 class Geometry(NamedTuple):

@@ -40,11 +40,8 @@ def make_grid(options: BuildOptions) -> TileGrid:
 
 def plan_grid(options: BuildOptions) -> GridSpec:
     """Plan how an engine turns rays into evidence."""
-    lattice = Lattice(options.resolution)
-    model = options.model
-    radial = None
+    model, radial = options.model, None
     if isinstance(model, RadialModel):
         radial = tabulate(model.free, model.hit, model.depth(options.resolution))
-    return GridSpec(
-        options.update, lattice, options.jump, options.border_gap, options.hit_offset, radial
-    )
+    reach = options.jump, options.border_gap, options.hit_offset
+    return GridSpec(options.update, Lattice(options.resolution), *reach, radial)

@@ -78,5 +78,11 @@ class UsageError(OccmapError):
     exit_code = 2
 
 
+def require(holds: bool, found: str, fix: str) -> None:
+    """Raise UsageError where what an option must fulfil does not hold."""
+    if not holds:
+        raise UsageError(found, fix=fix)
+
+
 class FleetError(OccmapError):
     """The workers cannot run the build."""

@@ -48,20 +48,15 @@ def find_inputs(
     known = set(map(os.path.realpath, others))
     for path in paths:
         entries = list_entries(path)
-        kept = [
-            each for each in entries if os.path.realpath(each) not in known and is_recording(each)
-        ]
+        maybe = [each for each in entries if os.path.realpath(each) not in known]
+        kept = list(filter(is_recording, maybe))
         if not kept:
             logs.append(path)
             continue
         kept.sort(key=lambda each: find_start(each, options))
         logs += kept
         suffixes = {*RECORDED, *(each.suffix for each in kept)}
-        lost = [
-            each
-            for each in entries
-            if each.suffix in suffixes and each not in kept and os.path.realpath(each) not in known
-        ]
+        lost = [each for each in maybe if each.suffix in suffixes and each not in kept]
         notes.append(describe_found(path, kept, len(entries) - len(kept) - len(lost)))
         notes += (note for each in lost for note in describe_lost(each, options))
     return Inputs(logs, notes)
@@ -105,12 +100,12 @@ def is_recording(path: Path) -> bool:
 
 def find_start(path: Path, options: ReaderOptions) -> tuple[int, str]:
     """Find when the scans of a recording begin (ns); what cannot be read comes last."""
-    try:
+    start = 2**63
+    with suppress(OccmapError):
         log = open_log(path, options)
         first = take_first(log, choose_topics(log, ()))
-    except OccmapError:
-        return 2**63, str(path)
-    return min((scan.stamp_ns for scan in first), default=2**63), str(path)
+        start = min((scan.stamp_ns for scan in first), default=start)
+    return start, str(path)
 
 
 def describe_found(path: Path, logs: Sequence[Path], others: int) -> str:

@@ -88,19 +88,13 @@ class JourneyRecorder:
 
     def finish(self) -> Journey:
         """Return what was kept, laser by laser, in the order in which it was recorded."""
-        trajectories = tuple(
-            Trajectory(
-                log,
-                topic,
-                way.parent,
-                frame if frame != way.parent else STATED_LASER,
-                np.concatenate([*way.stamps, np.zeros(0, np.int64)]),
-                np.concatenate([*way.poses, np.zeros((0, 7))]),
-                tuple(way.dropped),
-            )
-            for (log, topic, frame), way in self._ways.items()
-        )
-        return Journey(trajectories, tuple(self._scans))
+        trajectories = []
+        for (log, topic, frame), way in self._ways.items():
+            names = log, topic, way.parent, frame if frame != way.parent else STATED_LASER
+            stamps = np.concatenate([*way.stamps, np.zeros(0, np.int64)])
+            poses = np.concatenate([*way.poses, np.zeros((0, 7))])
+            trajectories.append(Trajectory(*names, stamps, poses, tuple(way.dropped)))
+        return Journey(tuple(trajectories), tuple(self._scans))
 
 
 def read_poses(scans: PosedScans) -> Float64:

@@ -80,9 +80,7 @@ def guess_place(poser: Poser, parts: Sequence[PosedScans], options: BuildOptions
     """
     marked = count_turned(parts, options.returns)
     leaves = list_leaves(poser, parts[0].batch.frame) if parts else {}
-    by_leaf = {
-        frame: count_marked(parts, mount, options.returns) for frame, mount in leaves.items()
-    }
+    by_leaf = {leaf: count_marked(parts, leaves[leaf], options.returns) for leaf in leaves}
     leaf = min(by_leaf, key=by_leaf.__getitem__, default="")
     known = bool(leaf) and by_leaf[leaf] < CLEAR_WIN * min(marked)
     mount = leaves[leaf] if known else choose_turn(marked)

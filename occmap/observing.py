@@ -80,16 +80,15 @@ def observe(
     tally = Tally(recorder=keep.make_recorder(0, 1, options.returns))
     with tally.time("open"):
         logs = [open_log(path, options.reading) for path in paths]
-    total = sum(count_scans(log, options.selection.topics) for log in logs)
-    tally.tell = lambda scans: progress(scans, total)
+    counts = [count_scans(log, options.selection.topics) for log in logs]
+    tally.tell = lambda scans: progress(scans, sum(counts))
     remarks = Remarks([str(log.path) for log in logs])
     tiles = make_grid(options)
     slices: list[Slices] = []
-    for log in logs:
-        scans = count_scans(log, options.selection.topics)
-        counts = Tally(tally.tell, keep.make_recorder(scans, len(logs), options.returns))
-        engine, notes = observe_log(log, options, keep.slices, counts)
-        tally.add(counts)
+    for log, scans in zip(logs, counts, strict=True):
+        of_log = Tally(tally.tell, keep.make_recorder(scans, len(logs), options.returns))
+        engine, notes = observe_log(log, options, keep.slices, of_log)
+        tally.add(of_log)
         with tally.time("fold"):
             seen = engine.finish()
             notes += list_misfit(tiles, seen.tiles, options.model, "the logs before it")
@@ -99,7 +98,7 @@ def observe(
             except MapError as error:
                 raise error.placed(log.path) from None
             slices += engine.read_slices()
-        remarks.note(log, notes)
+        remarks.note(log.path, log.notes, notes)
     with tally.time("fold"):
         return Observed(tiles, (unite(slices),) if keep.slices else (), tally, remarks)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from occmap.batching import Selection
-from occmap.errors import UsageError
+from occmap.errors import require
 from occmap.evidence.persistence import check_gap, check_passes
 from occmap.grid.framing import Framing
 from occmap.grid.tiles import MAX_CELLS
@@ -19,6 +19,8 @@ from occmap.writers import WriteOptions
 
 MOST_OFFSET = 10
 """The largest `hit_offset`: no hit lies deeper in a wall (cells)"""
+MOST_GAP = 1000
+"""The largest `border_gap` (cells)"""
 DEFAULT_UPDATE = Update.SURFACE
 
 
@@ -66,19 +68,14 @@ class BuildOptions:
     def __post_init__(self) -> None:
         check_passes(self.min_passes, self.model)
         check_gap(self.pass_gap_s)
-        if self.resume and self.resume_if_there:
-            raise UsageError("`resume` and `resume_if_there` are both given", fix="leave one out")
-        if self.jobs < 1:
-            raise UsageError(f"{self.jobs} jobs are not possible", fix="give `jobs=1` or more")
-        if not self.jump >= 0:
-            raise UsageError(f"a jump of {self.jump} m is not possible", fix="try `jump=0.1`")
-        if not 0 <= self.hit_offset <= MOST_OFFSET:
-            found = f"a hit offset of {self.hit_offset} cells is not possible"
-            raise UsageError(found, fix=f"give 0 to {MOST_OFFSET}")
-        if not 0 <= self.border_gap <= 1000:
-            raise UsageError(
-                f"a border gap of {self.border_gap} cells is not possible", fix="give 0 to 1000"
-            )
+        both = bool(self.resume and self.resume_if_there)
+        require(not both, "`resume` and `resume_if_there` are both given", "leave one out")
+        require(self.jobs >= 1, f"{self.jobs} jobs are not possible", "give `jobs=1` or more")
+        require(self.jump >= 0, f"a jump of {self.jump} m is not possible", "try `jump=0.1`")
+        found = f"a hit offset of {self.hit_offset} cells is not possible"
+        require(0 <= self.hit_offset <= MOST_OFFSET, found, f"give 0 to {MOST_OFFSET}")
+        found = f"a border gap of {self.border_gap} cells is not possible"
+        require(0 <= self.border_gap <= MOST_GAP, found, f"give 0 to {MOST_GAP}")
 
     def list_idle(self) -> Iterator[str]:
         """Name the options that do nothing under the update."""

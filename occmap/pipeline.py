@@ -1,6 +1,6 @@
 """The whole tool on one page: logs in, an occupancy map and a report out."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -15,32 +15,17 @@ from occmap.evidence.persistence import render_lasting
 from occmap.evidence.publishing import describe_resumed
 from occmap.grid.framing import frame
 from occmap.grid.tiles import TileGrid, add_stack, view_tiles
-from occmap.mounts import list_misfits
 from occmap.observing import Keep, Observe, Observed, Progress, ignore_progress
 from occmap.observing import observe as observe_here
 from occmap.options import BuildOptions
-from occmap.remarks import (
-    Remarks,
-    list_disagreement,
-    list_frames,
-    list_given_twice,
-    list_lacking,
-    list_unreached,
-    note_idle_end,
-)
+from occmap.remarks import Remarks, list_notes
 from occmap.report import MapFacts, MapSummary, Report, describe_map
 from occmap.sensor.models import SensorModel
 from occmap.tally import Tally, refuse_unseen, refuse_unused
 from occmap.types import Evidence, Manifest, OccupancyMap
 from occmap.writers import Product
 from occmap.writers.atomic import hold_alone
-from occmap.writers.outputs import (
-    check_outputs,
-    list_idle,
-    want_evidence,
-    want_journey,
-    write_outputs,
-)
+from occmap.writers.outputs import check_outputs, want_evidence, want_journey, write_outputs
 
 if TYPE_CHECKING:
     from occmap.inspection import Inspection
@@ -178,27 +163,6 @@ def describe_evidence(
     with tally.time("write"):
         made = describe_build(paths, options, tally.to_json())
     return replace(manifest, builds=(*past.builds, made), subtracted=past.subtracted)
-
-
-def list_notes(
-    paths: Sequence[Path],
-    options: BuildOptions,
-    outputs: Sequence[Path],
-    tally: Tally,
-    facts: MapFacts,
-) -> Iterator[str]:
-    """Say what a user should know of the options, the logs and the map of a build."""
-    yield from list_idle(outputs, options.writing)
-    yield from list_unreached(options.model, options.writing)
-    yield from options.list_idle()
-    if options.resume_if_there and not options.resume_if_there.exists():
-        yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
-    yield from note_idle_end(options.selection, tally)
-    yield from list_given_twice(paths)
-    yield from list_frames(tally)
-    yield from list_lacking(tally, facts)
-    yield from list_disagreement(facts)
-    yield from list_misfits(paths, options, facts.agreement, tally.lasers)
 
 
 def make_report(

@@ -5,15 +5,17 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 from occmap.batching import LeftOut, Selection
+from occmap.mounts import list_misfits
+from occmap.options import BuildOptions
 from occmap.readers import Note
 from occmap.report import MapFacts
 from occmap.sensor.bounds import Clamped
 from occmap.sensor.models import SensorModel, find_decision
 from occmap.tally import Tally
 from occmap.writers import WriteOptions
+from occmap.writers.outputs import list_idle
 
 LONGEST_LOG_S = 1e8
 """Three years: a time that is later is a date."""
@@ -25,18 +27,6 @@ DOUBTFUL_AGREEMENT = 0.78
 that are doubled here and there, and `tune` takes a floor from 0.72 to 0.85."""
 
 
-class Noted(Protocol):
-    """A log, or what stands for a log that another process read."""
-
-    @property
-    def path(self) -> Path:
-        """Where it is."""
-
-    @property
-    def notes(self) -> Sequence[Note]:
-        """What its reader has to say."""
-
-
 @dataclass
 class Remarks:
     """What is said of logs beside numbers; it grows while they are read."""
@@ -46,10 +36,31 @@ class Remarks:
     damage: list[str] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
 
-    def note(self, log: Noted, others: Iterable[str]) -> None:
-        """Keep the notes of a log, and the notes of others on it."""
-        self.notes += [f"{log.path}: {text}" for text in (*others, *(n.text for n in log.notes))]
-        self.damage += [f"{log.path}: {note.text}" for note in log.notes if note.damage]
+    def note(self, log: Path, notes: Sequence[Note], others: Iterable[str]) -> None:
+        """Keep the notes of a log's reader, and the notes of others on it."""
+        self.notes += [f"{log}: {text}" for text in (*others, *(note.text for note in notes))]
+        self.damage += [f"{log}: {note.text}" for note in notes if note.damage]
+
+
+def list_notes(
+    paths: Sequence[Path],
+    options: BuildOptions,
+    outputs: Sequence[Path],
+    tally: Tally,
+    facts: MapFacts,
+) -> Iterator[str]:
+    """Say what a user should know of the options, the logs and the map of a build."""
+    yield from list_idle(outputs, options.writing)
+    yield from list_unreached(options.model, options.writing)
+    yield from options.list_idle()
+    if options.resume_if_there and not options.resume_if_there.exists():
+        yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
+    yield from note_idle_end(options.selection, tally)
+    yield from list_given_twice(paths)
+    yield from list_frames(tally)
+    yield from list_lacking(tally, facts)
+    yield from list_disagreement(facts)
+    yield from list_misfits(paths, options, facts.agreement, tally.lasers)
 
 
 def list_given_twice(logs: Sequence[Path]) -> Iterator[str]:

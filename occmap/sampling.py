@@ -54,10 +54,8 @@ def sample_scans(
     log: Log, topics: Sequence[str], poser: Poser, options: BuildOptions
 ) -> list[PosedScans]:
     """Pose some of the scans that a build uses, spread evenly over a log."""
-    scans = count_messages(log, topics)
-    samples: defaultdict[str, Sample] = defaultdict(
-        lambda: Sample(expect_scans(scans // len(topics), options.selection))
-    )
+    expected = expect_scans(count_messages(log, topics) // len(topics), options.selection)
+    samples: defaultdict[str, Sample] = defaultdict(lambda: Sample(expected))
     batcher = Batcher(options.selection, options.posing.stamps, RangeLimits(options.returns))
     for _, posed, _ in poser.attach(batcher.stack(read_scans(log, topics))):
         if posed is not None:
@@ -73,8 +71,6 @@ def estimate_agreement(parts: Sequence[PosedScans], options: BuildOptions) -> fl
     float or None
         None where the sample makes no map, or one too large to be made in passing.
     """
-    if not parts:
-        return None
     engine = make_engine(replace(options, model=CountingModel(), max_cells=MOST_CELLS))
     try:
         for part in parts:
@@ -96,5 +92,4 @@ def expect_scans(scans: int, selection: Selection) -> int:
 def encode_cells(points: Float64, cell: float) -> Int64:
     """Number the cells (...,) of a size (m) that points (..., 2) are nearest to."""
     cells = np.rint(np.clip(points / cell, -(2**30), 2**30)).astype(np.int64)
-    codes: Int64 = (cells[..., 0] << 32) + cells[..., 1]
-    return codes
+    return np.asarray((cells[..., 0] << 32) + cells[..., 1])

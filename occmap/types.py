@@ -193,15 +193,10 @@ class ScanRun(NamedTuple):
     def split(self) -> list[Scan]:
         """The single scans."""
         poses = [None] * self.scans if self.pose is None else map(Pose._make, self.pose.tolist())
-        columns = {
-            "stamp_ns": self.stamp_ns.tolist(),
-            "record_ns": self.record_ns.tolist(),
-            "ranges": self.ranges,
-            "time_increment": self.time_increment.tolist(),
-            "pose": poses,
-        }
-        rows = zip(*columns.values(), strict=True)
-        return [self.first._replace(**dict(zip(columns, row, strict=True))) for row in rows]
+        times = self.stamp_ns.tolist(), self.record_ns.tolist()
+        rows = zip(*times, self.ranges, self.time_increment.tolist(), poses, strict=True)
+        names = "stamp_ns", "record_ns", "ranges", "time_increment", "pose"
+        return [self.first._replace(**dict(zip(names, row, strict=True))) for row in rows]
 
 
 class _PoseFields(NamedTuple):
@@ -438,11 +433,8 @@ class Rays:
     @property
     def direction(self) -> Float64:
         """(S, B, 2): of length 1, or less where a tilted beam is projected down."""
-        turned: Float64 = (
-            self.turn[..., 0] * self.bearing[0, :, None]
-            + self.turn[..., 1] * self.bearing[1, :, None]
-        )
-        return turned
+        x, y = self.bearing[..., None]
+        return np.asarray(self.turn[..., 0] * x + self.turn[..., 1] * y)
 
     @property
     def end(self) -> Float64:
@@ -564,8 +556,7 @@ class OccupancyMap:
         """(H, W) probability of being occupied, 1 / (1 + exp(-log_odds))."""
         odds = np.exp(-np.abs(self.log_odds))
         numerator: Float32 = np.where(self.log_odds < 0, odds, np.float32(1))
-        probability: Float32 = numerator / (1 + odds)
-        return probability
+        return np.asarray(numerator / (1 + odds))
 
     @property
     def occupied(self) -> Bool:
@@ -676,13 +667,8 @@ class Slices:
     @classmethod
     def join(cls, parts: Iterable[Self]) -> Self:
         """Concatenate slices; of none, the result is empty."""
-        empty = cls(
-            np.zeros((0, 2), np.int64),
-            np.zeros(0, np.int64),
-            np.zeros((0, 16), np.uint8),
-            np.zeros(0, np.uint8),
-            np.zeros(0, np.uint8),
-        )
+        no_tiles, nothing = np.zeros((0, 2), np.int64), np.zeros(0, np.uint8)
+        empty = cls(no_tiles, no_tiles[:, 0], nothing.reshape(0, 16), nothing, nothing)
         all_of_them = (empty, *parts)
         names = cls.__dataclass_fields__
         return cls(*(np.concatenate([getattr(s, name) for s in all_of_them]) for name in names))

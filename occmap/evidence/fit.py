@@ -54,7 +54,7 @@ def measure_fit(grid: TileGrid, others: Mapping[Key, Tile], model: SensorModel) 
     both: dict[Key, Tile] = {
         key: np.sum([part[key] for part in parts], axis=0, dtype=np.int64) for key in sample
     }
-    sources = [choose_tiles(make_like(grid, tiles), model) for tiles in [*parts, both]]
+    sources = [choose_tiles(grid.like(tiles), model) for tiles in [*parts, both]]
     log_odds, cut = weigh(model), to_log_odds(find_decision(model).occupied_above)
     sums = np.zeros((2, 3))  # of each part: hits, those that agree alone, and those together
     for key in sample:
@@ -69,10 +69,3 @@ def measure_fit(grid: TileGrid, others: Mapping[Key, Tile], model: SensorModel) 
         return None
     shares = (sums[:, 1:] / sums[:, :1]).mean(axis=0)
     return Fit(*shares.tolist())
-
-
-def make_like(grid: TileGrid, tiles: Mapping[Key, Tile]) -> TileGrid:
-    """Make a grid of other tiles, on the lattice of a grid and of its kind."""
-    made = TileGrid(grid.lattice, grid.kind, grid.unit)
-    made.tiles.update(tiles)
-    return made

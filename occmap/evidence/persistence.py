@@ -5,7 +5,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from occmap.errors import MapError, UsageError
+from occmap.errors import MapError, UsageError, require
 from occmap.evidence import render
 from occmap.grid.slices import count_visits, split_tiles, unite
 from occmap.grid.tiles import TileGrid, drop_empty
@@ -35,7 +35,7 @@ def keep_lasting(grid: TileGrid, slices: Sequence[Slices], min_passes: int | Non
     """
     if min_passes is None:
         return grid
-    lasting = TileGrid(grid.lattice, grid.kind, grid.unit)
+    lasting = grid.like({})
     for key, of_tile in split_tiles(unite(slices)):
         if key in grid.tiles:
             (hits, misses), (hit, seen) = grid.tiles[key], count_visits(of_tile)
@@ -80,10 +80,8 @@ def render_lasting(
 
 def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:
     """Say where many cells are no longer occupied after hits and misses were forgotten."""
-    rows, cols = (
-        slice(place, place + size)
-        for place, size in zip(after.place - before.place, after.shape, strict=True)
-    )
+    start = after.place - before.place
+    rows, cols = map(slice, start, start + after.shape)
     were = int(np.count_nonzero(before.occupied))
     lost = were - int(np.count_nonzero(before.occupied[rows, cols] & after.occupied))
     yield from describe_lost(were, lost)
@@ -109,8 +107,7 @@ def check_passes(min_passes: int | None, model: SensorModel) -> None:
     """
     if min_passes is None:
         return
-    if min_passes < 1:
-        raise UsageError(f"`min_passes={min_passes}` is not possible", fix="give 1 or more")
+    require(min_passes >= 1, f"`min_passes={min_passes}` is not possible", "give 1 or more")
     if isinstance(model, RadialModel):
         raise UsageError(
             f"`min_passes` counts the visits that hit a cell, while {model.name} sums up log-odds "
@@ -127,6 +124,6 @@ def check_gap(pass_gap_s: float) -> None:
     UsageError
         They are too short or too long.
     """
-    if not SHORTEST_GAP_S <= pass_gap_s <= LONGEST_GAP_S:
-        found = f"`pass_gap_s={pass_gap_s:g}` is not possible"
-        raise UsageError(found, fix=f"give {SHORTEST_GAP_S:g} to {LONGEST_GAP_S:g} seconds")
+    fix = f"give {SHORTEST_GAP_S:g} to {LONGEST_GAP_S:g} seconds"
+    is_possible = SHORTEST_GAP_S <= pass_gap_s <= LONGEST_GAP_S
+    require(is_possible, f"`pass_gap_s={pass_gap_s:g}` is not possible", fix)

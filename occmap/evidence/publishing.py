@@ -17,15 +17,8 @@ from occmap.remarks import list_disagreement, list_unreached
 from occmap.report import MapFacts, MapSummary, Report, Resumed, describe_map
 from occmap.sensor.models import SensorModel, describe_model
 from occmap.sensor.returns import ReturnCounts
+from occmap.store import rendering
 from occmap.store.reading import Store
-from occmap.store.rendering import (
-    BlockMap,
-    View,
-    open_map,
-    read_overview,
-    render_blocks,
-    survey_blocks,
-)
 from occmap.store.sources import Saved, as_blocks, read_all
 from occmap.store.writer import ZarrWriter
 from occmap.tally import ScanCounts
@@ -85,12 +78,12 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
             refuse_unknown(path, writer, options)
     model, manifest = choose_model(saved, options)
     in_parts = all(isinstance(writer, ZarrWriter | WindowWriter) for writer in writers)
-    grid: OccupancyMap | BlockMap
+    grid: OccupancyMap | rendering.BlockMap
     if isinstance(saved, Evidence) or options.overview or not in_parts:
         grid, seen = paint_saved(saved, model, options)
     else:
-        grid = open_map(View(saved, model, options.min_passes), options.framing)
-        seen = Seen(grid.resolution, *survey_blocks(grid, options.writing))
+        grid = rendering.open_map(rendering.View(saved, model, options.min_passes), options.framing)
+        seen = Seen(grid.resolution, *rendering.survey_blocks(grid, options.writing))
     report = summarise(manifest, model, seen, options, outputs)
     keep = cache(lambda: replace(read_all(saved), manifest=manifest))
     files: list[str] = []
@@ -157,15 +150,15 @@ def paint_saved(
     framing, most = options.framing, options.max_cells
     if options.overview is not None:
         store = check_overview(saved, options)
-        shown = read_overview(store, options.overview, framing, most)
+        shown = rendering.read_overview(store, options.overview, framing, most)
         lost: list[str] = []
     elif isinstance(saved, Evidence):
         grid, lost = render_lasting(to_grid(saved), saved.slices, options.min_passes, model, most)
         lost = [*saved.notes, *lost]
         shown = frame(grid, framing, model.prior, most)
     else:
-        view = View(saved, model, options.min_passes)
-        shown, lost = render_blocks(open_map(view, framing), most)
+        view = rendering.View(saved, model, options.min_passes)
+        shown, lost = rendering.render_blocks(rendering.open_map(view, framing), most)
     return shown, Seen(shown.resolution, describe_map(shown, options.writing), lost)
 
 

@@ -8,6 +8,7 @@ notes alone.
 import hashlib
 import json
 import shutil
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -111,27 +112,21 @@ class Fleet:
         ):
             # What is nowhere is an error like any other.
             refuse_unseen_files(cluster, [folder, *(path for path in paths if path.exists())])
-            setting = self.plan(cluster, options, keep, folder, len(paths))
+            spare = ((cluster.memory or ROOMY_BYTES) - BASE_BYTES) // 4
+            window = min(1 << (spare // WINDOW_CELL_BYTES).bit_length() - 1, LARGEST_WINDOW)
+            sizes = self.slice_bytes, window, spare
+            setting = Setting(options, keep, folder, *sizes, logs=len(paths))
             with tally.time("open"):
                 surveys = survey_logs(cluster, setting, paths)
-            blocks: dict[Block, dict[int, list[Piece]]] = {}
+            blocks: dict[Block, dict[int, list[Piece]]] = defaultdict(lambda: defaultdict(list))
             for log in trace_parts(cluster, setting, surveys, progress):
-                remarks.note(log, log.list_findings())
+                remarks.note(log.survey.path, log.parts[0].log_notes, log.list_findings())
                 for part in log.parts:
                     tally.add(part.tally)
                     for block, pieces in part.pieces.items():
-                        of_log = blocks.setdefault(block, {}).setdefault(log.survey.log, [])
-                        of_log.extend(pieces)
+                        blocks[block][log.survey.log] += pieces
                 remarks.notes += log.list_uncut()
             yield Work(cluster, setting, tally, remarks, blocks)
-
-    def plan(
-        self, cluster: Cluster, options: BuildOptions, keep: Keep, folder: Path, logs: int
-    ) -> Setting:
-        """Fit the work to the memory of the smallest worker."""
-        spare = ((cluster.memory or ROOMY_BYTES) - BASE_BYTES) // 4
-        cells = min(1 << (spare // WINDOW_CELL_BYTES).bit_length() - 1, LARGEST_WINDOW)
-        return Setting(options, keep, folder, self.slice_bytes, cells, most_bytes=spare, logs=logs)
 
 
 @contextmanager

@@ -122,6 +122,8 @@ def open_cluster(
 ) -> Iterator[Cluster]:
     """Find the workers at an address, or start as many as asked for on this machine.
 
+    What they log is not for the user of a map.
+
     Parameters
     ----------
     describe
@@ -132,16 +134,6 @@ def open_cluster(
     UsageError, FleetError
         Dask is not installed, nobody answers, or the workers are not fit for the work.
     """
-    with connect(address, processes) as client:
-        cluster = Cluster(client, describe)
-        refuse_unequal(cluster)
-        refuse_small(cluster)
-        yield cluster
-
-
-@contextmanager
-def connect(address: str, processes: int) -> Iterator["Client"]:
-    """Connect to a scheduler, or start one; what they log is not for the user of a map."""
     with need_extra("dask", "`dask` needs the library distributed"):
         import dask  # noqa: PLC0415  late: an extra, and it takes half a second
         import distributed  # noqa: PLC0415
@@ -170,7 +162,10 @@ def connect(address: str, processes: int) -> Iterator["Client"]:
         except TimeoutError:
             fix = f"start some: dask worker {address}"
             raise FleetError("the scheduler has no workers", where=address, fix=fix) from None
-        yield client
+        cluster = Cluster(client, describe)
+        refuse_unequal(cluster)
+        refuse_small(cluster)
+        yield cluster
 
 
 def refuse_unequal(cluster: Cluster) -> None:
@@ -181,18 +176,15 @@ def refuse_unequal(cluster: Cluster) -> None:
     FleetError
         Saying how many there are, and what they run.
     """
-    mine = list_versions()
-    theirs = cluster.ask(list_versions)
-    other = [each for each in theirs if each != mine]
-    if other:
+    mine, theirs = list_versions(), cluster.ask(list_versions)
+    if other := [each for each in theirs if each != mine]:
         runs = other[0] if isinstance(other[0], dict) else {}
-        found = [f"{name} {runs.get(name)}" for name in mine if runs.get(name) != mine[name]]
-        here = [f"{name} {mine[name]}" for name in mine if runs.get(name) != mine[name]]
-        raise FleetError(
-            f"{len(other)} of {count(len(theirs), 'worker')} run {', '.join(found)}, "
-            f"where {', '.join(here)} runs here",
-            fix="install the same versions everywhere",
-        )
+        wrong = [name for name in mine if runs.get(name) != mine[name]]
+        there = ", ".join(f"{name} {runs.get(name)}" for name in wrong)
+        here = ", ".join(f"{name} {mine[name]}" for name in wrong)
+        workers = f"{len(other)} of {count(len(theirs), 'worker')}"
+        found = f"{workers} run {there}, where {here} runs here"
+        raise FleetError(found, fix="install the same versions everywhere")
 
 
 def list_versions() -> dict[str, str]:
@@ -209,11 +201,9 @@ def refuse_small(cluster: Cluster) -> None:
         Saying how much the smallest has.
     """
     if cluster.memory is not None and cluster.memory < LEAST_BYTES:
-        raise FleetError(
-            f"a worker may take {cluster.memory >> 20} MiB of memory, and {LEAST_BYTES >> 20} MiB "
-            "are the least",
-            fix="start fewer workers, or give each more memory",
-        )
+        memory, least = cluster.memory >> 20, LEAST_BYTES >> 20
+        found = f"a worker may take {memory} MiB of memory, and {least} MiB are the least"
+        raise FleetError(found, fix="start fewer workers, or give each more memory")
 
 
 def refuse_unseen_files(cluster: Cluster, paths: Sequence[Path]) -> None:
@@ -243,8 +233,6 @@ def explain(error: BaseException, job: Job, memory: int | None) -> BaseException
     if not isinstance(error, KilledWorker):
         return error
     limit = "" if memory is None else f", which had {memory >> 20} MiB of memory"
-    return FleetError(
-        f"killed its workers {error.allowed_failures + 1} times{limit}",
-        where=job.where,
-        fix="give workers more memory, or build with a smaller `slice`",
-    )
+    found = f"killed its workers {error.allowed_failures + 1} times{limit}"
+    fix = "give workers more memory, or build with a smaller `slice`"
+    return FleetError(found, where=job.where, fix=fix)

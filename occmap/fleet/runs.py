@@ -67,9 +67,8 @@ def read_pieces(folder: Path, pieces: Iterable[Piece]) -> Iterator[BlockContent]
                 file.seek(offset)
                 data = zstandard.decompress(file.read(size))
         except (OSError, zstandard.ZstdError) as error:
-            raise MapError(
-                f"cannot be read ({error})", where=folder / name, fix="remove it, and build again"
-            ) from None
+            found = f"cannot be read ({error})"
+            raise MapError(found, where=folder / name, fix="remove it, and build again") from None
         yield pickle.loads(data)
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from itertools import accumulate
-from pathlib import Path
 
 import numpy as np
 
@@ -10,7 +9,6 @@ from occmap.batching import FROM_THE_START, Seam
 from occmap.fleet.tasks import Setting, Survey, Traced, TraceJob
 from occmap.posing.course import STANDS, STILL_M
 from occmap.posing.sifting import MOST_PATHS, Ends, Laser
-from occmap.readers import Note
 from occmap.sensor.no_return import RangeLimits
 from occmap.types import Float64
 
@@ -40,16 +38,6 @@ class LogTrace:
         """What the parts showed, in order, once all of them are traced."""
         return [self.traced[job.name] for job in self.jobs]
 
-    @property
-    def path(self) -> Path:
-        """The log."""
-        return self.survey.path
-
-    @property
-    def notes(self) -> Sequence[Note]:
-        """The notes of its reader."""
-        return self.parts[0].log_notes
-
     def list_findings(self) -> list[str]:
         """List what there is to say of its poses, scans and ranges."""
         ranges = self.limits.list_notes() if self.limits else ()
@@ -60,8 +48,8 @@ class LogTrace:
         """Say that the log is one task, though much larger than asked for."""
         if self.survey.parts == 1 and self.survey.bytes > 2 * self.jobs[0].setting.slice_bytes:
             yield (
-                f"{self.path}: is traced by one worker, since it cannot be cut: it is packed, its "
-                "index is missing, or another's reader reads it"
+                f"{self.survey.path}: is traced by one worker, since it cannot be cut: it is "
+                "packed, its index is missing, or another's reader reads it"
             )
 
     def list_open(self) -> Iterator[TraceJob]:

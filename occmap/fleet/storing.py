@@ -1,10 +1,9 @@
 """A store that the workers write themselves, block by block: the driver never holds the map."""
 
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial, reduce
-from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,12 +18,13 @@ from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing
 from occmap.observing import Keep, Progress
 from occmap.options import BuildOptions
-from occmap.pipeline import list_inputs, list_notes, make_report
+from occmap.pipeline import list_inputs, make_report
+from occmap.remarks import list_notes
 from occmap.report import MapFacts, Report, count_cells
-from occmap.store.blocks import BLOCK, Block, BlockRecord
-from occmap.store.layout import import_zarr
+from occmap.store.blocks import Block, BlockRecord, list_blocks
 from occmap.store.writing import (
     create_store,
+    edit_store,
     finish_store,
     paint_block,
     write_block,
@@ -137,16 +137,14 @@ def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> Map
     Blocks beside those that are written are looked at, too: hits speak for the cells around them.
     """
     written = {record.block: record.logs for record in records}
-    around = {block for record in records for block in list_touched(record.reach)}
+    around = {block for record in records for block in list_blocks(record.reach.grow(1))}
     jobs = [BlockJob(work.setting, block, logs=written.get(block, ())) for block in sorted(around)]
     measured = work.cluster.run("paint", partial(measure_block, store), jobs)
-    return sum_up(measured, work.setting.options)
-
-
-def list_touched(reach: CellBox) -> Iterator[Block]:
-    """The blocks that the cells of a box lie in or beside."""
-    row, col, row_end, col_end = reach.grow(1).align(BLOCK).shrink(BLOCK)
-    return (Block(*place) for place in product(range(row, row_end), range(col, col_end)))
+    box = reduce(CellBox.join, (each.reach for each in measured if each.reach))
+    agreeing, hits = (sum(column) for column in zip(*(each.hits for each in measured), strict=True))
+    cells = np.sum([each.cells for each in measured], axis=0)
+    extent = Lattice(work.setting.options.resolution).measure(box)
+    return MapFacts.of_counts(extent, box.shape, cells, agreeing / hits if hits else None)
 
 
 def measure_block(store: Path, job: BlockJob) -> Measured:
@@ -158,20 +156,10 @@ def measure_block(store: Path, job: BlockJob) -> Measured:
         They cannot be written.
     """
     box = job.block.box
-    with refuse_unwritable(store):
-        root = import_zarr().open_group(store, mode="r+")
+    with edit_store(store) as root:
         grid, made = paint_block(root, job.block)
         if job.logs:
             write_classes(root, job.block, made.classes)
     reach = CellBox.around(made.observed, box.row, box.col)
     cells = count_cells(made, job.setting.options.writing)
     return Measured(reach, cells, count_agreeing(grid, made.occupied, box))
-
-
-def sum_up(measured: Sequence[Measured], options: BuildOptions) -> MapFacts:
-    """Make of the blocks what is told of their map."""
-    box = reduce(CellBox.join, (each.reach for each in measured if each.reach))
-    agreeing, hits = (sum(column) for column in zip(*(each.hits for each in measured), strict=True))
-    cells = np.sum([each.cells for each in measured], axis=0)
-    extent = Lattice(options.resolution).measure(box)
-    return MapFacts.of_counts(extent, box.shape, cells, agreeing / hits if hits else None)

@@ -67,7 +67,9 @@ class GridEngine:
         refuse_long_beams(rays, self.spec.lattice.resolution)
         refuse_many_beams(rays, self.spec)
         too_much = count_observations(rays, self.spec) > find_most_observations(self.spec)
-        too_wide = lie_far_apart(rays, self.spec.lattice.resolution)
+        # Where sensors are so far apart, one anchor cannot serve the ends of all beams.
+        apart = float(np.ptp(rays.origin, axis=(0, 1)).max()) / self.spec.lattice.resolution
+        too_wide = apart > MOST_CELLS_OF_BEAM / 2
         if (too_much or too_wide) and len(rays.kind) > 1:
             self._add_halves(rays)
             return
@@ -141,12 +143,6 @@ def refuse_many_beams(rays: Rays, spec: GridSpec) -> None:
         found = f"a scan of {rays.kind.shape[1]} beams is more than this model can count"
         fix = "no laser has so many: see what is in the log with `occmap check`"
         raise MapError(found, fix=fix)
-
-
-def lie_far_apart(rays: Rays, resolution: float) -> bool:
-    """Whether sensors are so far apart that one anchor cannot serve the ends of all beams."""
-    spread = float(np.ptp(rays.origin, axis=(0, 1)).max())
-    return spread / resolution > MOST_CELLS_OF_BEAM / 2
 
 
 def add_room(box: CellBox, most_cells: int) -> CellBox:

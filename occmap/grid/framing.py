@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from occmap.errors import MapError, UsageError
+from occmap.errors import MapError, require
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.tiles import refuse_large
 from occmap.types import Box, OccupancyMap, to_log_odds
@@ -32,20 +32,17 @@ class Framing:
     """How much unknown space the map has around what was observed (m), to whole cells"""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.margin <= FARTHEST_M:
-            raise UsageError(f"a margin of {self.margin} m is not possible", fix="give 0 or more")
+        found = f"a margin of {self.margin} m is not possible"
+        require(0 <= self.margin <= FARTHEST_M, found, "give 0 or more")
         if self.extent is None:
             return
-        if self.margin:
-            raise UsageError(
-                "a margin goes around what was observed, while the extent says where the map ends",
-                fix="leave out `margin` or `extent`",
-            )
+        found = "a margin goes around what was observed, while the extent says where the map ends"
+        require(not self.margin, found, "leave out `margin` or `extent`")
         x_min, y_min, x_max, y_max = self.extent
-        near = max(map(abs, self.extent)) <= FARTHEST_M
-        if not (near and x_min < x_max and y_min < y_max):
-            found = f"the extent {self.extent} is no box"
-            raise UsageError(found, fix="write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4")
+        is_near = max(map(abs, self.extent)) <= FARTHEST_M
+        fix = "write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4"
+        is_box = is_near and x_min < x_max and y_min < y_max
+        require(is_box, f"the extent {self.extent} is no box", fix)
 
 
 def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) -> OccupancyMap:
@@ -70,10 +67,9 @@ def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) ->
     shared = whole.clip(box)
     log_odds = np.full(box.shape, to_log_odds(prior), np.float32)
     observed = np.zeros(box.shape, np.bool_)
-    inside, own = find_window(shared, box), find_window(shared, whole)
+    inside, own = shared.within(box), shared.within(whole)
     log_odds[inside], observed[inside] = grid.log_odds[own], grid.observed[own]
-    origin = lattice.to_metres(box.col), lattice.to_metres(box.row)
-    return replace(grid, log_odds=log_odds, observed=observed, origin=origin)
+    return replace(grid, log_odds=log_odds, observed=observed, origin=lattice.measure(box)[:2])
 
 
 def choose_box(whole: CellBox, framing: Framing, lattice: Lattice) -> CellBox:
@@ -96,11 +92,3 @@ def choose_box(whole: CellBox, framing: Framing, lattice: Lattice) -> CellBox:
         reach = ", ".join(f"{edge:.6g}" for edge in lattice.measure(whole))
         raise MapError("no cell of the map lies in `extent`", fix=f"the map's own box is {reach}")
     return box
-
-
-def find_window(inner: CellBox, outer: CellBox) -> tuple[slice, slice]:
-    """Rows and columns of a box within another one."""
-    return (
-        slice(inner.row - outer.row, inner.row_end - outer.row),
-        slice(inner.col - outer.col, inner.col_end - outer.col),
-    )

@@ -12,7 +12,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.errors import UsageError
+from occmap.errors import require
 from occmap.grid.kernels.units import CELL_SHIFT, UNITS_PER_CELL
 from occmap.types import Bool, Box, Float64, Int64, OccupancyMap
 
@@ -46,6 +46,11 @@ class CellBox(NamedTuple):
         edges = rows[0], cols[0], rows[-1] + 1, cols[-1] + 1
         return cls(*map(int, edges)).move(row, col)
 
+    @classmethod
+    def at(cls, row: int, col: int) -> Self:
+        """The box of a single cell."""
+        return cls(row, col, row + 1, col + 1)
+
     @property
     def rows(self) -> int:
         """Height in cells."""
@@ -69,6 +74,11 @@ class CellBox(NamedTuple):
     def contains(self, other: Self) -> bool:
         """Whether `other` lies wholly in this box."""
         return self.clip(other) == other
+
+    def within(self, outer: Self) -> tuple[slice, slice]:
+        """Its rows and columns in the array of a box around it."""
+        moved = self.move(-outer.row, -outer.col)
+        return slice(moved.row, moved.row_end), slice(moved.col, moved.col_end)
 
     def clip(self, other: Self) -> Self:
         """The part of `other` that lies in this box."""
@@ -94,18 +104,18 @@ class CellBox(NamedTuple):
         ends = (-(-edge // side) * side for edge in (self.row_end, self.col_end))
         return type(self)(self.row // side * side, self.col // side * side, *ends)
 
+    def scale(self, side: int) -> Self:
+        """The box in cells, where it counts squares of `side` by `side` cells."""
+        return type(self)(*(edge * side for edge in self))
+
     def shrink(self, side: int) -> Self:
         """Count the box in squares of `side` by `side` cells, of which it is made."""
         return type(self)(*(edge // side for edge in self))
 
     def join(self, other: Self) -> Self:
         """The smallest box around both."""
-        return type(self)(
-            min(self.row, other.row),
-            min(self.col, other.col),
-            max(self.row_end, other.row_end),
-            max(self.col_end, other.col_end),
-        )
+        starts, ends = map(min, self[:2], other[:2]), map(max, self[2:], other[2:])
+        return type(self)(*starts, *ends)
 
 
 @dataclass(frozen=True)
@@ -121,9 +131,9 @@ class Lattice:
     resolution: float
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.resolution) and self.resolution > 0):
-            fix = "give the side of a cell in metres, such as `resolution=0.05`"
-            raise UsageError(f"a resolution of {self.resolution} m is not possible", fix=fix)
+        found = f"a resolution of {self.resolution} m is not possible"
+        fix = "give the side of a cell in metres, such as `resolution=0.05`"
+        require(0 < self.resolution < math.inf, found, fix)
 
     @property
     def units_per_metre(self) -> float:

@@ -18,7 +18,7 @@ class CellProbe:
 
     def __init__(self, spec: GridSpec, row: int, col: int) -> None:
         self.spec = spec
-        self.box = CellBox(row, col, row + 1, col + 1)
+        self.box = CellBox.at(row, col)
 
     def look(self, rays: Rays) -> Int64:
         """(S, 2) the two numbers that each scan adds to the cell.
@@ -33,8 +33,13 @@ class CellProbe:
             return seen
         refuse_far_sensors(rays, self.spec.lattice)
         refuse_long_beams(rays, self.spec.lattice.resolution)
+        row, col = self.box.row % TILE, self.box.col % TILE
         for scan in np.flatnonzero(self.find_near(rays)):
-            seen[scan] = self._trace(rays.take(slice(scan, scan + 1)))
+            projected = project(offset_hits(rays.take(slice(scan, scan + 1)), self.spec), self.spec)
+            window = choose_window(self.spec, projected)(self.spec, self.box)
+            window.observe(projected)
+            for tile in window.read().values():  # the window is a single tile
+                seen[scan] = tile[:, row, col]
         return seen
 
     def find_near(self, rays: Rays) -> Bool:
@@ -51,13 +56,4 @@ class CellProbe:
         # longer; a beam's other viewpoints are nearer.
         reach = rays.distance.max(axis=1) + 3 * spread + (0.0 if radial is None else radial.depth)
         reach += self.spec.hit_offset * resolution
-        near: Bool = away <= reach + 2 * math.sqrt(2) * resolution
-        return near
-
-    def _trace(self, rays: Rays) -> tuple[int, int]:
-        projected = project(offset_hits(rays, self.spec), self.spec)
-        window = choose_window(self.spec, projected)(self.spec, self.box)
-        window.observe(projected)
-        tile = window.read().get((self.box.row // TILE, self.box.col // TILE))
-        row, col = self.box.row % TILE, self.box.col % TILE
-        return (0, 0) if tile is None else (int(tile[0, row, col]), int(tile[1, row, col]))
+        return np.asarray(away <= reach + 2 * math.sqrt(2) * resolution)

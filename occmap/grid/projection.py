@@ -68,32 +68,17 @@ def project(rays: Rays, spec: GridSpec) -> Projected:
     anchor = origins[0, 0] >> CELL_SHIFT << CELL_SHIFT
     origins -= anchor
     ends_x, ends_y = np.empty(rays.kind.shape, np.int32), np.empty(rays.kind.shape, np.int32)
-    lowest_x, lowest_y, highest_x, highest_y = project_ends(
-        rays.origin,
-        rays.turn,
-        rays.bearing,
-        rays.distance,
-        rays.kind,
-        depth,
-        spec.lattice.units_per_metre,
-        anchor.astype(np.float64),
-        ends_x,
-        ends_y,
-    )
-    lowest, highest = origins.min(axis=(0, 1)).tolist(), origins.max(axis=(0, 1)).tolist()
-    left, bottom = min(lowest_x, lowest[0]), min(lowest_y, lowest[1])
-    right, top = max(highest_x, highest[0]), max(highest_y, highest[1])
-    left, bottom, right, top = (edge >> CELL_SHIFT for edge in (left, bottom, right, top))
-    to_col, to_row = (int(corner) >> CELL_SHIFT for corner in anchor)
-    margin = 1 + _reach_beside(rays, spec)
-    box = CellBox(
-        to_row + bottom - margin,
-        to_col + left - margin,
-        to_row + top + 1 + margin,
-        to_col + right + 1 + margin,
-    )
+    scale = spec.lattice.units_per_metre
+    lines = rays.origin, rays.turn, rays.bearing, rays.distance, rays.kind
+    to_anchor = anchor.astype(np.float64)
+    left, bottom, right, top = project_ends(*lines, depth, scale, to_anchor, ends_x, ends_y)
+    lowest = np.minimum(origins.min(axis=(0, 1)), (left, bottom))
+    highest = np.maximum(origins.max(axis=(0, 1)), (right, top))
+    edges = np.stack([lowest, highest]) + anchor
+    (col, row), (col_end, row_end) = (edges >> CELL_SHIFT).tolist()
+    box = CellBox(row, col, row_end + 1, col_end + 1).grow(1 + _reach_beside(rays, spec))
     ranges = np.empty(rays.kind.shape if spec.radial else (0, 0))
-    measure_ranges(rays.turn, rays.bearing, rays.distance, spec.lattice.units_per_metre, ranges)
+    measure_ranges(rays.turn, rays.bearing, rays.distance, scale, ranges)
     weights = between = np.zeros((0, 0), np.uint8)
     if spec.update is not Update.POLYGON or rays.kind.shape[1] == 1:  # a single beam is a line
         weights, between = np.ones_like(rays.kind), np.zeros_like(rays.kind)

@@ -1,8 +1,8 @@
 """Makes one dense grid of sparse tiles, and spreads hits to the cells around them."""
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from functools import reduce
+from itertools import product
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -14,6 +14,8 @@ from occmap.types import Bool, Float32, Float64
 
 Part: TypeAlias = tuple[slice, slice]
 """Rows and columns."""
+ENDS: dict[int, int | slice] = {-1: 0, 0: slice(None), 1: -1}
+"""Which rows, or columns, of a tile lie at the tile before it, at any, and at the one behind it"""
 RIM = TILE + 2
 """Cells along the side of a tile with those around it."""
 
@@ -48,17 +50,9 @@ class SpreadHits:
         """Row and column of each tile that has observations, or lies beside a hit."""
         reached = set(self.grid.keys)
         for (row, col), (hits, _) in self.grid.tiles.items():
-            beside = {
-                (-1, 0): hits[0],
-                (1, 0): hits[-1],
-                (0, -1): hits[:, 0],
-                (0, 1): hits[:, -1],
-                (-1, -1): hits[0, 0],
-                (-1, 1): hits[0, -1],
-                (1, -1): hits[-1, 0],
-                (1, 1): hits[-1, -1],
-            }
-            reached |= {(row + up, col + right) for (up, right), at in beside.items() if at.any()}
+            for (up, rows), (right, cols) in product(ENDS.items(), repeat=2):
+                if hits[rows, cols].any():
+                    reached.add((row + up, col + right))
         return reached
 
     def read(self, key: Key) -> CellNumbers:
@@ -96,27 +90,23 @@ def find_bounds(tiles: TileSource) -> CellBox:
     MapError
         Nothing was observed.
     """
-    box = measure_bounds(tiles)
-    if box is None:
-        raise MapError("no beam of any scan observed a cell, so there is no map")
-    return box
+    if box := measure_bounds(tiles):
+        return box
+    raise MapError("no beam of any scan observed a cell, so there is no map")
 
 
 def measure_bounds(tiles: TileSource) -> CellBox | None:
     """The smallest box around all observed cells; None: there are none."""
-    return reduce(CellBox.join, edges) if (edges := list(_list_edges(tiles))) else None
-
-
-def _list_edges(tiles: TileSource) -> Iterator[CellBox]:
-    """Boxes of observed cells in the tiles that can lie on the edge of the map."""
-    keys = tiles.keys
-    rows, cols = zip(*keys, strict=True) if keys else ((0,), (0,))
-    low, high = (min(rows), min(cols)), (max(rows), max(cols))
-    for key in keys:
-        if any(key[axis] in (low[axis], high[axis]) for axis in (0, 1)):
-            seen = tiles.observed(*tiles.read(key))
-            if box := CellBox.around(seen, key[0] * TILE, key[1] * TILE):
-                yield box
+    if not (keys := tiles.keys):
+        return None
+    rows, cols = ({min(places), max(places)} for places in zip(*keys, strict=True))
+    box: CellBox | None = None
+    for row, col in keys:
+        if row in rows or col in cols:  # only these can lie on the edge of the map
+            seen = tiles.observed(*tiles.read((row, col)))
+            if part := CellBox.around(seen, row * TILE, col * TILE):
+                box = part if box is None else box.join(part)
+    return box
 
 
 def paint(
@@ -161,13 +151,9 @@ def read_cells(tiles: TileSource, box: CellBox) -> Float64:
 
 def _overlap(key: Key, box: CellBox) -> tuple[Part, Part]:
     """What a tile shares with a box: as rows and columns of the tile, and of the box."""
-    row, col = key[0] * TILE - box.row, key[1] * TILE - box.col
-    in_tile = (
-        slice(max(-row, 0), max(box.rows - row, 0)),
-        slice(max(-col, 0), max(box.cols - col, 0)),
-    )
-    in_box = slice(max(row, 0), max(row + TILE, 0)), slice(max(col, 0), max(col + TILE, 0))
-    return in_tile, in_box
+    tile = CellBox.at(*key).scale(TILE)
+    shared = box.clip(tile)
+    return shared.within(tile), shared.within(box)
 
 
 def count_agreeing(grid: TileGrid, occupied: Bool, box: CellBox) -> tuple[int, int]:

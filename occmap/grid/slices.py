@@ -46,8 +46,7 @@ def unpack(slices: Slices) -> UInt8:
     parts[np.unpackbits(slices.rows).view(np.bool_)] = slices.parts
     changes = np.zeros(parts.size * 8, np.uint8)
     changes[np.unpackbits(parts).view(np.bool_)] = slices.changes
-    bits: UInt8 = np.bitwise_xor.accumulate(changes.reshape(-1, *BITS), axis=2)
-    return bits
+    return np.asarray(np.bitwise_xor.accumulate(changes.reshape(-1, *BITS), axis=2))
 
 
 def take(slices: Slices, which: Int64) -> Slices:
@@ -74,8 +73,7 @@ def spread(sizes: Int64, which: Int64) -> Int64:
     """Places of all items of some runs; the runs, of these sizes, lie one behind the other."""
     starts, wanted = (np.cumsum(sizes) - sizes)[which], sizes[which]
     shift = np.repeat(starts - (np.cumsum(wanted) - wanted), wanted)
-    places: Int64 = shift + np.arange(len(shift))
-    return places
+    return np.asarray(shift + np.arange(len(shift)))
 
 
 def unite(parts: Iterable[Slices]) -> Slices:
@@ -105,16 +103,10 @@ def split_tiles(slices: Slices) -> Iterator[tuple[tuple[int, int], Slices]]:
     for begin, end in pairwise([0, *new.tolist(), len(slices.tiles)]):
         if begin < end:
             row, col = slices.tiles[begin].tolist()
-            yield (
-                (row, col),
-                Slices(
-                    slices.tiles[begin:end],
-                    slices.numbers[begin:end],
-                    slices.rows[begin:end],
-                    slices.parts[part_ends[begin] : part_ends[end]],
-                    slices.changes[change_ends[begin] : change_ends[end]],
-                ),
-            )
+            parts = slices.parts[part_ends[begin] : part_ends[end]]
+            changes = slices.changes[change_ends[begin] : change_ends[end]]
+            numbers, rows = slices.numbers[begin:end], slices.rows[begin:end]
+            yield (row, col), Slices(slices.tiles[begin:end], numbers, rows, parts, changes)
 
 
 def count_visits(slices: Slices) -> Int64:
@@ -123,16 +115,14 @@ def count_visits(slices: Slices) -> Int64:
     nothing = np.zeros(BITS[1:], np.uint8)
     going = was_hit = nothing  # cells seen in the slice before; cells hit on the visit so far
     before = None
-    for begin, number, (hit, seen) in zip(
-        began, slices.numbers.tolist(), unpack(slices), strict=True
-    ):
+    of_slices = zip(began, slices.numbers.tolist(), unpack(slices), strict=True)
+    for begin, number, (hit, seen) in of_slices:
         if before != number - 1:
             going = was_hit = nothing
         was_hit = was_hit & seen
         begin[:] = hit & ~was_hit, seen & ~going
         going, was_hit, before = seen, was_hit | hit, number
-    visits: Int64 = np.unpackbits(began, axis=-1).sum(axis=0, dtype=np.int64)
-    return visits
+    return np.asarray(np.unpackbits(began, axis=-1).sum(axis=0, dtype=np.int64))
 
 
 def restrict(slices: Slices, grid: TileGrid) -> Slices:

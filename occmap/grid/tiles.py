@@ -70,32 +70,30 @@ class TileGrid:
         self._add_tiles(other.tiles, {key: other._bounds.get(key, wide) for key in other.tiles})
 
     def _add_tiles(self, tiles: Mapping[Key, Tile], bounds: Mapping[Key, int]) -> None:
-        """Add tiles to their like.
+        """Add tiles to their like, made 64 bits wide before a sum could overflow 32.
 
         They may be parts of one large array, which stays in memory while any of them is kept: so
-        where some are not, the others are copied.
+        where some are not, the others are copied. A tile that was stacked is wide and has no bound:
+        it stays as it is.
         """
         kept_whole = self.tiles.keys().isdisjoint(tiles)
         for key, tile in tiles.items():
-            self._add_tile(
-                key, tile if kept_whole or key in self.tiles else tile.copy(), bounds[key]
-            )
+            total = self._bounds[key] = self._bounds.get(key, 0) + bounds[key]
+            mine = self.tiles.get(key)
+            if mine is None:
+                self.tiles[key] = tile if kept_whole else tile.copy()
+                place = CellBox.at(*key)
+                self._reach = place if self._reach is None else self._reach.join(place)
+                continue
+            if total > INT32_LIMIT:
+                mine = self.tiles[key] = mine.astype(np.int64, copy=False)
+            mine += tile
 
-    def _add_tile(self, key: Key, tile: Tile, bound: int) -> None:
-        """Add a tile to its like, made 64 bits wide before a sum could overflow 32.
-
-        A tile that was stacked is wide and has no bound: it stays as it is.
-        """
-        total = self._bounds[key] = self._bounds.get(key, 0) + bound
-        mine = self.tiles.get(key)
-        if mine is None:
-            self.tiles[key] = tile
-            place = CellBox(*key, key[0] + 1, key[1] + 1)
-            self._reach = place if self._reach is None else self._reach.join(place)
-            return
-        if total > INT32_LIMIT:
-            mine = self.tiles[key] = mine.astype(np.int64, copy=False)
-        mine += tile
+    def like(self, tiles: Mapping[Key, Tile]) -> "TileGrid":
+        """A grid of these tiles instead, on the same lattice and of the same kind."""
+        made = TileGrid(self.lattice, self.kind, self.unit)
+        made.tiles.update(tiles)
+        return made
 
     @property
     def nbytes(self) -> int:

@@ -196,7 +196,7 @@ def compare(
     in_order = replace(options, jobs=1)  # which scans are held out must not be chance
     with trials.tracing() as workers:
         for log, notes in trace_logs(logs, in_order, partial(trials.begin, workers), tally):
-            remarks.note(log, notes)
+            remarks.note(log.path, log.notes, notes)
     hold_out = trials.hold_out
     refuse_unused(paths, tally)
     refuse_unscored(remarks.logs, hold_out)

@@ -3,7 +3,7 @@
 from dataclasses import fields
 from typing import Any, Protocol, runtime_checkable
 
-from occmap.errors import UsageError
+from occmap.errors import require
 
 LEAST_WEIGHT, MOST_WEIGHT = 1e-6, 1e6
 """In observations."""
@@ -50,8 +50,8 @@ def check_spread(spread: float) -> None:
     UsageError
         It does not lie between 0 and 1.
     """
-    if not 0 <= spread <= 1:
-        raise UsageError(f"spread {spread} is not a share of a hit", fix="give 0 to 1, such as 0.1")
+    found = f"spread {spread} is not a share of a hit"
+    require(0 <= spread <= 1, found, "give 0 to 1, such as 0.1")
 
 
 def check_probabilities(model: Any) -> None:
@@ -64,10 +64,9 @@ def check_probabilities(model: Any) -> None:
     """
     for field in fields(model):
         value = getattr(model, field.name)
-        is_probability = field.name in ("prior", "cut") or field.name.startswith("p_")
-        if is_probability and not 0 < value < 1:
+        if field.name in ("prior", "cut") or field.name.startswith("p_"):
             found = f"{field.name} {value} is not a probability between 0 and 1"
-            raise UsageError(found, fix=f"give a value such as `{field.name}={field.default}`")
+            require(0 < value < 1, found, f"give a value such as `{field.name}={field.default}`")
 
 
 def check_prior(prior: float, free: tuple[str, float], occupied: tuple[str, float]) -> None:
@@ -83,12 +82,10 @@ def check_prior(prior: float, free: tuple[str, float], occupied: tuple[str, floa
     UsageError
         The prior does not lie between the two.
     """
-    if not free[1] <= prior <= occupied[1]:
-        raise UsageError(
-            f"prior {prior} does not lie between {free[0]} {free[1]:g} and "
-            f"{occupied[0]} {occupied[1]:g}: evidence would turn round",
-            fix="a miss must lower a cell and a hit raise it: give a prior between the two",
-        )
+    (low_name, low), (high_name, high) = free, occupied
+    found = f"prior {prior} does not lie between {low_name} {low:g} and {high_name} {high:g}"
+    fix = "a miss must lower a cell and a hit raise it: give a prior between the two"
+    require(low <= prior <= high, f"{found}: evidence would turn round", fix)
 
 
 def check_clamp(model: Clamped) -> None:
@@ -100,11 +97,8 @@ def check_clamp(model: Clamped) -> None:
         They are not on either side of 0.5, or no probabilities.
     """
     low, high = model.clamp_min, model.clamp_max
-    if not 0 <= low < 0.5 < high <= 1:
-        raise UsageError(
-            f"clamp_min {low} and clamp_max {high} do not lie on either side of 0.5, from 0 to 1",
-            fix="try `clamp_max=0.97`, or leave them out",
-        )
+    found = f"clamp_min {low} and clamp_max {high} do not lie on either side of 0.5, from 0 to 1"
+    require(0 <= low < 0.5 < high <= 1, found, "try `clamp_max=0.97`, or leave them out")
 
 
 def check_weight(name: str, weight: float) -> None:
@@ -115,6 +109,5 @@ def check_weight(name: str, weight: float) -> None:
     UsageError
         It is not positive, or extreme.
     """
-    if not LEAST_WEIGHT <= weight <= MOST_WEIGHT:
-        fix = f"give {LEAST_WEIGHT:g} to {MOST_WEIGHT:g}, such as `model=counting:{name}=1`"
-        raise UsageError(f"{name} {weight} is not possible", fix=fix)
+    fix = f"give {LEAST_WEIGHT:g} to {MOST_WEIGHT:g}, such as `model=counting:{name}=1`"
+    require(LEAST_WEIGHT <= weight <= MOST_WEIGHT, f"{name} {weight} is not possible", fix)

@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from occmap.errors import UsageError
+from occmap.errors import require
 from occmap.types import Bool, Box, Float32, Float64, as_float32
 
 Sector: TypeAlias = tuple[float, float]
@@ -24,17 +24,17 @@ EDGE_RAD = 1e-6
 def check_sector(sector: Sector) -> None:
     """Raise UsageError unless a sector has two ends that differ."""
     start, end = sector
-    if not (math.isfinite(start) and math.isfinite(end)) or start == end:
-        fix = "give two bearings, counter-clockwise, such as `ignore_sectors=2.5,-2.5`"
-        raise UsageError(f"from {start} to {end} rad is no sector", fix=fix)
+    is_sector = math.isfinite(start) and math.isfinite(end) and start != end
+    fix = "give two bearings, counter-clockwise, such as `ignore_sectors=2.5,-2.5`"
+    require(is_sector, f"from {start} to {end} rad is no sector", fix)
 
 
 def check_box(box: Box) -> None:
     """Raise UsageError unless a box has an inside."""
     x_min, y_min, x_max, y_max = box
-    if not (all(map(math.isfinite, box)) and x_min < x_max and y_min < y_max):
-        found = f"{box} is no footprint"
-        raise UsageError(found, fix="give x_min,y_min,x_max,y_max around the sensor in metres")
+    is_box = all(map(math.isfinite, box)) and x_min < x_max and y_min < y_max
+    fix = "give x_min,y_min,x_max,y_max around the sensor in metres"
+    require(is_box, f"{box} is no footprint", fix)
 
 
 @lru_cache(maxsize=64)
@@ -52,20 +52,11 @@ def mask_sectors(
 
 def mask_box(ranges: Float32, bearing: Float64, box: Box) -> Bool:
     """(S, B): which ranges, along bearings (2, B), end in the box."""
-    near, far = cross_box(bearing, box)
-    inside: Bool = (ranges >= near) & (ranges <= far)
-    return inside
-
-
-def cross_box(bearing: Float64, box: Box) -> tuple[Float32, Float32]:
-    """Where rays along unit vectors (2, B) from zero enter and leave a box (B,): slab by slab.
-
-    A ray that misses the box enters it behind where it leaves it.
-    """
+    # Slab by slab: a ray that misses the box enters it behind where it leaves it.
     tiny = float(np.finfo(np.float32).tiny)
     along = np.where(np.abs(bearing) < tiny, tiny, bearing)
     corners = np.array(box).reshape(2, 2, 1)
     low, high = corners / along
     near = np.maximum(np.minimum(low, high).max(axis=0), 0)
     far = np.maximum(low, high).min(axis=0)
-    return as_float32(near), as_float32(far)
+    return np.asarray((ranges >= as_float32(near)) & (ranges <= as_float32(far)))

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
-from occmap.errors import UsageError
+from occmap.errors import UsageError, require
 from occmap.plugins import list_plugins, load_plugin, suggest
 from occmap.sensor.bounds import (
     NO_CLAMP,
@@ -92,19 +92,16 @@ class SimpleModel:
         check_probabilities(self)
         check_spread(self.spread)
         check_clamp(self)
-        if not self.p_miss < self.p_hit:
-            fix = "a hit must speak more for occupied than a miss: try `p_hit=0.7` `p_miss=0.4`"
-            raise UsageError(f"p_miss {self.p_miss} is not below p_hit {self.p_hit}", fix=fix)
+        fix = "a hit must speak more for occupied than a miss: try `p_hit=0.7` `p_miss=0.4`"
+        found = f"p_miss {self.p_miss} is not below p_hit {self.p_hit}"
+        require(self.p_miss < self.p_hit, found, fix)
         check_prior(self.prior, ("p_miss", self.p_miss), ("p_hit", self.p_hit))
 
     def log_odds(self, hits: Float64, misses: Float64) -> Float64:
         """l0 + hits (logit(p_hit) - l0) + misses (logit(p_miss) - l0)."""
         prior = to_log_odds(self.prior)
-        return (
-            prior
-            + hits * (to_log_odds(self.p_hit) - prior)
-            + misses * (to_log_odds(self.p_miss) - prior)
-        )
+        hit, miss = to_log_odds(self.p_hit) - prior, to_log_odds(self.p_miss) - prior
+        return prior + hits * hit + misses * miss
 
 
 @dataclass(frozen=True)
@@ -168,10 +165,9 @@ class QuadraticModel:
     def __post_init__(self) -> None:
         check_probabilities(self)
         check_clamp(self)
-        if not 0 <= self.epsilon <= DEEPEST_HIT_M:
-            raise UsageError(f"epsilon {self.epsilon} m is not possible", fix="try `epsilon=0.05`")
-        if self.p_min >= 0.5:
-            raise UsageError(f"p_min {self.p_min} leaves no evidence", fix="try `p_min=0.4`")
+        found = f"epsilon {self.epsilon} m is not possible"
+        require(0 <= self.epsilon <= DEEPEST_HIT_M, found, "try `epsilon=0.05`")
+        require(self.p_min < 0.5, f"p_min {self.p_min} leaves no evidence", "try `p_min=0.4`")
         check_prior(self.prior, ("p_min", self.p_min), ("1 - p_min", 1 - self.p_min))
 
     def depth(self, resolution: float) -> float:
@@ -211,10 +207,8 @@ def make_model(name: str, parameters: dict[str, float]) -> SensorModel:
         raise UsageError(f"no model is called {name!r}", fix=suggest(name, known, "occmap models"))
     known = [field.name for field in fields(model_class)]
     for parameter in parameters:
-        if parameter not in known:
-            raise UsageError(
-                f"the model {name} has no parameter {parameter!r}", fix=f"it has {', '.join(known)}"
-            )
+        found = f"the model {name} has no parameter {parameter!r}"
+        require(parameter in known, found, f"it has {', '.join(known)}")
     model: SensorModel = model_class(**parameters)
     return model
 
@@ -241,7 +235,6 @@ def parse_model(text: str) -> SensorModel:
         try:
             parameters[key.strip()] = float(value)
         except ValueError:
-            raise UsageError(
-                f"{pair!r} is no parameter of a model", fix="write NAME:KEY=NUMBER,KEY=NUMBER"
-            ) from None
+            found = f"{pair!r} is no parameter of a model"
+            raise UsageError(found, fix="write NAME:KEY=NUMBER,KEY=NUMBER") from None
     return make_model(name.strip(), parameters)

@@ -12,7 +12,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.errors import UsageError
+from occmap.errors import require
 from occmap.sensor.ignore import Sector, check_box, check_sector, mask_box, mask_sectors
 from occmap.types import (
     Bool,
@@ -75,13 +75,11 @@ class ReturnOptions:
             check_sector(sector)
         if self.footprint is not None:
             check_box(self.footprint)
-        if not 0 <= self.min_range < self.max_range:
-            found = f"`min_range={self.min_range}` and `max_range={self.max_range}` leave no range"
-            raise UsageError(found, fix="they must satisfy 0 <= min < max")
-        if self.range_max is not None and not self.range_max > 0:
-            raise UsageError(
-                f"a sensor limit of {self.range_max} m is not possible", fix="try `range_max=30`"
-            )
+        found = f"`min_range={self.min_range}` and `max_range={self.max_range}` leave no range"
+        fix = "they must satisfy 0 <= min < max"
+        require(0 <= self.min_range < self.max_range, found, fix)
+        found = f"a sensor limit of {self.range_max} m is not possible"
+        require(self.range_max is None or self.range_max > 0, found, "try `range_max=30`")
 
 
 class ReturnCounts(NamedTuple):
@@ -151,49 +149,32 @@ def classify(batch: ScanBatch, options: ReturnOptions) -> tuple[UInt8, Float32, 
     kind, reach, counts
         (S, B) of Kind; (S, B) m along the beam, 0 where SKIP; and the tally.
     """
+    ranges, own = batch.ranges, _find_own(batch, options)
     sensor_limit = batch.range_max if options.range_max is None else options.range_max
     nearest = max(batch.range_min, options.min_range, float(np.finfo(np.float32).tiny))
     free_reach = min(sensor_limit, options.max_range)
-    limits = _Limits(*as_float32((nearest, options.max_range, sensor_limit, free_reach)))
-    own = _find_own(batch, options)
-    hit = (batch.ranges >= limits.nearest) & (batch.ranges < limits.no_return)
-    if np.isfinite(limits.farthest):
-        hit &= batch.ranges <= limits.farthest
+    limits = nearest, options.max_range, sensor_limit, free_reach
+    nearest, farthest, no_return, free_reach = as_float32(limits)  # rounded as ranges are
+    hit = (ranges >= nearest) & (ranges < no_return)
+    if np.isfinite(farthest):
+        hit &= ranges <= farthest
     if own is not None:
         hit &= ~own
-    kind = hit.view(np.uint8) * np.uint8(Kind.HIT)
-    reach = batch.ranges.copy()
     # Most beams hit: only the few others are looked at more closely.
     others = np.flatnonzero(~hit)
-    robot = None if own is None else own.ravel()[others]
-    free, counts = _classify_others(batch.ranges.ravel()[others], robot, limits, options)
+    few = ranges.ravel()[others]
+    robot = np.zeros(few.shape, np.bool_) if own is None else own.ravel()[others]
+    close = (few < nearest) & ~robot
+    none = (few >= no_return) & ~close & ~robot
+    missing = np.isnan(few) & ~robot
+    beyond = ~(close | none | robot | missing)
+    clears = options.no_return is NoReturn.CLEAR and np.isfinite(free_reach)
+    free = beyond | none if clears else beyond
+    kind, reach = hit.view(np.uint8) * np.uint8(Kind.HIT), ranges.copy()
     kind.ravel()[others] = free * np.uint8(Kind.FREE)
-    reach.ravel()[others] = np.where(free, limits.free_reach, np.float32(0))
-    return kind, reach, counts._replace(hit=hit.size - others.size)
-
-
-class _Limits(NamedTuple):
-    """Where a range value changes its meaning (m), rounded as ranges are."""
-
-    nearest: np.float32
-    farthest: np.float32
-    no_return: np.float32
-    free_reach: np.float32
-
-
-def _classify_others(
-    ranges: Float32, own: Bool | None, limits: _Limits, options: ReturnOptions
-) -> tuple[Bool, ReturnCounts]:
-    """Say which beams that hit nothing are free (N,), and count what they are instead of hits."""
-    robot = np.zeros(ranges.shape, np.bool_) if own is None else own
-    close = (ranges < limits.nearest) & ~robot
-    no_return = (ranges >= limits.no_return) & ~close & ~robot
-    missing = np.isnan(ranges) & ~robot
-    beyond = ~(close | no_return | robot | missing)
-    clears = options.no_return is NoReturn.CLEAR and bool(np.isfinite(limits.free_reach))
-    kinds = beyond, no_return, close, missing, robot
-    counts = ReturnCounts(0, *map(int, map(np.count_nonzero, kinds)))
-    return (beyond | no_return if clears else beyond), counts
+    reach.ravel()[others] = np.where(free, free_reach, np.float32(0))
+    counts = map(int, map(np.count_nonzero, (beyond, none, close, missing, robot)))
+    return kind, reach, ReturnCounts(hit.size - others.size, *counts)
 
 
 def _find_own(batch: ScanBatch, options: ReturnOptions) -> Bool | None:

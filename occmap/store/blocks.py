@@ -4,15 +4,15 @@ import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate
-from typing import Any, NamedTuple, Self
+from itertools import accumulate, product
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from occmap.evidence.manifest import MEANING, list_inputs
 from occmap.grid.lattice import CellBox
 from occmap.grid.slices import take, unite
-from occmap.grid.tiles import INT32_LIMIT, TILE
+from occmap.grid.tiles import TILE
 from occmap.types import Evidence, Int64, Manifest, Slices, UInt8
 from occmap.writers.compact import pack_slices, unpack_slices
 
@@ -30,16 +30,16 @@ class Block(NamedTuple):
     row: int
     col: int
 
-    @classmethod
-    def of_tile(cls, row: int, col: int) -> Self:
-        """The block that a tile lies in."""
-        return cls(row // SIDE, col // SIDE)
-
     @property
     def box(self) -> CellBox:
         """Its cells."""
-        row, col = self.row * BLOCK, self.col * BLOCK
-        return CellBox(row, col, row + BLOCK, col + BLOCK)
+        return CellBox.at(*self).scale(BLOCK)
+
+
+def list_blocks(box: CellBox) -> Iterator[Block]:
+    """The blocks that the cells of a box lie in."""
+    row, col, row_end, col_end = box.align(BLOCK).shrink(BLOCK)
+    return (Block(*place) for place in product(range(row, row_end), range(col, col_end)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -288,10 +288,3 @@ def join_contents(contents: Iterable[BlockContent], manifest: Manifest, where: s
         for build in range(len(manifest.builds))
     )
     return Evidence(manifest, tiles[order], cells[order], slices, where)
-
-
-def narrow_cells(cells: Int64) -> Int64:
-    """The same numbers in 32 bits, where these hold them."""
-    fits = cells.min(initial=0) >= -INT32_LIMIT and cells.max(initial=0) <= INT32_LIMIT
-    narrow: Int64 = cells.astype(np.int32) if fits else cells
-    return narrow

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from occmap.errors import MapError
-from occmap.grid.lattice import CellBox
-from occmap.grid.tiles import EvidenceKind
+from occmap.grid.tiles import INT32_LIMIT, EvidenceKind
 from occmap.store.blocks import (
     SIDE,
     TABLE,
@@ -18,12 +17,11 @@ from occmap.store.blocks import (
     gather_tiles,
     hash_content,
     hash_table,
-    narrow_cells,
     read_table,
     unpack_layers,
 )
 from occmap.store.layout import FORMAT, LAYERS, VERSION, compute_checksum, find_place, import_zarr
-from occmap.types import Evidence, Manifest
+from occmap.types import Evidence, Int64, Manifest
 from occmap.writers.soundness import list_faults, list_manifest_faults, refuse_damage, refuse_faults
 
 
@@ -47,10 +45,6 @@ class Store:
         """The folder."""
         return str(self.path)
 
-    def find_reach(self, block: Block) -> CellBox:
-        """The smallest box around the cells of a block that were observed."""
-        return self.blocks[block].reach
-
     def read_block(self, block: Block) -> BlockContent:
         """Read what was observed in one of its blocks.
 
@@ -62,12 +56,14 @@ class Store:
         record, place = self.blocks[block], find_place(block, self.offset)
         with refuse_damage(self.path):
             names = LAYERS[EvidenceKind(self.manifest.kind)]
-            cells = np.stack([self.root[name][place] for name in names])
-            tiles, numbers = gather_tiles(cells, block.row * SIDE, block.col * SIDE)
+            whole = np.stack([self.root[name][place] for name in names])
+            tiles, numbers = gather_tiles(whole, block.row * SIDE, block.col * SIDE)
             array = self.root[f"slices/{block.row}.{block.col}"]
             builds = len(self.manifest.builds)
             slices = unpack_layers(array[:], array.attrs["arrays"], builds)
-            content = BlockContent(tiles, narrow_cells(numbers), slices, record.logs)
+            fits = numbers.min(initial=0) >= -INT32_LIMIT and numbers.max(initial=0) <= INT32_LIMIT
+            cells: Int64 = numbers.astype(np.int32) if fits else numbers
+            content = BlockContent(tiles, cells, slices, record.logs)
         if hash_content(content) != record.sha256:
             found = f"its block ({block.row}, {block.col}) was altered or a file of it is missing"
             raise MapError(found, where=self.path, fix="build it again")

@@ -10,13 +10,13 @@ import numpy as np
 from occmap.errors import UsageError
 from occmap.evidence import choose_tiles, paint_box, to_grid
 from occmap.evidence.persistence import describe_lost, keep_lasting, refuse_nothing_left
-from occmap.grid.framing import Framing, choose_box, find_window
+from occmap.grid.framing import Framing, choose_box
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing, measure_bounds
 from occmap.grid.tiles import TileGrid, refuse_large
 from occmap.report import MapFacts, count_cells
 from occmap.sensor.models import SensorModel, find_decision
-from occmap.store.blocks import Block, BlockContent
+from occmap.store.blocks import Block, BlockContent, list_blocks
 from occmap.store.reading import Store
 from occmap.store.sources import Blocks, read_part
 from occmap.types import Box, CellClass, Decision, Int64, OccupancyMap, UInt8, to_log_odds
@@ -120,7 +120,7 @@ class BlockMap:
             counts = np.array([count_agreeing(lasting, made.occupied, box), (0, 0)])
             if lasting is not grid:
                 before = paint_box(grid, self.view.model, place).occupied
-                still = before[find_window(box, place)] & made.occupied
+                still = before[box.within(place)] & made.occupied
                 counts[1] = np.count_nonzero(before), np.count_nonzero(still)
             yield Piece(box, made, counts)
 
@@ -158,7 +158,7 @@ def render_blocks(made: BlockMap, max_cells: int) -> tuple[OccupancyMap, list[st
     observed = np.zeros(made.shape, np.bool_)
     counts = np.zeros((2, 2), np.int64)
     for piece in made.walk():
-        window = find_window(piece.box, made.box)
+        window = piece.box.within(made.box)
         log_odds[window], observed[window] = piece.map.log_odds, piece.map.observed
         counts += piece.counts
     painted = OccupancyMap(log_odds, observed, made.resolution, (x, y), made.decision)
@@ -172,7 +172,7 @@ def classify_blocks(made: BlockMap, writing: WriteOptions, max_cells: int) -> UI
     decision = writing.decide(made.decision)
     classes = np.full(made.shape, CellClass.NEITHER, np.uint8)
     for piece in made.walk():
-        window = find_window(piece.box, made.box)
+        window = piece.box.within(made.box)
         classes[window] = replace(piece.map, decision=decision).classes
     return classes
 
@@ -202,12 +202,7 @@ def sum_up(made: BlockMap, counts: Int64) -> tuple[float | None, list[str]]:
 
 def list_pieces(source: Blocks, box: CellBox) -> Iterator[CellBox]:
     """Cut a box where blocks begin; pieces far from all that was observed are left out."""
-    beside = {
-        Block(block.row + up, block.col + right)
-        for block in source.blocks
-        for up in (-1, 0, 1)
-        for right in (-1, 0, 1)
-    }
+    beside = {each for block in source.blocks for each in list_blocks(block.box.grow(1))}
     for block in sorted(beside, key=lambda each: (each.row // STRIPE, each.col, each.row)):
         piece = box.clip(block.box)
         if piece.cells:
@@ -222,10 +217,13 @@ def find_bounds(view: View) -> CellBox:
     MapError
         Nothing was observed, or lasts.
     """
-    found: CellBox | None = None
+    source, found = view.source, None
+    # Only a store says how far its cells reach.
+    stated = source.blocks if isinstance(source, Store) else {}
+    reaches = {block: stated[block].reach if stated else block.box for block in source.blocks}
     known: dict[Block, CellBox | None] = {}
     for side, outward in enumerate((-1, -1, 1, 1)):
-        reach = {block: view.source.find_reach(block)[side] for block in view.source.blocks}
+        reach = {block: box[side] for block, box in reaches.items()}
         for block in sorted(reach, key=lambda each: -outward * reach[each]):
             # A hit speaks for the cell beside it, so a block may reach one cell farther.
             if found and outward * found[side] >= outward * reach[block] + 1:
@@ -269,7 +267,7 @@ def read_overview(store: Store, side: int, framing: Framing, max_cells: int) -> 
     there = whole.clip(box)
     classes = np.full((box.rows, box.cols), CellClass.NEITHER, np.uint8)
     with refuse_damage(store.path):
-        classes[find_window(there, box)] = array[find_window(there, whole)]
+        classes[there.within(box)] = array[there.within(whole)]
     origin = fine.to_metres(col + box.col * side), fine.to_metres(row + box.row * side)
     is_known = classes != CellClass.NEITHER
     return OccupancyMap(CLASS_LOG_ODDS[classes], is_known, coarse.resolution, origin)

@@ -19,6 +19,7 @@ from occmap.store.blocks import (
     Block,
     BlockContent,
     join_contents,
+    list_blocks,
     list_observing_logs,
     split_evidence,
 )
@@ -33,9 +34,6 @@ class Blocks(Described, Protocol):
     @property
     def blocks(self) -> Collection[Block]:
         """All blocks that anything was observed in."""
-
-    def find_reach(self, block: Block) -> CellBox:
-        """A box around the cells of a block that were observed; it may be too large."""
 
     def read_block(self, block: Block) -> BlockContent:
         """What was observed in one of the blocks."""
@@ -85,24 +83,17 @@ def read_part(
     if isinstance(saved, Evidence):
         return saved
     read = read_block or saved.read_block
-    low = np.array([box.row, box.col]) // TILE - 1
-    high = np.array([box.row_end - 1, box.col_end - 1]) // TILE + 2
-    first, last = Block.of_tile(*low.tolist()), Block.of_tile(*(high - 1).tolist())
-    touched = (
-        Block(row, col)
-        for row in range(first.row, last.row + 1)
-        for col in range(first.col, last.col + 1)
-    )
-    contents = (read(block) for block in touched if block in saved.blocks)
-    cut = (cut_content(content, low, high) for content in contents)
+    near = box.align(TILE).grow(TILE)
+    contents = (read(block) for block in list_blocks(near) if block in saved.blocks)
+    cut = (cut_content(content, near.shrink(TILE)) for content in contents)
     return join_contents(cut, saved.manifest, saved.where)
 
 
-def cut_content(content: BlockContent, low: Int64, high: Int64) -> BlockContent:
-    """Keep the tiles from one row and column (2,) on to another, which is left out."""
+def cut_content(content: BlockContent, box: CellBox) -> BlockContent:
+    """Keep the tiles in a box, which counts tiles."""
 
     def find(tiles: Int64) -> Int64:
-        return np.flatnonzero(((tiles >= low) & (tiles < high)).all(axis=1))
+        return np.flatnonzero(((tiles >= box[:2]) & (tiles < box[2:])).all(axis=1))
 
     which = find(content.tiles)
     slices = tuple(take(layer, find(layer.tiles)) for layer in content.slices)
@@ -130,10 +121,6 @@ class Held:
         """All of it."""
         return dict(split_evidence(self.evidence))
 
-    def find_reach(self, block: Block) -> CellBox:
-        """All cells of the block."""
-        return block.box
-
     def read_block(self, block: Block) -> BlockContent:
         """What was observed in a block."""
         return self.blocks[block]
@@ -160,27 +147,20 @@ class Combined:
         known: set[Block] = set().union(*(each.blocks for each in self.parts))
         return dict.fromkeys(sorted(known))
 
-    def find_reach(self, block: Block) -> CellBox:
-        """All cells of the block."""
-        return block.box
-
     def read_block(self, block: Block) -> BlockContent:
         """What is in a block of the sum or the difference."""
         contents = [
             part.read_block(block) if block in part.blocks else NO_CONTENT for part in self.parts
         ]
-        made = self.combine(
-            [
-                join_contents([content], part.manifest, part.where)
-                for part, content in zip(self.parts, contents, strict=True)
-            ]
-        )
+        pairs = zip(self.parts, contents, strict=True)
+        parts = [join_contents([content], part.manifest, part.where) for part, content in pairs]
+        made = self.combine(parts)
         if len(self.manifest.builds) < sum(len(each.manifest.builds) for each in self.parts):
             logs = list_observing_logs(self.manifest, made.slices)
         else:
             starts = accumulate((count_logs(each.manifest) for each in self.parts), initial=0)
-            pairs = zip(starts, contents, strict=False)
-            logs = tuple(start + log for start, content in pairs for log in content.logs)
+            shifts = zip(starts, contents, strict=False)
+            logs = tuple(start + log for start, content in shifts for log in content.logs)
         return BlockContent(made.tiles, made.cells, made.slices, logs)
 
 

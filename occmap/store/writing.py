@@ -1,6 +1,7 @@
 """How a store is made: created, written block by block by whoever has one, and finished."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -122,6 +123,14 @@ def add_list(group: Any, name: str, values: Any, attributes: dict[str, Any]) -> 
     array[...] = values
 
 
+@contextmanager
+def edit_store(path: Path) -> Iterator[Any]:
+    """Open the group of a store to write to it; raises OutputError where that fails."""
+    zarr = import_zarr()
+    with refuse_unwritable(path):
+        yield zarr.open_group(path, mode="r+")
+
+
 def write_block(path: Path, block: Block, content: BlockContent) -> BlockRecord:
     """Write all that was observed in a block, which nobody else writes at the same time.
 
@@ -130,10 +139,8 @@ def write_block(path: Path, block: Block, content: BlockContent) -> BlockRecord:
     OutputError
         It cannot be written.
     """
-    zarr = import_zarr()
     data, layout = pack_layers(content)
-    with refuse_unwritable(path):
-        root = zarr.open_group(path, mode="r+")
+    with edit_store(path) as root:
         head = root.attrs["occmap"]
         place = find_place(block, head["offset"])
         names = LAYERS[EvidenceKind(head["kind"])]
@@ -151,9 +158,7 @@ def write_overview(path: Path, block: Block) -> None:
     OutputError
         They cannot be written.
     """
-    zarr = import_zarr()
-    with refuse_unwritable(path):
-        root = zarr.open_group(path, mode="r+")
+    with edit_store(path) as root:
         _, made = paint_block(root, block)
         write_classes(root, block, made.classes)
 
@@ -190,8 +195,7 @@ def reduce_classes(classes: UInt8, side: int) -> UInt8:
     height, width = (-(-length // side) * side for length in classes.shape)
     classes = np.pad(classes, [(0, height - classes.shape[0]), (0, width - classes.shape[1])])
     squares = classes.reshape(height // side, side, width // side, side)
-    reduced: UInt8 = squares.max(axis=(1, 3))
-    return reduced
+    return np.asarray(squares.max(axis=(1, 3)))
 
 
 def finish_store(
@@ -213,13 +217,11 @@ def finish_store(
     OutputError
         It cannot be written.
     """
-    zarr = import_zarr()
     known = sorted(records)
     for _ in run(partial(write_overview, path), [record.block for record in known]):
         pass
     table = make_table(known)
-    with refuse_unwritable(path):
-        root = zarr.open_group(path, mode="r+")
+    with edit_store(path) as root:
         head = make_head(manifest, root.attrs["occmap"]["offset"])
         add_coarse_levels(root, [find_place(record.block, head["offset"]) for record in known])
         blocks = root.require_group("blocks")

@@ -106,7 +106,7 @@ def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: 
     tally.scans_read += batcher.read
     tally.drop(dict(batcher.left_out))
     limits.settle()  # so that what the whole log shows is applied to all of it
-    remarks.note(log, [*poser.notes, *batcher.notes, *limits.list_notes()])
+    remarks.note(log.path, log.notes, [*poser.notes, *batcher.notes, *limits.list_notes()])
     return KeptLog(str(log.path), poser, tuple(limits.apply(each) for each in kept))
 
 

@@ -19,11 +19,8 @@ Arrays = dict[str, Any]
 def narrow(values: Int64) -> Any:
     """Convert integers to the smallest signed type that holds them all."""
     low, high = int(values.min(initial=0)), int(values.max(initial=0))
-    for width in WIDTHS:
-        limits = np.iinfo(width)
-        if limits.min <= low and high <= limits.max:
-            break
-    return values.astype(width)
+    widths = (each for each in WIDTHS if np.iinfo(each).min <= low <= high <= np.iinfo(each).max)
+    return values.astype(next(widths))
 
 
 def pack_slices(layers: Sequence[Slices]) -> Arrays:

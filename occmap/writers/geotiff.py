@@ -1,8 +1,9 @@
 """GeoTIFF images, cloud-optimised, for maps that a GIS shows: one file, read part by part."""
 
-import secrets
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from occmap.errors import OutputError
@@ -37,25 +38,20 @@ class GeoTiffWriter:
         """
         rasterio = import_rasterio()
         check_target(path)
-        target = follow_links(path)
-        # GDAL can only copy into this format: all is written once without compression first.
-        plain, done = (target.with_name(f".occmap-{secrets.token_hex(8)}.tif") for _ in range(2))
         try:
-            with rasterio.open(plain, "w", **describe(grid)) as image:
-                for window, part in paint_windows(grid):
-                    image.write(to_raw(part)[::-1], 1, window=window)
-            rasterio.shutil.copy(
-                plain, done, driver="COG", compress="DEFLATE", overview_resampling="average"
-            )
-            with open_atomic(path) as (file,), done.open("rb") as made:
-                while data := made.read(1 << 20):
-                    file.write(data)
+            with TemporaryDirectory(prefix=".occmap-", dir=follow_links(path).parent) as folder:
+                # GDAL can only copy into this format: all is written once without compression.
+                plain, done = Path(folder) / "plain.tif", Path(folder) / "done.tif"
+                with rasterio.open(plain, "w", **describe(grid)) as image:
+                    for window, part in paint_windows(grid):
+                        image.write(to_raw(part)[::-1], 1, window=window)
+                how = {"driver": "COG", "compress": "DEFLATE", "overview_resampling": "average"}
+                rasterio.shutil.copy(plain, done, **how)
+                with open_atomic(path) as (file,), done.open("rb") as made:
+                    shutil.copyfileobj(made, file)
         except (OSError, rasterio.errors.RasterioError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise OutputError(f"cannot be written ({reason})", where=path) from None
-        finally:
-            plain.unlink(missing_ok=True)
-            done.unlink(missing_ok=True)
         return (path,)
 
 

@@ -17,14 +17,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from mcap.writer import Writer
 from numpy.typing import NDArray
-from rosbags.interfaces import (
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+from rosbags import interfaces
 from rosbags.rosbag2.metadata import dump_qos_v8
 from rosbags.typesys import Stores, get_typestore
 
@@ -36,15 +29,15 @@ MAP_FRAME = "map"
 UNKNOWN = -1
 LAST_NS = (2**31 - 1) * 10**9
 """A ROS time has 32 bits for its seconds."""
-EVER = QosTime(2147483647, 4294967295)
-LATCHED = Qos(
-    QosHistory.KEEP_LAST,
+EVER = interfaces.QosTime(2147483647, 4294967295)
+LATCHED = interfaces.Qos(
+    interfaces.QosHistory.KEEP_LAST,
     1,
-    QosReliability.RELIABLE,
-    QosDurability.TRANSIENT_LOCAL,
+    interfaces.QosReliability.RELIABLE,
+    interfaces.QosDurability.TRANSIENT_LOCAL,
     EVER,
     EVER,
-    QosLiveliness.AUTOMATIC,
+    interfaces.QosLiveliness.AUTOMATIC,
     EVER,
     avoid_ros_namespace_conventions=False,
 )

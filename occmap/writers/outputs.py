@@ -58,9 +58,8 @@ def check_outputs(outputs: Sequence[Path], inputs: Sequence[Path] = ()) -> None:
             check_target(target)
         refuse_input(target, inputs)
         if files.count(file) > 1:
-            raise UsageError(
-                "would be written twice", where=target, fix="give each output its own name"
-            )
+            found = "would be written twice"
+            raise UsageError(found, where=target, fix="give each output its own name")
 
 
 def check_folder(path: Path, writer: FolderWriter) -> None:
@@ -73,9 +72,8 @@ def check_folder(path: Path, writer: FolderWriter) -> None:
     """
     target = follow_links(path)
     if target.exists() and not (target.is_dir() and writer.owns(target)):
-        raise OutputError(
-            "is there already, and not as occmap writes it", where=path, fix="give another name"
-        )
+        found = "is there already, and not as occmap writes it"
+        raise OutputError(found, where=path, fix="give another name")
     check_parent(path, target.parent)
 
 
@@ -110,9 +108,8 @@ def refuse_input(target: Path, inputs: Sequence[Path]) -> None:
     """
     for path in inputs:
         if path.exists() and target.exists() and target.samefile(path):
-            raise UsageError(
-                "is an input: it would be overwritten", where=target, fix="give another name"
-            )
+            found = "is an input: it would be overwritten"
+            raise UsageError(found, where=target, fix="give another name")
 
 
 def want_evidence(outputs: Sequence[Path]) -> bool:

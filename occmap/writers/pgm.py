@@ -82,9 +82,8 @@ def written_thresholds(options: WriteOptions) -> tuple[float, float]:
 def _write_image(file: BinaryIO, grid: OccupancyMap, options: WriteOptions) -> None:
     rows, cols = grid.shape
     file.write(f"P5\n{cols} {rows}\n255\n".encode("ascii"))
-    to_pixels = {MapMode.TRINARY: _trinary, MapMode.SCALE: _scale, MapMode.RAW: to_raw}[
-        options.mode
-    ]
+    painters = {MapMode.TRINARY: _trinary, MapMode.SCALE: _scale, MapMode.RAW: to_raw}
+    to_pixels = painters[options.mode]
     decided = replace(grid, decision=options.decide(grid.decision))
     for band in bands_from_top(decided):
         file.write(to_pixels(band)[::-1].tobytes())
@@ -105,8 +104,7 @@ def _scale(grid: OccupancyMap) -> UInt8:
     darkest_free, lightest_occupied, between = _grey_limits(grid.decision)
     lowest = np.select([grid.free, grid.occupied], [darkest_free, 0], between[0])
     highest = np.select([grid.free, grid.occupied], [255, lightest_occupied], between[1])
-    pixels: UInt8 = np.clip(shade, lowest, highest).astype(np.uint8)
-    return pixels
+    return np.asarray(np.clip(shade, lowest, highest).astype(np.uint8))
 
 
 def _grey_limits(thresholds: Decision) -> tuple[int, int, tuple[int, int]]:
@@ -123,14 +121,12 @@ def _grey_limits(thresholds: Decision) -> tuple[int, int, tuple[int, int]]:
 
 def to_raw(grid: OccupancyMap) -> UInt8:
     """(H, W) per cent of being occupied, 255 where nothing was observed; row 0 is the lowest y."""
-    pixels: UInt8 = np.where(grid.observed, _percent(grid), RAW_UNKNOWN).astype(np.uint8)
-    return pixels
+    return np.asarray(np.where(grid.observed, _percent(grid), RAW_UNKNOWN).astype(np.uint8))
 
 
 def _percent(grid: OccupancyMap) -> UInt8:
     """Return the occupancy as ROS's OccupancyGrid holds it: 0 to 100."""
-    percent: UInt8 = np.rint(100 * grid.probability).astype(np.uint8)
-    return percent
+    return np.asarray(np.rint(100 * grid.probability).astype(np.uint8))
 
 
 def write_yaml(file: BinaryIO, fields: dict[str, object]) -> None:

@@ -8,6 +8,7 @@ left out.
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import TypeAlias
 
@@ -89,8 +90,7 @@ class TileTree:
         one, two, three, four = (blank if each is None else each for each in quarters)
         whole = np.block([[three, four], [one, two]])
         half = TILE_PIXELS
-        classes: UInt8 = whole.reshape(half, 2, half, 2).max(axis=(1, 3))
-        return classes
+        return np.asarray(whole.reshape(half, 2, half, 2).max(axis=(1, 3)))
 
     def paint(self, x: int, y: int) -> UInt8 | None:
         """Paint the cells of a tile at the top level, and say where it lies."""
@@ -100,16 +100,13 @@ class TileTree:
         last = np.minimum(start + TILE_PIXELS, self.grid.shape)
         if (first >= last).any():
             return None
-        part = self.grid.take(
-            *(slice(*ends) for ends in zip(first.tolist(), last.tolist(), strict=True))
-        )
+        part = self.grid.take(*map(slice, first.tolist(), last.tolist()))
         if not part.observed.any():
             return None
         decision = self.options.decide(part.decision)
         classes = np.full((TILE_PIXELS,) * 2, CellClass.NEITHER, np.uint8)
-        inner = zip((first - start).tolist(), (last - start).tolist(), strict=True)
-        rows, cols = (slice(*ends) for ends in inner)
-        classes[rows, cols] = replace(part, decision=decision).classes
+        inner = map(slice, (first - start).tolist(), (last - start).tolist())
+        classes[*inner] = replace(part, decision=decision).classes
         file = self.folder / f"{self.top}" / f"{x}" / f"{y}.yaml"
         file.parent.mkdir(parents=True, exist_ok=True)
         corner = np.array([col, row]) * TILE_PIXELS * self.grid.resolution
@@ -122,6 +119,5 @@ class TileTree:
 def list_above(address: Address) -> Iterator[Address]:
     """The four tiles of the next level that one covers."""
     level, x, y = address
-    for down in (0, 1):
-        for right in (0, 1):
-            yield level + 1, 2 * x + right, 2 * y + down
+    for down, right in product((0, 1), repeat=2):
+        yield level + 1, 2 * x + right, 2 * y + down
