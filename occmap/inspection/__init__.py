@@ -188,7 +188,7 @@ def _describe_mount(
     topic: TopicSurvey, poser: Poser, options: BuildOptions
 ) -> MountFindings | None:
     """Say how a sensor sits; None where no scan has a pose."""
-    stance = poser.watch.courses[topic.topic].stance
+    stance = poser.courses[topic.topic].stance
     if stance is None:
         return None
     better = find_better(poser, topic.sample.parts, options.returns)
