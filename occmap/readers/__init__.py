@@ -292,8 +292,12 @@ def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
         reader_class = load_plugin("occmap.readers", name)
         if reader_class is None:
             broken.append(name)
-        elif (reader := reader_class()).recognises(probe):
-            return _open(reader, path, options)
+            continue
+        reader: Reader = reader_class()
+        if reader.recognises(probe):
+            if isinstance(reader, TunableReader):
+                return reader.open_tuned(path, options)
+            return reader.open(path)
     if probe.raw.startswith(LFS_MAGIC):
         found = "a Git LFS pointer, which stands in for the file"
         raise LogError(found, where=path, fix="fetch the file: git lfs pull")
@@ -321,12 +325,6 @@ def refuse_packed(probe: Probe) -> None:
         if probe.raw.startswith(magic) and probe.content and not probe.content.isascii():
             fix = f"decompress it first: {unpack} {shlex.quote(str(probe.path))}"
             raise LogError(f"a file that {kind} compressed", where=probe.path, fix=fix)
-
-
-def _open(reader: Reader, path: Path, options: ReaderOptions) -> Log:
-    if isinstance(reader, TunableReader):
-        return reader.open_tuned(path, options)
-    return reader.open(path)
 
 
 def _describe_unknown(probe: Probe) -> str:
