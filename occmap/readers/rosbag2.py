@@ -18,8 +18,8 @@ from ruamel.yaml.error import YAMLError
 from occmap.errors import LogError
 from occmap.readers import Note, NoteList, make_part
 from occmap.readers.inflate import inflate_message, unzip_file
+from occmap.readers.mcap import MAGIC as MCAP_MAGIC
 from occmap.readers.mcap import McapSource
-from occmap.readers.mcap_records import MAGIC as MCAP_MAGIC
 from occmap.readers.ros_source import Channel, RawMessage, add_note
 from occmap.readers.ros_sqlite import MAGIC as SQLITE_MAGIC
 from occmap.readers.ros_sqlite import SqliteSource
