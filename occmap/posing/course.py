@@ -92,7 +92,7 @@ class Course:
         chain = self._chain
         if chain is None and (track := self._stated.build()) is not None:
             chain = make_chain([Step(Edge("", "", track, Source.ODOMETRY))], None)
-        return list(find_jumps(chain)) if chain else []
+        return find_jumps(chain) if chain else []
 
     @property
     def bounds(self) -> Float64:

@@ -132,22 +132,20 @@ class Break(NamedTuple):
     step: Step
 
 
-def find_jumps(chain: Chain) -> Iterator[Jump]:
+def find_jumps(chain: Chain) -> list[Jump]:
     """Find the jumps that the sensor at the end of a chain makes."""
     breaks = find_breaks(chain)
-    if not breaks:
-        return
     before = chain.at(np.array([each.before_ns for each in breaks], np.int64))
     after = chain.at(np.array([each.after_ns for each in breaks], np.int64))
     known = (before.status == Status.POSED) & (after.status == Status.POSED)
+    jumps = []
     for at in np.flatnonzero(known).tolist():
         rotation = after.rotation[at] @ before.rotation[at].T
         place = before.position[at], after.position[at]
         step = breaks[at].step
         name = f"{step.upper} -> {step.lower}" if step.lower else "the pose beside the scans"
-        jump = Jump(breaks[at].after_ns, *place, rotation, name)
-        if jump.metres > JUMP_M or jump.radians > JUMP_RAD:
-            yield jump
+        jumps.append(Jump(breaks[at].after_ns, *place, rotation, name))
+    return [jump for jump in jumps if jump.metres > JUMP_M or jump.radians > JUMP_RAD]
 
 
 def find_breaks(chain: Chain) -> list[Break]:

@@ -278,7 +278,7 @@ class McapSource(ChunkedSource[_ChannelTable]):
                 stated = statistics.message_count
                 text = f"{held.total()} messages are in it, its statistics have {stated}"
                 add_note(self.notes, text)
-            channels, counts = channels | found, counts or held
+            channels, counts = channels | found, Counter({**held, **counts})
         for channel in channels.values():
             if channel.encoding in {"cdr", "ros1"} and not channel.type:
                 add_note(self.notes, f"the type of the messages on {channel.topic} is not stated")
