@@ -8,7 +8,6 @@ import numpy as np
 from occmap.difference.blobs import find_largest_blob
 from occmap.difference.maps import ClassMap, Place
 from occmap.errors import MapError
-from occmap.grid.framing import find_window
 from occmap.grid.lattice import CellBox
 from occmap.grid.tiles import MAX_CELLS
 from occmap.plain import HIDDEN, Count, Printed, Share, printed_as
@@ -150,7 +149,7 @@ def place_in(both: CellBox, box: CellBox, classes: UInt8) -> UInt8:
     if box == both:
         return classes
     larger = np.full(both.shape, NEITHER, np.uint8)
-    larger[find_window(box, both)] = classes
+    larger[box.within(both)] = classes
     return larger
 
 

@@ -242,14 +242,15 @@ def trace_job(job: TraceJob) -> Traced:
         raise
     sink.flush()
     poser, notes = drive.poser, tuple(drive.log.notes)
+    jumped = any(course.find_jumps() for course in poser.courses.values())
     return Traced(
         tally,
         limits,
         notes=(*poser.notes, *odd),
         log_notes=notes,
-        depends=notes != job.survey.notes or set(poser.chains) != frames or poser.watch.jumps,
+        depends=notes != job.survey.notes or set(poser.chains) != frames or jumped,
         ends=poser.find_ends(),
-        bounds={topic: course.bounds for topic, course in poser.watch.courses.items()},
+        bounds={topic: course.bounds for topic, course in poser.courses.items()},
         pieces={key: tuple(pieces) for key, pieces in sink.pieces.items()},
     )
 

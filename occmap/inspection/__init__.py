@@ -163,7 +163,7 @@ def sum_up(
     ranked = topic.shapes.most_common()
     crossed = measure_crossing(topic.sample.parts, options.returns)
     stamps, moving_ns = suggest_stamps(log, posing, topic), find_moving_stamp(posing.poser)
-    mount, stance = None, posing.poser.watch.courses[topic.topic].stance
+    mount, stance = None, posing.poser.courses[topic.topic].stance
     if stance is not None:  # of no scan where none has a pose
         better = find_better(posing.poser, topic.sample.parts, options.returns)
         mount = MountFindings(stance.upside_down, stance.tilt, stance.height, better)

@@ -12,7 +12,6 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.grid.framing import find_window
 from occmap.grid.lattice import CellBox
 from occmap.grid.slices import count_visits, split_tiles, take, unite, unpack
 from occmap.grid.spec import find_unit
@@ -105,7 +104,7 @@ def read_layers(
     box, sights = CellBox.of(grid), Sights(evidence) if evidence else None
     bands = [thin(band, step) for band in read_bands(grid, sights, box)]
     shown = box.align(step).shrink(step)
-    window = find_window(shown, box.align(TILE).shrink(step))
+    window = shown.within(box.align(TILE).shrink(step))
     layers = {
         name: np.concatenate([band[name] for band in bands])[window]
         for name in bands[0]

@@ -2,11 +2,11 @@
 
 A batch goes one way: the chain of frames to its sensor is found, the moments of its scans are
 chosen (`deskew`), the chain is looked up at these (`chain`), scans without a pose are dropped, and
-so are those that leaps lead astray (`sifting`). What comes out is also watched (`watch`).
+so are those that leaps lead astray (`sifting`). Where the sensor then was is watched (`course`).
 """
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import reduce
@@ -18,14 +18,15 @@ import numpy as np
 from occmap.errors import PoseError
 from occmap.posing.chain import Chain
 from occmap.posing.concerns import Concern
+from occmap.posing.course import STANDS, Course, list_tilts
 from occmap.posing.deskew import choose_deskewed, keep, spread_moments
+from occmap.posing.jumps import list_jumps
 from occmap.posing.options import Deskew, DropReason, PosingOptions
 from occmap.posing.resolve import resolve
 from occmap.posing.sifting import Attached, Ends, Laser, LeapFilter
 from occmap.posing.sources import Sources, gather
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.posing.transforms import Status, Transforms
-from occmap.posing.watch import Watch
 from occmap.types import Pose, PoseBatch, PoseSample, ScanBatch
 
 POSES_OF_BODY = (
@@ -49,12 +50,13 @@ class Poser:
     """What was decided or left out and its user should know; grows, each sentence once."""
     chains: dict[str, Chain | None] = field(default_factory=dict)
     """By scan frame; None where there is no way to it."""
+    courses: defaultdict[str, Course] = field(default_factory=lambda: defaultdict(Course))
+    """By topic: how its sensor sat, and where it went."""
 
     def __post_init__(self) -> None:
         self._offset_ns = round(self.options.time_offset_s * 1e9)  # to the clock of the poses
         self._above = _find_above(self.options)
         self._leaps = LeapFilter(self.options.max_speed)
-        self.watch = Watch()
 
     @classmethod
     def build(
@@ -147,7 +149,8 @@ class Poser:
             if (posed := attached.posed) is not None:
                 stamp_ns = posed.batch.stamp_ns + self._offset_ns
                 stated = self.is_stated(posed.batch)
-                self.watch.see(posed, stamp_ns, None if stated else self.chains[posed.batch.frame])
+                chain = None if stated else self.chains[posed.batch.frame]
+                self.courses[posed.batch.topic].see(posed, stamp_ns, chain)
             yield attached
         self._note(*self._leaps.list_notes())
 
@@ -197,8 +200,17 @@ class Poser:
         max_range
             Beams are used up to here (m).
         """
-        self._note(*self.watch.list_notes())
-        yield from self.watch.list_concerns(first_ns + self._offset_ns, max_range)
+        jumped = False
+        for topic, course in sorted(self.courses.items()):
+            if course.stands:
+                self._note(f"{topic}: {STANDS}")
+            if course.stance:
+                yield from ((topic, tilt) for tilt in list_tilts(course.stance, max_range))
+            if not jumped:  # of several sensors on one robot, one tells it
+                first = first_ns + self._offset_ns
+                for concern in list_jumps(course.find_jumps(), course.stamp_ns, first):
+                    jumped = True
+                    yield topic, concern
 
     def find_ends(self) -> dict[Laser, Ends]:
         """Where the posed scans so far begin and end, by their laser."""

@@ -6,9 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.posing.chain import Chain, make_chain
 from occmap.posing.concerns import Concern
+from occmap.posing.frames import Edge, Source, Step
+from occmap.posing.jumps import Jump, find_jumps
+from occmap.posing.options import Stamps
 from occmap.posing.rotations import measure_turn
-from occmap.types import Float64, PosedScans
+from occmap.posing.tracks import TrackBuilder
+from occmap.types import Float64, Int64, PoseBatch, PosedScans
 
 TILTED_RAD = math.radians(3)
 """A tilted scan plane meets the floor: at three degrees, 30 cm above it, within six metres."""
@@ -39,19 +44,36 @@ class Stance(NamedTuple):
 
 
 class Course:
-    """Where the sensor of one topic was; grows with the scans that it is shown, 24 bytes each."""
+    """Where the sensor of one topic was; grows with the scans that it is shown, 32 bytes each."""
 
     def __init__(self) -> None:
-        self.frame = ""
+        self._chain: Chain | None = None
+        """What their poses were looked up in; None where they stand beside the scans"""
+        self._stated = TrackBuilder()
+        """The poses that stand beside the scans"""
+        self._stamps: list[Int64] = [np.empty(0, np.int64)]
         self._tilts: list[Float64] = []
         self._low = np.full(3, np.inf)
         self._high = np.full(3, -np.inf)
         self._first: Float64 | None = None
         self._turned = 0.0
 
-    def see(self, posed: PosedScans) -> None:
-        """Record the poses of some scans; of de-skewed ones, those of their first beams."""
-        self.frame = posed.batch.frame
+    def see(self, posed: PosedScans, stamp_ns: Int64, chain: Chain | None) -> None:
+        """Record the poses of some scans; of de-skewed ones, those of their first beams.
+
+        Parameters
+        ----------
+        stamp_ns
+            (S,) of the scans, by the clock of the poses.
+        chain
+            What their poses were looked up in; None where they stand beside the scans.
+        """
+        pose = posed.batch.pose
+        if chain is None and pose is not None:
+            stated = PoseBatch(stamp_ns, stamp_ns, pose, "", "", static=False, topic="")
+            self._stated.add_batch(stated, Stamps.HEADER)
+        self._chain = chain
+        self._stamps.append(stamp_ns)
         position, rotation = posed.at_first_beam
         self._tilts.append(np.stack([rotation[:, 2, 2], rotation[:, 2, 0], position[:, 2]]))
         self._low = np.minimum(self._low, position.min(axis=0))
@@ -59,6 +81,18 @@ class Course:
         first = rotation[0] if self._first is None else self._first
         self._first = first
         self._turned = max(self._turned, float(measure_turn(first, rotation).max()))
+
+    @property
+    def stamp_ns(self) -> Int64:
+        """(S,) stamps of the scans, by the clock of the poses."""
+        return np.concatenate(self._stamps)
+
+    def find_jumps(self) -> list[Jump]:
+        """Find when it was elsewhere at once; poses beside scans show it once all are there."""
+        chain = self._chain
+        if chain is None and (track := self._stated.build()) is not None:
+            chain = make_chain([Step(Edge("", "", track, Source.ODOMETRY))], None)
+        return find_jumps(chain) if chain else []
 
     @property
     def bounds(self) -> Float64:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from occmap.posing.frames import Edge, Source
+from occmap.posing.frames import Source
 from occmap.posing.sources import Sources
 
 
@@ -41,22 +41,20 @@ def list_coverage(sources: Sources) -> list[Coverage]:
     edges = list(sources.tree.edges)
     chosen = [sources.trajectory] if sources.trajectory else []
     others = [edge for edge in (*chosen, *sources.pose_topics) if edge not in edges]
-    return [_describe(edge) for edge in dict.fromkeys([*edges, *others])]
-
-
-def _describe(edge: Edge) -> Coverage:
-    track = edge.track
-    return Coverage(
-        parent=edge.parent,
-        child=edge.child,
-        source=edge.source,
-        topic=edge.topic,
-        samples=len(track),
-        static=track.static,
-        moves=track.moves,
-        start_ns=int(track.stamp_ns[0]),
-        end_ns=int(track.stamp_ns[-1]),
-        largest_gap_s=float(track.interval_s.max(initial=0)),
-        largest_step_m=float(track.step_m.max(initial=0)),
-        largest_step_rad=float(track.step_rad.max(initial=0)),
-    )
+    return [
+        Coverage(
+            parent=edge.parent,
+            child=edge.child,
+            source=edge.source,
+            topic=edge.topic,
+            samples=len(edge.track),
+            static=edge.track.static,
+            moves=edge.track.moves,
+            start_ns=int(edge.track.stamp_ns[0]),
+            end_ns=int(edge.track.stamp_ns[-1]),
+            largest_gap_s=float(edge.track.interval_s.max(initial=0)),
+            largest_step_m=float(edge.track.step_m.max(initial=0)),
+            largest_step_rad=float(edge.track.step_rad.max(initial=0)),
+        )
+        for edge in dict.fromkeys([*edges, *others])
+    ]

@@ -1,10 +1,11 @@
 """The transform tree: which frames a log knows, and the ways between them."""
 
 from collections import defaultdict, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
+from itertools import chain
 
 from occmap.errors import PoseError
 from occmap.posing.tracks import Track
@@ -144,9 +145,12 @@ class FrameTree:
         path: list[Step] = []
         while lower != upper:
             near = distances[lower] - 1
-            step = next(s for s in self._list_steps_to(lower) if distances[s.upper] == near)
-            path.append(step)
-            lower = step.upper
+            steps = chain(
+                (Step(edge) for edge in self._up.get(lower, ())),
+                (Step(edge, inverted=True) for edge in self._down.get(lower, ())),
+            )
+            path.append(next(step for step in steps if distances[step.upper] == near))
+            lower = path[-1].upper
         return path[::-1]
 
     def _measure(self, upper: str) -> dict[str, int]:
@@ -169,10 +173,6 @@ class FrameTree:
             self._distances[upper] = distances
         return self._distances[upper]
 
-    def _list_steps_to(self, frame: str) -> Iterator[Step]:
-        yield from (Step(edge) for edge in self._up.get(frame, ()))
-        yield from (Step(edge, inverted=True) for edge in self._down.get(frame, ()))
-
 
 def last_part(frame: str) -> str:
     """Strip the namespace: the last part of `robot1/odom` is `odom`."""
@@ -181,15 +181,10 @@ def last_part(frame: str) -> str:
 
 def _choose_edges(edges: Iterable[Edge]) -> list[Edge]:
     """Keep the believed edges, in an order that does not depend on the log's."""
-    ranked = sorted(edges, key=_rank)
     chosen: dict[tuple[str, str], Edge] = {}
     believed: dict[str, Source] = {}
-    for edge in ranked:
+    for edge in sorted(edges, key=lambda e: (e.source, e.track.static, -len(e.track), e.topic)):
         source = believed.setdefault(edge.child, edge.source)
         if edge.source == source:
             chosen.setdefault((edge.parent, edge.child), edge)
     return sorted(chosen.values(), key=lambda edge: (edge.parent, edge.child))
-
-
-def _rank(edge: Edge) -> tuple[int, bool, int, str]:
-    return edge.source, edge.track.static, -len(edge.track), edge.topic

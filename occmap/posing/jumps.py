@@ -73,62 +73,55 @@ class Jump(NamedTuple):
         return apart <= max(JUMP_M, UNDONE_SHARE * self.metres) and askew <= JUMP_RAD
 
 
-class JumpWatch:
-    """Counts the scans between the jumps of a chain, to know which part is worth keeping."""
+def list_jumps(jumps: Sequence[Jump], stamp_ns: Int64, first_ns: int) -> Iterator[Concern]:
+    """Say which jump between used scans is the largest, and which options keep one part.
 
-    def __init__(self, chain: Chain) -> None:
-        self._jumps = list(find_jumps(chain))
-        self.edges_ns: Int64 = np.array([jump.stamp_ns for jump in self._jumps], np.int64)
-        """When the sensor jumps, by the clock of the poses"""
-        self._scans = np.zeros(len(self.edges_ns) + 1, np.int64)
+    Parameters
+    ----------
+    jumps
+        Of the sensor, in the order of time.
+    stamp_ns
+        (S,) of the scans that have poses, by the clock of the poses.
+    first_ns
+        Stamp of the first scan of the log, by that clock.
+    """
+    jumps, scans = _part(jumps, stamp_ns)
+    used = np.flatnonzero(scans)
+    if len(used) < 2:
+        return
+    longest = int(np.argmax(scans))
+    remedy = {}
+    if longest > used[0]:  # rounded so that no scan of another part is kept
+        remedy["start_s"] = write_ms(-(-(jumps[longest - 1].stamp_ns - first_ns) // MS_NS))
+    if longest < used[-1]:
+        remedy["end_s"] = write_ms((jumps[longest].stamp_ns - first_ns) // MS_NS)
+    keep = " and ".join(f"`{name}={value}`" for name, value in remedy.items())
+    text = describe_jump(jumps[used[0] : used[-1]], first_ns)
+    yield Concern(
+        f"{text}: scans from before and after do not fit together; {keep} keeps the longest "
+        f"part, {scans[longest] / sum(scans):.0%} of them",
+        remedy,
+    )
 
-    def see(self, stamp_ns: Int64) -> None:
-        """Count scans that have poses, by their stamps (S,) on the clock of the poses."""
-        parts = np.searchsorted(self.edges_ns, stamp_ns, side="right")
-        self._scans += np.bincount(parts, minlength=len(self._scans))
 
-    def list_concerns(self, first_ns: int) -> Iterator[Concern]:
-        """Say which jump between used scans is the largest, and which options keep one part.
+def _part(found: Sequence[Jump], stamp_ns: Int64) -> tuple[list[Jump], list[int]]:
+    """Count the scans before the first jump, between jumps and after the last.
 
-        Parameters
-        ----------
-        first_ns
-            Stamp of the first scan of the log, by the clock of the poses.
-        """
-        jumps, scans = self._list_parts()
-        used = np.flatnonzero(scans)
-        if len(used) < 2:
-            return
-        longest = int(np.argmax(scans))
-        remedy = {}
-        if longest > used[0]:  # rounded so that no scan of another part is kept
-            remedy["start_s"] = write_ms(-(-(jumps[longest - 1].stamp_ns - first_ns) // MS_NS))
-        if longest < used[-1]:
-            remedy["end_s"] = write_ms((jumps[longest].stamp_ns - first_ns) // MS_NS)
-        keep = " and ".join(f"`{name}={value}`" for name, value in remedy.items())
-        text = describe_jump(jumps[used[0] : used[-1]], first_ns)
-        yield Concern(
-            f"{text}: scans from before and after do not fit together; {keep} keeps the longest "
-            f"part, {scans[longest] / sum(scans):.0%} of them",
-            remedy,
-        )
-
-    def _list_parts(self) -> tuple[list[Jump], list[int]]:
-        """List the jumps, and how many scans lie before the first, between them and after the last.
-
-        A jump that the next one undoes, without any scan in between, harms nothing.
-        """
-        jumps: list[Jump] = []
-        scans = [int(self._scans[0])]
-        for jump, following in zip(self._jumps, self._scans[1:].tolist(), strict=True):
-            if jumps and not scans[-1] and jumps[-1].is_undone_by(jump):
-                jumps.pop()
-                scans.pop()
-                scans[-1] += following
-            else:
-                jumps.append(jump)
-                scans.append(following)
-        return jumps, scans
+    A jump that the next one undoes, without any scan in between, harms nothing and is left out.
+    """
+    parts = np.searchsorted([jump.stamp_ns for jump in found], stamp_ns, side="right")
+    first, *others = np.bincount(parts, minlength=len(found) + 1).tolist()
+    jumps: list[Jump] = []
+    scans = [first]
+    for jump, following in zip(found, others, strict=True):
+        if jumps and not scans[-1] and jumps[-1].is_undone_by(jump):
+            jumps.pop()
+            scans.pop()
+            scans[-1] += following
+        else:
+            jumps.append(jump)
+            scans.append(following)
+    return jumps, scans
 
 
 class Break(NamedTuple):
@@ -139,40 +132,38 @@ class Break(NamedTuple):
     step: Step
 
 
-def find_jumps(chain: Chain) -> Iterator[Jump]:
+def find_jumps(chain: Chain) -> list[Jump]:
     """Find the jumps that the sensor at the end of a chain makes."""
     breaks = find_breaks(chain)
-    if not breaks:
-        return
     before = chain.at(np.array([each.before_ns for each in breaks], np.int64))
     after = chain.at(np.array([each.after_ns for each in breaks], np.int64))
     known = (before.status == Status.POSED) & (after.status == Status.POSED)
+    jumps = []
     for at in np.flatnonzero(known).tolist():
         rotation = after.rotation[at] @ before.rotation[at].T
         place = before.position[at], after.position[at]
         step = breaks[at].step
         name = f"{step.upper} -> {step.lower}" if step.lower else "the pose beside the scans"
-        jump = Jump(breaks[at].after_ns, *place, rotation, name)
-        if jump.metres > JUMP_M or jump.radians > JUMP_RAD:
-            yield jump
+        jumps.append(Jump(breaks[at].after_ns, *place, rotation, name))
+    return [jump for jump in jumps if jump.metres > JUMP_M or jump.radians > JUMP_RAD]
 
 
 def find_breaks(chain: Chain) -> list[Break]:
-    """Find where a leg of a chain jumps, in ascending order and each moment once."""
-    legs = [leg for leg in chain.legs if isinstance(leg, Moving)]
-    found = {each.after_ns: each for leg in legs for each in _list_breaks(leg)}
-    return [found[stamp_ns] for stamp_ns in sorted(found)]
+    """Find where a leg of a chain jumps, in ascending order and each moment once.
 
-
-def _list_breaks(leg: Moving) -> Iterator[Break]:
-    """List where a correction jumps, and where a body moves faster than a robot can."""
-    track = leg.step.edge.track
-    for at in np.flatnonzero(leg.holds[:-1]).tolist():  # the pose holds until just before
-        after_ns = int(track.stamp_ns[at + 1])
-        yield Break(after_ns, after_ns - 1, leg.step)
-    strides = find_strides(track)
-    for at in strides[~leg.holds[strides]].tolist():
-        yield Break(int(track.stamp_ns[at + 1]), int(track.stamp_ns[at]), leg.step)
+    A correction jumps where its pose holds until then, any other leg where a body moves faster
+    than a robot can.
+    """
+    found: dict[int, Break] = {}
+    for leg in (leg for leg in chain.legs if isinstance(leg, Moving)):
+        stamp_ns = leg.step.edge.track.stamp_ns
+        held, strides = np.flatnonzero(leg.holds[:-1]), find_strides(leg.step.edge.track)
+        strides = strides[~leg.holds[strides]]
+        # What is held is so until just before the next sample.
+        for steps, before_ns in ((held, stamp_ns[held + 1] - 1), (strides, stamp_ns[strides])):
+            for after, before in zip(stamp_ns[steps + 1].tolist(), before_ns.tolist(), strict=True):
+                found[after] = Break(after, before, leg.step)
+    return [found[after] for after in sorted(found)]
 
 
 def find_strides(track: Track) -> Int64:

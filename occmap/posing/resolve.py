@@ -57,11 +57,9 @@ def resolve(
     PoseError
         There is no way; says what is missing, and which option mends it.
     """
-    search = _Search(sources.tree, sources, options, frame.strip("/"), alone)
-    if sources.trajectory is not None:
-        name, steps = search.follow(sources.trajectory)
-    else:
-        name, steps = search.climb(fixed)
+    search = _Search(sources, options, frame.strip("/"), alone)
+    trajectory = sources.trajectory
+    name, steps = search.follow(trajectory) if trajectory else search.climb(fixed)
     if fixed is not None and name != fixed:
         raise PoseError(
             f"{frame!r} maps in {name!r} while other scans map in {fixed!r}",
@@ -78,7 +76,6 @@ Way = tuple[str, list[Step]]
 class _Search:
     """The search for one frame's way; gathers notes as it decides."""
 
-    tree: FrameTree
     sources: Sources
     options: PosingOptions
     frame: str
@@ -86,11 +83,26 @@ class _Search:
     """No other laser of the log is mapped."""
     notes: list[str] = field(default_factory=list)
 
+    @property
+    def tree(self) -> FrameTree:
+        """The frames of the log."""
+        return self.sources.tree
+
+    @property
+    def known(self) -> str:
+        """Their names, for errors."""
+        return f"known: {join_names(self.tree.frames)}"
+
     def climb(self, fixed: str | None) -> Way:
         """Go by the tree; where nothing in it moves, by a topic of poses."""
         body_poses = self.sources.unnamed_body
         if not self.tree.frames:
-            return self.follow(body_poses) if body_poses else self._fail_without_sources()
+            if body_poses:
+                return self.follow(body_poses)
+            raise PoseError(
+                "the scans have no poses: looked for tf, odometry and topics of poses in the log",
+                fix="give a trajectory: `poses=FILE`",
+            )
         anchor = self._find_base() if self.options.sensor_pose else self.frame
         if anchor not in self.tree:
             self._fail_without_mount()
@@ -103,7 +115,9 @@ class _Search:
             self._fail_without_motion(usual)
         name = wanted or usual
         steps = self._find_path(name, anchor)
-        self._note_odometry(steps)
+        for edge in (step.edge for step in steps if step.edge.source is Source.ODOMETRY):
+            given = f"{edge.parent} -> {edge.child}"
+            self.notes.append(f"tf does not give {given}: taken from {edge.topic}")
         return name, [*steps, *self._mount_on(anchor)]
 
     def follow(self, trajectory: Edge) -> Way:
@@ -119,11 +133,10 @@ class _Search:
         above = self._find_path(fixed, trajectory.parent)
         below = self._find_path(body, anchor)
         note = f"poses from {trajectory.topic}, taken as those of {body!r}"
-        own = body == self.frame and not trajectory.child
-        other = (
-            f"the laser itself: give `sensor_pose=({MountError.UNKNOWN})` if they are the robot's"
-        )
-        self.notes.append(f"{note}, {other}" if own else note)
+        if body == self.frame and not trajectory.child:
+            mount = f"`sensor_pose=({MountError.UNKNOWN})`"
+            note += f", the laser itself: give {mount} if they are the robot's"
+        self.notes.append(note)
         carried = Step(replace(trajectory, child=body))
         return fixed, [*above, carried, *below, *self._mount_on(anchor)]
 
@@ -139,18 +152,14 @@ class _Search:
     def _find_base(self) -> str:
         """Find the frame that the given sensor pose is measured from."""
         wanted = self.options.base_frame
-        if wanted:
-            if wanted not in self.tree:
-                known = join_names(self.tree.frames)
-                raise PoseError(
-                    f"no frame {wanted!r} in the log", fix=f"`base_frame` takes {known}"
-                )
-            return wanted
-        bases = list_bases(self.tree, self.frame)
+        if wanted and wanted not in self.tree:
+            fix = f"`base_frame` takes {join_names(self.tree.frames)}"
+            raise PoseError(f"no frame {wanted!r} in the log", fix=fix)
+        bases = [wanted] if wanted else list_bases(self.tree, self.frame)
         if len(bases) == 1:
             return bases[0]
         raise PoseError(
-            f"which frame the laser is mounted on is not clear (known: {self._list_known()})",
+            f"which frame the laser is mounted on is not clear ({self.known})",
             fix=f"name it: `base_frame={bases[0] if bases else 'FRAME'}`",
         )
 
@@ -170,28 +179,18 @@ class _Search:
         if steps is not None:
             return steps
         if upper not in self.tree:
-            found = f"no frame {upper!r} in the log (known: {self._list_known()})"
             is_given = upper == self.options.map_frame
             fix = "give one of these as `map_frame`, or leave it out" if is_given else ""
-            raise PoseError(found, fix=fix)
+            raise PoseError(f"no frame {upper!r} in the log ({self.known})", fix=fix)
         raise PoseError(
-            f"no transform from {upper!r} to {lower!r} (known: {self._list_known()})",
+            f"no transform from {upper!r} to {lower!r} ({self.known})",
             fix=f"give it: `static_transforms={upper},{lower},X,Y,Z,ROLL,PITCH,YAW`",
         )
-
-    def _note_odometry(self, steps: list[Step]) -> None:
-        for step in steps:
-            if step.edge.source is Source.ODOMETRY:
-                name = f"{step.edge.parent} -> {step.edge.child}"
-                self.notes.append(f"tf does not give {name}: taken from {step.edge.topic}")
-
-    def _list_known(self) -> str:
-        return join_names(self.tree.frames)
 
     def _fail_without_mount(self) -> NoReturn:
         bases = list_bases(self.tree, self.frame)
         base = bases[0] if len(bases) == 1 else ""
-        found = f"no transform to the laser's frame {self.frame!r} (known: {self._list_known()})"
+        found = f"no transform to the laser's frame {self.frame!r} ({self.known})"
         if not self.alone:  # a sensor pose would be that of every laser
             given = f"{base or 'BASE'},{self.frame},X,Y,Z,ROLL,PITCH,YAW"
             raise PoseError(found, fix=f"give its mount: `static_transforms={given}`")
@@ -211,11 +210,5 @@ class _Search:
         raise PoseError(
             f"the scans have no poses: tf only says where {self.frame!r} sits on {root!r}, and "
             "the log has no odometry and no topic of poses",
-            fix="give a trajectory: `poses=FILE`",
-        )
-
-    def _fail_without_sources(self) -> NoReturn:
-        raise PoseError(
-            "the scans have no poses: looked for tf, odometry and topics of poses in the log",
             fix="give a trajectory: `poses=FILE`",
         )

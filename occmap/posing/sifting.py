@@ -65,21 +65,19 @@ class LeapFilter:
         order.
         """
         for some in attached:
-            path = self._find_path(some.posed) if some.posed else None
-            if some.posed and path:
-                path.take(some, some.posed)
-                yield from path.release()
+            if (posed := some.posed) is None:
+                yield some
+                continue
+            laser = posed.batch.topic, posed.batch.frame, posed.position.ndim == 3
+            if laser not in self._paths and len(self._paths) < MOST_PATHS:
+                self._paths[laser] = _Path(self._max_speed)
+            if laser in self._paths:
+                self._paths[laser].take(some, posed)
+                yield from self._paths[laser].release()
             else:
                 yield some
         for path in self._paths.values():
             yield from path.finish()
-
-    def _find_path(self, posed: PosedScans) -> "_Path | None":
-        """Find the path that scans are on; None where it is one too many to be judged."""
-        laser = posed.batch.topic, posed.batch.frame, posed.position.ndim == 3
-        if laser not in self._paths and len(self._paths) < MOST_PATHS:
-            self._paths[laser] = _Path(self._max_speed)
-        return self._paths.get(laser)
 
     def list_notes(self) -> Iterator[str]:
         """Say of each topic what the first scan did that is astray."""
@@ -161,13 +159,10 @@ class _Path:
             for some, number in zip(self._mixed, parts, strict=True)
         ]
         self._mixed = []
-        self._lengthen(find_rows(begin, stamp_ns, place, self._max_speed))
-
-    def _lengthen(self, rows: list[Row]) -> None:
-        """Add rows, of which the first begins with the last scan so far."""
+        rows = find_rows(begin, stamp_ns, place, self._max_speed)
         self._leaps += sum(not row.closes for row in rows[:-1])
         self._begin = self._begin or rows[0].first
-        if self._rows:
+        if self._rows:  # the first begins with the last scan so far
             rows[0] = replace(rows[0], first=self._rows[-1].first, opens=self._rows[-1].opens)
         self._rows[-1:] = rows
 
@@ -187,7 +182,7 @@ class _Path:
             if astray and not self.astray:
                 self.first_astray = astray[0].first.stamp_ns, self._describe(astray[0])
             for row in astray:
-                self._mark(row)
+                self._mark(row.first.number, row.last.number)
             del self._rows[:judged]
         while self._held and self._held[0].number[-1] < self._decided:
             yield self._strip(self._held.pop(0))
@@ -199,9 +194,8 @@ class _Path:
         may_be_astray = row.opens and row.is_single and not row.closes
         return row.first.number if may_be_astray else row.last.number + 1
 
-    def _mark(self, row: Row) -> None:
-        """Mark the scans of a row as astray."""
-        first, last = row.first.number, row.last.number
+    def _mark(self, first: int, last: int) -> None:
+        """Mark the scans from one to another as astray."""
         self.astray += last - first + 1
         for held in self._held:
             held.astray[(held.number >= first) & (held.number <= last)] = True

@@ -1,7 +1,7 @@
 """Pose sources: every pose sample of a log, sorted into edges of the tree and trajectories."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -65,15 +65,18 @@ def gather(samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) ->
     """
     tracks, notes = _build_tracks(samples, options.stamps)
     edges = [_make_edge(key, track) for key, track in tracks]
-    given = [_make_given(sample) for sample in options.static_transforms]
+    given = [
+        Edge(each.parent.strip("/"), each.child.strip("/"), Track.fixed(each.pose), Source.GIVEN)
+        for each in options.static_transforms
+    ]
     if not any(edge.child for edge in [*given, *edges]):
         edges = [_name_body(edge) for edge in edges]
     tree = FrameTree([*given, *(edge for edge in edges if edge.child)])
-    poses = tuple(sorted((edge for edge in edges if edge.source is Source.ODOMETRY), key=_rank))
+    stated = (edge for edge in edges if edge.source is Source.ODOMETRY)
+    poses = sorted(stated, key=lambda edge: (-len(edge.track), edge.topic))
     trajectory = _find_trajectory(options, poses, notes) if options.poses else None
-    told = *_list_overruled(given, edges), *_list_loops(given, tree)
-    notes.extend(list_contradictions(edges, tree))
-    return Sources(tree, poses, trajectory, (*told, *notes))
+    notes = [*_list_overruled(given, edges, tree), *notes, *list_contradictions(edges, tree)]
+    return Sources(tree, tuple(poses), trajectory, tuple(notes))
 
 
 def _build_tracks(
@@ -101,18 +104,16 @@ def _build_tracks(
         if key.static and builder.changes:
             changed[key.topic].append(f"{key.parent} -> {key.child}")
         if track is not None and key.parent != key.child:
-            tracks.append((key, _take_last(track) if key.static else track))
+            tracks.append((key, track))
     for topic, names in changed.items():
         notes.append(f"{topic} changes {join_names(names, MOST_CHANGED)}: the last pose counts")
     return tracks, notes
 
 
-def _take_last(track: Track) -> Track:
-    """Keep the last pose of a static transform that was sent more than once."""
-    return Track(track.stamp_ns[-1:], track.position[-1:], track.quaternion[-1:], static=True)
-
-
 def _make_edge(key: _Key, track: Track) -> Edge:
+    if key.static:  # of a transform that was sent more than once the last pose counts
+        last = track.stamp_ns[-1:], track.position[-1:], track.quaternion[-1:]
+        track = Track(*last, static=True)
     is_tf = key.child and (key.static or last_part(key.topic) in TF_TOPICS)
     source = Source.TF if is_tf else Source.ODOMETRY
     return Edge(key.parent.strip("/"), key.child.strip("/"), track, source, key.topic)
@@ -124,38 +125,20 @@ def _name_body(edge: Edge) -> Edge:
     return replace(edge, child=BASE_NAMES[0]) if is_odometry and len(edge.track) > 1 else edge
 
 
-def _make_given(sample: PoseSample) -> Edge:
-    track = Track.fixed(sample.pose)
-    return Edge(sample.parent.strip("/"), sample.child.strip("/"), track, Source.GIVEN)
-
-
-def _rank(edge: Edge) -> tuple[int, str]:
-    return -len(edge.track), edge.topic
-
-
 def _is_intention(topic: str) -> bool:
     words = topic.lower().replace("/", "_").split("_")
     return not INTENTIONS.isdisjoint(words)
 
 
-def _list_overruled(given: Sequence[Edge], edges: Sequence[Edge]) -> list[str]:
-    """Say which transforms of the log the user's replace."""
+def _list_overruled(given: Sequence[Edge], edges: Sequence[Edge], tree: FrameTree) -> Iterator[str]:
+    """Say which transforms of the log the user's replace, or lead back to a frame above them."""
     known = {edge.child for edge in edges if edge.source is Source.TF}
-    return [
-        f"the given transform {edge.parent} -> {edge.child} replaces the log's"
-        for edge in given
-        if edge.child in known
-    ]
-
-
-def _list_loops(given: Sequence[Edge], tree: FrameTree) -> list[str]:
-    """Say where a transform that the user gave leads back to a frame above it."""
-    return [
-        f"the given transform {edge.parent} -> {edge.child} closes a loop: {edge.child} is above "
-        f"{edge.parent} already"
-        for edge in given
-        if edge.child in tree.list_ancestors(edge.parent)
-    ]
+    for edge in given:
+        name = f"the given transform {edge.parent} -> {edge.child}"
+        if edge.child in known:
+            yield f"{name} replaces the log's"
+        if edge.child in tree.list_ancestors(edge.parent):
+            yield f"{name} closes a loop: {edge.child} is above {edge.parent} already"
 
 
 def _find_trajectory(options: PosingOptions, poses: Sequence[Edge], notes: list[str]) -> Edge:

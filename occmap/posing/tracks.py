@@ -78,14 +78,13 @@ class TrackBuilder:
 
     def add(self, sample: PoseSample, stamps: Stamps) -> None:
         """Take a sample, dated by one of its two times."""
-        stamp, record = sample.stamp_ns, sample.record_ns
-        if stamps is Stamps.RECORD:
-            stamp = record
-        if abs(stamp) > MAX_STAMP_NS or abs(record) > MAX_STAMP_NS:
+        record = sample.record_ns
+        stamp = record if stamps is Stamps.RECORD else sample.stamp_ns
+        if max(abs(stamp), abs(record)) > MAX_STAMP_NS:
             self.unusable += 1
-            return
-        self._times.extend((stamp, record))
-        self._values.extend(sample.pose)
+        else:
+            self._times.extend((stamp, record))
+            self._values.extend(sample.pose)
 
     def add_batch(self, batch: PoseBatch, stamps: Stamps) -> None:
         """Take many samples, as `add` takes one."""

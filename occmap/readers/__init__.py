@@ -5,7 +5,7 @@ A reader is a class with a `name`, a one-line `description`, a `recognises(probe
 """
 
 import shlex
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
@@ -88,9 +88,9 @@ class Note:
 class NoteList(list[Note]):
     """Notes that `in` searches at once, since a damaged log may give very many."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._known: set[Note] = set()
+    def __init__(self, notes: Iterable[Note] = ()) -> None:
+        super().__init__(notes)
+        self._known = set(self)
 
     def __contains__(self, note: object) -> bool:
         return note in self._known
@@ -99,13 +99,6 @@ class NoteList(list[Note]):
         """Add a note."""
         super().append(note)
         self._known.add(note)
-
-    def copy(self) -> "NoteList":
-        """The same notes, to which others are added."""
-        notes = NoteList()
-        for note in self:
-            notes.append(note)
-        return notes
 
 
 class Span(NamedTuple):
@@ -118,7 +111,7 @@ class Span(NamedTuple):
 def make_part(whole: Whole, **fields: Any) -> Whole:
     """Copy a log, or a source of one, with other fields and with notes to which it adds its own."""
     part = copy(whole)
-    vars(part).update(fields, notes=vars(whole)["notes"].copy())
+    vars(part).update(fields, notes=NoteList(vars(whole)["notes"]))
     return part
 
 
@@ -292,8 +285,12 @@ def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
         reader_class = load_plugin("occmap.readers", name)
         if reader_class is None:
             broken.append(name)
-        elif (reader := reader_class()).recognises(probe):
-            return _open(reader, path, options)
+            continue
+        reader: Reader = reader_class()
+        if reader.recognises(probe):
+            if isinstance(reader, TunableReader):
+                return reader.open_tuned(path, options)
+            return reader.open(path)
     if probe.raw.startswith(LFS_MAGIC):
         found = "a Git LFS pointer, which stands in for the file"
         raise LogError(found, where=path, fix="fetch the file: git lfs pull")
@@ -321,12 +318,6 @@ def refuse_packed(probe: Probe) -> None:
         if probe.raw.startswith(magic) and probe.content and not probe.content.isascii():
             fix = f"decompress it first: {unpack} {shlex.quote(str(probe.path))}"
             raise LogError(f"a file that {kind} compressed", where=probe.path, fix=fix)
-
-
-def _open(reader: Reader, path: Path, options: ReaderOptions) -> Log:
-    if isinstance(reader, TunableReader):
-        return reader.open_tuned(path, options)
-    return reader.open(path)
 
 
 def _describe_unknown(probe: Probe) -> str:

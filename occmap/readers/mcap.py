@@ -1,41 +1,75 @@
-"""MCAP files with ROS 2, ROS 1 or Foxglove messages: whole, without index or summary, or cut."""
+"""MCAP files with ROS 2, ROS 1 or Foxglove messages: whole, without index or summary, or cut.
 
+The records, as https://mcap.dev/spec has them, come first, then the file that is made of them.
+"""
+
+import re
+import struct
 import zlib
 from collections import Counter
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterator, Mapping
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from struct import Struct
 from typing import BinaryIO
 
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.records import Channel as McapChannel
+from mcap.records import ChunkIndex, Footer, Schema, Statistics
 
 from occmap.readers import Probe
 from occmap.readers.chunked import NEVER_NS, Block, ChunkedSource, Record
 from occmap.readers.inflate import inflate
-from occmap.readers.mcap_records import (
-    CHUNK_HEAD,
-    CHUNK_START,
-    LAST_OPCODE,
-    LENGTH,
-    MAGIC,
-    MESSAGE_DATA,
-    RECORD,
-    RECORD_ERRORS,
-    ChannelTable,
-    Summary,
-    count_indexed,
-    find_record,
-    is_plausible,
-    leads_on,
-    measure_chunk,
-    read_summary,
-)
 from occmap.readers.ros_log import RosReader
 from occmap.readers.ros_source import Channel, add_note
 from occmap.wording import count
 
-_MESSAGE_HEAD = Struct("<BQHIQ")
+MAGIC = b"\x89MCAP0\r\n"
+_RECORD = struct.Struct("<BQ")
+"""What every record starts with: opcode and length of the body."""
+_MESSAGE_DATA = 31
+"""Where a message's own bytes start in its record."""
+
+# What the mcap library raises on records that are not well formed.
+_RECORD_ERRORS = (McapError, struct.error, ArithmeticError, LookupError, MemoryError, ValueError)
+
+_FOOTER_BODY = 20
+_FOOTER_LENGTH = _RECORD.size + _FOOTER_BODY
+_LONGEST_DATA_END = 255
+"""Four bytes, and what a writer may leave behind them."""
+_SHORTEST: Mapping[int, int] = {
+    Opcode.SCHEMA: 14,
+    Opcode.CHANNEL: 16,
+    Opcode.MESSAGE: 22,
+    Opcode.CHUNK: 40,
+    Opcode.MESSAGE_INDEX: 6,
+    Opcode.DATA_END: 4,
+}
+"""Bytes of records whose texts and lists are empty."""
+_LAST_OPCODE = 15
+_CHUNK_HEAD = struct.Struct("<QQQII")
+"""Of a chunk: its first and last time, its size and checksum when it is decompressed, and the
+length of the name of its compression, which follows; then come the length of its data, and these"""
+_LENGTH = struct.Struct("<Q")
+_CHUNK = re.compile(
+    rb".{28}(\x00{4}|\x03\x00{3}lz4|\x04\x00{3}(none|zstd))(?P<length>.{5}\x00{3})", re.DOTALL
+)
+"""How the body of a chunk starts."""
+_CHUNK_START = 44
+"""Bytes of it that say how long the chunk is."""
+_HEAD = re.compile(rb"(?=[\x03-\x0f].{4}\x00{4})", re.DOTALL)
+"""How a record starts, if it is not longer than 2**32 - 1 bytes."""
+_INDEX_HEAD = struct.Struct("<HI")
+"""A channel, and the bytes of the entries that follow."""
+_INDEX_ENTRY = 16
+"""Bytes of an entry: a time, and where in the chunk the message lies."""
+_MOST_INDEX = 1 << 24
+"""Bytes of an index that are read at most: a million messages."""
+_WINDOW = 1 << 20
+_MOST_SUMMARY = 1 << 30
+_MESSAGE_HEAD = struct.Struct("<BQHIQ")
 """Opcode, length, channel, sequence number, record time; a second time follows."""
 _NO_HEAD = (0, 0, 0, 0, 0)
 _LATEST_NS = 2**63 - 1
@@ -45,25 +79,194 @@ _LONGEST_PADDING = 64
 _DESCRIPTIONS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
 
 
-class McapSource(ChunkedSource[ChannelTable]):
+@dataclass(frozen=True)
+class _Summary:
+    """What the end of a file says that the file holds."""
+
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunk_channels: dict[int, frozenset[int]] = field(default_factory=dict)
+    """Which channels have messages in the chunk at a file position; none if the index is silent."""
+    statistics: Statistics | None = None
+    is_checked: bool = False
+    """Whether it has a checksum, and may be relied on to pass over chunks."""
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether it names every channel with its type, and counts every message."""
+        if self.statistics is None or len(self.channels) != self.statistics.channel_count:
+            return False
+        counts = self.statistics.channel_message_counts
+        return sum(counts.values()) == self.statistics.message_count and all(
+            key in self.channels and self.channels[key].type for key in counts
+        )
+
+
+class _ChannelTable:
+    """Schemas and channels as they turn up in a file."""
+
+    def __init__(self) -> None:
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, McapChannel] = {}
+
+    def add(self, opcode: int, body: bytes) -> None:
+        """Take in a record if it is a schema or a channel."""
+        if opcode == Opcode.SCHEMA:
+            schema = Schema.read(ReadDataStream(BytesIO(body)))
+            self._schemas.setdefault(schema.id, schema)
+        elif opcode == Opcode.CHANNEL:
+            channel = McapChannel.read(ReadDataStream(BytesIO(body)))
+            self._channels.setdefault(channel.id, channel)
+
+    def build(self) -> Iterator[tuple[int, Channel]]:
+        """Combine channels and their schemas; where a log is damaged, a schema may come later."""
+        for key, channel in self._channels.items():
+            schema = self._schemas.get(channel.schema_id, Schema(0, b"", "", ""))
+            is_text = schema.encoding in {"ros1msg", "ros2msg"}
+            yield (
+                key,
+                Channel(
+                    topic=channel.topic,
+                    type=schema.name,
+                    encoding=channel.message_encoding,
+                    definition=schema.data.decode(errors="replace") if is_text else "",
+                    descriptors=schema.data if schema.encoding == "protobuf" else b"",
+                ),
+            )
+
+
+def _find_record(file: BinaryIO, start: int, size: int, chunk_end: int = 0) -> int | None:
+    """Find where records go on behind damage; None where they do not.
+
+    Two heads of records of which one leads to the other do not come about by chance. Before the
+    end of a chunk only those are looked for that are no part of it.
+    """
+    while start < size:
+        file.seek(start)
+        window = file.read(_WINDOW)
+        for match in _HEAD.finditer(window):
+            at = start + match.start()
+            is_inner = at < chunk_end and window[match.start()] < Opcode.CHUNK
+            if not is_inner and _leads_on(file, at, size):
+                return at
+        start += max(len(window) - _RECORD.size, _RECORD.size)
+    return None
+
+
+def _leads_on(file: BinaryIO, position: int, size: int) -> bool:
+    """Say whether records follow one another from a position on."""
+    for _ in range(2):
+        if position > size - _RECORD.size:
+            return position == size
+        file.seek(position)
+        opcode, length = _RECORD.unpack(file.read(_RECORD.size))
+        if not _is_plausible(opcode, length, size - position - _RECORD.size):
+            return False
+        if opcode == Opcode.FOOTER:
+            return True
+        position += _RECORD.size + length
+    return True
+
+
+def _is_plausible(opcode: int, length: int, left: int) -> bool:
+    """Say whether a record can be of a kind and length, with so many bytes of the file left."""
+    if opcode == Opcode.DATA_END and length > _LONGEST_DATA_END:
+        return False
+    if opcode == Opcode.FOOTER:
+        return length == _FOOTER_BODY and left == _FOOTER_BODY + len(MAGIC)
+    return 0 < opcode <= _LAST_OPCODE and _SHORTEST.get(opcode, 0) <= length <= left
+
+
+def _count_indexed(file: BinaryIO) -> int:
+    """Count the messages that are named by the indexes from the file's position on."""
+    messages = 0
+    while len(head := file.read(_RECORD.size)) == _RECORD.size:
+        opcode, length = _RECORD.unpack(head)
+        if opcode != Opcode.MESSAGE_INDEX:
+            break
+        body = file.read(min(length, _MOST_INDEX))
+        _, size = _INDEX_HEAD.unpack(body[: _INDEX_HEAD.size].ljust(_INDEX_HEAD.size, b"\0"))
+        messages += size // _INDEX_ENTRY
+    return messages
+
+
+def _measure_chunk(start: bytes) -> int | None:
+    """Find how long the body of a chunk is from its first bytes; None where it is none."""
+    match = _CHUNK.match(start)
+    return match.end() + int.from_bytes(match["length"], "little") if match else None
+
+
+def _read_summary(file: BinaryIO, size: int) -> tuple[_Summary, str]:
+    """Read the summary at the end of a file, and say what is wrong with it.
+
+    A summary may be absent: that is not wrong.
+    """
+    end = size - _FOOTER_LENGTH - len(MAGIC)
+    file.seek(max(end, 0))
+    tail = file.read()
+    if end < 0 or not tail.endswith(MAGIC):
+        return _Summary(), "the file is cut before its end"
+    if tail[0] != Opcode.FOOTER:
+        return _Summary(), "the footer is damaged"
+    footer = Footer.read(ReadDataStream(BytesIO(tail[_RECORD.size :])))
+    start = footer.summary_start or end
+    file.seek(min(start, end))
+    section = file.read(min(end - file.tell(), _MOST_SUMMARY))
+    # The checksum covers the footer, too, up to the checksum itself.
+    crc = zlib.crc32(tail[: _FOOTER_LENGTH - 4], zlib.crc32(section))
+    if start > end or footer.summary_crc not in {0, crc}:
+        return _Summary(), "the summary at its end is damaged"
+    try:
+        return _parse_summary(section, is_checked=footer.summary_crc != 0), ""
+    except _RECORD_ERRORS:
+        return _Summary(), "the summary at its end cannot be read"
+
+
+def _parse_summary(section: bytes, is_checked: bool) -> _Summary:
+    """Collect channels, message counts and the channels of each chunk.
+
+    Raises
+    ------
+    McapError, struct.error, LookupError, ValueError
+        A record is not well formed, or the last is cut.
+    """
+    table = _ChannelTable()
+    statistics: Statistics | None = None
+    chunk_channels = {}
+    start = 0
+    while start < len(section):
+        opcode, length = _RECORD.unpack_from(section, start)
+        body = section[start + _RECORD.size : start + _RECORD.size + length]
+        if not opcode or len(body) < length:
+            raise LookupError("a record is cut")
+        table.add(opcode, body)
+        if opcode == Opcode.STATISTICS:
+            statistics = Statistics.read(ReadDataStream(BytesIO(body)))
+        elif opcode == Opcode.CHUNK_INDEX:
+            index = ChunkIndex.read(ReadDataStream(BytesIO(body)))
+            chunk_channels[index.chunk_start_offset] = frozenset(index.message_index_offsets)
+        start += _RECORD.size + length
+    return _Summary(dict(table.build()), chunk_channels, statistics, is_checked)
+
+
+class McapSource(ChunkedSource[_ChannelTable]):
     """The channels and raw messages of an MCAP file."""
 
     magic = MAGIC
     chunk = Opcode.CHUNK
     plain = _DESCRIPTIONS | {Opcode.MESSAGE}
     last = frozenset({Opcode.DATA_END, Opcode.FOOTER})
-    table = ChannelTable
-    find_record = staticmethod(find_record)
+    table = _ChannelTable
+    find_record = staticmethod(_find_record)
 
     def __init__(self, path: Path) -> None:
         self._verified: set[int] = set()
         """Where chunks begin whose checksums were looked at: poses and scans lie in the same"""
-        self._summary = Summary()
+        self._summary = _Summary()
         super().__init__(path)
 
     def _find_channels(self, file: BinaryIO) -> tuple[dict[int, Channel], Counter[int]]:
         """Take the channels and their counts from the summary; where it lacks some, survey all."""
-        self._summary, problem = read_summary(file, self._size)
+        self._summary, problem = _read_summary(file, self._size)
         channels, statistics = self._summary.channels, self._summary.statistics
         counts = Counter(statistics.channel_message_counts if statistics else {})
         if self._summary.is_complete:
@@ -75,7 +278,7 @@ class McapSource(ChunkedSource[ChannelTable]):
                 stated = statistics.message_count
                 text = f"{held.total()} messages are in it, its statistics have {stated}"
                 add_note(self.notes, text)
-            channels, counts = channels | found, counts or held
+            channels, counts = channels | found, Counter({**held, **counts})
         for channel in channels.values():
             if channel.encoding in {"cdr", "ros1"} and not channel.type:
                 add_note(self.notes, f"the type of the messages on {channel.topic} is not stated")
@@ -99,21 +302,21 @@ class McapSource(ChunkedSource[ChannelTable]):
     def _read_record(self, file: BinaryIO, position: int) -> Record | None:
         """Read the head of a record; kind and length of a chunk can be told from its body, too."""
         file.seek(position)
-        opcode, length = RECORD.unpack(file.read(RECORD.size).ljust(RECORD.size, b"\0"))
-        start = position + RECORD.size
-        measured = None if opcode == Opcode.MESSAGE else measure_chunk(file.read(CHUNK_START))
+        opcode, length = _RECORD.unpack(file.read(_RECORD.size).ljust(_RECORD.size, b"\0"))
+        start = position + _RECORD.size
+        measured = None if opcode == Opcode.MESSAGE else _measure_chunk(file.read(_CHUNK_START))
         if measured is not None and (opcode, length) != (Opcode.CHUNK, measured):
-            is_odd = opcode == Opcode.CHUNK and not leads_on(file, start + length, self._size)
+            is_odd = opcode == Opcode.CHUNK and not _leads_on(file, start + length, self._size)
             if is_odd or length == measured:
                 self._note(position, "has a damaged head")
                 opcode, length = Opcode.CHUNK, measured
         left = self._size - start
         if (
-            is_plausible(opcode, length, left)
-            or (0 < opcode <= LAST_OPCODE and left < length)
-            or (opcode > LAST_OPCODE and leads_on(file, start + length, self._size))
+            _is_plausible(opcode, length, left)
+            or (0 < opcode <= _LAST_OPCODE and left < length)
+            or (opcode > _LAST_OPCODE and _leads_on(file, start + length, self._size))
         ):
-            head = RECORD.pack(opcode, length)
+            head = _RECORD.pack(opcode, length)
             return Record(opcode, position, head, length, is_sure=length == measured)
         return None
 
@@ -125,16 +328,16 @@ class McapSource(ChunkedSource[ChannelTable]):
     def _open_chunk(self, record: Record, body: bytes, file: BinaryIO) -> Block:
         """Decompress a chunk, and verify its checksum when it is first read."""
         position = record.position
-        indexed = count_indexed(file)
+        indexed = _count_indexed(file)
         try:  # not by the library, which gives nothing of a chunk that is cut
-            first_ns, last_ns, size, crc, name_length = CHUNK_HEAD.unpack_from(body)
-            start = CHUNK_HEAD.size + name_length
-            compression = str(body[CHUNK_HEAD.size : start], "utf-8")
-            (length,) = LENGTH.unpack_from(body, start)
-        except RECORD_ERRORS:
+            first_ns, last_ns, size, crc, name_length = _CHUNK_HEAD.unpack_from(body)
+            start = _CHUNK_HEAD.size + name_length
+            compression = str(body[_CHUNK_HEAD.size : start], "utf-8")
+            (length,) = _LENGTH.unpack_from(body, start)
+        except _RECORD_ERRORS:
             self._note(position, "has no head that can be read")
             return Block(position, b"")
-        data = memoryview(body)[start + LENGTH.size :]
+        data = memoryview(body)[start + _LENGTH.size :]
         block, problem = inflate(data[:length], compression, size)
         if (left := len(data) - length) > _LONGEST_PADDING:
             problem = problem or f"has {count(left, 'byte')} that it does not state"
@@ -147,11 +350,11 @@ class McapSource(ChunkedSource[ChannelTable]):
         return Block(position, block, first_ns, last_ns or NEVER_NS, indexed)
 
     def _split_block(
-        self, block: Block, wanted: Container[int], table: ChannelTable
+        self, block: Block, wanted: Container[int], table: _ChannelTable
     ) -> Iterator[tuple[int, int, memoryview]]:
         position, records, first_ns, last_ns, indexed = block
         view, size = memoryview(records), len(records)
-        unpack, before, message = _MESSAGE_HEAD.unpack_from, RECORD.size, int(Opcode.MESSAGE)
+        unpack, before, message = _MESSAGE_HEAD.unpack_from, _RECORD.size, int(Opcode.MESSAGE)
         start = behind = held = 0
         is_timely = True
         last = size - _MESSAGE_HEAD.size
@@ -159,7 +362,7 @@ class McapSource(ChunkedSource[ChannelTable]):
             head = unpack(view, start) if start <= last else _NO_HEAD
             opcode, length, channel_id, _, record_ns = head
             end = start + before + length
-            data = start + MESSAGE_DATA
+            data = start + _MESSAGE_DATA
             if opcode == message and data <= end <= size:
                 held += 1
                 if channel_id in wanted:
@@ -167,12 +370,12 @@ class McapSource(ChunkedSource[ChannelTable]):
                     yield channel_id, min(record_ns, _LATEST_NS), view[data:end]
             elif opcode in _DESCRIPTIONS and end <= size:
                 try:
-                    table.add(opcode, bytes(view[start + RECORD.size : end]))
-                except RECORD_ERRORS:
+                    table.add(opcode, bytes(view[start + _RECORD.size : end]))
+                except _RECORD_ERRORS:
                     self._note(position, "holds a channel that cannot be read")
             else:
                 self._note(position, f"is damaged {size - start} bytes before its end")
-                end = find_record(BytesIO(view), behind, size) or size
+                end = _find_record(BytesIO(view), behind, size) or size
                 start = end
             behind, start = start + before, end
         if not is_timely:

@@ -4,10 +4,12 @@ Only what goes wrong while bytes are decoded, or a value that `Scan` or `PoseSam
 damage of the log. Any other error is a fault of occmap's, and is not caught.
 """
 
+import json
 import struct
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, lru_cache, partial
+from graphlib import TopologicalSorter
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from rosbags.interfaces import Nodetype
@@ -17,7 +19,6 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from rosbags.typesys.store import Typestore
 
 from occmap.errors import DamageError, LogError
-from occmap.readers.foxglove_decode import DECODERS
 from occmap.readers.messages import POSE_TYPES, SCAN_TYPES, SHAPES, normalise_type
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_source import Channel
@@ -40,6 +41,8 @@ _DECODE_ERRORS = (
 
 MAX_DEFINITION = 1 << 15
 """Characters of a message definition at most; none of ROS has a fifth of that, with comments."""
+MAX_FILES = 1000
+"""Files of a protobuf schema at most; Foxglove's own needs six."""
 MAX_VALUES = 1000
 """Values of a message, lists aside, at most; the covariances of an odometry are 72."""
 
@@ -105,10 +108,9 @@ def _combine(channel: Channel, convert: Callable[[Any, str, int], T]) -> FromByt
     Where the type is not as ROS defines it, what was decoded is brought into shape between the two.
     """
     topic = channel.topic
-    if channel.encoding not in DECODERS and _load_types(channel).is_standard:
-        decode = _make_ros_decoder(channel)
+    decode = _DECODERS[channel.encoding](channel)
+    if channel.encoding in _STORES and _load_types(channel).is_standard:
         return lambda data, record_ns: convert(decode(data), topic, record_ns)
-    decode = DECODERS.get(channel.encoding, _make_ros_decoder)(channel)
     shape = SHAPES[channel.kind]
     return lambda data, record_ns: convert(take(decode(data), shape), topic, record_ns)
 
@@ -230,3 +232,78 @@ def _find_flaw(types: Typesdict, name: str, counts: dict[str, int]) -> str:
         total += repeat * (counts[part[1]] if part[0] == Nodetype.NAME else 1)
     counts[name] = total
     return "" if 0 < total <= MAX_VALUES else f"{name} holds {total} values"
+
+
+def _make_json_decoder(_channel: Channel) -> Callable[[memoryview], Any]:
+    """Give what decodes a JSON object; it raises DamageError where it is none."""
+
+    def decode(data: memoryview) -> Any:
+        try:
+            return json.loads(bytes(data))
+        except (ValueError, RecursionError, MemoryError) as error:
+            raise DamageError(f"is no JSON ({type(error).__name__})") from error
+
+    return decode
+
+
+def _make_protobuf_decoder(channel: Channel) -> Callable[[memoryview], Any]:
+    """Build a decoder by the descriptors that lie in the log; it raises DamageError.
+
+    Raises
+    ------
+    LogError
+        The protobuf package is not installed, or the descriptors are damaged.
+    """
+    try:
+        from google.protobuf.message import DecodeError  # noqa: PLC0415  an extra
+    except ImportError:
+        raise LogError(
+            f"{channel.type} is written in protobuf",
+            where=channel.topic,
+            fix="install what reads it: pip install '.[foxglove]'",
+        ) from None
+    try:
+        make = _load_message(channel)
+    except (DecodeError, KeyError, TypeError, ValueError) as error:
+        raise LogError(
+            f"the definition of {channel.type} cannot be understood ({type(error).__name__})",
+            where=channel.topic,
+        ) from error
+
+    def decode(data: memoryview) -> Any:
+        message = make()
+        try:
+            message.ParseFromString(bytes(data))
+        except DecodeError as error:
+            raise DamageError("is not of its protobuf type") from error
+        return message
+
+    return decode
+
+
+def _load_message(channel: Channel) -> Callable[[], Any]:
+    """Load the message class, giving the pool each file after those that it is made of."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory  # noqa: PLC0415
+
+    files = descriptor_pb2.FileDescriptorSet.FromString(channel.descriptors).file
+    if len(files) > MAX_FILES:
+        raise ValueError(f"{len(files)} files make one type")
+    by_name = {file.name: file for file in files}
+    pool = descriptor_pool.DescriptorPool()
+    order = TopologicalSorter({file.name: file.dependency for file in files})
+    for name in order.static_order():
+        if name in by_name:
+            pool.Add(by_name[name])
+    make: Callable[[], Any] = message_factory.GetMessageClass(
+        pool.FindMessageTypeByName(channel.type)
+    )
+    return make
+
+
+_DECODERS = {
+    "cdr": _make_ros_decoder,
+    "ros1": _make_ros_decoder,
+    "json": _make_json_decoder,
+    "protobuf": _make_protobuf_decoder,
+}
+"""What builds a decoder, for each way in which messages are written."""

@@ -9,7 +9,7 @@ its parts lie within it.
 
 from collections.abc import Iterable, Sequence
 from struct import Struct
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,9 +48,9 @@ def read_scan_run(messages: Sequence[Stacked], encoding: str, first: Scan) -> Sc
     run
         None where the scans are not all alike but for times and ranges, or not little-endian.
     """
-    raw = _stack(messages, encoding)
-    if raw is None:
+    if not _is_stackable(messages[0][0], encoding):
         return None
+    raw = _stack(messages)
     floats = _align(_FRAME + _count_at(messages[0][0], _FRAME - 4), 4, encoding)
     ranges = floats + _RANGES
     intensities = ranges + 4 * len(first.ranges)
@@ -70,13 +70,6 @@ def read_scan_run(messages: Sequence[Stacked], encoding: str, first: Scan) -> Sc
         _read_columns(raw, ranges, "<f4", len(first.ranges)),
         _read_columns(raw, floats + _TIME_INCREMENT, "<f4")[:, 0].astype(np.float64),
     )
-
-
-class _Transform(NamedTuple):
-    """Where the numbers of one transform lie in its message."""
-
-    stamp: int
-    pose: int
 
 
 def read_transforms(
@@ -100,9 +93,7 @@ def read_transforms(
     DamageError
         The first message of its kind is damaged.
     """
-    raw = _stack(messages, encoding)
-    if raw is None:
-        return [], messages
+    raw = _stack(messages)
     record_ns = np.array([record_ns for _, record_ns in messages], np.int64)
     batches: list[PoseBatch] = []
     left = np.arange(len(messages))
@@ -112,29 +103,20 @@ def read_transforms(
         # Decoded first: that it could be says that all its parts lie within the message.
         samples = read(memoryview(first), 0)
         places = _locate(first, encoding)
-        stamps = [_span_stamp(each.stamp, encoding) for each in places]
-        poses = [(each.pose, each.pose + _POSE) for each in places]
-        alike = _find_alike(raw[left], stamps + poses)
+        stamps = [_span_stamp(stamp, encoding) for stamp, _ in places]
+        alike = _find_alike(raw[left], stamps + [(pose, pose + _POSE) for _, pose in places])
         rows = left[alike]
         own, own_ns = raw[rows], record_ns[rows]  # once: a message may hold very many transforms
-        batches += (
-            PoseBatch(
-                _read_stamps(own, place.stamp),
-                own_ns,
-                _read_columns(own, place.pose, "<f8", 7),
-                sample.parent,
-                sample.child,
-                sample.static,
-                sample.topic,
-            )
-            for place, sample in zip(places, samples, strict=True)
-        )
+        for (stamp, pose), sample in zip(places, samples, strict=True):
+            times, poses = _read_stamps(own, stamp), _read_columns(own, pose, "<f8", 7)
+            frames = sample.parent, sample.child, sample.static, sample.topic
+            batches.append(PoseBatch(times, own_ns, poses, *frames))
         left = left[~alike]
     return batches, [messages[i] for i in left.tolist()]
 
 
-def _locate(message: bytes, encoding: str) -> list[_Transform]:
-    """Find the numbers of a message of transforms."""
+def _locate(message: bytes, encoding: str) -> list[tuple[int, int]]:
+    """Find where the stamp and the pose of each transform of a message lie."""
     at = 4 if encoding == "cdr" else 0
     count, at = _count_at(message, at), at + 4
     places = []
@@ -142,7 +124,7 @@ def _locate(message: bytes, encoding: str) -> list[_Transform]:
         stamp = _align(at, 4, encoding) + (0 if encoding == "cdr" else 4)
         child = _pass_name(message, stamp + 8, encoding)
         pose = _align(_pass_name(message, child, encoding), 8, encoding)
-        places.append(_Transform(stamp, pose))
+        places.append((stamp, pose))
         at = pose + _POSE
     return places
 
@@ -174,13 +156,10 @@ def _is_stackable(message: bytes, encoding: str) -> bool:
     return encoding == "ros1" or message.startswith(_LITTLE_ENDIAN)
 
 
-def _stack(messages: Sequence[Stacked], encoding: str) -> UInt8 | None:
-    """Stack messages as rows (M, L); None where the first cannot be read so."""
-    first = messages[0][0]
-    if not _is_stackable(first, encoding):
-        return None
+def _stack(messages: Sequence[Stacked]) -> UInt8:
+    """Stack messages of one length as rows (M, L)."""
     raw = np.frombuffer(b"".join(data for data, _ in messages), np.uint8)
-    return raw.reshape(len(messages), len(first))
+    return raw.reshape(len(messages), -1)
 
 
 def _find_alike(raw: UInt8, free: Iterable[tuple[int, int]]) -> Bool:

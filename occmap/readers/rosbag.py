@@ -9,8 +9,8 @@ from occmap.readers.ros_log import RosReader
 from occmap.readers.ros_source import Source
 from occmap.readers.ros_sqlite import MAGIC as SQLITE_MAGIC
 from occmap.readers.ros_sqlite import SqliteSource
+from occmap.readers.rosbag1 import MAGIC as BAG_MAGIC
 from occmap.readers.rosbag1 import Bag1Source
-from occmap.readers.rosbag1_records import MAGIC as BAG_MAGIC
 from occmap.readers.rosbag2 import METADATA, Bag2Source, list_storage
 
 _OLD_MAGICS = (b"#ROSRECORD V", b"#ROSBAG V1")

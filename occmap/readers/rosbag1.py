@@ -1,34 +1,253 @@
-"""ROS 1 bags: closed or not, whole or cut."""
+"""ROS 1 bags: closed or not, whole or cut.
 
+The records of format 2.0, as http://wiki.ros.org/Bags/Format/2.0 has it, come first, then the file
+that is made of them.
+"""
+
+import re
+import struct
 from collections import Counter
 from collections.abc import Container, Iterator
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 from occmap.errors import LogError
 from occmap.readers.chunked import Block, ChunkedSource, Record
-from occmap.readers.inflate import inflate
+from occmap.readers.inflate import Buffer, inflate
 from occmap.readers.ros_source import Channel, add_note
-from occmap.readers.rosbag1_records import (
-    BAG,
-    CHUNK,
-    CHUNK_INFO,
-    CONNECTION,
-    INDEX,
-    INDEX_ENTRY,
-    INFO_ENTRY,
-    MAGIC,
-    MESSAGE,
-    RECORD_ERRORS,
-    ChannelTable,
-    Header,
-    find_header,
-    leads_on,
-    parse_header,
-    read_header,
-    split_messages,
+
+MAGIC = b"#ROSBAG V2.0\n"
+
+MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
+"""The opcodes."""
+INDEX_ENTRY = 12
+"""Bytes of an entry of an index record: a time and an offset."""
+INFO_ENTRY = struct.Struct("<II")
+"""An entry of the record about a chunk: a connection, and how many messages it has there."""
+
+RECORD_ERRORS = (struct.error, LookupError, ValueError)
+
+_LENGTH = struct.Struct("<I")
+_TIME = struct.Struct("<II")
+_MESSAGE_HEAD = re.compile(
+    rb"\x26\x00{3}(?:\x09\x00{3}conn=(?P<conn>.{4})|\x04\x00{3}op=\x02|\x0d\x00{3}time=(?P<time>.{8}))"
+    rb"{3}(?P<length>.{4})",
+    re.DOTALL,
 )
+"""The header of a message as recorders write it, but for the order of its fields. A bag is read in
+half the time by it, and a polygon build takes an eighth less."""
+_MESSAGE_HEAD_SIZE = 46
+"""Bytes of such a header; only with each field once the pattern has as many."""
+_FIELDS = {
+    MESSAGE: {b"conn", b"time"},
+    BAG: set(),
+    INDEX: {b"conn", b"count"},
+    CHUNK: {b"compression", b"size"},
+    CHUNK_INFO: {b"chunk_pos", b"count"},
+    CONNECTION: {b"conn", b"topic"},
+}
+"""Which fields the header of each kind must have."""
+_OPCODE = re.compile(rb"\x04\x00{3}op=[\x02-\x07]")
+_WINDOW = 1 << 20
+_OVERLAP = 1 << 12
+"""Bytes of a window that the next one has, too: longer than headers are."""
+_LONGEST_START = 100
+"""Bytes of a header before its opcode, at most."""
+_MAX_HEADER = 1 << 20
+"""A header is a hundred bytes; one that claims to be longer than this is no header."""
+
+
+class Header(NamedTuple):
+    """What comes before a record's data."""
+
+    raw: bytes
+    """As it lies in the file, with both lengths."""
+    fields: dict[bytes, bytes]
+    length: int
+    """Bytes of the data."""
+
+    @property
+    def opcode(self) -> int:
+        """What kind of record this is; 0 where the header does not say."""
+        return self.fields.get(b"op", b"\0")[0]
+
+    def number(self, name: bytes) -> int:
+        """Read an unsigned integer, 0 where there is none."""
+        return int.from_bytes(self.fields.get(name, b""), "little")
+
+    def text(self, name: bytes) -> str:
+        """Read a text, "" where there is none."""
+        return self.fields.get(name, b"").decode(errors="replace")
+
+    def time_ns(self) -> int:
+        """Read when a message was recorded."""
+        return _read_time(self.fields[b"time"])
+
+
+def read_header(file: BinaryIO) -> Header | None:
+    """Read a record's header; None where the file ends or holds something else."""
+    start = file.read(_LENGTH.size)
+    try:
+        (length,) = _LENGTH.unpack(start)
+        raw = start + file.read(min(length, _MAX_HEADER) + _LENGTH.size)
+        return parse_header(raw, 0)
+    except RECORD_ERRORS:
+        return None
+
+
+class ChannelTable:
+    """Connections as they turn up in a bag."""
+
+    def __init__(self) -> None:
+        self._channels: dict[tuple[int, object], Channel] = {}
+
+    def add(self, header: Header, data: Buffer) -> None:
+        """Take in a connection record.
+
+        Raises
+        ------
+        struct.error, LookupError
+            It is not well formed.
+        """
+        fields = Header(b"", _parse_fields(bytes(data)), 0)
+        channel = Channel(
+            topic=header.text(b"topic"),
+            type=fields.text(b"type"),
+            encoding="ros1",
+            definition=fields.text(b"message_definition"),
+        )
+        self._channels.setdefault((header.number(b"conn"), channel.description), channel)
+
+    def build(self) -> Iterator[tuple[int, Channel]]:
+        """Give each description of a connection, with the connection's number."""
+        for (key, _), channel in self._channels.items():
+            yield key, channel
+
+
+def split_messages(
+    block: Buffer, wanted: Container[int], table: ChannelTable, damaged: list[int]
+) -> Iterator[tuple[int, int, int, int]]:
+    """Find the messages of some connections. A damaged record ends nothing: the next is looked for.
+
+    Parameters
+    ----------
+    block
+        Records, as a chunk holds them.
+    table
+        Gets the connections that the block describes.
+    damaged
+        Gets where in the block records are damaged.
+
+    Yields
+    ------
+    message
+        Its connection, when it was recorded (ns), and where in the block its bytes start and end.
+    """
+    at = behind = 0
+    while at < len(block):
+        match = _MESSAGE_HEAD.match(block, at)
+        try:
+            if match is not None and match.end() == at + _MESSAGE_HEAD_SIZE:
+                start = match.end()
+                end = start + _LENGTH.unpack(match["length"])[0]
+                (connection,) = _LENGTH.unpack(match["conn"])
+                record_ns = _read_time(match["time"]) if connection in wanted else 0
+            else:
+                header = parse_header(block, at)
+                start = at + len(header.raw)
+                end = start + header.length
+                connection = header.number(b"conn") if header.opcode == MESSAGE else -1
+                record_ns = header.time_ns() if connection in wanted else 0
+                if header.opcode == CONNECTION and end <= len(block):
+                    table.add(header, block[start:end])
+            if end > len(block):
+                raise LookupError(f"{len(block) - start} of {end - start} bytes are there")
+        except RECORD_ERRORS:
+            damaged.append(at)
+            found = find_header(BytesIO(block), behind, len(block))
+            at, behind = (len(block), 0) if found is None else (found, found + 1)
+            continue
+        if connection in wanted:
+            yield connection, record_ns, start, end
+        at, behind = end, start
+
+
+def find_header(file: BinaryIO, start: int, size: int, chunk_end: int = 0) -> int | None:
+    """Find where records go on behind damage; None where they do not.
+
+    Before `chunk_end`, messages and connections are passed over: they lie in the chunk.
+    """
+    while start < size:
+        file.seek(start)
+        window = file.read(_WINDOW)
+        for match in _OPCODE.finditer(window):
+            for at in range(max(match.start() - _LONGEST_START, 0), match.start() - 3):
+                position = start + at
+                header = _try_header(window, at, size - start)
+                if header is None or header.opcode != match.group()[-1]:
+                    continue
+                if position >= chunk_end or header.opcode not in {MESSAGE, CONNECTION}:
+                    return position
+        start += _WINDOW - _OVERLAP
+    return None
+
+
+def leads_on(file: BinaryIO, position: int, size: int) -> bool:
+    """Say whether a record, or the end of the file, is at a position."""
+    if position >= size:
+        return position == size
+    file.seek(position)
+    return read_header(file) is not None
+
+
+def _try_header(block: Buffer, at: int, size: int) -> Header | None:
+    """Parse what may be a header; None where it is none, or its data reaches beyond a size."""
+    with suppress(*RECORD_ERRORS):
+        header = parse_header(block, at)
+        if at + len(header.raw) + header.length <= size:
+            return header
+    return None
+
+
+def _read_time(value: bytes) -> int:
+    """Read a time in ns."""
+    seconds, nanoseconds = _TIME.unpack(value)
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+
+def parse_header(block: Buffer, at: int) -> Header:
+    """Parse the header that starts at an offset of a block.
+
+    Raises
+    ------
+    struct.error, LookupError
+        The block breaks off, or holds something else.
+    """
+    (length,) = _LENGTH.unpack_from(block, at)
+    end = at + _LENGTH.size + length
+    (data_length,) = _LENGTH.unpack_from(block, end)
+    fields = _parse_fields(bytes(block[at + _LENGTH.size : end]))
+    header = Header(bytes(block[at : end + _LENGTH.size]), fields, data_length)
+    if not _FIELDS[header.opcode] <= fields.keys():
+        raise LookupError("a field is missing")
+    return header
+
+
+def _parse_fields(header: bytes) -> dict[bytes, bytes]:
+    """Parse `name=value` fields, each with its length before it."""
+    fields = {}
+    at, size = 0, len(header)
+    unpack = _LENGTH.unpack_from
+    while at < size:
+        start = at + _LENGTH.size
+        at = start + unpack(header, at)[0]
+        name, _, value = header[start:at].partition(b"=")
+        fields[name] = value
+    if at > size:
+        raise LookupError("a header that breaks off")
+    return fields
 
 
 class _Index:

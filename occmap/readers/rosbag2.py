@@ -9,9 +9,8 @@ import tempfile
 import weakref
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
@@ -19,8 +18,8 @@ from ruamel.yaml.error import YAMLError
 from occmap.errors import LogError
 from occmap.readers import Note, NoteList, make_part
 from occmap.readers.inflate import inflate_message, unzip_file
+from occmap.readers.mcap import MAGIC as MCAP_MAGIC
 from occmap.readers.mcap import McapSource
-from occmap.readers.mcap_records import MAGIC as MCAP_MAGIC
 from occmap.readers.ros_source import Channel, RawMessage, add_note
 from occmap.readers.ros_sqlite import MAGIC as SQLITE_MAGIC
 from occmap.readers.ros_sqlite import SqliteSource
@@ -32,13 +31,12 @@ _MOST_METADATA = 1 << 20
 _STORAGE_NAME = re.compile(r".*\.(db3|mcap)(\.zstd)?")
 
 
-@dataclass(frozen=True)
-class _Metadata:
+class _Metadata(NamedTuple):
     """What only metadata.yaml says, and the storage files do not."""
 
-    files: tuple[str, ...] = ()
+    files: Sequence[str] = ()
     zipped_messages: bool = False
-    counts: Mapping[tuple[str, str], int] = field(default_factory=dict)
+    counts: Mapping[tuple[str, str], int] = {}
     """Messages by topic and type."""
 
 
@@ -76,13 +74,18 @@ class Bag2Source:
         self._scratch: Path | None = None
         try:
             metadata = self._read_metadata()
-            files = self._find_files(metadata)
-            self._parts = self._open_parts(files)
+            self._parts = self._open_parts(self._find_files(metadata.files))
         except OSError as error:
             raise LogError(f"cannot be read ({error.strerror})", where=path) from None
         self._zipped = metadata.zipped_messages
         self._gather_notes()
-        self._compare_counts(metadata.counts)
+        held = Counter[tuple[str, str]]()
+        for channel in self.channels:
+            held[channel.topic, channel.type] += channel.count
+        for (topic, kind), count in metadata.counts.items():
+            if (found := held[topic, kind]) != count:
+                text = f"{METADATA} announces {count} messages of {kind} on {topic}"
+                add_note(self.notes, f"{text}, the files {found}")
 
     @property
     def channels(self) -> Sequence[Channel]:
@@ -106,10 +109,10 @@ class Bag2Source:
         parts = (part for source in self._parts for part in source.split(size))
         return [make_part(self, _parts=[part]) for part in parts]
 
-    def _find_files(self, metadata: _Metadata) -> list[Path]:
+    def _find_files(self, names: Sequence[str]) -> list[Path]:
         """Find the storage files that the metadata names, or those that are there."""
         present = list_storage(self.path)
-        named = [self.path / name for name in metadata.files]
+        named = [self.path / name for name in names]
         missing = ", ".join(file.name for file in named if not file.is_file())
         if missing and not present:
             found = f"{METADATA} names files that are missing: {missing}"
@@ -160,23 +163,11 @@ class Bag2Source:
     def _read_metadata(self) -> _Metadata:
         """Read metadata.yaml; where it is absent or damaged, the files speak for themselves."""
         path = self.path / METADATA
-        if not path.is_file():
-            return _Metadata()
         try:
-            return _parse_metadata(path)
+            return _parse_metadata(path) if path.is_file() else _Metadata()
         except (YAMLError, LookupError, TypeError, AttributeError, ValueError, RecursionError):
             add_note(self.notes, f"{METADATA} is damaged and not used")
             return _Metadata()
-
-    def _compare_counts(self, announced: Mapping[tuple[str, str], int]) -> None:
-        """Note where the metadata and the storage files count other messages."""
-        held = Counter[tuple[str, str]]()
-        for channel in self.channels:
-            held[channel.topic, channel.type] += channel.count
-        for (topic, kind), count in announced.items():
-            if (found := held[topic, kind]) != count:
-                text = f"{METADATA} announces {count} messages of {kind} on {topic}"
-                add_note(self.notes, f"{text}, the files {found}")
 
     def _gather_notes(self) -> None:
         """Take over what the storage files had to say."""
@@ -204,10 +195,9 @@ def _parse_metadata(path: Path) -> _Metadata:
     information = document["rosbag2_bagfile_information"]
     mode = information.get("compression_mode", "")
     # Old recorders wrote the folder's name before the file's.
-    files = tuple(Path(name).name for name in information["relative_file_paths"])
-    topics = information.get("topics_with_message_count") or ()
+    files = [Path(name).name for name in information["relative_file_paths"]]
     counts = Counter[tuple[str, str]]()
-    for topic in topics:
+    for topic in information.get("topics_with_message_count") or ():
         described = topic["topic_metadata"]
         counts[described["name"], described["type"]] += int(topic["message_count"])
     return _Metadata(files, mode.lower() == "message", counts)

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.grid.framing import find_window
 from occmap.grid.lattice import CellBox
 from occmap.scoring.trials import Result
 from occmap.types import Bool, OccupancyMap, UInt8
@@ -30,7 +29,7 @@ class Frame:
 
     def locate(self, grid: OccupancyMap) -> tuple[slice, slice]:
         """Rows and columns of a map's cells."""
-        return find_window(CellBox.of(grid), self._box)
+        return CellBox.of(grid).within(self._box)
 
     def shrink(self, cells: UInt8) -> UInt8:
         """Draw (H, W) cells: the darkest of those that share a pixel, highest y on top."""

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.readers.rosbag1_records import (
+from occmap.readers.rosbag1 import (
     CONNECTION,
     MESSAGE,
     ChannelTable,
