@@ -14,6 +14,7 @@ from occmap.grid.kernels.beams import Beams, Lines, Profile, list_lines, make_li
 from occmap.grid.kernels.lines import count_steps, draw_line
 from occmap.grid.kernels.sums import Changes
 from occmap.grid.kernels.units import (
+    AT_A_TIME,
     BEAM_WEIGHT,
     CELL_SHIFT,
     HALF_CELL,
@@ -32,8 +33,6 @@ WEIGHT_BITS = BEAM_WEIGHT.bit_length()
 NOTE_BITS = ENTRY_BITS + WEIGHT_BITS
 """A note of what a cell is told holds the place of the cell above these, then the weight, then the
 entry. A window has less than 2^28 places, so that a float holds all of them."""
-AT_A_TIME = 8
-"""Notes are made for so many cells at a time; those beyond the end of a line are overwritten."""
 INSIDE = TILE - 1
 """Mask of the row or column inside a tile."""
 SLOPE_BITS = 50
