@@ -107,17 +107,17 @@ def _cross_rows(outline: Outline, corners: int, touched: tuple[int, int], spans:
         if begins[i] or row_before == row_after:
             continue
         upward = int(row_before < row_after)
-        low, high = i - upward, i - 1 + upward
         first, last = max(min(row_before, row_after), 0), min(max(row_before, row_after), rows)
         if last <= first:
             continue
         if crossings + last - first + AT_A_TIME <= room:
             counts[np.uint64(first)] += 1
             counts[np.uint64(last)] -= 1
-            rise, run = y[high] - y[low], x[high] - x[low]
+            sign = 2 * upward - 1
+            rise, run = sign * (y[i] - y[i - 1]), sign * (x[i] - x[i - 1])
             # The first column whose centre is at or right of the edge, on the row's centre line.
             centre = (first << CELL_SHIFT) + HALF_CELL
-            numerator = (x[low] + HALF_CELL) * rise + (centre - y[low]) * run - 1
+            numerator = (x[i] + HALF_CELL) * rise + (centre - y[i]) * run - 1
             inverse = 1.0 / float(rise << CELL_SHIFT)
             slope, base = run << CELL_SHIFT, rise << CELL_SHIFT
             for k in range((last - first + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):

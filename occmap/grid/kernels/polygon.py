@@ -13,7 +13,7 @@ import numpy as np
 
 from occmap.grid.kernels.fill import Spans, fill_outline, make_outline, make_spans
 from occmap.grid.kernels.outline import ScanBeams, Surfaces, link_beams, list_border, outline_scan
-from occmap.grid.kernels.units import PAD
+from occmap.grid.kernels.units import AT_A_TIME, PAD
 from occmap.jit import kernel
 from occmap.types import Float32, Float64, Int32, Int64, UInt8
 
@@ -92,16 +92,11 @@ def _note_border(cells: Int32, size: int, spans: Spans, mark: int, border: Int64
     starts, counts, limits = spans.starts, spans.counts, spans.limits
     for i in range(size):
         row, col = np.uint64(cells[i, 0]), cells[i, 1]
-        begin, in_row = starts[row], counts[row]
-        first, last = limits[np.uint64(begin)], limits[np.uint64(begin + 1)]
-        inside = (in_row == 2) & (first <= col) & (col < last)
-        if in_row > 2:
-            passed = 0
-            for k in range(begin, begin + in_row):
-                passed += limits[np.uint64(k)] <= col
-            inside = passed % 2 == 1
+        begin, in_row, passed = starts[row], counts[row], 0
+        for k in range((in_row + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
+            passed += (limits[np.uint64(begin + k)] <= col) & (k < in_row)
         # No branch: whether neighbours share a cell is a coin toss to a processor.
         cell = border[row, np.uint64(col)]
-        hit = (cell & COUNTED) + (1 << BORDER_BITS) - np.int64(inside)
+        hit = (cell & COUNTED) + (1 << BORDER_BITS) - (passed & 1)
         is_new = (cell >> (2 * BORDER_BITS)) != mark
         border[row, np.uint64(col)] = hit | (mark << (2 * BORDER_BITS)) if is_new else cell
