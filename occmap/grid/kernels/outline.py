@@ -12,7 +12,7 @@ import numpy as np
 
 from occmap.grid.kernels.fill import Outline
 from occmap.grid.kernels.project import round_to_units
-from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT, SKIP
+from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, HALF_CELL, HIT, SKIP
 from occmap.jit import kernel
 from occmap.types import Float32, Float64, Int32, UInt8
 
@@ -221,19 +221,16 @@ def list_border(
         right, above = np.sign(across), np.sign(up)
         n = max(abs(across), abs(up))
         # From the end cell back along Bresenham's line that begins at the neighbour's cell: halves
-        # are rounded away from the neighbour, so towards this end.
-        rest_x = rest_y = n - 1
-        for _ in range(1, n):
-            rest_x += 2 * abs(across)
-            rest_y += 2 * abs(up)
-            steps_x, steps_y = rest_x >= 2 * n, rest_y >= 2 * n
-            rest_x -= 2 * n * steps_x
-            rest_y -= 2 * n * steps_y
-            col -= right * steps_x
-            row -= above * steps_y
-            k = np.uint64(size)
-            cells[k, 0], cells[k, 1] = row + to_row, col + to_col
-            size += 1
+        # are rounded away from the neighbour, so towards this end. Half a unit of 1 / (2 n) keeps
+        # whole numbers from what rounding does.
+        twice_x, twice_y, half, per_2n = 2.0 * abs(across), 2.0 * abs(up), n - 0.5, 0.5 / n
+        for j in range((n - 1 + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
+            steps_x = int(((j + 1) * twice_x + half) * per_2n)
+            steps_y = int(((j + 1) * twice_y + half) * per_2n)
+            k = np.uint64(size + j)
+            cells[k, 0] = row + to_row - above * steps_y
+            cells[k, 1] = col + to_col - right * steps_x
+        size += n - 1
     return _keep_inside(cells, size, rows, cols) if surfaces.clipped else size
 
 

@@ -57,7 +57,7 @@ def trace_polygons(
     scans, beams = kinds.shape
     rows, cols = border.shape[0], border.shape[1] - PAD
     links, room = np.empty(beams, np.uint8), np.empty(beams, np.int32)
-    cells = np.empty((beams * max(surfaces.border_gap, 1) + 1, 2), np.int32)
+    cells = np.empty((beams * max(surfaces.border_gap, 1) + AT_A_TIME, 2), np.int32)
     outline, spans = make_outline(3 * beams + 4), make_spans(rows)
     for s in range(scans):
         scan = ScanBeams(
