@@ -4,14 +4,55 @@ A cell is inside when its centre is: from a crossing on, up to but not at the ne
 rule). A centre that edges wind around more than once is inside once, so an outline may overlap
 itself, as that of a scan of more than 360 degrees does.
 
-What rows have, crossings and then limits of spans, is kept in one short array, row after row.
+Seen from the sensor, an outline goes round: so the crossings of a row nearly always are in order
+from the left or from the right, and hardly ever need to be sorted.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL
-from occmap.jit import kernel
+from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, HALF_CELL
+from occmap.jit import kernel, step
 from occmap.types import Bool, Int32, Int64
+
+
+class Outline(NamedTuple):
+    """Corners of outlines, in lattice units from the window's corner."""
+
+    x: Int64
+    """(N,)"""
+    y: Int64
+    """(N,)"""
+    begins: Bool
+    """(N,) an edge leads to a corner from the one before, unless that one begins an outline"""
+
+
+class Spans(NamedTuple):
+    """What lies inside an outline: each row has some first columns and last + 1, in turn."""
+
+    starts: Int32
+    """(H,) where those of a row begin in `limits`"""
+    counts: Int32
+    """(H + 1,) how many numbers a row has there"""
+    limits: Int32
+    """(N,)"""
+    found: Int32
+    """(2, N) to work with: row, and 2 x the first column inside, + 1 if upward, of each crossing"""
+
+
+@kernel
+def make_outline(corners: int) -> Outline:
+    """Room for so many corners."""
+    empty = np.empty(corners, np.int64)
+    return Outline(empty, np.empty_like(empty), np.empty(corners, np.bool_))
+
+
+@kernel
+def make_spans(rows: int) -> Spans:
+    """Spans of a window's rows; `fill_outline` makes room where there is too little."""
+    starts, counts = np.empty(rows, np.int32), np.empty(rows + 1, np.int32)
+    return Spans(starts, counts, np.empty(4 * rows, np.int32), np.empty((2, 4 * rows), np.int32))
 
 
 @kernel
@@ -25,86 +66,64 @@ def find_rows(y: Int64, corners: int, rows: int) -> tuple[int, int]:
 
 @kernel
 def fill_outline(
-    x: Int64,
-    y: Int64,
-    begins: Bool,
-    corners: int,
-    touched: tuple[int, int],
-    cols: int,
-    starts: Int32,
-    counts: Int32,
-    found: Int32,
-    spans: Int32,
-) -> tuple[Int32, Int32]:
-    """Write the spans of all cells inside an outline, row by row.
+    outline: Outline, corners: int, touched: tuple[int, int], cols: int, spans: Spans
+) -> Spans:
+    """Write the spans of all cells inside an outline, in columns of a window; some may be empty.
 
     Parameters
     ----------
-    x, y, begins
-        Corners in lattice units from the window's corner; an edge leads to a corner from the one
-        before, unless it begins an outline.
     touched
         The rows, as `find_rows` gives them; others are left as they are.
-    starts, counts, spans
-        (H,), (H,), (N,): the spans of row r are from `spans[starts[r]]` on, and are `counts[r]`
-        numbers: first column, last + 1, and so on.
-    found
-        (2, N) to work with; see `_cross_rows`.
 
     Returns
     -------
-    `found` and `spans`, or larger ones where these were too small.
+    `spans`, or larger ones where these were too small.
     """
-    crossings = _cross_rows(x, y, begins, corners, touched, counts, found)
-    if crossings + 1 >= min(found.shape[1], len(spans)):  # one is read beyond the last
-        room = 2 * crossings + 2
-        found, spans = np.empty((2, room), np.int32), np.empty(room, np.int32)
-        _cross_rows(x, y, begins, corners, touched, counts, found)
-    _sort_by_row(touched, found, crossings, starts, counts, spans)
-    _make_spans(touched, starts, counts, spans, cols)
-    return found, spans
+    crossings = _cross_rows(outline, corners, touched, spans)
+    if crossings + AT_A_TIME > spans.limits.size:
+        room = 2 * crossings + AT_A_TIME
+        limits, found = np.empty(room, np.int32), np.empty((2, room), np.int32)
+        spans = Spans(spans.starts, spans.counts, limits, found)
+        _cross_rows(outline, corners, touched, spans)
+    _sort_by_row(touched, crossings, spans)
+    _make_spans(touched, cols, spans)
+    return spans
 
 
 @kernel
-def _cross_rows(
-    x: Int64,
-    y: Int64,
-    begins: Bool,
-    corners: int,
-    touched: tuple[int, int],
-    counts: Int32,
-    found: Int32,
-) -> int:
-    """Write where edges cross the centre lines of rows, and how many crossings each row has.
+def _cross_rows(outline: Outline, corners: int, touched: tuple[int, int], spans: Spans) -> int:
+    """Find where edges cross the centre lines of rows; `counts` gets what changes at each row.
 
-    A crossing is its row in `found[0]`, and in `found[1]` 2 x the first column inside, + 1 if
-    upward. Returns how many there are; if `found` cannot hold these, it must be made larger.
+    Returns how many crossings there are; without room for these all must be found again.
     """
-    rows, room = counts.size, found.shape[1]
+    x, y, begins = outline.x, outline.y, outline.begins
+    counts, found = spans.counts, spans.found
+    rows, room = counts.size - 1, found.shape[1]
     crossings = 0
-    counts[touched[0] : touched[1]] = 0
+    counts[touched[0] : touched[1] + 1] = 0
     row_after = 0
     for i in range(corners):
         row_before, row_after = row_after, (int(y[i]) + HALF_CELL - 1) >> CELL_SHIFT
         if begins[i] or row_before == row_after:
             continue
         upward = int(row_before < row_after)
-        low, high = i - upward, i - 1 + upward
         first, last = max(min(row_before, row_after), 0), min(max(row_before, row_after), rows)
         if last <= first:
             continue
-        if crossings + last - first <= room:
-            rise, run = y[high] - y[low], x[high] - x[low]
+        if crossings + last - first + AT_A_TIME <= room:
+            counts[np.uint64(first)] += 1
+            counts[np.uint64(last)] -= 1
+            sign = 2 * upward - 1
+            rise, run = sign * (y[i] - y[i - 1]), sign * (x[i] - x[i - 1])
             # The first column whose centre is at or right of the edge, on the row's centre line.
             centre = (first << CELL_SHIFT) + HALF_CELL
-            numerator = (x[low] + HALF_CELL) * rise + (centre - y[low]) * run - 1
+            numerator = (x[i] + HALF_CELL) * rise + (centre - y[i]) * run - 1
             inverse = 1.0 / float(rise << CELL_SHIFT)
             slope, base = run << CELL_SHIFT, rise << CELL_SHIFT
-            for k in range(last - first):
+            for k in range((last - first + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
                 col = _floor_divide(numerator + k * slope, base, inverse)
-                found[1, np.uint64(crossings + k)] = 2 * col + upward
                 found[0, np.uint64(crossings + k)] = first + k
-                counts[np.uint64(first + k)] += 1
+                found[1, np.uint64(crossings + k)] = 2 * col + upward
         crossings += last - first
     return crossings
 
@@ -113,24 +132,19 @@ def _cross_rows(
 def _floor_divide(numerator: int, denominator: int, inverse: float) -> int:
     """Divide integers exactly; a float product and two checks are faster than dividing them."""
     quotient = int(np.floor(float(numerator) * inverse))
-    quotient -= quotient * denominator > numerator
-    quotient += (quotient + 1) * denominator <= numerator
-    return quotient
+    rest = numerator - quotient * denominator
+    return quotient + (rest >= denominator) - (rest < 0)
 
 
 @kernel
-def _sort_by_row(
-    touched: tuple[int, int],
-    found: Int32,
-    crossings: int,
-    starts: Int32,
-    counts: Int32,
-    limits: Int32,
-) -> None:
+def _sort_by_row(touched: tuple[int, int], crossings: int, spans: Spans) -> None:
     """Put the crossings of each row together in `limits`, at `starts`."""
-    total = 0
+    starts, counts, limits, found = spans.starts, spans.counts, spans.limits, spans.found
+    count, total = np.int32(0), 0
     for r in range(touched[0], touched[1]):
-        total += counts[np.uint64(r)]
+        count += counts[np.uint64(r)]
+        counts[np.uint64(r)] = count
+        total += count
         starts[np.uint64(r)] = total
     for i in range(crossings - 1, -1, -1):
         row = np.uint64(found[0, i])
@@ -140,44 +154,70 @@ def _sort_by_row(
 
 
 @kernel
-def _make_spans(
-    touched: tuple[int, int], starts: Int32, counts: Int32, limits: Int32, cols: int
-) -> None:
+def _make_spans(touched: tuple[int, int], cols: int, spans: Spans) -> None:
     """Turn each row's crossings, in place, into first column and last + 1 of its spans."""
+    starts, counts, limits = spans.starts, spans.counts, spans.limits
     for r in range(touched[0], touched[1]):
         row = np.uint64(r)
-        begin, crossings = starts[row], counts[row]
-        if crossings == 2:  # nearly always; then it does not matter which of them leads up
-            one, other = limits[np.uint64(begin)] >> 1, limits[np.uint64(begin + 1)] >> 1
-            first, end = min(max(min(one, other), 0), cols), min(max(one, other, 0), cols)
-            limits[np.uint64(begin)], limits[np.uint64(begin + 1)] = first, end
-            counts[row] = 2 if end > first else 0
-            continue
-        _sort(limits, begin, begin + crossings)
-        winding, first, place = 0, 0, begin
-        for i in range(begin, begin + crossings):
-            crossing = limits[i]
-            col = min(max(crossing >> 1, 0), cols)
-            if winding == 0:
-                first = col
-            winding += 2 * (crossing & 1) - 1
-            if winding == 0 and col > first:
-                limits[place], limits[place + 1] = first, col
-                place += 2
-        counts[row] = place - begin
+        begin, end = starts[row], starts[row] + counts[row]
+        first, last = np.uint64(begin), np.uint64(end - 1)
+        if end - begin == 2:  # nearly always; then it does not matter which of them leads up
+            a, d = limits[first], limits[last]
+            limits[first], limits[last] = _clip(min(a, d), cols), _clip(max(a, d), cols)
+        elif end - begin == 4:  # sorted without a branch
+            second, third = np.uint64(begin + 1), np.uint64(begin + 2)
+            a, b, c, d = limits[first], limits[second], limits[third], limits[last]
+            a, b, c, d = min(a, b), max(a, b), min(c, d), max(c, d)
+            a, b, c, d = min(a, c), min(b, d), max(a, c), max(b, d)
+            b, c = min(b, c), max(b, c)
+            if (a ^ b) & 1 == 0:  # both lead the same way: one span about another
+                b = c = d
+            limits[first], limits[second] = _clip(a, cols), _clip(b, cols)
+            limits[third], limits[last] = _clip(c, cols), _clip(d, cols)
+        else:
+            if not _are_in_order(limits, begin, end):
+                end = _wind(limits, begin, end)
+                counts[row] = end - begin
+            for i in range(begin, (begin + end) // 2):
+                left, right = np.uint64(i), np.uint64(begin + end - 1 - i)
+                a, d = limits[left], limits[right]
+                limits[left], limits[right] = _clip(min(a, d), cols), _clip(max(a, d), cols)
+
+
+@step
+def _clip(crossing: int, cols: int) -> int:
+    """The column of a crossing, in the window."""
+    return min(max(crossing >> 1, 0), cols)
 
 
 @kernel
-def _sort(values: Int32, begin: int, end: int) -> None:
-    """Sort a part of an array in place by insertion: it is short, or nearly in order either way."""
-    if end > begin and values[begin] > values[end - 1]:
-        low, high = begin, end - 1
-        while low < high:
-            values[low], values[high] = values[high], values[low]
-            low, high = low + 1, high - 1
+def _are_in_order(crossings: Int32, begin: int, end: int) -> bool:
+    """Whether a row's crossings are in order, from the left or from the right.
+
+    Then each two of them make a span: an outline is closed, and crosses a row up and down in turn.
+    """
+    rising = falling = True
     for i in range(begin + 1, end):
-        value, place = values[i], i
-        while place > begin and values[place - 1] > value:
-            values[place] = values[place - 1]
+        before, here = crossings[np.uint64(i - 1)] >> 1, crossings[np.uint64(i)] >> 1
+        rising &= before <= here
+        falling &= before >= here
+    return rising | falling
+
+
+@kernel
+def _wind(crossings: Int32, begin: int, end: int) -> int:
+    """Sort a row's crossings and keep those where a span begins or ends; returns their end."""
+    for i in range(begin + 1, end):  # by insertion: there are few, or they are nearly in order
+        value, place = crossings[i], i
+        while place > begin and crossings[place - 1] > value:
+            crossings[place] = crossings[place - 1]
             place -= 1
-        values[place] = value
+        crossings[place] = value
+    winding, place = 0, begin
+    for i in range(begin, end):
+        outside = winding == 0
+        winding += 2 * (crossings[i] & 1) - 1
+        if outside or winding == 0:
+            crossings[place] = crossings[i]
+            place += 1
+    return place

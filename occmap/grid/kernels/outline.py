@@ -10,10 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.grid.kernels.fill import Outline
 from occmap.grid.kernels.project import round_to_units
-from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT, SKIP
+from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, HALF_CELL, HIT, SKIP
 from occmap.jit import kernel
-from occmap.types import Bool, Float32, Float64, Int32, Int64, UInt8
+from occmap.types import Float32, Float64, Int32, UInt8
 
 EDGE, CELL, JOINED = 1, 2, 4
 """Bits of a link. EDGE: the edge from the beam before may matter. CELL: the beam's end cell is
@@ -122,9 +123,7 @@ def outline_scan(
     surfaces: Surfaces,
     links: UInt8,
     listed: Int32,
-    x: Int64,
-    y: Int64,
-    begins: Bool,
+    outline: Outline,
     rows: int,
 ) -> tuple[int, tuple[int, int]]:
     """Write the corners of one scan's regions: one region for each run of beams that are not SKIP.
@@ -148,12 +147,12 @@ def outline_scan(
         a = b - 1 if b > 0 else kinds.size - 1
         begun = kinds[a] != 0 and (b > 0 or surfaces.full_circle)
         if not begun:
-            corners = _add_corner(x, y, begins, corners, at_x, at_y, True)
+            corners = _add_corner(outline, corners, at_x, at_y, True)
         elif drawn != a:
             from_x, from_y = ends_x[a] + surfaces.shift_x, ends_y[a] + surfaces.shift_y
-            corners = _add_corner(x, y, begins, corners, from_x, from_y, True)
+            corners = _add_corner(outline, corners, from_x, from_y, True)
         if kinds[b] == SKIP:
-            corners = _add_corner(x, y, begins, corners, at_x, at_y, False)
+            corners = _add_corner(outline, corners, at_x, at_y, False)
             continue
         if begun and abs(np.float64(distance[b]) - distance[a]) > surfaces.jump:
             # Step at the nearer range, so that no space behind an edge is called free.
@@ -168,28 +167,26 @@ def outline_scan(
                 origin[1] + np.float64(distance[near]) * along_y, surfaces.units_per_metre
             )
             corners = _add_corner(
-                x, y, begins, corners, step_x - surfaces.left, step_y - surfaces.bottom, False
+                outline, corners, step_x - surfaces.left, step_y - surfaces.bottom, False
             )
         to_x, to_y = ends_x[b] + surfaces.shift_x, ends_y[b] + surfaces.shift_y
-        corners = _add_corner(x, y, begins, corners, to_x, to_y, False)
+        corners = _add_corner(outline, corners, to_x, to_y, False)
         drawn = b
     last = kinds.size - 1
     if kinds[last] != 0 and not surfaces.full_circle:
         if drawn != last:
             from_x, from_y = ends_x[last] + surfaces.shift_x, ends_y[last] + surfaces.shift_y
-            corners = _add_corner(x, y, begins, corners, from_x, from_y, True)
-        corners = _add_corner(x, y, begins, corners, at_x, at_y, False)
+            corners = _add_corner(outline, corners, from_x, from_y, True)
+        corners = _add_corner(outline, corners, at_x, at_y, False)
     lowest = min(at_y, int(low) + surfaces.shift_y) >> CELL_SHIFT
     highest = max(at_y, int(high) + surfaces.shift_y) >> CELL_SHIFT
     return corners, (max(lowest, 0), min(highest + 1, rows))
 
 
 @kernel
-def _add_corner(
-    x: Int64, y: Int64, begins: Bool, corners: int, at_x: int, at_y: int, first: bool
-) -> int:
+def _add_corner(outline: Outline, corners: int, at_x: int, at_y: int, first: bool) -> int:
     i = np.uint64(corners)
-    x[i], y[i], begins[i] = at_x, at_y, first
+    outline.x[i], outline.y[i], outline.begins[i] = at_x, at_y, first
     return corners + 1
 
 
@@ -224,19 +221,16 @@ def list_border(
         right, above = np.sign(across), np.sign(up)
         n = max(abs(across), abs(up))
         # From the end cell back along Bresenham's line that begins at the neighbour's cell: halves
-        # are rounded away from the neighbour, so towards this end.
-        rest_x = rest_y = n - 1
-        for _ in range(1, n):
-            rest_x += 2 * abs(across)
-            rest_y += 2 * abs(up)
-            steps_x, steps_y = rest_x >= 2 * n, rest_y >= 2 * n
-            rest_x -= 2 * n * steps_x
-            rest_y -= 2 * n * steps_y
-            col -= right * steps_x
-            row -= above * steps_y
-            k = np.uint64(size)
-            cells[k, 0], cells[k, 1] = row + to_row, col + to_col
-            size += 1
+        # are rounded away from the neighbour, so towards this end. Half a unit of 1 / (2 n) keeps
+        # whole numbers from what rounding does.
+        twice_x, twice_y, half, per_2n = 2.0 * abs(across), 2.0 * abs(up), n - 0.5, 0.5 / n
+        for j in range((n - 1 + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
+            steps_x = int(((j + 1) * twice_x + half) * per_2n)
+            steps_y = int(((j + 1) * twice_y + half) * per_2n)
+            k = np.uint64(size + j)
+            cells[k, 0] = row + to_row - above * steps_y
+            cells[k, 1] = col + to_col - right * steps_x
+        size += n - 1
     return _keep_inside(cells, size, rows, cols) if surfaces.clipped else size
 
 

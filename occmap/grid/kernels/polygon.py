@@ -11,9 +11,9 @@ a span of its own scan, and that is taken off in the end.
 
 import numpy as np
 
-from occmap.grid.kernels.fill import fill_outline
+from occmap.grid.kernels.fill import Spans, fill_outline, make_outline, make_spans
 from occmap.grid.kernels.outline import ScanBeams, Surfaces, link_beams, list_border, outline_scan
-from occmap.grid.kernels.units import PAD
+from occmap.grid.kernels.units import AT_A_TIME, PAD
 from occmap.jit import kernel
 from occmap.types import Float32, Float64, Int32, Int64, UInt8
 
@@ -56,65 +56,47 @@ def trace_polygons(
     """
     scans, beams = kinds.shape
     rows, cols = border.shape[0], border.shape[1] - PAD
-    x, y = np.empty(3 * beams + 4, np.int64), np.empty(3 * beams + 4, np.int64)
-    begins = np.empty(3 * beams + 4, np.bool_)
     links, room = np.empty(beams, np.uint8), np.empty(beams, np.int32)
-    cells = np.empty((beams * max(surfaces.border_gap, 1) + 1, 2), np.int32)
-    starts, counts = np.empty(rows, np.int32), np.empty(rows, np.int32)
-    found, spans = np.empty((2, 4 * rows), np.int32), np.empty(4 * rows, np.int32)
+    cells = np.empty((beams * max(surfaces.border_gap, 1) + AT_A_TIME, 2), np.int32)
+    outline, spans = make_outline(3 * beams + 4), make_spans(rows)
     for s in range(scans):
         scan = ScanBeams(
             origin[s, 0], turn[s], bearing, distance[s], kinds[s], ends_x[s], ends_y[s]
         )
         listed = link_beams(scan, surfaces, links, room)
-        corners, touched = outline_scan(scan, surfaces, links, listed, x, y, begins, rows)
-        found, spans = fill_outline(
-            x, y, begins, corners, touched, cols, starts, counts, found, spans
-        )
-        _note_spans(touched, starts, counts, spans, border.shape[1], runs)
+        corners, touched = outline_scan(scan, surfaces, links, listed, outline, rows)
+        spans = fill_outline(outline, corners, touched, cols, spans)
+        _note_spans(touched, spans, border.shape[1], runs)
         size = list_border(scan, links, listed, surfaces, rows, cols, cells)
-        _note_border(cells, size, starts, counts, spans, mark + s + 1, border)
+        _note_border(cells, size, spans, mark + s + 1, border)
 
 
 @kernel
-def _note_spans(
-    touched: tuple[int, int], starts: Int32, counts: Int32, spans: Int32, stride: int, runs: Int32
-) -> None:
+def _note_spans(touched: tuple[int, int], spans: Spans, stride: int, runs: Int32) -> None:
     """Note one miss for every cell of every span."""
+    starts, counts, limits = spans.starts, spans.counts, spans.limits
     for row in range(touched[0], touched[1]):
         begin, size, place = starts[np.uint64(row)], counts[np.uint64(row)], row * stride
         if size == 2:  # nearly always
-            runs[np.uint64(place + spans[np.uint64(begin)])] += 1
-            runs[np.uint64(place + spans[np.uint64(begin + 1)])] -= 1
+            runs[np.uint64(place + limits[np.uint64(begin)])] += 1
+            runs[np.uint64(place + limits[np.uint64(begin + 1)])] -= 1
             continue
         for i in range(begin, begin + size, 2):
-            runs[np.uint64(place + spans[np.uint64(i)])] += 1
-            runs[np.uint64(place + spans[np.uint64(i + 1)])] -= 1
+            runs[np.uint64(place + limits[np.uint64(i)])] += 1
+            runs[np.uint64(place + limits[np.uint64(i + 1)])] -= 1
 
 
 @kernel
-def _note_border(
-    cells: Int32,
-    size: int,
-    starts: Int32,
-    counts: Int32,
-    spans: Int32,
-    mark: int,
-    border: Int64,
-) -> None:
+def _note_border(cells: Int32, size: int, spans: Spans, mark: int, border: Int64) -> None:
     """Give each of the listed cells one hit, and note whether it lies in a span."""
+    starts, counts, limits = spans.starts, spans.counts, spans.limits
     for i in range(size):
         row, col = np.uint64(cells[i, 0]), cells[i, 1]
-        begin, limits = starts[row], counts[row]
-        first, last = spans[np.uint64(begin)], spans[np.uint64(begin + 1)]
-        inside = (limits == 2) & (first <= col) & (col < last)
-        if limits > 2:
-            passed = 0
-            for k in range(begin, begin + limits):
-                passed += spans[np.uint64(k)] <= col
-            inside = passed % 2 == 1
+        begin, in_row, passed = starts[row], counts[row], 0
+        for k in range((in_row + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
+            passed += (limits[np.uint64(begin + k)] <= col) & (k < in_row)
         # No branch: whether neighbours share a cell is a coin toss to a processor.
         cell = border[row, np.uint64(col)]
-        hit = (cell & COUNTED) + (1 << BORDER_BITS) - np.int64(inside)
+        hit = (cell & COUNTED) + (1 << BORDER_BITS) - (passed & 1)
         is_new = (cell >> (2 * BORDER_BITS)) != mark
         border[row, np.uint64(col)] = hit | (mark << (2 * BORDER_BITS)) if is_new else cell

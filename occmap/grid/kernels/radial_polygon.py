@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.grid.kernels.beams import Profile
-from occmap.grid.kernels.fill import fill_outline, find_rows
+from occmap.grid.kernels.fill import Spans, fill_outline, find_rows, make_outline, make_spans
 from occmap.grid.kernels.project import round_to_units
 from occmap.grid.kernels.sectors import (
     BEARINGS,
@@ -25,7 +25,7 @@ from occmap.grid.kernels.sectors import (
     outline_sectors,
     stay_inside,
 )
-from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT, NO_LENGTH, PAD
+from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, HALF_CELL, HIT, NO_LENGTH, PAD
 from occmap.jit import kernel
 from occmap.types import Float32, Float64, Int32, Int64, UInt8
 
@@ -35,17 +35,32 @@ MANY = 2048
 """Cells are visited when so many are listed: loops are long, and the lists fit the cache."""
 
 
+class View(NamedTuple):
+    """One scan: which of its beams covers which bearing, and what that says about a cell."""
+
+    at_x: int
+    """Of the sensor, from the window's corner (lattice units)"""
+    at_y: int
+    """Likewise"""
+    covering: Int32
+    """(BEARINGS + 1,) the beam that covers each step of a turn"""
+    limits: Float64
+    """(2 B + 2,) as `limit_ranges` writes them"""
+    depth: float
+    """How far about the range a hit reaches (lattice units)"""
+    entries: Int64
+    """The table of free cells, a 0 for nothing, and the table of hits"""
+
+
 class Listed(NamedTuple):
-    """Cells to visit, each (N,): room for `MANY` and for those of one more row."""
+    """Cells to visit, each (N,): room for `MANY`, and for one more row."""
 
     rows: Int32
     cols: Int32
     places: Int32
     """Which of the steps of a turn a cell lies in, and then which of the entries it gets"""
-    scale: Float64
-    """Of the beam that covers the cell, as `limit_ranges` writes it"""
-    hit_range: Float64
-    """Likewise"""
+    limits: Float64
+    """(2 N,) of the beam that covers the cell, as `limit_ranges` writes them"""
 
 
 @kernel
@@ -86,19 +101,14 @@ def trace_radial_polygons(
     sides = np.empty((beams, 4), np.float64)
     covers, shares_side = np.empty(beams, np.bool_), np.empty(beams, np.bool_)
     lengths, covering = np.empty((beams, 4), np.float64), np.empty(BEARINGS + 1, np.int32)
-    scale, hit_range = np.empty(beams + 1, np.float64), np.empty(beams + 1, np.float64)
-    within, room = np.empty(beams, np.float64), MANY + cells.shape[1]
+    limits, within = np.empty(2 * beams + 2, np.float64), np.empty(beams, np.float64)
+    room = MANY + cells.shape[1] + AT_A_TIME
     listed = Listed(
         np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32),
-        np.empty(room, np.float64), np.empty(room, np.float64),
+        np.empty(2 * room, np.float64),
     )  # fmt: skip
     entries = np.concatenate((free[:-1], np.zeros(1, np.int64), hit))
-    x, y = np.empty(4 * beams + 4, np.int64), np.empty(4 * beams + 4, np.int64)
-    begins = np.empty(4 * beams + 4, np.bool_)
-    starts, counts = np.empty(rows, np.int32), np.empty(rows, np.int32)
-    inner_starts, inner_counts = np.empty(rows, np.int32), np.empty(rows, np.int32)
-    found = np.empty((2, 4 * rows), np.int32)
-    spans, inner = np.empty(4 * rows, np.int32), np.empty(4 * rows, np.int32)
+    outline, outer, inner = make_outline(4 * beams + 4), make_spans(rows), make_spans(rows)
     for s in range(scans):
         at_x = round_to_units(origin[s, 0, 0], units_per_metre) - corner[0]
         at_y = round_to_units(origin[s, 0, 1], units_per_metre) - corner[1]
@@ -106,25 +116,19 @@ def trace_radial_polygons(
         sign = find_sectors(direction, kinds[s], full_circle, sides, covers, shares_side)
         side_by_side = cover_bearings(sides, kinds[s], covers, sign, covering)
         reach_out(direction, ranges, kinds[s], full_circle, depth, sides, lengths)
-        corners = outline_sectors(at_x, at_y, sides, lengths, covers, shares_side, x, y, begins)
-        touched = find_rows(y, corners, rows)
-        found, spans = fill_outline(
-            x, y, begins, corners, touched, cols, starts, counts, found, spans
-        )
-        inner_counts[:] = 0
+        corners = outline_sectors(at_x, at_y, sides, lengths, covers, shares_side, outline)
+        touched = find_rows(outline.y, corners, rows)
+        outer = fill_outline(outline, corners, touched, cols, outer)
+        inner.counts[:] = 0
         if side_by_side:
             for b in range(beams):
                 within[b] = max(plain * (ranges[b] - depth) * (1 - 1e-6) - ROUNDED, 0.0)
             stay_inside(within, sides, sign, shares_side, lengths)
-            corners = outline_sectors(at_x, at_y, sides, lengths, covers, shares_side, x, y, begins)
-            found, inner = fill_outline(
-                x, y, begins, corners, touched, cols, inner_starts, inner_counts, found, inner
-            )
-        limit_ranges(ranges, kinds[s], depth, free.size - 1, scale, hit_range)
-        _observe_spans(
-            at_x, at_y, touched, starts, counts, spans, inner_starts, inner_counts, inner,
-            covering, scale, hit_range, depth, entries, listed, cells, runs,
-        )  # fmt: skip
+            corners = outline_sectors(at_x, at_y, sides, lengths, covers, shares_side, outline)
+            inner = fill_outline(outline, corners, touched, cols, inner)
+        limit_ranges(ranges, kinds[s], depth, free.size - 1, limits)
+        view = View(at_x, at_y, covering, limits, depth, entries)
+        _observe_spans(view, touched, outer, inner, listed, cells, runs)
 
 
 @kernel
@@ -172,37 +176,25 @@ def reach_out(
 
 
 @kernel
-def limit_ranges(
-    ranges: Float64, kinds: UInt8, depth: float, steps: int, scale: Float64, hit_range: Float64
-) -> None:
+def limit_ranges(ranges: Float64, kinds: UInt8, depth: float, steps: int, limits: Float64) -> None:
     """Write, for each beam, where the entries for free cells end and where its hit lies.
 
-    A squared distance times `scale` (B + 1,) is a place in the table of free cells, which has
-    `steps` places. `hit_range` (B + 1,) is -inf for a beam that hit nothing. The last of both is
-    nobody's: what no beam covers gets nothing.
+    `limits` (2 B + 2,) is a pair for each beam, and one of nobody for what no beam covers. A
+    squared distance times the first is a place in the table of free cells, which has `steps`
+    places; the second is -inf for a beam that hit nothing.
     """
     for b in range(kinds.size):
-        scale[b] = steps / max(ranges[b] - depth, 0.0) ** 2
-        hit_range[b] = ranges[b] if kinds[b] == HIT else -np.inf
-    scale[kinds.size], hit_range[kinds.size] = np.inf, -np.inf
+        limits[2 * b] = steps / max(ranges[b] - depth, 0.0) ** 2
+        limits[2 * b + 1] = ranges[b] if kinds[b] == HIT else -np.inf
+    limits[2 * kinds.size], limits[2 * kinds.size + 1] = np.inf, -np.inf
 
 
 @kernel
 def _observe_spans(
-    at_x: int,
-    at_y: int,
+    view: View,
     touched: tuple[int, int],
-    starts: Int32,
-    counts: Int32,
-    spans: Int32,
-    inner_starts: Int32,
-    inner_counts: Int32,
-    inner: Int32,
-    covering: Int32,
-    scale: Float64,
-    hit_range: Float64,
-    depth: float,
-    entries: Int64,
+    outer: Spans,
+    inner: Spans,
     listed: Listed,
     cells: Int64,
     runs: Int32,
@@ -212,51 +204,38 @@ def _observe_spans(
     rows, cols = listed.rows, listed.cols
     for r in range(touched[0], touched[1]):
         row = np.uint64(r)
-        n, inner_end = inner_starts[row], inner_starts[row] + inner_counts[row]
+        n, inner_end = inner.starts[row], inner.starts[row] + inner.counts[row]
         beyond = np.int64(0)  # an inner span may bridge a gap between two others
-        for i in range(starts[row], starts[row] + counts[row], 2):
-            col, end = max(np.int64(spans[np.uint64(i)]), beyond), np.int64(spans[np.uint64(i + 1)])
+        for i in range(outer.starts[row], outer.starts[row] + outer.counts[row], 2):
+            col = max(np.int64(outer.limits[np.uint64(i)]), beyond)
+            end = np.int64(outer.limits[np.uint64(i + 1)])
             while col < end:
                 until, beyond = end, end
-                if n < inner_end and inner[np.uint64(n)] < end:
-                    until = np.int64(inner[np.uint64(n)])
-                    beyond = np.int64(inner[np.uint64(n + 1)])
+                if n < inner_end and inner.limits[np.uint64(n)] < end:
+                    until = np.int64(inner.limits[np.uint64(n)])
+                    beyond = np.int64(inner.limits[np.uint64(n + 1)])
                     runs[np.uint64(r * stride + until)] += 1
                     runs[np.uint64(r * stride + beyond)] -= 1
                     n += 2
-                for c in range(col, until):
-                    k = np.uint64(size + c - col)
-                    rows[k], cols[k] = r, c
+                for j in range((until - col + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
+                    k = np.uint64(size + j)
+                    rows[k], cols[k] = r, col + j
                 size += max(int(until - col), 0)
-                col = beyond
+                col = max(col, beyond)
         if size >= MANY or r == touched[1] - 1:
-            _observe_cells(
-                at_x, at_y, listed, size, covering, scale, hit_range, depth, entries, cells
-            )
+            _observe_cells(view, listed, size, cells)
             size = 0
 
 
 @kernel
-def _observe_cells(
-    at_x: int,
-    at_y: int,
-    listed: Listed,
-    size: int,
-    covering: Int32,
-    scale: Float64,
-    hit_range: Float64,
-    depth: float,
-    entries: Int64,
-    cells: Int64,
-) -> None:
-    """Add to each of the listed cells what the beam that covers its bearing says about it.
-
-    `entries` holds the table of free cells, a 0 for nothing, and the table of hits.
-    """
-    rows, cols, places = listed.rows, listed.cols, listed.places
+def _observe_cells(view: View, listed: Listed, size: int, cells: Int64) -> None:
+    """Add to each of the listed cells what the beam that covers its bearing says about it."""
+    at_x, at_y, covering, entries = view.at_x, view.at_y, view.covering, view.entries
+    rows, cols, places, limits = listed.rows, listed.cols, listed.places, listed.limits
     stride, flat = cells.shape[1], cells.reshape(-1)
     steps = float(entries.size // 2 - 1)
-    to_steps, hits_from = steps / depth, steps + 1
+    to_steps, hits_from = steps / view.depth, steps + 1
+    two, one = np.uint64(2), np.uint64(1)
     for i in range(size):
         k = np.uint64(i)
         x = float((np.int64(cols[k]) << CELL_SHIFT) + HALF_CELL - at_x)
@@ -265,14 +244,14 @@ def _observe_cells(
     for i in range(size):
         k = np.uint64(i)
         b = np.uint64(covering[np.uint64(places[k])])
-        listed.scale[k], listed.hit_range[k] = scale[b], hit_range[b]
+        limits[two * k], limits[two * k + one] = view.limits[two * b], view.limits[two * b + one]
     for i in range(size):
         k = np.uint64(i)
         x = float((np.int64(cols[k]) << CELL_SHIFT) + HALF_CELL - at_x)
         y = float((np.int64(rows[k]) << CELL_SHIFT) + HALF_CELL - at_y)
         squared = x * x + y * y
-        as_free = squared * listed.scale[k]
-        off = abs(np.sqrt(squared) - listed.hit_range[k]) * to_steps
+        as_free = squared * limits[two * k]
+        off = abs(np.sqrt(squared) - limits[two * k + one]) * to_steps
         as_hit = hits_from + off if off <= steps else steps
         places[k] = np.int32(as_free if as_free < steps else as_hit)
         rows[k] = rows[k] * stride + cols[k]  # from here on its place in the window

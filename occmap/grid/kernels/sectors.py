@@ -6,9 +6,10 @@ most 60 degrees to either side. Where two cover one bearing, the later counts.
 
 import numpy as np
 
+from occmap.grid.kernels.fill import Outline
 from occmap.grid.kernels.units import NO_LENGTH, SKIP
 from occmap.jit import kernel
-from occmap.types import Bool, Float64, Int32, Int64, UInt8
+from occmap.types import Bool, Float64, Int32, UInt8
 
 BEARINGS = 1 << 14
 """Steps of a full turn to which the bearing of a cell is known."""
@@ -162,9 +163,7 @@ def outline_sectors(
     lengths: Float64,
     covers: Bool,
     shares_side: Bool,
-    x: Int64,
-    y: Int64,
-    begins: Bool,
+    outline: Outline,
 ) -> int:
     """Write corners around the sectors of beams; returns their number.
 
@@ -172,6 +171,7 @@ def outline_sectors(
     how far to the left of it, in lattice units from the sensor at `at_x`, `at_y`. A run of sectors
     that share their sides is closed at the sensor.
     """
+    x, y, begins = outline.x, outline.y, outline.begins
     corners = 0
     for b in range(covers.size):
         if not covers[b]:

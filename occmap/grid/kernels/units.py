@@ -12,6 +12,10 @@ CELL_SHIFT = 8
 UNITS_PER_CELL = 1 << CELL_SHIFT
 HALF_CELL = UNITS_PER_CELL // 2
 
+AT_A_TIME = 8
+"""Short loops run over so many at a time, without a branch at their end; what they write beyond it
+is overwritten."""
+
 NO_LENGTH = 1e-300
 """What is divided by where a length is 0."""
 

@@ -14,6 +14,7 @@ from occmap.grid.kernels.beams import Beams, Lines, Profile, list_lines, make_li
 from occmap.grid.kernels.lines import count_steps, draw_line
 from occmap.grid.kernels.sums import Changes
 from occmap.grid.kernels.units import (
+    AT_A_TIME,
     BEAM_WEIGHT,
     CELL_SHIFT,
     HALF_CELL,
@@ -32,8 +33,6 @@ WEIGHT_BITS = BEAM_WEIGHT.bit_length()
 NOTE_BITS = ENTRY_BITS + WEIGHT_BITS
 """A note of what a cell is told holds the place of the cell above these, then the weight, then the
 entry. A window has less than 2^28 places, so that a float holds all of them."""
-AT_A_TIME = 8
-"""Notes are made for so many cells at a time; those beyond the end of a line are overwritten."""
 INSIDE = TILE - 1
 """Mask of the row or column inside a tile."""
 SLOPE_BITS = 50
@@ -68,11 +67,8 @@ def trace_window(
         (H, W + PAD) what cells were told that were visited; all others are noted in `changes`.
     """
     rows, cols, numbers = cells.shape[0], cells.shape[1] - PAD, cells.ravel()
-    scans, count = beams.kinds.shape
-    lines = make_lines(count)
-    notes = np.empty(lines.ranges.size + max(rows, cols) + AT_A_TIME)
-    entries = np.concatenate((profile.free, profile.hit, np.zeros(1, np.int64)))
-    for s in range(scans):
+    lines, notes, entries = make_room(beams, profile, rows, cols)
+    for s in range(len(beams.kinds)):
         size = list_lines(beams, s, profile, corner, rows, cols, lines)
         note_lines(lines, size, rows, cols, changes)
         k = 0
@@ -88,11 +84,8 @@ def trace_tiles(beams: Beams, profile: Profile, corner: Int64, tiles: Tiles) -> 
     col_bits = 0
     while 1 << col_bits < cols:
         col_bits += 1
-    scans, count = beams.kinds.shape
-    lines = make_lines(count)
-    notes = np.empty(lines.ranges.size + max(rows, cols) + AT_A_TIME)
-    entries = np.concatenate((profile.free, profile.hit, np.zeros(1, np.int64)))
-    for s in range(scans):
+    lines, notes, entries = make_room(beams, profile, rows, cols)
+    for s in range(len(beams.kinds)):
         size = list_lines(beams, s, profile, corner, rows, cols, lines)
         visit_lines(lines, size, profile.free[0], tiles)
         k = 0
@@ -102,6 +95,14 @@ def trace_tiles(beams: Beams, profile: Profile, corner: Int64, tiles: Tiles) -> 
             else:
                 k, fill = list_slopes(lines, k, size, profile, 1 << col_bits, notes)
             tell_tiles(notes[:fill], entries, col_bits, tiles)
+
+
+@kernel
+def make_room(beams: Beams, profile: Profile, rows: int, cols: int) -> tuple[Lines, Float64, Int64]:
+    """Room for the lines of a scan, room for notes, and the entries that notes speak of."""
+    lines = make_lines(beams.kinds.shape[1])
+    notes = np.empty(lines.ranges.size + max(rows, cols) + AT_A_TIME)
+    return lines, notes, np.concatenate((profile.free, profile.hit, np.zeros(1, np.int64)))
 
 
 @kernel
@@ -215,6 +216,7 @@ def visit_lines(lines: Lines, size: int, entry: int, tiles: Tiles) -> None:
     """Tell the plain cells of lines an entry, in the last layer, tile by tile."""
     cells, parts, weights = lines.cells, lines.parts, lines.weights
     table, used, numbers = tiles.table, tiles.used, tiles.numbers
+    places = np.empty(TILE + AT_A_TIME, np.int64)
     for k in range(size):
         i, end = parts[k, 0], parts[k, 1]
         if i >= end:
@@ -249,10 +251,13 @@ def visit_lines(lines: Lines, size: int, entry: int, tiles: Tiles) -> None:
             layer = (tile * tiles.layers + tiles.layers - 1) * TILE**2
             place = layer + ((row & INSIDE) << TILE_BITS) + (col & INSIDE)
             place -= (q >> SLOPE_BITS) * across
-            for _ in range(i, stop):
-                numbers[np.uint64(place + (q >> SLOPE_BITS) * across)] += told
-                place += along
-                q += slope
+            # Places are worked out many at a time, in a loop of their own.
+            for j in range((stop - i + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
+                steps = (q + j * slope) >> SLOPE_BITS
+                places[np.uint64(j)] = place + j * along + steps * across
+            for j in range(stop - i):
+                numbers[np.uint64(places[np.uint64(j)])] += told
+            q += slope * (stop - i)
             i = stop
             u, v = line.u + line.u_sign * i, from_v + line.v_sign * (q >> SLOPE_BITS)
             next_u += TILE if stop == next_u else 0
