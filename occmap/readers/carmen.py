@@ -3,15 +3,12 @@
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import suppress
-from itertools import islice
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
-from occmap.readers import Note, NoteList, Probe, Role, Stream, make_part
+from occmap.readers import Note, Probe, Role, Span, Stream
 from occmap.readers.carmen_lines import (
     FRAMES,
     FRONT,
@@ -20,29 +17,29 @@ from occmap.readers.carmen_lines import (
     RAW_FRAMES,
     ROBOT_FRAMES,
     Split,
+    find_pattern,
     find_split,
     imply_increment,
+    make_run,
     parse_front_offset,
     parse_odometry,
     parse_scan,
-    parse_scans,
     split_timed,
 )
 from occmap.readers.text import (
-    ALL,
     Block,
     Line,
     LineTally,
+    Pattern,
+    Table,
+    TextLog,
     add_note,
     note_cut_line,
     probe_lines,
     read_blocks,
-    split_lines,
 )
-from occmap.types import Pose, PoseSample, Scan, ScanRun, shorten
+from occmap.types import Int64, Pose, PoseSample, Scan, ScanRun, shorten
 from occmap.wording import count
-
-Parsed = TypeVar("Parsed")
 
 # fmt: off
 OTHER_WORDS = frozenset({
@@ -61,6 +58,7 @@ MAX_KEPT_BYTES = 1 << 26
 WHOLE_MESSAGE = re.compile(r"\S+\s+\S+\s+\S.*\s(?!\d)\S+\s+[-+.e\d]+\s*")
 """A keyword, two words or more, the name of a host, and a time."""
 FIX = "correct or delete this line"
+NO_LINES: Int64 = np.zeros(0, np.int64)
 SCAN_BYTES = 700
 """What a scan takes beside its ranges, as measured."""
 
@@ -93,19 +91,17 @@ class CarmenReader:
         return CarmenLog(path)
 
 
-class CarmenLog:
+class CarmenLog(TextLog):
     """An opened CARMEN log; a stream is a keyword."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.notes: list[Note] = NoteList()
+        super().__init__(path)
         self._words: Counter[str] = Counter()
         self._front_offset: float | None = None
         self._size = 0
-        self._span = ALL
-        self._kept: list[Scan | ScanRun] | None = []
         self._split: Split | None = None
         self._stamps: set[int] = set()
+        self._kept = []
         self._survey()
         self._note_other_lines()
 
@@ -123,99 +119,59 @@ class CarmenLog:
         if not self._words["ODOM"]:
             return
         tally = LineTally()
-        for words, block in self._walk():
-            for line in (block.get_line(at) for at, word in enumerate(words) if word == "ODOM"):
+        for block in read_blocks(self.path, self.notes, self._span):
+            for line in block.pick_lines(_sort_lines(block).get("ODOM", NO_LINES)):
                 if sample := self._parse(line, parse_odometry, tally):
                     yield sample
         tally.judge(self.path, self.notes, FIX)
 
-    def scans(self, topics: Collection[str]) -> Iterator[Scan]:
-        """The scans of these keywords."""
-        for some in self.stacked_scans(topics):
-            yield from some.split() if isinstance(some, ScanRun) else (some,)
-
-    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
-        """The same, with many at once where scans that follow one another are alike."""
-        judged = LineTally()  # not used: the lines were judged when the log was opened
-        read = (some for block in self._walk() for some in self._parse_block(*block, judged))
-        for some in read if self._kept is None else self._kept:
-            if some.first.topic in topics and some.first.ranges.size:
-                yield some
-
-    def split(self, size: int) -> Sequence["CarmenLog"]:
-        """Cut the log into parts of about `size` bytes, as `occmap.readers.Splittable` says."""
-        spans = [ALL] if any(note.damage for note in self.notes) else split_lines(self.path, size)
-        if len(spans) == 1:
-            return [self]
-        return [make_part(self, _span=span, _kept=None) for span in spans]
-
-    def _walk(self) -> Iterator[tuple[list[str], Block]]:
-        """Yield lines, some at a time, and before them the keyword of each."""
-        for block in read_blocks(self.path, self.notes, self._span):
-            starts = list(block.list_heads())
-            words = {start: _find_word(start) for start in set(starts)}
-            yield [words[start] for start in starts], block
-
-    def _parse_block(
-        self, words: list[str], block: Block, tally: LineTally
-    ) -> Iterator[Scan | ScanRun]:
-        """Yield the scans in some lines, passing over damaged ones."""
-        if self._split is None:
-            scans = (block.get_line(at).text for at, word in enumerate(words) if word in FRAMES)
-            self._split = next(map(find_split, scans), None)
-        together = _parse_together(words, block) if self._split is split_timed else {}
-        # Line by line, so that notes and scans come in the order of the log: a run with the first
-        # line of its kind, single scans each with their own.
-        for at, word in enumerate(words):
-            if word in together:
-                tally.total += 1
-                yield from islice(together[word], 1)
-            elif word in FRAMES:
-                if scan := self._parse(block.get_line(at), self._parse_scan, tally):
-                    yield scan
-            elif word == "PARAM" and self._front_offset is None:
-                line = block.get_line(at)
-                if not _is_cut(word, line):
-                    self._front_offset = self._parse(line, parse_front_offset, tally)
-
-    def _parse(self, line: Line, parse: Callable[[str], Parsed], tally: LineTally) -> Parsed | None:
-        """Parse a line; one that is damaged gives None, and a note where the file ends in it."""
-        try:
-            parsed = parse(line.text)
-        except ValueError as error:
-            if line.ended:
-                tally.add(line, f"malformed {line.text.split(None, 1)[0]} line: {error}")
-            else:
-                note_cut_line(self.notes, line)
-            return None
-        tally.add(line)
-        return parsed
+    def _walk(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
+        """Yield blocks, and which of their lines are scans, by keyword."""
+        for block in read_blocks(self.path, self.notes, span):
+            yield block, _pick_scans(_sort_lines(block))
 
     def _parse_scan(self, text: str) -> Scan:
+        if self._split is None:
+            self._split = find_split(text)
         return parse_scan(text, self._split)
+
+    def _find_pattern(self, line: Line, scan: Scan) -> Pattern:
+        if self._split is not split_timed:
+            raise ValueError("the lines state no time")
+        return find_pattern(line, scan)
+
+    def _make_run(self, first: Scan, table: Table) -> ScanRun:
+        return make_run(first, table)
+
+    def _tell(self, line: Line, fault: str, tally: LineTally) -> None:
+        tally.add(line, f"malformed {line.text.split(None, 1)[0]} line: {fault}")
 
     def _survey(self) -> None:
         """Read the log once: count its lines, and keep its scans if they are few."""
         tally = LineTally()
-        for words, block in self._walk():
-            self._count_words(words, block)
-            for some in self._parse_block(words, block, tally):
+        for block in read_blocks(self.path, self.notes):
+            lines = _sort_lines(block)
+            self._count_words(lines, block)
+            for line in block.pick_lines(lines.get("PARAM", NO_LINES)):
+                if self._front_offset is None and not _is_cut("PARAM", line):
+                    self._front_offset = self._parse(line, parse_front_offset, tally)
+            for some in self._parse_block(block, _pick_scans(lines), tally):
                 self._survey_scans(some)
         self._words = +self._words  # drops keywords of which no line was a scan
         tally.judge(self.path, self.notes, FIX)
         if len(self._stamps) == 1 and sum(self._words[word] for word in POSED_FRAMES) > 1:
             add_note(self.notes, Note("all scans have one time: they are taken in their order"))
 
-    def _count_words(self, words: list[str], block: Block) -> None:
+    def _count_words(self, lines: Mapping[str, Int64], block: Block) -> None:
         """Count lines by their keyword; scans are counted when they have been parsed."""
-        for word, lines in Counter(filter(None, words)).items():
+        for word, rows in lines.items():
             if word in FRAMES:
                 self._words[word] += 0  # streams are listed in the order in which they appear
-            elif _is_cut(word, block.get_line(0)):
+            elif word and _is_cut(word, block.get_line(0)):
                 note_cut_line(self.notes, block.get_line(0))
-            else:
+            elif word:
                 known = word in self._words or len(self._words) < MAX_WORDS
-                self._words[word[:40] if known else "other"] += lines
+                self._words[word[:40] if known else "other"] += rows.size
 
     def _survey_scans(self, some: Scan | ScanRun) -> None:
         first, scans = some.first, some.scans
@@ -266,24 +222,36 @@ class CarmenLog:
             add_note(self.notes, Note(text + (", ..." if len(others) > 5 else "")))
 
 
+def _sort_lines(block: Block) -> dict[str, Int64]:
+    """Find the lines of each keyword: `#` for every comment, "" for a blank line."""
+    starts, which = np.unique(block.take_heads(8), return_inverse=True)
+    if any(map(_may_go_on, starts.tolist())):
+        starts, which = np.unique(block.take_heads(16), return_inverse=True)
+    goes_on = np.array([_may_go_on(start) for start in starts.tolist()])
+    numbers: dict[str, int] = {}
+    keys = [numbers.setdefault(_find_word(start), len(numbers)) for start in starts.tolist()]
+    key = np.array(keys)[which]
+    for at in np.flatnonzero(goes_on[which]).tolist():
+        key[at] = numbers.setdefault(_find_word(block.get_line(at).raw), len(numbers))
+    order = np.argsort(key, kind="stable")
+    groups = np.split(order, np.cumsum(np.bincount(key, minlength=len(numbers)))[:-1])
+    found = [(word, rows) for word, rows in zip(numbers, groups, strict=True) if rows.size]
+    return dict(sorted(found, key=lambda each: int(each[1][0])))
+
+
+def _may_go_on(start: bytes) -> bool:
+    """Whether the first word of a line may go on behind this start of it."""
+    return b" " not in start.lstrip() and b"\n" not in start
+
+
 def _find_word(start: bytes) -> str:
-    """Find the keyword in the start of a line: `#` for every comment, "" for a blank line."""
-    word = b"".join(start.split(None, 1)[:1])
+    """Find the keyword in the start of a line, behind which the next line may begin."""
+    word = b"".join(start.partition(b"\n")[0].split(None, 1)[:1])
     return "#" if word[:1] == b"#" else word.decode("utf-8", "replace")
 
 
-def _parse_together(words: list[str], block: Block) -> dict[str, Iterator[Scan | ScanRun]]:
-    """Parse the scans of a block by kind: into one run where all are of one, else into scans.
-
-    A kind of which one line is damaged or differs is left out.
-    """
-    kinds = FRAMES.keys() & words
-    runs: dict[str, ScanRun] = {}
-    for kind in kinds:
-        rows = np.array([at for at, word in enumerate(words) if word == kind])
-        with suppress(ValueError):
-            runs[kind] = parse_scans(block, rows)
-    return {kind: iter([r] if len(kinds) == 1 else r.split()) for kind, r in runs.items()}
+def _pick_scans(lines: Mapping[str, Int64]) -> dict[str, Int64]:
+    return {word: rows for word, rows in lines.items() if word in FRAMES}
 
 
 def _count_lines(word: str, lines: int) -> str:

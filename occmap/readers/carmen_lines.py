@@ -27,23 +27,16 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from occmap.readers.kernels import ANY, NUMBER, SECONDS
-from occmap.readers.text import (
-    Block,
-    make_planar,
-    parse_stamp,
-    parse_table,
-    round_limit,
-    stack_planar,
-)
+from occmap.readers.kernels import ANY, NUMBER, RANGE, SAME, SECONDS
+from occmap.readers.text import Line, Pattern, Table, make_planar, round_limit, stack_planar
 from occmap.types import (
     UNKNOWN_POSE,
     Float64,
-    Int64,
     PoseSample,
     Scan,
     ScanRun,
     as_float32,
+    parse_seconds,
     shorten,
 )
 
@@ -53,6 +46,10 @@ PLAIN_FRAMES = {"FLASER": FRONT, "RLASER": REAR}
 ROBOT_FRAMES = {"ROBOTLASER0": FRONT, "ROBOTLASER1": FRONT, "ROBOTLASER2": REAR}
 RAW_FRAMES = {"RAWLASER1": FRONT, "RAWLASER2": REAR}
 FRAMES = PLAIN_FRAMES | ROBOT_FRAMES | RAW_FRAMES
+BEHIND_LISTS = (
+    dict.fromkeys(PLAIN_FRAMES, 6) | dict.fromkeys(ROBOT_FRAMES, 11) | dict.fromkeys(RAW_FRAMES, 0)
+)
+"""How many numbers stand between the lists and the time; the first are the pose of the laser."""
 IMPLIED_INCREMENTS = {beams: math.radians(1.0) for beams in (180, 181)} | {
     beams: math.radians(0.5) for beams in (360, 361)
 }
@@ -65,8 +62,6 @@ class _Layout(NamedTuple):
     ranges: slice
     pose: slice | None
     """x, y, theta of the laser; None where the line has none"""
-    fixed: list[int]
-    """The numbers that scans of one laser share"""
 
 
 class _Message(NamedTuple):
@@ -86,28 +81,30 @@ def parse_scan(text: str, split: Split | None = None) -> Scan:
     return _make_scan((split or split_timed)(text))
 
 
-def parse_scans(block: Block, rows: Int64) -> ScanRun:
-    """Parse lines of one keyword, by their indices, that differ in times, ranges and poses alone.
+def find_pattern(line: Line, scan: Scan) -> Pattern:
+    """Say what lines like one that is sound have in common: all but times, ranges and poses."""
+    words = line.raw.split()
+    is_plain = scan.topic in PLAIN_FRAMES
+    begin = 2 if is_plain else 9
+    end = begin + scan.ranges.size
+    kinds = np.full(len(words), NUMBER, np.uint8)
+    kinds[[0, begin - 1] if is_plain else [0, 2, 4, 5, begin - 1, end]] = SAME
+    kinds[begin:end] = RANGE
+    kinds[-3:] = SECONDS, ANY, SECONDS
+    return Pattern.of(words, b" ", kinds, np.cumsum(kinds == RANGE) - 1)
 
-    Raises ValueError where one is malformed or unlike the others: `parse_scan` tells which.
-    """
-    word, *others = block.get_line(int(rows[0])).raw.split()
-    kinds = [ANY, *[NUMBER] * (len(others) - 3), SECONDS, ANY, SECONDS]
-    table = parse_table(block, rows, b" ", np.array(kinds, np.uint8))
-    values, stamp_ns, logged_ns = table.values[:, 1:-3], table.times[:, -3], table.times[:, -1]
-    record_ns = np.where(logged_ns, logged_ns, stamp_ns)
-    first = _Message(word.decode(), values[0], int(stamp_ns[0]), int(record_ns[0]))
-    layout = _lay_out(first.word, first.values)
-    fixed = values[:, layout.fixed]
-    if (fixed != fixed[0]).any():
-        raise ValueError("the lines differ in more than numbers that are measured")
+
+def make_run(first: Scan, table: Table) -> ScanRun:
+    """Make scans of lines like the first."""
+    stamp_ns, logged_ns = table.times[-3].copy(), table.times[-1]
+    behind = BEHIND_LISTS[first.topic]
     return ScanRun(
-        _make_scan(first),
-        stamp_ns.copy(),
-        record_ns,
-        as_float32(values[:, layout.ranges]),
-        np.zeros(len(rows)),
-        stack_planar(*values[:, layout.pose].T) if layout.pose else None,
+        first,
+        stamp_ns,
+        np.where(logged_ns, logged_ns, stamp_ns),
+        table.ranges,
+        np.zeros(len(table.rows)),
+        stack_planar(*table.values[-3 - behind :][:3]) if behind else None,
     )
 
 
@@ -169,7 +166,7 @@ def split_timed(text: str) -> _Message:
     words = head.split(None, 1)
     if len(tail) < 3 or len(words) < 2:
         raise ValueError("it is too short")
-    stamp_ns, logged_ns = parse_stamp(tail[0]), parse_stamp(tail[2])
+    stamp_ns, logged_ns = parse_seconds(tail[0]), parse_seconds(tail[2])
     # Converters write 0 where they know no second time.
     return _Message(words[0], _parse_numbers(words[1]), stamp_ns, logged_ns or stamp_ns)
 
@@ -192,16 +189,10 @@ def _is_number(word: str) -> bool:
 
 def _lay_out(word: str, values: Float64) -> _Layout:
     """Find what a scan line holds; raises ValueError where its counts do not fit its length."""
-    if word in PLAIN_FRAMES:
-        ranges = _find_list(values, 0)
-        _check_rest(values, ranges.stop, 6)
-        return _Layout(ranges, slice(ranges.stop, ranges.stop + 3), [0])
-    ranges = _find_list(values, 7)
-    remissions = _find_list(values, ranges.stop)
-    with_pose = word in ROBOT_FRAMES
-    _check_rest(values, remissions.stop, 11 if with_pose else 0)
-    pose = slice(remissions.stop, remissions.stop + 3) if with_pose else None
-    return _Layout(ranges, pose, [1, 3, 4, 7, ranges.stop])
+    ranges = _find_list(values, 0 if word in PLAIN_FRAMES else 7)
+    end = ranges.stop if word in PLAIN_FRAMES else _find_list(values, ranges.stop).stop
+    _check_rest(values, end, BEHIND_LISTS[word])
+    return _Layout(ranges, slice(end, end + 3) if BEHIND_LISTS[word] else None)
 
 
 def _find_list(values: Float64, at: int) -> slice:

@@ -1,10 +1,13 @@
-"""What stands where in a CSV of scans: the header row, and comments that hold for every row.
+"""What stands where in a CSV of scans, and how a row becomes a scan.
+
+The header row names the columns, and comments state what holds for every row.
 
 Beside occmap's own names a header may have those of `rostopic echo -p` for a LaserScan: `%time`,
 `field.header.stamp`, `field.ranges0` and so on, with times in nanoseconds.
 """
 
 import csv
+import math
 import re
 from collections import Counter
 from collections.abc import Mapping
@@ -12,18 +15,33 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from occmap.errors import LogError
-from occmap.readers.text import Line, parse_stamp
-from occmap.types import shorten
+import numpy as np
 
+from occmap.errors import LogError
+from occmap.readers.kernels import ANY, NANOSECONDS, NUMBER, RANGE, SAME, SECONDS
+from occmap.readers.text import Line, Pattern, Table, make_planar, round_limit, stack_planar
+from occmap.types import (
+    Float32,
+    Float64,
+    Pose,
+    Scan,
+    ScanRun,
+    as_float32,
+    parse_nanoseconds,
+    parse_seconds,
+    shorten,
+)
+
+TOPIC = "scan"
 POSE_NAMES = ("x", "y", "yaw")
 REQUIRED = ("stamp", "angle_min", "angle_increment")
 DEFAULTS = {"range_min": "0", "range_max": "inf", "time_increment": "0", "frame": "laser"}
+MEASURED = frozenset(("time_increment", *POSE_NAMES))
+"""Numbers that differ between the scans of one laser, as stamps and ranges do."""
 NAMES = frozenset((*REQUIRED, *DEFAULTS, *POSE_NAMES))
 """What may stand as a column or in a comment; beams are columns only."""
 ALIASES = {"stamp": ("time", "timestamp", "t"), "yaw": ("theta", "heading")}
 """What other programs call a column; none is read as it, for its unit may be another."""
-BEAM = re.compile(r"r\d+")
 ROSTOPIC = "%time"
 """How the header of `rostopic echo -p` starts."""
 _ROSTOPIC_BEAM = re.compile(r"field\.ranges(\d+)")
@@ -83,7 +101,7 @@ def read_layout(path: Path, header: Line, comments: Mapping[str, Line]) -> Layou
     if fault is not None:
         raise _fail(path, header, *fault)
     places = {name: at for at, name in enumerate(names)}
-    beams = sum(1 for name in names if BEAM.fullmatch(name))
+    beams = sum(map(_is_beam, names))
     stated = {name: line for name, line in comments.items() if name not in names}
     return Layout(
         header=tuple(names),
@@ -144,7 +162,11 @@ def _split_comment(text: str) -> tuple[str, str]:
 
 def is_known(name: str) -> bool:
     """Whether a column of this name means something to occmap."""
-    return name in NAMES or BEAM.fullmatch(name) is not None
+    return name in NAMES or _is_beam(name)
+
+
+def _is_beam(name: str) -> bool:
+    return name[:1] == "r" and name[1:].isdecimal()
 
 
 def read_number(name: str, text: str) -> float:
@@ -166,7 +188,7 @@ def _find_fault(names: list[str], given: set[str]) -> tuple[str, str] | None:
             other = next((other for other in ALIASES.get(name, ()) if other in names), None)
             add = f"add it, or a comment `# {name}: VALUE` for all rows"
             return f"no column {name}", f"rename the column {other} to it" if other else add
-    beams = sum(1 for name in names if BEAM.fullmatch(name))
+    beams = sum(map(_is_beam, names))
     for name in (f"r{beam}" for beam in range(max(beams, 1))):
         if name not in given:
             hint = "" if beams else "; a file of poses alone is given with `poses`"
@@ -179,7 +201,7 @@ def _read_constant(path: Path, line: Line) -> str:
     name, text = split_constant(line.text) or ("", "")
     try:
         if name == "stamp":
-            parse_stamp(text)
+            parse_seconds(text)
         elif name != "frame":
             read_number(name, text)
     except ValueError as error:
@@ -189,3 +211,91 @@ def _read_constant(path: Path, line: Line) -> str:
 
 def _fail(path: Path, line: Line, found: str, fix: str) -> LogError:
     return LogError(found, where=f"{path}:{line.number}", fix=fix)
+
+
+def parse_row(layout: Layout, text: str) -> Scan:
+    """Parse a row; raises ValueError, naming the column."""
+    cells = split_cells(text)
+    if len(cells) != len(layout.header):
+        raise ValueError(f"{len(cells)} cells where the header has {len(layout.header)}")
+
+    def read_finite(name: str) -> float:
+        value = read_number(name, layout.pick(name, cells))
+        if not math.isfinite(value):
+            raise ValueError(f"{name} is {value}, which is no angle or time")
+        return value
+
+    def read_limit(name: str) -> float:
+        value = read_number(name, layout.pick(name, cells))
+        if math.isnan(value):
+            raise ValueError(f"{name} is nan, which is no limit")
+        return round_limit(value)
+
+    stamp_ns = _read_stamp(layout, cells)
+    return Scan(
+        stamp_ns=stamp_ns,
+        frame=layout.pick("frame", cells).strip().lstrip("/"),
+        angle_min=read_finite("angle_min"),
+        angle_increment=read_finite("angle_increment"),
+        ranges=_read_beams([cells[at] for at in layout.beams]),
+        range_min=read_limit("range_min"),
+        range_max=read_limit("range_max"),
+        time_increment=read_finite("time_increment"),
+        pose=_read_pose(layout, cells) if layout.has_pose else None,
+        topic=TOPIC,
+        record_ns=stamp_ns,
+    )
+
+
+def find_pattern(layout: Layout, line: Line) -> Pattern:
+    """Say what rows like one that is sound have in common: all but what differs between scans."""
+    kinds, beams = (
+        np.full(len(layout.header), ANY, np.uint8),
+        np.zeros(len(layout.header), np.int64),
+    )
+    for name, at in layout.columns.items():
+        kinds[at] = NUMBER if name in MEASURED else SAME
+    if "stamp" in layout.columns:
+        kinds[layout.columns["stamp"]] = NANOSECONDS if layout.stamp_unit == "ns" else SECONDS
+    kinds[list(layout.beams)], beams[list(layout.beams)] = RANGE, np.arange(len(layout.beams))
+    return Pattern.of(line.raw.split(b","), b",", kinds, beams)
+
+
+def make_run(layout: Layout, first: Scan, table: Table) -> ScanRun:
+    """Make scans of rows like the first; raises ValueError where one is malformed."""
+
+    def take(name: str, constant: float) -> Float64:
+        at = layout.columns.get(name)
+        return np.full(len(table.rows), constant) if at is None else table.values[at].copy()
+
+    increments = take("time_increment", first.time_increment)
+    if not np.isfinite(increments).all():
+        raise ValueError("time_increment is no time")
+    at = layout.columns.get("stamp")
+    stamp_ns = np.full(len(table.rows), first.stamp_ns) if at is None else table.times[at].copy()
+    pose = [take(name, float(layout.constants.get(name, "nan"))) for name in POSE_NAMES]
+    poses = stack_planar(*pose) if layout.has_pose else None
+    return ScanRun(first, stamp_ns, stamp_ns, table.ranges, increments, poses)
+
+
+def _read_stamp(layout: Layout, cells: list[str]) -> int:
+    try:
+        text = layout.pick("stamp", cells)
+        return parse_nanoseconds(text) if layout.stamp_unit == "ns" else parse_seconds(text)
+    except ValueError as error:
+        raise ValueError(f"stamp: {error}") from None
+
+
+def _read_pose(layout: Layout, cells: list[str]) -> Pose:
+    """Read x, y and yaw; all nan where one is empty or not finite, as nobody knew it."""
+    texts = [layout.pick(name, cells).strip() or "nan" for name in POSE_NAMES]
+    return make_planar(*map(read_number, POSE_NAMES, texts))
+
+
+def _read_beams(texts: list[str]) -> Float32:
+    try:
+        return as_float32([float(text or "nan") for text in texts])
+    except ValueError:
+        names = (f"column r{beam}" for beam in range(len(texts)))
+        checked = [text.strip() or "nan" for text in texts]
+        return as_float32(list(map(read_number, names, checked)))
