@@ -16,29 +16,14 @@ from occmap.readers.carmen_lines import (
     PLAIN_FRAMES,
     RAW_FRAMES,
     ROBOT_FRAMES,
-    Split,
-    find_pattern,
-    find_split,
+    CarmenForm,
     imply_increment,
-    make_run,
     parse_front_offset,
     parse_odometry,
-    parse_scan,
-    split_timed,
 )
-from occmap.readers.text import (
-    Block,
-    Line,
-    LineTally,
-    Pattern,
-    Table,
-    TextLog,
-    add_note,
-    note_cut_line,
-    probe_lines,
-    read_blocks,
-)
-from occmap.types import Int64, Pose, PoseSample, Scan, ScanRun, shorten
+from occmap.readers.text import Block, Line, add_note, note_cut_line, probe_lines, read_blocks
+from occmap.readers.text_log import LineTally, TextLog
+from occmap.types import Pose, PoseSample, Scan, ScanRun, shorten
 from occmap.wording import count
 
 # fmt: off
@@ -58,7 +43,6 @@ MAX_KEPT_BYTES = 1 << 26
 WHOLE_MESSAGE = re.compile(r"\S+\s+\S+\s+\S.*\s(?!\d)\S+\s+[-+.e\d]+\s*")
 """A keyword, two words or more, the name of a host, and a time."""
 FIX = "correct or delete this line"
-NO_LINES: Int64 = np.zeros(0, np.int64)
 SCAN_BYTES = 700
 """What a scan takes beside its ranges, as measured."""
 
@@ -99,7 +83,7 @@ class CarmenLog(TextLog):
         self._words: Counter[str] = Counter()
         self._front_offset: float | None = None
         self._size = 0
-        self._split: Split | None = None
+        self.form = CarmenForm()
         self._stamps: set[int] = set()
         self._kept = []
         self._survey()
@@ -120,28 +104,15 @@ class CarmenLog(TextLog):
             return
         tally = LineTally()
         for block in read_blocks(self.path, self.notes, self._span):
-            for line in block.pick_lines(_sort_lines(block).get("ODOM", NO_LINES)):
+            for line in block.pick_lines(_sort_lines(block).get("ODOM", ())):
                 if sample := self._parse(line, parse_odometry, tally):
                     yield sample
         tally.judge(self.path, self.notes, FIX)
 
-    def _walk(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
+    def _walk(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Sequence[int]]]]:
         """Yield blocks, and which of their lines are scans, by keyword."""
         for block in read_blocks(self.path, self.notes, span):
             yield block, _pick_scans(_sort_lines(block))
-
-    def _parse_scan(self, text: str) -> Scan:
-        if self._split is None:
-            self._split = find_split(text)
-        return parse_scan(text, self._split)
-
-    def _find_pattern(self, line: Line, scan: Scan) -> Pattern:
-        if self._split is not split_timed:
-            raise ValueError("the lines state no time")
-        return find_pattern(line, scan)
-
-    def _make_run(self, first: Scan, table: Table) -> ScanRun:
-        return make_run(first, table)
 
     def _tell(self, line: Line, fault: str, tally: LineTally) -> None:
         tally.add(line, f"malformed {line.text.split(None, 1)[0]} line: {fault}")
@@ -152,7 +123,7 @@ class CarmenLog(TextLog):
         for block in read_blocks(self.path, self.notes):
             lines = _sort_lines(block)
             self._count_words(lines, block)
-            for line in block.pick_lines(lines.get("PARAM", NO_LINES)):
+            for line in block.pick_lines(lines.get("PARAM", ())):
                 if self._front_offset is None and not _is_cut("PARAM", line):
                     self._front_offset = self._parse(line, parse_front_offset, tally)
             for some in self._parse_block(block, _pick_scans(lines), tally):
@@ -162,7 +133,7 @@ class CarmenLog(TextLog):
         if len(self._stamps) == 1 and sum(self._words[word] for word in POSED_FRAMES) > 1:
             add_note(self.notes, Note("all scans have one time: they are taken in their order"))
 
-    def _count_words(self, lines: Mapping[str, Int64], block: Block) -> None:
+    def _count_words(self, lines: Mapping[str, Sequence[int]], block: Block) -> None:
         """Count lines by their keyword; scans are counted when they have been parsed."""
         for word, rows in lines.items():
             if word in FRAMES:
@@ -171,7 +142,7 @@ class CarmenLog(TextLog):
                 note_cut_line(self.notes, block.get_line(0))
             elif word:
                 known = word in self._words or len(self._words) < MAX_WORDS
-                self._words[word[:40] if known else "other"] += rows.size
+                self._words[word[:40] if known else "other"] += len(rows)
 
     def _survey_scans(self, some: Scan | ScanRun) -> None:
         first, scans = some.first, some.scans
@@ -222,35 +193,28 @@ class CarmenLog(TextLog):
             add_note(self.notes, Note(text + (", ..." if len(others) > 5 else "")))
 
 
-def _sort_lines(block: Block) -> dict[str, Int64]:
+def _sort_lines(block: Block) -> dict[str, list[int]]:
     """Find the lines of each keyword: `#` for every comment, "" for a blank line."""
-    starts, which = np.unique(block.take_heads(8), return_inverse=True)
-    if any(map(_may_go_on, starts.tolist())):
-        starts, which = np.unique(block.take_heads(16), return_inverse=True)
-    goes_on = np.array([_may_go_on(start) for start in starts.tolist()])
-    numbers: dict[str, int] = {}
-    keys = [numbers.setdefault(_find_word(start), len(numbers)) for start in starts.tolist()]
+    heads, which = np.unique(block.take_heads(), return_inverse=True)
+    numbers, cut, keys = {"": 0}, [], []
+    for head in heads.tolist():
+        cut.append(b" " not in head.lstrip() and b"\n" not in head)  # the word may go on
+        word = "" if cut[-1] else _find_word(head.partition(b"\n")[0])
+        keys.append(numbers.setdefault(word, len(numbers)))
     key = np.array(keys)[which]
-    for at in np.flatnonzero(goes_on[which]).tolist():
+    for at in np.flatnonzero(np.array(cut)[which]).tolist():
         key[at] = numbers.setdefault(_find_word(block.get_line(at).raw), len(numbers))
-    order = np.argsort(key, kind="stable")
-    groups = np.split(order, np.cumsum(np.bincount(key, minlength=len(numbers)))[:-1])
-    found = [(word, rows) for word, rows in zip(numbers, groups, strict=True) if rows.size]
-    return dict(sorted(found, key=lambda each: int(each[1][0])))
+    groups = np.split(np.argsort(key, kind="stable"), np.cumsum(np.bincount(key))[:-1])
+    lines = [(word, rows.tolist()) for word, rows in zip(numbers, groups, strict=True)]
+    return dict(sorted(lines, key=lambda each: each[1][:1]))  # as they appear
 
 
-def _may_go_on(start: bytes) -> bool:
-    """Whether the first word of a line may go on behind this start of it."""
-    return b" " not in start.lstrip() and b"\n" not in start
-
-
-def _find_word(start: bytes) -> str:
-    """Find the keyword in the start of a line, behind which the next line may begin."""
-    word = b"".join(start.partition(b"\n")[0].split(None, 1)[:1])
+def _find_word(line: bytes) -> str:
+    word = b"".join(line.split(None, 1)[:1])
     return "#" if word[:1] == b"#" else word.decode("utf-8", "replace")
 
 
-def _pick_scans(lines: Mapping[str, Int64]) -> dict[str, Int64]:
+def _pick_scans(lines: Mapping[str, list[int]]) -> dict[str, list[int]]:
     return {word: rows for word, rows in lines.items() if word in FRAMES}
 
 

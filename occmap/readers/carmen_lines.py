@@ -28,7 +28,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from occmap.readers.kernels import ANY, NUMBER, RANGE, SAME, SECONDS
-from occmap.readers.text import Line, Pattern, Table, make_planar, round_limit, stack_planar
+from occmap.readers.text import Line, make_planar, round_limit, stack_planar
+from occmap.readers.text_log import Pattern, Table
 from occmap.types import (
     UNKNOWN_POSE,
     Float64,
@@ -76,36 +77,42 @@ Split: TypeAlias = Callable[[str], _Message]
 """Tells the numbers of a line from its time; raises ValueError where they are too few."""
 
 
-def parse_scan(text: str, split: Split | None = None) -> Scan:
-    """Parse a line whose keyword is one of `FRAMES`."""
-    return _make_scan((split or split_timed)(text))
+class CarmenForm:
+    """How the lines of one log become scans: all with a time, or all without."""
 
+    def __init__(self) -> None:
+        self._split: Split | None = None
 
-def find_pattern(line: Line, scan: Scan) -> Pattern:
-    """Say what lines like one that is sound have in common: all but times, ranges and poses."""
-    words = line.raw.split()
-    is_plain = scan.topic in PLAIN_FRAMES
-    begin = 2 if is_plain else 9
-    end = begin + scan.ranges.size
-    kinds = np.full(len(words), NUMBER, np.uint8)
-    kinds[[0, begin - 1] if is_plain else [0, 2, 4, 5, begin - 1, end]] = SAME
-    kinds[begin:end] = RANGE
-    kinds[-3:] = SECONDS, ANY, SECONDS
-    return Pattern.of(words, b" ", kinds, np.cumsum(kinds == RANGE) - 1)
+    def parse(self, text: str) -> Scan:
+        """Parse a line whose keyword is one of `FRAMES`."""
+        self._split = self._split or find_split(text)
+        return _make_scan(self._split(text))
 
+    def find_pattern(self, line: Line, scan: Scan) -> Pattern:
+        """Say what lines like one have in common: all but times, ranges and poses."""
+        if self._split is not split_timed:
+            raise ValueError("the lines state no time")
+        words, is_plain = line.raw.split(), scan.topic in PLAIN_FRAMES
+        begin = 2 if is_plain else 9
+        end = begin + scan.ranges.size
+        kinds = np.full(len(words), NUMBER, np.uint8)
+        kinds[[0, begin - 1] if is_plain else [0, 2, 4, 5, begin - 1, end]] = SAME
+        kinds[begin:end] = RANGE
+        kinds[-3:] = SECONDS, ANY, SECONDS
+        return Pattern(words, b" ", kinds)
 
-def make_run(first: Scan, table: Table) -> ScanRun:
-    """Make scans of lines like the first."""
-    stamp_ns, logged_ns = table.times[-3].copy(), table.times[-1]
-    behind = BEHIND_LISTS[first.topic]
-    return ScanRun(
-        first,
-        stamp_ns,
-        np.where(logged_ns, logged_ns, stamp_ns),
-        table.ranges,
-        np.zeros(len(table.rows)),
-        stack_planar(*table.values[-3 - behind :][:3]) if behind else None,
-    )
+    def make_run(self, first: Scan, table: Table) -> ScanRun:
+        """Make scans of lines like the first."""
+        stamp_ns, logged_ns = table.times[-3].copy(), table.times[-1]
+        behind = BEHIND_LISTS[first.topic]
+        return ScanRun(
+            first,
+            stamp_ns,
+            np.where(logged_ns, logged_ns, stamp_ns),
+            table.ranges,
+            np.zeros(len(table.rows)),
+            stack_planar(*table.values[-3 - behind :][:3]) if behind else None,
+        )
 
 
 def parse_odometry(text: str) -> PoseSample:
@@ -140,12 +147,10 @@ def imply_increment(beams: int) -> float:
 
 def find_split(text: str) -> Split:
     """Say whether lines like this one state a time, by a line whose keyword is one of `FRAMES`."""
-    with suppress(ValueError):
-        parse_scan(text, split_timed)
-        return split_timed
-    with suppress(ValueError):
-        parse_scan(text, split_untimed)
-        return split_untimed
+    for split in (split_timed, split_untimed):
+        with suppress(ValueError):
+            _make_scan(split(text))
+            return split
     return split_timed
 
 

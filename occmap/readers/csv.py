@@ -3,6 +3,7 @@
 from codecs import BOM_UTF8
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -10,30 +11,17 @@ import numpy as np
 from occmap.errors import LogError
 from occmap.readers import Note, Probe, Role, Span, Stream
 from occmap.readers.csv_layout import (
+    NAMES,
     TOPIC,
     Layout,
-    find_pattern,
     is_known,
-    make_run,
-    name_unused,
-    parse_row,
     read_layout,
-    split_constant,
+    split_comment,
     split_names,
 )
-from occmap.readers.text import (
-    ALL,
-    Block,
-    Line,
-    LineTally,
-    Pattern,
-    Table,
-    TextLog,
-    add_note,
-    probe_lines,
-    read_blocks,
-)
-from occmap.types import Int64, PoseSample, Scan, ScanRun
+from occmap.readers.text import ALL, Block, Line, add_note, probe_lines, read_blocks
+from occmap.readers.text_log import LineTally, TextLog
+from occmap.types import PoseSample
 
 MAX_NAMES = 5
 """Names in one note."""
@@ -52,8 +40,7 @@ class CsvReader:
         """
         lines = [line.strip() for line in probe_lines(probe)]
         header = next((line for line in lines if line and not line.startswith("#")), None)
-        constants = (split_constant(line) for line in lines if line.startswith("#"))
-        stated = {constant[0] for constant in constants if constant}
+        stated = {split_comment(line)[0] for line in lines if line.startswith("#")} & NAMES
         if header is None:
             return bool(stated)
         try:
@@ -76,16 +63,20 @@ class CsvReader:
 class CsvLog(TextLog):
     """An opened CSV log; its scans are the stream `scan`."""
 
+    form: Layout
+
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._rows = 0
         self._last: Line | None = None
         self._whole: LineTally | None = None
         """Of all rows of the log, once one is malformed"""
-        self._layout = self._survey()
+        self.form = self._survey()
         self._check_last()
-        if unused := self._layout.unused[:MAX_NAMES]:
-            add_note(self.notes, Note(f"columns that are not used: {', '.join(unused)}"))
+        unused = [name for name in self.form.header if name and not is_known(name)]
+        if unused:
+            text = f"columns that are not used: {', '.join(unused[:MAX_NAMES])}"
+            add_note(self.notes, Note(text))
 
     @property
     def streams(self) -> Sequence[Stream]:
@@ -96,13 +87,13 @@ class CsvLog(TextLog):
         """None: where the log has poses, each scan holds its own."""
         return iter(())
 
-    def _walk(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
+    def _walk(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Sequence[int]]]]:
         """Yield blocks, and which of their lines are rows, without the header."""
         header = 1 if span.start == 0 else 0
         for block in read_blocks(self.path, self.notes, span):
             rows, _ = _sort_lines(block)
             yield block, {TOPIC: rows[header:]}
-            header = 0 if rows.size else header
+            header = 0 if rows else header
 
     def _survey(self) -> Layout:
         """Find the header, and the constants wherever they stand, and count the rows."""
@@ -113,11 +104,11 @@ class CsvLog(TextLog):
             rows, headings = _sort_lines(block)
             for line in headings:
                 _keep_comment(line, constants, unused)
-            if header is None and rows.size:
-                header, rows = block.get_line(int(rows[0])), rows[1:]
-            if rows.size:
-                self._rows += rows.size
-                self._last = block.get_line(int(rows[-1]))
+            if rows and header is None:
+                header = block.get_line(rows.pop(0))
+            if rows:
+                self._rows += len(rows)
+                self._last = block.get_line(rows[-1])
         if header is None:
             found = "; ".join(["no header row", *(note.text for note in self.notes)])
             raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
@@ -129,7 +120,7 @@ class CsvLog(TextLog):
         """Where the file has no last line end, see whether its last row is whole."""
         if self._last is None or self._last.ended:
             return
-        if self._parse(self._last, self._parse_scan, LineTally()) is None:
+        if self._parse(self._last, self.form.parse, LineTally()) is None:
             self._rows -= 1
         else:
             text = f"line {self._last.number}, the last, has no line end; it is taken as whole"
@@ -137,15 +128,6 @@ class CsvLog(TextLog):
 
     def _is_heading(self, raw: bytes) -> bool:
         return _is_heading(raw)
-
-    def _parse_scan(self, text: str) -> Scan:
-        return parse_row(self._layout, text)
-
-    def _find_pattern(self, line: Line, _scan: Scan) -> Pattern:
-        return find_pattern(self._layout, line)
-
-    def _make_run(self, first: Scan, table: Table) -> ScanRun:
-        return make_run(self._layout, first, table)
 
     def _tell(self, line: Line, fault: str, tally: LineTally) -> None:
         tally.add(line, fault)
@@ -166,11 +148,13 @@ class CsvLog(TextLog):
 
 def _keep_comment(line: Line, constants: dict[str, Line], unused: dict[str, None]) -> None:
     """Keep the first comment that states a constant, and the names of some that mean nothing."""
-    constant = split_constant(line.text)
-    if constant is not None:
-        constants.setdefault(constant[0], line)
-    elif (name := name_unused(line.text)) and len(unused) < MAX_NAMES:
-        unused[name] = None
+    name, value = split_comment(line.text)
+    if name in NAMES:
+        constants.setdefault(name, line)
+    elif name.isidentifier() and len(unused) < MAX_NAMES:
+        with suppress(ValueError):
+            float(value)
+            unused[name] = None
 
 
 def _is_heading(raw: bytes) -> bool:
@@ -178,10 +162,10 @@ def _is_heading(raw: bytes) -> bool:
     return raw.removeprefix(BOM_UTF8).lstrip()[:1] in {b"", b"#"}
 
 
-def _sort_lines(block: Block) -> tuple[Int64, list[Line]]:
-    """Tell rows (S,) from the lines that are comments or blank."""
+def _sort_lines(block: Block) -> tuple[list[int], list[Line]]:
+    """Tell rows, by their indices, from the lines that are comments or blank."""
     first = np.frombuffer(block.text, np.uint8)[block.starts[:-1]]
-    maybe = block.pick_lines(np.flatnonzero(first <= ord("#")))  # blanks and line ends are below it
-    headings = [line for line in maybe if _is_heading(line.raw)]
-    rows = np.delete(np.arange(len(block)), [line.number - block.number for line in headings])
-    return rows, headings
+    maybe = np.flatnonzero(first <= ord("#"))  # blanks and line ends are below it
+    headings = [line for line in block.pick_lines(maybe.tolist()) if _is_heading(line.raw)]
+    rows = set(range(len(block))).difference(line.number - block.number for line in headings)
+    return sorted(rows), headings

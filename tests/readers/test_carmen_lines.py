@@ -9,19 +9,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.readers.carmen_lines import (
-    find_pattern,
+    CarmenForm,
     imply_increment,
-    make_run,
     parse_front_offset,
     parse_odometry,
-    parse_scan,
 )
 from occmap.readers.kernels import PADDING
-from occmap.readers.text import Block, parse_table
+from occmap.readers.text import Block
+from occmap.readers.text_log import parse_table
 from occmap.types import UNKNOWN_POSE, Pose, PoseSample, Scan, ScanRun
 
 CONFIG = "0 -1.570796 3.14172 0.008727 50.0 0.01 0"
 """type start_angle fov resolution maximum_range accuracy remission_mode"""
+
+
+def parse_scan(line: str) -> Scan:
+    """Parse a line of a log that states times."""
+    form = CarmenForm()
+    form.parse("FLASER 0 1 2 0 7 8 9 5 robot 5")
+    return form.parse(line)
 
 
 def expect_equal(scan: Scan, expected: Scan) -> None:
@@ -160,9 +166,10 @@ def parse_together(*lines: str) -> tuple[list[int], ScanRun]:
     """Parse those lines that are like the first, and say which they are."""
     text = "".join(f"{line}\n" for line in lines).encode()
     block = Block.of(1, bytearray(text + PADDING), len(text))
-    first = parse_scan(lines[0])
-    table = parse_table(block, np.arange(len(lines)), find_pattern(block.get_line(0), first))
-    return table.rows.tolist(), make_run(first, table)
+    form = CarmenForm()
+    first = form.parse(lines[0])
+    table = parse_table(block, range(len(lines)), form.find_pattern(block.get_line(0), first))
+    return list(table.rows), form.make_run(first, table)
 
 
 @pytest.mark.parametrize("lines", [LINES, ROBOT_LINES, RAW_LINES])

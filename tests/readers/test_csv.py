@@ -218,7 +218,7 @@ def test_rows_that_are_all_unlike_the_header_are_one_error_with_their_count(tmp_
     with pytest.raises(LogError) as caught:
         list(log.scans(["scan"]))
     assert str(caught.value).endswith(
-        "log.csv:2: 13 cells where the header has 12, and 1,199 more of 1,200 lines are malformed; "
+        "log.csv:2: 13 cells where the header has 12 (1,200 of 1,200 lines are malformed); "
         "correct the header or these rows"
     )
 

@@ -49,7 +49,6 @@ def parse_rows(
     starts: Int64,
     separator: int,
     kinds: UInt8,
-    beams: Int64,
     same: UInt8,
     powers: Float64,
     ranges: Float32,
@@ -72,8 +71,6 @@ def parse_rows(
         What stands between two words: one comma, or any number of blanks.
     kinds
         (N,) what each word of a line is.
-    beams
-        (N,) of which beam each range is.
     same
         Bytes: the words that are the same in every line, each with a separator behind it.
     powers
@@ -103,7 +100,7 @@ def parse_rows(
     before, beyond, step, power = _NONE, _NONE, _NONE, 1.0
     for row in range(len(starts)):
         # No index is negative, and numba need not look whether it is.
-        at, told, col = np.uint64(starts[row]), _NONE, 0
+        at, told, col, beam = np.uint64(starts[row]), _NONE, 0, 0
         while col < cols:
             while kinds[col] == RANGE and col < cols - 1:
                 word = eights[at]
@@ -113,9 +110,10 @@ def parse_rows(
                 digits = digits * _TEN + (digits >> _EIGHT)
                 pairs, others = digits & _PAIRS, (digits >> _SIXTEEN) & _PAIRS
                 digits = (pairs * _FIRST_PAIRS + others * _LAST_PAIRS) >> _HALF
-                ranges[row, beams[col]] = np.float64(np.int64(digits)) / power
+                ranges[row, beam] = np.float64(np.int64(digits)) / power
                 at += step
                 col += 1
+                beam += 1
                 misses = 0
             while separator == _BLANK and text[at] == _BLANK:
                 at += _ONE
@@ -160,7 +158,8 @@ def parse_rows(
                         is_read = at == start  # an empty cell
                     value = -value if start < first else value
                     if kind == RANGE:
-                        ranges[row, beams[col]] = value
+                        ranges[row, beam] = value
+                        beam += 1
                         misses += 1
                     else:
                         values[col, row] = value
