@@ -151,28 +151,21 @@ class CarmenLog(TextLog):
             return
         self._words[first.topic] += scans
         if len(self._stamps) < 2:
-            self._stamps |= (
-                {int(some.stamp_ns)} if isinstance(some, Scan) else {*some.stamp_ns.tolist()}
-            )
+            self._stamps.update(np.atleast_1d(some.stamp_ns).tolist())
         self._size += SCAN_BYTES * scans + some.ranges.nbytes
         if self._size > MAX_KEPT_BYTES:
             self._kept = None
         if self._kept is not None:
             self._kept.append(some)
-        self._note_angles(first)
-
-    def _note_angles(self, scan: Scan) -> None:
-        beams = scan.ranges.size
-        if scan.topic in PLAIN_FRAMES and beams not in IMPLIED_INCREMENTS:
-            spacing = math.degrees(imply_increment(beams))
-            text = f"{scan.topic} states no angles: {beams} beams are read as {spacing:g} deg apart"
-            add_note(self.notes, Note(f"{text}, from -90 deg"))
+        beams = first.ranges.size
+        if first.topic in PLAIN_FRAMES and beams not in IMPLIED_INCREMENTS:
+            spacing = f"{math.degrees(imply_increment(beams)):g} deg apart, from -90 deg"
+            text = f"{first.topic} states no angles: {beams} beams are read as {spacing}"
+            add_note(self.notes, Note(text))
 
     def _find_role(self, word: str) -> Role:
-        if word == "ODOM":
-            return Role.POSE
         if word not in FRAMES or self._is_repeated(word):
-            return Role.OTHER
+            return Role.POSE if word == "ODOM" else Role.OTHER
         return Role.SCAN
 
     def _is_repeated(self, word: str) -> bool:
@@ -197,7 +190,7 @@ def _sort_lines(block: Block) -> dict[str, list[int]]:
     """Find the lines of each keyword: `#` for every comment, "" for a blank line."""
     heads, which = np.unique(block.take_heads(), return_inverse=True)
     numbers, cut, keys = {"": 0}, [], []
-    for head in heads.tolist():
+    for head in (number.to_bytes(8, "little") for number in heads.tolist()):
         cut.append(b" " not in head.lstrip() and b"\n" not in head)  # the word may go on
         word = "" if cut[-1] else _find_word(head.partition(b"\n")[0])
         keys.append(numbers.setdefault(word, len(numbers)))

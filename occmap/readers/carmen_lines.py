@@ -57,14 +57,6 @@ IMPLIED_INCREMENTS = {beams: math.radians(1.0) for beams in (180, 181)} | {
 FRONT_OFFSET = "robot_frontlaser_offset"
 
 
-class _Layout(NamedTuple):
-    """Where the numbers of a scan line stand."""
-
-    ranges: slice
-    pose: slice | None
-    """x, y, theta of the laser; None where the line has none"""
-
-
 class _Message(NamedTuple):
     word: str
     values: Float64
@@ -84,8 +76,13 @@ class CarmenForm:
         self._split: Split | None = None
 
     def parse(self, text: str) -> Scan:
-        """Parse a line whose keyword is one of `FRAMES`."""
-        self._split = self._split or find_split(text)
+        """Parse a line whose keyword is one of `FRAMES`; the first shows whether it has a time."""
+        for split in () if self._split else (split_timed, split_untimed):
+            with suppress(ValueError):
+                scan = _make_scan(split(text))
+                self._split = split
+                return scan
+        self._split = self._split or split_timed
         return _make_scan(self._split(text))
 
     def find_pattern(self, line: Line, scan: Scan) -> Pattern:
@@ -145,15 +142,6 @@ def imply_increment(beams: int) -> float:
     return math.pi / max(beams - beams % 2, 1)
 
 
-def find_split(text: str) -> Split:
-    """Say whether lines like this one state a time, by a line whose keyword is one of `FRAMES`."""
-    for split in (split_timed, split_untimed):
-        with suppress(ValueError):
-            _make_scan(split(text))
-            return split
-    return split_timed
-
-
 def split_untimed(text: str) -> _Message:
     """Split a FLASER or RLASER line behind its poses, whatever stands there in place of a time."""
     word, *numbers = text.split()
@@ -192,14 +180,6 @@ def _is_number(word: str) -> bool:
         return False
 
 
-def _lay_out(word: str, values: Float64) -> _Layout:
-    """Find what a scan line holds; raises ValueError where its counts do not fit its length."""
-    ranges = _find_list(values, 0 if word in PLAIN_FRAMES else 7)
-    end = ranges.stop if word in PLAIN_FRAMES else _find_list(values, ranges.stop).stop
-    _check_rest(values, end, BEHIND_LISTS[word])
-    return _Layout(ranges, slice(end, end + 3) if BEHIND_LISTS[word] else None)
-
-
 def _find_list(values: Float64, at: int) -> slice:
     """Find the list whose length stands at an index."""
     room = values.size - at - 1
@@ -216,13 +196,12 @@ def _check_rest(values: Float64, at: int, size: int) -> None:
 
 def _make_scan(message: _Message) -> Scan:
     word, values = message.word, message.values
-    layout = _lay_out(word, values)
-    ranges = as_float32(values[layout.ranges])
-    if word in PLAIN_FRAMES:
-        angle_min = -math.pi / 2
-        increment = imply_increment(ranges.size)
-        range_max = math.inf
-    else:
+    listed = _find_list(values, 0 if word in PLAIN_FRAMES else 7)
+    end = listed.stop if word in PLAIN_FRAMES else _find_list(values, listed.stop).stop
+    _check_rest(values, end, BEHIND_LISTS[word])
+    ranges = as_float32(values[listed])
+    angle_min, increment, range_max = -math.pi / 2, imply_increment(ranges.size), math.inf
+    if word not in PLAIN_FRAMES:
         _, angle_min, _, increment, maximum, *_ = values[:7].tolist()
         if not math.isfinite(angle_min + increment):
             raise ValueError("start_angle or resolution is not finite")
@@ -235,7 +214,7 @@ def _make_scan(message: _Message) -> Scan:
         ranges=ranges,
         range_min=0.0,
         range_max=range_max,
-        pose=make_planar(*values[layout.pose].tolist()) if layout.pose else None,
+        pose=make_planar(*values[end : end + 3].tolist()) if BEHIND_LISTS[word] else None,
         topic=word,
         record_ns=message.record_ns,
     )

@@ -91,7 +91,7 @@ class CsvLog(TextLog):
         """Yield blocks, and which of their lines are rows, without the header."""
         header = 1 if span.start == 0 else 0
         for block in read_blocks(self.path, self.notes, span):
-            rows, _ = _sort_lines(block)
+            rows, _ = self._sort_lines(block)
             yield block, {TOPIC: rows[header:]}
             header = 0 if rows else header
 
@@ -101,7 +101,7 @@ class CsvLog(TextLog):
         constants: dict[str, Line] = {}
         unused: dict[str, None] = {}
         for block in read_blocks(self.path, self.notes):
-            rows, headings = _sort_lines(block)
+            rows, headings = self._sort_lines(block)
             for line in headings:
                 _keep_comment(line, constants, unused)
             if rows and header is None:
@@ -126,8 +126,17 @@ class CsvLog(TextLog):
             text = f"line {self._last.number}, the last, has no line end; it is taken as whole"
             add_note(self.notes, Note(text))
 
+    def _sort_lines(self, block: Block) -> tuple[list[int], list[Line]]:
+        """Tell rows, by their indices, from the lines that are comments or blank."""
+        first = np.frombuffer(block.text, np.uint8)[block.starts[:-1]]
+        maybe = np.flatnonzero(first <= ord("#"))  # blanks and line ends are below it
+        headings = [each for each in block.pick_lines(maybe.tolist()) if self._is_heading(each.raw)]
+        rows = np.delete(np.arange(len(block)), [each.number - block.number for each in headings])
+        return rows.tolist(), headings
+
     def _is_heading(self, raw: bytes) -> bool:
-        return _is_heading(raw)
+        """Whether a line is a comment or blank, as lines before the header are."""
+        return raw.removeprefix(BOM_UTF8).lstrip()[:1] in {b"", b"#"}
 
     def _tell(self, line: Line, fault: str, tally: LineTally) -> None:
         tally.add(line, fault)
@@ -155,17 +164,3 @@ def _keep_comment(line: Line, constants: dict[str, Line], unused: dict[str, None
         with suppress(ValueError):
             float(value)
             unused[name] = None
-
-
-def _is_heading(raw: bytes) -> bool:
-    """Whether a line is a comment or blank, as lines before the header are."""
-    return raw.removeprefix(BOM_UTF8).lstrip()[:1] in {b"", b"#"}
-
-
-def _sort_lines(block: Block) -> tuple[list[int], list[Line]]:
-    """Tell rows, by their indices, from the lines that are comments or blank."""
-    first = np.frombuffer(block.text, np.uint8)[block.starts[:-1]]
-    maybe = np.flatnonzero(first <= ord("#"))  # blanks and line ends are below it
-    headings = [line for line in block.pick_lines(maybe.tolist()) if _is_heading(line.raw)]
-    rows = set(range(len(block))).difference(line.number - block.number for line in headings)
-    return sorted(rows), headings

@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from occmap.errors import LogError
 from occmap.readers import Note, Probe, Span
 from occmap.readers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
 from occmap.readers.kernels import PADDING
-from occmap.types import UNKNOWN_POSE, Float64, Int64, Pose, as_float32
+from occmap.types import UNKNOWN_POSE, Float64, Int64, Pose, UInt64, as_float32
 
 MAX_LINE_BYTES = 1 << 24
 """A scan of a million beams is shorter; a longer line is no text log."""
@@ -93,10 +92,9 @@ class Block:
         """Get some of the lines by their indices."""
         return map(self.get_line, rows)
 
-    def take_heads(self) -> NDArray[np.bytes_]:
+    def take_heads(self) -> UInt64:
         """Take the first eight bytes of each line, (S,); a short one's reach into the next."""
-        heads = np.ndarray(len(self.text) - 7, "S8", self.text, strides=(1,))
-        return heads[self.starts[:-1]]
+        return np.ndarray(len(self.text) - 7, "<u8", self.text, strides=(1,))[self.starts[:-1]]
 
 
 def split_lines(path: Path, size: int, is_heading: Callable[[bytes], bool]) -> list[Span]:
