@@ -9,7 +9,9 @@ otherwise. Frames follow REP 103 and REP 105: x forward, y left, z up, yaw count
 
 import math
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from enum import IntEnum, StrEnum
 from numbers import Real
 from typing import Any, NamedTuple, Self, TypeAlias
@@ -465,6 +467,29 @@ def as_stamp(value: Any) -> int:
     if not isinstance(value, (int, np.integer)) or not -(2**63) <= value < 2**63:
         raise DamageError(f"holds {shorten(value)} where a time of 64 bits belongs")
     return int(value)
+
+
+def parse_seconds(text: str) -> int:
+    """Convert seconds, as text, to nanoseconds exactly; a float would round to 0.2 us.
+
+    Raises
+    ------
+    ValueError
+        The text is no number, or none that fits 64 bits of nanoseconds.
+    """
+    with suppress(ArithmeticError):  # what decimal raises for words and for NaN
+        nanoseconds = Decimal(text).scaleb(9)
+        if abs(nanoseconds) < 2**63:
+            return round(nanoseconds)
+    raise ValueError(f"{shorten(text)} is no time in seconds")
+
+
+def parse_nanoseconds(text: str) -> int:
+    """Convert whole nanoseconds, as text; raises ValueError where they do not fit 64 bits."""
+    with suppress(ValueError):
+        if abs(nanoseconds := int(text)) < 2**63:
+            return nanoseconds
+    raise ValueError(f"{shorten(text)} is no time in nanoseconds")
 
 
 def as_text(value: Any) -> str:

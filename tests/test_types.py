@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from occmap.errors import DamageError, LogError
-from occmap.types import Pose, PoseSample, Scan
+from occmap.types import Pose, PoseSample, Scan, parse_nanoseconds, parse_seconds
 
 HERE = Pose.planar(1.0, 2.0, 0.5)
 SCAN: dict[str, Any] = {
@@ -99,3 +99,36 @@ def test_a_range_beyond_float32_is_infinite() -> None:
 def test_without_a_record_time_the_stamp_stands_for_it() -> None:
     assert Scan(5, "laser", 0, 0.1, [1.0], 0, math.inf).record_ns == 5
     assert PoseSample(5, "map", "base", HERE).record_ns == 5
+
+
+@pytest.mark.parametrize(
+    ("seconds", "nanoseconds"),
+    [
+        ("1700000000.123456789", 1_700_000_000_123_456_789),
+        ("1663967370.849346399", 1_663_967_370_849_346_399),
+        ("0", 0),
+        ("-1.5", -1_500_000_000),
+        ("1.13486e+09", 1_134_860_000_000_000_000),
+        ("1.305031102175304001e+09", 1_305_031_102_175_304_001),
+        ("0.0000000014", 1),
+        ("0.0000000004", 0),
+        (" 2.5 ", 2_500_000_000),
+    ],
+)
+def test_seconds_are_exact(seconds: str, nanoseconds: int) -> None:
+    assert parse_seconds(seconds) == nanoseconds
+
+
+@pytest.mark.parametrize(
+    "wrong", ["", "noon", "nan", "inf", "1e999999999", "1e10", "1,5", "\ufffd"]
+)
+def test_what_is_no_time_in_seconds_is_a_value_error(wrong: str) -> None:
+    with pytest.raises(ValueError, match="no time in seconds"):
+        parse_seconds(wrong)
+
+
+@pytest.mark.parametrize("wrong", ["", "noon", "1.5", "nan", str(2**63), "9" * 5000])
+def test_what_is_no_time_in_nanoseconds_is_a_value_error(wrong: str) -> None:
+    assert parse_nanoseconds(str(2**63 - 1)) == 2**63 - 1
+    with pytest.raises(ValueError, match="no time in nanoseconds"):
+        parse_nanoseconds(wrong)

@@ -7,7 +7,6 @@ each line, and the time of each (s) in times.txt beside it.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from decimal import Decimal, InvalidOperation
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -17,7 +16,7 @@ import numpy as np
 
 from occmap.errors import LogError
 from occmap.posing.rotations import to_quaternions
-from occmap.types import Pose, PoseSample
+from occmap.types import Pose, PoseSample, parse_nanoseconds, parse_seconds
 
 TRAJECTORY_FRAME = "map"
 TUM_COLUMNS = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -31,9 +30,6 @@ EUROC_COLUMNS = ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")
 MATRIX = 12
 """Numbers in a line of KITTI"""
 TIMES = "times.txt"
-
-MAX_STAMP_S = 4 * 10**9
-"""The year 2096. Nanoseconds that are mistaken for seconds lie far beyond it."""
 
 FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Turns the axes of a camera (right, down, ahead) to those of a robot (ahead, left, up)"""
@@ -110,36 +106,12 @@ def read_trajectory(path: Path, notes: list[str] | None = None) -> Iterator[Pose
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
 
 
-def parse_stamp_ns(text: str) -> int:
-    """Turn decimal seconds into nanoseconds, exactly; half nanoseconds go to the even one.
-
-    Raises
-    ------
-    ValueError
-        Not a number, or too large for a time in seconds.
-    """
-    try:
-        seconds = Decimal(text)
-    except InvalidOperation:
-        raise ValueError(f"{text!r} is not a number") from None
-    if not (seconds.is_finite() and -MAX_STAMP_S < seconds < MAX_STAMP_S):
-        raise ValueError(f"{text!r} is not a time in seconds")
-    return round(seconds * 10**9)
-
-
-def parse_whole_ns(text: str) -> int:
-    """Take a time in whole nanoseconds; raises ValueError where it is none."""
-    if not text.strip().lstrip("-").isdecimal() or abs(int(text)) >= 2**63:
-        raise ValueError(f"{text!r} is not a time in nanoseconds")
-    return int(text)
-
-
 def _find_layout(first: _Line) -> tuple[_Layout, bool]:
     """Tell the layout of a file by its first line, and whether that is a header."""
     if "," not in first.text:
-        return _number(TUM_COLUMNS, None, parse_stamp_ns), False
+        return _number(TUM_COLUMNS, None, parse_seconds), False
     if first.text.partition(",")[0].strip().lstrip("-").isdecimal():
-        return replace(_number(EUROC_COLUMNS, ",", parse_whole_ns), has_more=True), False
+        return replace(_number(EUROC_COLUMNS, ",", parse_nanoseconds), has_more=True), False
     return _read_header(first), True
 
 
@@ -192,7 +164,7 @@ def _read_times(path: Path, poses: Path) -> Iterator[int]:
         raise LogError("poses without times", where=poses, fix=f"put KITTI's {TIMES} beside it")
     for line in _read_lines(path):
         try:
-            yield parse_stamp_ns(line.text)
+            yield parse_seconds(line.text)
         except ValueError as error:
             line.fail(str(error), "a time in seconds stands in each line")
 
@@ -215,7 +187,7 @@ def _read_lines(path: Path) -> Iterator[_Line]:
 def _read_header(line: _Line) -> _Layout:
     """Read the column names of a CSV; columns that are no part of a pose are passed over."""
     names = [name.strip().lower() for name in line.text.split(",")]
-    layout = _number(names, ",", parse_stamp_ns)
+    layout = _number(names, ",", parse_seconds)
     required = {"stamp", "x", "y", *_list_angles(layout)}
     missing = sorted(required - set(names))
     if missing:

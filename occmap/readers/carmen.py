@@ -3,15 +3,12 @@
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import suppress
-from itertools import islice
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
-from occmap.readers import Note, NoteList, Probe, Role, Stream, make_part
+from occmap.readers import Note, Probe, Role, Span, Stream
 from occmap.readers.carmen_lines import (
     FRAMES,
     FRONT,
@@ -19,30 +16,15 @@ from occmap.readers.carmen_lines import (
     PLAIN_FRAMES,
     RAW_FRAMES,
     ROBOT_FRAMES,
-    Split,
-    find_split,
+    CarmenForm,
     imply_increment,
     parse_front_offset,
     parse_odometry,
-    parse_scan,
-    parse_scans,
-    split_timed,
 )
-from occmap.readers.text import (
-    ALL,
-    Block,
-    Line,
-    LineTally,
-    add_note,
-    note_cut_line,
-    probe_lines,
-    read_blocks,
-    split_lines,
-)
+from occmap.readers.text import Block, Line, add_note, note_cut_line, probe_lines, read_blocks
+from occmap.readers.text_log import LineTally, TextLog
 from occmap.types import Pose, PoseSample, Scan, ScanRun, shorten
 from occmap.wording import count
-
-Parsed = TypeVar("Parsed")
 
 # fmt: off
 OTHER_WORDS = frozenset({
@@ -93,19 +75,17 @@ class CarmenReader:
         return CarmenLog(path)
 
 
-class CarmenLog:
+class CarmenLog(TextLog):
     """An opened CARMEN log; a stream is a keyword."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.notes: list[Note] = NoteList()
+        super().__init__(path)
         self._words: Counter[str] = Counter()
         self._front_offset: float | None = None
         self._size = 0
-        self._span = ALL
-        self._kept: list[Scan | ScanRun] | None = []
-        self._split: Split | None = None
+        self.form = CarmenForm()
         self._stamps: set[int] = set()
+        self._kept = []
         self._survey()
         self._note_other_lines()
 
@@ -123,99 +103,46 @@ class CarmenLog:
         if not self._words["ODOM"]:
             return
         tally = LineTally()
-        for words, block in self._walk():
-            for line in (block.get_line(at) for at, word in enumerate(words) if word == "ODOM"):
+        for block in read_blocks(self.path, self.notes, self._span):
+            for line in block.pick_lines(_sort_lines(block).get("ODOM", ())):
                 if sample := self._parse(line, parse_odometry, tally):
                     yield sample
         tally.judge(self.path, self.notes, FIX)
 
-    def scans(self, topics: Collection[str]) -> Iterator[Scan]:
-        """The scans of these keywords."""
-        for some in self.stacked_scans(topics):
-            yield from some.split() if isinstance(some, ScanRun) else (some,)
+    def _walk(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Sequence[int]]]]:
+        """Yield blocks, and which of their lines are scans, by keyword."""
+        for block in read_blocks(self.path, self.notes, span):
+            yield block, _pick_scans(_sort_lines(block))
 
-    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
-        """The same, with many at once where scans that follow one another are alike."""
-        judged = LineTally()  # not used: the lines were judged when the log was opened
-        read = (some for block in self._walk() for some in self._parse_block(*block, judged))
-        for some in read if self._kept is None else self._kept:
-            if some.first.topic in topics and some.first.ranges.size:
-                yield some
-
-    def split(self, size: int) -> Sequence["CarmenLog"]:
-        """Cut the log into parts of about `size` bytes, as `occmap.readers.Splittable` says."""
-        spans = [ALL] if any(note.damage for note in self.notes) else split_lines(self.path, size)
-        if len(spans) == 1:
-            return [self]
-        return [make_part(self, _span=span, _kept=None) for span in spans]
-
-    def _walk(self) -> Iterator[tuple[list[str], Block]]:
-        """Yield lines, some at a time, and before them the keyword of each."""
-        for block in read_blocks(self.path, self.notes, self._span):
-            starts = list(block.list_heads())
-            words = {start: _find_word(start) for start in set(starts)}
-            yield [words[start] for start in starts], block
-
-    def _parse_block(
-        self, words: list[str], block: Block, tally: LineTally
-    ) -> Iterator[Scan | ScanRun]:
-        """Yield the scans in some lines, passing over damaged ones."""
-        if self._split is None:
-            scans = (block.get_line(at).text for at, word in enumerate(words) if word in FRAMES)
-            self._split = next(map(find_split, scans), None)
-        together = _parse_together(words, block) if self._split is split_timed else {}
-        # Line by line, so that notes and scans come in the order of the log: a run with the first
-        # line of its kind, single scans each with their own.
-        for at, word in enumerate(words):
-            if word in together:
-                tally.total += 1
-                yield from islice(together[word], 1)
-            elif word in FRAMES:
-                if scan := self._parse(block.get_line(at), self._parse_scan, tally):
-                    yield scan
-            elif word == "PARAM" and self._front_offset is None:
-                line = block.get_line(at)
-                if not _is_cut(word, line):
-                    self._front_offset = self._parse(line, parse_front_offset, tally)
-
-    def _parse(self, line: Line, parse: Callable[[str], Parsed], tally: LineTally) -> Parsed | None:
-        """Parse a line; one that is damaged gives None, and a note where the file ends in it."""
-        try:
-            parsed = parse(line.text)
-        except ValueError as error:
-            if line.ended:
-                tally.add(line, f"malformed {line.text.split(None, 1)[0]} line: {error}")
-            else:
-                note_cut_line(self.notes, line)
-            return None
-        tally.add(line)
-        return parsed
-
-    def _parse_scan(self, text: str) -> Scan:
-        return parse_scan(text, self._split)
+    def _tell(self, line: Line, fault: str, tally: LineTally) -> None:
+        tally.add(line, f"malformed {line.text.split(None, 1)[0]} line: {fault}")
 
     def _survey(self) -> None:
         """Read the log once: count its lines, and keep its scans if they are few."""
         tally = LineTally()
-        for words, block in self._walk():
-            self._count_words(words, block)
-            for some in self._parse_block(words, block, tally):
+        for block in read_blocks(self.path, self.notes):
+            lines = _sort_lines(block)
+            self._count_words(lines, block)
+            for line in block.pick_lines(lines.get("PARAM", ())):
+                if self._front_offset is None and not _is_cut("PARAM", line):
+                    self._front_offset = self._parse(line, parse_front_offset, tally)
+            for some in self._parse_block(block, _pick_scans(lines), tally):
                 self._survey_scans(some)
         self._words = +self._words  # drops keywords of which no line was a scan
         tally.judge(self.path, self.notes, FIX)
         if len(self._stamps) == 1 and sum(self._words[word] for word in POSED_FRAMES) > 1:
             add_note(self.notes, Note("all scans have one time: they are taken in their order"))
 
-    def _count_words(self, words: list[str], block: Block) -> None:
+    def _count_words(self, lines: Mapping[str, Sequence[int]], block: Block) -> None:
         """Count lines by their keyword; scans are counted when they have been parsed."""
-        for word, lines in Counter(filter(None, words)).items():
+        for word, rows in lines.items():
             if word in FRAMES:
                 self._words[word] += 0  # streams are listed in the order in which they appear
-            elif _is_cut(word, block.get_line(0)):
+            elif word and _is_cut(word, block.get_line(0)):
                 note_cut_line(self.notes, block.get_line(0))
-            else:
+            elif word:
                 known = word in self._words or len(self._words) < MAX_WORDS
-                self._words[word[:40] if known else "other"] += lines
+                self._words[word[:40] if known else "other"] += len(rows)
 
     def _survey_scans(self, some: Scan | ScanRun) -> None:
         first, scans = some.first, some.scans
@@ -224,28 +151,21 @@ class CarmenLog:
             return
         self._words[first.topic] += scans
         if len(self._stamps) < 2:
-            self._stamps |= (
-                {int(some.stamp_ns)} if isinstance(some, Scan) else {*some.stamp_ns.tolist()}
-            )
+            self._stamps.update(np.atleast_1d(some.stamp_ns).tolist())
         self._size += SCAN_BYTES * scans + some.ranges.nbytes
         if self._size > MAX_KEPT_BYTES:
             self._kept = None
         if self._kept is not None:
             self._kept.append(some)
-        self._note_angles(first)
-
-    def _note_angles(self, scan: Scan) -> None:
-        beams = scan.ranges.size
-        if scan.topic in PLAIN_FRAMES and beams not in IMPLIED_INCREMENTS:
-            spacing = math.degrees(imply_increment(beams))
-            text = f"{scan.topic} states no angles: {beams} beams are read as {spacing:g} deg apart"
-            add_note(self.notes, Note(f"{text}, from -90 deg"))
+        beams = first.ranges.size
+        if first.topic in PLAIN_FRAMES and beams not in IMPLIED_INCREMENTS:
+            spacing = f"{math.degrees(imply_increment(beams)):g} deg apart, from -90 deg"
+            text = f"{first.topic} states no angles: {beams} beams are read as {spacing}"
+            add_note(self.notes, Note(text))
 
     def _find_role(self, word: str) -> Role:
-        if word == "ODOM":
-            return Role.POSE
         if word not in FRAMES or self._is_repeated(word):
-            return Role.OTHER
+            return Role.POSE if word == "ODOM" else Role.OTHER
         return Role.SCAN
 
     def _is_repeated(self, word: str) -> bool:
@@ -266,24 +186,29 @@ class CarmenLog:
             add_note(self.notes, Note(text + (", ..." if len(others) > 5 else "")))
 
 
-def _find_word(start: bytes) -> str:
-    """Find the keyword in the start of a line: `#` for every comment, "" for a blank line."""
-    word = b"".join(start.split(None, 1)[:1])
+def _sort_lines(block: Block) -> dict[str, list[int]]:
+    """Find the lines of each keyword: `#` for every comment, "" for a blank line."""
+    heads, which = np.unique(block.take_heads(), return_inverse=True)
+    numbers, cut, keys = {"": 0}, [], []
+    for head in (number.to_bytes(8, "little") for number in heads.tolist()):
+        cut.append(b" " not in head.lstrip() and b"\n" not in head)  # the word may go on
+        word = "" if cut[-1] else _find_word(head.partition(b"\n")[0])
+        keys.append(numbers.setdefault(word, len(numbers)))
+    key = np.array(keys)[which]
+    for at in np.flatnonzero(np.array(cut)[which]).tolist():
+        key[at] = numbers.setdefault(_find_word(block.get_line(at).raw), len(numbers))
+    groups = np.split(np.argsort(key, kind="stable"), np.cumsum(np.bincount(key))[:-1])
+    lines = [(word, rows.tolist()) for word, rows in zip(numbers, groups, strict=True)]
+    return dict(sorted(lines, key=lambda each: each[1][:1]))  # as they appear
+
+
+def _find_word(line: bytes) -> str:
+    word = b"".join(line.split(None, 1)[:1])
     return "#" if word[:1] == b"#" else word.decode("utf-8", "replace")
 
 
-def _parse_together(words: list[str], block: Block) -> dict[str, Iterator[Scan | ScanRun]]:
-    """Parse the scans of a block by kind: into one run where all are of one, else into scans.
-
-    A kind of which one line is damaged or differs is left out.
-    """
-    kinds = FRAMES.keys() & words
-    runs: dict[str, ScanRun] = {}
-    for kind in kinds:
-        rows = np.array([at for at, word in enumerate(words) if word == kind])
-        with suppress(ValueError):
-            runs[kind] = parse_scans(block, rows)
-    return {kind: iter([r] if len(kinds) == 1 else r.split()) for kind, r in runs.items()}
+def _pick_scans(lines: Mapping[str, list[int]]) -> dict[str, list[int]]:
+    return {word: rows for word, rows in lines.items() if word in FRAMES}
 
 
 def _count_lines(word: str, lines: int) -> str:

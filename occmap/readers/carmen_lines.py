@@ -27,23 +27,17 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from occmap.readers.kernels import ANY, NUMBER, SECONDS
-from occmap.readers.text import (
-    Block,
-    make_planar,
-    parse_stamp,
-    parse_table,
-    round_limit,
-    stack_planar,
-)
+from occmap.readers.kernels import ANY, NUMBER, RANGE, SAME, SECONDS
+from occmap.readers.text import Line, make_planar, round_limit, stack_planar
+from occmap.readers.text_log import Pattern, Table
 from occmap.types import (
     UNKNOWN_POSE,
     Float64,
-    Int64,
     PoseSample,
     Scan,
     ScanRun,
     as_float32,
+    parse_seconds,
     shorten,
 )
 
@@ -53,20 +47,14 @@ PLAIN_FRAMES = {"FLASER": FRONT, "RLASER": REAR}
 ROBOT_FRAMES = {"ROBOTLASER0": FRONT, "ROBOTLASER1": FRONT, "ROBOTLASER2": REAR}
 RAW_FRAMES = {"RAWLASER1": FRONT, "RAWLASER2": REAR}
 FRAMES = PLAIN_FRAMES | ROBOT_FRAMES | RAW_FRAMES
+BEHIND_LISTS = (
+    dict.fromkeys(PLAIN_FRAMES, 6) | dict.fromkeys(ROBOT_FRAMES, 11) | dict.fromkeys(RAW_FRAMES, 0)
+)
+"""How many numbers stand between the lists and the time; the first are the pose of the laser."""
 IMPLIED_INCREMENTS = {beams: math.radians(1.0) for beams in (180, 181)} | {
     beams: math.radians(0.5) for beams in (360, 361)
 }
 FRONT_OFFSET = "robot_frontlaser_offset"
-
-
-class _Layout(NamedTuple):
-    """Where the numbers of a scan line stand."""
-
-    ranges: slice
-    pose: slice | None
-    """x, y, theta of the laser; None where the line has none"""
-    fixed: list[int]
-    """The numbers that scans of one laser share"""
 
 
 class _Message(NamedTuple):
@@ -81,34 +69,47 @@ Split: TypeAlias = Callable[[str], _Message]
 """Tells the numbers of a line from its time; raises ValueError where they are too few."""
 
 
-def parse_scan(text: str, split: Split | None = None) -> Scan:
-    """Parse a line whose keyword is one of `FRAMES`."""
-    return _make_scan((split or split_timed)(text))
+class CarmenForm:
+    """How the lines of one log become scans: all with a time, or all without."""
 
+    def __init__(self) -> None:
+        self._split: Split | None = None
 
-def parse_scans(block: Block, rows: Int64) -> ScanRun:
-    """Parse lines of one keyword, by their indices, that differ in times, ranges and poses alone.
+    def parse(self, text: str) -> Scan:
+        """Parse a line whose keyword is one of `FRAMES`; the first shows whether it has a time."""
+        for split in () if self._split else (split_timed, split_untimed):
+            with suppress(ValueError):
+                scan = _make_scan(split(text))
+                self._split = split
+                return scan
+        self._split = self._split or split_timed
+        return _make_scan(self._split(text))
 
-    Raises ValueError where one is malformed or unlike the others: `parse_scan` tells which.
-    """
-    word, *others = block.get_line(int(rows[0])).raw.split()
-    kinds = [ANY, *[NUMBER] * (len(others) - 3), SECONDS, ANY, SECONDS]
-    table = parse_table(block, rows, b" ", np.array(kinds, np.uint8))
-    values, stamp_ns, logged_ns = table.values[:, 1:-3], table.times[:, -3], table.times[:, -1]
-    record_ns = np.where(logged_ns, logged_ns, stamp_ns)
-    first = _Message(word.decode(), values[0], int(stamp_ns[0]), int(record_ns[0]))
-    layout = _lay_out(first.word, first.values)
-    fixed = values[:, layout.fixed]
-    if (fixed != fixed[0]).any():
-        raise ValueError("the lines differ in more than numbers that are measured")
-    return ScanRun(
-        _make_scan(first),
-        stamp_ns.copy(),
-        record_ns,
-        as_float32(values[:, layout.ranges]),
-        np.zeros(len(rows)),
-        stack_planar(*values[:, layout.pose].T) if layout.pose else None,
-    )
+    def find_pattern(self, line: Line, scan: Scan) -> Pattern:
+        """Say what lines like one have in common: all but times, ranges and poses."""
+        if self._split is not split_timed:
+            raise ValueError("the lines state no time")
+        words, is_plain = line.raw.split(), scan.topic in PLAIN_FRAMES
+        begin = 2 if is_plain else 9
+        end = begin + scan.ranges.size
+        kinds = np.full(len(words), NUMBER, np.uint8)
+        kinds[[0, begin - 1] if is_plain else [0, 2, 4, 5, begin - 1, end]] = SAME
+        kinds[begin:end] = RANGE
+        kinds[-3:] = SECONDS, ANY, SECONDS
+        return Pattern(words, b" ", kinds)
+
+    def make_run(self, first: Scan, table: Table) -> ScanRun:
+        """Make scans of lines like the first."""
+        stamp_ns, logged_ns = table.times[-3].copy(), table.times[-1]
+        behind = BEHIND_LISTS[first.topic]
+        return ScanRun(
+            first,
+            stamp_ns,
+            np.where(logged_ns, logged_ns, stamp_ns),
+            table.ranges,
+            np.zeros(len(table.rows)),
+            stack_planar(*table.values[-3 - behind :][:3]) if behind else None,
+        )
 
 
 def parse_odometry(text: str) -> PoseSample:
@@ -141,17 +142,6 @@ def imply_increment(beams: int) -> float:
     return math.pi / max(beams - beams % 2, 1)
 
 
-def find_split(text: str) -> Split:
-    """Say whether lines like this one state a time, by a line whose keyword is one of `FRAMES`."""
-    with suppress(ValueError):
-        parse_scan(text, split_timed)
-        return split_timed
-    with suppress(ValueError):
-        parse_scan(text, split_untimed)
-        return split_untimed
-    return split_timed
-
-
 def split_untimed(text: str) -> _Message:
     """Split a FLASER or RLASER line behind its poses, whatever stands there in place of a time."""
     word, *numbers = text.split()
@@ -169,7 +159,7 @@ def split_timed(text: str) -> _Message:
     words = head.split(None, 1)
     if len(tail) < 3 or len(words) < 2:
         raise ValueError("it is too short")
-    stamp_ns, logged_ns = parse_stamp(tail[0]), parse_stamp(tail[2])
+    stamp_ns, logged_ns = parse_seconds(tail[0]), parse_seconds(tail[2])
     # Converters write 0 where they know no second time.
     return _Message(words[0], _parse_numbers(words[1]), stamp_ns, logged_ns or stamp_ns)
 
@@ -190,20 +180,6 @@ def _is_number(word: str) -> bool:
         return False
 
 
-def _lay_out(word: str, values: Float64) -> _Layout:
-    """Find what a scan line holds; raises ValueError where its counts do not fit its length."""
-    if word in PLAIN_FRAMES:
-        ranges = _find_list(values, 0)
-        _check_rest(values, ranges.stop, 6)
-        return _Layout(ranges, slice(ranges.stop, ranges.stop + 3), [0])
-    ranges = _find_list(values, 7)
-    remissions = _find_list(values, ranges.stop)
-    with_pose = word in ROBOT_FRAMES
-    _check_rest(values, remissions.stop, 11 if with_pose else 0)
-    pose = slice(remissions.stop, remissions.stop + 3) if with_pose else None
-    return _Layout(ranges, pose, [1, 3, 4, 7, ranges.stop])
-
-
 def _find_list(values: Float64, at: int) -> slice:
     """Find the list whose length stands at an index."""
     room = values.size - at - 1
@@ -220,13 +196,12 @@ def _check_rest(values: Float64, at: int, size: int) -> None:
 
 def _make_scan(message: _Message) -> Scan:
     word, values = message.word, message.values
-    layout = _lay_out(word, values)
-    ranges = as_float32(values[layout.ranges])
-    if word in PLAIN_FRAMES:
-        angle_min = -math.pi / 2
-        increment = imply_increment(ranges.size)
-        range_max = math.inf
-    else:
+    listed = _find_list(values, 0 if word in PLAIN_FRAMES else 7)
+    end = listed.stop if word in PLAIN_FRAMES else _find_list(values, listed.stop).stop
+    _check_rest(values, end, BEHIND_LISTS[word])
+    ranges = as_float32(values[listed])
+    angle_min, increment, range_max = -math.pi / 2, imply_increment(ranges.size), math.inf
+    if word not in PLAIN_FRAMES:
         _, angle_min, _, increment, maximum, *_ = values[:7].tolist()
         if not math.isfinite(angle_min + increment):
             raise ValueError("start_angle or resolution is not finite")
@@ -239,7 +214,7 @@ def _make_scan(message: _Message) -> Scan:
         ranges=ranges,
         range_min=0.0,
         range_max=range_max,
-        pose=make_planar(*values[layout.pose].tolist()) if layout.pose else None,
+        pose=make_planar(*values[end : end + 3].tolist()) if BEHIND_LISTS[word] else None,
         topic=word,
         record_ns=message.record_ns,
     )

@@ -1,29 +1,46 @@
-"""What stands where in a CSV of scans: the header row, and comments that hold for every row.
+"""What stands where in a CSV of scans, and how a row becomes a scan.
+
+The header row names the columns, and comments state what holds for every row.
 
 Beside occmap's own names a header may have those of `rostopic echo -p` for a LaserScan: `%time`,
 `field.header.stamp`, `field.ranges0` and so on, with times in nanoseconds.
 """
 
 import csv
+import math
 import re
 from collections import Counter
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from occmap.errors import LogError
-from occmap.readers.text import Line, parse_stamp
-from occmap.types import shorten
+import numpy as np
 
+from occmap.errors import LogError
+from occmap.readers.kernels import ANY, NANOSECONDS, NUMBER, RANGE, SAME, SECONDS
+from occmap.readers.text import Line, make_planar, round_limit, stack_planar
+from occmap.readers.text_log import Pattern, Table
+from occmap.types import (
+    Float32,
+    Float64,
+    Scan,
+    ScanRun,
+    as_float32,
+    parse_nanoseconds,
+    parse_seconds,
+    shorten,
+)
+
+TOPIC = "scan"
 POSE_NAMES = ("x", "y", "yaw")
 REQUIRED = ("stamp", "angle_min", "angle_increment")
 DEFAULTS = {"range_min": "0", "range_max": "inf", "time_increment": "0", "frame": "laser"}
+MEASURED = frozenset(("time_increment", *POSE_NAMES))
+"""Numbers that differ between the scans of one laser, as stamps and ranges do."""
 NAMES = frozenset((*REQUIRED, *DEFAULTS, *POSE_NAMES))
 """What may stand as a column or in a comment; beams are columns only."""
 ALIASES = {"stamp": ("time", "timestamp", "t"), "yaw": ("theta", "heading")}
 """What other programs call a column; none is read as it, for its unit may be another."""
-BEAM = re.compile(r"r\d+")
 ROSTOPIC = "%time"
 """How the header of `rostopic echo -p` starts."""
 _ROSTOPIC_BEAM = re.compile(r"field\.ranges(\d+)")
@@ -49,22 +66,79 @@ class Layout:
     """The cell of each beam, from r0 on."""
     constants: Mapping[str, str]
     """The text of each of `NAMES` that is no column and has a value."""
-    stamp_unit: str = "s"
-    """"s" or "ns"."""
+    parse_stamp: Callable[[str], int]
+    """Parses a time, as nanoseconds; raises ValueError."""
 
-    @property
-    def has_pose(self) -> bool:
-        """Whether the log states poses."""
-        return "x" in self.columns or "x" in self.constants
+    def parse(self, text: str) -> Scan:
+        """Parse a row; raises ValueError, naming the column."""
+        cells = split_cells(text)
+        if len(cells) != len(self.header):
+            raise ValueError(f"{len(cells)} cells where the header has {len(self.header)}")
+        texts = {**self.constants, **{name: cells[at] for name, at in self.columns.items()}}
+        try:
+            stamp_ns = self.parse_stamp(texts["stamp"])
+        except ValueError as error:
+            raise ValueError(f"stamp: {error}") from None
 
-    @property
-    def unused(self) -> list[str]:
-        """Columns that occmap does not know."""
-        return [name for name in self.header if name and not is_known(name)]
+        def read_finite(name: str) -> float:
+            value = read_number(name, texts[name])
+            if not math.isfinite(value):
+                raise ValueError(f"{name} is {value}, which is no angle or time")
+            return value
 
-    def pick(self, name: str, cells: list[str]) -> str:
-        """Pick the text of one of `NAMES` from a row or, where it is no column, its constant."""
-        return cells[self.columns[name]] if name in self.columns else self.constants[name]
+        def read_limit(name: str) -> float:
+            value = read_number(name, texts[name])
+            if math.isnan(value):
+                raise ValueError(f"{name} is nan, which is no limit")
+            return round_limit(value)
+
+        def read_place(name: str) -> float:
+            return read_number(name, texts[name].strip() or "nan")
+
+        return Scan(
+            stamp_ns=stamp_ns,
+            frame=texts["frame"].strip().lstrip("/"),
+            angle_min=read_finite("angle_min"),
+            angle_increment=read_finite("angle_increment"),
+            ranges=_read_beams([cells[at] for at in self.beams]),
+            range_min=read_limit("range_min"),
+            range_max=read_limit("range_max"),
+            time_increment=read_finite("time_increment"),
+            pose=make_planar(*map(read_place, POSE_NAMES)) if "x" in texts else None,
+            topic=TOPIC,
+            record_ns=stamp_ns,
+        )
+
+    def find_pattern(self, line: Line, _scan: Scan) -> Pattern:
+        """Say what rows like one have in common: all but times, ranges and poses."""
+        kinds = np.full(len(self.header), ANY, np.uint8)
+        for name, at in self.columns.items():
+            kinds[at] = NUMBER if name in MEASURED else SAME
+        if "stamp" in self.columns:
+            is_seconds = self.parse_stamp is parse_seconds
+            kinds[self.columns["stamp"]] = SECONDS if is_seconds else NANOSECONDS
+        kinds[list(self.beams)] = RANGE
+        return Pattern(line.raw.split(b","), b",", kinds)
+
+    def make_run(self, first: Scan, table: Table) -> ScanRun:
+        """Make scans of rows like the first; raises ValueError where one is malformed."""
+        scans = len(table.rows)
+
+        def take(name: str, constant: float) -> Float64:
+            at = self.columns.get(name)
+            return np.full(scans, constant) if at is None else table.values[at].copy()
+
+        increments = take("time_increment", first.time_increment)
+        if not np.isfinite(increments).all():
+            raise ValueError("time_increment is no time")
+        at = self.columns.get("stamp")
+        stamp_ns = np.full(scans, first.stamp_ns) if at is None else table.times[at].copy()
+        pose = [take(name, float(self.constants.get(name, "nan"))) for name in POSE_NAMES]
+        ranges = table.ranges
+        if list(self.beams) != sorted(self.beams):
+            ranges = ranges[:, np.argsort(np.argsort(self.beams))]
+        poses = None if first.pose is None else stack_planar(*pose)
+        return ScanRun(first, stamp_ns, stamp_ns, ranges, increments, poses)
 
 
 def read_layout(path: Path, header: Line, comments: Mapping[str, Line]) -> Layout:
@@ -75,23 +149,39 @@ def read_layout(path: Path, header: Line, comments: Mapping[str, Line]) -> Layou
     LogError
         A column is missing or stands twice, or a constant is no number.
     """
+
+    def fail(line: Line, found: str, fix: str) -> LogError:
+        return LogError(found, where=f"{path}:{line.number}", fix=fix)
+
     try:
         names = split_names(header.text)
     except ValueError as error:
-        raise _fail(path, header, f"malformed header: {error}", "correct it") from None
-    fault = _find_fault(names, {*names, *comments})
-    if fault is not None:
-        raise _fail(path, header, *fault)
+        raise fail(header, f"malformed header: {error}", "correct it") from None
+    if fault := _find_fault(names, {*names, *comments}):
+        raise fail(header, *fault)
+    constants = dict(DEFAULTS)
+    for name, line in comments.items():
+        if name not in names:
+            _, constants[name] = split_comment(line.text)
+            try:
+                _check_constant(name, constants[name])
+            except ValueError as error:
+                raise fail(line, str(error), f"write `# {name}: NUMBER`") from None
     places = {name: at for at, name in enumerate(names)}
-    beams = sum(1 for name in names if BEAM.fullmatch(name))
-    stated = {name: line for name, line in comments.items() if name not in names}
     return Layout(
         header=tuple(names),
         columns={name: at for name, at in places.items() if name in NAMES},
-        beams=tuple(places[f"r{beam}"] for beam in range(beams)),
-        constants=DEFAULTS | {name: _read_constant(path, line) for name, line in stated.items()},
-        stamp_unit="ns" if header.text.startswith(ROSTOPIC) else "s",
+        beams=tuple(places[f"r{beam}"] for beam in range(sum(map(_is_beam, names)))),
+        constants=constants,
+        parse_stamp=parse_nanoseconds if header.text.startswith(ROSTOPIC) else parse_seconds,
     )
+
+
+def _check_constant(name: str, text: str) -> None:
+    if name == "stamp":
+        parse_seconds(text)
+    elif name != "frame":
+        read_number(name, text)
 
 
 def split_cells(text: str) -> list[str]:
@@ -113,38 +203,24 @@ def split_cells(text: str) -> list[str]:
 def split_names(text: str) -> list[str]:
     """Split a header row, in occmap's own names; raises ValueError as `split_cells` does."""
     names = [cell.strip() for cell in split_cells(text)]
-    return [_translate(name) for name in names] if text.startswith(ROSTOPIC) else names
+    if text.startswith(ROSTOPIC):
+        return [_ROSTOPIC_NAMES.get(name) or _ROSTOPIC_BEAM.sub(r"r\1", name) for name in names]
+    return names
 
 
-def _translate(name: str) -> str:
-    """Bring a name of rostopic's to occmap's; others stay as they are."""
-    return _ROSTOPIC_NAMES.get(name) or _ROSTOPIC_BEAM.sub(r"r\1", name)
-
-
-def split_constant(text: str) -> tuple[str, str] | None:
-    """Split a comment `# name: value`; None where it is any other comment."""
-    name, value = _split_comment(text)
-    return (name, value) if name in NAMES else None
-
-
-def name_unused(text: str) -> str | None:
-    """Name what a comment `# name: number` states that means nothing here; None of any other."""
-    name, value = _split_comment(text)
-    with suppress(ValueError):
-        float(value)
-        return name if name.isidentifier() and name not in NAMES else None
-    return None
-
-
-def _split_comment(text: str) -> tuple[str, str]:
-    """Split a comment into what stands before its colon and behind it; "" where it has none."""
+def split_comment(text: str) -> tuple[str, str]:
+    """Split a comment `# name: value` into both; "" where it has no colon."""
     name, colon, value = text.lstrip("# \t").partition(":")
     return (name.strip(), value.strip()) if colon else ("", "")
 
 
 def is_known(name: str) -> bool:
     """Whether a column of this name means something to occmap."""
-    return name in NAMES or BEAM.fullmatch(name) is not None
+    return name in NAMES or _is_beam(name)
+
+
+def _is_beam(name: str) -> bool:
+    return name[:1] == "r" and name[1:].isdecimal()
 
 
 def read_number(name: str, text: str) -> float:
@@ -166,7 +242,7 @@ def _find_fault(names: list[str], given: set[str]) -> tuple[str, str] | None:
             other = next((other for other in ALIASES.get(name, ()) if other in names), None)
             add = f"add it, or a comment `# {name}: VALUE` for all rows"
             return f"no column {name}", f"rename the column {other} to it" if other else add
-    beams = sum(1 for name in names if BEAM.fullmatch(name))
+    beams = sum(map(_is_beam, names))
     for name in (f"r{beam}" for beam in range(max(beams, 1))):
         if name not in given:
             hint = "" if beams else "; a file of poses alone is given with `poses`"
@@ -174,18 +250,10 @@ def _find_fault(names: list[str], given: set[str]) -> tuple[str, str] | None:
     return None
 
 
-def _read_constant(path: Path, line: Line) -> str:
-    """Return the text of a constant after a check that it can be read."""
-    name, text = split_constant(line.text) or ("", "")
+def _read_beams(texts: list[str]) -> Float32:
     try:
-        if name == "stamp":
-            parse_stamp(text)
-        elif name != "frame":
-            read_number(name, text)
-    except ValueError as error:
-        raise _fail(path, line, str(error), f"write `# {name}: NUMBER`") from None
-    return text
-
-
-def _fail(path: Path, line: Line, found: str, fix: str) -> LogError:
-    return LogError(found, where=f"{path}:{line.number}", fix=fix)
+        return as_float32([float(text or "nan") for text in texts])
+    except ValueError:
+        names = (f"column r{beam}" for beam in range(len(texts)))
+        checked = [text.strip() or "nan" for text in texts]
+        return as_float32(list(map(read_number, names, checked)))

@@ -11,6 +11,7 @@ extent beforehand and check no bounds.
 """
 
 import argparse
+import gzip
 import json
 import os
 import platform
@@ -25,7 +26,7 @@ import numba
 from tests.bench import limits, process_limits, tables
 from tests.bench.engine import Figure, check_equal, measure_engine
 from tests.bench.foreign import has_pyoctomap, time_pyoctomap
-from tests.bench.logs import write_mcap
+from tests.bench.logs import write_carmen, write_csv, write_mcap
 from tests.bench.measuring import Times
 from tests.bench.stages import Stages, measure_stages
 from tests.bench.workloads import Sensor, Workload, make_office, make_yard, read_workload
@@ -83,6 +84,7 @@ class Bench:
         few = make_office("office, 1081 beams", WIDE, self._settings.scans)
         self._measure_engines(few)
         self._measure_stages(few)
+        self._measure_texts(few)
         self._measure_many(few)
         self._measure_processes()
         show(tables.draw_rows(self.results.rows))
@@ -131,6 +133,15 @@ class Bench:
     def _measure_stages(self, office: Workload) -> None:
         self.results.stages = measure_stages(office, self._folder, self._settings.rounds)
         show(tables.draw_stages(office.scans, self.results.stages))
+
+    def _measure_texts(self, office: Workload) -> None:
+        rounds, rows = 2 * self._settings.rounds, self.results.rows
+        for name, write in (("CSV", write_csv), ("CARMEN", write_carmen)):
+            rows.append(limits.compare_loadtxt(write(office, self._folder), name, 1 / 3, rounds))
+        if FREIBURG.exists():
+            log = self._folder / "freiburg-079.log"
+            log.write_bytes(gzip.decompress(FREIBURG.read_bytes()))
+            rows.append(limits.compare_loadtxt(log, "freiburg-079 as plain text", 0.4, rounds))
 
     def _measure_many(self, few: Workload) -> None:
         """What needs ten times the scans."""

@@ -6,12 +6,15 @@ from functools import partial
 from pathlib import Path
 from time import perf_counter, process_time
 
+import numpy as np
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
+from occmap.opening import choose_topics
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.types import Update
+from occmap.readers import open_log, read_scans
+from occmap.types import Scan, ScanRun, Update
 from tests.bench.engine import COUNTS, trace
 from tests.bench.measuring import Times, time_in_turn
 from tests.bench.workloads import Workload
@@ -126,6 +129,24 @@ def compare_rosbags(log: Path, rounds: int) -> list[Row]:
         )
         for update, limit in ROSBAGS_LIMITS.items()
     ]
+
+
+def compare_loadtxt(log: Path, what: str, limit: float, rounds: int) -> Row:
+    """Open and read a text log, against NumPy reading a table of its ranges alone."""
+    table = log.with_suffix(".ranges")
+    np.savetxt(table, np.vstack([some.ranges for some in read_all(log)]), fmt="%.6g")
+    runs: dict[str, Callable[[], object]] = {
+        "read": partial(read_all, log),
+        "loadtxt": partial(np.loadtxt, table),
+    }
+    times = time_in_turn(runs, rounds)
+    return compare(times, ("read", "loadtxt"), f"read {what} / np.loadtxt of its ranges", limit)
+
+
+def read_all(path: Path) -> list[Scan | ScanRun]:
+    """Every scan of a log."""
+    log = open_log(path)
+    return list(read_scans(log, choose_topics(log, [])))
 
 
 def compare_tenfold_time(logs: Mapping[int, Path], rounds: int) -> list[Row]:

@@ -213,6 +213,16 @@ def test_a_bad_row_names_line_and_column(
     assert "\n" not in str(caught.value)
 
 
+def test_rows_that_are_all_unlike_the_header_are_one_error_with_their_count(tmp_path: Path) -> None:
+    log = open_text(tmp_path, "\n".join([HEADER, *[f"{ROW},1"] * 1200, ""]))
+    with pytest.raises(LogError) as caught:
+        list(log.scans(["scan"]))
+    assert str(caught.value).endswith(
+        "log.csv:2: 13 cells where the header has 12 (1,200 of 1,200 lines are malformed); "
+        "correct the header or these rows"
+    )
+
+
 def test_bytes_that_are_no_text_name_the_line(tmp_path: Path) -> None:
     content = f"{HEADER}\n{ROW}\n".encode() + b"\xff\x00\n"
     log = open_text(tmp_path, content)

@@ -7,7 +7,7 @@ import pytest
 
 from occmap.errors import LogError
 from occmap.readers import Note, text
-from occmap.readers.text import Block, Line, parse_stamp, read_blocks
+from occmap.readers.text import Block, Line, read_blocks
 
 
 def list_lines(block: Block) -> list[Line]:
@@ -108,33 +108,10 @@ def test_a_missing_file_is_a_log_error(tmp_path: Path) -> None:
         read(tmp_path / "log")
 
 
-@pytest.mark.parametrize(
-    ("seconds", "nanoseconds"),
-    [
-        ("1700000000.123456789", 1_700_000_000_123_456_789),
-        ("0", 0),
-        ("-1.5", -1_500_000_000),
-        ("1.13486e+09", 1_134_860_000_000_000_000),
-        ("0.0000000014", 1),
-        (" 2.5 ", 2_500_000_000),
-    ],
-)
-def test_stamps_are_exact(seconds: str, nanoseconds: int) -> None:
-    assert parse_stamp(seconds) == nanoseconds
-
-
-@pytest.mark.parametrize(
-    "wrong", ["", "noon", "nan", "inf", "1e999999999", "1e10", "1,5", "\ufffd"]
-)
-def test_what_is_no_stamp_is_a_value_error(wrong: str) -> None:
-    with pytest.raises(ValueError, match="no time in seconds"):
-        parse_stamp(wrong)
-
-
 def test_a_block_of_lines_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(text, "BLOCK_BYTES", 10)
     (tmp_path / "log").write_bytes(b"one\ntwo\nthree\na longer line\nlast")
-    blocks = list(read_blocks(tmp_path / "log", []))
+    blocks = read_blocks(tmp_path / "log", [])
     assert [(block.number, [line.raw for line in list_lines(block)]) for block in blocks] == [
         (1, [b"one", b"two"]),
         (3, [b"three"]),

@@ -1,6 +1,7 @@
 """Loops over the text of logs, compiled by numba; what is said here needs no numba."""
 
-NUMBER, SECONDS, NANOSECONDS, ANY = range(4)
-"""What a word of a line is: a number, a time in either unit, or nothing that is asked for."""
-PADDING = b"\n" * 8
-"""What must follow the last line: words are looked at eight bytes at a time."""
+ANY, SAME, SECONDS, NANOSECONDS, NUMBER, RANGE = range(6)
+"""What a word of a line is: nothing that is asked for, the same in every line, a time in either
+unit, a number, or the range of a beam."""
+PADDING = b"\n" * 16
+"""What must follow the last line: words are looked at up to sixteen bytes at a time."""

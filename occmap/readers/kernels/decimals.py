@@ -8,32 +8,38 @@ word is left to the caller.
 import numpy as np
 
 from occmap.jit import kernel
-from occmap.readers.kernels import ANY, NUMBER, SECONDS
-from occmap.types import Float64, Int64, UInt8, UInt64
+from occmap.readers.kernels import ANY, NUMBER, RANGE, SAME, SECONDS
+from occmap.types import Bool, Float32, Float64, Int64, UInt8, UInt64
 
 MOST_DIGITS = 15
 """Every integer of this many digits is below 2 to the power of 53."""
 MOST_TIME_DIGITS = 19
 """Whole nanoseconds of this many digits fit 64 bits where the first is not 9."""
 POWERS: Float64 = np.array([float(10**n) for n in range(MOST_DIGITS + 1)])
-_ZERO, _NINE, _DOT, _MINUS, _BLANK, _END = map(ord, "09.- \n")
+_ZERO, _NINE, _DOT, _MINUS, _BLANK, _QUOTE, _END = map(ord, '09.- "\n')
 
 _INF, _NAN = (np.uint64(int.from_bytes(word, "little")) for word in (b"inf", b"nan"))
 _THREE_BYTES = np.uint64(0xFFFFFF)
-_ZEROS = np.uint64(0x3030303030303030)
-_BEYOND_NINE = np.uint64(0x7676767676767676)
-"""Added to digits, it sets the highest bit of every byte that is none."""
-_HIGHEST = np.uint64(0x8080808080808080)
+
+# Eight bytes of text as one number, the first byte lowest.
 _DIGIT_BITS = np.uint64(0x1010101010101010)
 """Every digit has this bit; dots, commas, blanks and line ends have not."""
+_ZEROS = np.uint64(0x3030303030303030)
+"""What digits have in the upper half of a byte"""
+_UPPER, _LOWER = np.uint64(0xF0F0F0F0F0F0F0F0), np.uint64(0x0F0F0F0F0F0F0F0F)
+_SIXES = np.uint64(0x0606060606060606)
+"""Added to the lower halves of bytes, it sets a digit bit where they are above nine."""
 _PLACES = np.uint64(0x0001020304050607)
-"""Times the digit bit of a byte, it has the byte's number in its four highest bits."""
+"""Times a byte that is one, the highest byte is that byte's number."""
+_BYTE, _DOT_BYTE = np.uint64(0xFF), np.uint64(_DOT)
 _PAIRS, _FIRST_PAIRS, _LAST_PAIRS = (
     np.uint64(0x000000FF000000FF),
     np.uint64(100 + (1000000 << 32)),
     np.uint64(1 + (10000 << 32)),
 )
-_ONE, _FOUR, _EIGHT, _TEN, _SIXTEEN, _HALF, _SIXTY = map(np.uint64, (1, 4, 8, 10, 16, 32, 60))
+_NONE, _ONE, _FOUR, _EIGHT, _TEN, _SIXTEEN, _HALF, _LAST = map(
+    np.uint64, (0, 1, 4, 8, 10, 16, 32, 56)
+)
 
 
 @kernel
@@ -43,12 +49,15 @@ def parse_rows(
     starts: Int64,
     separator: int,
     kinds: UInt8,
+    same: UInt8,
     powers: Float64,
+    ranges: Float32,
     values: Float64,
     times: Int64,
+    alike: Bool,
     left: Int64,
 ) -> int:
-    """Parse the words of S lines that hold N each.
+    """Parse the words of S lines that hold N each; lines that hold more or fewer are passed over.
 
     Parameters
     ----------
@@ -62,57 +71,63 @@ def parse_rows(
         What stands between two words: one comma, or any number of blanks.
     kinds
         (N,) what each word of a line is.
+    same
+        Bytes: the words that are the same in every line, each with a separator behind it.
     powers
         `POWERS`.
+    ranges
+        (S, B) filled with the ranges, and with NaN where nothing stands between two commas.
     values
-        (S, N) filled with the numbers, and with NaN where nothing stands between two commas.
+        (N, S) filled likewise with other numbers.
     times
-        (S, N) filled with the times (ns); it may be the same memory, since no word is both.
+        (N, S) filled with the times (ns); it may be the same memory, since no word is both.
+    alike
+        (S,) filled with whether a line has N words, of which none is odd but those that are left.
     left
-        (M, 4) filled with row, column, start and end of each word that is left to the caller.
+        (M, 4) filled with row, column, start and end of each word that is left to the caller. A
+        line for which there is no more room counts as unlike.
 
     Returns
     -------
     int
-        How many words are left; -1 where a line has more or fewer words than N, or where more words
-        are left than there is room for.
+        How many words are left.
     """
-    rows, cols = values.shape
+    cols = len(kinds)
     lefts = 0
-    for row in range(rows):
-        at = starts[row]
-        for col in range(cols):
+    # Most ranges are written as those before them, in up to seven bytes. One comparison tells that
+    # a word has this usual form, and then its digits are taken all at once.
+    usual, usual_bits, misses = _ONE, _NONE, 0  # the form of no word
+    before, beyond, step, power = _NONE, _NONE, _NONE, 1.0
+    for row in range(len(starts)):
+        # No index is negative, and numba need not look whether it is.
+        at, told, col, beam = np.uint64(starts[row]), _NONE, 0, 0
+        while col < cols:
+            while kinds[col] == RANGE and col < cols - 1:
+                word = eights[at]
+                digits = (word & before) | ((word >> _EIGHT) & beyond)
+                if word & usual_bits != usual or (digits + _SIXES) & _DIGIT_BITS:
+                    break
+                digits = digits * _TEN + (digits >> _EIGHT)
+                pairs, others = digits & _PAIRS, (digits >> _SIXTEEN) & _PAIRS
+                digits = (pairs * _FIRST_PAIRS + others * _LAST_PAIRS) >> _HALF
+                ranges[row, beam] = np.float64(np.int64(digits)) / power
+                at += step
+                col += 1
+                beam += 1
+                misses = 0
             while separator == _BLANK and text[at] == _BLANK:
-                at += 1
-            kind = kinds[col]
-            # The usual number, digits with a dot between, up to seven bytes, all at once. No index
-            # is negative, and numba need not look whether it is.
-            place = np.uint64(at)
-            word = eights[place]
-            others = ~word & _DIGIT_BITS
-            dot = others & (~others + _ONE)
-            others &= others - _ONE
-            end = others & (~others + _ONE)
-            whole, length = (dot * _PLACES) >> _SIXTY, (end * _PLACES) >> _SIXTY
-            before, all_before = (dot >> _FOUR) - _ONE, (end >> _FOUR) - _ONE
-            word ^= _ZEROS
-            word = (word & before) | (((word & all_before) >> _EIGHT) & ~before)
-            after = text[place + length]
-            if (
-                kind == NUMBER
-                and length > _ONE
-                and text[place + whole] == _DOT
-                and (after in (separator, _END))
-                and not ((word + _BEYOND_NINE) | word) & _HIGHEST
-            ):
-                word = word * _TEN + (word >> _EIGHT)
-                word = (word & _PAIRS) * _FIRST_PAIRS + ((word >> _SIXTEEN) & _PAIRS) * _LAST_PAIRS
-                values[row, col] = np.float64(np.int64(word >> _HALF)) / powers[_EIGHT - whole]
-                at += np.int64(length)
+                at += _ONE
+            kind, start = kinds[col], at
+            if kind == SAME:
+                while same[told] != separator and same[told] == text[at]:
+                    told += _ONE
+                    at += _ONE
+                if same[told] != separator or text[at] not in (separator, _END):
+                    break
+                told += _ONE
             else:
-                start = at
                 if text[at] == _MINUS:
-                    at += 1
+                    at += _ONE
                 first, number, dots, decimals = at, np.int64(0), 0, 0
                 while True:
                     if _ZERO <= text[at] <= _NINE:
@@ -123,23 +138,50 @@ def parse_rows(
                         dots = 1
                     else:
                         break
-                    at += 1
-                count, is_read = at - first - dots, True
+                    at += _ONE
+                count, is_read, has_quote = int(at - first) - dots, True, False
                 if text[at] != separator and text[at] != _END:
                     count = 0
                     while text[at] != separator and text[at] != _END:
-                        at += 1
-                if at == start and separator == _BLANK:
-                    return -1
-                if kind == NUMBER:
-                    value, name = np.nan, eights[first] & _THREE_BYTES
+                        has_quote |= text[at] == _QUOTE
+                        at += _ONE
+                if has_quote or (at == start and separator == _BLANK):
+                    break  # a quote may hold a separator
+                if kind >= NUMBER:
+                    size, name = np.int64(at - first), eights[first] & _THREE_BYTES
+                    value = np.nan
                     if 0 < count <= MOST_DIGITS:
                         value = number / powers[decimals]
-                    elif at - first == 3 and name == _INF:
+                    elif size == 3 and name == _INF:
                         value = np.inf
-                    elif at - first != 3 or name != _NAN:
+                    elif size != 3 or name != _NAN:
                         is_read = at == start  # an empty cell
-                    values[row, col] = -value if start < first else value
+                    value = -value if start < first else value
+                    if kind == RANGE:
+                        ranges[row, beam] = value
+                        beam += 1
+                        misses += 1
+                    else:
+                        values[col, row] = value
+                    if (
+                        misses > 1
+                        and first == start
+                        and 0 < count < 8 - dots
+                        and text[at] == separator
+                    ):
+                        misses = 0
+                        step, power = np.uint64(count + dots + 1), powers[8 - count + decimals]
+                        dot_at, end_at = (
+                            np.uint64(8 * (count - decimals)),
+                            np.uint64(8 * (count + dots)),
+                        )
+                        word_bits = (_ONE << end_at) - _ONE
+                        before = ((_ONE << dot_at) - _ONE) & _LOWER
+                        beyond = (word_bits >> _EIGHT) & _LOWER & ~before
+                        usual_bits = (
+                            word_bits & _UPPER | np.uint64(255 * dots) << dot_at | _BYTE << end_at
+                        )
+                        usual = eights[start] & usual_bits
                 elif kind != ANY:
                     more = 9 - decimals if kind == SECONDS else 0
                     is_plain = start == first and more >= 0 and (kind == SECONDS or dots == 0)
@@ -148,19 +190,20 @@ def parse_rows(
                     if is_read:
                         for _ in range(more):
                             number *= 10
-                        times[row, col] = number
+                        times[col, row] = number
                 if not is_read:
                     if lefts == len(left):
-                        return -1
+                        break
                     left[lefts, 0], left[lefts, 1] = row, col
                     left[lefts, 2], left[lefts, 3] = start, at
                     lefts += 1
             if col < cols - 1:
                 if text[at] == _END:
-                    return -1
-                at += 1
-        while separator == _BLANK and text[at] == _BLANK:
-            at += 1
-        if text[at] != _END:
-            return -1
+                    break
+                at += _ONE
+            col += 1
+        else:
+            while separator == _BLANK and text[at] == _BLANK:
+                at += _ONE
+            alike[row] = text[at] == _END
     return lefts

@@ -1,0 +1,267 @@
+"""Logs of lines: those that are alike are parsed together, all others one by one."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple, Protocol, Self, TypeVar
+
+import numpy as np
+
+from occmap.errors import LogError
+from occmap.readers import Note, NoteList, Span, make_part
+from occmap.readers.kernels import NUMBER, PADDING, RANGE, SAME, SECONDS
+from occmap.readers.text import ALL, Block, Line, add_note, note_cut_line, split_lines
+from occmap.types import (
+    Float32,
+    Float64,
+    Int64,
+    Scan,
+    ScanRun,
+    UInt8,
+    as_float32,
+    parse_nanoseconds,
+    parse_seconds,
+    shorten,
+)
+
+Parsed = TypeVar("Parsed")
+
+MALFORMED_SHARE = 0.05
+"""A damaged disk spoils a line here and there; a file with more malformed lines is another kind."""
+SOUND_START = 20
+"""A file that begins with so many sound lines is a log, whatever follows."""
+
+NUMBER_CHARACTERS = b"+-.0123456789Ee naif"
+"""What programs write numbers with; where there is more, Python and NumPy differ."""
+
+
+class Pattern(NamedTuple):
+    """What lines that are parsed together have in common."""
+
+    words: Sequence[bytes]
+    """The words of one of them, N"""
+    separator: bytes
+    """What stands between two words: one comma, or any number of blanks"""
+    kinds: UInt8
+    """(N,) what each word is, as `occmap.readers.kernels` lists them"""
+
+
+class Table(NamedTuple):
+    """What S lines of N words say that are of one pattern."""
+
+    rows: list[int]
+    """Which lines of the block they are"""
+    ranges: Float32
+    """(S, B) in the order in which they stand; NaN where nothing stands between two commas"""
+    values: Float64
+    """(N, S) other numbers, likewise"""
+    times: Int64
+    """(N, S) ns, where a word is a time"""
+
+
+class LineForm(Protocol):
+    """How the lines of a log become scans."""
+
+    def parse(self, text: str) -> Scan:
+        """Parse a line; raises ValueError where it is malformed."""
+
+    def find_pattern(self, line: Line, scan: Scan) -> Pattern:
+        """Say what lines like one that is sound have in common; raises ValueError of odd ones."""
+
+    def make_run(self, first: Scan, table: Table) -> ScanRun:
+        """Make scans of what lines like the first say; raises ValueError where one is malformed."""
+
+
+class LineTally:
+    """Counts the malformed ones among lines of one kind, to tell damage from a wrong file."""
+
+    def __init__(self) -> None:
+        self.total = 0
+        self.malformed = 0
+        self._first: tuple[int, int, str] | None = None
+
+    def add(self, line: Line, fault: str = "") -> None:
+        """Count a line; `fault` says what is wrong with it."""
+        self.total += 1
+        if fault:
+            self.malformed += 1
+            self._first = self._first or (self.total, line.number, fault)
+
+    def judge(self, path: Path, notes: list[Note], fix: str) -> None:
+        """Note what is damaged.
+
+        Raises
+        ------
+        LogError
+            The first line of all is malformed, or more than `MALFORMED_SHARE` of them where one of
+            the first `SOUND_START` is and no damage is known that explains it.
+        """
+        if self._first is None:
+            return
+        at, number, fault = self._first
+        is_many = self.malformed > MALFORMED_SHARE * self.total and at <= SOUND_START
+        if at == 1 or (is_many and not any(note.damage for note in notes)):
+            count = f" ({self.malformed:,} of {self.total:,} lines are malformed)"
+            found = fault + (count if self.malformed > 1 else "")
+            raise LogError(found, where=f"{path}:{number}", fix=fix)
+        count = f"{self.malformed} of {self.total} lines are malformed and left out"
+        add_note(notes, Note(f"{count}, the first is line {number}: {fault}", damage=True))
+
+
+def parse_table(block: Block, rows: Sequence[int], pattern: Pattern) -> Table:
+    """Parse those of some lines, by their indices, that are of a pattern.
+
+    Lines that are not are left out, and so are some that hold words that few programs write.
+    """
+    from occmap.readers.kernels.decimals import POWERS, parse_rows  # noqa: PLC0415  late
+
+    words, separator, kinds = pattern
+    if len(words) != len(kinds):
+        raise ValueError("there are too few or too many words")
+    same = b"".join(words[at] + separator for at in np.flatnonzero(kinds == SAME).tolist())
+    beams = np.cumsum(kinds == RANGE) - 1
+    text = block.text
+    read = np.array(rows[: len(text) // len(kinds)])  # every word has its separator
+    ranges = np.empty((len(read), beams[-1] + 1), np.float32)
+    values = np.empty((len(kinds), len(read)))
+    times, alike = values.view(np.int64), np.zeros(len(read), np.bool_)
+    left = np.empty((values.size // 8 + 64, 4), np.int64)
+    count = parse_rows(
+        np.frombuffer(text, np.uint8),
+        np.ndarray(len(text) - 7, "<u8", text, strides=(1,)),
+        block.starts[read],
+        ord(separator),
+        kinds,
+        np.frombuffer(same + PADDING, np.uint8),
+        POWERS,
+        ranges,
+        values,
+        times,
+        alike,
+        left,
+    )
+    for row, col, start, end in left[:count].tolist():
+        word, kind = bytes(text[start:end]), kinds[col]
+        try:
+            if kind == RANGE:
+                ranges[row, beams[col]] = as_float32(_parse_odd(word))
+            elif kind == NUMBER:
+                values[col, row] = _parse_odd(word)
+            else:
+                parse = parse_seconds if kind == SECONDS else parse_nanoseconds
+                times[col, row] = parse(word.decode("utf-8", "replace"))
+        except ValueError:
+            alike[row] = False
+    if not alike.all():
+        read, ranges, values = read[alike], ranges[alike], values[:, alike]
+    return Table(read.tolist(), ranges, values, values.view(np.int64))
+
+
+@lru_cache(maxsize=64)
+def _parse_odd(word: bytes) -> float:
+    """Parse a number that few programs write so; a log repeats those of its laser in every line."""
+    if word.translate(None, NUMBER_CHARACTERS):
+        raise ValueError(f"{shorten(word.decode(errors='replace'))} where a number belongs")
+    return float(word.strip() or "nan")
+
+
+class TextLog(ABC):
+    """An opened log of lines: what logs of all text formats do."""
+
+    form: LineForm
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.notes: list[Note] = NoteList()
+        self._span = ALL
+        self._kept: list[Scan | ScanRun] | None = None
+        """The scans of a log that were read when it was opened"""
+
+    @abstractmethod
+    def _walk(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Sequence[int]]]]:
+        """Yield blocks, and which of their lines are scans, by kind."""
+
+    @abstractmethod
+    def _tell(self, line: Line, fault: str, tally: LineTally) -> None:
+        """Count a line that is malformed."""
+
+    def _is_heading(self, _raw: bytes) -> bool:
+        """Whether a line may stand before the first that counts."""
+        return False
+
+    def scans(self, topics: Collection[str]) -> Iterator[Scan]:
+        """The scans of these topics, in file order.
+
+        Raises
+        ------
+        LogError
+            The first line is malformed, or so many are that this is no damage.
+        """
+        for some in self.stacked_scans(topics):
+            yield from some.split() if isinstance(some, ScanRun) else (some,)
+
+    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
+        """The same, with many at once where only times, ranges and poses differ."""
+        tally = LineTally()
+        read = (some for each in self._walk(self._span) for some in self._parse_block(*each, tally))
+        for some in read if self._kept is None else self._kept:
+            if some.first.topic in topics and some.first.ranges.size:
+                yield some
+
+    def split(self, size: int) -> Sequence[Self]:
+        """Cut the log into parts of about `size` bytes, as `occmap.readers.Splittable` says."""
+        damaged = any(note.damage for note in self.notes)
+        spans = [ALL] if damaged else split_lines(self.path, size, self._is_heading)
+        return [make_part(self, _span=span, _kept=None) for span in spans]
+
+    def _parse_block(
+        self, block: Block, kinds: Mapping[str, Sequence[int]], tally: LineTally
+    ) -> Iterator[Scan | ScanRun]:
+        """Yield the scans in some lines, in the order of the log, passing over damaged ones."""
+        scans: dict[int, Scan] = {}
+        for rows in kinds.values():
+            if found := self._parse_together(block, rows):
+                at, run = found
+                if len(kinds) == 1 and run.scans == len(rows):
+                    tally.total += run.scans
+                    yield run
+                    return
+                scans |= zip(at, run.split(), strict=True)
+        for row in sorted(row for rows in kinds.values() for row in rows):
+            if row in scans:
+                tally.total += 1
+                yield scans[row]
+            elif scan := self._parse(block.get_line(row), self.form.parse, tally):
+                yield scan
+
+    def _parse_together(
+        self, block: Block, rows: Sequence[int]
+    ) -> tuple[list[int], ScanRun] | None:
+        """Parse those lines of one kind that are like the first sound one; say which they are."""
+        first = None
+        for line in block.pick_lines(rows):
+            with suppress(ValueError):
+                first = self.form.parse(line.text)
+                break
+        if first is None or len(rows) == 1:
+            return None
+        with suppress(ValueError):
+            table = parse_table(block, rows, self.form.find_pattern(line, first))
+            if table.rows[:1] == [line.number - block.number]:
+                return table.rows, self.form.make_run(first, table)
+        return None
+
+    def _parse(self, line: Line, parse: Callable[[str], Parsed], tally: LineTally) -> Parsed | None:
+        """Parse a line and count it; one that is damaged gives None."""
+        try:
+            parsed = parse(line.text)
+        except ValueError as error:
+            if line.ended:
+                self._tell(line, str(error), tally)
+            else:
+                note_cut_line(self.notes, line)
+            return None
+        tally.add(line)
+        return parsed
