@@ -551,7 +551,7 @@ def test_diff_gives_what_the_command_prints(halves: Path, tmp_path: Path) -> Non
     assert printed == {**printed, **as_printed(found.to_json())}
     assert found.share > 0
     assert (tmp_path / "mine.png").read_bytes() == (tmp_path / "its.png").read_bytes()
-    with pytest.raises(UsageError, match="is no picture"):
+    with pytest.raises(UsageError, match="is not a picture"):
         occmap.diff(before, after, picture="diff.jpg")
     with pytest.raises(UsageError, match="diff has no option 'occupied'; did you mean 'occupied_"):
         occmap.diff(before, after, occupied=0.6)

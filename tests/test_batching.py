@@ -130,7 +130,7 @@ def test_a_range_limit_that_none_can_be_is_none_and_told(
     (batch,) = batcher.stack(run.split() if single else [run])
     assert (batch.range_min, batch.range_max) == (0.0, math.inf)
     assert list(limits.list_notes()) == [
-        f"/scan states {told} as its range limit, which is none; no value stands for "
+        f"/scan states {told} as its range limit, which is not a usable one; no value stands for "
         '"no return", so every range is used as measured: `range_max` sets a limit'
     ]
 

@@ -92,7 +92,7 @@ def read_config(path: Path, command: click.Command, typed: Mapping[str, Any]) ->
         found = f"cannot be read ({error.strerror})"
         raise UsageError(found, where=path, fix="check the path of --config") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"is no TOML ({error})", where=path) from None
+        raise UsageError(f"is not TOML ({error})", where=path) from None
     tables = {name: values.pop(name) for name in COMMANDS if isinstance(values.get(name), dict)}
     for name in (name for name, value in values.items() if isinstance(value, dict)):
         fix = suggest(name, list(COMMANDS), "occmap --help")

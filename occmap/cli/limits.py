@@ -8,7 +8,7 @@ import click
 from occmap.cli.console import Console
 from occmap.cli.sections import Command, option
 from occmap.errors import OccmapError
-from occmap.gates import SHARE, Failed, judge, parse_limit
+from occmap.gates import Failed, judge, parse_limit
 from occmap.gates.measures import Measures
 from occmap.plain import Printed, to_plain
 
@@ -16,10 +16,9 @@ LIMITS = "Limits"
 LIMIT_BROKEN = 3
 
 
-def fail_if(measures: Measures) -> Callable[[Command], Command]:
+def fail_if(measures: Measures, example: str) -> Callable[[Command], Command]:
     """Declare the option that sets limits on what a command measures."""
     names = ", ".join(measure.name for measure in measures)
-    share = next(measure.name for measure in measures if measure.unit == SHARE)
     return option(
         LIMITS,
         "--fail-if",
@@ -27,8 +26,8 @@ def fail_if(measures: Measures) -> Callable[[Command], Command]:
         type=lambda text: parse_limit(text, measures),
         multiple=True,
         metavar='"NAME > NUMBER"',
-        help=f'Exit with 3 where this holds, such as "{share} > 5%"; < <= >= == != '
-        f"work, too. May repeat. Names: {names}.",
+        help=f'Exit with 3 if this is true, such as "{example}"; < <= >= == != work, too. '
+        f"May repeat. Names: {names}.",
     )
 
 

@@ -5,13 +5,17 @@ from occmap.cli.options import POSES, RANGES, SCANS, fields
 ranges = fields(
     RANGES,
     min_range=("M", "Ignore nearer ranges."),
-    max_range=("M", "Use beams up to here; a longer one is free up to here.", "no limit"),
+    max_range=(
+        "M",
+        "Use beams only up to here; a longer one clears the space up to here.",
+        "no limit",
+    ),
     range_max=(
         "M",
-        "The sensor's limit: at or beyond it nothing came back.",
+        "Ranges at or beyond this count as no return.",
         "what the log states",
     ),
-    no_return=("", "Where nothing came back: free up to the limit, or nothing known."),
+    no_return=("", "A beam without return clears the space up to the limit, or says nothing."),
     ignore_sectors=(
         "FROM,TO",
         "Leave out the beams from one bearing counter-clockwise to another (rad, as the sensor "
@@ -27,8 +31,8 @@ ranges = fields(
 selection = fields(
     SCANS,
     topics=("TOPIC", "Use the scans of this topic. May repeat.", "all"),
-    start_s=("S", "Leave out scans before this time after the first."),
-    end_s=("S", "Leave out scans from this time after the first on."),
+    start_s=("S", "Use scans from this time after the first on."),
+    end_s=("S", "Use scans before this time after the first."),
     stride=("N", "Use every N-th of these scans."),
     echo=("", "MultiEchoLaserScan: the echo of a beam that counts."),
     min_height=("M", "PointCloud2: use points from this height over the sensor on."),
@@ -49,13 +53,13 @@ posing = fields(
     map_frame=("FRAME", "Map in this frame.", "map, else odom, else the root"),
     transform=(
         "X,Y,YAW",
-        "Where the logs' map frame lies in the map that is made (m, rad), so that sessions in "
-        "frames of their own make one map.",
+        "Pose of the logs' map frame in the new map (m, rad), to join sessions that have a frame "
+        "each.",
     ),
     base_frame=("FRAME", "The moving body that --sensor-pose is on."),
-    max_pose_gap_s=("S", "Interpolate no poses across a longer gap."),
-    max_speed=("M/S", "Leave out scans that lie further from those before and after."),
+    max_pose_gap_s=("S", "Leave out scans in a longer gap between poses."),
+    max_speed=("M/S", "Leave out scans whose poses leap away faster than this, and back."),
     time_offset_s=("S", "Add this to the stamps of scans."),
-    stamps=("", "Believe the time that the driver wrote, or the recorder's."),
+    stamps=("", "Use the times that the driver wrote, or the recorder's."),
     deskew=("", "Give every beam of a scan a pose of its own."),
 )

@@ -75,9 +75,9 @@ output = option(
     type=PATH,
     multiple=True,
     metavar="FILE",
-    help="Write the map here; the suffix picks the format: .pgm, .png, .html for a page, .mcap for "
-    "Foxglove and RViz, .tum or .csv for the trajectory, or .npz for what can be "
-    "rendered, merged and resumed (.zarr and .tiles: in parts). May repeat.",
+    help="Write the map here; the suffix picks the format: .pgm, .png, .tif or .tiles for large "
+    "maps, .html for a page, .mcap for Foxglove and RViz, .tum or .csv for the trajectory, .npz "
+    "for evidence to render, merge and resume, or .zarr for the same in blocks. May repeat.",
 )
 
 
@@ -112,7 +112,7 @@ writing = join(
 resume = fields(
     FILES,
     resume=("NPZ", "Add to the evidence in this file, which -o may name again."),
-    resume_if_there=("NPZ", "The same where the file exists; else start anew."),
+    resume_if_there=("NPZ", "As --resume if the file exists; otherwise start a new map."),
 )
 
 resolution = field(MAP, "resolution", "M", "Side of a cell.")
@@ -121,9 +121,15 @@ lattice = join(
     resolution,
     fields(
         MAP,
-        jump=("M", "Neighbours see one surface where ranges differ by at most this."),
-        hit_offset=("CELLS", "A hit lies so far behind the measured point, which is on a surface."),
-        border_gap=("CELLS", "polygon: close a surface over so many cells between end cells."),
+        jump=(
+            "M",
+            "Two neighbouring beams meet one surface if their ranges differ by at most this.",
+        ),
+        hit_offset=(
+            "CELLS",
+            "Move each hit this far behind the measured point, which is on a surface.",
+        ),
+        border_gap=("CELLS", "polygon: join end cells on one surface up to this far apart."),
     ),
     max_cells,
 )
@@ -132,7 +138,7 @@ align = field(
     MAP,
     "align",
     "[DEG]",
-    "Turn the map by so many degrees counter-clockwise; without a number by the smallest angle "
+    "Turn the map by this many degrees counter-clockwise; without a number, by the smallest angle "
     "that brings its walls along the axes.",
     "not turned",
     cls=BareOption,
@@ -144,7 +150,7 @@ framing = fields(
     MAP,
     extent=(
         "X_MIN,Y_MIN,X_MAX,Y_MAX",
-        "Cover exactly this box (m), to whole cells; evidence (.npz) stays whole.",
+        "Cover exactly this box (m), to whole cells; an .npz still holds everything.",
         "what was observed",
     ),
     margin=("M", "Add unknown space around what was observed."),
@@ -154,10 +160,12 @@ min_passes = field(
     MAP,
     "min_passes",
     "K",
-    "Forget hits of cells that were hit on fewer visits, such as people; keep walls that were hit "
-    "on most.",
+    "Keep the hits of a cell only if they came on at least this many visits: drops people who "
+    "passed once.",
 )
-pass_gap = field(MAP, "pass_gap_s", "S", "Two visits of a cell lie at least so far apart.")
+pass_gap = field(
+    MAP, "pass_gap_s", "S", "Sightings of a cell at least this far apart are two visits."
+)
 
 
 def model_option(usual: str) -> Any:
@@ -180,12 +188,12 @@ model_parameters = join(
     parameter("--p-hit", "simple: probability of occupied, given one hit."),
     parameter("--p-miss", "simple: probability of occupied, given one miss."),
     parameter("--epsilon", "quadratic: half the depth of a hit.", "M"),
-    parameter("--p-min", "quadratic: no observation is surer than this."),
+    parameter("--p-min", "quadratic: keep each observation within [P, 1 - P]."),
     parameter("--prior", "Probability of occupied before any observation."),
     parameter("--cut", "A cell is occupied above this probability, free below."),
     parameter("--spread", "How much of a hit counts for each cell beside it.", "SHARE"),
-    parameter("--clamp-min", "No observed cell is less probably occupied than this."),
-    parameter("--clamp-max", "No observed cell is more probably occupied than this."),
+    parameter("--clamp-min", "Lowest probability of an observed cell."),
+    parameter("--clamp-max", "Highest probability of an observed cell."),
 )
 model = join(model_option(describe_model(DEFAULTS["model"])), model_parameters)
 saved_model = join(model_option("what it was built with"), model_parameters)
@@ -197,8 +205,8 @@ config = option(
     type=PATH,
     metavar="FILE",
     expose_value=False,
-    help="Options by their long names (TOML), for what is not typed; else occmap.toml beside the "
-    "logs.",
+    help="Read options from this TOML file, by their long names; typed ones win. Without it: "
+    "occmap.toml beside the logs.",
 )
 as_json = option(RUN, "--json", "as_json", is_flag=True, help="Print the result as JSON.")
 

@@ -223,7 +223,7 @@ def list_unexplained(
         yield f"the scans explain {sums}; other evidence was subtracted"
     else:
         makers = ", ".join(sorted({build["occmap"] for build in evidence.manifest.builds}))
-        yield f"the scans explain {sums}: the occmap that built it ({makers}) read them otherwise"
+        yield f"the scans explain {sums}: the occmap that built it ({makers}) read them differently"
 
 
 def describe_numbers(numbers: Numbers, kind: EvidenceKind, unit: int) -> str:

@@ -36,7 +36,7 @@ class Framing:
         require(0 <= self.margin <= FARTHEST_M, found, "give 0 or more")
         if self.extent is None:
             return
-        found = "a margin goes around what was observed, while the extent says where the map ends"
+        found = "`margin` and `extent` exclude each other"
         require(not self.margin, found, "leave out `margin` or `extent`")
         x_min, y_min, x_max, y_max = self.extent
         is_near = max(map(abs, self.extent)) <= FARTHEST_M

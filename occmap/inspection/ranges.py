@@ -28,7 +28,7 @@ SICK_CODES = (81.8, 81.95)
 """The SICK LMS writes 8183 to 8191 cm for its error codes; not all mean that space is open."""
 
 MEANINGS = {
-    "+inf": "nothing in reach (REP 117)",
+    "+inf": "did not come back (REP 117)",
     "= range_max": "the driver's way to say that nothing came back",
     "> range_max": "the driver's way to say that nothing came back",
     "-inf": "too close to measure (REP 117)",

@@ -38,7 +38,7 @@ def tell_notes(notes: Iterable[str], damage: Iterable[str] = ()) -> Section:
     plain = [note for note in notes if note not in damaged]
     blocks = [Block("list", texts=damaged, tone="problem")] if damaged else []
     blocks += [Block("list", texts=plain)] if plain else []
-    said = blocks or [Block("list", texts=["Nothing: no damage, no doubts."])]
+    said = blocks or [Block("list", texts=["Nothing: no damage and no warnings."])]
     return Section("What the command said", said, wide=True)
 
 

@@ -194,7 +194,9 @@ class RangeLimits:
             unstated = math.isinf(tally.stated)
             limit = "no range limit" if unstated else f"{tally.stated:g} m as its range limit"
             if topic in self._senseless:
-                limit = f"{self._senseless[topic]:g} m as its range limit, which is none"
+                limit = (
+                    f"{self._senseless[topic]:g} m as its range limit, which is not a usable one"
+                )
             band = tally.find_band()
             count = tally.above if band is None else band.count
             if count:

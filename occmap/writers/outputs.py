@@ -89,7 +89,7 @@ def check_picture(
     """
     if path.suffix.lower() not in suffixes:
         names = " or ".join(suffixes)
-        raise UsageError("is no picture", where=path, fix=f"give it a name that ends in {names}")
+        raise UsageError("is not a picture", where=path, fix=f"give it a name that ends in {names}")
     check_outputs([path], inputs)
 
 

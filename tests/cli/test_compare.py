@@ -114,7 +114,7 @@ def test_the_picture_shows_every_map_and_the_disagreement(log: Path, tmp_path: P
     ("words", "found"),
     [
         ([], "Missing argument 'LOG...'; write, for example, occmap compare drive.mcap"),
-        ([DRIVE, "-o", "map.pgm"], "map.pgm: is no picture; give it a name that ends in"),
+        ([DRIVE, "-o", "map.pgm"], "map.pgm: is not a picture; give it a name that ends in"),
         ([DRIVE, "-o", "a.png", "-o", "a.html"], "--output takes one file, and is given 2: a.png,"),
         ([DRIVE, "--update", "polygn"], "--update"),
         ([DRIVE, "--model", "simpel"], "did you mean 'simple'?"),

@@ -111,7 +111,7 @@ def test_options_of_other_commands_are_passed_over(log: Path) -> None:
         ("[check]\nstrid = 2", "no option is called 'strid'; did you mean 'stride'?"),
         ('resolution = "x"', "'x' is not a valid float; see `occmap build --help`"),
         ('deskew = "of"', "'of' is not one of 'auto', 'on', 'off'"),
-        ("stride = [", "is no TOML ("),
+        ("stride = [", "is not TOML ("),
     ],
 )
 def test_a_wrong_file_is_one_line(log: Path, text: str, found: str) -> None:
@@ -131,7 +131,7 @@ def test_an_output_of_the_file_that_a_command_cannot_make_names_the_file(log: Pa
     path = write(log, "output = 'z.pgm'")
     told = occmap("check", log)
     assert told.code == 2
-    assert f"error: {path}: z.pgm: is no picture" in told.err
+    assert f"error: {path}: z.pgm: is not a picture" in told.err
 
 
 def test_only_what_takes_effect_is_told(log: Path) -> None:

@@ -72,7 +72,7 @@ def test_the_limit_is_held(limit: str, code: int) -> None:
         (["x.pgm", "a.pgm"], 1, "x.pgm: no such file; check the path"),
         (["a.pgm", "a.log"], 2, "a.log: the suffix '.log' is not that of a map"),
         (["a.pgm"], 2, "Missing argument 'B'"),
-        (["a.pgm", "b.pgm", "-o", "d.jpg"], 2, "d.jpg: is no picture"),
+        (["a.pgm", "b.pgm", "-o", "d.jpg"], 2, "d.jpg: is not a picture"),
         (["a.pgm", "b.pgm", "-o", "d.png", "-o", "d.html"], 2, "--output takes one file"),
         (["a.pgm", "b.pgm", "-o", "no/d.png"], 1, "the folder no does not exist"),
         (["a.pgm", "b.pgm", "--fail-above", "lots"], 2, "'lots' is not a number"),

@@ -39,7 +39,10 @@ lies between them (surface). Without it: {DEFAULT_UPDATE}. A log that is called 
 """
 
 strict = option(
-    options.RUN, "--strict", is_flag=True, help="Exit with 1 where a log is damaged; map it first."
+    options.RUN,
+    "--strict",
+    is_flag=True,
+    help="Write the map, then exit with 1 if a log is damaged.",
 )
 
 fleet = join(
@@ -56,8 +59,8 @@ fleet = join(
         type=PATH,
         metavar="DIR",
         show_default="beside the first output",
-        help="With --dask: where all workers leave what they find. A build that is killed and run "
-        "again goes on where it was.",
+        help="With --dask: a folder for intermediate files, shared by all workers. A build that is "
+        "killed and run again goes on where it was.",
     ),
     option(
         options.RUN,
@@ -78,7 +81,7 @@ fleet = join(
 @join(options.framing, options.min_passes, options.pass_gap)
 @join(log_options.ranges, options.model)
 @join(log_options.selection, log_options.posing)
-@join(limits.fail_if(BUILD), options.jobs, fleet, strict, options.config)
+@join(limits.fail_if(BUILD, "agreement < 70%"), options.jobs, fleet, strict, options.config)
 @join(options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
@@ -174,6 +177,6 @@ def refuse_damage(report: Report) -> None:
         Naming the first note of it.
     """
     if report.damage:
-        raise LogError(
-            f"{report.damage[0]} (--strict; {len(report.damage)} such)", fix="the map was written"
-        )
+        first, *others = report.damage
+        more = f"; {len(others)} more" if others else ""
+        raise LogError(f"{first} (--strict{more})", fix="the map was written")

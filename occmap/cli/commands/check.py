@@ -36,7 +36,7 @@ LABEL = 10
 HELP = f"""{COMMANDS["check"]}
 
 It takes the options of `occmap build` that concern scans, poses and ranges, and ends with the
-command line that it recommends. Exits with 1 where a build with the options given would fail.
+command line that it recommends. Exits with 1 if a build with the options given would fail.
 
 \b
   occmap check drive.mcap
@@ -52,7 +52,9 @@ page = options.one_output("output", "FILE.html", "Write the findings as a page a
 @click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG...")
 @join(page, options.resolution, options.max_cells, log_options.ranges)
 @join(log_options.selection, log_options.posing)
-@join(limits.fail_if(CHECK), options.config, options.as_json, options.verbosity)
+@join(
+    limits.fail_if(CHECK, "dropped_scans > 5%"), options.config, options.as_json, options.verbosity
+)
 @click.pass_context
 def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> None:
     """Look into logs, and print what was found."""

@@ -23,15 +23,15 @@ from occmap.wording import count
 
 HELP = f"""{COMMANDS["compare"]}
 
-Every fifth scan is kept from the maps. Each map is then asked what these scans will see: the share
-of beams whose first occupied cell is within two cells of the measured range, the log-likelihood of
-the range, and the cross-entropy of the cells found free and found occupied. A share that is behind
-by two standard errors or half a percent counts as good as the best; of those the default is named,
-or the best log-likelihood. Where that is another one, it is named as well: its probabilities are
-the ones to plan and localise with.
+Every fifth scan is held out, and each map is scored on these scans: by the share of beams whose
+first occupied cell is within two cells of the measured range, by the log-likelihood of the range,
+and by the cross-entropy of the cells found free and found occupied. A share that is behind the best
+by less than two standard errors, or by less than half a percent, counts as equally good. Of those
+that are equally good the default is recommended. The one with the best log-likelihood is named,
+too: its probabilities are the ones to plan and localise with.
 
-A table says whether the probabilities of the recommended map mean what they say: for cells of each
-tenth of probability, the share that beams found occupied.
+A table says whether the probabilities of the recommended map mean what they say: for the cells of
+each tenth of probability, the share that beams found occupied.
 
 \b
   occmap compare drive.mcap
@@ -57,7 +57,7 @@ variants = join(
         "model_texts",
         multiple=True,
         metavar="NAME[:KEY=NUMBER,...]",
-        show_default="the usual one of each update, " + ", ".join(DEFAULT_MODELS),
+        show_default="the default of each update, " + ", ".join(DEFAULT_MODELS),
         help="How evidence is weighed: see `occmap models`. May repeat.",
     ),
 )
@@ -72,7 +72,13 @@ picture = options.one_output(
 @click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG...")
 @join(variants, picture, options.lattice, log_options.ranges)
 @join(log_options.selection, log_options.posing)
-@join(limits.fail_if(COMPARE), options.jobs, options.config, options.as_json, options.verbosity)
+@join(
+    limits.fail_if(COMPARE, "share < 70%"),
+    options.jobs,
+    options.config,
+    options.as_json,
+    options.verbosity,
+)
 @click.pass_obj
 def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     """Compare variants, and print the table."""

@@ -20,17 +20,17 @@ from occmap.writers import WriteOptions
 
 HELP = f"""{COMMANDS["diff"]}
 
-A and B are maps as PGM with YAML, PNG, or evidence (.npz or .zarr); they may differ in size where
-they share a lattice, as all maps of one resolution do. A PNG does not say where it lies: it is
-compared with a map of its size. One that occmap wrote says how its cells were decided; in any other
-dark is occupied.
+A and B are maps as PGM with YAML, PNG, or evidence (.npz or .zarr). They may differ in size, as all
+maps of one resolution share a lattice. A PNG does not say where it lies, so it is compared with a
+map of its size. A PNG that occmap wrote says how its cells were decided; in any other, dark cells
+are occupied.
 
 A cell that is neither occupied nor free is unknown or undecided; images do not tell one from the
 other, so both count as neither.
 
-In the picture, cells that became occupied are orange, cells that became free blue, and cells that
-became neither wine where they were occupied and pink where they were free; of orange and blue,
-stronger colours are contradictions, paler ones news.
+In the picture, cells that became occupied are orange and cells that became free are blue: strong
+where they were the opposite before, pale where they were neither. Cells that became neither are
+wine red if they were occupied and pink if they were free.
 
 \b
   occmap diff yesterday.pgm today.pgm
@@ -59,7 +59,7 @@ fail_above = option(
 @click.command("diff", cls=SectionCommand, help=HELP, short_help=COMMANDS["diff"])
 @click.argument("before", type=PATH, metavar="A")
 @click.argument("after", type=PATH, metavar="B")
-@join(picture, options.thresholds, fail_above, limits.fail_if(DIFF))
+@join(picture, options.thresholds, fail_above, limits.fail_if(DIFF, "changed > 1%"))
 @join(options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, before: Path, after: Path, **values: Any) -> None:

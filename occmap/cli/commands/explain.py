@@ -26,9 +26,8 @@ from occmap.writers import WriteOptions
 
 HELP = f"""{COMMANDS["explain"]}
 
-X and Y are metres in the map frame. Each --log that the evidence was made of is read as it was
-built, and its scans are listed that hit or cleared the cell; a log is known by its hash, wherever
-it lies now.
+X and Y are metres in the map frame. Give the logs that the evidence was made of as --log, to list
+the scans that hit or cleared the cell. A log is known by its hash, wherever it lies now.
 
 \b
   occmap explain map.npz 1.5 -0.25

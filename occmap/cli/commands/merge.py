@@ -16,8 +16,8 @@ from occmap.gates.measures import SAVED
 HELP = f"""{COMMANDS["merge"]}
 
 The sum has the same cells as one build of all the logs, whatever the order; what is subtracted
-leaves no trace. All must have one resolution, update and kind of model. Visits, which --min-passes
-counts, add up: one that goes on from one build to the next is two.
+leaves no trace. All must have one resolution, update and kind of model. The visits that
+--min-passes counts are those of one build, too: one that goes on from log to log is one.
 
 \b
   occmap merge monday.npz tuesday.npz -o both.npz
@@ -37,7 +37,7 @@ subtracted = option(
 @click.command("merge", cls=SectionCommand, help=HELP, short_help=COMMANDS["merge"])
 @click.argument("paths", nargs=-1, required=True, type=PATH, metavar="NPZ|ZARR...")
 @join(options.writing, subtracted, options.min_passes, options.max_cells)
-@join(limits.fail_if(SAVED), options.as_json, options.verbosity)
+@join(limits.fail_if(SAVED, "unknown > 60%"), options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> None:
     """Add and subtract evidence, and write what comes out."""

@@ -16,8 +16,8 @@ from occmap.store.sources import open_saved
 HELP = f"""{COMMANDS["render"]}
 
 The evidence is what `occmap build -o map.npz` wrote. Hits and misses can be weighed by any model
-that counts; the evidence of a radial model, such as quadratic, only by that one, but for
-its --prior and bounds.
+that counts. The evidence of a radial model, such as quadratic, can be weighed only by that model,
+though with another --prior, --clamp-min or --clamp-max.
 
 \b
   occmap render map.npz -o map.pgm --p-hit 0.8
@@ -32,7 +32,7 @@ overview = option(
     "--overview",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Make each pixel N x N cells, at once, from the pictures in a .zarr: 4, 16, 64 ...",
+    help="Make each pixel N x N cells, quickly, from the pictures in a .zarr: 4, 16, 64 ...",
 )
 
 
@@ -40,7 +40,7 @@ overview = option(
 @click.argument("path", type=PATH, metavar="NPZ|ZARR")
 @join(options.writing, options.framing, overview, options.min_passes, options.max_cells)
 @join(options.saved_model)
-@join(limits.fail_if(SAVED), options.as_json, options.verbosity)
+@join(limits.fail_if(SAVED, "unknown > 60%"), options.as_json, options.verbosity)
 @click.pass_obj
 def command(console: Console, /, path: Path, **values: Any) -> None:
     """Read evidence, and write a map of it."""

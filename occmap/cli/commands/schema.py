@@ -38,8 +38,8 @@ FAILED = (
 HELP = f"""{COMMANDS["schema"]}
 
 It is of JSON Schema draft 2020-12; every field has a description with its unit. The field "schema"
-of a result names the command and the version of its schema. `error` is what a command prints that
-fails before it has a result.
+of a result names the command and the version of its schema. A command that fails before it has a
+result prints an `error`.
 
 \b
   occmap schema build

@@ -26,11 +26,10 @@ HELP = f"""{COMMANDS["tune"]}
 A map is made of four fifths of the scans, a thousand at most, and asked what the others will see:
 the share of beams whose first occupied cell is within two cells of the measured range. A search
 from coarse to fine, some thirty maps, looks for the time offset by which that share is largest, and
-then for yaw, x and y of the laser on its body. Where an offset is found, some sixty more maps look
-for the mount first, as one may make up for the other; and where the mount is off, for all of them
-together. A gain counts where it is more than two standard errors and half a percent, and where both
-halves of the held-out scans show it. What is found is added to --time-offset and --sensor-pose,
-where they are given.
+then for yaw, x and y of the laser on its body. If an offset is found, some sixty more maps look for
+the mount first, as one may make up for the other, and if the mount is off, for all four together.
+A gain counts if it is more than two standard errors and half a percent, and if both halves of the
+held-out scans show it. What is found is added to the --time-offset and --sensor-pose that you give.
 
 \b
   occmap tune drive.mcap
@@ -43,7 +42,13 @@ where they are given.
 @click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG...")
 @join(options.resolution, options.max_cells, log_options.ranges)
 @join(log_options.selection, log_options.posing)
-@join(limits.fail_if(TUNE), options.jobs, options.config, options.as_json, options.verbosity)
+@join(
+    limits.fail_if(TUNE, "gain > 2%"),
+    options.jobs,
+    options.config,
+    options.as_json,
+    options.verbosity,
+)
 @click.pass_obj
 def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     """Search for what is off, and print what was found."""
