@@ -121,7 +121,7 @@ def _make_ros_decoder(channel: Channel) -> Callable[[memoryview], Any]:
     try:
         store.get_msgdef(name)
     except _DEFINITION_ERRORS as error:
-        raise _refuse(channel.type, type(error).__name__).placed(channel.topic) from error
+        raise _refuse(channel.type, error) from error
     deserialise = store.deserialize_ros1 if channel.encoding == "ros1" else store.deserialize_cdr
 
     def decode(data: memoryview) -> Any:
@@ -133,8 +133,9 @@ def _make_ros_decoder(channel: Channel) -> Callable[[memoryview], Any]:
     return decode
 
 
-def _refuse(kind: str, why: str) -> LogError:
-    return LogError(f"the definition of {kind} cannot be understood ({why})")
+def _refuse(kind: str, why: str | Exception) -> LogError:
+    reason = why if isinstance(why, str) else type(why).__name__
+    return LogError(f"the definition of {kind} cannot be understood ({reason})")
 
 
 class _Types(NamedTuple):
@@ -163,10 +164,7 @@ def _load_types(channel: Channel) -> _Types:
     LogError
         The definition cannot be understood, or asks for more than any message needs.
     """
-    try:
-        return _make_store(channel.definition, channel.type, channel.encoding)
-    except LogError as error:
-        raise error.placed(channel.topic) from None
+    return _make_store(channel.definition, channel.type, channel.encoding)
 
 
 @lru_cache(maxsize=64)
@@ -179,7 +177,7 @@ def _make_store(text: str, kind: str, encoding: str) -> _Types:
     try:
         store.register(own)
     except _DEFINITION_ERRORS as error:
-        raise _refuse(kind, type(error).__name__) from error
+        raise _refuse(kind, error) from error
     with suppress(LookupError):  # of a type that has no hash
         if store.hash_rihs01(name) in _PLAIN_HASHES[encoding]:
             return _Types(store, is_standard=True)
@@ -199,7 +197,7 @@ def _parse_definition(text: str, kind: str) -> Typesdict:
         # Bags from before 2011 call the header by the package that it then was in.
         types = get_types_from_msg(text.replace("MSG: roslib/Header", "MSG: std_msgs/Header"), name)
     except _DEFINITION_ERRORS as error:
-        raise _refuse(kind, type(error).__name__) from error
+        raise _refuse(kind, error) from error
     types = {**get_typestore(Stores.EMPTY).fielddefs, **types}  # ROS 1 has a time of its own
     counts: dict[str, int] = {}
     if flaw := _find_flaw(types, name, counts):
@@ -257,18 +255,12 @@ def _make_protobuf_decoder(channel: Channel) -> Callable[[memoryview], Any]:
     try:
         from google.protobuf.message import DecodeError  # noqa: PLC0415  an extra
     except ImportError:
-        raise LogError(
-            f"{channel.type} is written in protobuf",
-            where=channel.topic,
-            fix="install what reads it: pip install '.[foxglove]'",
-        ) from None
+        fix = "install what reads it: pip install '.[foxglove]'"
+        raise LogError(f"{channel.type} is written in protobuf", fix=fix) from None
     try:
         make = _load_message(channel)
     except (DecodeError, KeyError, TypeError, ValueError) as error:
-        raise LogError(
-            f"the definition of {channel.type} cannot be understood ({type(error).__name__})",
-            where=channel.topic,
-        ) from error
+        raise _refuse(channel.type, error) from error
 
     def decode(data: memoryview) -> Any:
         message = make()

@@ -124,7 +124,8 @@ class RosLog:
             try:
                 readers[channel] = _ChannelReader(channel, make)
             except LogError as error:
-                add_note(self.notes, f"{error}: its {channel.count} messages are not used")
+                found = error.placed(channel.topic)
+                add_note(self.notes, f"{found}: its {channel.count} messages are not used")
         return readers
 
     def _read(self, readers: Mapping[Channel, "_ChannelReader[T]"]) -> Iterator[T]:
