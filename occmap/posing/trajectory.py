@@ -188,24 +188,18 @@ def _read_header(line: _Line) -> _Layout:
     """Read the column names of a CSV; columns that are no part of a pose are passed over."""
     names = [name.strip().lower() for name in line.text.split(",")]
     layout = _number(names, ",", parse_seconds)
-    required = {"stamp", "x", "y", *_list_angles(layout)}
-    missing = sorted(required - set(names))
+    has_quaternion = any(name in layout.columns for name in QUATERNION)
+    missing = {"stamp", "x", "y", *(QUATERNION if has_quaternion else ("yaw",))}.difference(names)
     if missing:
-        line.fail(f"the header {line.quote()} has no column {', '.join(missing)}")
+        line.fail(f"the header {line.quote()} has no column {', '.join(sorted(missing))}")
     return layout
-
-
-def _list_angles(layout: _Layout) -> Sequence[str]:
-    """List the columns of the rotation: a quaternion where any of it is there, else the yaw."""
-    return QUATERNION if any(name in layout.columns for name in QUATERNION) else ("yaw",)
 
 
 def _parse(line: _Line, layout: _Layout) -> tuple[int, Pose]:
     """Read one pose; optional columns that are absent are 0."""
     fields = line.text.split(layout.separator)
-    if len(fields) != len(layout.columns) and not (
-        layout.has_more and len(fields) > len(layout.columns)
-    ):
+    more = len(fields) - len(layout.columns)
+    if more < 0 or (more and not layout.has_more):
         line.fail(f"{len(fields)} values where {len(layout.columns)} belong: {line.quote()}")
     texts = {name: fields[i] for name, i in layout.columns.items()}
     try:

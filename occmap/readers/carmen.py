@@ -23,7 +23,7 @@ from occmap.readers.carmen_lines import (
 )
 from occmap.readers.text import Block, Line, add_note, note_cut_line, probe_lines, read_blocks
 from occmap.readers.text_log import LineTally, TextLog
-from occmap.types import Pose, PoseSample, Scan, ScanRun, shorten
+from occmap.types import Int64, Pose, PoseSample, Scan, ScanRun, shorten
 from occmap.wording import count
 
 # fmt: off
@@ -43,6 +43,7 @@ MAX_KEPT_BYTES = 1 << 26
 WHOLE_MESSAGE = re.compile(r"\S+\s+\S+\s+\S.*\s(?!\d)\S+\s+[-+.e\d]+\s*")
 """A keyword, two words or more, the name of a host, and a time."""
 FIX = "correct or delete this line"
+NO_LINES: Int64 = np.zeros(0, np.int64)
 SCAN_BYTES = 700
 """What a scan takes beside its ranges, as measured."""
 
@@ -104,12 +105,12 @@ class CarmenLog(TextLog):
             return
         tally = LineTally()
         for block in read_blocks(self.path, self.notes, self._span):
-            for line in block.pick_lines(_sort_lines(block).get("ODOM", ())):
+            for line in block.pick_lines(_sort_lines(block).get("ODOM", NO_LINES)):
                 if sample := self._parse(line, parse_odometry, tally):
                     yield sample
         tally.judge(self.path, self.notes, FIX)
 
-    def _walk(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Sequence[int]]]]:
+    def _walk(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
         """Yield blocks, and which of their lines are scans, by keyword."""
         for block in read_blocks(self.path, self.notes, span):
             yield block, _pick_scans(_sort_lines(block))
@@ -123,7 +124,7 @@ class CarmenLog(TextLog):
         for block in read_blocks(self.path, self.notes):
             lines = _sort_lines(block)
             self._count_words(lines, block)
-            for line in block.pick_lines(lines.get("PARAM", ())):
+            for line in block.pick_lines(lines.get("PARAM", NO_LINES)):
                 if self._front_offset is None and not _is_cut("PARAM", line):
                     self._front_offset = self._parse(line, parse_front_offset, tally)
             for some in self._parse_block(block, _pick_scans(lines), tally):
@@ -133,7 +134,7 @@ class CarmenLog(TextLog):
         if len(self._stamps) == 1 and sum(self._words[word] for word in POSED_FRAMES) > 1:
             add_note(self.notes, Note("all scans have one time: they are taken in their order"))
 
-    def _count_words(self, lines: Mapping[str, Sequence[int]], block: Block) -> None:
+    def _count_words(self, lines: Mapping[str, Int64], block: Block) -> None:
         """Count lines by their keyword; scans are counted when they have been parsed."""
         for word, rows in lines.items():
             if word in FRAMES:
@@ -186,7 +187,7 @@ class CarmenLog(TextLog):
             add_note(self.notes, Note(text + (", ..." if len(others) > 5 else "")))
 
 
-def _sort_lines(block: Block) -> dict[str, list[int]]:
+def _sort_lines(block: Block) -> dict[str, Int64]:
     """Find the lines of each keyword: `#` for every comment, "" for a blank line."""
     heads, which = np.unique(block.take_heads(), return_inverse=True)
     numbers, cut, keys = {"": 0}, [], []
@@ -197,9 +198,10 @@ def _sort_lines(block: Block) -> dict[str, list[int]]:
     key = np.array(keys)[which]
     for at in np.flatnonzero(np.array(cut)[which]).tolist():
         key[at] = numbers.setdefault(_find_word(block.get_line(at).raw), len(numbers))
-    groups = np.split(np.argsort(key, kind="stable"), np.cumsum(np.bincount(key))[:-1])
-    lines = [(word, rows.tolist()) for word, rows in zip(numbers, groups, strict=True)]
-    return dict(sorted(lines, key=lambda each: each[1][:1]))  # as they appear
+    order, ends = np.argsort(key, kind="stable"), np.cumsum(np.bincount(key)).tolist()
+    spans = zip(numbers, [0, *ends], ends, strict=False)
+    lines = [(word, order[start:end]) for word, start, end in spans if start < end]
+    return dict(sorted(lines, key=lambda each: int(each[1][0])))  # as they appear
 
 
 def _find_word(line: bytes) -> str:
@@ -207,7 +209,7 @@ def _find_word(line: bytes) -> str:
     return "#" if word[:1] == b"#" else word.decode("utf-8", "replace")
 
 
-def _pick_scans(lines: Mapping[str, list[int]]) -> dict[str, list[int]]:
+def _pick_scans(lines: Mapping[str, Int64]) -> dict[str, Int64]:
     return {word: rows for word, rows in lines.items() if word in FRAMES}
 
 

@@ -21,7 +21,7 @@ from occmap.readers.csv_layout import (
 )
 from occmap.readers.text import ALL, Block, Line, add_note, probe_lines, read_blocks
 from occmap.readers.text_log import LineTally, TextLog
-from occmap.types import PoseSample
+from occmap.types import Int64, PoseSample
 
 MAX_NAMES = 5
 """Names in one note."""
@@ -87,13 +87,13 @@ class CsvLog(TextLog):
         """None: where the log has poses, each scan holds its own."""
         return iter(())
 
-    def _walk(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Sequence[int]]]]:
+    def _walk(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
         """Yield blocks, and which of their lines are rows, without the header."""
         header = 1 if span.start == 0 else 0
         for block in read_blocks(self.path, self.notes, span):
             rows, _ = self._sort_lines(block)
             yield block, {TOPIC: rows[header:]}
-            header = 0 if rows else header
+            header = 0 if rows.size else header
 
     def _survey(self) -> Layout:
         """Find the header, and the constants wherever they stand, and count the rows."""
@@ -104,11 +104,11 @@ class CsvLog(TextLog):
             rows, headings = self._sort_lines(block)
             for line in headings:
                 _keep_comment(line, constants, unused)
-            if rows and header is None:
-                header = block.get_line(rows.pop(0))
-            if rows:
+            if rows.size and header is None:
+                header, rows = block.get_line(int(rows[0])), rows[1:]
+            if rows.size:
                 self._rows += len(rows)
-                self._last = block.get_line(rows[-1])
+                self._last = block.get_line(int(rows[-1]))
         if header is None:
             found = "; ".join(["no header row", *(note.text for note in self.notes)])
             raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
@@ -126,13 +126,13 @@ class CsvLog(TextLog):
             text = f"line {self._last.number}, the last, has no line end; it is taken as whole"
             add_note(self.notes, Note(text))
 
-    def _sort_lines(self, block: Block) -> tuple[list[int], list[Line]]:
+    def _sort_lines(self, block: Block) -> tuple[Int64, list[Line]]:
         """Tell rows, by their indices, from the lines that are comments or blank."""
         first = np.frombuffer(block.text, np.uint8)[block.starts[:-1]]
         maybe = np.flatnonzero(first <= ord("#"))  # blanks and line ends are below it
-        headings = [each for each in block.pick_lines(maybe.tolist()) if self._is_heading(each.raw)]
+        headings = [each for each in block.pick_lines(maybe) if self._is_heading(each.raw)]
         rows = np.delete(np.arange(len(block)), [each.number - block.number for each in headings])
-        return rows.tolist(), headings
+        return rows, headings
 
     def _is_heading(self, raw: bytes) -> bool:
         """Whether a line is a comment or blank, as lines before the header are."""

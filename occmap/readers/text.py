@@ -3,7 +3,7 @@
 import math
 import sys
 from codecs import BOM_UTF8
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -88,9 +88,9 @@ class Block:
         start, end = self.starts[at : at + 2].tolist()
         return Line(self.number + at, bytes(memoryview(self.text)[start : end - 1]), self.ended)
 
-    def pick_lines(self, rows: Iterable[int]) -> Iterator[Line]:
-        """Get some of the lines by their indices."""
-        return map(self.get_line, rows)
+    def pick_lines(self, rows: Int64) -> Iterator[Line]:
+        """Get some of the lines by their indices (S,)."""
+        return map(self.get_line, rows.tolist())
 
     def take_heads(self) -> UInt64:
         """Take the first eight bytes of each line, (S,); a short one's reach into the next."""

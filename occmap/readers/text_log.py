@@ -51,8 +51,8 @@ class Pattern(NamedTuple):
 class Table(NamedTuple):
     """What S lines of N words say that are of one pattern."""
 
-    rows: list[int]
-    """Which lines of the block they are"""
+    rows: Int64
+    """(S,) which lines of the block they are"""
     ranges: Float32
     """(S, B) in the order in which they stand; NaN where nothing stands between two commas"""
     values: Float64
@@ -110,10 +110,14 @@ class LineTally:
         add_note(notes, Note(f"{count}, the first is line {number}: {fault}", damage=True))
 
 
-def parse_table(block: Block, rows: Sequence[int], pattern: Pattern) -> Table:
-    """Parse those of some lines, by their indices, that are of a pattern.
+def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
+    """Parse those of some lines, by their indices (S,), that are of a pattern.
 
-    Lines that are not are left out, and so are some that hold words that few programs write.
+    Raises
+    ------
+    ValueError
+        The pattern has other words than kinds, or so many words are odd that it is as quick to
+        parse the lines one by one.
     """
     from occmap.readers.kernels.decimals import POWERS, parse_rows  # noqa: PLC0415  late
 
@@ -123,15 +127,15 @@ def parse_table(block: Block, rows: Sequence[int], pattern: Pattern) -> Table:
     same = b"".join(words[at] + separator for at in np.flatnonzero(kinds == SAME).tolist())
     beams = np.cumsum(kinds == RANGE) - 1
     text = block.text
-    read = np.array(rows[: len(text) // len(kinds)])  # every word has its separator
-    ranges = np.empty((len(read), beams[-1] + 1), np.float32)
-    values = np.empty((len(kinds), len(read)))
-    times, alike = values.view(np.int64), np.zeros(len(read), np.bool_)
+    rows = rows[: len(text) // len(kinds)]  # every word has its separator
+    ranges = np.empty((len(rows), beams[-1] + 1), np.float32)
+    values = np.empty((len(kinds), len(rows)))
+    times, alike = values.view(np.int64), np.zeros(len(rows), np.bool_)
     left = np.empty((values.size // 8 + 64, 4), np.int64)
     count = parse_rows(
         np.frombuffer(text, np.uint8),
         np.ndarray(len(text) - 7, "<u8", text, strides=(1,)),
-        block.starts[read],
+        block.starts[rows],
         ord(separator),
         kinds,
         np.frombuffer(same + PADDING, np.uint8),
@@ -142,6 +146,8 @@ def parse_table(block: Block, rows: Sequence[int], pattern: Pattern) -> Table:
         alike,
         left,
     )
+    if count == len(left):
+        raise ValueError("too many words are written as few programs write them")
     for row, col, start, end in left[:count].tolist():
         word, kind = bytes(text[start:end]), kinds[col]
         try:
@@ -155,8 +161,8 @@ def parse_table(block: Block, rows: Sequence[int], pattern: Pattern) -> Table:
         except ValueError:
             alike[row] = False
     if not alike.all():
-        read, ranges, values = read[alike], ranges[alike], values[:, alike]
-    return Table(read.tolist(), ranges, values, values.view(np.int64))
+        rows, ranges, values = rows[alike], ranges[alike], values[:, alike]
+    return Table(rows, ranges, values, values.view(np.int64))
 
 
 @lru_cache(maxsize=64)
@@ -180,7 +186,7 @@ class TextLog(ABC):
         """The scans of a log that were read when it was opened"""
 
     @abstractmethod
-    def _walk(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Sequence[int]]]]:
+    def _walk(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
         """Yield blocks, and which of their lines are scans, by kind."""
 
     @abstractmethod
@@ -217,7 +223,7 @@ class TextLog(ABC):
         return [make_part(self, _span=span, _kept=None) for span in spans]
 
     def _parse_block(
-        self, block: Block, kinds: Mapping[str, Sequence[int]], tally: LineTally
+        self, block: Block, kinds: Mapping[str, Int64], tally: LineTally
     ) -> Iterator[Scan | ScanRun]:
         """Yield the scans in some lines, in the order of the log, passing over damaged ones."""
         scans: dict[int, Scan] = {}
@@ -228,17 +234,15 @@ class TextLog(ABC):
                     tally.total += run.scans
                     yield run
                     return
-                scans |= zip(at, run.split(), strict=True)
-        for row in sorted(row for rows in kinds.values() for row in rows):
+                scans |= zip(at.tolist(), run.split(), strict=True)
+        for row in sorted(row for rows in kinds.values() for row in rows.tolist()):
             if row in scans:
                 tally.total += 1
                 yield scans[row]
             elif scan := self._parse(block.get_line(row), self.form.parse, tally):
                 yield scan
 
-    def _parse_together(
-        self, block: Block, rows: Sequence[int]
-    ) -> tuple[list[int], ScanRun] | None:
+    def _parse_together(self, block: Block, rows: Int64) -> tuple[Int64, ScanRun] | None:
         """Parse those lines of one kind that are like the first sound one; say which they are."""
         first = None
         for line in block.pick_lines(rows):
@@ -249,7 +253,7 @@ class TextLog(ABC):
             return None
         with suppress(ValueError):
             table = parse_table(block, rows, self.form.find_pattern(line, first))
-            if table.rows[:1] == [line.number - block.number]:
+            if line.number in block.number + table.rows[:1]:
                 return table.rows, self.form.make_run(first, table)
         return None
 

@@ -168,8 +168,8 @@ def parse_together(*lines: str) -> tuple[list[int], ScanRun]:
     block = Block.of(1, bytearray(text + PADDING), len(text))
     form = CarmenForm()
     first = form.parse(lines[0])
-    table = parse_table(block, range(len(lines)), form.find_pattern(block.get_line(0), first))
-    return list(table.rows), form.make_run(first, table)
+    table = parse_table(block, np.arange(len(lines)), form.find_pattern(block.get_line(0), first))
+    return table.rows.tolist(), form.make_run(first, table)
 
 
 @pytest.mark.parametrize("lines", [LINES, ROBOT_LINES, RAW_LINES])

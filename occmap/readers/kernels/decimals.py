@@ -24,22 +24,15 @@ _THREE_BYTES = np.uint64(0xFFFFFF)
 # Eight bytes of text as one number, the first byte lowest.
 _DIGIT_BITS = np.uint64(0x1010101010101010)
 """Every digit has this bit; dots, commas, blanks and line ends have not."""
-_ZEROS = np.uint64(0x3030303030303030)
-"""What digits have in the upper half of a byte"""
 _UPPER, _LOWER = np.uint64(0xF0F0F0F0F0F0F0F0), np.uint64(0x0F0F0F0F0F0F0F0F)
 _SIXES = np.uint64(0x0606060606060606)
 """Added to the lower halves of bytes, it sets a digit bit where they are above nine."""
-_PLACES = np.uint64(0x0001020304050607)
-"""Times a byte that is one, the highest byte is that byte's number."""
-_BYTE, _DOT_BYTE = np.uint64(0xFF), np.uint64(_DOT)
 _PAIRS, _FIRST_PAIRS, _LAST_PAIRS = (
     np.uint64(0x000000FF000000FF),
     np.uint64(100 + (1000000 << 32)),
     np.uint64(1 + (10000 << 32)),
 )
-_NONE, _ONE, _FOUR, _EIGHT, _TEN, _SIXTEEN, _HALF, _LAST = map(
-    np.uint64, (0, 1, 4, 8, 10, 16, 32, 56)
-)
+_NONE, _ONE, _EIGHT, _TEN, _SIXTEEN, _HALF, _BYTE = map(np.uint64, (0, 1, 8, 10, 16, 32, 0xFF))
 
 
 @kernel
@@ -163,24 +156,16 @@ def parse_rows(
                         misses += 1
                     else:
                         values[col, row] = value
-                    if (
-                        misses > 1
-                        and first == start
-                        and 0 < count < 8 - dots
-                        and text[at] == separator
-                    ):
-                        misses = 0
-                        step, power = np.uint64(count + dots + 1), powers[8 - count + decimals]
-                        dot_at, end_at = (
-                            np.uint64(8 * (count - decimals)),
-                            np.uint64(8 * (count + dots)),
-                        )
+                    is_short = first == start and 0 < count < 8 - dots and text[at] == separator
+                    if misses > 1 and is_short:  # twice another form: it is the usual one now
+                        misses, whole = 0, count - decimals
+                        step, power = np.uint64(count + dots + 1), powers[8 - whole]
+                        dot_at, end_at = np.uint64(8 * whole), np.uint64(8 * (count + dots))
                         word_bits = (_ONE << end_at) - _ONE
                         before = ((_ONE << dot_at) - _ONE) & _LOWER
                         beyond = (word_bits >> _EIGHT) & _LOWER & ~before
-                        usual_bits = (
-                            word_bits & _UPPER | np.uint64(255 * dots) << dot_at | _BYTE << end_at
-                        )
+                        dot_bits = np.uint64(255 * dots) << dot_at
+                        usual_bits = word_bits & _UPPER | dot_bits | _BYTE << end_at
                         usual = eights[start] & usual_bits
                 elif kind != ANY:
                     more = 9 - decimals if kind == SECONDS else 0
