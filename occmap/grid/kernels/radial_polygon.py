@@ -31,7 +31,7 @@ from occmap.types import Float32, Float64, Int32, Int64, UInt8
 
 ROUNDED = 4
 """Lattice units by which corners may lie farther out than the sectors that they are made for."""
-MANY = 2048
+MANY = 4096
 """Cells are visited when so many are listed: loops are long, and the lists fit the cache."""
 
 
