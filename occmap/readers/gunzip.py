@@ -11,7 +11,7 @@ GUNZIP_ERRORS = (zlib.error, EOFError)
 _GZIP_BITS = 31
 """zlib's code for gzip with its header and checksum."""
 _STEP = 1 << 17
-_MOST_AT_ONCE = 1 << 20
+_MOST_AT_ONCE = 1 << 18
 """Bytes that are unpacked at once: a bomb comes out a piece at a time."""
 
 
