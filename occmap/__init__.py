@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from occmap.api import build_map, check, compare, diff, merge, read_log, tune
+    from occmap.cells import OccupancyMap
     from occmap.errors import OccmapError
     from occmap.maps import Map
     from occmap.options import BuildOptions
     from occmap.pipeline import Build, build
     from occmap.readers import Log
-    from occmap.types import OccupancyMap
 
     __version__: str
 
@@ -42,7 +42,7 @@ _HOMES = {
     "Log": "occmap.readers",
     "Map": "occmap.maps",
     "OccmapError": "occmap.errors",
-    "OccupancyMap": "occmap.types",
+    "OccupancyMap": "occmap.cells",
     "build": "occmap.pipeline",
     **dict.fromkeys(
         ("build_map", "check", "compare", "diff", "merge", "read_log", "tune"), "occmap.api"

@@ -9,11 +9,12 @@ from typing import Any, NamedTuple, Self, overload
 
 import numpy as np
 
+from occmap.arrays import Float32, Float64, Int64
 from occmap.errors import require
 from occmap.posing.options import Stamps
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import read_limits
-from occmap.types import Float32, Float64, Int64, Scan, ScanBatch, ScanRun
+from occmap.types import Scan, ScanBatch, ScanRun
 
 BATCH_BEAMS = 1 << 18
 """Beams that are gathered before they are handed on: a few megabytes, and enough work that threads

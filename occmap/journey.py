@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from occmap.arrays import Float64, Int64
 from occmap.posing.rotations import to_quaternions
 from occmap.posing.sifting import Attached
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.types import Float64, Int64, Journey, Kind, PosedScans, ScanHits, Trajectory
+from occmap.types import Journey, Kind, PosedScans, ScanHits, Trajectory
 
 SHOWN_SCANS = 400
 """How many scans of all logs are shown: nobody can set a slider to more steps."""

@@ -6,12 +6,13 @@ from html import escape
 from pathlib import Path
 from typing import Any, Self
 
+from occmap.arrays import Float64
+from occmap.cells import Evidence, OccupancyMap
 from occmap.errors import UsageError
 from occmap.grid.lattice import CellBox
 from occmap.grid.rendering import read_cells
 from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
 from occmap.report import Report
-from occmap.types import Evidence, Float64, OccupancyMap
 from occmap.writers import Product, WriteOptions
 from occmap.writers.outputs import check_outputs, write_outputs
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.arrays import Float64
 from occmap.command import format_mount, format_static
 from occmap.errors import MountError, PoseError
 from occmap.opening import choose_topics, make_poser
@@ -20,7 +21,7 @@ from occmap.posing.rotations import rotate_by
 from occmap.readers import Log, open_log, read_poses
 from occmap.sampling import encode_cells, estimate_agreement, sample_scans
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.types import Float64, Kind, Pose, PosedScans
+from occmap.types import Kind, Pose, PosedScans
 
 MOUNT_CELL_M = 0.1
 TURNS = [

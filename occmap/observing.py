@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
+from occmap.cells import Slices
 from occmap.engines import choose_engine, make_grid
 from occmap.errors import MapError
 from occmap.evidence.fit import list_misfit
@@ -17,7 +18,6 @@ from occmap.remarks import Remarks
 from occmap.sensor.returns import ReturnOptions
 from occmap.tally import Tally
 from occmap.tracing import AddRays, trace_logs
-from occmap.types import Slices
 
 if TYPE_CHECKING:  # as in tracing
     from occmap.grid.engine import GridEngine

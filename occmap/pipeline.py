@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from occmap.alignment import settle_align
+from occmap.cells import Evidence, Manifest, OccupancyMap
 from occmap.evidence import to_evidence
 from occmap.evidence.fit import list_misfit
 from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
@@ -22,7 +23,6 @@ from occmap.remarks import Remarks, list_notes
 from occmap.report import MapFacts, MapSummary, Report, describe_map
 from occmap.sensor.models import SensorModel
 from occmap.tally import Tally, refuse_unseen, refuse_unused
-from occmap.types import Evidence, Manifest, OccupancyMap
 from occmap.writers import Product
 from occmap.writers.atomic import hold_alone
 from occmap.writers.outputs import check_outputs, want_evidence, want_journey, write_outputs

@@ -5,10 +5,12 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from occmap.arrays import Int64
+from occmap.cells import Box, Manifest, OccupancyMap
 from occmap.plain import Count, Printed, Share
 from occmap.sensor.returns import ReturnCounts
 from occmap.tally import ScanCounts
-from occmap.types import Box, Int64, Manifest, OccupancyMap, Update
+from occmap.types import Update
 from occmap.writers import WriteOptions
 
 

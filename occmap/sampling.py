@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from occmap.arrays import Float64, Int64
 from occmap.batching import Batcher, Selection
 from occmap.engines import make_engine
 from occmap.errors import MapError
@@ -18,7 +19,7 @@ from occmap.readers import Log, read_scans
 from occmap.sensor.models import CountingModel
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret
-from occmap.types import Float64, Int64, PosedScans
+from occmap.types import PosedScans
 
 SAMPLE_SCANS = 300
 MOST_CELLS = 10**8

@@ -1,41 +1,24 @@
-"""The values that flow through occmap, in the order in which they appear.
+"""The values that flow from a log to the grid, in the order in which they appear.
 
     path --reader--> Scan, PoseSample --posing--> PosedScans --sensor--> Rays --grid--> evidence
          --model--> OccupancyMap --writer--> files
 
-All are frozen. Lengths are metres, angles radians, times integer nanoseconds unless a name says
-otherwise. Frames follow REP 103 and REP 105: x forward, y left, z up, yaw counter-clockwise.
+Evidence and maps are in `occmap.cells`. All are frozen. Lengths are metres, angles radians, times
+integer nanoseconds unless a name says otherwise. Frames follow REP 103 and REP 105: x forward, y
+left, z up, yaw counter-clockwise.
 """
 
 import math
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from decimal import Decimal
 from enum import IntEnum, StrEnum
-from numbers import Real
-from typing import Any, NamedTuple, Self, TypeAlias
+from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from occmap.arrays import Bool, Float32, Float64, Int64, UInt8
 from occmap.errors import DamageError
-
-Float32: TypeAlias = NDArray[np.float32]
-Float64: TypeAlias = NDArray[np.float64]
-Int32: TypeAlias = NDArray[np.int32]
-Int64: TypeAlias = NDArray[np.int64]
-UInt8: TypeAlias = NDArray[np.uint8]
-UInt64: TypeAlias = NDArray[np.uint64]
-Bool: TypeAlias = NDArray[np.bool_]
-
-
-MOST_OBSERVED = 1 << 53
-"""No number of a cell is larger, or below its negative: a float64 holds it exactly, and a thousand
-of them add up without overflow."""
-
-Box: TypeAlias = tuple[float, float, float, float]
-"""Lowest x and y, highest x and y (m)"""
+from occmap.values import as_number, as_ranges, as_stamp, as_text, shorten
 
 
 class Pose(NamedTuple):
@@ -444,273 +427,9 @@ class Rays:
         return self.origin + self.distance[..., None] * self.direction
 
 
-def as_float32(values: ArrayLike) -> Float32:
-    """Convert to float32, as ranges are kept; too large a number becomes infinite."""
-    with np.errstate(over="ignore"):
-        return np.asarray(values).astype(np.float32)
-
-
-def as_number(value: Any) -> float:
-    """Convert a number, which may be infinite or NaN, to a float; raises DamageError."""
-    if type(value) is float:
-        return value
-    if not isinstance(value, Real) or isinstance(value, bool):
-        raise DamageError(f"holds {shorten(value)} where a number belongs")
-    try:
-        return float(value)
-    except OverflowError:
-        raise DamageError("holds a number that no float can hold") from None
-
-
-def as_stamp(value: Any) -> int:
-    """Convert a time in whole nanoseconds to an int of 64 bits; raises DamageError."""
-    if not isinstance(value, (int, np.integer)) or not -(2**63) <= value < 2**63:
-        raise DamageError(f"holds {shorten(value)} where a time of 64 bits belongs")
-    return int(value)
-
-
-def parse_seconds(text: str) -> int:
-    """Convert seconds, as text, to nanoseconds exactly; a float would round to 0.2 us.
-
-    Raises
-    ------
-    ValueError
-        The text is no number, or none that fits 64 bits of nanoseconds.
-    """
-    with suppress(ArithmeticError):  # what decimal raises for words and for NaN
-        nanoseconds = Decimal(text).scaleb(9)
-        if abs(nanoseconds) < 2**63:
-            return round(nanoseconds)
-    raise ValueError(f"{shorten(text)} is no time in seconds")
-
-
-def parse_nanoseconds(text: str) -> int:
-    """Convert whole nanoseconds, as text; raises ValueError where they do not fit 64 bits."""
-    with suppress(ValueError):
-        if abs(nanoseconds := int(text)) < 2**63:
-            return nanoseconds
-    raise ValueError(f"{shorten(text)} is no time in nanoseconds")
-
-
-def as_text(value: Any) -> str:
-    """Check that text can be written as UTF-8; raises DamageError."""
-    if not isinstance(value, str):
-        raise DamageError(f"holds {shorten(value)} where text belongs")
-    try:
-        if not value.isascii():
-            value.encode()
-    except UnicodeEncodeError:
-        raise DamageError("holds text that is no Unicode") from None
-    return value
-
-
-def as_ranges(values: ArrayLike) -> Float32:
-    """Copy one row of numbers as float32, (B,); raises DamageError."""
-    try:
-        array = np.asarray(values)
-    except (ValueError, TypeError, OverflowError):  # rows that differ in length, and the like
-        raise DamageError("holds ranges that are not numbers in one row") from None
-    if array.ndim != 1 or array.dtype.kind not in "fiu":
-        raise DamageError(f"holds {array.ndim}-dimensional ranges of {array.dtype}")
-    return array.copy() if array.dtype == np.float32 else as_float32(array)
-
-
 def as_pose(pose: Pose) -> Pose:
     """Convert the seven numbers of a pose to floats; raises DamageError."""
     if not isinstance(pose, Pose):
         raise DamageError(f"holds {shorten(pose)} where a Pose belongs")
     is_plain = all(type(number) is float for number in pose)
     return pose if is_plain else Pose._make(map(as_number, pose))
-
-
-def shorten(value: object) -> str:
-    """Quote a value in at most 40 characters; a huge number is only called one."""
-    if isinstance(value, int) and abs(value) >= 2**63:
-        return "a number beyond 64 bits"
-    text = repr(value) if isinstance(value, str | int | float | None) else type(value).__name__
-    return text if len(text) <= 40 else f"{text[:37]}..."
-
-
-def to_log_odds(probability: float) -> float:
-    """ln(p / (1 - p)) of a probability strictly between 0 and 1."""
-    return math.log(probability / (1 - probability))
-
-
-class CellClass(IntEnum):
-    """The class of a cell."""
-
-    NEITHER = 0
-    """Unknown or undecided: an image may not tell these apart"""
-    FREE = 1
-    OCCUPIED = 2
-
-
-class Decision(NamedTuple):
-    """The probabilities above which a cell is called occupied, and below which free.
-
-    Between them, both included, it is undecided.
-    """
-
-    free_below: float
-    occupied_above: float
-
-
-EVEN_ODDS = Decision(0.5, 0.5)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OccupancyMap:
-    """An occupancy grid. Row 0 is the lowest y and column 0 the lowest x; only writers flip."""
-
-    log_odds: Float32
-    """(H, W) of being occupied; the prior where nothing was observed"""
-    observed: Bool
-    """(H, W): unknown is what nothing observed, whatever its log-odds"""
-    resolution: float
-    """Side of a cell (m)"""
-    origin: tuple[float, float]
-    """x, y of the lower-left corner of cell (0, 0) (m)"""
-    decision: Decision = EVEN_ODDS
-    """The probabilities that make a cell occupied or free"""
-    agreement: float | None = None
-    """Share of all hits that lie in cells called occupied: low where poses are wrong. None where
-    the evidence keeps no hits"""
-
-    @property
-    def probability(self) -> Float32:
-        """(H, W) probability of being occupied, 1 / (1 + exp(-log_odds))."""
-        odds = np.exp(-np.abs(self.log_odds))
-        numerator: Float32 = np.where(self.log_odds < 0, odds, np.float32(1))
-        return np.asarray(numerator / (1 + odds))
-
-    @property
-    def occupied(self) -> Bool:
-        """(H, W): observed, and more probably occupied than the decision asks for."""
-        above: Bool = self.log_odds > np.float32(to_log_odds(self.decision.occupied_above))
-        return self.observed & above
-
-    @property
-    def free(self) -> Bool:
-        """(H, W): observed, and less probably occupied than the decision asks for."""
-        below: Bool = self.log_odds < np.float32(to_log_odds(self.decision.free_below))
-        return self.observed & below
-
-    @property
-    def classes(self) -> UInt8:
-        """(H, W) of CellClass."""
-        classes = np.full(self.shape, CellClass.NEITHER, np.uint8)
-        classes[self.free] = CellClass.FREE
-        classes[self.occupied] = CellClass.OCCUPIED
-        return classes
-
-    def take(self, rows: slice, cols: slice) -> Self:
-        """A part of the map; its arrays are views."""
-        x, y = self.origin
-        right, up = (cols.start or 0) * self.resolution, (rows.start or 0) * self.resolution
-        start = round(x + right, 12), round(y + up, 12)
-        log_odds, observed = self.log_odds[rows, cols], self.observed[rows, cols]
-        return replace(self, log_odds=log_odds, observed=observed, origin=start)
-
-    @property
-    def place(self) -> Int64:
-        """(2,) row and column of the first cell on the lattice of its resolution."""
-        x, y = self.origin
-        return np.rint(np.array([y, x]) / self.resolution).astype(np.int64)
-
-    @property
-    def extent(self) -> Box:
-        """Lowest x and y, highest x and y (m)."""
-        (rows, cols), (x, y) = self.shape, self.origin
-        right, top = x + cols * self.resolution, y + rows * self.resolution
-        return x, y, round(right, 12), round(top, 12)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        rows, cols = self.log_odds.shape
-        return rows, cols
-
-
-@dataclass(frozen=True)
-class Manifest:
-    """What evidence is, and what it was made of; every value is one that JSON has."""
-
-    resolution: float
-    """Side of a cell (m)"""
-    update: str
-    kind: str
-    """What the two numbers of a cell are: "counts" or "log_odds"."""
-    profile: str
-    """The radial model that log-odds were summed by, without prior and bounds; "" for counts"""
-    pass_gap_s: float
-    """How long a slice of time is, by which visits are told apart (s)"""
-    hit_offset: float
-    """How far behind the measured points hits lie (cells)"""
-    model: str
-    """The model to render with, unless the user wants another"""
-    builds: tuple[dict[str, Any], ...]
-    """What was added: inputs and their hashes, options, scans; see `occmap.evidence.manifest`"""
-    subtracted: tuple[dict[str, Any], ...] = ()
-    """What was taken away that no entry of `builds` stands for"""
-    align: float | None = 0.0
-    """By what the map is turned (degrees); None only in a plan: it is yet to be found"""
-
-    @classmethod
-    def from_json(cls, said: Mapping[str, Any]) -> Self:
-        """Make one of what a file says; raises LookupError or TypeError where it lacks some."""
-        fields = {name: said[name] for name in cls.__dataclass_fields__}
-        lists = {name: tuple(said[name]) for name in ("builds", "subtracted")}
-        return cls(**{**fields, **lists})
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Slices:
-    """Which cells were hit and seen in which slices of time, a tile at a time.
-
-    Slice n lasts from n to n + 1 times `Manifest.pass_gap_s`, counted from stamp 0, so that logs
-    and builds share their slices. A tile in a slice has a bit for each cell that was hit and for
-    each that was seen, (2, 64, 64). Of these only the bytes are kept that differ from those of the
-    row before, about 50 of 1024; `occmap.grid.slices` packs and unpacks them.
-    """
-
-    tiles: Int64
-    """(K, 2) row and column of each tile, in ascending order"""
-    numbers: Int64
-    """(K,) the slice in which each was seen; ascending for one tile"""
-    rows: UInt8
-    """(K, 16) a bit for each of the 2 x 64 rows: whether it differs from the row before"""
-    parts: UInt8
-    """(R,) a bit for each of the 8 bytes of those R rows: whether it differs"""
-    changes: UInt8
-    """(C,) those bytes, XORed with the bytes of the row before; in the order of `np.packbits`"""
-
-    @property
-    def nbytes(self) -> int:
-        """Their size in memory (bytes)."""
-        return sum(getattr(self, name).nbytes for name in self.__dataclass_fields__)
-
-    @classmethod
-    def join(cls, parts: Iterable[Self]) -> Self:
-        """Concatenate slices; of none, the result is empty."""
-        no_tiles, nothing = np.zeros((0, 2), np.int64), np.zeros(0, np.uint8)
-        empty = cls(no_tiles, no_tiles[:, 0], nothing.reshape(0, 16), nothing, nothing)
-        all_of_them = (empty, *parts)
-        names = cls.__dataclass_fields__
-        return cls(*(np.concatenate([getattr(s, name) for s in all_of_them]) for name in names))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
-    """What was observed, as a file holds it: integers in tiles, and what they were made of."""
-
-    manifest: Manifest
-    tiles: Int64
-    """(T, 2) row and column of each tile in the lattice of tiles, in ascending order"""
-    cells: Int64
-    """(T, 2, 64, 64) the two numbers of every cell; row 0 is the lowest y"""
-    slices: tuple[Slices, ...] = ()
-    """When cells were observed, for each of the manifest's builds"""
-    where: str = ""
-    """The file that it was read from"""
-    notes: tuple[str, ...] = ()
-    """What there is to say of what it was made of; no file keeps that"""

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from occmap.arrays import Float32, Float64
 from occmap.batching import Selection
 from occmap.command import compose_build
 from occmap.errors import MapError, PoseError, UsageError
@@ -28,7 +29,7 @@ from occmap.posing.options import PosingOptions, Stamps
 from occmap.readers import Note, Stream
 from occmap.remarks import LEAST_AGREEMENT
 from occmap.sensor.returns import NoReturn, ReturnOptions
-from occmap.types import Float32, Float64, Pose, PoseSample, Scan, ScanBatch
+from occmap.types import Pose, PoseSample, Scan, ScanBatch
 from tests.inspection_logs import BEAMS, SCANS, Drive, measure_room, write_bag, write_csv
 from tests.posing.scenes import bolted, drive
 from tests.posing.scenes import build as make_poser

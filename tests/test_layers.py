@@ -19,6 +19,7 @@ PACKAGE = Path(__file__).parent.parent / "occmap"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 LAYERS = ("readers", "posing", "sensor", "grid", "writers")
+SHARED = {"arrays", "cells", "errors", "jit", "plugins", "types", "values", "wording"}
 OWNERS = {
     "click": {"cli"},
     "tqdm": {"cli"},
@@ -82,12 +83,12 @@ def list_modules(*layers: str) -> list[Path]:
 
 @pytest.mark.parametrize("path", list_modules(*LAYERS), ids=name_module)
 def test_layers_do_not_know_each_other(path: Path) -> None:
-    assert find_met(path) <= {"types", "errors", "plugins", "jit", "wording"}
+    assert find_met(path) <= SHARED
 
 
-@pytest.mark.parametrize("name", ["types", "errors", "plugins", "jit", "wording"])
-def test_values_and_errors_know_nobody_but_errors(name: str) -> None:
-    assert find_met(PACKAGE / f"{name}.py") <= {"errors"}
+@pytest.mark.parametrize("name", sorted(SHARED))
+def test_what_all_share_knows_only_what_all_share(name: str) -> None:
+    assert find_met(PACKAGE / f"{name}.py") <= SHARED
 
 
 def test_nothing_knows_the_command_line() -> None:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from occmap.errors import DamageError, LogError
-from occmap.types import Pose, PoseSample, Scan, parse_nanoseconds, parse_seconds
+from occmap.types import Pose, PoseSample, Scan
+from occmap.values import parse_nanoseconds, parse_seconds
 
 HERE = Pose.planar(1.0, 2.0, 0.5)
 SCAN: dict[str, Any] = {

@@ -5,13 +5,14 @@ from itertools import permutations
 
 import numpy as np
 
+from occmap.arrays import UInt8
+from occmap.cells import Box, CellClass
 from occmap.difference.blobs import find_largest_blob
 from occmap.difference.maps import ClassMap, Place
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox
 from occmap.grid.tiles import MAX_CELLS
 from occmap.plain import HIDDEN, Count, Printed, Share, printed_as
-from occmap.types import Box, CellClass, UInt8
 
 LATTICE_TOLERANCE = 0.05
 """In cells: other tools round the origin to millimetres."""

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.types import Bool, Int64
+from occmap.arrays import Bool, Int64
 
 
 class Blob(NamedTuple):

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from occmap.arrays import UInt8
+from occmap.cells import CellClass, Decision
 from occmap.errors import MapError, UsageError
 from occmap.evidence import read_model
 from occmap.grid.framing import Framing
@@ -22,7 +24,6 @@ from occmap.store.blocks import digest_evidence
 from occmap.store.reading import Store
 from occmap.store.rendering import View, classify_blocks, open_map
 from occmap.store.sources import as_blocks, open_saved
-from occmap.types import CellClass, Decision, UInt8
 from occmap.writers import MapMode, WriteOptions
 
 if TYPE_CHECKING:  # it brings pillow

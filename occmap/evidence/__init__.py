@@ -7,6 +7,8 @@ from typing import Protocol, TypeAlias
 
 import numpy as np
 
+from occmap.arrays import Float64
+from occmap.cells import Evidence, Manifest, OccupancyMap, Slices, to_log_odds
 from occmap.errors import MapError, OccmapError
 from occmap.evidence.manifest import describe_profile
 from occmap.grid.lattice import CellBox, Lattice
@@ -22,7 +24,7 @@ from occmap.grid.tiles import (
 )
 from occmap.sensor.bounds import Clamped, Spreading
 from occmap.sensor.models import RadialModel, SensorModel, find_decision, parse_model
-from occmap.types import Evidence, Float64, Manifest, OccupancyMap, Slices, Update, to_log_odds
+from occmap.types import Update
 
 Weigh: TypeAlias = Callable[[Float64, Float64], Float64]
 """Takes hits and misses, or log-odds and observations; gives log-odds"""

@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.cells import to_log_odds
 from occmap.evidence import choose_tiles, weigh
 from occmap.grid.tiles import EvidenceKind, Key, Tile, TileGrid
 from occmap.sensor.models import SensorModel, find_decision
-from occmap.types import to_log_odds
 
 MOST_TILES = 16
 """So many tiles, evenly spread over those that both saw, stand for all of them."""

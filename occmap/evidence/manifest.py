@@ -11,11 +11,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from occmap.cells import Manifest
 from occmap.errors import LogError
 from occmap.grid.tiles import EvidenceKind
 from occmap.sensor.bounds import NO_CLAMP
 from occmap.sensor.models import RadialModel, SensorModel, describe_model
-from occmap.types import Manifest, Update
+from occmap.types import Update
 
 UNRECORDED = ("framing", "jobs", "resume", "resume_if_there")
 """Options that change nothing about what is observed, so builds do not record them."""

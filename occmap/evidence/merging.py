@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from occmap.cells import Evidence, Manifest
 from occmap.errors import MapError
 from occmap.evidence import Described, read_model, to_evidence, to_grid
 from occmap.evidence.fit import list_misfit
@@ -15,7 +16,6 @@ from occmap.grid.slices import restrict
 from occmap.grid.tiles import EvidenceKind, TileGrid, add_stack, drop_empty, stack_tiles, view_tiles
 from occmap.sensor.models import SensorModel
 from occmap.store.sources import Combined, Saved, as_blocks, open_saved, read_all
-from occmap.types import Evidence, Manifest
 
 
 def open_resumed(path: Path, plan: Manifest) -> Evidence:

@@ -5,12 +5,12 @@ from typing import NoReturn
 
 import numpy as np
 
+from occmap.cells import OccupancyMap, Slices
 from occmap.errors import MapError, UsageError, require
 from occmap.evidence import render
 from occmap.grid.slices import count_visits, split_tiles, unite
 from occmap.grid.tiles import TileGrid, drop_empty
 from occmap.sensor.models import RadialModel, SensorModel
-from occmap.types import OccupancyMap, Slices
 
 SHORTEST_GAP_S, LONGEST_GAP_S = 1e-3, 1e9
 MUCH = 0.25

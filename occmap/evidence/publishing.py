@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+from occmap.cells import Evidence, Manifest, OccupancyMap
 from occmap.errors import UsageError
 from occmap.evidence import read_model, refuse_other_profile, to_grid
 from occmap.evidence.manifest import list_doubts
@@ -22,7 +23,6 @@ from occmap.store.reading import Store
 from occmap.store.sources import Saved, as_blocks, read_all
 from occmap.store.writer import ZarrWriter
 from occmap.tally import ScanCounts
-from occmap.types import Evidence, Manifest, OccupancyMap
 from occmap.writers import Product, ProductWriter, WindowWriter, WriteOptions
 from occmap.writers.outputs import check_outputs, find_writer, list_idle, write_outputs
 

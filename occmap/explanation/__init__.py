@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from occmap.cells import Box, Evidence, OccupancyMap, to_log_odds
 from occmap.errors import UsageError
 from occmap.evidence import choose_tiles, read_model, refuse_other_profile, to_grid, weigh
 from occmap.evidence.manifest import list_doubts
@@ -31,7 +32,6 @@ from occmap.sensor.models import SensorModel, describe_model, find_decision
 from occmap.store.reading import Store
 from occmap.store.rendering import View, find_bounds
 from occmap.store.sources import Saved, read_part
-from occmap.types import Box, Evidence, OccupancyMap, to_log_odds
 from occmap.wording import count
 from occmap.writers import WriteOptions
 

@@ -7,13 +7,14 @@ from typing import Self
 
 import numpy as np
 
+from occmap.cells import Box, Evidence, Manifest, Slices
 from occmap.errors import UsageError
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.slices import count_visits, take, unite, unpack
 from occmap.grid.spec import find_unit
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
 from occmap.plain import Count
-from occmap.types import Box, Evidence, Manifest, Slices, Update
+from occmap.types import Update
 
 FARTHEST_CELL = 1 << 44
 """Beyond this a float cannot tell the parts of a cell apart."""

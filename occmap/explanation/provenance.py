@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from occmap.cells import Evidence
 from occmap.errors import LogError, PoseError
 from occmap.evidence.manifest import BuildRecord, describe_files, find_trajectory, list_inputs
 from occmap.explanation.recall import recall_options
 from occmap.options import BuildOptions
-from occmap.types import Evidence
 
 MOST_NAMES = 5
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from occmap.arrays import Int64
 from occmap.batching import Batcher
 from occmap.engines import plan_grid
 from occmap.explanation.history import CellHistory, Numbers, Seen
@@ -16,7 +17,7 @@ from occmap.plain import Count
 from occmap.readers import Log, open_log, read_scans
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret
-from occmap.types import Int64, PosedScans
+from occmap.types import PosedScans
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
+from occmap.cells import Slices
 from occmap.engines import make_grid
 from occmap.errors import OutputError
 from occmap.evidence.manifest import UNRECORDED, write_value
@@ -41,7 +42,6 @@ from occmap.options import BuildOptions
 from occmap.remarks import Remarks
 from occmap.store.blocks import Block
 from occmap.tally import Tally
-from occmap.types import Slices
 
 SLICE_BYTES = 256 << 20
 """Small enough for any worker, and large enough that the same tiles are seldom touched again"""

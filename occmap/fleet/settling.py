@@ -5,12 +5,12 @@ from itertools import accumulate
 
 import numpy as np
 
+from occmap.arrays import Float64
 from occmap.batching import FROM_THE_START, Seam
 from occmap.fleet.tasks import Setting, Survey, Traced, TraceJob
 from occmap.posing.course import STANDS, STILL_M
 from occmap.posing.sifting import MOST_PATHS, Ends, Laser
 from occmap.sensor.no_return import RangeLimits
-from occmap.types import Float64
 
 
 class LogTrace:

@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from occmap.alignment import settle_align
+from occmap.arrays import Int64
+from occmap.cells import Manifest
 from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
 from occmap.fleet import Fleet, Work, list_reductions
 from occmap.fleet.runs import do_once, read_stub, write_stub
@@ -31,7 +33,6 @@ from occmap.store.writing import (
     write_classes,
 )
 from occmap.tally import refuse_unseen, refuse_unused
-from occmap.types import Int64, Manifest
 from occmap.writers.atomic import follow_links, publish_folder, refuse_unwritable
 from occmap.writers.outputs import check_outputs
 

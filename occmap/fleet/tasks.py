@@ -11,7 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from occmap.arrays import Float64, Int64
 from occmap.batching import Seam, Selector
+from occmap.cells import Slices
 from occmap.engines import choose_engine, make_grid
 from occmap.errors import LogError, PoseError
 from occmap.evidence.manifest import describe_files
@@ -37,7 +39,7 @@ from occmap.sensor.no_return import RangeLimits
 from occmap.store.blocks import Block, BlockContent, split_blocks
 from occmap.tally import Tally
 from occmap.tracing import Drive, open_drive, trace
-from occmap.types import Float64, Int64, Rays, Slices
+from occmap.types import Rays
 
 
 @dataclass(frozen=True)

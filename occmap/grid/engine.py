@@ -4,6 +4,7 @@ from threading import Lock
 
 import numpy as np
 
+from occmap.cells import Slices
 from occmap.errors import MapError
 from occmap.grid.kernels.units import TILE
 from occmap.grid.lattice import MOST_CELLS_OF_BEAM, CellBox, Lattice
@@ -11,7 +12,7 @@ from occmap.grid.projection import Projected, offset_hits, project
 from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
 from occmap.grid.windows import Window, choose_window, count_observations, find_most_observations
-from occmap.types import Rays, Slices
+from occmap.types import Rays
 
 ROOMY_CELLS = 1 << 22
 """Room for scans to come makes a window no larger than this; the scans at hand may."""

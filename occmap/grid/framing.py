@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from occmap.cells import Box, OccupancyMap, to_log_odds
 from occmap.errors import MapError, require
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.tiles import refuse_large
-from occmap.types import Box, OccupancyMap, to_log_odds
 
 CELL_SLACK = 1e-6
 """In cells: 0.15 m is three cells of 0.05 m, whatever floats say."""

@@ -4,13 +4,14 @@ import math
 
 import numpy as np
 
+from occmap.arrays import Bool, Int64
 from occmap.grid.engine import refuse_far_sensors, refuse_long_beams
 from occmap.grid.kernels.units import TILE
 from occmap.grid.lattice import CellBox
 from occmap.grid.projection import offset_hits, project
 from occmap.grid.spec import GridSpec
 from occmap.grid.windows import choose_window
-from occmap.types import Bool, Int64, Rays
+from occmap.types import Rays
 
 
 class CellProbe:

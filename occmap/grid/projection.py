@@ -4,13 +4,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from occmap.arrays import Int64
 from occmap.grid.kernels.beams import Beams
 from occmap.grid.kernels.neighbours import link_neighbours
 from occmap.grid.kernels.project import measure_ranges, project_ends
 from occmap.grid.kernels.units import CELL_SHIFT, NO_LENGTH
 from occmap.grid.lattice import CellBox
 from occmap.grid.spec import GridSpec
-from occmap.types import Int64, Kind, Rays, Update
+from occmap.types import Kind, Rays, Update
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from typing import Protocol, TypeAlias
 
 import numpy as np
 
+from occmap.arrays import Bool, Float32, Float64
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox
 from occmap.grid.tiles import TILE, CellNumbers, EvidenceKind, Key, TileGrid
-from occmap.types import Bool, Float32, Float64
 
 Part: TypeAlias = tuple[slice, slice]
 """Rows and columns."""

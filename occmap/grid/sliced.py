@@ -5,11 +5,12 @@ from threading import Lock
 
 import numpy as np
 
+from occmap.cells import Slices
 from occmap.grid.engine import GridEngine
 from occmap.grid.slices import mark_observed, unite
 from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import MAX_CELLS, TileGrid
-from occmap.types import Rays, Slices
+from occmap.types import Rays
 
 MOST_IDLE = 2
 """Engines that wait for more scans of their slice: batches of several threads share slices."""

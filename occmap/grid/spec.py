@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from occmap.arrays import Float64, Int64
 from occmap.grid.kernels.units import BEAM_WEIGHT
 from occmap.grid.lattice import Lattice
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
-from occmap.types import Float64, Int64, Update
+from occmap.types import Update
 
 WINDOW_CELLS = 1 << 24
 """The largest window; scans that need more are traced part by part."""

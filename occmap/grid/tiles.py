@@ -11,10 +11,11 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from occmap.arrays import Bool, Float64, Int64
+from occmap.cells import MOST_OBSERVED
 from occmap.errors import MapError
 from occmap.grid.kernels import units
 from occmap.grid.lattice import CellBox, Lattice
-from occmap.types import MOST_OBSERVED, Bool, Float64, Int64
 
 TILE = units.TILE
 """Cells along the side of a tile."""

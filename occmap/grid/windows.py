@@ -8,6 +8,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
+from occmap.arrays import Int32, Int64
 from occmap.grid.kernels.beams import Profile, note_beams
 from occmap.grid.kernels.outline import Surfaces
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
@@ -19,7 +20,7 @@ from occmap.grid.lattice import CellBox
 from occmap.grid.projection import Projected
 from occmap.grid.spec import GridSpec, Tables
 from occmap.grid.tiles import Key, Tile
-from occmap.types import Int32, Int64, Rays, Update
+from occmap.types import Rays, Update
 
 ALL_BITS = -1
 """The mask of numbers of which all bits are evidence."""

@@ -5,9 +5,10 @@ from typing import Self
 
 import numpy as np
 
+from occmap.arrays import Float64
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.inspection.findings import MapFindings
-from occmap.types import Float64, Kind, Rays
+from occmap.types import Kind, Rays
 
 BYTES_PER_CELL = 4 + 1 + 8
 """In memory: log-odds, observed, and two counts of four bytes as evidence."""

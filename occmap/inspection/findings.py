@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 from occmap.batching import count_wanted
+from occmap.cells import Box
 from occmap.plain import Finite, Printed, Share
 from occmap.posing.coverage import Coverage
 from occmap.posing.options import Stamps
 from occmap.readers import Stream
-from occmap.types import Box
 
 
 @dataclass(frozen=True)

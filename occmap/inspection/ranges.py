@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from occmap.arrays import Float32
 from occmap.inspection.findings import RangeFindings, Repeated, Special
-from occmap.types import Float32, ScanBatch
+from occmap.types import ScanBatch
 
 BLOCK_RANGES = 1 << 17
 """Ranges that are sorted at once to find repeated ones: memory is bounded, sorting pays."""

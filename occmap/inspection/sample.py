@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from occmap.arrays import Bool, Float64
 from occmap.sampling import encode_cells
 from occmap.sensor.returns import NoReturn, ReturnOptions, interpret
-from occmap.types import Bool, Float64, Kind, PosedScans, as_float32
+from occmap.types import Kind, PosedScans
+from occmap.values import as_float32
 
 HIT_CELL_M = 0.1
 ASIDE_M = 0.15

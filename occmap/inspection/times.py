@@ -4,10 +4,11 @@ from array import array
 
 import numpy as np
 
+from occmap.arrays import Int64
 from occmap.inspection.findings import TimeFindings
 from occmap.posing.options import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
-from occmap.types import Int64, Scan, ScanRun
+from occmap.types import Scan, ScanRun
 
 LONGEST_RUN_NS = 10**16
 """A simulation lasts no longer than this: 115 days."""

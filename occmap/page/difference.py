@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from occmap.cells import Box
 from occmap.difference import COLOURS, FREE, NEITHER, OCCUPIED, MapDifference
 from occmap.evidence.manifest import describe_files
 from occmap.page.document import Block, Page, Section, Stage, describe_maker, write_page
@@ -11,7 +12,6 @@ from occmap.page.layers import CLASS_COLOURS, Layer, describe_rasters
 from occmap.page.packing import pack
 from occmap.page.plots import plot_map
 from occmap.page.raster import MOST_CELLS, Layers, Raster, thin
-from occmap.types import Box
 from occmap.wording import write_box
 
 CHANGES = (

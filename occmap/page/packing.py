@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.types import UInt8
+from occmap.arrays import UInt8
 
 LEVEL = 6
 

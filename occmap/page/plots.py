@@ -9,7 +9,8 @@ from bokeh.palettes import Plasma256
 from bokeh.plotting import figure
 from bokeh.transform import linear_cmap
 
-from occmap.types import Float64, Trajectory
+from occmap.arrays import Float64
+from occmap.types import Trajectory
 
 UNKNOWN_COLOUR = "#d5d9de"
 WAY_COLOURS = Plasma256[20:165]

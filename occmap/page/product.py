@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from occmap.cells import Evidence
 from occmap.evidence.manifest import list_inputs
 from occmap.page.document import Block, Page, Section, Stage, describe_maker, name_logs
 from occmap.page.findings import tell_findings, tell_notes
@@ -13,7 +14,7 @@ from occmap.page.packing import Packed, pack
 from occmap.page.plots import WAY_COLOURS, add_scan, add_way, plot_map
 from occmap.page.raster import Raster, make_raster
 from occmap.summary import tell_beams, tell_map, tell_scans
-from occmap.types import Evidence, Journey
+from occmap.types import Journey
 from occmap.writers import Product, WriteOptions
 
 HIT_UNIT_M = 0.02

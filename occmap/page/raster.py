@@ -12,12 +12,14 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from occmap.arrays import Bool, Int64
+from occmap.cells import Evidence, OccupancyMap, Slices
 from occmap.grid.lattice import CellBox
 from occmap.grid.slices import count_visits, split_tiles, take, unite, unpack
 from occmap.grid.spec import find_unit
 from occmap.grid.tiles import TILE, EvidenceKind
 from occmap.page.packing import Packed, pack, pack_few
-from occmap.types import Bool, Evidence, Int64, OccupancyMap, Slices, Update
+from occmap.types import Update
 
 MOST_CELLS = 4100 * 4100
 """A page with more of them takes long to open."""

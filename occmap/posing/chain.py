@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from occmap.arrays import Bool, Float64, Int64
 from occmap.posing.frames import Step, last_part
 from occmap.posing.rotations import slerp
 from occmap.posing.tracks import Track
 from occmap.posing.transforms import Status, Transforms
-from occmap.types import Bool, Float64, Int64
 
 DRIFT_M, DRIFT_RAD = 0.1, 0.05
 """A correction of odometry that moves or turns by no more never counts as a jump."""

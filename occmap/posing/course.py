@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.arrays import Float64, Int64
 from occmap.posing.chain import Chain, make_chain
 from occmap.posing.concerns import Concern
 from occmap.posing.frames import Edge, Source, Step
@@ -13,7 +14,7 @@ from occmap.posing.jumps import Jump, find_jumps
 from occmap.posing.options import Stamps
 from occmap.posing.rotations import measure_turn
 from occmap.posing.tracks import TrackBuilder
-from occmap.types import Float64, Int64, PoseBatch, PosedScans
+from occmap.types import PoseBatch, PosedScans
 
 TILTED_RAD = math.radians(3)
 """A tilted scan plane meets the floor: at three degrees, 30 cm above it, within six metres."""

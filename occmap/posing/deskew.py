@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from occmap.arrays import Bool, Int64
 from occmap.posing.chain import Chain
 from occmap.posing.options import Deskew
 from occmap.posing.transforms import Transforms
-from occmap.types import Bool, Int64, PosedScans, ScanBatch
+from occmap.types import PosedScans, ScanBatch
 
 MAX_TURN_S = 60.0
 """A scan that is said to take longer has a wrong time_increment."""

@@ -11,13 +11,13 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from occmap.arrays import Float64, Int64
 from occmap.posing.chain import Chain, Moving
 from occmap.posing.concerns import Concern
 from occmap.posing.frames import Step
 from occmap.posing.rotations import measure_turn
 from occmap.posing.tracks import Track
 from occmap.posing.transforms import Status
-from occmap.types import Float64, Int64
 
 JUMP_M, JUMP_RAD = 1.0, math.radians(20)
 """A correction that moves and turns the sensor by less mends drift, and doubles walls at most."""

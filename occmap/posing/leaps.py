@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.types import Bool, Float64, Int64
+from occmap.arrays import Bool, Float64, Int64
 
 SLACK_M = 1.0
 """A shorter step is no leap, however short the time: stamps are rounded, odometry corrected."""

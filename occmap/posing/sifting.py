@@ -8,9 +8,10 @@ from typing import NamedTuple, Self, TypeAlias
 
 import numpy as np
 
+from occmap.arrays import Bool, Int64
 from occmap.posing.leaps import Moment, Row, find_astray, find_rows
 from occmap.posing.options import DropReason
-from occmap.types import Bool, Int64, PosedScans, ScanBatch
+from occmap.types import PosedScans, ScanBatch
 from occmap.wording import count
 
 MOST_PATHS = 1000

@@ -16,7 +16,8 @@ import numpy as np
 
 from occmap.errors import LogError
 from occmap.posing.rotations import to_quaternions
-from occmap.types import Pose, PoseSample, parse_nanoseconds, parse_seconds
+from occmap.types import Pose, PoseSample
+from occmap.values import parse_nanoseconds, parse_seconds
 
 TRAJECTORY_FRAME = "map"
 TUM_COLUMNS = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")

@@ -5,9 +5,10 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from occmap.arrays import Float64, UInt8
 from occmap.posing.rotations import rotate_by
 from occmap.posing.tracks import Track, find_usable
-from occmap.types import Float64, Pose, UInt8
+from occmap.types import Pose
 
 UNMOVED = Pose.planar(0.0, 0.0, 0.0)
 """Stands in for a pose that cannot be used."""

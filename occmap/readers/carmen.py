@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from occmap.arrays import Int64
 from occmap.readers import Note, Probe, Role, Span, Stream
 from occmap.readers.carmen_lines import (
     FRAMES,
@@ -23,7 +24,8 @@ from occmap.readers.carmen_lines import (
 )
 from occmap.readers.text import Block, Line, add_note, note_cut_line, probe_lines, read_blocks
 from occmap.readers.text_log import LineTally, TextLog
-from occmap.types import Int64, Pose, PoseSample, Scan, ScanRun, shorten
+from occmap.types import Pose, PoseSample, Scan, ScanRun
+from occmap.values import shorten
 from occmap.wording import count
 
 # fmt: off

@@ -27,19 +27,12 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from occmap.arrays import Float64
 from occmap.readers.kernels import ANY, NUMBER, RANGE, SAME, SECONDS
 from occmap.readers.text import Line, make_planar, round_limit, stack_planar
 from occmap.readers.text_log import Pattern, Table
-from occmap.types import (
-    UNKNOWN_POSE,
-    Float64,
-    PoseSample,
-    Scan,
-    ScanRun,
-    as_float32,
-    parse_seconds,
-    shorten,
-)
+from occmap.types import UNKNOWN_POSE, PoseSample, Scan, ScanRun
+from occmap.values import as_float32, parse_seconds, shorten
 
 FRONT, REAR = "front_laser", "rear_laser"
 PLAIN_FRAMES = {"FLASER": FRONT, "RLASER": REAR}

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from occmap.arrays import Int64
 from occmap.errors import LogError
 from occmap.readers import Note, Probe, Role, Span, Stream
 from occmap.readers.csv_layout import (
@@ -21,7 +22,7 @@ from occmap.readers.csv_layout import (
 )
 from occmap.readers.text import ALL, Block, Line, add_note, probe_lines, read_blocks
 from occmap.readers.text_log import LineTally, TextLog
-from occmap.types import Int64, PoseSample
+from occmap.types import PoseSample
 
 MAX_NAMES = 5
 """Names in one note."""

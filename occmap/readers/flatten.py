@@ -5,10 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from occmap.arrays import Float32, Float64
 from occmap.errors import DamageError
 from occmap.readers.options import ReaderOptions
 from occmap.readers.shapes import HEADER, Shape, as_bytes, as_flag, read_frame, read_stamp
-from occmap.types import Float32, Float64, Scan, as_float32, as_stamp, as_text
+from occmap.types import Scan
+from occmap.values import as_float32, as_stamp, as_text
 
 BEARINGS = 720
 """A cloud is flattened to half a degree: finer than most spinning lidars in the plane, and coarse

@@ -20,7 +20,8 @@ from occmap.readers.shapes import (
     get_field,
     read_frame,
 )
-from occmap.types import Pose, PoseSample, Scan, as_number, as_stamp, as_text
+from occmap.types import Pose, PoseSample, Scan
+from occmap.values import as_number, as_stamp, as_text
 
 IDENTITY = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 

@@ -26,7 +26,8 @@ from occmap.readers.shapes import (
     read_frame,
     read_stamp,
 )
-from occmap.types import Pose, PoseSample, Scan, as_number, as_text
+from occmap.types import Pose, PoseSample, Scan
+from occmap.values import as_number, as_text
 
 _CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 

@@ -11,9 +11,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from occmap.arrays import Float64, UInt8
 from occmap.errors import DamageError
 from occmap.readers.options import ReaderOptions
-from occmap.types import Float64, PoseSample, Scan, UInt8, as_number, as_stamp, as_text, shorten
+from occmap.types import PoseSample, Scan
+from occmap.values import as_number, as_stamp, as_text, shorten
 
 ToScan: TypeAlias = Callable[[ReaderOptions, Any, str, int], Scan]
 """From what the user chose, a decoded message, its topic and its record time in ns."""

@@ -11,11 +11,13 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from occmap.arrays import Float64, Int64, UInt64
 from occmap.errors import LogError
 from occmap.readers import Note, Probe, Span
 from occmap.readers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
 from occmap.readers.kernels import PADDING
-from occmap.types import UNKNOWN_POSE, Float64, Int64, Pose, UInt64, as_float32
+from occmap.types import UNKNOWN_POSE, Pose
+from occmap.values import as_float32
 
 MAX_LINE_BYTES = 1 << 24
 """A scan of a million beams is shorter; a longer line is no text log."""

@@ -9,22 +9,13 @@ from typing import NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 
+from occmap.arrays import Float32, Float64, Int64, UInt8
 from occmap.errors import LogError
 from occmap.readers import Note, NoteList, Span, make_part
 from occmap.readers.kernels import NUMBER, PADDING, RANGE, SAME, SECONDS
 from occmap.readers.text import ALL, Block, Line, add_note, note_cut_line, split_lines
-from occmap.types import (
-    Float32,
-    Float64,
-    Int64,
-    Scan,
-    ScanRun,
-    UInt8,
-    as_float32,
-    parse_nanoseconds,
-    parse_seconds,
-    shorten,
-)
+from occmap.types import Scan, ScanRun
+from occmap.values import as_float32, parse_nanoseconds, parse_seconds, shorten
 
 Parsed = TypeVar("Parsed")
 

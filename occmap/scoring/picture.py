@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from occmap.arrays import Bool, UInt8
+from occmap.cells import OccupancyMap
 from occmap.grid.lattice import CellBox
 from occmap.scoring.trials import Result
-from occmap.types import Bool, OccupancyMap, UInt8
 from occmap.writers.panels import Panel, write_panels
 
 LARGEST_PX, SMALLEST_PX = 1000, 360

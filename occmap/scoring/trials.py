@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from occmap.arrays import Float64
+from occmap.cells import OccupancyMap
 from occmap.engines import make_engine, plan_grid
 from occmap.evidence import render
 from occmap.options import BuildOptions
 from occmap.scoring.score import Score, estimate_error, score_map
 from occmap.scoring.variants import Variant
-from occmap.types import Float64, Kind, OccupancyMap, Rays
+from occmap.types import Kind, Rays
 from occmap.workers import Workers
 
 if TYPE_CHECKING:

@@ -10,8 +10,10 @@ from typing import TypeAlias
 
 import numpy as np
 
+from occmap.arrays import Bool, Float32, Float64
+from occmap.cells import Box
 from occmap.errors import require
-from occmap.types import Bool, Box, Float32, Float64, as_float32
+from occmap.values import as_float32
 
 Sector: TypeAlias = tuple[float, float]
 """From one bearing counter-clockwise to another (rad)."""

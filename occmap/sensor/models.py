@@ -12,6 +12,8 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
+from occmap.arrays import Float64
+from occmap.cells import EVEN_ODDS, Decision, to_log_odds
 from occmap.errors import UsageError, require
 from occmap.plugins import list_plugins, load_plugin, suggest
 from occmap.sensor.bounds import (
@@ -24,7 +26,6 @@ from occmap.sensor.bounds import (
     check_weight,
 )
 from occmap.sensor.rules import occupancy, probability, visibility
-from occmap.types import EVEN_ODDS, Decision, Float64, to_log_odds
 
 
 @runtime_checkable

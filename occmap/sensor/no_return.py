@@ -12,8 +12,10 @@ from typing import Self
 
 import numpy as np
 
+from occmap.arrays import Float32, Int64
 from occmap.sensor.returns import ReturnOptions, read_limits
-from occmap.types import Float32, Int64, Scan, ScanBatch, ScanRun, as_float32
+from occmap.types import Scan, ScanBatch, ScanRun
+from occmap.values import as_float32
 
 BAND = 0.025
 """The share of its top that a band is wide, and that the nearly empty part below it is wide"""

@@ -12,21 +12,12 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from occmap.arrays import Bool, Float32, Float64, UInt8
+from occmap.cells import Box
 from occmap.errors import require
 from occmap.sensor.ignore import Sector, check_box, check_sector, mask_box, mask_sectors
-from occmap.types import (
-    Bool,
-    Box,
-    Float32,
-    Float64,
-    Kind,
-    PosedScans,
-    Rays,
-    Scan,
-    ScanBatch,
-    UInt8,
-    as_float32,
-)
+from occmap.types import Kind, PosedScans, Rays, Scan, ScanBatch
+from occmap.values import as_float32
 
 
 class NoReturn(StrEnum):

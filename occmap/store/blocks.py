@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from occmap.arrays import Int64, UInt8
+from occmap.cells import Evidence, Manifest, Slices
 from occmap.evidence.manifest import MEANING, list_inputs
 from occmap.grid.lattice import CellBox
 from occmap.grid.slices import take, unite
 from occmap.grid.tiles import TILE
-from occmap.types import Evidence, Int64, Manifest, Slices, UInt8
 from occmap.writers.compact import pack_slices, unpack_slices
 
 BLOCK = 1024

@@ -15,10 +15,10 @@ from dataclasses import asdict
 from hashlib import sha256
 from typing import Any
 
+from occmap.cells import Manifest
 from occmap.grid.tiles import EvidenceKind
 from occmap.plugins import need_extra
 from occmap.store.blocks import BLOCK, Block
-from occmap.types import Manifest
 
 FORMAT, VERSION = "occmap store", 1
 CHUNK = 256

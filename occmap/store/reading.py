@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from occmap.arrays import Int64
+from occmap.cells import Evidence, Manifest
 from occmap.errors import MapError
 from occmap.grid.tiles import INT32_LIMIT, EvidenceKind
 from occmap.store.blocks import (
@@ -21,7 +23,6 @@ from occmap.store.blocks import (
     unpack_layers,
 )
 from occmap.store.layout import FORMAT, LAYERS, VERSION, compute_checksum, find_place, import_zarr
-from occmap.types import Evidence, Int64, Manifest
 from occmap.writers.soundness import list_faults, list_manifest_faults, refuse_damage, refuse_faults
 
 

@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.arrays import Int64, UInt8
+from occmap.cells import Box, CellClass, Decision, OccupancyMap, to_log_odds
 from occmap.errors import UsageError
 from occmap.evidence import choose_tiles, paint_box, to_grid
 from occmap.evidence.persistence import describe_lost, keep_lasting, refuse_nothing_left
@@ -19,7 +21,6 @@ from occmap.sensor.models import SensorModel, find_decision
 from occmap.store.blocks import Block, BlockContent, list_blocks
 from occmap.store.reading import Store
 from occmap.store.sources import Blocks, read_part
-from occmap.types import Box, CellClass, Decision, Int64, OccupancyMap, UInt8, to_log_odds
 from occmap.writers import WriteOptions
 from occmap.writers.soundness import refuse_damage
 

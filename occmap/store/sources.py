@@ -9,6 +9,8 @@ from typing import Protocol, TypeAlias
 
 import numpy as np
 
+from occmap.arrays import Int64
+from occmap.cells import Evidence, Manifest
 from occmap.evidence import Described
 from occmap.evidence.manifest import list_inputs
 from occmap.grid.lattice import CellBox
@@ -24,7 +26,6 @@ from occmap.store.blocks import (
     split_evidence,
 )
 from occmap.store.reading import Store, open_store
-from occmap.types import Evidence, Int64, Manifest
 from occmap.writers.npz import read_evidence
 
 

@@ -5,13 +5,13 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+from occmap.cells import Evidence, Manifest
 from occmap.grid.tiles import EvidenceKind
 from occmap.store.blocks import Block, BlockRecord, describe_block
 from occmap.store.layout import LAYERS, find_place, import_zarr
 from occmap.store.reading import Store, open_store
 from occmap.store.sources import Blocks, Held
 from occmap.store.writing import create_store, finish_store, write_block
-from occmap.types import Evidence, Manifest
 from occmap.writers.atomic import make_folder, refuse_unwritable
 
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from occmap.arrays import Int64, UInt8
+from occmap.cells import Manifest, OccupancyMap
 from occmap.errors import OutputError
 from occmap.evidence import paint_box
 from occmap.grid.lattice import CellBox, Lattice
@@ -38,7 +40,7 @@ from occmap.store.layout import (
     import_zarr,
     make_head,
 )
-from occmap.types import Int64, Manifest, OccupancyMap, UInt8, Update
+from occmap.types import Update
 from occmap.writers.atomic import refuse_unwritable
 
 Run = Callable[[Callable[[Block], None], Sequence[Block]], Iterable[None]]

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from occmap.arrays import Float64
 from occmap.batching import Batcher
 from occmap.errors import PoseError
 from occmap.options import BuildOptions
@@ -16,7 +17,7 @@ from occmap.remarks import Remarks, list_frames
 from occmap.sensor.no_return import RangeLimits
 from occmap.tally import Tally, name_logs, refuse_unused
 from occmap.tracing import open_drive
-from occmap.types import Float64, Pose, PosedScans, Scan, ScanBatch, ScanRun
+from occmap.types import Pose, PosedScans, Scan, ScanBatch, ScanRun
 
 MOST_SCANS = 1000
 """Spread over the logs: more tell little more, and they are traced more than thirty times."""

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from occmap.types import Int64, Slices
+from occmap.arrays import Int64
+from occmap.cells import Slices
 
 WIDTHS = ("<i1", "<i2", "<i4", "<i8")
 SLICE_ARRAYS = (

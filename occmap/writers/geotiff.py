@@ -6,9 +6,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from occmap.cells import OccupancyMap
 from occmap.errors import OutputError
 from occmap.plugins import need_extra
-from occmap.types import OccupancyMap
 from occmap.writers import Windows, WriteOptions
 from occmap.writers.atomic import check_target, follow_links, open_atomic
 from occmap.writers.pgm import RAW_UNKNOWN, to_raw

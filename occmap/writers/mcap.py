@@ -21,7 +21,9 @@ from rosbags import interfaces
 from rosbags.rosbag2.metadata import dump_qos_v8
 from rosbags.typesys import Stores, get_typestore
 
-from occmap.types import Float64, OccupancyMap, Trajectory
+from occmap.arrays import Float64
+from occmap.cells import OccupancyMap
+from occmap.types import Trajectory
 from occmap.writers import MapMode, OneFile, Product, WriteOptions
 from occmap.writers.atomic import open_atomic
 

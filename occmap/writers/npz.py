@@ -45,8 +45,9 @@ from typing import Any
 
 import numpy as np
 
+from occmap.arrays import Bool, UInt8
+from occmap.cells import Evidence, Manifest
 from occmap.errors import MapError
-from occmap.types import Bool, Evidence, Manifest, UInt8
 from occmap.writers import OneFile
 from occmap.writers.atomic import open_atomic
 from occmap.writers.compact import SLICE_ARRAYS, Arrays, narrow, pack_slices, unpack_slices

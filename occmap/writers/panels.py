@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from PIL import Image, ImageDraw, ImageFont
 
-from occmap.types import UInt8
+from occmap.arrays import UInt8
 from occmap.writers.atomic import open_atomic
 
 TEXT_PX = 15

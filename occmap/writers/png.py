@@ -8,7 +8,8 @@ import numpy as np
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from occmap.types import OccupancyMap, UInt8
+from occmap.arrays import UInt8
+from occmap.cells import OccupancyMap
 from occmap.writers import OneFile, Shade, WriteOptions, bands_from_top
 from occmap.writers.atomic import open_atomic
 

@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from occmap.arrays import Int64
+from occmap.cells import MOST_OBSERVED, Evidence, Manifest, Slices
 from occmap.errors import MapError
-from occmap.types import MOST_OBSERVED, Evidence, Int64, Manifest, Slices, Update
+from occmap.types import Update
 
 DAMAGE = (
     *(zipfile.BadZipFile, struct.error, tokenize.TokenError, EOFError, NotImplementedError),

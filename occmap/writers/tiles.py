@@ -15,7 +15,8 @@ from typing import TypeAlias
 import numpy as np
 from PIL import Image
 
-from occmap.types import CellClass, UInt8
+from occmap.arrays import UInt8
+from occmap.cells import CellClass
 from occmap.writers import OneFile, Windows, WriteOptions
 from occmap.writers.atomic import make_folder
 from occmap.writers.pgm import FREE, OCCUPIED, UNKNOWN, describe_map, write_yaml

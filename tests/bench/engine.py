@@ -7,6 +7,7 @@ from time import process_time
 
 import numpy as np
 
+from occmap.arrays import Int64
 from occmap.engines import make_engine
 from occmap.grid.lattice import CellBox
 from occmap.grid.rendering import paint
@@ -14,7 +15,7 @@ from occmap.grid.tiles import EvidenceKind, TileGrid
 from occmap.options import BuildOptions
 from occmap.sensor.models import QuadraticModel, SensorModel, SimpleModel
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.types import Int64, PosedScans, Update
+from occmap.types import PosedScans, Update
 from occmap.workers import Workers
 from tests.bench.measuring import Times, time_in_turn
 from tests.bench.workloads import Workload

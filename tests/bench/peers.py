@@ -10,23 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
+from occmap.cells import Decision, OccupancyMap, to_log_odds
 from occmap.grid.kernels.units import FREE, HIT, SKIP
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import find_bounds, paint
 from occmap.grid.tiles import TileGrid
 from occmap.jit import kernel
-from occmap.types import (
-    Bool,
-    Decision,
-    Float32,
-    Float64,
-    Int32,
-    Int64,
-    OccupancyMap,
-    Rays,
-    UInt8,
-    to_log_odds,
-)
+from occmap.types import Rays
 
 
 class Verdict(NamedTuple):

@@ -20,6 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.arrays import Bool, Float64
+from occmap.cells import OccupancyMap
 from occmap.errors import OccmapError
 from occmap.evidence import render
 from occmap.grid.kernels.units import HIT
@@ -32,7 +34,7 @@ from occmap.scoring.score import Score, estimate_error, score_map
 from occmap.scoring.trials import HoldOut, SharedEvidence
 from occmap.tally import Tally
 from occmap.tracing import trace_logs
-from occmap.types import Bool, Float64, OccupancyMap, Rays
+from occmap.types import Rays
 from tests.bench.peers import CLASSES_ONLY, map_peers
 from tests.bench.settings import DEFAULT, LOGS, OURS, PLAIN, Recording, list_neighbours, list_steps
 from tests.bench.tables import draw

@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from occmap.cells import OccupancyMap
 from occmap.grid.engine import GridEngine
 from occmap.grid.lattice import Lattice
 from occmap.grid.spec import GridSpec
 from occmap.options import BuildOptions
 from occmap.sensor.models import CountingModel
-from occmap.types import Kind, OccupancyMap, Rays, Update
+from occmap.types import Kind, Rays, Update
 from tests.bench import quality
 from tests.bench.peers import (
     COUNT_RULES,

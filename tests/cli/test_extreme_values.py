@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.types import MOST_OBSERVED
+from occmap.cells import MOST_OBSERVED
 from occmap.writers.npz import NpzWriter, read_evidence
 from tests.cli.runner import occmap, read_error
 from tests.samples import write_csv

@@ -7,9 +7,9 @@ from typing import Any, Literal, NamedTuple, TypedDict
 import pytest
 from jsonschema import Draft202012Validator
 
+from occmap.cells import Box
 from occmap.cli.schemas import make_schema
 from occmap.plain import HIDDEN, Count, Finite, Share, printed_as, to_plain
-from occmap.types import Box
 
 
 class Colour(StrEnum):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from occmap.batching import Selection
+from occmap.cells import Evidence, Manifest, Slices
 from occmap.errors import MapError
 from occmap.evidence.merging import merge, subtract
 from occmap.evidence.publishing import RenderOptions, publish
@@ -17,7 +18,7 @@ from occmap.grid.tiles import LOG_ODDS_UNIT, TILE
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
-from occmap.types import Evidence, Manifest, Slices, Update
+from occmap.types import Update
 from occmap.writers.npz import read_evidence
 from tests.evidence.saving import (
     COMBINATIONS,

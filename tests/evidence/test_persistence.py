@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from occmap.cells import Slices
 from occmap.errors import MapError, UsageError
 from occmap.evidence import render, to_grid
 from occmap.evidence.persistence import keep_lasting, list_lost, render_lasting
@@ -20,7 +21,7 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.sensor.models import parse_model
 from occmap.sensor.returns import ReturnOptions
-from occmap.types import Slices, Update
+from occmap.types import Update
 from occmap.writers import DEFAULT_THRESHOLDS
 from occmap.writers.npz import read_evidence
 from tests.cli.runner import occmap, read_error

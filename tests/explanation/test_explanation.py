@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from occmap.batching import Selection
+from occmap.cells import Evidence
 from occmap.errors import MapError, UsageError
 from occmap.evidence import render, to_grid
 from occmap.evidence.merging import merge, subtract
@@ -26,7 +27,7 @@ from occmap.sensor.models import (
     SimpleModel,
     parse_model,
 )
-from occmap.types import Evidence, Update
+from occmap.types import Update
 from occmap.writers import MapMode, WriteOptions
 from occmap.writers.npz import read_evidence
 from tests.samples import PLAIN, REAL_LOGS, SAMPLE_LOGS, Planar, write_csv

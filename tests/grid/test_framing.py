@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from occmap.cells import Box, OccupancyMap
 from occmap.errors import MapError, UsageError
 from occmap.grid.framing import Framing, frame
-from occmap.types import Box, OccupancyMap
 
 LOG_ODDS = np.arange(12, dtype=np.float32).reshape(3, 4)
 GRID = OccupancyMap(LOG_ODDS, LOG_ODDS > 0, 0.05, (0.05, -0.05))

@@ -10,13 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from occmap.cells import Slices
 from occmap.errors import MapError
 from occmap.grid.engine import GridEngine
 from occmap.grid.sliced import SlicedEngine
 from occmap.grid.slices import count_visits, split_tiles, unpack
 from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import TILE
-from occmap.types import Kind, Rays, Slices
+from occmap.types import Kind, Rays
 from tests.grid.reference import Cell
 from tests.grid.scans import FEW, Drive, aim, aligned_drives, drives, read_cells, take
 from tests.grid.test_engine import KINDS_OF_MAP, WINDOWS, all_specs

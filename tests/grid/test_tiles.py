@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from occmap.arrays import Float64
 from occmap.errors import MapError
 from occmap.evidence import render
 from occmap.grid.lattice import CellBox, Lattice
@@ -17,7 +18,6 @@ from occmap.grid.tiles import (
     refuse_large,
 )
 from occmap.sensor.models import CountingModel
-from occmap.types import Float64
 from tests.grid.scans import add_cell, read_cells
 
 HITS, MISSES = 2, 1

@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from occmap.arrays import Float64
 from occmap.posing.rotations import angle_between, rotate_by, slerp, to_quaternions
-from occmap.types import Float64, Pose
+from occmap.types import Pose
 
 ANGLES = st.floats(-math.pi, math.pi)
 

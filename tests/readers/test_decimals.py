@@ -9,10 +9,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from occmap.arrays import Float64
 from occmap.readers.kernels import ANY, NANOSECONDS, NUMBER, PADDING, RANGE, SAME, SECONDS
 from occmap.readers.text import Block
 from occmap.readers.text_log import Pattern, Table, parse_table
-from occmap.types import Float64, as_float32, parse_seconds
+from occmap.values import as_float32, parse_seconds
 
 WHOLE = st.text("0123456789", max_size=9)
 WRITTEN = st.builds("{}{}.{}".format, st.sampled_from(["", "-", "+"]), WHOLE, WHOLE)

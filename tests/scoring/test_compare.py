@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from occmap.batching import Selection
+from occmap.cells import OccupancyMap
 from occmap.errors import LogError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions
 from occmap.pipeline import build
@@ -25,7 +26,7 @@ from occmap.sensor.models import (
     parse_model,
 )
 from occmap.sensor.returns import ReturnOptions
-from occmap.types import Kind, OccupancyMap, Rays, Update
+from occmap.types import Kind, Rays, Update
 from tests.samples import PLAIN, REAL_LOGS, SAMPLE_LOGS, write_csv
 
 DRIVE = SAMPLE_LOGS / "drive.csv"

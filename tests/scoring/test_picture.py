@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from occmap.cells import OccupancyMap
 from occmap.scoring.picture import BLUE, RED, Frame, paint_disagreement, paint_map
-from occmap.types import OccupancyMap
 
 KNOWN = {"#": 3.0, ".": -3.0, "?": 0.0, " ": 0.0}
 

@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from occmap.cells import OccupancyMap
 from occmap.scoring.score import ReliabilityBin, score_map
-from occmap.types import Kind, OccupancyMap
+from occmap.types import Kind
 from tests.grid.scans import make_scan
 
 

@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from occmap.cells import Box
 from occmap.errors import UsageError
 from occmap.sensor.ignore import Sector, mask_sectors
 from occmap.sensor.returns import NoReturn, ReturnCounts, ReturnOptions, classify
-from occmap.types import Box, Kind, ScanBatch
+from occmap.types import Kind, ScanBatch
 
 FRONT, LEFT, BACK, RIGHT = range(4)
 ALL = {FRONT, LEFT, BACK, RIGHT}

@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 import zarr
 
+from occmap.arrays import UInt8
+from occmap.cells import CellClass, Evidence, Manifest
 from occmap.errors import MapError, OutputError
 from occmap.evidence.publishing import RenderOptions, render_kept
 from occmap.grid.slices import pack
@@ -23,7 +25,7 @@ from occmap.store.reading import open_store
 from occmap.store.sources import read_all
 from occmap.store.writer import ZarrWriter
 from occmap.store.writing import create_store, finish_store, write_block, write_overview
-from occmap.types import CellClass, Evidence, Manifest, UInt8, Update
+from occmap.types import Update
 from tests.evidence.saving import choose, each_combination, save, write_bytes
 
 FINE = 0.02

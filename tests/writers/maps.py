@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from occmap.types import OccupancyMap
+from occmap.cells import OccupancyMap
 
 
 def map_of(probability: ArrayLike, origin: tuple[float, float] = (0.0, 0.0)) -> OccupancyMap:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import rasterio
 
+from occmap.cells import OccupancyMap
 from occmap.errors import OutputError
-from occmap.types import OccupancyMap
 from occmap.writers import WriteOptions
 from occmap.writers.geotiff import GeoTiffWriter
 

@@ -6,10 +6,11 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
+from occmap.cells import Evidence, OccupancyMap
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.rotations import rotate_by
-from occmap.types import Evidence, Journey, OccupancyMap, Pose, Trajectory
+from occmap.types import Journey, Pose, Trajectory
 from occmap.writers import MapMode, Product, WriteOptions
 from occmap.writers.outputs import write_outputs
 from tests.map_loaders import load_nav2

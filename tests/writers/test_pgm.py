@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 from occmap import writers
+from occmap.cells import Decision, OccupancyMap
 from occmap.errors import OutputError
-from occmap.types import Decision, OccupancyMap
 from occmap.writers import MapMode, WriteOptions
 from occmap.writers.pgm import PgmWriter, describe_map, written_thresholds
 from tests.map_loaders import load_nav2, load_ros1, read_pgm

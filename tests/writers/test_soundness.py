@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from occmap.cells import Evidence
 from occmap.errors import MapError
 from occmap.grid.tiles import EvidenceKind
-from occmap.types import Evidence
 from occmap.writers.npz import read_evidence
 from occmap.writers.soundness import COUNTS, LOG_ODDS, list_faults
 from tests.writers.test_npz import BUILD, MANIFEST, NO_SLICES, SELECTION, SMALL, write

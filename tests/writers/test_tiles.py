@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from occmap.cells import CellClass, OccupancyMap
 from occmap.difference.maps import load_map
-from occmap.types import CellClass, OccupancyMap
 from occmap.writers import WriteOptions
 from occmap.writers.tiles import TILE_PIXELS, TilesWriter
 

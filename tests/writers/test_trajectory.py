@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from occmap import api
+from occmap.cells import Evidence
 from occmap.cli import run
 from occmap.errors import UsageError
-from occmap.types import Evidence, Journey, Trajectory
+from occmap.types import Journey, Trajectory
 from occmap.writers import Product, WriteOptions
 from occmap.writers.outputs import write_outputs
 from tests.writers.maps import map_of

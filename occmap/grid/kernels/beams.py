@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.arrays import Bool, Float64, Int32, Int64, UInt8
 from occmap.grid.kernels.lines import clip_line, draw_line, lies_inside, note_line
 from occmap.grid.kernels.sums import Changes
 from occmap.grid.kernels.units import (
@@ -26,7 +27,6 @@ from occmap.grid.kernels.units import (
     UNITS_PER_CELL,
 )
 from occmap.jit import kernel, step
-from occmap.types import Bool, Float64, Int32, Int64, UInt8
 
 FARTHEST_CENTRE = 1.25
 """Cells by which a cell's centre may be farther from the sensor than its place on the line: half a

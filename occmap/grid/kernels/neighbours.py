@@ -6,9 +6,9 @@ that the two beams cross anyway. The weight of those that are not drawn goes to 
 that every pair weighs the same however far away the surface is.
 """
 
+from occmap.arrays import Float32, Int32, UInt8
 from occmap.grid.kernels.units import ALONE, CELL_SHIFT, FREE, HIT, MOST_BETWEEN
 from occmap.jit import kernel
-from occmap.types import Float32, Int32, UInt8
 
 WIDEST_GAP = 12
 """Nothing is known of a surface between ends that lie more cells apart."""

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.arrays import Float32, Float64, Int32, UInt8
 from occmap.grid.kernels.fill import Outline
 from occmap.grid.kernels.project import round_to_units
 from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, HALF_CELL, HIT, SKIP
 from occmap.jit import kernel
-from occmap.types import Float32, Float64, Int32, UInt8
 
 EDGE, CELL, JOINED = 1, 2, 4
 """Bits of a link. EDGE: the edge from the beam before may matter. CELL: the beam's end cell is

@@ -11,11 +11,11 @@ a span of its own scan, and that is taken off in the end.
 
 import numpy as np
 
+from occmap.arrays import Float32, Float64, Int32, Int64, UInt8
 from occmap.grid.kernels.fill import Spans, fill_outline, make_outline, make_spans
 from occmap.grid.kernels.outline import ScanBeams, Surfaces, link_beams, list_border, outline_scan
 from occmap.grid.kernels.units import AT_A_TIME, PAD
 from occmap.jit import kernel
-from occmap.types import Float32, Float64, Int32, Int64, UInt8
 
 BORDER_BITS = 22
 """A border cell packs, from the lowest bit: minus the number of its hits that lay inside their own

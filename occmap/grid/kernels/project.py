@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from occmap.arrays import Float32, Float64, Int32, UInt8
 from occmap.grid.kernels.units import HIT, NO_LENGTH
 from occmap.jit import kernel
-from occmap.types import Float32, Float64, Int32, UInt8
 
 
 @kernel

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.arrays import Float32, Float64, Int32, Int64, UInt8
 from occmap.grid.kernels.beams import Profile
 from occmap.grid.kernels.fill import Spans, fill_outline, find_rows, make_outline, make_spans
 from occmap.grid.kernels.project import round_to_units
@@ -27,7 +28,6 @@ from occmap.grid.kernels.sectors import (
 )
 from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, HALF_CELL, HIT, NO_LENGTH, PAD
 from occmap.jit import kernel
-from occmap.types import Float32, Float64, Int32, Int64, UInt8
 
 ROUNDED = 4
 """Lattice units by which corners may lie farther out than the sectors that they are made for."""

@@ -6,10 +6,10 @@ most 60 degrees to either side. Where two cover one bearing, the later counts.
 
 import numpy as np
 
+from occmap.arrays import Bool, Float64, Int32, UInt8
 from occmap.grid.kernels.fill import Outline
 from occmap.grid.kernels.units import NO_LENGTH, SKIP
 from occmap.jit import kernel
-from occmap.types import Bool, Float64, Int32, UInt8
 
 BEARINGS = 1 << 14
 """Steps of a full turn to which the bearing of a cell is known."""

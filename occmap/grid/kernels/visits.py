@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.arrays import Float64, Int32, Int64
 from occmap.grid.kernels.beams import Beams, Lines, Profile, list_lines, make_lines, note_lines
 from occmap.grid.kernels.lines import count_steps, draw_line
 from occmap.grid.kernels.sums import Changes
@@ -25,7 +26,6 @@ from occmap.grid.kernels.units import (
     UNITS_PER_CELL,
 )
 from occmap.jit import kernel
-from occmap.types import Float64, Int32, Int64
 
 ENTRY_BITS = 13
 """Bits of the place of an entry in both tables of a model together."""

@@ -7,9 +7,9 @@ word is left to the caller.
 
 import numpy as np
 
+from occmap.arrays import Bool, Float32, Float64, Int64, UInt8, UInt64
 from occmap.jit import kernel
 from occmap.readers.kernels import ANY, NUMBER, RANGE, SAME, SECONDS
-from occmap.types import Bool, Float32, Float64, Int64, UInt8, UInt64
 
 MOST_DIGITS = 15
 """Every integer of this many digits is below 2 to the power of 53."""
