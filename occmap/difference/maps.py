@@ -205,9 +205,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
         raise MapError(f"cannot be read ({error.strerror})", where=path) from None
     except (YAMLError, ValueError, RecursionError) as error:
         reason = str(error).partition("\n")[0]
-        raise MapError(f"is no YAML ({reason})", where=path) from None
+        raise MapError(f"is not YAML ({reason})", where=path) from None
     if not isinstance(values, dict):
-        raise MapError("is no YAML of a map: it holds no names with values", where=path)
+        raise MapError("is not the YAML of a map: it holds no names with values", where=path)
     return values
 
 

@@ -42,7 +42,7 @@ class Framing:
         is_near = max(map(abs, self.extent)) <= FARTHEST_M
         fix = "write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4"
         is_box = is_near and x_min < x_max and y_min < y_max
-        require(is_box, f"the extent {self.extent} is no box", fix)
+        require(is_box, f"the extent {self.extent} is not a box", fix)
 
 
 def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) -> OccupancyMap:

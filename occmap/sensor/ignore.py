@@ -28,7 +28,7 @@ def check_sector(sector: Sector) -> None:
     start, end = sector
     is_sector = math.isfinite(start) and math.isfinite(end) and start != end
     fix = "give two bearings, counter-clockwise, such as `ignore_sectors=2.5,-2.5`"
-    require(is_sector, f"from {start} to {end} rad is no sector", fix)
+    require(is_sector, f"from {start} to {end} rad is not a sector", fix)
 
 
 def check_box(box: Box) -> None:
@@ -36,7 +36,7 @@ def check_box(box: Box) -> None:
     x_min, y_min, x_max, y_max = box
     is_box = all(map(math.isfinite, box)) and x_min < x_max and y_min < y_max
     fix = "give x_min,y_min,x_max,y_max around the sensor in metres"
-    require(is_box, f"{box} is no footprint", fix)
+    require(is_box, f"{box} is not a footprint", fix)
 
 
 @lru_cache(maxsize=64)

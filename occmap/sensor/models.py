@@ -236,6 +236,6 @@ def parse_model(text: str) -> SensorModel:
         try:
             parameters[key.strip()] = float(value)
         except ValueError:
-            found = f"{pair!r} is no parameter of a model"
+            found = f"{pair!r} is not a parameter of a model"
             raise UsageError(found, fix="write NAME:KEY=NUMBER,KEY=NUMBER") from None
     return make_model(name.strip(), parameters)

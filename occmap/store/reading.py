@@ -80,13 +80,13 @@ def open_store(path: Path) -> Store:
     UsageError
         zarr is not installed.
     MapError
-        It is missing, no store, of another format, not complete, or not as it was written.
+        It is missing, not a store, of another format, not complete, or not as it was written.
     """
     if not path.exists():
         raise MapError("no such folder", where=path, fix="check the path")
     if not (path / "zarr.json").is_file():
         fix = "build one with `outputs=map.zarr`"
-        raise MapError("is no store of evidence", where=path, fix=fix)
+        raise MapError("is not a store of evidence", where=path, fix=fix)
     zarr = import_zarr()
     with refuse_damage(path):
         root = zarr.open_group(path, mode="r", zarr_format=3)
@@ -113,7 +113,7 @@ def refuse_other_format(path: Path, head: dict[str, Any]) -> None:
         Saying what it is.
     """
     if head.get("format") != FORMAT:
-        raise MapError("a Zarr folder, but no evidence of occmap", where=path)
+        raise MapError("is a Zarr folder, but not evidence of occmap", where=path)
     if head["version"] > VERSION:
         found = f"{FORMAT} of version {head['version']}, while this occmap reads {VERSION}"
         raise MapError(found, where=path, fix="use a newer occmap")

@@ -40,7 +40,7 @@ def read_grey(path: Path) -> GreyImage:
         It cannot be read, is cut, too large, or not of 8 bits a channel.
     """
     if path.exists() and not path.is_file():  # a pipe would be waited for
-        raise MapError("is no file", where=path)
+        raise MapError("is not a file", where=path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
@@ -50,14 +50,15 @@ def read_grey(path: Path) -> GreyImage:
     except FileNotFoundError:
         raise MapError("no such file", where=path, fix="check the path") from None
     except UnidentifiedImageError:
-        raise MapError("is no PGM, PNG or BMP image", where=path) from None
+        raise MapError("is not a PGM, PNG or BMP image", where=path) from None
     except Image.DecompressionBombError as error:
         raise MapError(f"is too large: {error}", where=path) from None
     except DECODING_ERRORS as error:
         reason = getattr(error, "strerror", None) or error
         raise MapError(f"the image cannot be read ({reason})", where=path) from None
     if mode not in EIGHT_BIT_MODES:
-        raise MapError(f"pixels of the kind {mode} are no map", where=path, fix="save it as 8 bit")
+        found = f"pixels of the kind {mode} are not a map"
+        raise MapError(found, where=path, fix="save it as 8 bit")
     return GreyImage(pixels[..., 0], pixels[..., 1] > 0, texts)
 
 

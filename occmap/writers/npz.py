@@ -126,7 +126,7 @@ def read_evidence(path: Path) -> Evidence:
     with refuse_damage(path), path.open("rb") as file:
         if file.read(len(MAGIC)) != MAGIC:
             fix = "build one with `outputs=map.npz`"
-            raise MapError("is no evidence file", where=path, fix=fix)
+            raise MapError("is not an evidence file", where=path, fix=fix)
         return unpack(path, *load(path, file.seek(0) or file))
 
 
@@ -140,10 +140,10 @@ def load(path: Path, file: Any) -> tuple[dict[str, Any], Arrays]:
     """
     with zipfile.ZipFile(file) as archive:
         if "manifest.npy" not in archive.namelist():
-            raise MapError("an .npz, but no evidence of occmap", where=path)
+            raise MapError("is an .npz, but not evidence of occmap", where=path)
         head = json.loads(read_array(archive, "manifest").tobytes())
         if head["format"] != FORMAT:
-            raise MapError(f"holds {head['format']!r}, and no evidence of occmap", where=path)
+            raise MapError(f"holds {head['format']!r}, not evidence of occmap", where=path)
         if head["version"] > VERSION:
             found = f"{FORMAT} of version {head['version']}, while this occmap reads {VERSION}"
             raise MapError(found, where=path, fix="use a newer occmap")

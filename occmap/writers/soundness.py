@@ -87,7 +87,7 @@ def list_manifest_faults(manifest: Manifest) -> Iterator[str]:
     if manifest.update not in list(Update):
         yield f"its update is {manifest.update!r}"
     if not (isinstance(manifest.profile, str) and isinstance(manifest.model, str)):
-        yield "its model is no text"
+        yield "its model is not text"
     if bool(manifest.profile) != (manifest.kind == LOG_ODDS):
         yield f"its profile is {manifest.profile!r}, and its kind {manifest.kind}"
     if not all(fits(build, BUILD) for build in (*manifest.builds, *manifest.subtracted)):

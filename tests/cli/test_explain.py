@@ -175,7 +175,7 @@ def test_what_is_not_explained_is_noted() -> None:
         (["a.npz", "0", "0", "--log", "b.csv"], 1, "b.csv: a.npz was not made of it; it was made"),
         (["a.npz", "0", "0", "--log", "c.csv"], 1, "c.csv: cannot be read (No such file"),
         (["a.npz", "0", "0", "--poses", "b.csv"], 2, "--poses goes with a log; add --log LOG"),
-        (["a.csv", "0", "0"], 1, "a.csv: is no evidence file"),
+        (["a.csv", "0", "0"], 1, "a.csv: is not an evidence file"),
         (["c.npz", "0", "0"], 1, "c.npz: no such file"),
         (["a.npz", "0", "nan"], 2, "the point (0, nan) is in no map; give x and y in metres"),
         (["a.npz", "-inf", "0"], 2, "No such option '-i'"),

@@ -167,11 +167,11 @@ def test_an_undecided_cell_is_not_called_unknown() -> None:
     [
         (["render", "a.npz"], 2, "where to write is not given; add -o map.pgm"),
         (["render", "x.npz", "-o", "m.pgm"], 1, "x.npz: no such file"),
-        (["render", "a.csv", "-o", "m.pgm"], 1, "a.csv: is no evidence file; build one with -o"),
+        (["render", "a.csv", "-o", "m.pgm"], 1, "a.csv: is not an evidence file; build one"),
         (["render", "a.npz", "-o", "m.jpg"], 2, "occmap writes .csv, .html, .mcap"),
         (["render", "a.npz", "-o", "m.pgm", "--max-cells", "3"], 1, "more than --max-cells 3"),
         (["render", "a.npz", "-o", "m.pgm", "--extent", "0,0,1"], 2, "3 values where 4 belong"),
-        (["render", "a.npz", "-o", "m.pgm", "--extent", "0,0,0,1"], 2, "is no box"),
+        (["render", "a.npz", "-o", "m.pgm", "--extent", "0,0,0,1"], 2, "is not a box"),
         (
             ["render", "a.npz", "-o", "m.pgm", "--extent", "5,5,6,6"],
             1,
@@ -203,7 +203,7 @@ def test_an_undecided_cell_is_not_called_unknown() -> None:
             1,
             "q.npz: its kind is log_odds",
         ),
-        (["build", "b.csv", "--resume", "b.csv", "-o", "m.npz"], 1, "is no evidence file"),
+        (["build", "b.csv", "--resume", "b.csv", "-o", "m.npz"], 1, "is not an evidence file"),
     ],
 )
 def test_bad_input_is_one_line_and_no_file(words: list[str], code: int, found: str) -> None:

@@ -87,7 +87,7 @@ def test_negate_turns_black_and_white(tmp_path: Path) -> None:
     [
         ("", "holds no names with values"),
         ("- 1\n- 2\n", "holds no names with values"),
-        ("a: [1\n", "is no YAML"),
+        ("a: [1\n", "is not YAML"),
         ("a: \xff\n", "names no image"),
         (THRESHOLDS, "names no image"),
         (META, "occupied_thresh is None, where a number belongs"),
@@ -113,7 +113,7 @@ def test_a_file_that_is_no_map_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(MapError, match=r"m.png: no such file"):
         load_map(tmp_path / "m.png", OPTIONS)
     (tmp_path / "m.png").write_bytes(b"no image")
-    with pytest.raises(MapError, match=r"m.png: is no PGM, PNG or BMP image"):
+    with pytest.raises(MapError, match=r"m.png: is not a PGM, PNG or BMP image"):
         load_map(tmp_path / "m.png", OPTIONS)
     (tmp_path / "m.pgm").write_bytes(b"P5 2 2 255\n")
     with pytest.raises(MapError, match=r"m.pgm: there is no m.yaml beside it; give the YAML"):
@@ -147,5 +147,5 @@ def cut(path: Path, content: bytes) -> Path:
 
 def test_an_image_of_16_bits_is_refused(tmp_path: Path) -> None:
     Image.fromarray(np.zeros((2, 2), np.uint16)).save(tmp_path / "m.png")
-    with pytest.raises(MapError, match="are no map; save it as 8 bit"):
+    with pytest.raises(MapError, match="are not a map; save it as 8 bit"):
         load_map(tmp_path / "m.png", OPTIONS)

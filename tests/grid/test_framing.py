@@ -73,7 +73,7 @@ def test_a_frame_of_too_many_cells_is_refused() -> None:
     "box", [(0, 0, 0, 1), (0, 1, 1, 0), (0, math.nan, 1, 1), (math.nan, 0, 1, 1), (0, 0, 1e9, 1)]
 )
 def test_what_is_no_box_is_refused(box: Box) -> None:
-    with pytest.raises(UsageError, match="is no box; write x_min"):
+    with pytest.raises(UsageError, match="is not a box; write x_min"):
         Framing(extent=box)
 
 

@@ -102,5 +102,5 @@ def test_an_empty_sector_is_refused(sector: Sector) -> None:
 
 @pytest.mark.parametrize("box", [(0, 0, 0, 1), (1, 0, 0, 1), (0, 0, 1, math.inf)])
 def test_an_empty_footprint_is_refused(box: Box) -> None:
-    with pytest.raises(UsageError, match="is no footprint; give x_min,y_min,x_max,y_max"):
+    with pytest.raises(UsageError, match="is not a footprint; give x_min,y_min,x_max,y_max"):
         ReturnOptions(footprint=box)

@@ -199,9 +199,9 @@ def refuse(path: Path) -> str:
 
 def test_what_is_no_store_is_refused(tmp_path: Path) -> None:
     assert "no such folder" in refuse(tmp_path / "m.zarr")
-    assert "is no store" in refuse(tmp_path)
+    assert "is not a store" in refuse(tmp_path)
     zarr.create_group(tmp_path / "other.zarr", attributes={"a": 1})
-    assert "no evidence of occmap" in refuse(tmp_path / "other.zarr")
+    assert "not evidence of occmap" in refuse(tmp_path / "other.zarr")
 
 
 def list_files(path: Path) -> list[Path]:
@@ -242,7 +242,7 @@ def test_every_list_and_shard_with_a_byte_altered_is_refused(path: Path) -> None
         ("offset", [0, 0], "its attributes were altered"),
         ("digest", "0" * 64, "its attributes were altered"),
         ("version", 2, "of version 2"),
-        ("format", "other", "no evidence of occmap"),
+        ("format", "other", "not evidence of occmap"),
         ("complete", False, "is not complete"),
         ("model", None, "its attributes were altered"),
     ],

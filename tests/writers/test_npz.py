@@ -249,7 +249,7 @@ def test_what_was_altered_on_purpose_is_refused(tmp_path: Path) -> None:
             "occmap evidence of an older occmap (version 3, now 4); build it again from its logs, "
             "with `outputs=m.npz`",
         ),
-        ('{"format": "else", "version": 1}', "holds 'else', and no evidence of occmap"),
+        ('{"format": "else", "version": 1}', "holds 'else', not evidence of occmap"),
     ],
 )
 def test_other_manifests_are_refused(tmp_path: Path, manifest: str, found: str) -> None:
@@ -261,9 +261,9 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "m.npz"
     with pytest.raises(MapError, match=r"m.npz: no such file"):
         read_evidence(path)
-    assert "is no evidence file" in damage(path, b"P5 1 1 255 x")
+    assert "is not an evidence file" in damage(path, b"P5 1 1 255 x")
     np.savez(path, a=np.zeros(3))
-    assert "an .npz, but no evidence of occmap" in damage(path, path.read_bytes())
+    assert "is an .npz, but not evidence of occmap" in damage(path, path.read_bytes())
     np.savez(path, manifest=np.array([{}], dtype=object))
     assert "it is cut or altered" in damage(path, path.read_bytes())
     np.savez_compressed(path, manifest=to_bytes("{}"))
