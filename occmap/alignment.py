@@ -21,7 +21,7 @@ from occmap.types import Kind, Rays
 GAPS = (2, 4, 8, 16, 32)
 """A chord of a wall joins the ends of two beams that are this many beams apart."""
 CHORD_M = 0.5
-"""Chords are this long, up to twice as long (m): shorter ones show the noise of ranges."""
+"""Chords are from this long (m) to twice as long: shorter ones show the noise of ranges."""
 STRAIGHT_M = 0.02
 """Where a wall is straight, the beam in the middle ends at most this far from the chord (m)."""
 BINS = 360
@@ -83,9 +83,10 @@ def list_chords(rays: Rays) -> Float64:
 def find_turn(chords: Float64) -> tuple[float, float]:
     """Find the smallest turn by which walls run along the axes.
 
-    Directions count modulo a quarter turn and by length. The fullest part of a histogram is a
-    start. The rest is the mean of what lies near it, taken of four times the angles, so that angles
-    a quarter turn apart are the same (Mardia and Jupp 2000, directional statistics).
+    Directions count modulo a quarter turn and by length. The fullest part of a histogram is a first
+    estimate, which the mean of the directions near it refines. The mean is taken of four times the
+    angles, so that angles a quarter turn apart are the same (Mardia and Jupp 2000, directional
+    statistics).
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ OF_ONE_MAP = (
     *("update", "model", "min_passes", "pass_gap_s", "resume", "resume_if_there"),
     *("extent", "margin", "align"),
 )
-"""Options that say nothing to what looks at logs, or makes several maps of them"""
+"""Options of a single map: what inspects logs, or makes several maps of them, does not take them"""
 
 
 def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **options: Any) -> Map:

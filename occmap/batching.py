@@ -20,7 +20,6 @@ BATCH_BEAMS = 1 << 18
 """Beams that are gathered before they are handed on: a few megabytes, and enough work that threads
 seldom wait for Python's lock."""
 
-
 MOST_TURNS = 1.5
 """Some lasers overlap a little where a turn closes; none goes round twice."""
 
@@ -39,7 +38,7 @@ NOT_ASKED_FOR = (LeftOut.TIME, LeftOut.STRIDE)
 
 
 def count_wanted(read: int, unused: Mapping[str, int]) -> int:
-    """Of the scans that were read, how many were asked for; the others are `unused`, by reason."""
+    """Count the scans that were asked for, of those read; `unused` counts scans by reason."""
     return read - sum(unused.get(reason, 0) for reason in NOT_ASKED_FOR)
 
 
@@ -98,7 +97,7 @@ class Geometry(NamedTuple):
     ) -> ScanBatch:
         """Make a batch of what differs between its scans."""
         shared: dict[str, Any] = self._asdict()
-        del shared["beams"], shared["posed"]  # the arrays tell
+        del shared["beams"], shared["posed"]  # the arrays show these
         return ScanBatch(
             **shared,
             stamp_ns=stamp_ns,
@@ -131,7 +130,7 @@ FROM_THE_START = Seam()
 
 
 class Selector:
-    """Says of the scans of one log, one after the other, which are not used, and why."""
+    """Says which scans of one log are not used, and why; it is shown one after the other."""
 
     def __init__(self, selection: Selection, stamps: Stamps, seam: Seam = FROM_THE_START) -> None:
         self.selection = selection
@@ -147,7 +146,7 @@ class Selector:
     def judge(
         self, scans: Iterable[Scan | ScanRun]
     ) -> Iterator[tuple[Scan | ScanRun, LeftOut | None]]:
-        """Give each scan with why it is not used, None where it is; a run whole where all is."""
+        """Give each scan and why it is not used, or None; a run stays whole if all is used."""
         for some in scans:
             # A run is taken whole where the user wants every scan, and these can be used.
             if isinstance(some, Scan) or (self._wants_all and find_flaw(some.first) is None):
@@ -246,7 +245,7 @@ class Batcher:
 
 
 def find_oddity(angle_increment: float, beams: int) -> str:
-    """Say why angles are hardly what the sensor's are; "" where they may well be."""
+    """Say what is odd about angles; "" where nothing is."""
     turns = abs(angle_increment) * (beams - 1) / math.tau
     if MOST_TURNS < turns < math.inf:
         return f"{beams} beams go round {turns:.3g} times: angles are radians; are these degrees?"

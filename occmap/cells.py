@@ -51,7 +51,7 @@ class OccupancyMap:
     log_odds: Float32
     """(H, W) of being occupied; the prior where nothing was observed"""
     observed: Bool
-    """(H, W): unknown is what nothing observed, whatever its log-odds"""
+    """(H, W); a cell that nothing observed is unknown, whatever its log-odds"""
     resolution: float
     """Side of a cell (m)"""
     origin: tuple[float, float]

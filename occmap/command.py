@@ -40,7 +40,6 @@ NOT_WRITTEN = (
 )
 """Options that do not change how logs are read, or that a caller names itself"""
 
-
 LEVEL_RAD = 5e-6
 """A smaller angle is written as 0."""
 

@@ -79,7 +79,7 @@ class UsageError(OccmapError):
 
 
 def require(holds: bool, found: str, fix: str) -> None:
-    """Raise UsageError where what an option must fulfil does not hold."""
+    """Raise UsageError unless a condition on an option holds."""
     if not holds:
         raise UsageError(found, fix=fix)
 

@@ -20,7 +20,7 @@ from occmap.wording import STDIN_FOLDER, count
 STDIN = Path("-")
 MOST_NAMES = 5
 RECORDED = (".mcap", ".bag", ".db3")
-"""Only recordings are named so; the others of a folder are told by those that are found."""
+"""Suffixes that only recordings have; others are taken for such where a recording has them."""
 
 
 class Inputs(NamedTuple):
@@ -41,7 +41,7 @@ def find_inputs(
     Parameters
     ----------
     others
-        Files that are no recordings, though a folder may hold them: outputs and trajectories.
+        Files that are not recordings, though a folder may hold them: outputs and trajectories.
     """
     logs: list[Path] = []
     notes: list[str] = []

@@ -32,9 +32,9 @@ def kernel(function: F) -> F:
 
 
 def step(function: F) -> F:
-    """Compile a function that is a step of kernels' innermost loops, so that it is no call there.
+    """Compile a function that is a step of kernels' innermost loops, and put it inline there.
 
-    A call of its own would count references to each array that is handed over.
+    A call would count references to each array that is handed over.
     """
     return compile_kept(function, forceinline=True)
 
@@ -50,7 +50,7 @@ def compile_kept(function: F, forceinline: bool) -> F:
 class KeptCode(NullCache):
     """The machine code of one kernel on disk, in numba's own interface of a cache.
 
-    A file is a SHA-256 and the bytes that it is of, since damaged machine code kills the process.
+    A file holds the code after its SHA-256, since damaged machine code kills the process.
     Whatever goes wrong while code is loaded is a miss: numba compiles, and the file is replaced.
     """
 
@@ -107,13 +107,13 @@ def warn_not_kept() -> None:
 def list_folders(source: Path) -> tuple[Path, ...]:
     """Name the folders for the machine code of the kernels in a folder, the preferred one first.
 
-    A kernel's code holds that of the kernels beside it which it calls, so the name stands for all
-    of them, and for what turned them into code.
+    A kernel's code contains that of the kernels that it calls. So the name is a digest of all of
+    them, and of what turned them into code.
     """
     sources = sorted([Path(__file__), *source.glob("*.py")])
     digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources))
     settings = sorted(item for item in os.environ.items() if item[0].startswith("NUMBA_"))
-    settings = [item for item in settings if item[0] != "NUMBA_CACHE_DIR"]  # says where, not what
+    settings = [item for item in settings if item[0] != "NUMBA_CACHE_DIR"]  # says where, not how
     digest.update(repr((sys.version, numba.__version__, settings)).encode())
     return tuple(base / f"occmap-{digest.hexdigest()[:16]}" for base in list_bases(source))
 

@@ -71,7 +71,7 @@ class JourneyRecorder:
         if reasons:
             kept = () if posed is None else posed.batch.stamp_ns
             lost = np.setdiff1d(batch.stamp_ns, kept)
-            why = ", or ".join(map(str, reasons))  # nobody keeps which reason is that of which scan
+            why = ", or ".join(map(str, reasons))  # which scan has which is not kept
             way.dropped += [(stamp_ns, why) for stamp_ns in lost.tolist()]
 
     def _sample(self, scans: PosedScans) -> None:

@@ -38,7 +38,7 @@ def read_options(kind: type[Options], given: Mapping[str, Any], call: str) -> Op
     Parameters
     ----------
     kind
-        A dataclass of options; what it groups in further dataclasses is given by name, too.
+        A dataclass of options; those in a group, a dataclass in it, are given by name, too.
     call
         The function that was called, for the error.
 
@@ -61,7 +61,7 @@ def read_options(kind: type[Options], given: Mapping[str, Any], call: str) -> Op
 
 
 def list_options(kind: Any) -> dict[str, Any]:
-    """List the type of each option by its name; a group gives way to what is in it."""
+    """List the type of each option by its name, those in groups, too."""
     found: dict[str, Any] = {}
     for name, hint in get_type_hints(kind).items():
         found |= list_options(hint) if is_dataclass(hint) else {name: hint}
@@ -69,7 +69,7 @@ def list_options(kind: Any) -> dict[str, Any]:
 
 
 def list_values(options: Any) -> dict[str, Any]:
-    """List the value of each option by its name; a group gives way to what is in it."""
+    """List the value of each option by its name, those in groups, too."""
     found: dict[str, Any] = {}
     for name, hint in get_type_hints(type(options)).items():
         value = getattr(options, name)

@@ -37,9 +37,9 @@ share of what any other one marks."""
 FEWEST_MARKED = 50
 """Fewer cells with hits are too few to tell one turn from another."""
 SUSPECT, SUSPECT_OF_SEVERAL = 0.65, 0.9
-"""Where the hits of a map agree less, one of its lasers may be turned. One that sees all around and
-is mirrored leaves 0.6, and beside others that are right their agreement hides it; real logs of one
-laser have 0.68 and more, and are not worth a second look."""
+"""Where less of the hits agree, one of the lasers may be turned. A mirrored laser that sees all
+around leaves 0.6, and more where others beside it are right. Real logs of one laser have 0.68 and
+more, and are not worth a second look."""
 
 
 def name_mount(
@@ -219,6 +219,6 @@ def count_marked(parts: Sequence[PosedScans], mount: Pose, options: ReturnOption
 
 
 def mount_scans(part: PosedScans, mount: Pose) -> PosedScans:
-    """Place a sensor on its body, as which its scans are posed so far."""
+    """Place a sensor on its body; so far its scans are posed as if it were the body."""
     turn, place = rotate_by(np.array([mount[3:]]))[0], np.array(mount[:3])
     return PosedScans(part.batch, part.position + part.rotation @ place, part.rotation @ turn)

@@ -19,7 +19,7 @@ from occmap.sensor.returns import ReturnOptions
 from occmap.tally import Tally
 from occmap.tracing import AddRays, trace_logs
 
-if TYPE_CHECKING:  # as in tracing
+if TYPE_CHECKING:  # as in engines
     from occmap.grid.engine import GridEngine
     from occmap.grid.sliced import SlicedEngine
 
@@ -32,7 +32,7 @@ def ignore_progress(_scans: int, _total: int) -> None:
 
 
 class Keep(NamedTuple):
-    """What is kept of the scans beside what all of them observe together."""
+    """What is kept of single scans, beside the sum of what all of them observe."""
 
     slices: bool = False
     """In which slices of time cells were observed"""

@@ -100,8 +100,8 @@ def note_idle_end(selection: Selection, tally: Tally) -> Iterator[str]:
 def hint_at_tune(agreement: float) -> str:
     """What to try where the agreement is poor, though it may be as good as it gets; else empty.
 
-    It stands beside the number and is no note, as nothing need be wrong. Where the agreement is
-    poorer still, a note says more.
+    It stands beside the number and not among the notes, as nothing need be wrong. Where the
+    agreement is poorer still, a note says more.
     """
     if not LEAST_AGREEMENT <= agreement < DOUBTFUL_AGREEMENT:
         return ""

@@ -60,7 +60,8 @@ class Tally:
     ) -> None:
         self.tell = tell
         """Called now and then with the scans read since the last call"""
-        self.told = 0
+        self.advanced = 0
+        """Scans that were reported so far"""
         self.recorder = recorder
         """Learns where the scans were taken, where an output wants that"""
         self.seconds: dict[str, float] = {}
@@ -83,7 +84,7 @@ class Tally:
 
     def advance(self, scans: int) -> None:
         """Report that so many more scans were read; a negative number takes some back."""
-        self.told += scans
+        self.advanced += scans
         self.tell(scans)
 
     def add(self, other: "Tally") -> None:
@@ -119,7 +120,7 @@ class Tally:
 
     @contextmanager
     def time(self, stage: str) -> Iterator[None]:
-        """Add the time of a block to a stage, but for stages within it; threads add up."""
+        """Add the time of a block, without stages within it, to a stage; threads add up."""
         start, outer = perf_counter(), getattr(_WITHIN, "seconds", 0.0)
         _WITHIN.seconds = 0.0
         try:

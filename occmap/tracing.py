@@ -75,7 +75,7 @@ def trace_logs(
             notes.append([*drive.poser.notes, *odd, *limit.list_notes()])
         if settle(limits):
             break
-        counts.advance(-counts.told)  # the same scans are read once more
+        counts.advance(-counts.advanced)  # the same scans are read once more
     tally.add(counts)
     return list(zip(logs, notes, strict=True))
 

@@ -187,7 +187,7 @@ def brief(value: object) -> str:
 def read_yaml(path: Path) -> dict[str, Any]:
     """Read a YAML file of names and values; a value is text, a list or again names and values.
 
-    So nothing is made of a value, however long, and an alias is one more name for what it is of.
+    No value is converted, however long it is, and an alias is not copied but refers to its value.
 
     Raises
     ------
@@ -246,7 +246,7 @@ def parse_number(path: Path, name: str, value: object) -> float:
     Raises
     ------
     MapError
-        It is missing or none.
+        It is missing, or not a number.
     """
     with suppress(ValueError):
         if isinstance(value, str) and math.isfinite(number := float(value)):

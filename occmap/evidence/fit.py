@@ -11,9 +11,9 @@ from occmap.grid.tiles import EvidenceKind, Key, Tile, TileGrid
 from occmap.sensor.models import SensorModel, find_decision
 
 MOST_TILES = 16
-"""So many tiles, evenly spread over those that both saw, stand for all of them."""
+"""At most so many of the tiles that both saw are looked at, evenly spread."""
 FEWEST_HITS = 200.0
-"""Of fewer hits, less than a scan, nothing is said."""
+"""With fewer hits, less than a scan has, no note is given."""
 MUCH_LESS = 0.15
 """Parts of one log lose 0.00 to 0.05 where their poses are corrected, and up to 0.12 on the raw
 odometry of a floor; different buildings, and one building 3 m away, lose 0.21 to 0.41."""

@@ -160,7 +160,7 @@ def tell_repeated(name: str, part: str = "") -> str:
 def overlap(one: dict[str, Any], other: dict[str, Any]) -> bool:
     """Whether two selections share scans, as far as can be told without the log.
 
-    Where both leave out scans by a stride and are not the same, they may well take turns.
+    Two different selections that both have a stride may take turns, so they count as apart.
     """
     begin = max(float(each["start_s"]) for each in (one, other))
     end = min(float(each["end_s"]) for each in (one, other))

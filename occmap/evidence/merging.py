@@ -51,7 +51,7 @@ def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:
     held = [each for each in parts if isinstance(each, Evidence)]
     if len(held) == len(parts):
         model = None
-        with suppress(MapError):  # where it cannot be made, nothing is said of what does not fit
+        with suppress(MapError):  # without a model, no note says what does not fit
             model = read_model(held[0])
         return add_up(held, model)
     made = Combined(tuple(map(as_blocks, parts)), add_up)

@@ -79,7 +79,7 @@ def render_lasting(
 
 
 def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:
-    """Say where many cells are no longer occupied after hits and misses were forgotten."""
+    """Say so if many cells are no longer occupied after hits and misses were forgotten."""
     start = after.place - before.place
     rows, cols = map(slice, start, start + after.shape)
     were = int(np.count_nonzero(before.occupied))
@@ -88,7 +88,7 @@ def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:
 
 
 def describe_lost(were: int, lost: int) -> Iterator[str]:
-    """Say where many of the cells are lost that were occupied."""
+    """Say so if many of the occupied cells are lost."""
     if lost and lost >= MUCH * were:
         yield (
             f"`min_passes` takes away {100 * lost / were:.0f}% of the occupied cells ({lost:,} of "

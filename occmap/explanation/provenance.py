@@ -63,7 +63,7 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Sequence[Path]) -
 
 
 def list_distinct(logs: Iterable[Path]) -> Iterator[tuple[Path, Counter[str]]]:
-    """List logs with their hashes; of several copies only the first, as a build cannot tell.
+    """List logs with their hashes; of equal ones only the first: a build used them alike.
 
     Raises
     ------

@@ -46,7 +46,7 @@ def make_group(group: type[Value], plain: dict[str, Any], **others: Any) -> Valu
     Raises
     ------
     TypeError, ValueError, AttributeError, UsageError
-        A name or a value is not one of its.
+        It has no option of such a name, or none that takes such a value.
     """
     kinds = get_type_hints(group)
     unknown = sorted(plain.keys() - {field.name for field in fields(group)})  # type: ignore[arg-type]  # dataclass

@@ -110,7 +110,7 @@ class Fleet:
             open_cluster(self.address, options.jobs, self.describe) as cluster,
             open_scratch(self, paths, options, keep) as folder,
         ):
-            # What is nowhere is an error like any other.
+            # A log that is not here either is refused when it is opened.
             refuse_unseen_files(cluster, [folder, *(path for path in paths if path.exists())])
             spare = ((cluster.memory or ROOMY_BYTES) - BASE_BYTES) // 4
             window = min(1 << (spare // WINDOW_CELL_BYTES).bit_length() - 1, LARGEST_WINDOW)

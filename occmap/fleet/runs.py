@@ -21,7 +21,7 @@ Result = TypeVar("Result")
 ALIGNED = 64
 """Arrays begin at multiples of this (bytes)"""
 COMPRESSOR = zstandard.ZstdCompressor(write_checksum=True)
-"""What was altered does not pass for what was written"""
+"""Its checksum tells altered data from what was written"""
 
 
 class Piece(NamedTuple):

@@ -85,7 +85,7 @@ class LogTrace:
 
 
 def list_lasting(part: Traced) -> tuple[str, ...]:
-    """What a part has to say that its whole log says, too, where that does not stand."""
+    """The notes of a part, but not that its sensor stands still: in the whole log it may move."""
     return tuple(note for note in part.notes if not note.endswith(STANDS))
 
 
@@ -106,4 +106,4 @@ def leap(parts: Sequence[dict[Laser, Ends]], max_speed: float) -> bool:
             if ends.leaps or (laser in before and not before[laser].leads_to(ends, max_speed)):
                 return True
         before |= part
-    return len(before) > MOST_PATHS  # then other scans are judged in parts than in the whole log
+    return len(before) > MOST_PATHS  # then the whole log judges other scans than its parts

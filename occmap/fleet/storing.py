@@ -93,7 +93,7 @@ def hash_logs(work: Work, paths: Sequence[Path]) -> dict[Path, list[dict[str, An
 def open_target(
     setting: Setting, output: Path, manifest: Manifest, blocks: Iterable[Block]
 ) -> Path:
-    """Create a store where only a rename is missing, or find the one that was begun."""
+    """Create a store that only a rename puts in its place, or find the one that was begun."""
     target = follow_links(output)
     stub = setting.folder / "store.stub"
     is_near = setting.folder.stat().st_dev == target.parent.stat().st_dev

@@ -239,7 +239,7 @@ def trace_job(job: TraceJob) -> Traced:
     try:
         odd = trace(drive, options, sink.add, limits, tally)
     except LogError:
-        if is_part:  # it may be damage for which the log as a whole is no log
+        if is_part:  # only the log as a whole shows if it can be read
             return Traced(Tally(), limits, depends=True)
         raise
     sink.flush()

@@ -63,7 +63,7 @@ class Limit:
         return f"{self.sign} {self._write(self.bound, 15)}"
 
     def format_value(self, value: float) -> str:
-        """Write a value in few digits, but in so many that it lies where it does."""
+        """Write a value in few digits, but enough that it stays on its side of the limit."""
         if isinstance(value, int):
             return f"{value}"
         for digits in (3, 6, 9):

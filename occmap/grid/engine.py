@@ -15,7 +15,7 @@ from occmap.grid.windows import Window, choose_window, count_observations, find_
 from occmap.types import Rays
 
 ROOMY_CELLS = 1 << 22
-"""Room for scans to come makes a window no larger than this; the scans at hand may."""
+"""Only the scans at hand make a window larger than this, never the room for scans to come."""
 MOST_PARTS = 64
 """A batch that needs more windows than this lies far apart: it is halved until it fits or one scan
 is left."""
@@ -31,6 +31,7 @@ class GridEngine:
 
     Any number of threads may call `add`: each writes to a window of its own, and integers add up to
     the same sum in any order.
+
     A map of more than `max_cells` is refused as soon as what was observed shows it, and a single
     scan that would make one much larger before it is traced.
     """
@@ -166,7 +167,7 @@ def split_box(box: CellBox, most_cells: int) -> list[CellBox]:
 
 
 def refuse_far_sensors(rays: Rays, lattice: Lattice) -> None:
-    """Refuse places that are no whole number of lattice units in a float, or not finite.
+    """Refuse places too far away to be counted in lattice units, or not finite.
 
     Raises
     ------

@@ -46,7 +46,7 @@ class Framing:
 
 
 def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) -> OccupancyMap:
-    """Cut a map to the box that it shall cover, and fill up with unknown cells.
+    """Cut a map to the box that it is to cover; cells beyond what was observed are unknown.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def choose_box(whole: CellBox, framing: Framing, lattice: Lattice) -> CellBox:
     Raises
     ------
     MapError
-        The extent touches no observed cell's box.
+        The extent does not touch that box.
     """
     size = lattice.resolution
     if framing.extent is None:

@@ -28,7 +28,7 @@ class Projected:
 
     @property
     def crossings(self) -> int:
-        """About how often beams cross a cell: an eighth of the beams of an eighth of the scans."""
+        """About how often beams cross a cell, from every eighth beam of every eighth scan."""
         beams = self.beams
         some = slice(None, None, 8), slice(None, None, 8)
         across = np.abs(beams.ends_x[some] - beams.origins[*some, 0])
@@ -38,7 +38,7 @@ class Projected:
 
 
 def offset_hits(rays: Rays, spec: GridSpec) -> Rays:
-    """Move hits behind the surfaces that were measured, and see a whole scan from one point."""
+    """Move hits behind the measured surfaces; for a polygon, see each scan from one point."""
     if spec.hit_offset:
         offset = np.float32(spec.hit_offset * spec.lattice.resolution)
         rays = replace(rays, distance=rays.distance + (rays.kind == Kind.HIT) * offset)
@@ -46,10 +46,10 @@ def offset_hits(rays: Rays, spec: GridSpec) -> Rays:
 
 
 def join_viewpoints(rays: Rays) -> Rays:
-    """See each scan from one point, where its beams have a viewpoint each.
+    """See each scan from one point, where every beam has a viewpoint of its own.
 
-    A scan's region needs one sensor to be closed through; the middle beam's is taken. The ends of
-    the beams stay where they are, to the rounding of a float32.
+    A scan's region is closed through the sensor, which is taken to be where the middle beam has it.
+    The ends of the beams stay where they are, to the rounding of a float32.
     """
     if rays.origin.shape[1] == 1:
         return rays
@@ -92,10 +92,10 @@ def project(rays: Rays, spec: GridSpec) -> Projected:
 
 
 def _reach_beside(rays: Rays, spec: GridSpec) -> int:
-    """How many cells beside their ends beams have a say in: half-way to their neighbours."""
+    """How far beside their ends beams affect cells (cells): half-way to their neighbours."""
     if spec.radial is None or spec.update is not Update.POLYGON or rays.kind.shape[1] < 2:
         return 0
-    # A turn makes no difference of two bearings longer, and at most doubles its larger part.
+    # A turn keeps or shortens the difference of two bearings: neither x nor y more than doubles.
     single = rays.turn.shape[1] == 1
     directions = rays.bearing.T if single else rays.direction
     spread = float(np.abs(np.diff(directions, axis=-2)).max())

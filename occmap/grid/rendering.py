@@ -15,7 +15,7 @@ from occmap.grid.tiles import TILE, CellNumbers, EvidenceKind, Key, TileGrid
 Part: TypeAlias = tuple[slice, slice]
 """Rows and columns."""
 ENDS: dict[int, int | slice] = {-1: 0, 0: slice(None), 1: -1}
-"""Which rows, or columns, of a tile lie at the tile before it, at any, and at the one behind it"""
+"""The rows, or columns, of a tile that touch the tile before it (-1) or after it (1); 0: all"""
 RIM = TILE + 2
 """Cells along the side of a tile with those around it."""
 
@@ -31,7 +31,7 @@ class TileSource(Protocol):
         """The numbers of a tile's cells."""
 
     def observed(self, first: Float64, second: Float64) -> Bool:
-        """Which cells with these numbers anything was observed in."""
+        """Which cells hold an observation, by their two numbers."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class SpreadHits:
         return spread, misses
 
     def observed(self, first: Float64, second: Float64) -> Bool:
-        """Which cells with these numbers anything was observed in."""
+        """Which cells hold an observation, by their two numbers."""
         return self.grid.observed(first, second)
 
     def _gather(self, key: Key) -> Float64:

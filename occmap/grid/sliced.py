@@ -79,7 +79,7 @@ class SlicedEngine:
 
     @property
     def bytes_held(self) -> int:
-        """What tiles and slices take in memory, without those that are not over."""
+        """What tiles and slices take in memory, without slices that are not over yet."""
         return self._grid.nbytes + sum(slices.nbytes for slices in self._slices)
 
     def finish(self) -> TileGrid:

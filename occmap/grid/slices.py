@@ -1,8 +1,8 @@
 """Slices of time: which cells each of them hit and saw, and the visits that this makes.
 
 A visit of a cell is a run of consecutive slices in which it was seen. Slices are what is kept,
-since they merge: what is in either of two parts is in the whole, at a seam between them, too. It
-imports no numba.
+since they merge: what is in either of two parts is in the whole, at a seam between them, too. This
+module does not load numba.
 """
 
 from collections.abc import Iterable, Iterator

@@ -21,10 +21,10 @@ COUNT_BITS = 31
 
 @dataclass(frozen=True)
 class Tables:
-    """What a beam tells a cell, tabulated for the kernels: no cell costs a logarithm.
+    """What a beam adds to a cell, tabulated for the kernels: no cell costs a logarithm.
 
-    An entry holds one number of the cell above the lowest `bits`, and the other in those: one
-    addition to a cell counts both.
+    An entry packs both numbers of a cell: the second in the lowest `bits`, the first above them.
+    So one addition to a cell counts both.
     """
 
     depth: float
@@ -32,7 +32,7 @@ class Tables:
     free: Int64
     """(T + 1,) over (d / (r - depth))^2"""
     hit: Int64
-    """(T + 1,) over |d - r| / depth; T = 0: the end cell alone is told of the hit"""
+    """(T + 1,) over |d - r| / depth; T = 0: the end cell alone gets the hit"""
     plain: float
     """Share of r - depth up to which all entries of `free` are equal"""
     largest: int
@@ -88,8 +88,8 @@ class GridSpec:
     update: Update
     lattice: Lattice
     jump: float = 0.1
-    """Neighbours whose ranges differ by at most this (m) see the same surface (not for beam; for
-    surface, a tenth of the nearer range will do, too)"""
+    """Neighbours see the same surface if their ranges differ by at most this (m) or, in the surface
+    update, by a tenth of the nearer range; the beam update has no neighbours"""
     border_gap: int = 8
     """The border of a surface is closed over at most so many cells (polygon)"""
     hit_offset: float = 0.0
@@ -99,7 +99,7 @@ class GridSpec:
 
     @property
     def tables(self) -> Tables:
-        """What a beam tells a cell."""
+        """What a beam adds to a cell."""
         return COUNTS if self.radial is None else self.radial
 
     @property

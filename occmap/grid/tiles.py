@@ -71,11 +71,11 @@ class TileGrid:
         self._add_tiles(other.tiles, {key: other._bounds.get(key, wide) for key in other.tiles})
 
     def _add_tiles(self, tiles: Mapping[Key, Tile], bounds: Mapping[Key, int]) -> None:
-        """Add tiles to their like, made 64 bits wide before a sum could overflow 32.
+        """Add tiles to those at the same places, which are widened before a sum overflows 32 bits.
 
-        They may be parts of one large array, which stays in memory while any of them is kept: so
-        where some are not, the others are copied. A tile that was stacked is wide and has no bound:
-        it stays as it is.
+        Tiles may be parts of one large array, which stays in memory while any of them is kept: so
+        where some are not kept, the others are copied. A tile of `add_stack` is 64 bits wide
+        already, and has no bound.
         """
         kept_whole = self.tiles.keys().isdisjoint(tiles)
         for key, tile in tiles.items():
@@ -102,7 +102,7 @@ class TileGrid:
         return len(self.tiles) * 2 * TILE * TILE * 4
 
     def refuse_outgrown(self, max_cells: int) -> None:
-        """Refuse what is too large a map already, before more is added to it.
+        """Refuse evidence that makes too large a map already, before more is added to it.
 
         Raises
         ------
@@ -118,7 +118,7 @@ class TileGrid:
         refuse_large(box, self.lattice, max_cells)
 
     def observed(self, first: NDArray[Any], second: NDArray[Any]) -> Bool:
-        """Which cells with these numbers, of any shape, anything was observed in."""
+        """Which cells hold an observation, by their two numbers, of any shape."""
         if self.kind is EvidenceKind.COUNTS:
             return np.asarray((first != 0) | (second != 0))
         return np.asarray(second != 0)

@@ -189,7 +189,7 @@ class SparseBeamWindow(Window):
         places[table[table >= 0]] = np.argwhere(table >= 0)
         tiles = self.tiles.numbers.reshape(-1, self.tiles.layers, TILE, TILE)[:used]
         if self.spec.radial is not None:
-            # A beam may come to a tile and say nothing of it.
+            # A beam may reach a tile and add nothing to it.
             seen = np.flatnonzero(tiles.any(axis=(1, 2, 3)))
             places, packed = places[seen], tiles[seen, 0]
             tiles = np.empty((len(seen), 2, TILE, TILE), np.int64)
@@ -260,7 +260,7 @@ class RadialPolygonWindow(DenseWindow):
 
 
 CROSSED_OFTEN = 6
-"""From so many beams a cell on, it pays to note their changes in a dense window."""
+"""From so many beams a cell on, changes in a dense window cost less than visits of cells."""
 
 
 def choose_window(spec: GridSpec, projected: Projected) -> type[Window]:

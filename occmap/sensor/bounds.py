@@ -94,7 +94,7 @@ def check_clamp(model: Clamped) -> None:
     Raises
     ------
     UsageError
-        They are not on either side of 0.5, or no probabilities.
+        They are not on either side of 0.5, or not probabilities.
     """
     low, high = model.clamp_min, model.clamp_max
     found = f"clamp_min {low} and clamp_max {high} do not lie on either side of 0.5, from 0 to 1"

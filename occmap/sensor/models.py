@@ -215,10 +215,10 @@ def make_model(name: str, parameters: dict[str, float]) -> SensorModel:
 
 
 def describe_model(model: Any) -> str:
-    """The text that `parse_model` makes the model of; bounds that bound nothing are left out."""
+    """Write a model as `parse_model` reads it, without bounds that bound nothing."""
     pairs = {field.name: getattr(model, field.name) for field in fields(model)}
-    told = {name: value for name, value in pairs.items() if NO_CLAMP.get(name) != value}
-    return f"{model.name}:" + ",".join(f"{name}={value}" for name, value in told.items())
+    kept = {name: value for name, value in pairs.items() if NO_CLAMP.get(name) != value}
+    return f"{model.name}:" + ",".join(f"{name}={value}" for name, value in kept.items())
 
 
 def parse_model(text: str) -> SensorModel:

@@ -79,7 +79,7 @@ class RangeTally:
         if len(self._different) < MIN_VALUES:
             measured = ranges[(ranges > 0) & (ranges < limit)]
             self._different.update(np.unique(measured)[:MIN_VALUES].tolist())
-        far = ranges[ranges >= np.minimum(self._floor, limit)]  # few: one look at all is enough
+        far = ranges[ranges >= np.minimum(self._floor, limit)]  # few; all ranges are looked at once
         above = far[(far > limit) & (far < np.inf)]
         self.above += above.size
         self.largest = max(self.largest, float(above.max(initial=0)))
@@ -112,7 +112,7 @@ class RangeTally:
         """Find the ranges that stand for "no return" below what the scans state as their limit."""
         values, counts = self._values.astype(np.float64), self._counts
         for at in range(len(values) - 1, -1, -1):
-            if counts[at + 1 :].sum() >= MIN_READINGS:  # more than lie astray
+            if counts[at + 1 :].sum() >= MIN_READINGS:  # too many to be stray
                 return None
             top = values[at]
             is_code = SICK_CODES[0] <= top <= SICK_CODES[1]
@@ -135,7 +135,7 @@ def round_down(ranges: Float32) -> Float32:
 
 
 class RangeLimits:
-    """From what range on each scan topic of one log means "no return".
+    """For each scan topic of one log, from what range on nothing came back.
 
     A log shows that only when all of it was read. So the scans that come first say what is applied
     to the rest, and `settle` tells in the end whether that was right: it nearly always is, and if
@@ -146,7 +146,7 @@ class RangeLimits:
         self._looks = options.range_max is None
         self._tallies: dict[str, RangeTally] = {}
         self._senseless: dict[str, float] = {}
-        """The limit that scans of a topic state and that none can be (m)"""
+        """The limit that the scans of a topic state, where it cannot be one (m)"""
         self._applied: dict[str, float] = {}
         self._settled = False
 

@@ -101,7 +101,7 @@ class ReturnCounts(NamedTuple):
 def read_limits(scan: Scan) -> tuple[float, float]:
     """Read the nearest and the farthest range (m) that a scan states; 0 and inf where it has none.
 
-    A limit that no range is within, or NaN, is none: zero is what some drivers write there.
+    A limit that leaves no range, or NaN, counts as none: some drivers write zero there.
     """
     return (
         scan.range_min if scan.range_min >= 0 else 0.0,

@@ -104,7 +104,7 @@ def hash_content(content: BlockContent) -> str:
 
 
 def list_layers(content: BlockContent) -> list[tuple[int, Slices]]:
-    """Those of the builds that observed something, so that another build changes no other block."""
+    """List the builds that observed something: the others do not change what a block is."""
     return [(place, each) for place, each in enumerate(content.slices) if len(each.numbers)]
 
 
@@ -231,7 +231,7 @@ def gather_tiles(cells: Int64, row: int, col: int) -> tuple[Int64, Int64]:
 
 
 def split_evidence(evidence: Evidence) -> Iterator[tuple[Block, BlockContent]]:
-    """Cut evidence into blocks; the logs of a build touched all blocks that it observed."""
+    """Cut evidence into blocks; all logs of a build are said to have observed its blocks."""
     take_cells = evidence.cells.__getitem__
     for block, content in split_blocks(evidence.tiles, take_cells, evidence.slices):
         yield block, replace(content, logs=list_observing_logs(evidence.manifest, content.slices))

@@ -29,11 +29,11 @@ LAYERS = {
 }
 """Names of the two arrays of numbers"""
 FINE_LEVELS = (1, 4)
-"""Sides of the squares of cells in the pictures that a block is a whole shard of"""
+"""Sides of the squares of cells in those pictures of which a block is a whole shard"""
 OVERVIEW = 16
-"""The side of those of which there is always a picture, as one of a city is read at once"""
+"""There is always a picture of squares with this side, as that of a city is read at once"""
 LEVEL_CELLS = 1024
-"""The coarsest picture has no side that is longer, unless it is that"""
+"""The longest side of the coarsest picture, and the side of a shard of several blocks (pixels)"""
 
 
 def import_zarr() -> Any:

@@ -103,7 +103,7 @@ def cut_content(content: BlockContent, box: CellBox) -> BlockContent:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """Evidence in memory; the logs of a build are said to have touched all that it observed."""
+    """Evidence in memory; all logs of a build are said to have observed its blocks."""
 
     evidence: Evidence
 

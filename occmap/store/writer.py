@@ -18,7 +18,7 @@ from occmap.writers.atomic import make_folder, refuse_unwritable
 class ZarrWriter:
     """What was observed, as a Zarr folder that is read part by part."""
 
-    description = "evidence as a Zarr folder, for maps of a city; what an .npz does, it does, too"
+    description = "evidence as a Zarr folder, for maps of a city; it does all that an .npz does"
 
     def targets(self, path: Path) -> tuple[Path, ...]:
         """Return the folder."""

@@ -55,9 +55,9 @@ def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
     path
         A folder that does not exist.
     plan
-        What the evidence is; its `builds` may be told later.
+        What the evidence is; its `builds` may be added later.
     blocks
-        Around all that will be written.
+        Those that will be written: the arrays reach around all of them.
 
     Raises
     ------
@@ -178,7 +178,7 @@ def read_around(root: Any, head: dict[str, Any], box: CellBox) -> TileGrid:
     first, second = (root[name] for name in LAYERS[kind])
     whole = CellBox(row, col, row + first.shape[0], col + first.shape[1])
     part = whole.clip(box.grow(TILE))
-    place = slice(part.row - row, part.row_end - row), slice(part.col - col, part.col_end - col)
+    place = part.within(whole)
     cells: Int64 = np.stack([first[place], second[place]])
     grid = TileGrid(Lattice(head["resolution"]), kind, find_unit(Update(head["update"])))
     add_stack(grid, *gather_tiles(cells, part.row // TILE, part.col // TILE))
@@ -212,7 +212,7 @@ def finish_store(
     records
         What `write_block` said of each block.
     run
-        Calls a function for each block; another may do so in many processes.
+        How a function is called for each block: in this process, or in others.
 
     Raises
     ------

@@ -76,7 +76,7 @@ class Finding:
 
 
 def find(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Finding:
-    """Search for a better correction than one, and judge it; without knobs there is no search."""
+    """Search for a correction better than `start`, and judge it; no knobs: no search."""
     if not knobs:
         return Finding(Verdict.UNSEEN, start)
     before, earlier = scorer.score(start), set(scorer.tried)

@@ -24,13 +24,13 @@ DAMAGE = (
 
 COUNTS, LOG_ODDS = "counts", "log_odds"
 FARTHEST_TILE = 1 << 38
-"""Cells beyond it have no coordinates that a float could hold."""
+"""Cells of tiles beyond this have no coordinates that a float could hold."""
 
 BOUNDS = (
     *(("resolution", 1e-12, 1e12), ("pass_gap_s", 1e-12, 1e12)),
     *(("hit_offset", 0, 10), ("align", -360, 360)),
 )
-"""Numbers of a manifest, and the least and the largest that occmap writes or more."""
+"""Numbers of a manifest, each with a range wider than what occmap writes."""
 
 SECONDS = (float, int, "inf", "-inf")
 SELECTION = {"start_s": SECONDS, "end_s": SECONDS, "stride": int, "topics": list}

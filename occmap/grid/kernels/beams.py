@@ -1,13 +1,13 @@
-"""The beam and the surface update: every beam tells each cell along its line something.
+"""The beam and the surface update: every beam adds evidence to each cell along its line.
 
-A beam is a line from the sensor's cell to its end. A cell at distance d on a beam of range r is
-told what the inverse sensor model says of d and r, and log-odds are summed (Thrun, Burgard, Fox
-2005, ch. 9). A model says the same about all cells up to some share of the range, and one that
-counts does up to the end: these cells are plain. Where a window is crossed often, plain cells are
-noted in runs instead of being visited (`lines`).
+A beam is a line from the sensor's cell to its end. A cell at distance d on a beam of range r gets
+what the inverse sensor model says of d and r, and log-odds are summed (Thrun, Burgard, Fox 2005,
+ch. 9). A model says the same about all cells up to some share of the range, and a model that counts
+does so up to the end: these cells are plain. Where a window is crossed often, plain cells are added
+in runs instead of being visited (`lines`).
 
-A model that counts is done with a beam when its line is noted: `note_beams`. For all else a scan is
-traced in steps. `list_lines` draws its beams, and the steps of `visits` go through these lines.
+For a model that counts, `note_beams` adds each beam at once. For all else a scan is traced in
+steps: `list_lines` draws its beams, and the functions of `visits` go through these lines.
 """
 
 from typing import NamedTuple
@@ -55,16 +55,16 @@ class Beams(NamedTuple):
 
 
 class Profile(NamedTuple):
-    """What a cell is told, tabulated: see `occmap.grid.spec.Tables`."""
+    """What a beam adds to a cell, tabulated: see `occmap.grid.spec.Tables`."""
 
     depth: float
     """How far about the range a hit reaches (lattice units)"""
     free: Int64
     """(T + 1,) over (d / (r - depth))^2"""
     hit: Int64
-    """(T + 1,) over |d - r| / depth; T = 0 where only the end cell is told of the hit"""
+    """(T + 1,) over |d - r| / depth; T = 0 where only the end cell gets the hit"""
     plain: float
-    """Share of r - depth up to which all cells are told `free[0]`"""
+    """Share of r - depth up to which all cells get `free[0]`"""
 
 
 class Lines(NamedTuple):
@@ -92,17 +92,17 @@ def begin_between(at: int, to: int) -> int:
 
 @kernel
 def note_beams(beams: Beams, hit: int, corner: Int64, cells: Int64, changes: Changes) -> None:
-    """Note what every beam says to a model that counts, and those drawn between it and the next.
+    """Add the hits and misses of every beam, and of those drawn between it and the next.
 
-    As all cells but the end are plain, none of them is visited. This is quicker by a tenth than
-    first to list the lines.
+    All cells but the end are plain, so none of them is visited. This is a tenth quicker than to
+    list the lines first.
 
     Parameters
     ----------
     hit
-        What the end cell of a HIT beam is told.
+        What the end cell of a HIT beam gets.
     cells
-        (H, W + PAD) what cells were told that were visited: the ends.
+        (H, W + PAD) sums of what visited cells got: here the ends.
     """
     origins, ends_x, ends_y, kinds = beams.origins, beams.ends_x, beams.ends_y, beams.kinds
     weights, between = beams.weights, beams.between
@@ -165,7 +165,7 @@ def make_lines(count: int) -> Lines:
 def list_lines(
     beams: Beams, s: int, profile: Profile, corner: Int64, rows: int, cols: int, lines: Lines
 ) -> int:
-    """Draw the beams of a scan and those between them, and return how many lines a window has.
+    """Draw the beams of a scan and those between them; return how many lines cross the window.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ def count_nearer(n: int, m: int, reach: float) -> int:
 
 @kernel
 def note_lines(lines: Lines, size: int, rows: int, cols: int, changes: Changes) -> None:
-    """Note the plain cells of lines."""
+    """Add the plain cells of lines, as changes."""
     cells, parts, weights = lines.cells, lines.parts, lines.weights
     row_runs, row_steps = changes.row_runs, changes.row_steps
     col_runs, col_steps = changes.col_runs, changes.col_steps

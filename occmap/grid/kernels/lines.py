@@ -1,16 +1,16 @@
-"""Bresenham's line (1965): where it runs, what a window has of it, and how it is noted in runs.
+"""Bresenham's line (1965): where it runs, what of it lies in a window, and how it is added.
 
 A line is a staircase along its major axis u, a cell at a time; v is the other axis. After i of its
 n cells it has made floor((2 i m + n) / (2 n)) of its m steps along v.
 
-Cells that are all told the same are not visited. What changes along u is noted instead: +1 where a
-run of cells starts, -1 after its end, so that a running sum gives the counts back. A step from
-v - 1 to v at u ends one run and starts the next, so that a single entry says both:
+Cells that all get the same are not visited. Only changes along u are written: +1 where a run of
+cells starts, and -1 after its end, so that a running sum gives the counts back. A step from v - 1
+to v at u ends one run and starts the next, so that a single entry says both:
 
     change[v, u] = runs[v, u] + steps[v, u] - steps[v + 1, u]
 
 A line thus costs one addition for each step and not for each cell: a third of them, on average.
-Lines that rise more than they run are noted in the same way in a transposed pair of arrays.
+Lines that rise more than they run go in the same way to a transposed pair of arrays.
 """
 
 from typing import NamedTuple
@@ -76,7 +76,7 @@ def lies_inside(col: int, row: int, end_col: int, end_row: int, rows: int, cols:
 
 @kernel
 def clip_line(line: Line, rows: int, cols: int) -> tuple[int, int]:
-    """Which cells of a line a window has: the first of them, and the one after the last."""
+    """Find which cells of a line lie in a window: the first, and the one after the last."""
     width, height = (rows, cols) if line.steep else (cols, rows)
     u, v, n = line.u, line.v, line.n
     before_u, beyond_u = (-u, width - u) if line.u_sign > 0 else (u - width + 1, u + 1)
@@ -90,7 +90,7 @@ def clip_line(line: Line, rows: int, cols: int) -> tuple[int, int]:
 def note_line(
     line: Line, first: int, end: int, runs: Int32, steps: Int32, stride: int, weight: int
 ) -> None:
-    """Note the cells of a line from `first` to before `end`, all in the window.
+    """Add the cells of a line from `first` to before `end`, all in the window, as changes.
 
     The place of a step advances by n / m along u and by one along v: both in one fixed-point
     number. Its fraction is too low by less than 2^-36 for each step, and 1 / (2 m) is the least

@@ -40,7 +40,7 @@ def trace_polygons(
     runs: Int32,
     mark: int,
 ) -> None:
-    """Note every scan's border and inside.
+    """Add every scan's border and inside.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def trace_polygons(
 
 @kernel
 def _note_spans(touched: tuple[int, int], spans: Spans, stride: int, runs: Int32) -> None:
-    """Note one miss for every cell of every span."""
+    """Add one miss to every cell of every span."""
     starts, counts, limits = spans.starts, spans.counts, spans.limits
     for row in range(touched[0], touched[1]):
         begin, size, place = starts[np.uint64(row)], counts[np.uint64(row)], row * stride
@@ -88,7 +88,7 @@ def _note_spans(touched: tuple[int, int], spans: Spans, stride: int, runs: Int32
 
 @kernel
 def _note_border(cells: Int32, size: int, spans: Spans, mark: int, border: Int64) -> None:
-    """Give each of the listed cells one hit, and note whether it lies in a span."""
+    """Give each of the listed cells one hit, and count whether it lies in a span."""
     starts, counts, limits = spans.starts, spans.counts, spans.limits
     for i in range(size):
         row, col = np.uint64(cells[i, 0]), cells[i, 1]

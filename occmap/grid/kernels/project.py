@@ -71,9 +71,9 @@ def project_ends(
 
 @kernel
 def _reach(distance: float, kind: int, depth: float, along_x: float, along_y: float) -> float:
-    """How far to follow a beam: a HIT one by `depth` more on the map.
+    """How far to follow a beam: if it is a HIT, by `depth` more on the map.
 
-    One straight up or down has no direction there, and ends where it begins.
+    A beam straight up or down has no direction on the map, and ends where it begins.
     """
     beyond = depth / max(np.sqrt(along_x * along_x + along_y * along_y), NO_LENGTH)
     return np.float64(distance) + (beyond if kind == HIT else 0.0)

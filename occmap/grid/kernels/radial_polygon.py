@@ -1,12 +1,12 @@
 """The polygon update of a radial sensor model: what a scan says about each cell it covers, once.
 
-A cell at distance d is told what the model says of d and the range of the beam that covers the
-cell's bearing.
+A cell at distance d gets what the model says of d and the range of the beam that covers the cell's
+bearing.
 
 Clipped at p_min, such a model says the same about all cells up to some share of the range. These
-are noted as spans, as in `polygon`; only the cells beyond are visited. They are listed, and then
-many go through one short step after the other: where a step has no branch, a processor works on
-several cells at once.
+are added as spans, as in `polygon`; only the cells beyond are visited. Thousands of them are
+listed, and go through one short loop after the other: where a loop has no branch, a processor works
+on several cells at once.
 """
 
 from typing import NamedTuple
@@ -160,10 +160,10 @@ def reach_out(
     sides: Float64,
     lengths: Float64,
 ) -> None:
-    """Write how far sectors must go so that nothing that a beam speaks of is left out.
+    """Write how far sectors must go to hold every cell that their beams reach.
 
-    To the tangent at the outermost circle, and a little more for rounding. A side lies at most 60
-    degrees from its beam, but for a beam straight up, which has none.
+    That is to the tangent at the outermost circle, and a little more for rounding. A side lies at
+    most 60 degrees from its beam; a beam straight up has no sides.
     """
     for b in range(kinds.size):
         reach = ranges[b] + (depth if kinds[b] == HIT else 0.0) + ROUNDED
@@ -179,7 +179,7 @@ def reach_out(
 def limit_ranges(ranges: Float64, kinds: UInt8, depth: float, steps: int, limits: Float64) -> None:
     """Write, for each beam, where the entries for free cells end and where its hit lies.
 
-    `limits` (2 B + 2,) is a pair for each beam, and one of nobody for what no beam covers. A
+    `limits` (2 B + 2,) is a pair for each beam, and one more for what no beam covers. A
     squared distance times the first is a place in the table of free cells, which has `steps`
     places; the second is -inf for a beam that hit nothing.
     """
@@ -199,7 +199,7 @@ def _observe_spans(
     cells: Int64,
     runs: Int32,
 ) -> None:
-    """Note one scan's inner spans, and add what beams say about the other cells of its spans."""
+    """Add one scan's inner spans, and what beams say about the other cells of its spans."""
     stride, size = cells.shape[1], 0
     rows, cols = listed.rows, listed.cols
     for r in range(touched[0], touched[1]):

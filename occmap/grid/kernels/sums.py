@@ -1,4 +1,4 @@
-"""From what was noted in a window to the two numbers of each of its cells, tile by tile."""
+"""From what kernels wrote to a window to the two numbers of each cell, tile by tile."""
 
 from typing import NamedTuple
 
@@ -10,9 +10,9 @@ from occmap.jit import kernel
 
 
 class Changes(NamedTuple):
-    """What plain cells change along the rows of a window, and steep lines along its columns.
+    """How often cells were plain: changes along a window's rows, and of steep lines along columns.
 
-    All are flat; those of columns have no entry where nothing is noted along these.
+    All are flat; those of columns are empty where a kernel writes to rows alone.
     """
 
     row_runs: Int32
@@ -33,7 +33,7 @@ class Packing(NamedTuple):
     kept: int
     """Mask of the bits that are evidence; the others are a kernel's own notes"""
     plain: int
-    """What a plain cell is told each time"""
+    """What a plain cell gets each time"""
 
 
 @kernel
@@ -50,9 +50,9 @@ def read_tiles(
     Parameters
     ----------
     cells
-        (H, W + PAD) of whole tiles: packed sums of what cells were told that were visited.
+        (H, W + PAD) of whole tiles: packed sums of what visited cells got.
     touched
-        First row and column of tiles, and those after the last: nothing was noted elsewhere.
+        First row and column of tiles, and those after the last: nothing was written elsewhere.
     keys, tiles
         (N, 2) row and column of each tile in the window, and (N, 2, TILE, TILE), written here.
     """
@@ -70,13 +70,13 @@ def read_tiles(
                 sum_cols(changes, cells.shape[0] + PAD, row, col, col_counts, plain)
             seen = 0
             for r in range(TILE):
-                # Slices, as numba cannot tell that `col + c` is no place counted from the end.
+                # Slices: numba cannot know that `col + c` is never negative.
                 visited, first, second = cells[row + r, col : col + TILE], tile[0, r], tile[1, r]
                 for c in range(TILE):
-                    told = (visited[c] & kept) + plain[r, c] * packing.plain
-                    first[c] = told >> bits
-                    second[c] = told & low
-                    seen |= told
+                    packed = (visited[c] & kept) + plain[r, c] * packing.plain
+                    first[c] = packed >> bits
+                    second[c] = packed & low
+                    seen |= packed
             if seen:
                 keys[size, 0], keys[size, 1] = tile_row, tile_col
                 size += 1
@@ -87,7 +87,7 @@ def read_tiles(
 def sum_rows(
     changes: Changes, stride: int, row: int, col: int, counts: Int32, plain: Int32
 ) -> None:
-    """Write how often each cell of a tile was plain, by what was noted along rows.
+    """Write how often each cell of a tile was plain, by the changes along rows.
 
     `counts` (TILE,) go on from the tile to the left.
     """
@@ -109,7 +109,7 @@ def sum_rows(
 def sum_cols(
     changes: Changes, stride: int, row: int, col: int, counts: Int32, plain: Int32
 ) -> None:
-    """Add how often each cell of a tile was plain, by what was noted along columns.
+    """Add how often each cell of a tile was plain, by the changes along columns.
 
     `counts` (W,) go on from the tile below.
     """

@@ -1,9 +1,9 @@
 """Cells that are visited one by one: those that are not plain, and all of them in tiles.
 
-What cells are told is listed first, and told in a loop of its own. Both have no branch in them, and
-the compiler lets several cells be worked out at a time: along a beam, log-odds depend on nothing
-but the number of the cell. The lists are of floats, as not every processor turns several of these
-into integers at a time.
+What each cell gets is first listed, and then added in a loop of its own. Neither loop has a branch,
+so that a processor works on several cells at a time: along a beam, log-odds depend on nothing but
+the number of the cell. The lists hold floats, as not every processor turns several of these into
+integers at a time.
 """
 
 from typing import NamedTuple
@@ -31,8 +31,8 @@ ENTRY_BITS = 13
 """Bits of the place of an entry in both tables of a model together."""
 WEIGHT_BITS = BEAM_WEIGHT.bit_length()
 NOTE_BITS = ENTRY_BITS + WEIGHT_BITS
-"""A note of what a cell is told holds the place of the cell above these, then the weight, then the
-entry. A window has less than 2^28 places, so that a float holds all of them."""
+"""A note says what a cell gets: its place above these bits, below it the weight, and in the lowest
+bits the entry. A window has less than 2^28 places, so that a float holds all of them."""
 INSIDE = TILE - 1
 """Mask of the row or column inside a tile."""
 SLOPE_BITS = 50
@@ -50,21 +50,21 @@ class Tiles(NamedTuple):
     numbers: Int32 | Int64
     """(N,) one layer of cells after the other, tile by tile"""
     layers: int
-    """Layers of each tile: 2 where plain cells are told in one of their own, the last"""
+    """Layers of each tile: 2 where plain cells have one of their own, the last"""
 
 
 @kernel
 def trace_window(
     beams: Beams, profile: Profile, corner: Int64, cells: Int64, changes: Changes
 ) -> None:
-    """Tell the cells of a window what a radial model says of every beam.
+    """Add to the cells of a window what a radial model says of every beam.
 
     Parameters
     ----------
     corner
         (2,) x and y of the window's corner (lattice units from the anchor).
     cells
-        (H, W + PAD) what cells were told that were visited; all others are noted in `changes`.
+        (H, W + PAD) sums of what visited cells got; all others go to `changes`.
     """
     rows, cols, numbers = cells.shape[0], cells.shape[1] - PAD, cells.ravel()
     lines, notes, entries = make_room(beams, profile, rows, cols)
@@ -79,7 +79,7 @@ def trace_window(
 
 @kernel
 def trace_tiles(beams: Beams, profile: Profile, corner: Int64, tiles: Tiles) -> None:
-    """Tell the cells of tiles what a model says of every beam; parameters as for `trace_window`."""
+    """Add to the cells of tiles what a model says of every beam; parameters as `trace_window`."""
     rows, cols = tiles.table.shape[0] * TILE, tiles.table.shape[1] * TILE
     col_bits = 0
     while 1 << col_bits < cols:
@@ -109,7 +109,7 @@ def make_room(beams: Beams, profile: Profile, rows: int, cols: int) -> tuple[Lin
 def list_ends(
     lines: Lines, size: int, profile: Profile, stride: int, notes: Float64
 ) -> tuple[int, int]:
-    """Note what the ends of HIT beams are told, as `list_slopes`."""
+    """List what the ends of HIT beams get, in notes as `list_slopes` makes them."""
     cells, parts, weights = lines.cells, lines.parts, lines.weights
     fill = 0
     for k in range(size):
@@ -124,20 +124,20 @@ def list_ends(
 def list_slopes(
     lines: Lines, start: int, size: int, profile: Profile, stride: int, notes: Float64
 ) -> tuple[int, int]:
-    """Note what a radial model tells the cells of lines that are not plain.
+    """List, in notes, what a radial model adds to the cells of lines that are not plain.
 
     Parameters
     ----------
     start
-        The first line to note.
+        The first line to list.
     stride
-        From row to row of the places that are noted.
+        From row to row of the places in the notes.
     notes
         Written here, as far as there is room.
 
     Returns
     -------
-    The first line that is not noted, and how many notes there are.
+    The first line that is not listed, and how many notes there are.
     """
     cells, parts, weights = lines.cells, lines.parts, lines.weights
     depth, steps = profile.depth, float(profile.hit.size - 1)
@@ -184,7 +184,7 @@ def list_slopes(
 
 @kernel
 def tell_window(notes: Float64, entries: Int64, numbers: Int64) -> None:
-    """Tell the cells of a window what was noted."""
+    """Add to the cells of a window what the notes say."""
     for k in range(notes.size):
         note = np.int64(notes[k])
         weight = (note >> ENTRY_BITS) & ((1 << WEIGHT_BITS) - 1)
@@ -194,7 +194,7 @@ def tell_window(notes: Float64, entries: Int64, numbers: Int64) -> None:
 
 @kernel
 def tell_tiles(notes: Float64, entries: Int64, col_bits: int, tiles: Tiles) -> None:
-    """Tell the cells of tiles what was noted, in the first layer."""
+    """Add to the first layer of tiles what the notes say."""
     table, used, numbers = tiles.table, tiles.used, tiles.numbers
     for k in range(notes.size):
         note = np.int64(notes[k])
@@ -213,7 +213,7 @@ def tell_tiles(notes: Float64, entries: Int64, col_bits: int, tiles: Tiles) -> N
 
 @kernel
 def visit_lines(lines: Lines, size: int, entry: int, tiles: Tiles) -> None:
-    """Tell the plain cells of lines an entry, in the last layer, tile by tile."""
+    """Add an entry to the plain cells of lines, in the last layer, tile by tile."""
     cells, parts, weights = lines.cells, lines.parts, lines.weights
     table, used, numbers = tiles.table, tiles.used, tiles.numbers
     places = np.empty(TILE + AT_A_TIME, np.int64)
@@ -233,7 +233,7 @@ def visit_lines(lines: Lines, size: int, entry: int, tiles: Tiles) -> None:
         along, across = line.u_sign, line.v_sign * TILE
         if line.steep:
             along, across = line.u_sign * TILE, line.v_sign
-        told = weights[k] * entry
+        added = weights[k] * entry
         # The line leaves a tile along u before cell `next_u`, and along v before `next_v`.
         next_u = i + (TILE - (u & INSIDE) if line.u_sign > 0 else (u & INSIDE) + 1)
         step = made + (TILE - (v & INSIDE) if line.v_sign > 0 else (v & INSIDE) + 1)
@@ -256,7 +256,7 @@ def visit_lines(lines: Lines, size: int, entry: int, tiles: Tiles) -> None:
                 steps = (q + j * slope) >> SLOPE_BITS
                 places[np.uint64(j)] = place + j * along + steps * across
             for j in range(stop - i):
-                numbers[np.uint64(places[np.uint64(j)])] += told
+                numbers[np.uint64(places[np.uint64(j)])] += added
             q += slope * (stop - i)
             i = stop
             u, v = line.u + line.u_sign * i, from_v + line.v_sign * (q >> SLOPE_BITS)
