@@ -5,11 +5,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
-from occmap.cells import Box, Evidence, OccupancyMap, to_log_odds
+from occmap.cells import Box, Evidence, OccupancyMap
 from occmap.errors import UsageError
-from occmap.evidence import choose_tiles, read_model, refuse_other_profile, to_grid, weigh
+from occmap.evidence import choose_tiles, paint_box, read_model, refuse_other_profile, to_grid
 from occmap.evidence.manifest import list_doubts
 from occmap.evidence.persistence import check_passes, keep_lasting
 from occmap.explanation.history import (
@@ -25,10 +23,10 @@ from occmap.explanation.provenance import Use, find_uses, list_logs, list_missin
 from occmap.explanation.sightings import Sighting, add_up, find_sightings
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import measure_bounds
-from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
+from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.observing import Progress, ignore_progress
 from occmap.plain import Count, Printed, Share, printed_as
-from occmap.sensor.models import SensorModel, describe_model, find_decision
+from occmap.sensor.models import SensorModel, describe_model
 from occmap.store.reading import Store
 from occmap.store.rendering import View, find_bounds
 from occmap.store.sources import Saved, read_part
@@ -163,17 +161,7 @@ def map_cell(
 ) -> OccupancyMap:
     """Make a map of the one cell; it is not observed where `min_passes` leaves nothing."""
     lasting = keep_lasting(to_grid(evidence), evidence.slices, min_passes)
-    tiles = choose_tiles(lasting, model)
-    key = cell.row // TILE, cell.column // TILE
-    row, col = cell.row % TILE, cell.column % TILE
-    numbers = tiles.read(key) if key in tiles.keys else np.zeros((2, TILE, TILE))
-    first, second = (each[row : row + 1, col : col + 1] for each in numbers)
-    observed = tiles.observed(first, second)
-    log_odds = np.full((1, 1), to_log_odds(model.prior))
-    log_odds[observed] = weigh(model)(first[observed], second[observed])
-    low_x, low_y, high_x, _ = cell.extent
-    place = high_x - low_x, (low_x, low_y)
-    return OccupancyMap(log_odds.astype(np.float32), observed, *place, find_decision(model))
+    return paint_box(lasting, model, CellBox.at(cell.row, cell.column))
 
 
 def name_class(made: OccupancyMap, writing: WriteOptions) -> Verdict:
@@ -204,7 +192,7 @@ def read_around(saved: Saved, x: float, y: float) -> Evidence:
         No map reaches so far.
     """
     row, col = find_cell(Lattice(saved.manifest.resolution), x, y)
-    return read_part(saved, CellBox(row, col, row + 1, col + 1))
+    return read_part(saved, CellBox.at(row, col))
 
 
 def list_unexplained(

@@ -119,7 +119,7 @@ def look_at(evidence: Evidence, x: float, y: float) -> CellHistory:
         take(layer, np.flatnonzero((layer.tiles == tile).all(axis=1))) for layer in evidence.slices
     ]
     return CellHistory(
-        Cell(row, col, lattice.measure(CellBox(row, col, row + 1, col + 1))),
+        Cell(row, col, lattice.measure(CellBox.at(row, col))),
         unit=find_unit(Update(evidence.manifest.update)),
         around=[
             [read_cell(evidence, row + up, col + right) for right in (-1, 0, 1)]

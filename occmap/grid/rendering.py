@@ -1,6 +1,6 @@
 """Makes one dense grid of sparse tiles, and spreads hits to the cells around them."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from itertools import product
 from typing import Protocol, TypeAlias
@@ -121,7 +121,7 @@ def paint(
     prior
         Log-odds of a cell that nothing observed.
     box
-        Around all observed cells.
+        The cells to paint.
 
     Returns
     -------
@@ -130,8 +130,7 @@ def paint(
     """
     grid = np.full((box.rows, box.cols), prior, np.float32)
     observed = np.zeros((box.rows, box.cols), np.bool_)
-    for key in tiles.keys:
-        inner, outer = _overlap(key, box)
+    for key, inner, outer in _list_overlaps(tiles, box):
         first, second = (numbers[inner] for numbers in tiles.read(key))
         seen = tiles.observed(first, second)
         observed[outer] = seen
@@ -142,18 +141,19 @@ def paint(
 def read_cells(tiles: TileSource, box: CellBox) -> Float64:
     """(2, H, W): the two numbers of each cell of a box, in observations."""
     cells = np.zeros((2, box.rows, box.cols))
-    for key in tiles.keys:
-        inner, outer = _overlap(key, box)
+    for key, inner, outer in _list_overlaps(tiles, box):
         for layer, numbers in zip(cells, tiles.read(key), strict=True):
             layer[outer] = numbers[inner]
     return cells
 
 
-def _overlap(key: Key, box: CellBox) -> tuple[Part, Part]:
-    """What a tile shares with a box: as rows and columns of the tile, and of the box."""
-    tile = CellBox.at(*key).scale(TILE)
-    shared = box.clip(tile)
-    return shared.within(tile), shared.within(box)
+def _list_overlaps(tiles: TileSource, box: CellBox) -> Iterator[tuple[Key, Part, Part]]:
+    """List the tiles that lie in a box, and where: as part of the tile, and as part of the box."""
+    for key in tiles.keys:
+        tile = CellBox.at(*key).scale(TILE)
+        shared = box.clip(tile)
+        if shared.cells:
+            yield key, shared.within(tile), shared.within(box)
 
 
 def count_agreeing(grid: TileGrid, occupied: Bool, box: CellBox) -> tuple[int, int]:
@@ -164,8 +164,8 @@ def count_agreeing(grid: TileGrid, occupied: Bool, box: CellBox) -> tuple[int, i
     if grid.kind is not EvidenceKind.COUNTS:
         return 0, 0
     total = agreed = 0
-    for key, (hits, _) in grid.tiles.items():
-        inner, outer = _overlap(key, box)
+    for key, inner, outer in _list_overlaps(grid, box):
+        hits = grid.tiles[key][0]
         total += int(hits[inner].sum())
         agreed += int(hits[inner][occupied[outer]].sum())
     return agreed, total

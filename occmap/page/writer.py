@@ -3,14 +3,14 @@
 from pathlib import Path
 
 from occmap.page.document import require_bokeh, write_page
-from occmap.writers import Product, WriteOptions
+from occmap.writers import OneFile, Product, WriteOptions
 
 
-class HtmlWriter:
+class HtmlWriter(OneFile):
     """One page with everything in it: the map, its layers, the way, and how it came about."""
 
     description = "page for any browser: the map in layers, the way, what was found"
-    needs_evidence, needs_journey = True, False
+    needs_evidence = True
 
     def targets(self, path: Path) -> tuple[Path, ...]:
         """Return the file.
@@ -21,7 +21,7 @@ class HtmlWriter:
             Bokeh, which is an extra, is not installed.
         """
         require_bokeh(path)
-        return (path,)
+        return super().targets(path)
 
     def write_product(
         self, path: Path, product: Product, options: WriteOptions

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from occmap.errors import UsageError
+from occmap.errors import require
 from occmap.types import Pose, PoseSample
 
 MAX_OFFSET_S = 4e9
@@ -88,23 +88,19 @@ class PosingOptions:
     brings its walls along the axes, which is for `occmap.alignment` to find."""
 
     def __post_init__(self) -> None:
-        if not abs(self.time_offset_s) <= MAX_OFFSET_S:
-            raise UsageError(
-                f"the time offset is {self.time_offset_s} s",
-                fix=f"give at most {MAX_OFFSET_S:g} s either way",
-            )
-        if self.max_pose_gap_s is not None and not self.max_pose_gap_s > 0:
-            raise UsageError(
-                f"the longest pose gap is {self.max_pose_gap_s} s", fix="give more than 0 s"
-            )
-        if not self.max_speed > 0:
-            raise UsageError(
-                f"a largest speed of {self.max_speed} m/s is not possible", fix="give more than 0"
-            )
-        if self.transform and not all(abs(value) <= MAX_PLACE_M for value in self.transform):
-            raise UsageError(f"no log lies at {self.transform[:3]}", fix="give metres and radians")
-        if self.align is not None and not abs(self.align) <= 360:
-            raise UsageError(f"no map is turned by {self.align} degrees", fix="give -360 to 360")
+        found = f"the time offset is {self.time_offset_s} s"
+        fix = f"give at most {MAX_OFFSET_S:g} s either way"
+        require(abs(self.time_offset_s) <= MAX_OFFSET_S, found, fix)
+        gap = self.max_pose_gap_s
+        require(gap is None or gap > 0, f"the longest pose gap is {gap} s", "give more than 0 s")
+        found = f"a largest speed of {self.max_speed} m/s is not possible"
+        require(self.max_speed > 0, found, "give more than 0")
+        if self.transform:
+            is_near = all(abs(value) <= MAX_PLACE_M for value in self.transform)
+            require(is_near, f"no log lies at {self.transform[:3]}", "give metres and radians")
+        if self.align is not None:
+            found = f"no map is turned by {self.align} degrees"
+            require(abs(self.align) <= 360, found, "give -360 to 360")
         if self.sensor_pose is not None:
             _check_pose(self.sensor_pose, "the sensor's pose")
         for sample in self.static_transforms:
@@ -113,5 +109,5 @@ class PosingOptions:
 
 def _check_pose(pose: Pose, name: str) -> None:
     """Refuse numbers that nothing can be mounted at."""
-    if not (all(abs(value) <= MAX_MOUNT_M for value in pose) and any(pose[3:])):
-        raise UsageError(f"{name} cannot be {pose[:3]}", fix="give metres and radians")
+    is_place = all(abs(value) <= MAX_MOUNT_M for value in pose) and any(pose[3:])
+    require(is_place, f"{name} cannot be {pose[:3]}", "give metres and radians")

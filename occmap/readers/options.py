@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from occmap.errors import UsageError
+from occmap.errors import require
 
 
 class Echo(StrEnum):
@@ -32,8 +32,6 @@ class ReaderOptions:
     The default is a slice around the sensor: above the floor for a lidar on a robot's body."""
 
     def __post_init__(self) -> None:
-        if not self.min_height < self.max_height:
-            raise UsageError(
-                f"no point lies above {self.min_height} m and below {self.max_height} m",
-                fix="give a `min_height` below the `max_height`",
-            )
+        found = f"no point lies above {self.min_height} m and below {self.max_height} m"
+        fix = "give a `min_height` below the `max_height`"
+        require(self.min_height < self.max_height, found, fix)
