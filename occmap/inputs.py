@@ -15,10 +15,9 @@ from occmap.opening import choose_topics, take_first
 from occmap.plugins import list_plugins, load_plugin
 from occmap.readers import open_log, probe_path
 from occmap.readers.options import ReaderOptions
-from occmap.wording import STDIN_FOLDER, count
+from occmap.wording import STDIN_FOLDER, count, join_names
 
 STDIN = Path("-")
-MOST_NAMES = 5
 RECORDED = (".mcap", ".bag", ".db3")
 """Suffixes that only recordings have; others are taken for such where a recording has them."""
 
@@ -110,11 +109,10 @@ def find_start(path: Path, options: ReaderOptions) -> tuple[int, str]:
 
 def describe_found(path: Path, logs: Sequence[Path], others: int) -> str:
     """Say which recordings a folder holds, and how many other files."""
-    names = ", ".join(log.name for log in logs[:MOST_NAMES])
-    more = f" and {len(logs) - MOST_NAMES:,} more" if len(logs) > MOST_NAMES else ""
+    names = join_names(log.name for log in logs)
     passed = f"; {count(others, 'other file')} passed over" if others else ""
     order = ", in the order of their time" if len(logs) > 1 else ""
-    return f"{path}: {count(len(logs), 'recording')}{order}: {names}{more}{passed}"
+    return f"{path}: {count(len(logs), 'recording')}{order}: {names}{passed}"
 
 
 def describe_lost(path: Path, options: ReaderOptions) -> Iterator[str]:

@@ -1,9 +1,11 @@
-"""How counts, boxes, times and a log on stdin are written for people."""
+"""How counts, names, boxes, times and a log on stdin are written for people."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 
+MOST_NAMES = 6
+"""How many names a list shows: people do not read longer ones"""
 DATES_S = range(631_152_000, 4_102_444_800)
 """Stamps from 1990 to 2100 are dates; others count from some start"""
 STDIN_FOLDER = "occmap-stdin-"
@@ -14,6 +16,13 @@ def count(number: float, noun: str) -> str:
     """Write how many there are: 1 beam, 2,000 beams, 2.875 misses."""
     ending = "" if number == 1 else "es" if noun.endswith("s") else "s"
     return f"{number:,.15g} {noun}{ending}"
+
+
+def join_names(names: Iterable[str], most: int = MOST_NAMES) -> str:
+    """Write names as a list; of many only the first, and how many more there are."""
+    names = tuple(names)
+    more = f" and {len(names) - most:,} more" if len(names) > most else ""
+    return (", ".join(names[:most]) or "none") + more
 
 
 def write_counts(counts: Mapping[str, int]) -> str:

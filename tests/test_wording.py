@@ -2,7 +2,7 @@
 
 import pytest
 
-from occmap.wording import count, write_span, write_time
+from occmap.wording import count, join_names, write_span, write_time
 
 
 @pytest.mark.parametrize(
@@ -11,6 +11,19 @@ from occmap.wording import count, write_span, write_time
 )
 def test_things_are_counted(number: int, text: str) -> None:
     assert count(number, "beam") == text
+
+
+@pytest.mark.parametrize(
+    ("names", "text"),
+    [
+        ("", "none"),
+        ("a", "a"),
+        ("abcdef", "a, b, c, d, e, f"),
+        ("abcdefgh", "a, b, c, d, e, f and 2 more"),
+    ],
+)
+def test_of_many_names_the_first_are_listed(names: str, text: str) -> None:
+    assert join_names(names) == text
 
 
 def test_a_noun_in_s_gets_es() -> None:

@@ -19,7 +19,7 @@ from occmap.explanation.history import (
     find_cell,
     look_at,
 )
-from occmap.explanation.provenance import Use, find_uses, list_logs, list_missing, shorten
+from occmap.explanation.provenance import Use, find_uses, list_logs, list_missing
 from occmap.explanation.sightings import Sighting, add_up, find_sightings
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import measure_bounds
@@ -30,7 +30,7 @@ from occmap.sensor.models import SensorModel, describe_model
 from occmap.store.reading import Store
 from occmap.store.rendering import View, find_bounds
 from occmap.store.sources import Saved, read_part
-from occmap.wording import count
+from occmap.wording import count, join_names
 from occmap.writers import WriteOptions
 
 
@@ -206,7 +206,7 @@ def list_unexplained(
     sums = f"{describe_numbers(found, kind, unit)} of {describe_numbers(held, kind, unit)}"
     missing = list_missing(evidence, uses)
     if missing:
-        yield f"these logs explain {sums}; the rest is in {shorten(missing)}"
+        yield f"these logs explain {sums}; the rest is in {join_names(missing)}"
     elif evidence.manifest.subtracted:
         yield f"the scans explain {sums}; other evidence was subtracted"
     else:

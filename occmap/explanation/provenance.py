@@ -11,8 +11,7 @@ from occmap.errors import LogError, PoseError
 from occmap.evidence.manifest import BuildRecord, describe_files, find_trajectory, list_inputs
 from occmap.explanation.recall import recall_options
 from occmap.options import BuildOptions
-
-MOST_NAMES = 5
+from occmap.wording import join_names
 
 
 @dataclass(frozen=True)
@@ -148,12 +147,5 @@ def refuse_stranger(evidence: Evidence, log: Path) -> None:
     raise LogError(
         f"{evidence.where} was not made of it",
         where=log,
-        fix=f"it was made of {shorten(names)}: give `logs` with one of these",
+        fix=f"it was made of {join_names(names or ['no log'])}: give `logs` with one of these",
     )
-
-
-def shorten(names: Sequence[str]) -> str:
-    """List the first few names, and how many more there are."""
-    more = len(names) - MOST_NAMES
-    rest = f" and {more} more" if more > 0 else ""
-    return f"{', '.join(names[:MOST_NAMES]) or 'no log'}{rest}"

@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeAlias
 
 from occmap.command import spell_flags
 from occmap.plugins import need_extra
-from occmap.wording import name_stdin
+from occmap.wording import join_names, name_stdin
 from occmap.writers.atomic import open_atomic
 
 HERE = Path(__file__).parent
@@ -133,9 +133,8 @@ def to_script(value: Any) -> str:
 
 def name_logs(names: Iterable[str]) -> str:
     """Name logs in a title; of a folder, the inputs are called folder/file."""
-    distinct = list(dict.fromkeys(name.partition("/")[0] for name in names))
-    more = f" and {len(distinct) - MOST_NAMES} more" if len(distinct) > MOST_NAMES else ""
-    return ", ".join(distinct[:MOST_NAMES]) + more
+    distinct = dict.fromkeys(name.partition("/")[0] for name in names)
+    return join_names(distinct, MOST_NAMES)
 
 
 def describe_maker(inputs: Iterable[Mapping[str, Any]] = ()) -> Section:

@@ -6,9 +6,9 @@ from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
 
-from occmap.posing.conventions import join_names
 from occmap.posing.frames import Edge, FrameTree, Source
 from occmap.posing.tracks import differ
+from occmap.wording import join_names
 
 MOST_LOOPS = 8
 """Loops that are listed at most."""

@@ -1,14 +1,10 @@
 """Conventions: which frame is the map and which the robot, by the names that REP 105 gives."""
 
-from collections.abc import Iterable
-
 from occmap.posing.chain import find_driven
 from occmap.posing.frames import FrameTree, last_part
 
 FIXED_NAMES = ("map", "odom")
 BASE_NAMES = ("base_link", "base_footprint")
-MAX_NAMES = 6
-"""How many names a list shows: people do not read longer ones."""
 
 
 def choose_fixed(tree: FrameTree, frame: str) -> str:
@@ -49,15 +45,6 @@ def find_body(tree: FrameTree, frame: str) -> str:
     root = tree.find_root(frame)
     driven = find_driven(tree.find_path(root, frame) or [])
     return driven.lower if driven else root
-
-
-def join_names(names: Iterable[str], most: int = MAX_NAMES) -> str:
-    """Write names as a list, of many only the first few."""
-    names = tuple(names)
-    if not names:
-        return "none"
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
 
 
 def _namespace(frame: str) -> str:

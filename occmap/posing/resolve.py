@@ -9,13 +9,13 @@ from occmap.posing.conventions import (
     FIXED_NAMES,
     choose_fixed,
     find_body,
-    join_names,
     list_bases,
 )
 from occmap.posing.frames import Edge, FrameTree, Source, Step, last_part
 from occmap.posing.options import PosingOptions
 from occmap.posing.sources import Sources
 from occmap.posing.tracks import Track
+from occmap.wording import join_names
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 from occmap.errors import PoseError
 from occmap.posing.contradictions import list_contradictions
-from occmap.posing.conventions import BASE_NAMES, FIXED_NAMES, join_names
+from occmap.posing.conventions import BASE_NAMES, FIXED_NAMES
 from occmap.posing.frames import Edge, FrameTree, Source, last_part
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.posing.tracks import Track, TrackBuilder
 from occmap.posing.trajectory import TRAJECTORY_FRAME, read_trajectory
 from occmap.types import PoseBatch, PoseSample
+from occmap.wording import join_names
 
 TF_TOPICS = frozenset({"", "tf", "tf_static"})
 """Last parts of topics that carry the tree itself; any other states the pose of one body."""

@@ -15,13 +15,12 @@ from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.values import PATH
 from occmap.explanation import Explanation, Question, describe_numbers, explain
 from occmap.explanation.history import Seen, Visits
-from occmap.explanation.provenance import shorten
 from occmap.explanation.sightings import add_up
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.inputs import keep_stdin
 from occmap.keywords import take
 from occmap.store.sources import open_saved
-from occmap.wording import count, name_stdin, write_box, write_time
+from occmap.wording import count, join_names, name_stdin, write_box, write_time
 from occmap.writers import WriteOptions
 
 HELP = f"""{COMMANDS["explain"]}
@@ -134,7 +133,7 @@ def list_builds(explanation: Explanation) -> Iterator[tuple[str, str]]:
     """Say on how many visits each build observed the cell, and when; and then all together."""
     shown = explanation.builds[:MOST_BUILDS]
     for index, build in enumerate(shown):
-        yield "" if index else "visits", f"{shorten(build.logs)}: {describe_visits(build)}"
+        yield "" if index else "visits", f"{join_names(build.logs)}: {describe_visits(build)}"
     if len(shown) < len(explanation.builds):
         yield "", f"and {len(explanation.builds) - len(shown):,} more builds: --json lists all"
     if len(shown) > 1 and explanation.visits:
