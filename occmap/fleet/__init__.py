@@ -22,16 +22,15 @@ from occmap.engines import make_grid
 from occmap.errors import OutputError
 from occmap.evidence.manifest import UNRECORDED, write_value
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
+from occmap.fleet.reducing import BlockJob, reduce_block
 from occmap.fleet.runs import Piece, read_pieces
 from occmap.fleet.settling import LogTrace
 from occmap.fleet.tasks import (
-    BlockJob,
     Setting,
     Survey,
     SurveyJob,
     Traced,
     count_in_window,
-    reduce_block,
     survey_log,
     trace_part,
 )

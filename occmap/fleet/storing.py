@@ -14,8 +14,9 @@ from occmap.arrays import Int64
 from occmap.cells import Manifest
 from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
 from occmap.fleet import Fleet, Work, list_reductions
+from occmap.fleet.reducing import BlockJob, add_up
 from occmap.fleet.runs import do_once, read_stub, write_stub
-from occmap.fleet.tasks import BlockJob, Setting, SurveyJob, add_up, hash_log
+from occmap.fleet.tasks import Setting, SurveyJob, hash_log
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing
 from occmap.observing import Keep, Progress

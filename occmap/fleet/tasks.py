@@ -1,4 +1,4 @@
-"""What workers do: plain functions of plain values, which may run anywhere and again.
+"""What workers do with logs: plain functions of plain values, which may run anywhere and again.
 
 Each leaves its result in the scratch folder and gives it at once where it is there already.
 """
@@ -13,22 +13,19 @@ import numpy as np
 
 from occmap.arrays import Float64, Int64
 from occmap.batching import Seam, Selector
-from occmap.cells import Slices
-from occmap.engines import choose_engine, make_grid
+from occmap.engines import choose_engine
 from occmap.errors import LogError, PoseError
 from occmap.evidence.manifest import describe_files
 from occmap.fleet.runs import (
     Piece,
     do_once,
     read_mapped,
-    read_pieces,
     read_stub,
     write_mapped,
     write_run,
     write_stub,
 )
-from occmap.grid.slices import unite
-from occmap.grid.tiles import add_stack, stack_tiles
+from occmap.grid.tiles import stack_tiles
 from occmap.observing import Keep
 from occmap.opening import count_scans
 from occmap.options import BuildOptions
@@ -36,7 +33,7 @@ from occmap.posing.jumps import find_breaks
 from occmap.posing.sifting import Ends, Laser
 from occmap.readers import Note, open_log, read_scans, split_log
 from occmap.sensor.no_return import RangeLimits
-from occmap.store.blocks import Block, BlockContent, split_blocks
+from occmap.store.blocks import Block, split_blocks
 from occmap.tally import Tally
 from occmap.tracing import Drive, open_drive, trace
 from occmap.types import Rays
@@ -89,22 +86,6 @@ class Survey(NamedTuple):
     """The stamp of the first scan; None where there is none"""
     error: PoseError | None = None
     """Why its scans have no poses"""
-
-
-class BlockJob(NamedTuple):
-    """A block of the map to be added up, written or painted."""
-
-    setting: Setting
-    block: Block
-    pieces: tuple[Piece, ...] = ()
-    """All that parts of logs observed in it"""
-    logs: tuple[int, ...] = ()
-    """Which files of logs observed something in it; none in a block that lies beside others"""
-
-    @property
-    def where(self) -> str:
-        """What an error is about."""
-        return f"block {tuple(self.block)}"
 
 
 class TraceJob(NamedTuple):
@@ -290,39 +271,6 @@ class RunWriter:
             self.pieces.setdefault(key, []).append(piece)
         self._runs += 1
         self._begin()
-
-
-def reduce_block(job: BlockJob) -> Piece:
-    """Add up all that was observed in a block, and leave it in a run file of its own.
-
-    Raises
-    ------
-    OccmapError
-        A run file cannot be read, or the scratch folder cannot be written.
-    """
-    folder, name = job.setting.folder, "block{}_{}".format(*job.block)
-
-    def reduce() -> Piece:
-        return write_run(folder, f"{name}.run", [(job.block, add_up(job))])[job.block]
-
-    return do_once(folder / f"{name}.sum", reduce)
-
-
-def add_up(job: BlockJob) -> BlockContent:
-    """Add up all that was observed in a block.
-
-    Raises
-    ------
-    OccmapError
-        A run file cannot be read.
-    """
-    grid = make_grid(job.setting.options)
-    layers: list[Slices] = []
-    for content in read_pieces(job.setting.folder, job.pieces):
-        add_stack(grid, content.tiles, content.cells)
-        layers += content.slices
-    slices = (unite(layers),) if job.setting.keep.slices else ()
-    return BlockContent(*stack_tiles(grid.tiles), slices, job.logs)
 
 
 def hash_log(job: SurveyJob) -> list[dict[str, Any]]:
