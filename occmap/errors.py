@@ -1,5 +1,7 @@
 """The errors that occmap raises: each writes its own sentence and knows its exit code."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, ClassVar, Self
 
@@ -42,6 +44,15 @@ class OccmapError(Exception):
 
 class LogError(OccmapError):
     """A log cannot be read, or holds no scans."""
+
+
+@contextmanager
+def refuse_unreadable(path: object) -> Iterator[None]:
+    """Say in one line what keeps the system from reading a log; raises LogError."""
+    try:
+        yield
+    except OSError as error:
+        raise LogError(f"cannot be read ({error.strerror})", where=path) from None
 
 
 class DamageError(LogError):

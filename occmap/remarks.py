@@ -34,7 +34,6 @@ class Remarks:
     logs: list[str]
     notes: list[str] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
-    files: list[str] = field(default_factory=list)
 
     def note(self, log: Path, notes: Sequence[Note], others: Iterable[str]) -> None:
         """Keep the notes of a log's reader, and the notes of others on it."""

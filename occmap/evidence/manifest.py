@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from occmap.cells import Manifest
-from occmap.errors import LogError
+from occmap.errors import refuse_unreadable
 from occmap.grid.tiles import EvidenceKind
 from occmap.sensor.bounds import NO_CLAMP
 from occmap.sensor.models import RadialModel, SensorModel, describe_model
@@ -73,12 +73,9 @@ def describe_files(path: Path) -> Iterator[dict[str, Any]]:
     """
     inner = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
     for each in inner:
-        try:
-            with each.open("rb") as file:
-                digest = hashlib.file_digest(file, "sha256").hexdigest()
-                size = file.tell()
-        except OSError as error:
-            raise LogError(f"cannot be read ({error.strerror})", where=each) from None
+        with refuse_unreadable(each), each.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+            size = file.tell()
         name = each.relative_to(path.parent).as_posix()
         yield {"name": name, "bytes": size, "sha256": digest}
 

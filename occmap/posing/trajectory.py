@@ -14,7 +14,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from occmap.errors import LogError
+from occmap.errors import LogError, refuse_unreadable
 from occmap.posing.rotations import to_quaternions
 from occmap.types import Pose, PoseSample
 from occmap.values import parse_nanoseconds, parse_seconds
@@ -172,7 +172,7 @@ def _read_times(path: Path, poses: Path) -> Iterator[int]:
 
 def _read_lines(path: Path) -> Iterator[_Line]:
     """Read the lines that are neither empty nor comments."""
-    try:
+    with refuse_unreadable(path):
         with path.open("rb") as file:
             if b"\0" in file.read(BINARY_WITHIN):
                 raise LogError("no text, so no trajectory", where=path, fix=SHAPES)
@@ -181,8 +181,6 @@ def _read_lines(path: Path) -> Iterator[_Line]:
                 line = _Line(path, number, text.strip())
                 if line.text and not line.text.startswith("#"):
                     yield line
-    except OSError as error:
-        raise LogError(f"cannot be read ({error.strerror})", where=path) from None
 
 
 def _read_header(line: _Line) -> _Layout:

@@ -14,7 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
 
-from occmap.errors import LogError
+from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import Note, NoteList, Span, make_part
 from occmap.readers.inflate import Buffer
 from occmap.readers.ros_source import SCAN_ROLES, Channel, RawMessage, add_note
@@ -106,13 +106,10 @@ class ChunkedSource(ABC, Generic[Table]):
         """Where chunks begin, in a file that can be cut between them"""
         self._cut_at = -1
         """Where a record begins in the middle of which the file ends"""
-        try:
-            with path.open("rb") as file:
-                self._size = file.seek(0, 2)
-                self._span = Span(len(self.magic), self._size)
-                channels, counts = self._find_channels(file)
-        except OSError as error:
-            raise LogError(f"cannot be read ({error.strerror})", where=path) from None
+        with refuse_unreadable(path), path.open("rb") as file:
+            self._size = file.seek(0, 2)
+            self._span = Span(len(self.magic), self._size)
+            channels, counts = self._find_channels(file)
         self._by_id = {key: replace(each, count=counts[key]) for key, each in channels.items()}
         if lost := sum(messages for key, messages in counts.items() if key not in channels):
             add_note(self.notes, f"the file names no {self.unit} for {count(lost, 'message')}")

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from occmap.errors import DamageError, LogError
+from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import DEFAULT_OPTIONS, Note, Role, Stream
 from occmap.readers.inflate import Buffer
 from occmap.readers.options import ReaderOptions
@@ -171,12 +171,10 @@ class RosLog:
         if not wanted:
             return
         counts = dict.fromkeys(wanted, 0)
-        try:
+        with refuse_unreadable(self.path):
             for message in self._source.messages(wanted):
                 counts[message[0]] += 1
                 yield message
-        except OSError as error:
-            raise LogError(f"cannot be read ({error.strerror})", where=self.path) from None
         for channel, count in counts.items():
             if self._is_whole and count != channel.count:
                 add_note(

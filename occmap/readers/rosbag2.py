@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from occmap.errors import LogError
+from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import Note, NoteList, make_part
 from occmap.readers.inflate import inflate_message, unzip_file
 from occmap.readers.mcap import MAGIC as MCAP_MAGIC
@@ -72,11 +72,9 @@ class Bag2Source:
         self.path = path
         self.notes: list[Note] = NoteList()
         self._scratch: Path | None = None
-        try:
+        with refuse_unreadable(path):
             metadata = self._read_metadata()
             self._parts = self._open_parts(self._find_files(metadata.files))
-        except OSError as error:
-            raise LogError(f"cannot be read ({error.strerror})", where=path) from None
         self._zipped = metadata.zipped_messages
         self._gather_notes()
         held = Counter[tuple[str, str]]()

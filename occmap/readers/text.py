@@ -12,7 +12,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from occmap.arrays import Float64, Int64, UInt64
-from occmap.errors import LogError
+from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import Note, Probe, Span
 from occmap.readers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
 from occmap.readers.kernels import PADDING
@@ -112,21 +112,18 @@ def split_lines(path: Path, size: int, is_heading: Callable[[bytes], bool]) -> l
     LogError
         The file cannot be read.
     """
-    try:
-        with path.open("rb") as file:
-            if file.read(2) == MAGIC:
-                return [ALL]
-            file.seek(0)
-            while is_heading(file.readline(MAX_LINE_BYTES)):
-                pass
-            heading, length = file.tell(), file.seek(0, 2)
-            cuts = [0]
-            for start in range(max(size, heading), length, size):
-                file.seek(start - 1)
-                file.readline(MAX_LINE_BYTES)
-                cuts += [file.tell()] if cuts[-1] < file.tell() < length else []
-    except OSError as error:
-        raise LogError(f"cannot be read ({error.strerror})", where=path) from None
+    with refuse_unreadable(path), path.open("rb") as file:
+        if file.read(2) == MAGIC:
+            return [ALL]
+        file.seek(0)
+        while is_heading(file.readline(MAX_LINE_BYTES)):
+            pass
+        heading, length = file.tell(), file.seek(0, 2)
+        cuts = [0]
+        for start in range(max(size, heading), length, size):
+            file.seek(start - 1)
+            file.readline(MAX_LINE_BYTES)
+            cuts += [file.tell()] if cuts[-1] < file.tell() < length else []
     return [Span(*ends) for ends in pairwise([*cuts, length])]
 
 
