@@ -114,8 +114,8 @@ def refuse_unknown(path: Path, writer: ProductWriter, options: RenderOptions) ->
         raise UsageError(found, where=path, fix="leave out `overview`, or write a .png")
 
 
-def render_kept(saved: Saved, options: RenderOptions, outputs: Sequence[Path] = ()) -> Rendered:
-    """Render evidence; a note says which options do nothing for the outputs.
+def render_kept(saved: Saved, options: RenderOptions) -> Rendered:
+    """Render evidence, and write nothing.
 
     Raises
     ------
@@ -125,7 +125,7 @@ def render_kept(saved: Saved, options: RenderOptions, outputs: Sequence[Path] = 
     """
     model, manifest = choose_model(saved, options)
     grid, seen = paint_saved(saved, model, options)
-    report = summarise(manifest, model, seen, options, outputs)
+    report = summarise(manifest, model, seen, options, outputs=())
     return Rendered(grid, report, replace(read_all(saved), manifest=manifest))
 
 
