@@ -14,7 +14,7 @@ from occmap.sensor.models import RadialModel, SensorModel
 
 SHORTEST_GAP_S, LONGEST_GAP_S = 1e-3, 1e9
 MUCH = 0.25
-"""A note tells if at least this share of the occupied cells is lost: people are seldom so many."""
+"""A note is given if this share of the occupied cells is lost: people are seldom so many."""
 
 
 def keep_lasting(grid: TileGrid, slices: Sequence[Slices], min_passes: int | None) -> TileGrid:

@@ -1,8 +1,8 @@
 """A build by many workers, on this machine or on a cluster: the tasks of a build, and their order.
 
 Evidence adds up in any order, so parts of logs are traced anywhere, and blocks of the map are added
-up anywhere. What they say goes through files that all workers share; the driver hears counts and
-notes alone.
+up anywhere. What workers observe goes through files that all of them share; the driver gets only
+counts and notes.
 """
 
 import hashlib

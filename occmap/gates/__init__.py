@@ -54,7 +54,7 @@ class Limit:
     """Where the user set it"""
 
     def is_broken_by(self, value: float) -> bool:
-        """Whether the condition holds of a value."""
+        """Whether the condition holds for a value."""
         return SIGNS[self.sign](value, self.bound)
 
     @property

@@ -42,7 +42,7 @@ class Window(ABC):
     """A box of whole tiles being written to."""
 
     most_cells_times = 1
-    """How many times more cells than others such a window may have"""
+    """Such a window may have so many times the cells of others"""
 
     def __init__(self, spec: GridSpec, box: CellBox) -> None:
         self.spec = spec

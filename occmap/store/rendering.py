@@ -71,7 +71,7 @@ class BlockMap:
     box: CellBox
     """Its cells"""
     before: CellBox
-    """Those of the map of all that was observed, of which maybe not all lasts"""
+    """Those of the map of all that was observed, before any of it is forgotten"""
     is_part: bool
     """Whether it ends where the user says"""
 

@@ -133,7 +133,7 @@ class Combined:
 
     parts: tuple[Blocks, ...]
     combine: Callable[[Sequence[Evidence]], Evidence]
-    """Makes one evidence of that of all parts, even of none"""
+    """Makes one evidence of all parts, which may be empty"""
     where: str = ""
 
     @cached_property

@@ -43,7 +43,7 @@ LATCHED = interfaces.Qos(
     EVER,
     avoid_ros_namespace_conventions=False,
 )
-"""RViz asks for maps that late comers get, too; `ros2 bag play` offers what is written here."""
+"""RViz wants a map that late subscribers get, too; `ros2 bag play` offers topics as this says."""
 
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)

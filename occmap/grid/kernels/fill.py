@@ -25,11 +25,11 @@ class Outline(NamedTuple):
     y: Int64
     """(N,)"""
     begins: Bool
-    """(N,) an edge leads to a corner from the one before, unless that one begins an outline"""
+    """(N,) whether a corner begins an outline; to any other an edge leads from the one before"""
 
 
 class Spans(NamedTuple):
-    """What lies inside an outline: each row has some first columns and last + 1, in turn."""
+    """What lies inside an outline: for each row, the first column and the last + 1 of each span."""
 
     starts: Int32
     """(H,) where those of a row begin in `limits`"""
@@ -38,7 +38,7 @@ class Spans(NamedTuple):
     limits: Int32
     """(N,)"""
     found: Int32
-    """(2, N) to work with: row, and 2 x the first column inside, + 1 if upward, of each crossing"""
+    """(2, N) to work with: the row of each crossing; 2 x the first column inside, + 1 if upward"""
 
 
 @kernel

@@ -74,7 +74,7 @@ def trace_window(
         k = 0
         while k < size:
             k, fill = list_slopes(lines, k, size, profile, cols + PAD, notes)
-            tell_window(notes[:fill], entries, numbers)
+            add_to_window(notes[:fill], entries, numbers)
 
 
 @kernel
@@ -94,7 +94,7 @@ def trace_tiles(beams: Beams, profile: Profile, corner: Int64, tiles: Tiles) -> 
                 k, fill = list_ends(lines, size, profile, 1 << col_bits, notes)
             else:
                 k, fill = list_slopes(lines, k, size, profile, 1 << col_bits, notes)
-            tell_tiles(notes[:fill], entries, col_bits, tiles)
+            add_to_tiles(notes[:fill], entries, col_bits, tiles)
 
 
 @kernel
@@ -183,7 +183,7 @@ def list_slopes(
 
 
 @kernel
-def tell_window(notes: Float64, entries: Int64, numbers: Int64) -> None:
+def add_to_window(notes: Float64, entries: Int64, numbers: Int64) -> None:
     """Add to the cells of a window what the notes say."""
     for k in range(notes.size):
         note = np.int64(notes[k])
@@ -193,7 +193,7 @@ def tell_window(notes: Float64, entries: Int64, numbers: Int64) -> None:
 
 
 @kernel
-def tell_tiles(notes: Float64, entries: Int64, col_bits: int, tiles: Tiles) -> None:
+def add_to_tiles(notes: Float64, entries: Int64, col_bits: int, tiles: Tiles) -> None:
     """Add to the first layer of tiles what the notes say."""
     table, used, numbers = tiles.table, tiles.used, tiles.numbers
     for k in range(notes.size):
