@@ -43,13 +43,13 @@ def parse_seconds(text: str) -> int:
     Raises
     ------
     ValueError
-        The text is no number, or none that fits 64 bits of nanoseconds.
+        The text is not a number, or does not fit 64 bits of nanoseconds.
     """
     with suppress(ArithmeticError):  # what decimal raises for words and for NaN
         nanoseconds = Decimal(text).scaleb(9)
         if abs(nanoseconds) < 2**63:
             return round(nanoseconds)
-    raise ValueError(f"{shorten(text)} is no time in seconds")
+    raise ValueError(f"{shorten(text)} is not a time in seconds")
 
 
 def parse_nanoseconds(text: str) -> int:
@@ -57,7 +57,7 @@ def parse_nanoseconds(text: str) -> int:
     with suppress(ValueError):
         if abs(nanoseconds := int(text)) < 2**63:
             return nanoseconds
-    raise ValueError(f"{shorten(text)} is no time in nanoseconds")
+    raise ValueError(f"{shorten(text)} is not a time in nanoseconds")
 
 
 def as_text(value: Any) -> str:
@@ -68,7 +68,7 @@ def as_text(value: Any) -> str:
         if not value.isascii():
             value.encode()
     except UnicodeEncodeError:
-        raise DamageError("holds text that is no Unicode") from None
+        raise DamageError("holds text that is not Unicode") from None
     return value
 
 

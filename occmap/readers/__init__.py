@@ -338,9 +338,9 @@ def _describe_unknown(probe: Probe) -> str:
 
 
 def _describe_folder(folder: Path) -> str:
-    """Say what a folder that is no recording holds."""
+    """Say what a folder that is not a recording holds."""
     try:
         names = sorted(entry.name for entry in folder.iterdir())
     except OSError as error:
         return f"a folder that cannot be read ({error.strerror})"
-    return f"a folder that is no recording: it holds {', '.join(names[:5]) or 'nothing'}"
+    return f"a folder that is not a recording: it holds {', '.join(names[:5]) or 'nothing'}"

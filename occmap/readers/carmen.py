@@ -57,7 +57,7 @@ class CarmenReader:
     description = "CARMEN text logs (FLASER, RLASER, ROBOTLASER1, RAWLASER1 + ODOM), plain or gzip"
 
     def recognises(self, probe: Probe) -> bool:
-        """Whether the first lines are CARMEN messages; a keyword within a text is none."""
+        """Whether the first lines are CARMEN messages; a keyword within a text does not count."""
         lines = probe_lines(probe)
         if any(line.startswith("#") and "message formats defined" in line for line in lines):
             return True
@@ -73,7 +73,7 @@ class CarmenReader:
         Raises
         ------
         LogError
-            The first scan line, or so many that this is no damage, is malformed.
+            The first scan line is malformed, or so many are that it is not damage.
         """
         return CarmenLog(path)
 

@@ -139,7 +139,7 @@ def split_untimed(text: str) -> _Message:
     """Split a FLASER or RLASER line behind its poses, whatever stands there in place of a time."""
     word, *numbers = text.split()
     if word not in PLAIN_FRAMES or not numbers or not numbers[0].isdecimal():
-        raise ValueError("it is no line of a laser with its pose")
+        raise ValueError("it is not a line of a laser with its pose")
     size = 1 + int(numbers[0]) + 6
     if not size <= len(numbers) <= size + 3:
         raise ValueError(f"{len(numbers)} words where {size} numbers belong")

@@ -56,7 +56,7 @@ class CsvReader:
         Raises
         ------
         LogError
-            A column is missing, or a constant is no number.
+            A column is missing, or a constant is not a number.
         """
         return CsvLog(path)
 
@@ -145,7 +145,7 @@ class CsvLog(TextLog):
             self._judge()
 
     def _judge(self) -> None:
-        """Tell damage from a file that is no log, by all rows even where this is a part of it."""
+        """Tell damage from a file that is not a log: by all its rows, even where this is a part."""
         if self._whole is None:
             self._whole = LineTally()
             for block, rows in self._walk(ALL):

@@ -76,13 +76,13 @@ class Layout:
         def read_finite(name: str) -> float:
             value = read_number(name, texts[name])
             if not math.isfinite(value):
-                raise ValueError(f"{name} is {value}, which is no angle or time")
+                raise ValueError(f"{name} is {value}, which is not an angle or a time")
             return value
 
         def read_limit(name: str) -> float:
             value = read_number(name, texts[name])
             if math.isnan(value):
-                raise ValueError(f"{name} is nan, which is no limit")
+                raise ValueError(f"{name} is nan, which is not a limit")
             return round_limit(value)
 
         def read_place(name: str) -> float:
@@ -123,7 +123,7 @@ class Layout:
 
         increments = take("time_increment", first.time_increment)
         if not np.isfinite(increments).all():
-            raise ValueError("time_increment is no time")
+            raise ValueError("time_increment is not a time")
         at = self.columns.get("stamp")
         stamp_ns = np.full(scans, first.stamp_ns) if at is None else table.times[at].copy()
         pose = [take(name, float(self.constants.get(name, "nan"))) for name in POSE_NAMES]
@@ -140,7 +140,7 @@ def read_layout(path: Path, header: Line, comments: Mapping[str, Line]) -> Layou
     Raises
     ------
     LogError
-        A column is missing or stands twice, or a constant is no number.
+        A column is missing or stands twice, or a constant is not a number.
     """
 
     def fail(line: Line, found: str, fix: str) -> LogError:

@@ -54,7 +54,7 @@ class Channel:
         if self.kind in SHAPES:
             return "which are written in a way that occmap does not know"
         if not (self.type.isascii() and self.type.isprintable()):
-            return "which is the name of no type"
+            return "which is not the name of a type"
         for known in SHAPES:
             for name in (known, known.replace("/msg/", "/")):  # as ROS 2 and ROS 1 write it
                 if len(name) == len(self.type) and sum(map(ne, name, self.type)) <= _MOST_LETTERS:

@@ -20,7 +20,7 @@ from occmap.types import UNKNOWN_POSE, Pose
 from occmap.values import as_float32
 
 MAX_LINE_BYTES = 1 << 24
-"""A scan of a million beams is shorter; a longer line is no text log."""
+"""A scan of a million beams is shorter; a longer line is not of a text log."""
 MAX_EXPANSION = 100
 """Text logs shrink to a tenth with gzip; what grows a hundredfold is not one."""
 FREE_EXPANSION_BYTES = 1 << 30
@@ -33,7 +33,7 @@ BLOCK_BYTES = 1 << 20
 
 ALL = Span(0, sys.maxsize)
 """The span of all of any file"""
-NO_LOG = "this is no text log; check what the file is"
+NO_LOG = "this is not a text log; check what the file is"
 
 
 class Line(NamedTuple):

@@ -194,7 +194,7 @@ class TextLog(ABC):
         Raises
         ------
         LogError
-            The first line is malformed, or so many are that this is no damage.
+            The first line is malformed, or so many are that it is not damage.
         """
         for some in self.stacked_scans(topics):
             yield from some.split() if isinstance(some, ScanRun) else (some,)

@@ -61,7 +61,7 @@ def test_a_lost_tracker_writes_nan(tmp_path: Path) -> None:
         ("1 2 3\n", 1, "3 values where 8 belong"),
         ("# TUM\n1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1 7\n", 3, "9 values where 8 belong"),
         ("1 0 0 0 0 0 here 1\n", 1, "'here' is not a number"),
-        ("1305031102175304000 0 0 0 0 0 0 1\n", 1, "is no time in seconds"),
+        ("1305031102175304000 0 0 0 0 0 0 1\n", 1, "is not a time in seconds"),
         ("stamp,x,yaw\n1,2,3\n", 1, "has no column y"),
         ("stamp,x,y\n1,2,3\n", 1, "has no column yaw"),
         ("stamp,x,y,qw\n1,2,3,1\n", 1, "has no column qx, qy, qz"),
@@ -94,7 +94,7 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
 def test_a_binary_file_is_no_trajectory(tmp_path: Path) -> None:
     path = tmp_path / "drive.bag"
     path.write_bytes(b"#ROSBAG V2.0\nE\0\0\0\x10\0\0\0")
-    with pytest.raises(LogError, match="no text, so no trajectory"):
+    with pytest.raises(LogError, match="not text, so not a trajectory"):
         list(read_trajectory(path))
 
 
@@ -119,8 +119,8 @@ def test_euroc(tmp_path: Path, text: str) -> None:
     ("text", "found"),
     [
         ("12,1,2,3\n", "4 values where 8 belong"),
-        (f"{EUROC}\n1.5,1,2,3,1,0,0,0\n", "'1.5' is no time in nanoseconds"),
-        ("99999999999999999999,1,2,3,1,0,0,0\n", "is no time in nanoseconds"),
+        (f"{EUROC}\n1.5,1,2,3,1,0,0,0\n", "'1.5' is not a time in nanoseconds"),
+        ("99999999999999999999,1,2,3,1,0,0,0\n", "is not a time in nanoseconds"),
     ],
 )
 def test_what_is_not_euroc_is_named(tmp_path: Path, text: str, found: str) -> None:
@@ -182,7 +182,7 @@ def test_kitti_axes_are_a_guess_that_is_told(
     [
         (None, "poses without times; put KITTI's times.txt beside it"),
         ("1\n", "it holds 2 poses, and times.txt beside it 1 times"),
-        ("1\nnoon\n", "times.txt:2: 'noon' is no time in seconds"),
+        ("1\nnoon\n", "times.txt:2: 'noon' is not a time in seconds"),
     ],
 )
 def test_kitti_wants_a_time_for_each_pose(tmp_path: Path, times: str | None, found: str) -> None:

@@ -193,10 +193,10 @@ def test_a_word_in_a_constant_names_its_line(tmp_path: Path) -> None:
         (",1.5,", ",near,", "column r0 is 'near' where a number belongs"),
         (",0.25,", ",wide,", "angle_increment is 'wide' where a number belongs"),
         (",-1.5,", ",,", "angle_min is '' where a number belongs"),
-        (",-1.5,", ",inf,", "angle_min is inf, which is no angle or time"),
-        (",8,", ",nan,", "range_max is nan, which is no limit"),
+        (",-1.5,", ",inf,", "angle_min is inf, which is not an angle or a time"),
+        (",8,", ",nan,", "range_max is nan, which is not a limit"),
         (",1,2,", ",1,north,", "y is 'north' where a number belongs"),
-        ("1700000000.123456789", "noon", "stamp: 'noon' is no time in seconds"),
+        ("1700000000.123456789", "noon", "stamp: 'noon' is not a time in seconds"),
         (",inf", "", "11 cells where the header has 12"),
         (",inf", ",inf,1", "13 cells where the header has 12"),
         (",inf", ',"' + "9" * 140_000 + '"', "field larger than field limit"),
@@ -351,5 +351,5 @@ def _read_with_log(tmp_path: Path, content: str) -> tuple[list[Scan], CsvLog]:
 @pytest.mark.parametrize("stamp", ["15550615755.5", "soon", ""])
 def test_a_stamp_of_rostopic_that_is_no_number_names_its_line(tmp_path: Path, stamp: str) -> None:
     header = "%time,field.header.stamp,field.angle_min,field.angle_increment,field.ranges0"
-    with pytest.raises(LogError, match=r"rostopic.csv:2: stamp: .* is no time in nanoseconds"):
+    with pytest.raises(LogError, match=r"rostopic.csv:2: stamp: .* is not a time in nanoseconds"):
         _read_with_log(tmp_path, f"{header}\n1,{stamp},0,0.1,2.5\n")
