@@ -107,17 +107,17 @@ class CarmenLog(TextLog):
             return
         tally = LineTally()
         for block in read_blocks(self.path, self.notes, self._span):
-            for line in block.pick_lines(_sort_lines(block).get("ODOM", NO_LINES)):
+            for line in block.get_lines(_sort_lines(block).get("ODOM", NO_LINES)):
                 if sample := self._parse(line, parse_odometry, tally):
                     yield sample
         tally.judge(self.path, self.notes, FIX)
 
-    def _walk(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
+    def _find_scan_lines(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
         """Yield blocks, and which of their lines are scans, by keyword."""
         for block in read_blocks(self.path, self.notes, span):
             yield block, _pick_scans(_sort_lines(block))
 
-    def _tell(self, line: Line, fault: str, tally: LineTally) -> None:
+    def _count_malformed(self, line: Line, fault: str, tally: LineTally) -> None:
         tally.add(line, f"malformed {line.text.split(None, 1)[0]} line: {fault}")
 
     def _survey(self) -> None:
@@ -126,7 +126,7 @@ class CarmenLog(TextLog):
         for block in read_blocks(self.path, self.notes):
             lines = _sort_lines(block)
             self._count_words(lines, block)
-            for line in block.pick_lines(lines.get("PARAM", NO_LINES)):
+            for line in block.get_lines(lines.get("PARAM", NO_LINES)):
                 if self._front_offset is None and not _is_cut("PARAM", line):
                     self._front_offset = self._parse(line, parse_front_offset, tally)
             for some in self._parse_block(block, _pick_scans(lines), tally):
@@ -191,7 +191,7 @@ class CarmenLog(TextLog):
 
 def _sort_lines(block: Block) -> dict[str, Int64]:
     """Find the lines of each keyword: `#` for every comment, "" for a blank line."""
-    heads, which = np.unique(block.take_heads(), return_inverse=True)
+    heads, which = np.unique(block.eights[block.starts[:-1]], return_inverse=True)
     numbers, cut, keys = {"": 0}, [], []
     for head in (number.to_bytes(8, "little") for number in heads.tolist()):
         cut.append(b" " not in head.lstrip() and b"\n" not in head)  # the word may go on

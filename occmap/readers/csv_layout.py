@@ -102,8 +102,17 @@ class Layout:
             record_ns=stamp_ns,
         )
 
-    def find_pattern(self, line: Line, _scan: Scan) -> Pattern:
-        """Say what rows like one have in common: all but times, ranges and poses."""
+    def find_pattern(self, line: Line) -> Pattern:
+        """Say what rows like one have in common: all but times, ranges and poses.
+
+        Raises
+        ------
+        ValueError
+            A quoted cell holds commas.
+        """
+        words = line.raw.split(b",")
+        if len(words) != len(self.header):
+            raise ValueError("there are commas within cells")
         kinds = np.full(len(self.header), ANY, np.uint8)
         for name, at in self.columns.items():
             kinds[at] = NUMBER if name in MEASURED else SAME
@@ -111,7 +120,7 @@ class Layout:
             is_seconds = self.parse_stamp is parse_seconds
             kinds[self.columns["stamp"]] = SECONDS if is_seconds else NANOSECONDS
         kinds[list(self.beams)] = RANGE
-        return Pattern(line.raw.split(b","), b",", kinds)
+        return Pattern(words, b",", kinds)
 
     def make_run(self, first: Scan, table: Table) -> ScanRun:
         """Make scans of rows like the first; raises ValueError where one is malformed."""
@@ -129,7 +138,7 @@ class Layout:
         pose = [take(name, float(self.constants.get(name, "nan"))) for name in POSE_NAMES]
         ranges = table.ranges
         if list(self.beams) != sorted(self.beams):
-            ranges = ranges[:, np.argsort(np.argsort(self.beams))]
+            ranges = ranges[:, np.argsort(np.argsort(self.beams))]  # columns may stand in any order
         poses = None if first.pose is None else stack_planar(*pose)
         return ScanRun(first, stamp_ns, stamp_ns, ranges, increments, poses)
 

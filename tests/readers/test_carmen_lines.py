@@ -168,7 +168,7 @@ def parse_together(*lines: str) -> tuple[list[int], ScanRun]:
     block = Block.of(1, bytearray(text + PADDING), len(text))
     form = CarmenForm()
     first = form.parse(lines[0])
-    table = parse_table(block, np.arange(len(lines)), form.find_pattern(block.get_line(0), first))
+    table = parse_table(block, np.arange(len(lines)), form.find_pattern(block.get_line(0)))
     return table.rows.tolist(), form.make_run(first, table)
 
 
