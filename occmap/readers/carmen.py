@@ -39,9 +39,9 @@ OTHER_WORDS = frozenset({
 POSED_FRAMES = PLAIN_FRAMES | ROBOT_FRAMES
 """Lines that state the pose beside the scan, so that no time is needed"""
 MAX_WORDS = 100
-"""Kinds of line that are counted each by itself; garbage must not fill the memory."""
+"""Keywords that are counted one by one; the many of a damaged file must not fill the memory."""
 MAX_KEPT_BYTES = 1 << 26
-"""A log whose scans fit is parsed once and kept; a larger one is parsed again as a stream."""
+"""The scans of a log that take no more memory are kept; larger logs are parsed once more."""
 WHOLE_MESSAGE = re.compile(r"\S+\s+\S+\s+\S.*\s(?!\d)\S+\s+[-+.e\d]+\s*")
 """A keyword, two words or more, the name of a host, and a time."""
 FIX = "correct or delete this line"
@@ -99,7 +99,7 @@ class CarmenLog(TextLog):
         return [Stream(word, word, n, self._find_role(word)) for word, n in words]
 
     def poses(self) -> Iterator[PoseSample]:
-        """The front laser's offset, where a PARAM states it, then the odometry."""
+        """Give the front laser's offset, where a PARAM states it, then the odometry."""
         if self._front_offset is not None:
             offset = Pose.planar(self._front_offset, 0.0, 0.0)
             yield PoseSample(0, "base_link", FRONT, offset, static=True, topic="PARAM")

@@ -71,7 +71,7 @@ class CsvLog(TextLog):
         self._rows = 0
         self._last: Line | None = None
         self._whole: LineTally | None = None
-        """Of all rows of the log, once one is malformed"""
+        """Counts all rows of the log, once one is malformed"""
         self.form = self._survey()
         self._check_last()
         unused = [name for name in self.form.header if name and not is_known(name)]
@@ -85,7 +85,7 @@ class CsvLog(TextLog):
         return [Stream(TOPIC, "csv", self._rows, Role.SCAN)]
 
     def poses(self) -> Iterator[PoseSample]:
-        """None: where the log has poses, each scan holds its own."""
+        """Give none: where the log has poses, each scan holds its own."""
         return iter(())
 
     def _find_scan_lines(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:

@@ -32,7 +32,7 @@ BLOCK_BYTES = 1 << 20
 """How much of a file is read at a time, and its lines parsed together."""
 
 ALL = Span(0, sys.maxsize)
-"""The span of all of any file"""
+"""The span of a whole file, however long"""
 NO_LOG = "this is not a text log; check what the file is"
 
 
