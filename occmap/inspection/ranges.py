@@ -1,4 +1,4 @@
-"""Census of range values: which are no plain measurement, and which repeat too often."""
+"""Census of range values: which are not plain measurements, and which repeat too often."""
 
 import math
 from collections import Counter

@@ -60,7 +60,7 @@ def describe_shape(shape: Shape) -> str:
 
 
 def list_kinds(ranges: RangeFindings) -> Iterator[tuple[str, str, str, str]]:
-    """List the kinds of values that are no plain measurement: name, number, share, and meaning."""
+    """List the kinds of values that are not plain measurements: name, number, share, meaning."""
     for each in ranges.specials:
         advice = f"`no_return={each.no_return}`" if each.no_return else "skipped"
         yield each.name, f"{each.count:,}", f"{each.share:.1%}", f"{each.meaning}: {advice}"

@@ -49,7 +49,7 @@ class Poser:
     notes: list[str] = field(default_factory=list)
     """What was decided or left out and its user should know; grows, each sentence once."""
     chains: dict[str, Chain | None] = field(default_factory=dict)
-    """By scan frame; None where there is no way to it."""
+    """By scan frame; None where no chain leads to it."""
     courses: defaultdict[str, Course] = field(default_factory=lambda: defaultdict(Course))
     """By topic: how its sensor sat, and where it went."""
 

@@ -23,7 +23,7 @@ import numpy as np
 from occmap.arrays import Bool, Float64, Int64
 
 SLACK_M = 1.0
-"""A shorter step is no leap, however short the time: stamps are rounded, odometry corrected."""
+"""A shorter step is not a leap, however short the time: stamps are rounded, odometry corrected."""
 SPARSE_S = 10.0
 """Between scans that are further apart in time a robot may have been carried."""
 FASTEST = 50.0

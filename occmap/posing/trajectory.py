@@ -186,7 +186,7 @@ def _read_lines(path: Path) -> Iterator[_Line]:
 
 
 def _read_header(line: _Line) -> _Layout:
-    """Read the column names of a CSV; columns that are no part of a pose are passed over."""
+    """Read the column names of a CSV; columns that do not belong to a pose are passed over."""
     names = [name.strip().lower() for name in line.text.split(",")]
     layout = _number(names, ",", parse_seconds)
     has_quaternion = any(name in layout.columns for name in QUATERNION)

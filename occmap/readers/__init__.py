@@ -294,10 +294,8 @@ def _explain_unknown(probe: Probe, otherwise: str) -> LogError:
     raw, content = probe.raw, probe.content
     found, fix = _describe_unknown(probe), otherwise
     if raw.startswith(LFS_MAGIC):
-        found, fix = (
-            "a Git LFS pointer, which stands in for the file",
-            "fetch the file: git lfs pull",
-        )
+        found = "a Git LFS pointer, which stands in for the file"
+        fix = "fetch the file: git lfs pull"
     elif raw and not any(raw):
         found = f"the first {len(raw):,} bytes are zero, as a power cut leaves a file"
         fix = "take the log from where it was copied from"

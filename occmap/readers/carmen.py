@@ -230,7 +230,7 @@ def _starts_message(head: list[str]) -> bool:
 
 
 def _is_cut(word: str, line: Line) -> bool:
-    """Whether a line that is no scan is not whole, which a last line may be."""
+    """Whether a line, which is not a scan, is cut: the last line of a file may be."""
     if line.ended:
         return False
     try:

@@ -58,7 +58,7 @@ class Layout:
     beams: tuple[int, ...]
     """The cell of each beam, from r0 on."""
     constants: Mapping[str, str]
-    """The text of each of `NAMES` that is no column and has a value."""
+    """The text of each of `NAMES` that has a value for all rows and no column."""
     parse_stamp: Callable[[str], int]
     """Parses a time, as nanoseconds; raises ValueError."""
 

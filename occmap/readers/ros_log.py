@@ -136,7 +136,7 @@ class RosLog:
     def _stack(
         self, readers: Mapping[Channel, "_ChannelReader[T]"], most_kinds: int
     ) -> Iterator[tuple["_ChannelReader[T]", list[Stacked]]]:
-        """Gather messages of one channel and length, of at most so many kinds at a time."""
+        """Gather messages by channel and length, of at most `most_kinds` kinds at a time."""
         stacks: dict[tuple[Channel, int], list[Stacked]] = {}
         for channel, record_ns, data in self._messages(readers):
             key = channel, len(data)

@@ -159,7 +159,7 @@ class SqliteSource:
 
 
 def _refuse_imitations(database: apsw.Connection) -> None:
-    """Refuse what is no real table: views, virtual tables and generated columns run code.
+    """Refuse what is not a real table: views, virtual tables and generated columns run code.
 
     Raises
     ------

@@ -169,7 +169,7 @@ def _find_alike(raw: UInt8, free: Iterable[tuple[int, int]]) -> Bool:
     Parameters
     ----------
     free
-        Where bytes that may differ begin, and behind the last of them.
+        Where spans of bytes that may differ begin and end; the end is outside.
 
     Returns
     -------

@@ -33,7 +33,7 @@ Parsed = TypeVar("Parsed")
 MALFORMED_SHARE = 0.05
 """A damaged disk spoils a line here and there; a file with more malformed lines is another kind."""
 SOUND_START = 20
-"""A file that begins with so many sound lines is a log, whatever follows."""
+"""A file that begins with this many sound lines is a log, whatever follows."""
 
 NUMBER_CHARACTERS = b"+-.0123456789Ee naif"
 """What programs write numbers with; of others, such as 1_0, Python and NumPy think differently."""
