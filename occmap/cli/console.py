@@ -131,7 +131,7 @@ class Console:
 
 
 def write_rows(rows: Iterable[tuple[str, str]], width: int = 9) -> Iterator[str]:
-    """Write texts under each other beside their labels; "" is the label of the row before."""
+    """Write texts under each other beside their labels; a row without one goes on with the last."""
     for label, text in rows:
         yield f"{label:<{width}}{text}".rstrip()
 
@@ -142,7 +142,7 @@ def label_first(label: str, texts: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def align(table: Sequence[Sequence[str]], labels: int = 0) -> Iterator[str]:
-    """Write rows with their columns under each other: the first so many to the left."""
+    """Write rows with their columns under each other; the first `labels` are flush left."""
     sides = "<" * labels + ">" * len(table[0])
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     for row in table:

@@ -26,7 +26,10 @@ class Listed:
 
 @dataclass(frozen=True)
 class Listing:
-    """What is installed of one kind; what works is printed by the name of the command."""
+    """What is installed of one kind.
+
+    `occmap schema` adds the fields, since one has the name of the command.
+    """
 
 
 KINDS: dict[str, tuple[Group, str]] = {

@@ -44,7 +44,7 @@ def field(section: str, name: str, metavar: str, text: str, usual: str = "", **m
     metavar
         What stands for the value; "" where it is one of some words, which --help lists.
     usual
-        What --help shows as the default, where that is no number.
+        What --help shows as the default, where that is not a number.
     more
         Settings of the option that replace what the field says.
     """

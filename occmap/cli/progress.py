@@ -19,7 +19,7 @@ class Bar:
         self._tqdm = tqdm
 
     def __call__(self, scans: int, total: int) -> None:
-        """Show that so many more scans were read, of so many in all."""
+        """Show that `scans` more scans were read, of `total` in all."""
         if self._tqdm is not None:
             self._tqdm.total = max(total, self._tqdm.n + scans)  # an index may count too few
             self._tqdm.update(scans)

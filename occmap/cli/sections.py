@@ -26,10 +26,10 @@ class SectionOption(click.Option):
 
 
 class BareOption(SectionOption):
-    """An option of one number that may be left out; then the word `bare` takes its place.
+    """An option whose number may be left out, as in `--align`; the word `bare` then stands for it.
 
-    click has such options, too, but they take a log that follows for their value, and refuse a
-    negative number.
+    click has such options, too, but they take a log that follows for the number, and refuse a
+    negative one.
     """
 
     def __init__(self, *args: Any, bare: str, **kwargs: Any) -> None:

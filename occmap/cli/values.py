@@ -16,7 +16,7 @@ from occmap.wording import count
 PATH = click.Path(path_type=Path, readable=False)
 """Where click would look whether it can be read, occmap's own error says more."""
 FROM_SCANS = "auto"
-"""The --align that the scans are to tell."""
+"""The value of --align that leaves the angle to the scans."""
 SIZES = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 
 
@@ -28,7 +28,7 @@ class Form(NamedTuple):
     read: Callable[[Sequence[Any]], Any]
     fix: str
     words: int = 0
-    """So many words go before the numbers"""
+    """How many words go before the numbers"""
 
 
 NUMBERS = {
@@ -123,7 +123,7 @@ def read_numbers(words: list[str], where: str, form: str) -> list[float]:
 
 
 def take_one(_ctx: click.Context, param: click.Parameter, values: tuple[Any, ...]) -> Any:
-    """Take what an option was given once, or None; raises UsageError where it was given twice."""
+    """Take the only value of an option, None if there is none; raises UsageError for several."""
     if len(values) > 1:
         given = ", ".join(map(str, values))
         raise UsageError(

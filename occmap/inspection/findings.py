@@ -35,7 +35,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class Special:
-    """Range values of one kind that are no plain measurement."""
+    """Range values of one kind that are not plain measurements."""
 
     name: str
     """The kind of value"""
@@ -68,13 +68,13 @@ class RangeFindings:
     total: int
     """Range values"""
     measured: int
-    """Range values that are a plain measurement"""
+    """Range values that are plain measurements"""
     smallest: Finite
     """Smallest measured range (m); null where there is none"""
     largest: Finite
     """Largest measured range (m); null where there is none"""
     specials: tuple[Special, ...]
-    """Values that are no plain measurement, by kind"""
+    """Values that are not plain measurements, by kind"""
     repeated: tuple[Repeated, ...]
     """Finite ranges that repeat suspiciously often"""
     crossed: Share | None

@@ -1,4 +1,4 @@
-"""Census of range values: which are no plain measurement, and which repeat too often."""
+"""Census of range values: which are not plain measurements, and which repeat too often."""
 
 import math
 from collections import Counter
@@ -42,9 +42,9 @@ NO_RETURNS = ("+inf", "= range_max", "> range_max")
 """The kinds that `no_return` decides about; all others are skipped."""
 
 MOSTLY_OPEN = 0.05
-"""Space is open where a smaller share of the beams without return than this leads through or beyond
-what others hit. On most real logs nearly all of them do; in a building that is larger than the
-sensor's range none does."""
+"""Space is open where a smaller share than this of the beams without return leads through walls or
+out of everything that was hit. On most real logs nearly all of them do; in a building that is
+larger than the sensor's range none does."""
 
 
 class RangeCensus:
@@ -142,7 +142,7 @@ class RangeCensus:
         """Suggest whether beams without return are to clear space.
 
         Such beams are to clear space only where the log states a limit up to which, where their
-        value is no error code, and where hardly one of them leads through a wall, or out of all
+        value is not an error code, and where hardly one of them leads through a wall, or out of all
         that was hit, as through glass.
         """
         low, high = SICK_CODES

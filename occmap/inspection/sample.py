@@ -28,10 +28,10 @@ SIDES = np.arange(8) * math.pi / 4
 
 
 def measure_crossing(parts: Sequence[PosedScans], options: ReturnOptions) -> float | None:
-    """Measure how many beams without return would call free what they should not.
+    """Measure how many beams without return would clear space that they should not.
 
-    That is a surface which other beams hit, or ground beyond all that was hit: a front of glass
-    gives no hits, but what stands around it does.
+    Such a beam leads through a surface that other beams hit, or out of everything that was hit: a
+    front of glass gives no hits, but what stands around it does.
 
     Returns
     -------

@@ -49,7 +49,7 @@ class TopicSurvey:
     """Every scan so far had its pose beside it"""
 
     def see(self, some: Scan | ScanRun) -> None:
-        """Take note of a scan, or of those of a run."""
+        """Take note of one scan, or of all scans of a run."""
         self.stamps.add(some)
         self.stated &= some.first.pose is not None
         geometry = Geometry.of(some.first)
@@ -122,7 +122,7 @@ class Survey:
         return self.topics[topic]
 
     def list_notes(self) -> Iterator[str]:
-        """Say of how many topics no scans are sampled."""
+        """Say that scans are sampled of only some of very many topics."""
         if len(self.topics) > SAMPLED_TOPICS:
             yield (
                 f"the mount and the agreement are estimated for {SAMPLED_TOPICS} of "

@@ -17,7 +17,7 @@ from occmap.inspection.findings import (
 )
 from occmap.posing.coverage import Coverage
 from occmap.remarks import hint_at_tune
-from occmap.wording import count, write_box, write_counts, write_duration, write_span
+from occmap.wording import DATES_S, count, write_box, write_counts, write_duration, write_span
 
 Row = tuple[str, str]
 
@@ -60,7 +60,7 @@ def describe_shape(shape: Shape) -> str:
 
 
 def list_kinds(ranges: RangeFindings) -> Iterator[tuple[str, str, str, str]]:
-    """List the kinds of values that are no plain measurement: name, number, share, and meaning."""
+    """List the kinds of values that are not plain measurements: name, number, share, meaning."""
     for each in ranges.specials:
         advice = f"`no_return={each.no_return}`" if each.no_return else "skipped"
         yield each.name, f"{each.count:,}", f"{each.share:.1%}", f"{each.meaning}: {advice}"
@@ -84,26 +84,31 @@ def tell_crossed(ranges: RangeFindings) -> str:
     """Say whether beams without return lead through open space; "" where that is not known."""
     if ranges.crossed is None:
         return ""
-    text = f"{ranges.crossed:.0%} of beams without return lead through or beyond what others hit"
+    where = "lead through walls or out of everything that was hit"
+    text = f"{ranges.crossed:.0%} of beams without return {where}"
     advised = any(special.no_return == "clear" for special in ranges.specials)
     return text if advised else f"{text}: leave `no_return` as it is"
 
 
 def describe_times(times: TimeFindings) -> str:
-    """Say how the stamps run, beside the record times."""
-    side = {-1: "before", 0: "from", 1: "after"}[(times.offset_s > 0) - (times.offset_s < 0)]
-    offset = f"{write_duration(abs(times.offset_s))} {side} the record times"
-    parts = [f"{offset}, drift {times.drift_s:.2g} s"]
-    if times.simulated:
-        parts = ["simulated time"]
-    parts += [f"largest gap {write_duration(times.largest_gap_s)}"]
+    """Say how the stamps run, beside the record times where the log has any of their own.
+
+    CSV has none. Those of CARMEN count from the start of the recording, and stamps are dates.
+    """
+    parts = ["simulated time"] if times.simulated else []
+    is_comparable = (times.offset_s or times.drift_s) and times.offset_s < DATES_S.start
+    if is_comparable and not times.simulated:
+        side = "after" if times.offset_s > 0 else "before"
+        offset = f"{write_duration(abs(times.offset_s))} {side} the record times"
+        parts.append(f"{offset}, drift {times.drift_s:.2g} s")
+    parts.append(f"largest gap {write_duration(times.largest_gap_s)}")
     if times.time_increment_s:
         parts.append(f"{1e3 * times.time_increment_s:.3g} ms between beams")
     if times.jumps_back:
         jumps = count(times.jumps_back, "jump")
         parts.append(f"{jumps} back, up to {times.largest_jump_back_s:.3g} s")
     if times.duplicates:
-        parts.append(f"{count(times.duplicates, 'stamp')} as the one before")
+        parts.append(f"{count(times.duplicates, 'scan')} with the stamp of the one before")
     if times.all_equal:
         parts.append("all zero" if times.all_zero else "all equal")
     return ", ".join(parts)
@@ -123,7 +128,7 @@ def describe_mount(mount: MountFindings, poses: PoseFindings) -> str:
     """Say how the sensor sits."""
     tilt = math.degrees(mount.tilt)
     parts = ["upside down"] if mount.upside_down else []
-    parts += [f"tilted {tilt:.1f} deg" if tilt >= 0.05 else "level", f"z {mount.height:.3g} m"]
+    parts += [f"tilted {tilt:.1f} deg" if tilt >= 0.05 else "level", f"height {mount.height:.3g} m"]
     if poses.assumed:
         parts.append(
             "turn not known: measure it" if poses.is_guess else "turn found from the scans"

@@ -25,7 +25,7 @@ class StampLog:
         self._increment = array("d")
 
     def add(self, some: Scan | ScanRun) -> None:
-        """Take the times of a scan, or of those of a run."""
+        """Take the times of one scan, or of all scans of a run."""
         if isinstance(some, ScanRun):
             self._header.frombytes(np.clip(some.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS).tobytes())
             self._record.frombytes(np.clip(some.record_ns, -MAX_STAMP_NS, MAX_STAMP_NS).tobytes())

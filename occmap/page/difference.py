@@ -21,7 +21,7 @@ CHANGES = (
 )
 """What a cell was and is. Of cells that share a pixel, the latest in this list shows."""
 UNCHANGED = 3
-"""The first so many of `CHANGES` are no change."""
+"""How many of `CHANGES`, the first ones, are not a change."""
 CLASSES = ("unknown", "free", "occupied")
 
 

@@ -26,20 +26,23 @@ class Layer:
     """How the numbers of a layer are shown."""
 
     key: str
+    """The name of the layer in a `Raster`"""
     label: str
+    """What the switch of the page calls it"""
     kind: Literal["classes", "ramp", "log", "time"]
     colours: Sequence[str]
     names: Sequence[str] = ()
     """Names of classes; the legend leaves out those that are empty"""
     none: int = -1
-    """The number that stands for nothing"""
+    """The number of cells that stay without a colour"""
     top: int = 1
     """The number that has the last colour"""
     scale: float = 1.0
-    """What 1 means"""
+    """What a number is multiplied by to be shown"""
     digits: int = 0
+    """Decimals of what is shown"""
     start: float = 0.0
-    """The time that 0 means (s)"""
+    """The time at which the first slice begins (s)"""
     low: str = "0"
     high: str = ""
     """What stands at the ends of the ramp"""

@@ -27,7 +27,7 @@ class Packed(NamedTuple):
     """Bytes of each number: 1 to 4"""
     largest: int
     table: tuple[int, ...] = ()
-    """Where it is not empty: what is packed are places in it, each less the one to its left"""
+    """If it is not empty, places in it are packed, as differences from the cell to the left"""
 
     @property
     def text(self) -> str:

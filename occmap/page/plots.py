@@ -100,5 +100,5 @@ def place_lost(trajectory: Trajectory) -> dict[str, list[Any]]:
 
 
 def join(parts: Sequence[Float64]) -> Float64:
-    """Join arrays, if any, as numbers that a screen can tell apart."""
+    """Join arrays, of which there may be none, as float32: a screen shows no more."""
     return np.concatenate([*parts, np.zeros(0)]).astype(np.float32)

@@ -18,7 +18,7 @@ from occmap.types import Journey
 from occmap.writers import Product, WriteOptions
 
 HIT_UNIT_M = 0.02
-"""To this the hits of single scans are rounded."""
+"""The hits of single scans are rounded to this."""
 
 
 def describe_product(product: Product, options: WriteOptions) -> Page:

@@ -178,7 +178,7 @@ class Sights:
 
 
 def place_tile(index: int, tiles: int) -> slice | None:
-    """Columns of a tile in a band of so many; None where it lies outside."""
+    """Find the columns of a tile in a band of `tiles` tiles; None where it lies outside."""
     return slice(index * TILE, (index + 1) * TILE) if 0 <= index < tiles else None
 
 
@@ -211,7 +211,7 @@ def to_blocks(layer: NDArray[Any], step: int) -> NDArray[Any]:
 
 
 def round_counts(counts: NDArray[Any], steps: int) -> NDArray[Any]:
-    """Round counts to so many steps for each doubling; smaller ones stay exact."""
+    """Round counts to `steps` values for each doubling; those below twice `steps` stay exact."""
     coarse = np.exp2(np.floor(np.log2(np.maximum(counts / steps, 1))))
     rounded: NDArray[Any] = (np.rint(counts / coarse) * coarse).astype(counts.dtype)
     return rounded

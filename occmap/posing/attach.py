@@ -1,8 +1,8 @@
 """Attachment: scans and poses become posed scans; each scan without a pose is counted.
 
 A batch goes one way: the chain of frames to its sensor is found, the moments of its scans are
-chosen (`deskew`), the chain is looked up at these (`chain`), scans without a pose are dropped, and
-so are those that leaps lead astray (`sifting`). Where the sensor then was is watched (`course`).
+chosen (`deskew`), the chain is looked up at these (`chain`), and scans without a pose are dropped.
+So are scans whose poses leap away and back (`sifting`). `course` then watches where the sensor was.
 """
 
 import math
@@ -49,7 +49,7 @@ class Poser:
     notes: list[str] = field(default_factory=list)
     """What was decided or left out and its user should know; grows, each sentence once."""
     chains: dict[str, Chain | None] = field(default_factory=dict)
-    """By scan frame; None where there is no way to it."""
+    """By scan frame; None where no chain leads to it."""
     courses: defaultdict[str, Course] = field(default_factory=lambda: defaultdict(Course))
     """By topic: how its sensor sat, and where it went."""
 

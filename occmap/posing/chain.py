@@ -66,10 +66,10 @@ class Chain:
     steps: tuple[Step, ...]
     """From the map frame downwards."""
     legs: tuple[Transforms | Moving, ...]
-    """What the steps are worth; those that never move are already found and multiplied out"""
+    """The steps ready for look-up; neighbouring ones that never move are multiplied into one"""
     interval_s: float
-    """Median time between the samples of the leg that is sampled least; 0 where none moves. A
-    correction of odometry does not count: it says nothing about the drive."""
+    """Median time between the samples of the leg that is sampled least often; 0 where none moves. A
+    correction of odometry does not count, since it does not say how the robot drove."""
 
     @property
     def frames(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from occmap.posing.tracks import Track
 MOST_STEPS = 100
 """A robot's frames hang ten deep; where a way is longer, the frames of a log are damage."""
 MOST_TARGETS = 4
-"""Of how many frames the distances to all others are kept: few frames are asked for again."""
+"""Frames whose distances to all others are kept; few are asked for again."""
 
 
 class Source(IntEnum):
@@ -82,7 +82,7 @@ class FrameTree:
 
     @cached_property
     def moves(self) -> bool:
-        """Whether any of its edges does."""
+        """Whether any of its edges moves."""
         return any(edge.track.moves for edge in self.edges)
 
     @cached_property
@@ -101,7 +101,7 @@ class FrameTree:
 
     @cached_property
     def namesakes(self) -> dict[str, list[str]]:
-        """The frames that share the last part of their names, by that."""
+        """The frames that share the last part of their names, by that part."""
         found = defaultdict(list)
         for frame in self.frames:
             found[last_part(frame)].append(frame)

@@ -1,4 +1,4 @@
-"""Sifting: scans are held back until it is known whether leaps lead them astray."""
+"""Sifting: holds scans back until it is known whether they are outliers, and leaves those out."""
 
 import math
 from collections import defaultdict
@@ -9,16 +9,16 @@ from typing import NamedTuple, Self, TypeAlias
 import numpy as np
 
 from occmap.arrays import Bool, Int64
-from occmap.posing.leaps import Moment, Row, find_astray, find_rows
+from occmap.posing.leaps import Moment, Row, find_outliers, find_rows
 from occmap.posing.options import DropReason
 from occmap.types import PosedScans, ScanBatch
 from occmap.wording import count
 
 MOST_PATHS = 1000
-"""Lasers whose scans are judged: those of each are held back until it is known what follows."""
+"""Lasers whose scans are judged; of further ones all scans are kept, to bound the memory."""
 
 Laser: TypeAlias = tuple[str, str, bool]
-"""Topic, frame, and whether its scans are de-skewed: scans that are compared with each other."""
+"""Topic, frame, and whether its scans are de-skewed; scans of one laser are compared."""
 
 
 class Attached(NamedTuple):
@@ -37,18 +37,18 @@ class Ends(NamedTuple):
     first: Moment
     last: Moment
     leaps: int
-    """Leaps between scans, whether or not any scan is left out for it"""
+    """Leaps between its scans, including those for which no scan is left out"""
 
     def leads_to(self, other: Self, max_speed: float) -> bool:
-        """Whether no leap lies between these scans and others that follow them."""
+        """Whether no leap lies between the last of these scans and the first of others."""
         return not self.last.leaps_to(other.first, max_speed)
 
 
 class LeapFilter:
-    """Leaves out scans that leaps lead astray.
+    """Leaves out the outliers that `leaps` describes.
 
-    Which scans these are depends on the scans of the same laser alone, in the order in which they
-    were recorded, never on how they are batched.
+    Which scans these are depends only on the scans of the same laser, in the order in which they
+    were recorded, and not on how they are batched.
     """
 
     def __init__(self, max_speed: float) -> None:
@@ -60,10 +60,10 @@ class LeapFilter:
         return {laser: path.ends for laser, path in self._paths.items()}
 
     def sift(self, attached: Iterable[Attached]) -> Iterator[Attached]:
-        """Leave out the scans that are astray, and count them among those without a usable pose.
+        """Leave out the outliers, and count them among the scans without a usable pose.
 
-        Scans are held back while it is not known what follows them; those of one laser stay in
-        order.
+        Scans are held back while those that follow may still make outliers of them. The scans of
+        one laser stay in order.
         """
         for some in attached:
             if (posed := some.posed) is None:
@@ -81,17 +81,17 @@ class LeapFilter:
             yield from path.finish()
 
     def list_notes(self) -> Iterator[str]:
-        """Say of each topic what the first scan did that is astray."""
+        """Say of each topic with outliers where the first one lies."""
         topics: defaultdict[str, list[tuple[int, str, int]]] = defaultdict(list)
         for (topic, *_), path in self._paths.items():
-            if path.astray:
-                topics[topic].append((*path.first_astray, path.astray))
-        for topic, astray in sorted(topics.items()):
-            scans = count(sum(scans for *_, scans in astray), "scan")
-            outcome = f"{scans} that leap so are left out; `max_speed=inf` keeps all"
+            if path.outliers:
+                topics[topic].append((*path.first_outlier, path.outliers))
+        for topic, found in sorted(topics.items()):
+            scans = count(sum(scans for *_, scans in found), "scan")
+            outcome = f"{scans} left out for such leaps; `max_speed=inf` keeps all"
             if self._max_speed == math.inf:
                 outcome = "the map reaches there, as `max_speed=inf` keeps such scans"
-            yield f"{topic}: {min(astray)[1]}: {outcome}"
+            yield f"{topic}: {min(found)[1]}: {outcome}"
 
 
 class _Held(NamedTuple):
@@ -100,9 +100,9 @@ class _Held(NamedTuple):
     attached: Attached
     posed: PosedScans
     number: Int64
-    """(S,) how many scans are before each of them on the path"""
-    astray: Bool
-    """(S,) which of them are known to be astray; changes"""
+    """(S,) how many scans come before each of them on the path"""
+    is_outlier: Bool
+    """(S,) which of them are known to be outliers; filled in as rows are judged"""
 
 
 class _Path:
@@ -111,28 +111,29 @@ class _Path:
     def __init__(self, max_speed: float) -> None:
         self._max_speed = max_speed
         self._mixed: list[tuple[Attached, PosedScans]] = []
-        """Scans between which others may still come"""
+        """Scans that came; others from between them may still come"""
         self._held: list[_Held] = []
         self._rows: list[Row] = []
-        """From the row that is judged next to the one that still grows"""
+        """From the row that is judged next to the last one, which still grows"""
         self._begin: Moment | None = None
         self._leaps = 0
-        self.astray = 0
-        """How many scans are astray"""
-        self.first_astray = 0, ""
-        """Stamp of the first of them, and what it did"""
+        self.outliers = 0
+        """How many scans are known to be outliers"""
+        self.first_outlier = 0, ""
+        """Stamp of the first of them, and where it lies"""
 
     @property
     def ends(self) -> Ends:
-        """Where it begins and ends so far."""
+        """Where the path begins and ends so far, and how many leaps it has."""
         last = self._rows[-1].last
         return Ends(self._begin or last, last, self._leaps)
 
     def take(self, attached: Attached, posed: PosedScans) -> None:
         """Take further scans.
 
-        Where a laser's geometry changes, batches hold scans from between each other, and come by
-        their first scans: what is before the first scan of a batch has come when that comes.
+        Batches come in the order of their first scans. Where a laser's geometry changes, one batch
+        may hold scans from between those of another. So once a batch begins after all scans that
+        came, nothing is missing between these, and they can be put in order.
         """
         number = attached.batch.number
         numbers = [some.batch.number for some, _ in self._mixed if some.batch.number is not None]
@@ -143,7 +144,7 @@ class _Path:
             self._put_in_order()
 
     def _put_in_order(self) -> None:
-        """Hold back the scans that came, and lengthen the path by them."""
+        """Put the scans that came in order, and add them to the path."""
         batches = [posed.batch for _, posed in self._mixed]
         numbers = [np.arange(len(b.stamp_ns)) if b.number is None else b.number for b in batches]
         order = np.argsort(np.concatenate(numbers))
@@ -161,59 +162,59 @@ class _Path:
         ]
         self._mixed = []
         rows = find_rows(begin, stamp_ns, place, self._max_speed)
-        self._leaps += sum(not row.closes for row in rows[:-1])
+        self._leaps += sum(not row.before_pause for row in rows[:-1])
         self._begin = self._begin or rows[0].first
         if self._rows:  # the first begins with the last scan so far
-            rows[0] = replace(rows[0], first=self._rows[-1].first, opens=self._rows[-1].opens)
+            growing = self._rows[-1]
+            rows[0] = replace(rows[0], first=growing.first, after_pause=growing.after_pause)
         self._rows[-1:] = rows
 
     def finish(self) -> Iterator[Attached]:
-        """Give all scans that are still held back: none follow."""
+        """Give all scans that are still held back, since no others follow."""
         if self._mixed:
             self._put_in_order()
-        self._rows[-1].closes = True
+        self._rows[-1].before_pause = True
         yield from self.release()
 
     def release(self) -> Iterator[Attached]:
-        """Give the scans of which it is known whether they are astray, as they came."""
+        """Give the batches that are judged, in the order in which they came."""
         while len(self._rows) > 1:
-            judged, astray = find_astray(self._rows, self._max_speed)
+            judged, outliers = find_outliers(self._rows, self._max_speed)
             if not judged:
                 break
-            if astray and not self.astray:
-                self.first_astray = astray[0].first.stamp_ns, self._describe(astray[0])
-            for row in astray:
+            if outliers and not self.outliers:
+                self.first_outlier = outliers[0].first.stamp_ns, self._describe(outliers[0])
+            for row in outliers:
                 self._mark(row.first.number, row.last.number)
             del self._rows[:judged]
-        while self._held and self._held[0].number[-1] < self._decided:
+        while self._held and self._held[0].number[-1] < self._count_judged():
             yield self._strip(self._held.pop(0))
 
-    @property
-    def _decided(self) -> int:
-        """Of so many scans it is known whether they are astray."""
+    def _count_judged(self) -> int:
+        """Count the scans, from the first on, that are known to be outliers or not."""
         row = self._rows[0]
-        may_be_astray = row.opens and row.is_single and not row.closes
-        return row.first.number if may_be_astray else row.last.number + 1
+        is_open = row.after_pause and row.is_single and not row.before_pause
+        return row.first.number if is_open else row.last.number + 1
 
     def _mark(self, first: int, last: int) -> None:
-        """Mark the scans from one to another as astray."""
-        self.astray += last - first + 1
+        """Mark the scans from one number to another as outliers."""
+        self.outliers += last - first + 1
         for held in self._held:
-            held.astray[(held.number >= first) & (held.number <= last)] = True
+            held.is_outlier[(held.number >= first) & (held.number <= last)] = True
 
-    def _describe(self, astray: Row) -> str:
-        """Say how far the first scan that is astray lies from the one before or behind it."""
+    def _describe(self, outlier: Row) -> str:
+        """Say how far an outlier lies from the scan before or after it."""
         metres, seconds = self._rows[0].last.measure(self._rows[1].first)
         return (
-            f"the scan at {astray.first.stamp_ns / 1e9:.3f} s lies {metres:,.6g} m from its "
+            f"the scan at {outlier.first.stamp_ns / 1e9:.3f} s lies {metres:,.6g} m from its "
             f"neighbour, {seconds:.3g} s away"
         )
 
     def _strip(self, held: _Held) -> Attached:
-        """Leave out those of some scans that are astray, unless the user keeps all."""
-        attached, posed, _, astray = held
-        leaps = int(np.count_nonzero(astray))
+        """Leave out the outliers among some scans, unless the user keeps all."""
+        attached, posed, _, is_outlier = held
+        leaps = int(np.count_nonzero(is_outlier))
         if not leaps or self._max_speed == math.inf:
             return attached
-        rest = posed.take(~astray) if leaps < len(astray) else None
+        rest = posed.take(~is_outlier) if leaps < len(is_outlier) else None
         return Attached(attached.batch, rest, {**attached.dropped, DropReason.LEAP: leaps})

@@ -132,7 +132,7 @@ def differ(position: Float64, quaternion: Float64) -> bool:
 
 
 def find_usable(values: Float64) -> tuple[Bool, Float64]:
-    """Find which rows (N, 7) are usable poses, and how long their quaternions are (N,); else 1."""
+    """Find which rows (N, 7) are usable poses, and the norms (N,) of their quaternions (else 1)."""
     finite: Bool = np.all(np.abs(values) <= MAX_VALUE, axis=1)
     quaternion = np.where(finite[:, None], values[:, 3:], 0)
     norm = np.sqrt(np.einsum("ij,ij->i", quaternion, quaternion))

@@ -41,7 +41,7 @@ BINARY_WITHIN = 64
 a crash cut it."""
 
 MAX_LINE = 4096
-"""The longest line: longer ones are no poses, and a file without line ends may not fill memory."""
+"""The longest line: longer ones are not poses, and a file without line ends may not fill memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ def read_trajectory(path: Path, notes: list[str] | None = None) -> Iterator[Pose
     Raises
     ------
     LogError
-        The file cannot be read or holds no poses, or a line (which is named) is no pose.
+        The file cannot be read or holds no poses, or a line is not a pose.
     """
     lines = _read_lines(path)
     first = next(lines, None)
@@ -175,7 +175,7 @@ def _read_lines(path: Path) -> Iterator[_Line]:
     with refuse_unreadable(path):
         with path.open("rb") as file:
             if b"\0" in file.read(BINARY_WITHIN):
-                raise LogError("no text, so no trajectory", where=path, fix=SHAPES)
+                raise LogError("not text, so not a trajectory", where=path, fix=SHAPES)
         with path.open(encoding="utf-8-sig", errors="replace") as file:
             for number, text in enumerate(iter(partial(file.readline, MAX_LINE), ""), start=1):
                 line = _Line(path, number, text.strip())
@@ -184,7 +184,7 @@ def _read_lines(path: Path) -> Iterator[_Line]:
 
 
 def _read_header(line: _Line) -> _Layout:
-    """Read the column names of a CSV; columns that are no part of a pose are passed over."""
+    """Read the column names of a CSV; columns that do not belong to a pose are passed over."""
     names = [name.strip().lower() for name in line.text.split(",")]
     layout = _number(names, ",", parse_seconds)
     has_quaternion = any(name in layout.columns for name in QUATERNION)

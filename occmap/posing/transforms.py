@@ -15,9 +15,9 @@ UNMOVED = Pose.planar(0.0, 0.0, 0.0)
 
 
 class Status(IntEnum):
-    """Whether there is a pose at a stamp, else the name of its `DropReason`.
+    """Whether there is a pose at a stamp, and if not, why; the names are those of `DropReason`.
 
-    Of the legs of a chain the worst one counts.
+    Of the legs of a chain, the one with the highest number counts.
     """
 
     POSED = 0

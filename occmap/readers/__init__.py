@@ -25,7 +25,7 @@ Whole = TypeVar("Whole")
 
 PROBE_BYTES = 4096
 SIMILAR = 0.85
-"""How alike (0 to 1) a file name must be to be suggested for one that is not there."""
+"""How alike (0 to 1) a file must be named that is suggested for one that is not there."""
 _MAP = "a map, not a log: `occmap diff` compares maps"
 OTHER_FILES = {
     b"PK\x03\x04": "not a log but an archive: "
@@ -37,7 +37,7 @@ OTHER_FILES = {
 """What a file is, by how it begins."""
 LFS_MAGIC = b"version https://git-lfs"
 UNPACKERS = {b"\x1f\x8b": ("gzip", "gunzip"), b"\x28\xb5\x2f\xfd": ("zstd", "unzstd")}
-"""What compressed files start with, how they are called, and what unpacks them"""
+"""What compressed files start with, what compressed them, and what unpacks them"""
 
 
 class Role(StrEnum):
@@ -102,24 +102,17 @@ class NoteList(list[Note]):
 
 
 class Span(NamedTuple):
-    """From which byte or row of a log to which one a part of it reaches; the end is outside."""
+    """The bytes of a log that a part of it has: from the start on, and before the end."""
 
     start: int
     end: int
 
 
 def make_part(whole: Whole, **fields: Any) -> Whole:
-    """Copy a log, or a source of one, with other fields and with notes to which it adds its own."""
+    """Copy a log, or a source of one, with some other fields and a list of notes of its own."""
     part = copy(whole)
     vars(part).update(fields, notes=NoteList(vars(whole)["notes"]))
     return part
-
-
-def cut_evenly(whole: Span, parts: int) -> list[Span]:
-    """Cut a span into at most so many of about one length."""
-    step = max(-(-(whole.end - whole.start) // max(parts, 1)), 1)
-    starts = range(whole.start, whole.end, step)
-    return [Span(start, min(start + step, whole.end)) for start in starts]
 
 
 class Log(Protocol):
@@ -291,33 +284,27 @@ def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
             if isinstance(reader, TunableReader):
                 return reader.open_tuned(path, options)
             return reader.open(path)
-    if probe.raw.startswith(LFS_MAGIC):
-        found = "a Git LFS pointer, which stands in for the file"
-        raise LogError(found, where=path, fix="fetch the file: git lfs pull")
-    refuse_zeros(probe)
-    refuse_packed(probe)
     whole = ", ".join(name for name in names if name not in broken)
     lacking = f" ({', '.join(broken)} cannot be loaded)" if broken else ""
-    raise LogError(
-        _describe_unknown(probe),
-        where=path,
-        fix=f"occmap reads {whole}{lacking}: see `occmap readers`",
-    )
+    raise _explain_unknown(probe, f"occmap reads {whole}{lacking}: see `occmap readers`")
 
 
-def refuse_zeros(probe: Probe) -> None:
-    """Refuse a file that starts with nothing but zeros; raises LogError."""
-    if probe.raw and not any(probe.raw):
-        found = f"the first {len(probe.raw):,} bytes are zero, as a power cut leaves a file"
-        raise LogError(found, where=probe.path, fix="take the log from where it was copied from")
-
-
-def refuse_packed(probe: Probe) -> None:
-    """Refuse a compressed file of no format that is read compressed; raises LogError."""
-    for magic, (kind, unpack) in UNPACKERS.items():
-        if probe.raw.startswith(magic) and probe.content and not probe.content.isascii():
-            fix = f"decompress it first: {unpack} {shlex.quote(str(probe.path))}"
-            raise LogError(f"a file that {kind} compressed", where=probe.path, fix=fix)
+def _explain_unknown(probe: Probe, otherwise: str) -> LogError:
+    """Say what a path that no reader knows is, and what mends it; `otherwise` says what is read."""
+    raw, content = probe.raw, probe.content
+    found, fix = _describe_unknown(probe), otherwise
+    if raw.startswith(LFS_MAGIC):
+        found = "a Git LFS pointer, which stands in for the file"
+        fix = "fetch the file: git lfs pull"
+    elif raw and not any(raw):
+        found = f"the first {len(raw):,} bytes are zero, as a power cut leaves a file"
+        fix = "take the log from where it was copied from"
+    elif content and not content.isascii():
+        for magic, (kind, unpack) in UNPACKERS.items():
+            if raw.startswith(magic):
+                found = f"a file that {kind} compressed"
+                fix = f"decompress it first: {unpack} {shlex.quote(str(probe.path))}"
+    return LogError(found, where=probe.path, fix=fix)
 
 
 def _describe_unknown(probe: Probe) -> str:
@@ -338,9 +325,9 @@ def _describe_unknown(probe: Probe) -> str:
 
 
 def _describe_folder(folder: Path) -> str:
-    """Say what a folder that is no recording holds."""
+    """Say what a folder that is not a recording holds."""
     try:
         names = sorted(entry.name for entry in folder.iterdir())
     except OSError as error:
         return f"a folder that cannot be read ({error.strerror})"
-    return f"a folder that is no recording: it holds {', '.join(names[:5]) or 'nothing'}"
+    return f"a folder that is not a recording: it holds {', '.join(names[:5]) or 'nothing'}"

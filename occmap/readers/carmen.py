@@ -39,9 +39,9 @@ OTHER_WORDS = frozenset({
 POSED_FRAMES = PLAIN_FRAMES | ROBOT_FRAMES
 """Lines that state the pose beside the scan, so that no time is needed"""
 MAX_WORDS = 100
-"""Kinds of line that are counted each by itself; garbage must not fill the memory."""
+"""Keywords that are counted one by one; the many of a damaged file must not fill the memory."""
 MAX_KEPT_BYTES = 1 << 26
-"""A log whose scans fit is parsed once and kept; a larger one is parsed again as a stream."""
+"""The scans of a log that take no more memory are kept; larger logs are parsed once more."""
 WHOLE_MESSAGE = re.compile(r"\S+\s+\S+\s+\S.*\s(?!\d)\S+\s+[-+.e\d]+\s*")
 """A keyword, two words or more, the name of a host, and a time."""
 FIX = "correct or delete this line"
@@ -57,7 +57,7 @@ class CarmenReader:
     description = "CARMEN text logs (FLASER, RLASER, ROBOTLASER1, RAWLASER1 + ODOM), plain or gzip"
 
     def recognises(self, probe: Probe) -> bool:
-        """Whether the first lines are CARMEN messages; a keyword within a text is none."""
+        """Whether the first lines are CARMEN messages; a keyword within a text does not count."""
         lines = probe_lines(probe)
         if any(line.startswith("#") and "message formats defined" in line for line in lines):
             return True
@@ -73,7 +73,7 @@ class CarmenReader:
         Raises
         ------
         LogError
-            The first scan line, or so many that this is no damage, is malformed.
+            The first scan line is malformed, or so many are that it is not damage.
         """
         return CarmenLog(path)
 
@@ -99,7 +99,7 @@ class CarmenLog(TextLog):
         return [Stream(word, word, n, self._find_role(word)) for word, n in words]
 
     def poses(self) -> Iterator[PoseSample]:
-        """The front laser's offset, where a PARAM states it, then the odometry."""
+        """Give the front laser's offset, where a PARAM states it, then the odometry."""
         if self._front_offset is not None:
             offset = Pose.planar(self._front_offset, 0.0, 0.0)
             yield PoseSample(0, "base_link", FRONT, offset, static=True, topic="PARAM")
@@ -107,17 +107,17 @@ class CarmenLog(TextLog):
             return
         tally = LineTally()
         for block in read_blocks(self.path, self.notes, self._span):
-            for line in block.pick_lines(_sort_lines(block).get("ODOM", NO_LINES)):
+            for line in block.get_lines(_sort_lines(block).get("ODOM", NO_LINES)):
                 if sample := self._parse(line, parse_odometry, tally):
                     yield sample
         tally.judge(self.path, self.notes, FIX)
 
-    def _walk(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
+    def _find_scan_lines(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
         """Yield blocks, and which of their lines are scans, by keyword."""
         for block in read_blocks(self.path, self.notes, span):
             yield block, _pick_scans(_sort_lines(block))
 
-    def _tell(self, line: Line, fault: str, tally: LineTally) -> None:
+    def _count_malformed(self, line: Line, fault: str, tally: LineTally) -> None:
         tally.add(line, f"malformed {line.text.split(None, 1)[0]} line: {fault}")
 
     def _survey(self) -> None:
@@ -126,7 +126,7 @@ class CarmenLog(TextLog):
         for block in read_blocks(self.path, self.notes):
             lines = _sort_lines(block)
             self._count_words(lines, block)
-            for line in block.pick_lines(lines.get("PARAM", NO_LINES)):
+            for line in block.get_lines(lines.get("PARAM", NO_LINES)):
                 if self._front_offset is None and not _is_cut("PARAM", line):
                     self._front_offset = self._parse(line, parse_front_offset, tally)
             for some in self._parse_block(block, _pick_scans(lines), tally):
@@ -191,7 +191,7 @@ class CarmenLog(TextLog):
 
 def _sort_lines(block: Block) -> dict[str, Int64]:
     """Find the lines of each keyword: `#` for every comment, "" for a blank line."""
-    heads, which = np.unique(block.take_heads(), return_inverse=True)
+    heads, which = np.unique(block.eights[block.starts[:-1]], return_inverse=True)
     numbers, cut, keys = {"": 0}, [], []
     for head in (number.to_bytes(8, "little") for number in heads.tolist()):
         cut.append(b" " not in head.lstrip() and b"\n" not in head)  # the word may go on
@@ -230,7 +230,7 @@ def _starts_message(head: list[str]) -> bool:
 
 
 def _is_cut(word: str, line: Line) -> bool:
-    """Whether a line that is no scan is not whole, which a last line may be."""
+    """Whether a line, which is not a scan, is cut: the last line of a file may be."""
     if line.ended:
         return False
     try:

@@ -59,7 +59,7 @@ class _Message(NamedTuple):
 
 
 Split: TypeAlias = Callable[[str], _Message]
-"""Tells the numbers of a line from its time; raises ValueError where they are too few."""
+"""Parts the numbers of a line from its time; raises ValueError where they are too few."""
 
 
 class CarmenForm:
@@ -69,22 +69,31 @@ class CarmenForm:
         self._split: Split | None = None
 
     def parse(self, text: str) -> Scan:
-        """Parse a line whose keyword is one of `FRAMES`; the first shows whether it has a time."""
-        for split in () if self._split else (split_timed, split_untimed):
+        """Parse a line whose keyword is one of `FRAMES`; the first shows whether all have times."""
+        if self._split is None:
+            self._split = split_timed
             with suppress(ValueError):
-                scan = _make_scan(split(text))
-                self._split = split
+                return _make_scan(split_timed(text))
+            with suppress(ValueError):
+                scan = _make_scan(split_untimed(text))
+                self._split = split_untimed
                 return scan
-        self._split = self._split or split_timed
         return _make_scan(self._split(text))
 
-    def find_pattern(self, line: Line, scan: Scan) -> Pattern:
-        """Say what lines like one have in common: all but times, ranges and poses."""
+    def find_pattern(self, line: Line) -> Pattern:
+        """Say what lines like one have in common: all but times, ranges and poses.
+
+        Raises
+        ------
+        ValueError
+            The lines state no times.
+        """
         if self._split is not split_timed:
-            raise ValueError("the lines state no time")
-        words, is_plain = line.raw.split(), scan.topic in PLAIN_FRAMES
+            raise ValueError("the lines state no times")
+        words = line.raw.split()
+        is_plain = words[0].decode() in PLAIN_FRAMES
         begin = 2 if is_plain else 9
-        end = begin + scan.ranges.size
+        end = begin + int(float(words[begin - 1]))
         kinds = np.full(len(words), NUMBER, np.uint8)
         kinds[[0, begin - 1] if is_plain else [0, 2, 4, 5, begin - 1, end]] = SAME
         kinds[begin:end] = RANGE
@@ -139,7 +148,7 @@ def split_untimed(text: str) -> _Message:
     """Split a FLASER or RLASER line behind its poses, whatever stands there in place of a time."""
     word, *numbers = text.split()
     if word not in PLAIN_FRAMES or not numbers or not numbers[0].isdecimal():
-        raise ValueError("it is no line of a laser with its pose")
+        raise ValueError("it is not a line of a laser with its pose")
     size = 1 + int(numbers[0]) + 6
     if not size <= len(numbers) <= size + 3:
         raise ValueError(f"{len(numbers)} words where {size} numbers belong")

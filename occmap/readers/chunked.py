@@ -1,7 +1,7 @@
-"""What MCAP files and ROS 1 bags share: records one behind the other, some of which hold others.
+"""What MCAP files and ROS 1 bags share: records one after the other, some of which hold others.
 
 Such a file is read from its start, in the order in which it was written, so that one without an
-index, or one that breaks off, is no special case. Behind damage, reading goes on with the next
+index, or one that breaks off, is not a special case. After damage, reading goes on with the next
 records that are sound. The libraries of the two formats do neither: mcap stops at the first damage,
 and rosbags needs an index, which the bags of robots that lost power do not have.
 """
@@ -62,7 +62,7 @@ class Block(NamedTuple):
     last_ns: int = NEVER_NS
     """Between which times its messages were recorded, as the chunk states"""
     indexed: int = 0
-    """How many messages the indexes behind the chunk name; 0 where there are none"""
+    """How many messages the indexes after the chunk name; 0 where there are none"""
 
 
 class ChannelTable(Protocol):

@@ -56,7 +56,7 @@ class CsvReader:
         Raises
         ------
         LogError
-            A column is missing, or a constant is no number.
+            A column is missing, or a constant is not a number.
         """
         return CsvLog(path)
 
@@ -71,7 +71,7 @@ class CsvLog(TextLog):
         self._rows = 0
         self._last: Line | None = None
         self._whole: LineTally | None = None
-        """Of all rows of the log, once one is malformed"""
+        """Counts all rows of the log, once one is malformed"""
         self.form = self._survey()
         self._check_last()
         unused = [name for name in self.form.header if name and not is_known(name)]
@@ -85,10 +85,10 @@ class CsvLog(TextLog):
         return [Stream(TOPIC, "csv", self._rows, Role.SCAN)]
 
     def poses(self) -> Iterator[PoseSample]:
-        """None: where the log has poses, each scan holds its own."""
+        """Give none: where the log has poses, each scan holds its own."""
         return iter(())
 
-    def _walk(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
+    def _find_scan_lines(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
         """Yield blocks, and which of their lines are rows, without the header."""
         header = 1 if span.start == 0 else 0
         for block in read_blocks(self.path, self.notes, span):
@@ -131,7 +131,7 @@ class CsvLog(TextLog):
         """Tell rows, by their indices, from the lines that are comments or blank."""
         first = np.frombuffer(block.text, np.uint8)[block.starts[:-1]]
         maybe = np.flatnonzero(first <= ord("#"))  # blanks and line ends are below it
-        headings = [each for each in block.pick_lines(maybe) if self._is_heading(each.raw)]
+        headings = [each for each in block.get_lines(maybe) if self._is_heading(each.raw)]
         rows = np.delete(np.arange(len(block)), [each.number - block.number for each in headings])
         return rows, headings
 
@@ -139,16 +139,16 @@ class CsvLog(TextLog):
         """Whether a line is a comment or blank, as lines before the header are."""
         return raw.removeprefix(BOM_UTF8).lstrip()[:1] in {b"", b"#"}
 
-    def _tell(self, line: Line, fault: str, tally: LineTally) -> None:
+    def _count_malformed(self, line: Line, fault: str, tally: LineTally) -> None:
         tally.add(line, fault)
         if tally is not self._whole:
             self._judge()
 
     def _judge(self) -> None:
-        """Tell damage from a file that is no log, by all rows even where this is a part of it."""
+        """Tell damage from a file that is not a log: by all its rows, even where this is a part."""
         if self._whole is None:
             self._whole = LineTally()
-            for block, rows in self._walk(ALL):
+            for block, rows in self._find_scan_lines(ALL):
                 deque(self._parse_block(block, rows, self._whole), maxlen=0)
             self._rows -= self._whole.malformed
         is_all = self._whole.malformed == self._whole.total

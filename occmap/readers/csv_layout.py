@@ -58,7 +58,7 @@ class Layout:
     beams: tuple[int, ...]
     """The cell of each beam, from r0 on."""
     constants: Mapping[str, str]
-    """The text of each of `NAMES` that is no column and has a value."""
+    """The text of each of `NAMES` that has a value for all rows and no column."""
     parse_stamp: Callable[[str], int]
     """Parses a time, as nanoseconds; raises ValueError."""
 
@@ -76,13 +76,13 @@ class Layout:
         def read_finite(name: str) -> float:
             value = read_number(name, texts[name])
             if not math.isfinite(value):
-                raise ValueError(f"{name} is {value}, which is no angle or time")
+                raise ValueError(f"{name} is {value}, which is not an angle or a time")
             return value
 
         def read_limit(name: str) -> float:
             value = read_number(name, texts[name])
             if math.isnan(value):
-                raise ValueError(f"{name} is nan, which is no limit")
+                raise ValueError(f"{name} is nan, which is not a limit")
             return round_limit(value)
 
         def read_place(name: str) -> float:
@@ -102,8 +102,17 @@ class Layout:
             record_ns=stamp_ns,
         )
 
-    def find_pattern(self, line: Line, _scan: Scan) -> Pattern:
-        """Say what rows like one have in common: all but times, ranges and poses."""
+    def find_pattern(self, line: Line) -> Pattern:
+        """Say what rows like one have in common: all but times, ranges and poses.
+
+        Raises
+        ------
+        ValueError
+            A quoted cell holds commas.
+        """
+        words = line.raw.split(b",")
+        if len(words) != len(self.header):
+            raise ValueError("there are commas within cells")
         kinds = np.full(len(self.header), ANY, np.uint8)
         for name, at in self.columns.items():
             kinds[at] = NUMBER if name in MEASURED else SAME
@@ -111,7 +120,7 @@ class Layout:
             is_seconds = self.parse_stamp is parse_seconds
             kinds[self.columns["stamp"]] = SECONDS if is_seconds else NANOSECONDS
         kinds[list(self.beams)] = RANGE
-        return Pattern(line.raw.split(b","), b",", kinds)
+        return Pattern(words, b",", kinds)
 
     def make_run(self, first: Scan, table: Table) -> ScanRun:
         """Make scans of rows like the first; raises ValueError where one is malformed."""
@@ -123,13 +132,13 @@ class Layout:
 
         increments = take("time_increment", first.time_increment)
         if not np.isfinite(increments).all():
-            raise ValueError("time_increment is no time")
+            raise ValueError("time_increment is not a time")
         at = self.columns.get("stamp")
         stamp_ns = np.full(scans, first.stamp_ns) if at is None else table.times[at].copy()
         pose = [take(name, float(self.constants.get(name, "nan"))) for name in POSE_NAMES]
         ranges = table.ranges
         if list(self.beams) != sorted(self.beams):
-            ranges = ranges[:, np.argsort(np.argsort(self.beams))]
+            ranges = ranges[:, np.argsort(np.argsort(self.beams))]  # columns may stand in any order
         poses = None if first.pose is None else stack_planar(*pose)
         return ScanRun(first, stamp_ns, stamp_ns, ranges, increments, poses)
 
@@ -140,7 +149,7 @@ def read_layout(path: Path, header: Line, comments: Mapping[str, Line]) -> Layou
     Raises
     ------
     LogError
-        A column is missing or stands twice, or a constant is no number.
+        A column is missing or stands twice, or a constant is not a number.
     """
 
     def fail(line: Line, found: str, fix: str) -> LogError:

@@ -38,7 +38,7 @@ _RECORD_ERRORS = (McapError, struct.error, ArithmeticError, LookupError, MemoryE
 _FOOTER_BODY = 20
 _FOOTER_LENGTH = _RECORD.size + _FOOTER_BODY
 _LONGEST_DATA_END = 255
-"""Four bytes, and what a writer may leave behind them."""
+"""Four bytes, and what a writer may add to them."""
 _SHORTEST: Mapping[int, int] = {
     Opcode.SCHEMA: 14,
     Opcode.CHANNEL: 16,
@@ -75,7 +75,7 @@ _NO_HEAD = (0, 0, 0, 0, 0)
 _LATEST_NS = 2**63 - 1
 """A time beyond this is damage."""
 _LONGEST_PADDING = 64
-"""Bytes that a writer may leave behind the fields of a chunk."""
+"""Bytes that a writer may add after the fields of a chunk."""
 _DESCRIPTIONS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
 
 
@@ -137,8 +137,8 @@ class _ChannelTable:
 def _find_record(file: BinaryIO, start: int, size: int, chunk_end: int = 0) -> int | None:
     """Find where records go on behind damage; None where they do not.
 
-    Two heads of records of which one leads to the other do not come about by chance. Before the
-    end of a chunk only those are looked for that are no part of it.
+    Two heads of records, of which the first says where the second lies, are not there by chance.
+    Before the end of a chunk, the records that a chunk holds are passed over.
     """
     while start < size:
         file.seek(start)
@@ -168,7 +168,7 @@ def _leads_on(file: BinaryIO, position: int, size: int) -> bool:
 
 
 def _is_plausible(opcode: int, length: int, left: int) -> bool:
-    """Say whether a record can be of a kind and length, with so many bytes of the file left."""
+    """Say whether a record can be of a kind and length, where `left` bytes of the file follow."""
     if opcode == Opcode.DATA_END and length > _LONGEST_DATA_END:
         return False
     if opcode == Opcode.FOOTER:

@@ -1,4 +1,4 @@
-"""What a user may choose about reading: how messages that are no plain scans become scans."""
+"""What a user may choose about reading: how messages that are not plain scans become scans."""
 
 from dataclasses import dataclass
 from enum import StrEnum

@@ -128,7 +128,7 @@ def _make_ros_decoder(channel: Channel) -> Callable[[memoryview], Any]:
         try:
             return deserialise(data, name)
         except _DECODE_ERRORS as error:
-            raise DamageError(f"is no {name} ({type(error).__name__})") from error
+            raise DamageError(f"is not a {name} ({type(error).__name__})") from error
 
     return decode
 
@@ -233,13 +233,13 @@ def _find_flaw(types: Typesdict, name: str, counts: dict[str, int]) -> str:
 
 
 def _make_json_decoder(_channel: Channel) -> Callable[[memoryview], Any]:
-    """Give what decodes a JSON object; it raises DamageError where it is none."""
+    """Give what decodes a JSON object; it raises DamageError where it is not one."""
 
     def decode(data: memoryview) -> Any:
         try:
             return json.loads(bytes(data))
         except (ValueError, RecursionError, MemoryError) as error:
-            raise DamageError(f"is no JSON ({type(error).__name__})") from error
+            raise DamageError(f"is not JSON ({type(error).__name__})") from error
 
     return decode
 

@@ -24,6 +24,15 @@ from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
 T = TypeVar("T")
 
+MESSAGE_BYTES = 100
+"""What a message that is held takes in memory beside its own bytes."""
+STACK_BYTES = 1 << 20
+"""Messages of one channel and length are held until they take this much memory."""
+MOST_KINDS = 32
+"""Channels and lengths for which transforms are held at once; a log that has more is damaged."""
+SHORTEST_RUN = 64
+"""A run of fewer scans is read one by one, to be stacked with others of their kind."""
+
 
 class RosReader:
     """What readers of ROS messages share; each says how its container is opened."""
@@ -43,16 +52,6 @@ class RosReader:
     def open_tuned(self, path: Path, options: ReaderOptions) -> "RosLog":
         """Open a log; echoes and clouds become scans as the user chose. Raises what `open` does."""
         return RosLog(self.open_source(path), options)
-
-
-MESSAGE_BYTES = 100
-"""What a message that is held takes in memory beside its own bytes."""
-STACK_BYTES = 1 << 20
-"""Messages of one channel and length are held until they take this much memory."""
-MOST_KINDS = 32
-"""Channels and lengths for which transforms are held at once; a log that has more is damaged."""
-SHORTEST_RUN = 64
-"""A run of fewer scans is read one by one, to be stacked with others of their kind."""
 
 
 class RosLog:
@@ -102,7 +101,7 @@ class RosLog:
         return self._read(self._make_scan_readers(topics))
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
-        """The scans, as `scans` gives them, but many at once where one laser follows on itself."""
+        """The scans, as from `scans`, but many at once where one laser has many in a row."""
         for reader, run in self._stack(self._make_scan_readers(topics), 1):
             yield from _read_run(reader, run)
 
@@ -137,7 +136,7 @@ class RosLog:
     def _stack(
         self, readers: Mapping[Channel, "_ChannelReader[T]"], most_kinds: int
     ) -> Iterator[tuple["_ChannelReader[T]", list[Stacked]]]:
-        """Gather messages of one channel and length, of at most so many kinds at a time."""
+        """Gather messages by channel and length, of at most `most_kinds` kinds at a time."""
         stacks: dict[tuple[Channel, int], list[Stacked]] = {}
         for channel, record_ns, data in self._messages(readers):
             key = channel, len(data)

@@ -54,7 +54,7 @@ class Channel:
         if self.kind in SHAPES:
             return "which are written in a way that occmap does not know"
         if not (self.type.isascii() and self.type.isprintable()):
-            return "which is the name of no type"
+            return "which is not the name of a type"
         for known in SHAPES:
             for name in (known, known.replace("/msg/", "/")):  # as ROS 2 and ROS 1 write it
                 if len(name) == len(self.type) and sum(map(ne, name, self.type)) <= _MOST_LETTERS:
@@ -69,7 +69,7 @@ class Channel:
 
 SCAN_ROLES = frozenset({Role.SCAN, Role.CLOUD})
 _MOST_LETTERS = 2
-"""In so many letters at most a type's name differs from that of one that may be meant."""
+"""The name of a type may differ in this many letters from the one that is meant."""
 
 RawMessage: TypeAlias = tuple[Channel, int, memoryview]
 """A message as it lies in a log: its channel, when it was recorded (ns), and its bytes."""
@@ -89,7 +89,7 @@ class Source(Protocol):
         """Give the messages of some channels, in file order."""
 
     def split(self, size: int) -> Sequence["Source"]:
-        """Cut it into parts of about so many bytes, as `occmap.readers.Splittable` has it."""
+        """Cut it into parts of about `size` bytes, as `occmap.readers.Splittable` says."""
 
 
 def add_note(notes: list[Note], text: str) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import apsw
 
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList, Span, cut_evenly, make_part
+from occmap.readers import Note, NoteList, make_part
 from occmap.readers.ros_source import Channel, RawMessage, add_note
 from occmap.readers.sqlite_pages import Row, count_lost_frames, find_rows
 from occmap.wording import count
@@ -73,17 +73,19 @@ class SqliteSource:
                     yield by_id[topic], record_ns, memoryview(data)
 
     def split(self, size: int) -> Sequence["SqliteSource"]:
-        """Cut the rows into runs of as many ids, of about so many bytes on the whole."""
+        """Cut the rows into runs of equally many ids, which have about `size` bytes on average."""
         if self.notes or self._has_log:
             return [self]
         with closing(self._connect()) as database:
             ((first, last),) = database.execute("SELECT min(rowid), max(rowid) FROM messages")
-        rows = Span(first or 0, (last or 0) + 1)
-        spans = cut_evenly(rows, -(-self.path.stat().st_size // size))
-        return [make_part(self, _rows=(start, end - 1)) for start, end in spans]
+        first, end = first or 0, (last or 0) + 1
+        parts = -(-self.path.stat().st_size // size)
+        step = -(-(end - first) // parts)
+        starts = range(first, end, step)
+        return [make_part(self, _rows=(start, min(start + step, end) - 1)) for start in starts]
 
     def _read_rows(self, database: apsw.Connection, topics: Collection[int]) -> Iterator[Row]:
-        """Give the rows of some topics; behind damage those of all topics."""
+        """Give the rows of some topics; after damage, those of all topics."""
         query = (
             "SELECT rowid, topic_id, timestamp, data FROM messages NOT INDEXED"
             f" WHERE topic_id IN ({','.join('?' * len(topics))})"
@@ -157,7 +159,7 @@ class SqliteSource:
 
 
 def _refuse_imitations(database: apsw.Connection) -> None:
-    """Refuse what is no real table: views, virtual tables and generated columns run code.
+    """Refuse what is not a real table: views, virtual tables and generated columns run code.
 
     Raises
     ------

@@ -26,11 +26,11 @@ MOST_KINDS = 16
 _LITTLE_ENDIAN = b"\0\1"
 """What a CDR message begins with that can be read so."""
 _STAMP = 4
-"""Behind four bytes: of a CDR message its encapsulation, of a ROS 1 header its sequence number."""
+"""Where a stamp begins: after the encapsulation of CDR, or the sequence number of ROS 1."""
 _FRAME = 16
-"""Where the letters of a scan's frame begin, behind their number."""
+"""Where the letters of a scan's frame begin, after their number."""
 _ANGLE_MAX, _TIME_INCREMENT, _RANGE_MIN, _RANGES = 4, 12, 20, 32
-"""Behind the first of the seven floats. Nobody uses the largest angle and the time of a scan."""
+"""Bytes from the first of the seven floats on. The largest angle and the scan time are not used."""
 _POSE = 56
 """Bytes of a translation and a rotation."""
 _count = Struct("<I").unpack_from
@@ -169,7 +169,7 @@ def _find_alike(raw: UInt8, free: Iterable[tuple[int, int]]) -> Bool:
     Parameters
     ----------
     free
-        Where bytes that may differ begin, and behind the last of them.
+        Where spans of bytes that may differ begin and end; the end is outside.
 
     Returns
     -------

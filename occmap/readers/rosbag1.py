@@ -56,7 +56,7 @@ _OVERLAP = 1 << 12
 _LONGEST_START = 100
 """Bytes of a header before its opcode, at most."""
 _MAX_HEADER = 1 << 20
-"""A header is a hundred bytes; one that claims to be longer than this is no header."""
+"""A header is a hundred bytes; what claims to be longer than this is not a header."""
 
 
 class Header(NamedTuple):

@@ -20,20 +20,20 @@ from occmap.types import UNKNOWN_POSE, Pose
 from occmap.values import as_float32
 
 MAX_LINE_BYTES = 1 << 24
-"""A scan of a million beams is shorter; a longer line is no text log."""
+"""A scan of a million beams is shorter; a longer line is not of a text log."""
 MAX_EXPANSION = 100
 """Text logs shrink to a tenth with gzip; what grows a hundredfold is not one."""
 FREE_EXPANSION_BYTES = 1 << 30
 """Below this size gzip may expand as it likes: a robot that stands still repeats itself."""
 
 FREE_LINES = 1_000_000
-"""Beyond so many, a gzip file with more lines than compressed bytes is a bomb of blank lines."""
+"""A gzip file with more lines than this and than compressed bytes is a bomb of blank lines."""
 BLOCK_BYTES = 1 << 20
-"""Lines are parsed so many at a time."""
+"""How much of a file is read at a time, and its lines parsed together."""
 
 ALL = Span(0, sys.maxsize)
-"""The span of all of any file"""
-NO_LOG = "this is no text log; check what the file is"
+"""The span of a whole file, however long"""
+NO_LOG = "this is not a text log; check what the file is"
 
 
 class Line(NamedTuple):
@@ -53,15 +53,16 @@ class Line(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Lines of a text log that follow one another: kept as one text, since most are parsed so.
+    """Lines of a text log that follow one another, as one text, since most are parsed together.
 
-    The next block takes its place in memory, as fresh memory costs as much time as parsing.
+    It is valid until the next block is read into the same memory: fresh memory for each would cost
+    as much time as parsing does.
     """
 
     number: int
     """Of the first line"""
     text: bytearray
-    """The lines, each with its end, and at least as many bytes as `PADDING` has"""
+    """The lines, each with its line end, and behind them at least as many bytes as `PADDING`"""
     starts: Int64
     """(S + 1,) where each line begins in the text, and where the last one ends"""
     ended: bool
@@ -75,7 +76,8 @@ class Block:
             text = bytearray(b"\n".join([*lines, PADDING]))
             end = len(text) - len(PADDING) - 1
         is_end = np.frombuffer(text, np.uint8, end + -end % 8) == ord("\n")
-        eights = np.flatnonzero(is_end.view(np.uint64) != 0)  # few hold any, and NumPy looks slowly
+        # NumPy looks at single bytes slowly, and of eight in a row few hold a line end.
+        eights = np.flatnonzero(is_end.view(np.uint64) != 0)
         at, byte = np.nonzero(is_end.reshape(-1, 8)[eights])
         is_marked = number == 1 and text.startswith(BOM_UTF8)
         starts = np.append(len(BOM_UTF8) if is_marked else 0, 8 * eights[at] + byte + 1)
@@ -90,22 +92,24 @@ class Block:
         start, end = self.starts[at : at + 2].tolist()
         return Line(self.number + at, bytes(memoryview(self.text)[start : end - 1]), self.ended)
 
-    def pick_lines(self, rows: Int64) -> Iterator[Line]:
+    def get_lines(self, rows: Int64) -> Iterator[Line]:
         """Get some of the lines by their indices (S,)."""
         return map(self.get_line, rows.tolist())
 
-    def take_heads(self) -> UInt64:
-        """Take the first eight bytes of each line, (S,); a short one's reach into the next."""
-        return np.ndarray(len(self.text) - 7, "<u8", self.text, strides=(1,))[self.starts[:-1]]
+    @property
+    def eights(self) -> UInt64:
+        """(L - 7,) the eight bytes from each byte of the text on, as a number, the first lowest."""
+        return np.ndarray(len(self.text) - 7, "<u8", self.text, strides=(1,))
 
 
 def split_lines(path: Path, size: int, is_heading: Callable[[bytes], bool]) -> list[Span]:
-    """Cut a text file into spans of whole lines, of about so many bytes; gzip cannot be cut.
+    """Cut a text file into spans of whole lines, of about `size` bytes; gzip cannot be cut.
 
     Parameters
     ----------
     is_heading
-        Whether a line may stand before the first that counts, which is in the first span.
+        Whether a line belongs to the head of the file. The first span holds the head and at least
+        one line more, which may be a header row.
 
     Raises
     ------
@@ -128,17 +132,18 @@ def split_lines(path: Path, size: int, is_heading: Callable[[bytes], bool]) -> l
 
 
 def read_blocks(path: Path, notes: list[Note], span: Span = ALL) -> Iterator[Block]:
-    """Yield the lines of a UTF-8 text file, plain or gzip, or of a part of it, some at a time.
+    """Yield the lines of a UTF-8 text file, plain or gzip, or of a part of it, in blocks.
 
-    Where gzip data is cut or corrupt, every complete line before the damage is given, and then a
-    note says the rest.
+    Where gzip data is cut or corrupt, every complete line before the damage is given, and a note
+    says what is lost.
 
     Raises
     ------
     LogError
         The file cannot be read, has a line beyond reason, or is a gzip bomb.
     """
-    number, total, begun = 1, 0, 0  # begun: how much there is of a line whose end is to come
+    number, total = 1, 0
+    begun = 0  # bytes of a last line whose end is still to come
     try:
         size = path.stat().st_size
         limit, most_lines = max(FREE_EXPANSION_BYTES, MAX_EXPANSION * size), max(FREE_LINES, size)
@@ -165,7 +170,7 @@ def read_blocks(path: Path, notes: list[Note], span: Span = ALL) -> Iterator[Blo
 
 
 def _gather_text(pieces: Iterator[bytes | memoryview]) -> Iterator[tuple[bytearray, int]]:
-    """Yield text, and how much of it is there; what follows its last line end begins the next."""
+    """Yield a buffer and how much of it is filled; a last line without its end begins the next."""
     text, begun = bytearray(2 * BLOCK_BYTES), 0
     for piece in pieces:
         filled = begun + len(piece)
@@ -178,7 +183,7 @@ def _gather_text(pieces: Iterator[bytes | memoryview]) -> Iterator[tuple[bytearr
 
 
 def _read_pieces(path: Path, span: Span) -> Iterator[bytes | memoryview]:
-    """Yield what is in a file, unpacked; the next piece may take the place of the one before."""
+    """Yield the content of a file, unpacked; a piece is valid until the next one is read."""
     with path.open("rb", 0) as file:
         if file.read(len(MAGIC)) == MAGIC:
             file.seek(0)
@@ -193,7 +198,7 @@ def _read_pieces(path: Path, span: Span) -> Iterator[bytes | memoryview]:
 def stack_planar(x: Float64, y: Float64, yaw: Float64) -> Float64:
     """Build poses (S, 7) from places and headings (S,), as `Pose.planar` does.
 
-    Where one of the three is not finite, nobody knew the pose.
+    A pose of which one of the three is not finite is unknown.
     """
     poses = np.zeros((len(x), 7))
     is_known = np.isfinite(x + y + yaw)

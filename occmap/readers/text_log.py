@@ -1,4 +1,15 @@
-"""Logs of lines: those that are alike are parsed together, all others one by one."""
+"""Logs of lines: lines that are alike are parsed together, all others one by one.
+
+The way of a line from the file to a `Scan`:
+
+1. `text.read_blocks` reads the file in blocks of lines.
+2. `_find_scan_lines` of the format says which lines of a block are scans, and of which kind.
+3. `_parse_together` lets the format's `parse` make a `Scan` of the first sound line of each kind.
+   From that line, `find_pattern` says what each word of lines like it is.
+4. `parse_table` has all lines of that pattern parsed by a kernel, and `make_run` makes a `ScanRun`
+   of the table.
+5. `_parse_block` gives every line that does not fit the pattern to `parse`, one by one.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -22,10 +33,10 @@ Parsed = TypeVar("Parsed")
 MALFORMED_SHARE = 0.05
 """A damaged disk spoils a line here and there; a file with more malformed lines is another kind."""
 SOUND_START = 20
-"""A file that begins with so many sound lines is a log, whatever follows."""
+"""A file that begins with this many sound lines is a log, whatever follows."""
 
 NUMBER_CHARACTERS = b"+-.0123456789Ee naif"
-"""What programs write numbers with; where there is more, Python and NumPy differ."""
+"""What programs write numbers with; of others, such as 1_0, Python and NumPy think differently."""
 
 
 class Pattern(NamedTuple):
@@ -40,16 +51,16 @@ class Pattern(NamedTuple):
 
 
 class Table(NamedTuple):
-    """What S lines of N words say that are of one pattern."""
+    """The values of S lines of N words that share a pattern."""
 
     rows: Int64
     """(S,) which lines of the block they are"""
     ranges: Float32
     """(S, B) in the order in which they stand; NaN where nothing stands between two commas"""
     values: Float64
-    """(N, S) other numbers, likewise"""
+    """(N, S) other numbers, likewise, by word"""
     times: Int64
-    """(N, S) ns, where a word is a time"""
+    """(N, S) ns, by word; only the rows of times mean anything, as in `values` only the others"""
 
 
 class LineForm(Protocol):
@@ -58,11 +69,11 @@ class LineForm(Protocol):
     def parse(self, text: str) -> Scan:
         """Parse a line; raises ValueError where it is malformed."""
 
-    def find_pattern(self, line: Line, scan: Scan) -> Pattern:
-        """Say what lines like one that is sound have in common; raises ValueError of odd ones."""
+    def find_pattern(self, line: Line) -> Pattern:
+        """Say what lines like a sound one have in common; raises ValueError if that is unknown."""
 
     def make_run(self, first: Scan, table: Table) -> ScanRun:
-        """Make scans of what lines like the first say; raises ValueError where one is malformed."""
+        """Make scans of a table whose first is given; raises ValueError where one is malformed."""
 
 
 class LineTally:
@@ -107,45 +118,41 @@ def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
     Raises
     ------
     ValueError
-        The pattern has other words than kinds, or so many words are odd that it is as quick to
-        parse the lines one by one.
+        So many words are written in unusual ways that it is as quick to parse lines one by one.
     """
-    from occmap.readers.kernels.decimals import POWERS, parse_rows  # noqa: PLC0415  late
+    from occmap.readers.kernels.decimals import parse_rows  # noqa: PLC0415  late: it brings numba
 
     words, separator, kinds = pattern
-    if len(words) != len(kinds):
-        raise ValueError("there are too few or too many words")
     same = b"".join(words[at] + separator for at in np.flatnonzero(kinds == SAME).tolist())
     beams = np.cumsum(kinds == RANGE) - 1
     text = block.text
-    rows = rows[: len(text) // len(kinds)]  # every word has its separator
+    rows = rows[: len(text) // len(kinds)]  # no more lines can have so many words
     ranges = np.empty((len(rows), beams[-1] + 1), np.float32)
     values = np.empty((len(kinds), len(rows)))
-    times, alike = values.view(np.int64), np.zeros(len(rows), np.bool_)
+    alike = np.zeros(len(rows), np.bool_)
     left = np.empty((values.size // 8 + 64, 4), np.int64)
     count = parse_rows(
         np.frombuffer(text, np.uint8),
-        np.ndarray(len(text) - 7, "<u8", text, strides=(1,)),
+        block.eights,
         block.starts[rows],
         ord(separator),
         kinds,
         np.frombuffer(same + PADDING, np.uint8),
-        POWERS,
         ranges,
         values,
-        times,
         alike,
         left,
     )
     if count == len(left):
         raise ValueError("too many words are written as few programs write them")
+    times = values.view(np.int64)
     for row, col, start, end in left[:count].tolist():
         word, kind = bytes(text[start:end]), kinds[col]
         try:
             if kind == RANGE:
-                ranges[row, beams[col]] = as_float32(_parse_odd(word))
+                ranges[row, beams[col]] = as_float32(_parse_number(word))
             elif kind == NUMBER:
-                values[col, row] = _parse_odd(word)
+                values[col, row] = _parse_number(word)
             else:
                 parse = parse_seconds if kind == SECONDS else parse_nanoseconds
                 times[col, row] = parse(word.decode("utf-8", "replace"))
@@ -157,8 +164,8 @@ def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
 
 
 @lru_cache(maxsize=64)
-def _parse_odd(word: bytes) -> float:
-    """Parse a number that few programs write so; a log repeats those of its laser in every line."""
+def _parse_number(word: bytes) -> float:
+    """Parse a number that the kernel leaves; cached, as many logs repeat a few in every line."""
     if word.translate(None, NUMBER_CHARACTERS):
         raise ValueError(f"{shorten(word.decode(errors='replace'))} where a number belongs")
     return float(word.strip() or "nan")
@@ -177,15 +184,15 @@ class TextLog(ABC):
         """The scans of a log that were read when it was opened"""
 
     @abstractmethod
-    def _walk(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
-        """Yield blocks, and which of their lines are scans, by kind."""
+    def _find_scan_lines(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
+        """Yield blocks, and the indices of those of their lines that are scans, by kind."""
 
     @abstractmethod
-    def _tell(self, line: Line, fault: str, tally: LineTally) -> None:
-        """Count a line that is malformed."""
+    def _count_malformed(self, line: Line, fault: str, tally: LineTally) -> None:
+        """Count a malformed line; `fault` says what is wrong with it."""
 
     def _is_heading(self, _raw: bytes) -> bool:
-        """Whether a line may stand before the first that counts."""
+        """Whether a line belongs to the head of a file, which no part but the first has."""
         return False
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
@@ -194,7 +201,7 @@ class TextLog(ABC):
         Raises
         ------
         LogError
-            The first line is malformed, or so many are that this is no damage.
+            The first line is malformed, or so many are that it is not damage.
         """
         for some in self.stacked_scans(topics):
             yield from some.split() if isinstance(some, ScanRun) else (some,)
@@ -202,7 +209,8 @@ class TextLog(ABC):
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The same, with many at once where only times, ranges and poses differ."""
         tally = LineTally()
-        read = (some for each in self._walk(self._span) for some in self._parse_block(*each, tally))
+        found = self._find_scan_lines(self._span)
+        read = (some for block, lines in found for some in self._parse_block(block, lines, tally))
         for some in read if self._kept is None else self._kept:
             if some.first.topic in topics and some.first.ranges.size:
                 yield some
@@ -214,19 +222,22 @@ class TextLog(ABC):
         return [make_part(self, _span=span, _kept=None) for span in spans]
 
     def _parse_block(
-        self, block: Block, kinds: Mapping[str, Int64], tally: LineTally
+        self, block: Block, lines: Mapping[str, Int64], tally: LineTally
     ) -> Iterator[Scan | ScanRun]:
-        """Yield the scans in some lines, in the order of the log, passing over damaged ones."""
+        """Yield the scans of some lines, given by kind, in file order, without damaged ones.
+
+        Where all lines are of one kind and alike they are one run, else single scans.
+        """
         scans: dict[int, Scan] = {}
-        for rows in kinds.values():
+        for rows in lines.values():
             if found := self._parse_together(block, rows):
-                at, run = found
-                if len(kinds) == 1 and run.scans == len(rows):
+                parsed, run = found
+                if len(lines) == 1 and run.scans == len(rows):
                     tally.total += run.scans
                     yield run
                     return
-                scans |= zip(at.tolist(), run.split(), strict=True)
-        for row in sorted(row for rows in kinds.values() for row in rows.tolist()):
+                scans |= zip(parsed.tolist(), run.split(), strict=True)
+        for row in sorted(row for rows in lines.values() for row in rows.tolist()):
             if row in scans:
                 tally.total += 1
                 yield scans[row]
@@ -234,17 +245,18 @@ class TextLog(ABC):
                 yield scan
 
     def _parse_together(self, block: Block, rows: Int64) -> tuple[Int64, ScanRun] | None:
-        """Parse those lines of one kind that are like the first sound one; say which they are."""
+        """Parse the lines of one kind that are like the first sound one; say which these are."""
         first = None
-        for line in block.pick_lines(rows):
+        for line in block.get_lines(rows):
             with suppress(ValueError):
                 first = self.form.parse(line.text)
                 break
         if first is None or len(rows) == 1:
             return None
         with suppress(ValueError):
-            table = parse_table(block, rows, self.form.find_pattern(line, first))
-            if line.number in block.number + table.rows[:1]:
+            table = parse_table(block, rows, self.form.find_pattern(line))
+            # Else the kernel takes a line that `parse` refuses, or refuses one that it takes.
+            if table.rows[:1].tolist() == [line.number - block.number]:
                 return table.rows, self.form.make_run(first, table)
         return None
 
@@ -254,7 +266,7 @@ class TextLog(ABC):
             parsed = parse(line.text)
         except ValueError as error:
             if line.ended:
-                self._tell(line, str(error), tally)
+                self._count_malformed(line, str(error), tally)
             else:
                 note_cut_line(self.notes, line)
             return None

@@ -99,7 +99,7 @@ def test_a_folder_that_is_no_bag() -> None:
     write("stuff/b.txt", "b")
     write("stuff/a.txt", "a")
     error = fail(1, "stuff", "-o", "m.pgm")
-    assert error == f"stuff: a folder that is no recording: it holds a.txt, b.txt; {NO_LOG}"
+    assert error == f"stuff: a folder that is not a recording: it holds a.txt, b.txt; {NO_LOG}"
 
 
 def test_an_empty_folder(folder: Path) -> None:

@@ -117,6 +117,23 @@ def test_what_no_return_may_tell_is_recommended(tmp_path: Path, capsys: Capture)
     assert run([*command[1:-1], str(tmp_path / "m.pgm")]) == 0
 
 
+@pytest.mark.parametrize("log", ["drive.csv", "drive.log"])
+def test_a_log_without_record_times_is_not_compared_with_them(log: str) -> None:
+    out = occmap("check", SAMPLE_LOGS / log).out
+    assert "          largest gap 0.2 s" in out.splitlines()
+    assert "record times" not in out
+
+
+def test_stamps_are_compared_with_the_record_times(tmp_path: Path) -> None:
+    log = drive(ROS2)
+    late = [written._replace(record_ns=written.record_ns + 2 * 10**9) for written in log]
+    write_mcap(tmp_path / "late.mcap", late)
+    assert (
+        "  2.5 s before the record times, drift 0 s, "
+        in occmap("check", tmp_path / "late.mcap").out
+    )
+
+
 def test_usage_errors(capsys: Capture) -> None:
     assert run(["check"]) == 2
     assert run(["check", "x.bag", "--resolution", "much"]) == 2

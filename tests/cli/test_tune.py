@@ -28,7 +28,7 @@ def test_what_is_found_is_said_with_the_line_that_mends_it(
     result = occmap("tune", "scans.csv", "--poses", "poses.csv", "--resolution", 0.1)
     assert result.code == 0
     time, mount, share, scored, line = result.out.splitlines()
-    assert time.startswith("time     offset -0.1 s: gains 0.")
+    assert time.startswith("time     offset -0.1 s gains 0.")
     assert mount == "mount    nothing to gain"
     assert " -> 0.9" in share
     assert scored.startswith("scored   by 20,")
@@ -59,9 +59,11 @@ def test_halves_that_disagree_are_told(tmp_path: Path) -> None:
     scans, poses = write_drive(tmp_path, lambda number: 0.15 if number < 207 else 0.0)
     result = occmap("tune", scans, "--poses", poses)
     time, mount, *_, last = result.out.splitlines()
-    start = "time     the halves of the log do not agree, so nothing is recommended: by offset -0."
+    start = (
+        "time     the halves of the log do not agree, so nothing is recommended: the first gains 0."
+    )
     assert time.startswith(start)
-    assert time.endswith("by no change the second 0.0000 +- 0.0000")
+    assert time.endswith(" s, the second 0.0000 +- 0.0000 by no change")
     assert mount == "mount    not searched"
     assert last == "nothing is recommended"
     assert "times that change within the log" in result.err

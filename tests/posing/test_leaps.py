@@ -15,7 +15,7 @@ from occmap.batching import Batcher, Selection
 from occmap.inspection import inspect
 from occmap.options import BuildOptions
 from occmap.pipeline import Build, build
-from occmap.posing.leaps import MOST_SCANS, ROW
+from occmap.posing.leaps import LONG_ROW_STEPS, MOST_SCANS
 from occmap.posing.options import PosingOptions
 from occmap.types import Pose, Scan, ScanBatch
 from tests.posing.scenes import at, attach, batch_at, bolted, drive
@@ -120,10 +120,10 @@ WAYS = {
 @pytest.mark.parametrize("size", [1, 2, 3, 5, 8, 60])
 @pytest.mark.parametrize("way", WAYS)
 def test_how_scans_are_batched_changes_nothing(way: str, size: int) -> None:
-    whole, astray = WAYS[way]
+    whole, outliers = WAYS[way]
     used, notes = sift(whole, size)
-    assert sorted({*range(len(whole.stamp_ns))} - {*used}) == astray
-    assert len(notes) == (1 if astray else 0)
+    assert sorted({*range(len(whole.stamp_ns))} - {*used}) == outliers
+    assert len(notes) == (1 if outliers else 0)
     assert notes == sift(whole, 60)[1]
 
 
@@ -152,8 +152,8 @@ def cut(scans: Sequence[Moment]) -> list[list[list[Moment]]]:
     return parts
 
 
-def find_back(rows: Sequence[list[Moment]]) -> int | None:
-    """Which row goes on where the first one ends."""
+def find_continuation(rows: Sequence[list[Moment]]) -> int | None:
+    """Which row continues the first one."""
     last = rows[0][-1]
     for later, row in enumerate(rows[1:], start=1):
         shows = len(row) > 3 or (len(rows[0]) > 3 and row is rows[-1])
@@ -162,13 +162,13 @@ def find_back(rows: Sequence[list[Moment]]) -> int | None:
     return None
 
 
-def find_astray(scans: Sequence[Moment]) -> Iterator[Moment]:
+def find_outliers(scans: Sequence[Moment]) -> Iterator[Moment]:
     """The rule of `occmap.posing.leaps`, of all scans of one laser, as it is said there."""
     for rows in cut(scans):
         at = 0
         while at + 1 < len(rows):
             row, following = rows[at], rows[at + 1]
-            back = find_back(rows[at:]) if len(row) > 3 or not at else None
+            back = find_continuation(rows[at:]) if len(row) > 3 or not at else None
             if back:
                 yield from chain.from_iterable(rows[at + 1 : at + back])
             elif not at and len(row) == 1 and len(following) > 3:
@@ -217,15 +217,15 @@ def test_scans_are_judged_by_their_laser_whatever_their_geometry(
     for number, scan in enumerate(scans):
         x = scan.pose.x if scan.pose else math.nan
         lasers.setdefault((scan.topic, scan.frame), []).append((number, scan.stamp_ns, x))
-    astray = {number for some in lasers.values() for number, *_ in find_astray(some)}
+    outliers = {number for some in lasers.values() for number, *_ in find_outliers(some)}
     said = []
     for beams in (1, 10, 40, 150, 1 << 18):
         monkeypatch.setattr(batching, "BATCH_BEAMS", beams)
         poser = make_poser()
         posed, dropped = attach(poser, *Batcher(Selection()).stack(scans))
         used = {int(number) for each in posed for number in each.batch.ranges[:, 0]}
-        assert used == {*range(len(scans))} - astray
-        assert sum(dropped.values()) == len(astray)
+        assert used == {*range(len(scans))} - outliers
+        assert sum(dropped.values()) == len(outliers)
         ends = poser.find_ends()
         said.append((poser.notes, ends))
     assert all(each == said[0] for each in said)
@@ -245,7 +245,7 @@ def test_how_many_scans_are_held_back_is_bounded(step_s: float) -> None:
 
     for count, _ in enumerate(make_poser().attach(give()), start=1):
         held = max(held, given - count)
-    assert held <= MOST_SCANS + ROW + 1
+    assert held <= MOST_SCANS + LONG_ROW_STEPS + 1
     assert given == count == len(xs)
 
 
@@ -255,7 +255,7 @@ def test_a_note_says_how_many_scans_of_a_topic_are_left_out() -> None:
     attach(poser, replace(first, topic="/scan"), replace(second, topic="/scan", frame="other"))
     (note,) = poser.notes
     assert note.startswith("/scan: the scan at 6.000 s lies 300.5 m from its neighbour")
-    assert "4 scans that leap so are left out" in note
+    assert "4 scans left out for such leaps" in note
 
 
 @pytest.mark.parametrize(
@@ -276,7 +276,7 @@ def test_jobs_and_batches_leave_out_the_same_scans(
     assert sum(reports[0].scans.dropped.values()) + reports[0].scans.used == 40
 
 
-def test_scans_are_held_back_only_where_they_may_be_astray() -> None:
+def test_scans_are_held_back_only_where_they_may_be_outliers() -> None:
     poser = make_poser()
     given: list[int] = []
 

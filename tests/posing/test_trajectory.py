@@ -94,7 +94,7 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
 def test_a_binary_file_is_no_trajectory(tmp_path: Path) -> None:
     path = tmp_path / "drive.bag"
     path.write_bytes(b"#ROSBAG V2.0\nE\0\0\0\x10\0\0\0")
-    with pytest.raises(LogError, match="no text, so no trajectory"):
+    with pytest.raises(LogError, match="not text, so not a trajectory"):
         list(read_trajectory(path))
 
 

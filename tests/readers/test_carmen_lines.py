@@ -128,8 +128,8 @@ def test_the_number_of_beams_implies_their_spacing(beams: int, degrees: float) -
     [
         ("FLASER", "too short"),
         ("FLASER 1 2 3", "too short"),
-        ("FLASER 2 1 2 0 0 0 0 0 0 now host 1", "'now' is no time"),
-        ("FLASER 2 1 2 0 0 0 0 0 0 1 host then", "'then' is no time"),
+        ("FLASER 2 1 2 0 0 0 0 0 0 now host 1", "'now' is not a time"),
+        ("FLASER 2 1 2 0 0 0 0 0 0 1 host then", "'then' is not a time"),
         ("FLASER 2 1 two 0 0 0 0 0 0 1 host 1", "'two' where a number belongs"),
         ("FLASER 2 1 0x2 0 0 0 0 0 0 1 host 1", "'0x2' where a number belongs"),
         ("FLASER 3 1 2 0 0 0 0 0 0 1 host 1", "5 numbers before the time where 6 belong"),
@@ -168,7 +168,7 @@ def parse_together(*lines: str) -> tuple[list[int], ScanRun]:
     block = Block.of(1, bytearray(text + PADDING), len(text))
     form = CarmenForm()
     first = form.parse(lines[0])
-    table = parse_table(block, np.arange(len(lines)), form.find_pattern(block.get_line(0), first))
+    table = parse_table(block, np.arange(len(lines)), form.find_pattern(block.get_line(0)))
     return table.rows.tolist(), form.make_run(first, table)
 
 

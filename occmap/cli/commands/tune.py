@@ -61,9 +61,10 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
 
 
 def format_tuning(tuning: Tuning) -> Iterator[str]:
-    """Write what came of each search, on what that rests, and the build line."""
+    """Write what came of each search, what the result rests on, and the build line."""
     gain = format_gain(tuning.gain, tuning.gain_error)
-    gained = f" -> {tuning.share:.4f}, a gain of {gain}" if tuning.command else ""
+    gained = f" -> {tuning.share:.4f}" if tuning.command else ""
+    rise = f", a gain of {gain}" if tuning.command else ""
     held = f"{count(tuning.beams, 'beam')} of {count(tuning.scans.held_out, 'held-out scan')}"
     maps = f"{count(len(tuning.tried), 'map')} of {count(tuning.scans.kept, 'scan')}"
     yield f"time     {format_finding(tuning.time, ['time_s'])}"
@@ -71,8 +72,8 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
     if tuning.together.verdict is Verdict.FOUND:
         together = format_finding(tuning.together, ["time_s", "yaw", "x", "y"])
         yield f"together {together}"
-    yield f"share    {tuning.share_before:.4f}{gained}"
-    yield f"scored   by {held}; {maps}"
+    yield f"share    {tuning.share_before:.4f}{gained} of the beams are predicted{rise}"
+    yield f"scored   by {held}, on {maps} each"
     disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
     unsure = disagree or tuning.is_doubtful
     nothing = "nothing is recommended" if unsure else "nothing to gain"
@@ -91,15 +92,15 @@ def format_finding(finding: Finding, names: Sequence[str]) -> str:
     )
     if finding.verdict is Verdict.FOUND:
         gain = format_gain(finding.gain, finding.gain_error)
-        return f"{first}: gains {gain}; {one} and {other} in the halves"
+        return f"{first} gains {gain}; the first half of the log gains {one}, the second {other}"
     return (
-        "the halves of the log do not agree, so nothing is recommended: by "
-        f"{first} the first gains {one}, by {second} the second {other}"
+        "the halves of the log do not agree, so nothing is recommended: the first "
+        f"gains {one} by {first}, the second {other} by {second}"
     )
 
 
 def describe(correction: Correction, names: Sequence[str]) -> str:
-    """Write those of some numbers of a correction that are not zero."""
+    """Write some numbers of a correction, without those that are zero."""
     written = {
         "time_s": f"offset {correction.time_s:+.6g} s",
         "yaw": f"yaw {math.degrees(correction.yaw):+.4g} deg",

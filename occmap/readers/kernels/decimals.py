@@ -43,10 +43,8 @@ def parse_rows(
     separator: int,
     kinds: UInt8,
     same: UInt8,
-    powers: Float64,
     ranges: Float32,
     values: Float64,
-    times: Int64,
     alike: Bool,
     left: Int64,
 ) -> int:
@@ -66,16 +64,13 @@ def parse_rows(
         (N,) what each word of a line is.
     same
         Bytes: the words that are the same in every line, each with a separator behind it.
-    powers
-        `POWERS`.
     ranges
         (S, B) filled with the ranges, and with NaN where nothing stands between two commas.
     values
-        (N, S) filled likewise with other numbers.
-    times
-        (N, S) filled with the times (ns); it may be the same memory, since no word is both.
+        (N, S) filled likewise with other numbers; the rows of times hold ns, as whole numbers of 64
+        bits in place of floats.
     alike
-        (S,) filled with whether a line has N words, of which none is odd but those that are left.
+        (S,) filled with whether a line has N words, each parsed or left to the caller.
     left
         (M, 4) filled with row, column, start and end of each word that is left to the caller. A
         line for which there is no more room counts as unlike.
@@ -85,39 +80,41 @@ def parse_rows(
     int
         How many words are left.
     """
+    times = values.view(np.int64)
     cols = len(kinds)
     lefts = 0
-    # Most ranges are written as those before them, in up to seven bytes. One comparison tells that
-    # a word has this usual form, and then its digits are taken all at once.
-    usual, usual_bits, misses = _ONE, _NONE, 0  # the form of no word
-    before, beyond, step, power = _NONE, _NONE, _NONE, 1.0
+    # Most ranges are written in the form of those before them, such as 12.34 and a comma, in up to
+    # seven bytes. One comparison tells that a word has this usual form, and all its digits are
+    # then taken at once: those before the dot, and those behind it, moved up by one place.
+    usual, usual_bits, others = _ONE, _NONE, 0  # at first, no word has it
+    before_dot, behind_dot, width, power = _NONE, _NONE, _NONE, 1.0
     for row in range(len(starts)):
         # No index is negative, and numba need not look whether it is.
-        at, told, col, beam = np.uint64(starts[row]), _NONE, 0, 0
+        at, same_at, col, beam = np.uint64(starts[row]), _NONE, 0, 0
         while col < cols:
             while kinds[col] == RANGE and col < cols - 1:
                 word = eights[at]
-                digits = (word & before) | ((word >> _EIGHT) & beyond)
+                digits = (word & before_dot) | ((word >> _EIGHT) & behind_dot)
                 if word & usual_bits != usual or (digits + _SIXES) & _DIGIT_BITS:
                     break
                 digits = digits * _TEN + (digits >> _EIGHT)
-                pairs, others = digits & _PAIRS, (digits >> _SIXTEEN) & _PAIRS
-                digits = (pairs * _FIRST_PAIRS + others * _LAST_PAIRS) >> _HALF
+                odd_pairs, even_pairs = digits & _PAIRS, (digits >> _SIXTEEN) & _PAIRS
+                digits = (odd_pairs * _FIRST_PAIRS + even_pairs * _LAST_PAIRS) >> _HALF
                 ranges[row, beam] = np.float64(np.int64(digits)) / power
-                at += step
+                at += width
                 col += 1
                 beam += 1
-                misses = 0
+                others = 0
             while separator == _BLANK and text[at] == _BLANK:
                 at += _ONE
             kind, start = kinds[col], at
             if kind == SAME:
-                while same[told] != separator and same[told] == text[at]:
-                    told += _ONE
+                while same[same_at] != separator and same[same_at] == text[at]:
+                    same_at += _ONE
                     at += _ONE
-                if same[told] != separator or text[at] not in (separator, _END):
+                if same[same_at] != separator or text[at] not in (separator, _END):
                     break
-                told += _ONE
+                same_at += _ONE
             else:
                 if text[at] == _MINUS:
                     at += _ONE
@@ -144,7 +141,7 @@ def parse_rows(
                     size, name = np.int64(at - first), eights[first] & _THREE_BYTES
                     value = np.nan
                     if 0 < count <= MOST_DIGITS:
-                        value = number / powers[decimals]
+                        value = number / POWERS[decimals]
                     elif size == 3 and name == _INF:
                         value = np.inf
                     elif size != 3 or name != _NAN:
@@ -153,17 +150,17 @@ def parse_rows(
                     if kind == RANGE:
                         ranges[row, beam] = value
                         beam += 1
-                        misses += 1
+                        others += 1
                     else:
                         values[col, row] = value
                     is_short = first == start and 0 < count < 8 - dots and text[at] == separator
-                    if misses > 1 and is_short:  # twice another form: it is the usual one now
-                        misses, whole = 0, count - decimals
-                        step, power = np.uint64(count + dots + 1), powers[8 - whole]
+                    if others > 1 and is_short:  # a second word in a row: its form is now usual
+                        others, whole = 0, count - decimals
+                        width, power = np.uint64(count + dots + 1), POWERS[8 - whole]
                         dot_at, end_at = np.uint64(8 * whole), np.uint64(8 * (count + dots))
                         word_bits = (_ONE << end_at) - _ONE
-                        before = ((_ONE << dot_at) - _ONE) & _LOWER
-                        beyond = (word_bits >> _EIGHT) & _LOWER & ~before
+                        before_dot = ((_ONE << dot_at) - _ONE) & _LOWER
+                        behind_dot = (word_bits >> _EIGHT) & _LOWER & ~before_dot
                         dot_bits = np.uint64(255 * dots) << dot_at
                         usual_bits = word_bits & _UPPER | dot_bits | _BYTE << end_at
                         usual = eights[start] & usual_bits
