@@ -130,11 +130,13 @@ def keep_stdin(paths: Sequence[Path]) -> Iterator[list[Path]]:
     Raises
     ------
     LogError
-        Nothing comes on stdin.
+        Nothing comes on stdin, or it is closed.
     """
     if STDIN not in paths:
         yield list(paths)
         return
+    if sys.stdin is None:
+        raise LogError("is closed", where="stdin", fix="pipe a log into it")
     with tempfile.TemporaryDirectory(prefix=STDIN_FOLDER) as folder:
         saved = Path(folder) / "stdin"
         with saved.open("wb") as file:

@@ -136,13 +136,15 @@ def convert(option: click.Option, value: Any) -> Any:
     if option.is_flag:
         return (option.flag_value if value else None) if not option.is_bool_flag else bool(value)
     if not option.multiple:
-        return join(value)
+        return write(option, value)
     several = value if isinstance(value, list) else [value]
     if several and all(isinstance(each, int | float) for each in several):  # one sector, not many
-        return [join(several)]
-    return [join(each) for each in several]
+        return [write(option, several)]
+    return [write(option, each) for each in several]
 
 
-def join(value: Any) -> Any:
-    """Write a list as it is typed, with commas."""
-    return ",".join(map(str, value)) if isinstance(value, list) else value
+def write(option: click.Option, value: Any) -> Any:
+    """Write a list as it is typed, with commas, and as text what a function of ours reads."""
+    if isinstance(value, list):
+        return ",".join(map(str, value))
+    return str(value) if isinstance(option.type, click.types.FuncParamType) else value

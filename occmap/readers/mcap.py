@@ -278,7 +278,9 @@ class McapSource(ChunkedSource[_ChannelTable]):
                 stated = statistics.message_count
                 text = f"{held.total()} messages are in it, its statistics have {stated}"
                 add_note(self.notes, text)
-            channels, counts = channels | found, Counter({**held, **counts})
+            channels = channels | found
+            announced = {key: number for key, number in counts.items() if key in channels}
+            counts = Counter({**held, **announced})
         for channel in channels.values():
             if channel.encoding in {"cdr", "ros1"} and not channel.type:
                 add_note(self.notes, f"the type of the messages on {channel.topic} is not stated")

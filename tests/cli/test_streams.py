@@ -1,6 +1,8 @@
 """Folders, patterns, stdin and stdout, where a path stands."""
 
 import json
+import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -88,6 +90,13 @@ def test_a_folder_does_not_fit_through_stdout(tmp_path: Path, suffix: str) -> No
 def test_an_empty_stdin_is_said(tmp_path: Path) -> None:
     done = pipe(["build", "-", "-o", "m.pgm"], b"", tmp_path)
     assert (done.returncode, done.stderr) == (1, b"error: stdin: is empty; pipe a log into it\n")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a shell of POSIX closes it")
+def test_a_closed_stdin_is_said(tmp_path: Path) -> None:
+    line = f"exec {shlex.quote(sys.executable)} -m occmap check - <&-"
+    done = subprocess.run(["sh", "-c", line], capture_output=True, cwd=tmp_path, check=False)
+    assert (done.returncode, done.stderr) == (1, b"error: stdin: is closed; pipe a log into it\n")
 
 
 @pytest.mark.parametrize("more", [["-o", "-.png"], ["--json"]])

@@ -11,8 +11,10 @@ from io import BytesIO
 from pathlib import Path
 
 import pytest
+import zstandard
 from mcap.reader import NonSeekingReader, make_reader
 
+from occmap.errors import LogError
 from occmap.readers import Log, open_log
 from occmap.readers.ros_source import Channel
 from tests.readers.mcap_variants import (
@@ -21,6 +23,7 @@ from tests.readers.mcap_variants import (
     DATA_END,
     MESSAGE,
     MESSAGE_INDEX,
+    MESSAGES,
     PACK,
     SCHEMA,
     list_variants,
@@ -245,6 +248,22 @@ def test_a_message_of_an_unknown_channel_is_told_of(path: Path, has: frozenset[s
 
     assert log.notes[0].text == "the file names no channel for 1 message"
     assert len(log.notes) == (1 if has == BARE else 2)  # its statistics count it elsewhere
+
+
+def test_messages_whose_channels_were_in_a_lost_chunk_are_counted_as_they_are(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "lost.mcap"
+    data = bytearray(write_variant(LOG, BARE | {"statistics"}, "zstd"))
+    data[data.index(zstandard.FRAME_HEADER)] ^= 1  # of the first chunk, which alone has channels
+    path.write_bytes(data)
+
+    with pytest.raises(LogError) as caught:
+        open_log(path)
+
+    left = len(LOG) - MESSAGES
+    assert f"{left} messages are in it, its statistics have {len(LOG)}" in str(caught.value)
+    assert f"the file names no channel for {left} messages" in str(caught.value)
 
 
 def test_a_chunk_that_states_to_be_empty_is_told_of(path: Path) -> None:
