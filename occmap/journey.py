@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from occmap.arrays import Float64, Int64
+from occmap.posing.leaps import Attached
 from occmap.posing.rotations import to_quaternions
-from occmap.posing.sifting import Attached
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Journey, Kind, PosedScans, ScanHits, Trajectory
 

@@ -14,9 +14,8 @@ from occmap.errors import MountError, PoseError
 from occmap.opening import choose_topics, make_poser
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
-from occmap.posing.concerns import Concern
-from occmap.posing.conventions import BASE_NAMES, list_bases
-from occmap.posing.frames import Step
+from occmap.posing.frames import BASE_NAMES, Step, list_bases
+from occmap.posing.options import Concern
 from occmap.posing.rotations import rotate_by
 from occmap.readers import Log, open_log, read_poses
 from occmap.sampling import encode_cells, estimate_agreement, sample_scans

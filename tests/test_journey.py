@@ -3,8 +3,8 @@ from pathlib import Path
 import numpy as np
 
 from occmap.journey import JourneyRecorder
+from occmap.posing.leaps import Attached
 from occmap.posing.options import DropReason
-from occmap.posing.sifting import Attached
 from occmap.sensor.returns import ReturnOptions
 from occmap.types import PosedScans, ScanBatch
 

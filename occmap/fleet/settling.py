@@ -9,7 +9,7 @@ from occmap.arrays import Float64
 from occmap.batching import FROM_THE_START, Seam
 from occmap.fleet.tasks import Setting, Survey, Traced, TraceJob
 from occmap.posing.course import STANDS, STILL_M
-from occmap.posing.sifting import MOST_PATHS, Ends, Laser
+from occmap.posing.leaps import MOST_PATHS, Ends, Laser
 from occmap.sensor.no_return import RangeLimits
 
 
@@ -103,7 +103,9 @@ def leap(parts: Sequence[dict[Laser, Ends]], max_speed: float) -> bool:
     before: dict[Laser, Ends] = {}
     for part in parts:
         for laser, ends in part.items():
-            if ends.leaps or (laser in before and not before[laser].leads_to(ends, max_speed)):
+            if ends.leaps or (
+                laser in before and before[laser].last.leaps_to(ends.first, max_speed)
+            ):
                 return True
         before |= part
     return len(before) > MOST_PATHS  # then the whole log judges other scans than its parts

@@ -30,7 +30,7 @@ from occmap.observing import Keep
 from occmap.opening import count_scans
 from occmap.options import BuildOptions
 from occmap.posing.jumps import find_breaks
-from occmap.posing.sifting import Ends, Laser
+from occmap.posing.leaps import Ends, Laser
 from occmap.readers import Note, open_log, read_scans, split_log
 from occmap.sensor.no_return import RangeLimits
 from occmap.store.blocks import Block, split_blocks

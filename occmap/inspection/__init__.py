@@ -23,15 +23,19 @@ from occmap.inspection.findings import (
     PoseFindings,
     ScanFindings,
 )
-from occmap.inspection.poses import Posing, find_moving_stamp, prepare, suggest_stamps
+from occmap.inspection.poses import (
+    Posing,
+    find_moving_stamp,
+    list_coverage,
+    prepare,
+    suggest_stamps,
+)
 from occmap.inspection.sample import measure_crossing
 from occmap.inspection.survey import Survey, TopicSurvey
 from occmap.mounts import find_better
 from occmap.opening import choose_topics, count_messages
 from occmap.options import BuildOptions
-from occmap.posing.concerns import Concern
-from occmap.posing.coverage import list_coverage
-from occmap.posing.options import DropReason, Stamps
+from occmap.posing.options import Concern, DropReason, Stamps
 from occmap.readers import Log, open_log, read_scans
 from occmap.sampling import estimate_agreement
 from occmap.sensor.bounds import Spreading

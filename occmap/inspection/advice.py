@@ -8,7 +8,7 @@ from occmap.command import chain_builds, compose_build
 from occmap.inspection.findings import LogFindings, ScanFindings, TimeFindings
 from occmap.mounts import warn_of_misfit
 from occmap.options import BuildOptions
-from occmap.posing.concerns import Concern
+from occmap.posing.options import Concern
 from occmap.remarks import LEAST_AGREEMENT
 from occmap.wording import count, write_counts
 

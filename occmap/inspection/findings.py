@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from occmap.batching import count_wanted
 from occmap.cells import Box
 from occmap.plain import Finite, Printed, Share
-from occmap.posing.coverage import Coverage
+from occmap.posing.frames import Source
 from occmap.posing.options import Stamps
 from occmap.readers import Stream
 
@@ -210,6 +210,36 @@ class MapFindings:
     """Size of the map as PGM (bytes)"""
     memory_bytes: int
     """Memory that the map and its evidence take at most (bytes)"""
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """One edge of the transform tree, or one topic of poses."""
+
+    parent: str
+    """Frame that the poses are in"""
+    child: str
+    """Frame whose poses these are; empty where the log does not say"""
+    source: Source
+    """Kind of source"""
+    topic: str
+    """Topic, or name of the trajectory file"""
+    samples: int
+    """Poses"""
+    static: bool
+    """It holds for all times"""
+    moves: bool
+    """The poses differ"""
+    start_ns: int
+    """Earliest stamp (ns)"""
+    end_ns: int
+    """Latest stamp (ns)"""
+    largest_gap_s: float
+    """Longest time from one pose to the next (s)"""
+    largest_step_m: float
+    """Longest way from one pose to the next (m)"""
+    largest_step_rad: float
+    """Largest turn from one pose to the next (rad)"""
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,15 @@ import numpy as np
 
 from occmap.command import format_mount
 from occmap.errors import MountError, PoseError
+from occmap.inspection.findings import Coverage
 from occmap.inspection.survey import TopicSurvey
 from occmap.mounts import UNTURNED, guess_place
 from occmap.opening import refuse_shared_mount, take_first
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
+from occmap.posing.chain import Status
 from occmap.posing.options import Stamps
-from occmap.posing.transforms import Status
+from occmap.posing.sources import Sources
 from occmap.readers import Log, read_poses
 from occmap.sampling import sample_scans
 from occmap.types import Pose
@@ -98,3 +100,27 @@ def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> Stamps:
     chain = poser.chains[next(iter(topic.frames))]
     found = 0 if chain is None else np.count_nonzero(chain.at(stamp_ns).status == Status.POSED)
     return other if found > topic.posed / WELL_POSED else chosen
+
+
+def list_coverage(sources: Sources) -> list[Coverage]:
+    """Describe the edges of the tree, by name, and then the poses of bodies that are in no edge."""
+    edges = list(sources.tree.edges)
+    chosen = [sources.trajectory] if sources.trajectory else []
+    others = [edge for edge in (*chosen, *sources.pose_topics) if edge not in edges]
+    return [
+        Coverage(
+            parent=edge.parent,
+            child=edge.child,
+            source=edge.source,
+            topic=edge.topic,
+            samples=len(edge.track),
+            static=edge.track.static,
+            moves=edge.track.moves,
+            start_ns=int(edge.track.stamp_ns[0]),
+            end_ns=int(edge.track.stamp_ns[-1]),
+            largest_gap_s=float(edge.track.interval_s.max(initial=0)),
+            largest_step_m=float(edge.track.step_m.max(initial=0)),
+            largest_step_rad=float(edge.track.step_rad.max(initial=0)),
+        )
+        for edge in dict.fromkeys([*edges, *others])
+    ]

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator
 
 from occmap.inspection.findings import (
+    Coverage,
     MapFindings,
     MountFindings,
     PoseFindings,
@@ -15,7 +16,6 @@ from occmap.inspection.findings import (
     Shape,
     TimeFindings,
 )
-from occmap.posing.coverage import Coverage
 from occmap.remarks import hint_at_tune
 from occmap.wording import DATES_S, count, write_box, write_counts, write_duration, write_span
 

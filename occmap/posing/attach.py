@@ -1,8 +1,11 @@
 """Attachment: scans and poses become posed scans; each scan without a pose is counted.
 
-A batch goes one way: the chain of frames to its sensor is found, the moments of its scans are
-chosen (`deskew`), the chain is looked up at these (`chain`), and scans without a pose are dropped.
-So are scans whose poses leap away and back (`sifting`). `course` then watches where the sensor was.
+A batch goes one way: the chain of frames to its sensor is found (`resolve`), the moments of its
+scans are chosen, the chain is looked up at these (`chain`), and scans without a pose are dropped.
+So are scans whose poses leap away and back (`leaps`). `course` then watches where the sensor was.
+
+A scan has one moment, its stamp, unless it is de-skewed: then each of its beams gets the pose of
+the moment at which it was measured.
 """
 
 import math
@@ -10,29 +13,33 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import reduce
-from itertools import starmap
 from typing import Self
 
 import numpy as np
 
+from occmap.arrays import Bool
 from occmap.errors import PoseError
-from occmap.posing.chain import Chain
-from occmap.posing.concerns import Concern
+from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.course import STANDS, Course, list_tilts
-from occmap.posing.deskew import choose_deskewed, keep, spread_moments
-from occmap.posing.jumps import list_jumps
-from occmap.posing.options import Deskew, DropReason, PosingOptions
+from occmap.posing.jumps import warn_of_jumps
+from occmap.posing.leaps import Attached, Ends, Laser, LeapFilter
+from occmap.posing.options import Concern, Deskew, DropReason, PosingOptions
 from occmap.posing.resolve import resolve
-from occmap.posing.sifting import Attached, Ends, Laser, LeapFilter
 from occmap.posing.sources import Sources, gather
 from occmap.posing.tracks import MAX_STAMP_NS
-from occmap.posing.transforms import Status, Transforms
-from occmap.types import Pose, PoseBatch, PoseSample, ScanBatch
+from occmap.types import Pose, PoseBatch, PosedScans, PoseSample, ScanBatch
 
 POSES_OF_BODY = (
     "the poses beside the scans are taken as the robot's, with the laser at `sensor_pose` on it; "
     "leave that out if they are the laser's own"
 )
+
+MAX_TURN_S = 60.0
+"""A scan that is said to take longer has a wrong time_increment."""
+MAX_AUTO_TURN_S = 1.0
+"""The slowest laser that is de-skewed unasked; some drivers write milliseconds for seconds."""
+MOMENTS = 33
+"""Poses looked up for one de-skewed scan; see `place_beams` for how close that is."""
 
 
 @dataclass(eq=False)
@@ -55,8 +62,12 @@ class Poser:
 
     def __post_init__(self) -> None:
         self._offset_ns = round(self.options.time_offset_s * 1e9)  # to the clock of the poses
-        self._above = _find_above(self.options)
         self._leaps = LeapFilter(self.options.max_speed)
+        align, transform = self.options.align, self.options.transform
+        moved = [Pose.planar(0.0, 0.0, math.radians(align))] if align else []
+        moved += [transform] if transform else []
+        # Where the log's map frame lies in the map that is made; None where they are one.
+        self._above = Transforms.fixed(reduce(Pose.then, moved)) if moved else None
 
     @classmethod
     def build(
@@ -92,28 +103,27 @@ class Poser:
 
         Where none at all has one so far, nothing is decided, and they may be asked for again.
         """
-        new = sorted(frame for frame in set(frames) if frame not in self.chains)
+        left = sorted(frame for frame in set(frames) if frame not in self.chains)
         # What mends one laser among others is not what mends a single one.
-        failures = self._resolve(new, alone=len(new) == 1 and not self.chains)
-        if self.fixed is not None:
-            failures = self._resolve(failures, alone=False)  # again, by what was found meanwhile
-            self.chains.update(dict.fromkeys(failures))
-            self._note(*map(str, failures.values()))
-        return failures
-
-    def _resolve(self, frames: Iterable[str], alone: bool) -> dict[str, PoseError]:
-        """Find the chains to frames, one after the other; say why there is none."""
+        alone = len(left) == 1 and not self.chains
         failures: dict[str, PoseError] = {}
-        for frame in frames:
-            try:
-                way = resolve(self.sources, self.options, frame, self.fixed, alone)
-            except PoseError as error:
-                failures[frame] = error
-            else:
+        for _ in range(2):  # again by what was found meanwhile
+            failures = {}
+            for frame in left:
+                try:
+                    way = resolve(self.sources, self.options, frame, self.fixed, alone)
+                except PoseError as error:
+                    failures[frame] = error
+                    continue
                 self.fixed, self.chains[frame] = way.fixed, way.chain
                 self._note(*way.notes)
                 if not way.chain.interval_s and self.sources.tree.moves:
                     self._note(f"{frame!r} never moves in {way.fixed!r}, though other frames do")
+            if self.fixed is None:
+                return failures
+            left, alone = list(failures), False
+        self.chains.update(dict.fromkeys(failures))
+        self._note(*map(str, failures.values()))
         return failures
 
     def is_stated(self, batch: ScanBatch) -> bool:
@@ -144,41 +154,41 @@ class Poser:
             As `prepare`.
         """
         some = (batch for batch in batches if len(batch.stamp_ns))
-        found = (part for batch in some for part in self._look_up(batch))
-        for attached in self._leaps.sift(starmap(self._keep, found)):
+        for attached in self._leaps.sift(part for batch in some for part in self._look_up(batch)):
             if (posed := attached.posed) is not None:
+                chain = None if self.is_stated(posed.batch) else self.chains[posed.batch.frame]
                 stamp_ns = posed.batch.stamp_ns + self._offset_ns
-                stated = self.is_stated(posed.batch)
-                chain = None if stated else self.chains[posed.batch.frame]
                 self.courses[posed.batch.topic].see(posed, stamp_ns, chain)
             yield attached
         self._note(*self._leaps.list_notes())
 
-    def _look_up(self, batch: ScanBatch) -> Iterator[tuple[ScanBatch, Transforms]]:
-        """Look up the sensor at the stamp of each scan (S), or at K moments of each (S * K)."""
+    def _look_up(self, batch: ScanBatch) -> Iterator[Attached]:
+        """Look up where the sensor was, and keep the scans that have a pose."""
         self.prepare(batch)
         if batch.pose is not None and self.is_stated(batch):
             self._note(*_list_idle(self.options))
             sensor = self.options.sensor_pose
             found = Transforms.read(batch.pose)
-            yield batch, found.then(Transforms.fixed(sensor)) if sensor else found
+            yield self._keep(batch, found.then(Transforms.fixed(sensor)) if sensor else found)
             return
         chain = self.chains[batch.frame]
         if chain is None:
-            nowhere = np.full(len(batch.stamp_ns), Status.NO_TRANSFORM, np.uint8)
-            yield batch, Transforms(np.empty(0), np.empty(0), nowhere)
+            yield Attached(batch, None, {DropReason.NO_TRANSFORM: len(batch.stamp_ns)})
             return
         deskewed, notes = choose_deskewed(batch, self.options.deskew, chain)
         self._note(*notes)
         stamp_ns = np.clip(batch.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS) + self._offset_ns
         if deskewed.any():
             part = batch.take(deskewed)
-            yield part, chain.at((stamp_ns[deskewed, None] + spread_moments(part)).ravel())
+            beams = part.ranges.shape[1]
+            moments = np.linspace(0, (beams - 1) * part.time_increment, min(beams, MOMENTS), axis=1)
+            moment_ns = stamp_ns[deskewed, None] + np.round(moments * 1e9).astype(np.int64)
+            yield self._keep(part, chain.at(moment_ns.ravel()))
         if not deskewed.all():
-            yield batch.take(~deskewed), chain.at(stamp_ns[~deskewed])
+            yield self._keep(batch.take(~deskewed), chain.at(stamp_ns[~deskewed]))
 
     def _keep(self, batch: ScanBatch, found: Transforms) -> Attached:
-        """Keep the scans that have a pose at all of their moments, and count the others."""
+        """Keep the scans (S) that have a pose at all of their K moments, and count the others."""
         status = found.status.reshape(len(batch.stamp_ns), -1).max(axis=1)
         lost = Counter(status[status != Status.POSED].tolist())
         dropped = {DropReason[Status(code).name]: lost[code] for code in sorted(lost)}
@@ -186,7 +196,7 @@ class Poser:
         if not posed.any():
             return Attached(batch, None, dropped)
         placed = self._above.then(found) if self._above else found
-        return Attached(batch, keep(batch, posed, placed), dropped)
+        return Attached(batch, place_beams(batch, posed, placed), dropped)
 
     def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
         """Say what of the poses that were given so far spoils a map, and of which topic.
@@ -200,7 +210,7 @@ class Poser:
         max_range
             Beams are used up to here (m).
         """
-        jumped = False
+        jumped = None
         for topic, course in sorted(self.courses.items()):
             if course.stands:
                 self._note(f"{topic}: {STANDS}")
@@ -208,9 +218,8 @@ class Poser:
                 yield from ((topic, tilt) for tilt in list_tilts(course.stance, max_range))
             if not jumped:  # of several sensors on one robot, one tells it
                 first = first_ns + self._offset_ns
-                for concern in list_jumps(course.find_jumps(), course.stamp_ns, first):
-                    jumped = True
-                    yield topic, concern
+                if jumped := warn_of_jumps(course.find_jumps(), course.stamp_ns, first):
+                    yield topic, jumped
 
     def find_ends(self) -> dict[Laser, Ends]:
         """Where the posed scans so far begin and end, by their laser."""
@@ -218,14 +227,6 @@ class Poser:
 
     def _note(self, *sentences: str) -> None:
         self.notes += [each for each in dict.fromkeys(sentences) if each not in self.notes]
-
-
-def _find_above(options: PosingOptions) -> Transforms | None:
-    """Find where the log's map frame lies in the map that is made; None where they are one."""
-    turned = [Pose.planar(0.0, 0.0, math.radians(options.align))] if options.align else []
-    moved = [options.transform] if options.transform else []
-    ways = [*turned, *moved]
-    return Transforms.fixed(reduce(Pose.then, ways)) if ways else None
 
 
 def _list_idle(options: PosingOptions) -> Iterator[str]:
@@ -241,3 +242,46 @@ def _list_idle(options: PosingOptions) -> Iterator[str]:
     for option, is_given in given.items():
         if is_given:
             yield f"{option} does nothing: the poses stand beside the scans"
+
+
+def choose_deskewed(batch: ScanBatch, deskew: Deskew, chain: Chain) -> tuple[Bool, list[str]]:
+    """Choose the scans (S) whose beams get poses of their own, and say what was decided.
+
+    AUTO asks for a believable scan time and for poses dense enough to show the motion in it.
+    """
+    if deskew is Deskew.OFF:
+        return np.zeros(len(batch.stamp_ns), np.bool_), []
+    with np.errstate(invalid="ignore", over="ignore"):  # a log may state any number
+        duration_s = np.abs(batch.time_increment) * (batch.ranges.shape[1] - 1)
+    is_auto = deskew is Deskew.AUTO
+    longest_s = MAX_AUTO_TURN_S if is_auto else MAX_TURN_S
+    chosen: Bool = (duration_s > 0) & (duration_s <= longest_s)
+    notes = []
+    if is_auto:
+        chosen &= chain.is_dense(duration_s)
+    elif not chosen.all():
+        notes.append(
+            f"scans of {batch.frame!r} that state no believable time between beams are not "
+            "de-skewed"
+        )
+    if chosen.any():
+        notes.append(f"de-skewed: each beam of {batch.frame!r} has a pose of its own")
+    return chosen, notes
+
+
+def place_beams(batch: ScanBatch, posed: Bool, found: Transforms) -> PosedScans:
+    """Keep the scans (S) that are posed; where there are K moments of each, each beam has a pose.
+
+    Between two moments positions and matrices are interpolated linearly. At 720 degrees a second
+    and ten scans a second a matrix is then off by 2e-4: 2 mm at ten metres.
+    """
+    scans = len(posed)
+    position = found.position.reshape(scans, -1, 3)[posed]
+    rotation = found.rotation.reshape(scans, -1, 9)[posed]
+    batch, moments = batch.take(posed), position.shape[1]
+    if moments == 1:
+        return PosedScans(batch, position[:, 0], rotation.reshape(-1, 3, 3))
+    at = np.linspace(0, moments - 1, batch.ranges.shape[1])
+    share = np.maximum(0, 1 - np.abs(at[:, None] - np.arange(moments)))
+    rotation = share @ rotation
+    return PosedScans(batch, share @ position, rotation.reshape(*rotation.shape[:2], 3, 3))

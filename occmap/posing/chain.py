@@ -9,14 +9,16 @@ through a jump the robot never was. The pose of the sensor is the product of all
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.arrays import Bool, Float64, Int64
-from occmap.posing.frames import Step, last_part
-from occmap.posing.rotations import slerp
-from occmap.posing.tracks import Track
-from occmap.posing.transforms import Status, Transforms
+from occmap.arrays import Bool, Float64, Int64, UInt8
+from occmap.posing.frames import Step, find_moving, last_part
+from occmap.posing.rotations import rotate_by, slerp
+from occmap.posing.tracks import Track, find_usable
+from occmap.types import Pose
 
 DRIFT_M, DRIFT_RAD = 0.1, 0.05
 """A correction of odometry that moves or turns by no more never counts as a jump."""
@@ -25,6 +27,69 @@ DRIFT_M_PER_S, DRIFT_RAD_PER_S = 0.05, 0.01
 
 DENSE_S = 0.1
 """Poses no further apart show how the laser moved: a robot's velocity hardly changes so fast."""
+
+
+class Status(IntEnum):
+    """Whether there is a pose at a stamp, and if not, why; the names are those of `DropReason`.
+
+    Of the legs of a chain, the one with the highest number counts.
+    """
+
+    POSED = 0
+    BEFORE = 1
+    AFTER = 2
+    GAP = 3
+    NOT_FINITE = 4
+
+
+class Transforms(NamedTuple):
+    """Where one frame was in another at N stamps, or at all times (N = 1)."""
+
+    position: Float64
+    """(N, 3) m; like the rotation, meaningless where the status is not POSED"""
+    rotation: Float64
+    """(N, 3, 3)"""
+    status: UInt8
+    """(N,) of Status"""
+
+    @classmethod
+    def of(cls, position: Float64, quaternion: Float64) -> Self:
+        """Make it of positions (N, 3) in m and unit quaternions (N, 4)."""
+        return cls(position, rotate_by(quaternion), np.zeros(len(position), np.uint8))
+
+    @classmethod
+    def fixed(cls, pose: Pose) -> Self:
+        """Make it of one pose that holds at all times."""
+        track = Track.fixed(pose)
+        return cls.of(track.position, track.quaternion)
+
+    @classmethod
+    def read(cls, poses: Float64) -> Self:
+        """Make it of poses (N, 7) as they were recorded, of which some may be unusable."""
+        usable, norm = find_usable(poses)
+        poses = np.where(usable[:, None], poses, Pose.planar(0.0, 0.0, 0.0))
+        found = cls.of(poses[:, :3], poses[:, 3:] / norm[:, None])
+        found.status[~usable] = Status.NOT_FINITE
+        return found
+
+    def then(self, below: Self) -> Self:
+        """Go on to a frame that was found in this one."""
+        return type(self)(
+            self.position + turn(self.rotation, below.position),
+            self.rotation @ below.rotation,
+            np.maximum(self.status, below.status),
+        )
+
+    def invert(self) -> Self:
+        """Where the upper frame was in the lower one."""
+        back = self.rotation.swapaxes(1, 2)
+        return type(self)(-turn(back, self.position), back, self.status)
+
+
+def turn(rotation: Float64, position: Float64) -> Float64:
+    """Rotate vectors (N, 3) by matrices (N, 3, 3); either N may be 1."""
+    turned: Float64 = (rotation @ position[..., None])[..., 0]
+    return turned
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +163,7 @@ def make_chain(steps: Sequence[Step], max_gap_s: float | None) -> Chain:
     transform sent on /tf limits nothing. Where nothing moves, the step with the most samples
     says when the robot was seen.
     """
-    moving = _find_moving(steps)
+    moving = find_moving(steps)
     # A correction moves `odom`, and something moves below it. REP 105 lets map -> odom
     # jump at any time, and odom -> base_link never.
     corrections = [step for step in moving[:-1] if "odom" in last_part(step.edge.child).lower()]
@@ -107,7 +172,9 @@ def make_chain(steps: Sequence[Step], max_gap_s: float | None) -> Chain:
     for step in steps:
         track = step.edge.track
         if step in corrections:  # interpolated or held, however long: the limit is for what moves
-            legs.append(Moving(step, _find_jumps(track), np.inf))
+            far = track.step_m > DRIFT_M + DRIFT_M_PER_S * track.interval_s
+            turned = track.step_rad > DRIFT_RAD + DRIFT_RAD_PER_S * track.interval_s
+            legs.append(Moving(step, np.append(far | turned, False), np.inf))
         elif step in moving:
             legs.append(Moving(step, np.zeros(len(track), np.bool_), max_gap_ns))
         else:
@@ -119,28 +186,3 @@ def make_chain(steps: Sequence[Step], max_gap_s: float | None) -> Chain:
     tracks = [step.edge.track for step in moving if step not in corrections]
     intervals = [float(np.median(track.interval_s)) for track in tracks if len(track) > 1]
     return Chain(tuple(steps), tuple(legs), max(intervals, default=0.0))
-
-
-def find_driven(steps: Sequence[Step]) -> Step | None:
-    """Find the lowest step that moves; None where all are fixed for good."""
-    moving = _find_moving(steps)
-    return moving[-1] if moving else None
-
-
-def _find_moving(steps: Sequence[Step]) -> list[Step]:
-    moving = [step for step in steps if step.edge.track.moves]
-    sampled = [step for step in steps if not step.edge.track.static]
-    if moving or not sampled:
-        return moving
-    return [max(sampled, key=lambda step: len(step.edge.track))]
-
-
-def _find_jumps(correction: Track) -> Bool:
-    """Find the samples (N,) after which a correction jumps, as at the closing of a loop.
-
-    Halfway through such a jump the robot was never there, so nothing is interpolated.
-    """
-    interval_s = correction.interval_s
-    far = correction.step_m > DRIFT_M + DRIFT_M_PER_S * interval_s
-    turned = correction.step_rad > DRIFT_RAD + DRIFT_RAD_PER_S * interval_s
-    return np.append(far | turned, False)

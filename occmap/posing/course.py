@@ -8,10 +8,9 @@ import numpy as np
 
 from occmap.arrays import Float64, Int64
 from occmap.posing.chain import Chain, make_chain
-from occmap.posing.concerns import Concern
 from occmap.posing.frames import Edge, Source, Step
 from occmap.posing.jumps import Jump, find_jumps
-from occmap.posing.options import Stamps
+from occmap.posing.options import Concern, Stamps
 from occmap.posing.rotations import measure_turn
 from occmap.posing.tracks import TrackBuilder
 from occmap.types import PoseBatch, PosedScans

@@ -1,7 +1,10 @@
-"""The transform tree: which frames a log knows, and the ways between them."""
+"""The transform tree: which frames a log knows, the ways between them, and what they are.
+
+Which frame is the map and which the robot is told by the names that REP 105 gives.
+"""
 
 from collections import defaultdict, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
@@ -10,6 +13,9 @@ from itertools import chain
 from occmap.errors import PoseError
 from occmap.posing.tracks import Track
 
+FIXED_NAMES = ("map", "odom")
+BASE_NAMES = ("base_link", "base_footprint")
+"""The names that REP 105 gives to the map and to the robot"""
 MOST_STEPS = 100
 """A robot's frames hang ten deep; where a way is longer, the frames of a log are damage."""
 MOST_TARGETS = 4
@@ -66,7 +72,8 @@ class FrameTree:
     def __init__(self, edges: Iterable[Edge]) -> None:
         self._up: dict[str, list[Edge]] = defaultdict(list)
         self._down: dict[str, list[Edge]] = defaultdict(list)
-        for edge in _choose_edges(edges):
+        self.edges = tuple(_choose_edges(edges))
+        for edge in self.edges:
             self._up[edge.child].append(edge)
             self._down[edge.parent].append(edge)
         self.frames: tuple[str, ...] = tuple(sorted(self._up.keys() | self._down.keys()))
@@ -74,11 +81,6 @@ class FrameTree:
 
     def __contains__(self, frame: str) -> bool:
         return frame in self._up or frame in self._down
-
-    @cached_property
-    def edges(self) -> tuple[Edge, ...]:
-        """Every edge, by the names of its frames."""
-        return tuple(edge for frame in self.frames for edge in self._down.get(frame, ()))
 
     @cached_property
     def moves(self) -> bool:
@@ -188,3 +190,52 @@ def _choose_edges(edges: Iterable[Edge]) -> list[Edge]:
         if edge.source == source:
             chosen.setdefault((edge.parent, edge.child), edge)
     return sorted(chosen.values(), key=lambda edge: (edge.parent, edge.child))
+
+
+def find_moving(steps: Sequence[Step]) -> list[Step]:
+    """Find the steps that move; where none does, the one that was sent again and again, if any."""
+    moving = [step for step in steps if step.edge.track.moves]
+    sampled = [step for step in steps if not step.edge.track.static]
+    if moving or not sampled:
+        return moving
+    return [max(sampled, key=lambda step: len(step.edge.track))]
+
+
+def choose_fixed(tree: FrameTree, frame: str) -> str:
+    """Choose the frame to map in: `map`, else `odom`, else the root above a scan's frame.
+
+    The plain names may be anywhere in the scan's tree; with a namespace (`robot1/map`) only
+    above the scan, for another robot's map may hang in the same tree.
+    """
+    for name in FIXED_NAMES:
+        if tree.find_path(name, frame) is not None:
+            return name
+    above = tree.list_ancestors(frame)
+    for name in FIXED_NAMES:
+        for ancestor in above:
+            if last_part(ancestor) == name:
+                return ancestor
+    return tree.find_root(frame)
+
+
+def list_bases(tree: FrameTree, frame: str) -> list[str]:
+    """List the frames that a sensor may be mounted on; only one where that is clear."""
+    for name in BASE_NAMES:
+        if name in tree:
+            return [name]
+    for name in BASE_NAMES:
+        namesakes = tree.namesakes.get(name, [])
+        kin = [other for other in namesakes if other.rpartition("/")[0] == frame.rpartition("/")[0]]
+        if namesakes:
+            return kin or namesakes
+    return tree.bodies
+
+
+def find_body(tree: FrameTree, frame: str) -> str:
+    """Find the body that carries a frame of the tree: the lowest above it that moves, or the root.
+
+    A trajectory that does not name its body is taken to be of this one.
+    """
+    root = tree.find_root(frame)
+    moving = find_moving(tree.find_path(root, frame) or [])
+    return moving[-1].lower if moving else root

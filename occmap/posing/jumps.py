@@ -6,18 +6,17 @@ places. Other poses jump where a robot was carried, or where two trajectories we
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple, Self
 
 import numpy as np
 
 from occmap.arrays import Float64, Int64
-from occmap.posing.chain import Chain, Moving
-from occmap.posing.concerns import Concern
+from occmap.posing.chain import Chain, Moving, Status
 from occmap.posing.frames import Step
+from occmap.posing.options import Concern
 from occmap.posing.rotations import measure_turn
 from occmap.posing.tracks import Track
-from occmap.posing.transforms import Status
 
 JUMP_M, JUMP_RAD = 1.0, math.radians(20)
 """A correction that moves and turns the sensor by less mends drift, and doubles walls at most."""
@@ -73,7 +72,7 @@ class Jump(NamedTuple):
         return apart <= max(JUMP_M, UNDONE_SHARE * self.metres) and askew <= JUMP_RAD
 
 
-def list_jumps(jumps: Sequence[Jump], stamp_ns: Int64, first_ns: int) -> Iterator[Concern]:
+def warn_of_jumps(jumps: Sequence[Jump], stamp_ns: Int64, first_ns: int) -> Concern | None:
     """Say which jump between used scans is the largest, and which options keep one part.
 
     Parameters
@@ -88,16 +87,17 @@ def list_jumps(jumps: Sequence[Jump], stamp_ns: Int64, first_ns: int) -> Iterato
     jumps, scans = _part(jumps, stamp_ns)
     used = np.flatnonzero(scans)
     if len(used) < 2:
-        return
+        return None
     longest = int(np.argmax(scans))
     remedy = {}
     if longest > used[0]:  # rounded so that no scan of another part is kept
-        remedy["start_s"] = write_ms(-(-(jumps[longest - 1].stamp_ns - first_ns) // MS_NS))
+        start_ms = -(-(jumps[longest - 1].stamp_ns - first_ns) // MS_NS)
+        remedy["start_s"] = f"{start_ms / 1e3:.12g}"
     if longest < used[-1]:
-        remedy["end_s"] = write_ms((jumps[longest].stamp_ns - first_ns) // MS_NS)
+        remedy["end_s"] = f"{(jumps[longest].stamp_ns - first_ns) // MS_NS / 1e3:.12g}"
     keep = " and ".join(f"`{name}={value}`" for name, value in remedy.items())
-    text = describe_jump(jumps[used[0] : used[-1]], first_ns)
-    yield Concern(
+    text = _describe_largest(jumps[used[0] : used[-1]], first_ns)
+    return Concern(
         f"{text}: scans from before and after do not fit together; {keep} keeps the longest "
         f"part, {scans[longest] / sum(scans):.0%} of them",
         remedy,
@@ -122,6 +122,22 @@ def _part(found: Sequence[Jump], stamp_ns: Int64) -> tuple[list[Jump], list[int]
             jumps.append(jump)
             scans.append(following)
     return jumps, scans
+
+
+def _describe_largest(jumps: Sequence[Jump], first_ns: int) -> str:
+    """Say what jumps, how far and when, of the largest jump, and whether the next undoes it."""
+    worst = max(range(len(jumps)), key=lambda at: jumps[at].metres + jumps[at].radians)
+    if worst and jumps[worst - 1].is_undone_by(jumps[worst]):
+        worst -= 1
+    jump, later = jumps[worst], jumps[worst + 1 : worst + 2]
+    seconds = (jump.stamp_ns - first_ns) / 1e9
+    text = (
+        f"{jump.name} jumps by {jump.metres:.3g} m and {math.degrees(jump.radians):.0f} deg "
+        f"{seconds:.3f} s after the first scan"
+    )
+    if later and jump.is_undone_by(later[0]):
+        text += f", and back at {(later[0].stamp_ns - first_ns) / 1e9:.3f} s"
+    return f"{text}, the largest of {len(jumps)} jumps" if len(jumps) > 2 else text
 
 
 class Break(NamedTuple):
@@ -186,24 +202,3 @@ def find_strides(track: Track) -> Int64:
     fast = np.partition(beside_m_per_s, -FASTEST_BESIDE, axis=1)[:, -FASTEST_BESIDE]
     strides: Int64 = steps[speed[steps] > STRIDE_TIMES * fast]
     return strides
-
-
-def describe_jump(jumps: Sequence[Jump], first_ns: int) -> str:
-    """Say what jumps, how far and when, of the largest jump, and whether the next undoes it."""
-    worst = max(range(len(jumps)), key=lambda at: jumps[at].metres + jumps[at].radians)
-    if worst and jumps[worst - 1].is_undone_by(jumps[worst]):
-        worst -= 1
-    jump, later = jumps[worst], jumps[worst + 1 : worst + 2]
-    seconds = (jump.stamp_ns - first_ns) / 1e9
-    text = (
-        f"{jump.name} jumps by {jump.metres:.3g} m and {math.degrees(jump.radians):.0f} deg "
-        f"{seconds:.3f} s after the first scan"
-    )
-    if later and jump.is_undone_by(later[0]):
-        text += f", and back at {(later[0].stamp_ns - first_ns) / 1e9:.3f} s"
-    return f"{text}, the largest of {len(jumps)} jumps" if len(jumps) > 2 else text
-
-
-def write_ms(milliseconds: int) -> str:
-    """Write milliseconds as seconds."""
-    return f"{milliseconds / 1e3:.12g}"

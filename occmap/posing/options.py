@@ -1,7 +1,9 @@
-"""What a user may choose about poses, and the reasons for which a scan is left out."""
+"""What a user may choose about poses, why a scan is left out, and what spoils a map."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 from occmap.errors import require
 from occmap.types import Pose, PoseSample
@@ -45,6 +47,15 @@ class DropReason(StrEnum):
     NOT_FINITE = "pose not finite"
     LEAP = "further from their neighbours than `max_speed` allows"
     NO_TRANSFORM = "no transform to the scan's frame"
+
+
+class Concern(NamedTuple):
+    """Something that its user should know before the map is used."""
+
+    text: str
+    remedy: Mapping[str, str] | None = {}
+    """Options with the values that mend it; empty where the map is of use all the same, None where
+    it is not and no option that is known makes it so"""
 
 
 @dataclass(frozen=True, slots=True)

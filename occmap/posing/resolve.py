@@ -1,31 +1,35 @@
 """Resolution: by which frames and whose poses a scan's frame is found in the map."""
 
 from dataclasses import dataclass, field, replace
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 from occmap.errors import MountError, PoseError
-from occmap.posing.chain import Chain, find_driven, make_chain
-from occmap.posing.conventions import (
+from occmap.posing.chain import Chain, make_chain
+from occmap.posing.frames import (
     FIXED_NAMES,
+    Edge,
+    FrameTree,
+    Source,
+    Step,
     choose_fixed,
     find_body,
+    find_moving,
+    last_part,
     list_bases,
 )
-from occmap.posing.frames import Edge, FrameTree, Source, Step, last_part
 from occmap.posing.options import PosingOptions
 from occmap.posing.sources import Sources
 from occmap.posing.tracks import Track
 from occmap.wording import join_names
 
 
-@dataclass(frozen=True, slots=True)
-class Resolved:
+class Resolved(NamedTuple):
     """How one scan frame gets its poses."""
 
     fixed: str
     """The frame that its scans are mapped in."""
     chain: Chain
-    notes: tuple[str, ...]
+    notes: list[str]
     """What was decided on the way and its user should know."""
 
 
@@ -65,7 +69,7 @@ def resolve(
             f"{frame!r} maps in {name!r} while other scans map in {fixed!r}",
             fix=f"join the two: `static_transforms={fixed},{name},X,Y,Z,ROLL,PITCH,YAW`",
         )
-    return Resolved(name, make_chain(steps, options.max_pose_gap_s), tuple(search.notes))
+    return Resolved(name, make_chain(steps, options.max_pose_gap_s), search.notes)
 
 
 Way = tuple[str, list[Step]]
@@ -107,7 +111,7 @@ class _Search:
         if anchor not in self.tree:
             self._fail_without_mount()
         usual = choose_fixed(self.tree, anchor)
-        moves = find_driven(self._find_path(usual, anchor)) is not None
+        moves = bool(find_moving(self._find_path(usual, anchor)))
         if not moves and body_poses:
             return self.follow(body_poses)
         wanted = self.options.map_frame or fixed

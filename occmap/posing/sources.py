@@ -4,15 +4,15 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import NamedTuple
+
+import numpy as np
 
 from occmap.errors import PoseError
-from occmap.posing.contradictions import list_contradictions
-from occmap.posing.conventions import BASE_NAMES, FIXED_NAMES
-from occmap.posing.frames import Edge, FrameTree, Source, last_part
+from occmap.posing.frames import BASE_NAMES, FIXED_NAMES, Edge, FrameTree, Source, last_part
 from occmap.posing.options import PosingOptions, Stamps
-from occmap.posing.tracks import Track, TrackBuilder
+from occmap.posing.tracks import Track, TrackBuilder, differ
 from occmap.posing.trajectory import TRAJECTORY_FRAME, read_trajectory
 from occmap.types import PoseBatch, PoseSample
 from occmap.wording import join_names
@@ -24,16 +24,9 @@ INTENTIONS = frozenset({"goal", "initialpose", "plan", "waypoints"})
 """Words in topics of poses that tell where a robot should be, not where it was."""
 MOST_CHANGED = 3
 """How many of the static transforms that changed are named: their names are long."""
+MOST_LOOPS = 8
+"""Loops that are listed at most."""
 USE_TF = "leave out `poses`: transforms are used without it"
-
-
-class _Key(NamedTuple):
-    """What the samples of one track have in common."""
-
-    topic: str
-    parent: str
-    child: str
-    static: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +57,7 @@ def gather(samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) ->
     LogError
         The trajectory file cannot be read.
     """
-    tracks, notes = _build_tracks(samples, options.stamps)
-    edges = [_make_edge(key, track) for key, track in tracks]
+    edges, notes = _build_edges(samples, options.stamps)
     given = [
         Edge(each.parent.strip("/"), each.child.strip("/"), Track.fixed(each.pose), Source.GIVEN)
         for each in options.static_transforms
@@ -76,14 +68,14 @@ def gather(samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) ->
     stated = (edge for edge in edges if edge.source is Source.ODOMETRY)
     poses = sorted(stated, key=lambda edge: (-len(edge.track), edge.topic))
     trajectory = _find_trajectory(options, poses, notes) if options.poses else None
-    notes = [*_list_overruled(given, edges, tree), *notes, *list_contradictions(edges, tree)]
+    notes = [*_list_overruled(given, edges, tree), *notes, *_list_contradictions(edges, tree)]
     return Sources(tree, tuple(poses), trajectory, tuple(notes))
 
 
-def _build_tracks(
+def _build_edges(
     samples: Iterable[PoseSample | PoseBatch], stamps: Stamps
-) -> tuple[list[tuple[_Key, Track]], list[str]]:
-    """Make a track of all samples that share topic and frames; say what could not be used."""
+) -> tuple[list[Edge], list[str]]:
+    """Make an edge of all samples that share topic and frames; say what could not be used."""
     builders: dict[tuple[str, str, str, bool], TrackBuilder] = defaultdict(TrackBuilder)
     for item in samples:
         builder = builders[item.topic, item.parent, item.child, item.static]
@@ -91,33 +83,27 @@ def _build_tracks(
             builder.add_batch(item, stamps)
         else:
             builder.add(item, stamps)
-    tracks: list[tuple[_Key, Track]] = []
+    edges: list[Edge] = []
     notes: list[str] = []
     changed: dict[str, list[str]] = defaultdict(list)
-    for key, builder in ((_Key(*names), each) for names, each in sorted(builders.items())):
+    for (topic, parent, child, static), builder in sorted(builders.items()):
         track = builder.build()
         if builder.unusable:
-            name = f"{key.parent} -> {key.child or 'a body'}"
             notes.append(
-                f"{builder.unusable} poses of {name} are left out: not finite, "
-                "without a rotation, or with a damaged stamp"
+                f"{builder.unusable} poses of {parent} -> {child or 'a body'} are left out: not "
+                "finite, without a rotation, or with a damaged stamp"
             )
-        if key.static and builder.changes:
-            changed[key.topic].append(f"{key.parent} -> {key.child}")
-        if track is not None and key.parent != key.child:
-            tracks.append((key, track))
+        if static and builder.changes:
+            changed[topic].append(f"{parent} -> {child}")
+        if track is not None and parent != child:
+            # Of a transform that was sent more than once the last pose counts.
+            track = track.hold_last() if static else track
+            is_tf = child and (static or last_part(topic) in TF_TOPICS)
+            source = Source.TF if is_tf else Source.ODOMETRY
+            edges.append(Edge(parent.strip("/"), child.strip("/"), track, source, topic))
     for topic, names in changed.items():
         notes.append(f"{topic} changes {join_names(names, MOST_CHANGED)}: the last pose counts")
-    return tracks, notes
-
-
-def _make_edge(key: _Key, track: Track) -> Edge:
-    if key.static:  # of a transform that was sent more than once the last pose counts
-        last = track.stamp_ns[-1:], track.position[-1:], track.quaternion[-1:]
-        track = Track(*last, static=True)
-    is_tf = key.child and (key.static or last_part(key.topic) in TF_TOPICS)
-    source = Source.TF if is_tf else Source.ODOMETRY
-    return Edge(key.parent.strip("/"), key.child.strip("/"), track, source, key.topic)
+    return edges, notes
 
 
 def _name_body(edge: Edge) -> Edge:
@@ -146,12 +132,12 @@ def _find_trajectory(options: PosingOptions, poses: Sequence[Edge], notes: list[
     """Take the chosen trajectory: from a file where there is one of that name, else by topic."""
     name = options.poses or ""
     if Path(name).is_file():
-        tracks, unusable = _build_tracks(read_trajectory(Path(name), notes), Stamps.HEADER)
+        edges, unusable = _build_edges(read_trajectory(Path(name), notes), Stamps.HEADER)
         notes.extend(unusable)
-        if not tracks:
+        if not edges:
             raise PoseError("holds no usable pose: none is finite", where=name)
         frame = options.map_frame or TRAJECTORY_FRAME
-        return replace(_make_edge(*tracks[0]), parent=frame, topic=name)
+        return replace(edges[0], parent=frame, topic=name)
     for edge in poses:
         if edge.topic.strip("/") == name.strip("/"):
             return edge
@@ -166,3 +152,45 @@ def _find_trajectory(options: PosingOptions, poses: Sequence[Edge], notes: list[
         where=name,
         fix=f"topics with poses: {topics}" if topics else "the log has no topic with poses",
     )
+
+
+def _list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str]:
+    """Say where the transforms of a log contradict each other, and which of them count."""
+    stated: dict[tuple[str, str], list[Edge]] = defaultdict(list)
+    for edge in (edge for edge in edges if edge.source is Source.TF):
+        stated[edge.parent, edge.child].append(edge)
+    doubles: dict[tuple[str, str], list[str]] = defaultdict(list)
+    parents: dict[str, list[str]] = defaultdict(list)
+    for used in (edge for edge in tree.edges if edge.source is not Source.GIVEN):
+        parents[used.child].append(used.parent)
+        same = stated[used.parent, used.child] if used.source is Source.TF else []
+        if _differ(same):
+            topics = join_names(sorted({edge.topic for edge in same}))
+            doubles[topics, used.topic].append(f"{used.parent} -> {used.child}")
+    for (topics, topic), names in doubles.items():
+        yield f"{topics} differ on {join_names(names)}: {topic} counts"
+    several = [f"{child} ({', '.join(up)})" for child, up in parents.items() if len(up) > 1]
+    if several:
+        yield f"frames that have several parents: {join_names(several)}; the shortest way counts"
+    yield from _list_loops(parents)
+
+
+def _differ(same: Sequence[Edge]) -> bool:
+    """Whether edges from one frame to another, of which some are fixed, hold several poses."""
+    if len(same) < 2 or not any(edge.track.static for edge in same):
+        return False
+    positions = np.concatenate([edge.track.position for edge in same])
+    return differ(positions, np.concatenate([edge.track.quaternion for edge in same]))
+
+
+def _list_loops(parents: dict[str, list[str]]) -> Iterator[str]:
+    """Name the loops, the first few of many; each is cut open to find the next."""
+    for _ in range(MOST_LOOPS):
+        try:
+            TopologicalSorter(parents).prepare()
+        except CycleError as error:
+            loop: list[str] = error.args[1]
+            parents[loop[1]].remove(loop[0])
+            yield f"the transforms {' -> '.join(loop)} form a loop: the shortest way counts"
+        else:
+            return

@@ -43,6 +43,11 @@ class Track:
         unit = values[:, 3:] / np.linalg.norm(values[:, 3:])
         return cls(np.zeros(1, np.int64), values[:, :3], unit, static=True)
 
+    def hold_last(self) -> Self:
+        """Make the track in which the last pose holds at all times."""
+        last = self.stamp_ns[-1:], self.position[-1:], self.quaternion[-1:]
+        return type(self)(*last, static=True)
+
     def __len__(self) -> int:
         return len(self.stamp_ns)
 

@@ -12,8 +12,7 @@ from occmap.fleet import Fleet
 from occmap.fleet.settling import leap
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.posing.leaps import Moment
-from occmap.posing.sifting import MOST_PATHS, Ends
+from occmap.posing.leaps import MOST_PATHS, Ends, Moment
 from occmap.readers import open_log, split_log
 from occmap.report import Report
 from tests.samples import DRIVES, write_csv

@@ -6,8 +6,8 @@ import pytest
 
 from occmap.arrays import Float64
 from occmap.errors import PoseError
+from occmap.inspection.poses import list_coverage
 from occmap.posing.attach import Poser
-from occmap.posing.coverage import list_coverage
 from occmap.posing.frames import Source
 from occmap.posing.options import Deskew, DropReason, PosingOptions, Stamps
 from occmap.types import Pose, PoseSample, ScanBatch

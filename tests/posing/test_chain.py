@@ -10,12 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.arrays import Float64
-from occmap.posing.chain import Chain, make_chain
+from occmap.posing.chain import Chain, Status, make_chain
 from occmap.posing.frames import Edge, Source, Step
 from occmap.posing.jumps import find_breaks
 from occmap.posing.options import Stamps
 from occmap.posing.tracks import TrackBuilder
-from occmap.posing.transforms import Status
 from occmap.types import Pose
 from tests.posing.scenes import SECOND, at, turned, yaw_of
 
