@@ -19,9 +19,8 @@ from occmap.errors import MapError, PoseError, UsageError
 from occmap.inspection import Inspection, inspect
 from occmap.inspection.findings import ScanFindings
 from occmap.inspection.poses import prepare
-from occmap.inspection.ranges import BLOCK_RANGES, RangeCensus, find_repeated
-from occmap.inspection.sample import find_crossing
-from occmap.inspection.times import StampLog
+from occmap.inspection.ranges import BLOCK_RANGES, RangeCensus, find_crossing, find_repeated
+from occmap.inspection.survey import StampLog
 from occmap.mounts import SUSPECT, correct_mount
 from occmap.options import BuildOptions
 from occmap.pipeline import build

@@ -14,7 +14,6 @@ from occmap.command import format_mount, spell_flag
 from occmap.errors import LogError, OccmapError
 from occmap.grid.lattice import MOST_CELLS_OF_BEAM
 from occmap.inspection.advice import compose_command, list_apart, list_concerns
-from occmap.inspection.extent import Extent
 from occmap.inspection.findings import (
     Inspection,
     LogFindings,
@@ -30,12 +29,12 @@ from occmap.inspection.poses import (
     prepare,
     suggest_stamps,
 )
-from occmap.inspection.sample import measure_crossing
-from occmap.inspection.survey import Survey, TopicSurvey
+from occmap.inspection.ranges import measure_crossing
+from occmap.inspection.survey import Extent, Survey, TopicSurvey
 from occmap.mounts import find_better
 from occmap.opening import choose_topics, count_messages
 from occmap.options import BuildOptions
-from occmap.posing.options import Concern, DropReason, Stamps
+from occmap.posing.options import DropReason, Stamps
 from occmap.readers import Log, open_log, read_scans
 from occmap.sampling import estimate_agreement
 from occmap.sensor.bounds import Spreading
@@ -58,42 +57,35 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
         Those that the build is to have; resolution, posing, returns, topics and `max_cells` matter.
     """
     extent = Extent()
-    looks = [inspect_path(path, options, extent) for path in paths]
-    logs = [log for log, _ in looks]
-    concerns = [concern for _, found in looks for concern in found]
+    logs = [inspect_path(path, options, extent) for path in paths]
     grid = extent.sum_up(options.resolution)
     problems = [log.problem for log in logs if log.problem]
     too_large = find_size_problem(grid, extent, options)
-    is_posed = any(topic.poses.posed for log in logs for topic in log.scans)
-    is_unseen = grid is None and is_posed
+    is_unseen = grid is None and any(topic.poses.posed for log in logs for topic in log.scans)
     unseen = "no beam of any scan observes a cell: see the ranges" if is_unseen else ""
     others = [text for text in (too_large, unseen) if text][:1]
     problems += list_pose_problems(logs, options.posing.stamps) or others
-    mapped = [look for look in looks if any(is_usable(topic, options) for topic in look[0].scans)]
+    mapped = [log for log in logs if any(is_usable(topic, options) for topic in log.scans)]
     apart = () if too_large else tuple(list_apart(mapped, options))
-    usable = mapped and not too_large and not apart
-    command = compose_command([log for log, _ in mapped], options, concerns) if usable else ()
-    left = [log.path for log in logs if all(log is not each for each, _ in mapped)]
+    command = compose_command(mapped, options) if mapped and not too_large and not apart else ()
+    left = [log.path for log in logs if log not in mapped]
     if left and (command or apart):
         apart += (f"the line leaves out what cannot be mapped: {', '.join(left)}",)
     if unseen and spell_flag("no_return") not in command:
         command = ()  # nothing that is known makes anything of these logs
     damage = (f"{log.path}: {text}" for log in logs for text in log.damage)
+    concerns = (concern.text for log in logs for concern in log.concerns)
     return Inspection(
         logs=tuple(logs),
         map=grid,
         problems=tuple(problems),
-        warnings=(*damage, *(concern.text for concern in concerns), *apart),
+        warnings=(*damage, *concerns, *apart),
         command=command,
         buildable=not problems,
     )
 
 
-Look = tuple[LogFindings, list[Concern]]
-"""What is in a log, and what of it will spoil a map, or surprise its maker"""
-
-
-def inspect_path(path: Path, options: BuildOptions, extent: Extent) -> Look:
+def inspect_path(path: Path, options: BuildOptions, extent: Extent) -> LogFindings:
     """Look into one log; `extent` grows by what its map would cover."""
     log = None
     try:
@@ -101,11 +93,11 @@ def inspect_path(path: Path, options: BuildOptions, extent: Extent) -> Look:
         posing = prepare(log, choose_topics(log, options.selection.topics), options)
     except OccmapError as error:
         known = describe_log(log) if log else LogFindings(str(path))
-        return replace(known, problem=str(error.placed(path))), []
+        return replace(known, problem=str(error.placed(path)))
     return inspect_log(log, posing, options, extent)
 
 
-def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent) -> Look:
+def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent) -> LogFindings:
     """Read the scans of an opened log once, and sum up."""
     topics = choose_topics(log, options.selection.topics)
     expected = count_messages(log, topics)
@@ -138,8 +130,8 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
         problem=problem or ("" if scans else f"{log.path}: {explain_nothing(seen)}"),
     )
     if problem:  # what was read before it says nothing of a log of which no map is made
-        return replace(findings, scans=()), []
-    return findings, list_concerns(findings, spoilers)
+        return replace(findings, scans=())
+    return replace(findings, concerns=tuple(list_concerns(findings, spoilers)))
 
 
 def explain_nothing(topics: Sequence[TopicSurvey]) -> str:

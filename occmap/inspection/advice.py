@@ -17,15 +17,14 @@ DRIFT_S = 0.1
 ASK_TUNE = "try `occmap tune`"
 
 
-def compose_command(
-    logs: Sequence[LogFindings], options: BuildOptions, concerns: Sequence[Concern]
-) -> tuple[str, ...]:
+def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple[str, ...]:
     """Compose the command line for logs that can be mapped: the options given, then the advice.
 
     Where the poses do not fit the scans, it is the one that looks for the reason; there is none
     where nothing helps, or where logs need different options.
     """
     paths = [log.path for log in logs if not log.problem]
+    concerns = [concern for log in logs for concern in log.concerns]
     advised = list_advised(logs, options)
     for name, value in (pair for each in concerns for pair in (each.remedy or {}).items()):
         if advised.setdefault(name, value) != value:
@@ -37,11 +36,9 @@ def compose_command(
     return ()
 
 
-def list_apart(
-    looks: Sequence[tuple[LogFindings, Sequence[Concern]]], options: BuildOptions
-) -> Iterator[str]:
+def list_apart(logs: Sequence[LogFindings], options: BuildOptions) -> Iterator[str]:
     """Say which lines build logs that need different options, each added to those before."""
-    lines = [compose_command([log], options, concerns) for log, concerns in looks]
+    lines = [compose_command([log], options) for log in logs]
     if len({(*line[:2], *line[3:-2]) for line in lines}) < 2:
         return
     if any(line[1:2] != ("build",) for line in lines):

@@ -1,12 +1,12 @@
 """What an inspection finds, as frozen values that know their JSON form."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from occmap.batching import count_wanted
 from occmap.cells import Box
-from occmap.plain import Finite, Printed, Share
+from occmap.plain import HIDDEN, Finite, Printed, Share
 from occmap.posing.frames import Source
-from occmap.posing.options import Stamps
+from occmap.posing.options import Concern, Stamps
 from occmap.readers import Stream
 
 
@@ -258,6 +258,8 @@ class LogFindings:
     """What a user should know, one sentence each, as on stderr"""
     damage: tuple[str, ...] = ()
     """Those of the notes that tell of damage to a log"""
+    concerns: tuple[Concern, ...] = field(default=(), metadata=HIDDEN)
+    """What will spoil a map, or surprise its maker"""
     problem: str = ""
     """Why the log gives no scans for a map; empty where it does"""
 
