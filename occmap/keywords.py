@@ -15,8 +15,8 @@ from typing import Any, TypeVar, cast, get_args, get_type_hints
 from occmap.cells import Box
 from occmap.errors import UsageError
 from occmap.plugins import suggest
-from occmap.sensor.ignore import Sector
 from occmap.sensor.models import SensorModel, parse_model
+from occmap.sensor.returns import Sector
 from occmap.types import Pose, PoseSample
 
 Options = TypeVar("Options")

@@ -11,8 +11,7 @@ from occmap.mounts import list_misfits
 from occmap.options import BuildOptions
 from occmap.readers import Note
 from occmap.report import MapFacts
-from occmap.sensor.bounds import Clamped
-from occmap.sensor.models import SensorModel, find_decision
+from occmap.sensor.models import Clamped, SensorModel, find_decision
 from occmap.tally import Tally
 from occmap.writers import WriteOptions
 from occmap.writers.outputs import list_idle

@@ -22,8 +22,14 @@ from occmap.grid.tiles import (
     refuse_large,
     stack_tiles,
 )
-from occmap.sensor.bounds import Clamped, Spreading
-from occmap.sensor.models import RadialModel, SensorModel, find_decision, parse_model
+from occmap.sensor.models import (
+    Clamped,
+    RadialModel,
+    SensorModel,
+    Spreading,
+    find_decision,
+    parse_model,
+)
 from occmap.types import Update
 
 Weigh: TypeAlias = Callable[[Float64, Float64], Float64]

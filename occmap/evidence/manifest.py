@@ -14,8 +14,7 @@ from typing import Any
 from occmap.cells import Manifest
 from occmap.errors import refuse_unreadable
 from occmap.grid.tiles import EvidenceKind
-from occmap.sensor.bounds import NO_CLAMP
-from occmap.sensor.models import RadialModel, SensorModel, describe_model
+from occmap.sensor.models import NO_CLAMP, RadialModel, SensorModel, describe_model
 from occmap.types import Update
 
 UNRECORDED = ("framing", "jobs", "resume", "resume_if_there")

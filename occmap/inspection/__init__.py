@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from occmap.batching import LeftOut
 from occmap.command import format_mount, spell_flag
 from occmap.errors import LogError, OccmapError
 from occmap.grid.lattice import MOST_CELLS_OF_BEAM
@@ -37,7 +36,7 @@ from occmap.options import BuildOptions
 from occmap.posing.options import DropReason, Stamps
 from occmap.readers import Log, open_log, read_scans
 from occmap.sampling import estimate_agreement
-from occmap.sensor.bounds import Spreading
+from occmap.sensor.models import Spreading
 from occmap.sensor.no_return import RangeLimits
 from occmap.wording import write_unused
 
@@ -56,7 +55,7 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
     options
         Those that the build is to have; resolution, posing, returns, topics and `max_cells` matter.
     """
-    extent = Extent()
+    extent, stamps = Extent(), options.posing.stamps
     logs = [inspect_path(path, options, extent) for path in paths]
     grid = extent.sum_up(options.resolution)
     problems = [log.problem for log in logs if log.problem]
@@ -64,8 +63,12 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
     is_unseen = grid is None and any(topic.poses.posed for log in logs for topic in log.scans)
     unseen = "no beam of any scan observes a cell: see the ranges" if is_unseen else ""
     others = [text for text in (too_large, unseen) if text][:1]
-    problems += list_pose_problems(logs, options.posing.stamps) or others
-    mapped = [log for log in logs if any(is_usable(topic, options) for topic in log.scans)]
+    problems += list_pose_problems(logs, stamps) or others
+    mapped = [  # scans that have no poses may have some by the other of their two times
+        log
+        for log in logs
+        if any(it.poses.posed or it.times.suggested_stamps != stamps for it in log.scans)
+    ]
     apart = () if too_large else tuple(list_apart(mapped, options))
     command = compose_command(mapped, options) if mapped and not too_large and not apart else ()
     left = [log.path for log in logs if log not in mapped]
@@ -121,25 +124,19 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
         sum_up(log, types[topic.topic], topic, posing, options) for topic in seen if topic.shapes
     )
     spoilers = list(posing.poser.list_concerns(survey.first_ns, options.returns.max_range))
+    if not scans and not problem:
+        unused = sum((topic.left_out for topic in seen), Counter[str]())
+        found = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
+        problem = f"{log.path}: {found}"
     known = describe_log(log)
     findings = replace(
         known,
-        scans=scans,
+        scans=() if problem else scans,  # a part that was read says nothing of a damaged log
         coverage=tuple(list_coverage(posing.poser.sources)),
         notes=(*known.notes, *posing.poser.notes, *limits.list_notes(), *survey.list_notes()),
-        problem=problem or ("" if scans else f"{log.path}: {explain_nothing(seen)}"),
+        problem=problem,
     )
-    if problem:  # what was read before it says nothing of a log of which no map is made
-        return replace(findings, scans=())
     return replace(findings, concerns=tuple(list_concerns(findings, spoilers)))
-
-
-def explain_nothing(topics: Sequence[TopicSurvey]) -> str:
-    """Say why no scan of a log is left."""
-    reasons = sum((topic.left_out for topic in topics), Counter[LeftOut]())
-    if not reasons:
-        return "holds no scan that can be read"
-    return write_unused(reasons.total(), {reason.value: count for reason, count in reasons.items()})
 
 
 def describe_log(log: Log) -> LogFindings:
@@ -168,7 +165,7 @@ def sum_up(
         type=kind,
         frames=tuple(topic.frames),
         scans=topic.read,
-        left_out={reason.value: count for reason, count in topic.left_out.items()},
+        left_out=dict(topic.left_out),
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
         ranges=topic.census.sum_up(crossed),
@@ -210,14 +207,9 @@ def list_pose_problems(logs: Sequence[LogFindings], stamps: Stamps) -> list[str]
     return found
 
 
-def is_usable(topic: ScanFindings, options: BuildOptions) -> bool:
-    """Whether scans have poses, or would with the other of their two times."""
-    return topic.poses.posed > 0 or topic.times.suggested_stamps != options.posing.stamps
-
-
 def bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
     """Suggest an option for scans and poses whose times do not overlap."""
-    if not topic.poses.dropped.keys() & {DropReason.BEFORE.value, DropReason.AFTER.value}:
+    if topic.poses.dropped.keys().isdisjoint({DropReason.BEFORE, DropReason.AFTER}):
         return ""
     times = topic.times
     if times.suggested_stamps is not stamps:

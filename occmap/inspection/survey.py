@@ -12,14 +12,7 @@ from typing import Self
 import numpy as np
 
 from occmap.arrays import Float64, Int64
-from occmap.batching import (
-    NOT_ASKED_FOR,
-    Batcher,
-    Geometry,
-    LeftOut,
-    Selection,
-    Selector,
-)
+from occmap.batching import NOT_ASKED_FOR, Batcher, Geometry, Selection, Selector
 from occmap.errors import PoseError
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.inspection.findings import MapFindings, Shape, TimeFindings
@@ -54,14 +47,9 @@ class StampLog:
 
     def add(self, some: Scan | ScanRun) -> None:
         """Take the times of one scan, or of all scans of a run."""
-        if isinstance(some, ScanRun):
-            self._header.frombytes(np.clip(some.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS).tobytes())
-            self._record.frombytes(np.clip(some.record_ns, -MAX_STAMP_NS, MAX_STAMP_NS).tobytes())
-            self._increment.frombytes(some.time_increment.tobytes())
-        else:
-            self._header.append(min(max(some.stamp_ns, -MAX_STAMP_NS), MAX_STAMP_NS))
-            self._record.append(min(max(some.record_ns, -MAX_STAMP_NS), MAX_STAMP_NS))
-            self._increment.append(some.time_increment)
+        for times, own in ((self._header, some.stamp_ns), (self._record, some.record_ns)):
+            times.frombytes(np.clip(own, -MAX_STAMP_NS, MAX_STAMP_NS, dtype=np.int64).tobytes())
+        self._increment.frombytes(np.asarray(some.time_increment, np.float64).tobytes())
 
     @property
     def header_ns(self) -> Int64:
@@ -194,7 +182,7 @@ class TopicSurvey:
     shapes: Counter[Shape] = field(default_factory=Counter)
     frames: dict[str, None] = field(default_factory=dict)
     read: int = 0
-    left_out: Counter[LeftOut] = field(default_factory=Counter)
+    left_out: Counter[str] = field(default_factory=Counter)
     posed: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
     stated: bool = True
@@ -231,7 +219,7 @@ class Survey:
         """Read all scans, holding no more than a batch of each topic."""
         for batch, posed, dropped in self.poser.attach(self._stack(scans)):
             survey = self.topics[batch.topic]
-            survey.dropped.update({reason.value: count for reason, count in dropped.items()})
+            survey.dropped.update(dropped)
             if posed is not None:
                 survey.posed += len(posed.batch.stamp_ns)
                 if survey.is_sampled:

@@ -16,15 +16,6 @@ from occmap.arrays import Float64
 from occmap.cells import EVEN_ODDS, Decision, to_log_odds
 from occmap.errors import UsageError, require
 from occmap.plugins import list_plugins, load_plugin, suggest
-from occmap.sensor.bounds import (
-    NO_CLAMP,
-    Deciding,
-    check_clamp,
-    check_prior,
-    check_probabilities,
-    check_spread,
-    check_weight,
-)
 from occmap.sensor.rules import occupancy, probability, visibility
 
 
@@ -64,10 +55,88 @@ class RadialModel(Protocol):
         """Probability of a cell about the range; w = |d - r| / depth in [0, 1]."""
 
 
+@runtime_checkable
+class Clamped(Protocol):
+    """A model of any kind that bounds what a finished map says of observed cells."""
+
+    @property
+    def clamp_min(self) -> float:
+        """No cell is less probably occupied than this; 0: no bound."""
+
+    @property
+    def clamp_max(self) -> float:
+        """No cell is more probably occupied than this; 1: no bound."""
+
+
+@runtime_checkable
+class Deciding(Protocol):
+    """A model that says from what probability on a cell is called occupied, and below it free."""
+
+    @property
+    def cut(self) -> float:
+        """Strictly between 0 and 1; models without one decide at even odds."""
+
+
+@runtime_checkable
+class Spreading(Protocol):
+    """A model of counts that lets a hit speak for the cells around it as well."""
+
+    @property
+    def spread(self) -> float:
+        """The share of a hit that counts for each of the cells beside it; its square at corners."""
+
+
 SensorModel = CountModel | RadialModel
 
+LEAST_WEIGHT, MOST_WEIGHT = 1e-6, 1e6
+"""In observations."""
+NO_CLAMP = {"clamp_min": 0.0, "clamp_max": 1.0}
+"""Bounds that bound nothing."""
 DEEPEST_HIT_M = 100.0
 """The largest epsilon: no wall is thicker."""
+
+
+def check_parameters(model: Any) -> None:
+    """Refuse a parameter that is out of its range, whichever of those below a model has.
+
+    Raises
+    ------
+    UsageError
+        Naming the first such parameter.
+    """
+    for field in fields(model):
+        name, value = field.name, getattr(model, field.name)
+        if name in ("prior", "cut") or name.startswith("p_"):
+            found = f"{name} {value} is not a probability between 0 and 1"
+            require(0 < value < 1, found, f"give a value such as `{name}={field.default}`")
+        elif name in ("strength", "hit_weight"):
+            fix = f"give {LEAST_WEIGHT:g} to {MOST_WEIGHT:g}, such as `model=counting:{name}=1`"
+            require(LEAST_WEIGHT <= value <= MOST_WEIGHT, f"{name} {value} is not possible", fix)
+        elif name == "spread":  # else a hit would say more of its neighbours than of its own cell
+            found = f"spread {value} is not a share of a hit"
+            require(0 <= value <= 1, found, "give 0 to 1, such as 0.1")
+    low, high = model.clamp_min, model.clamp_max
+    found = f"clamp_min {low} and clamp_max {high} do not lie on either side of 0.5, from 0 to 1"
+    require(0 <= low < 0.5 < high <= 1, found, "try `clamp_max=0.97`, or leave them out")
+
+
+def check_prior(prior: float, free: tuple[str, float], occupied: tuple[str, float]) -> None:
+    """Refuse a prior beyond what evidence says: seeing a cell free would make it occupied.
+
+    Parameters
+    ----------
+    free, occupied
+        The names of what says that a cell is so, and its probability of being occupied.
+
+    Raises
+    ------
+    UsageError
+        The prior does not lie between the two.
+    """
+    (low_name, low), (high_name, high) = free, occupied
+    found = f"prior {prior} does not lie between {low_name} {low:g} and {high_name} {high:g}"
+    fix = "a miss must lower a cell and a hit raise it: give a prior between the two"
+    require(low <= prior <= high, f"{found}: evidence would turn round", fix)
 
 
 @dataclass(frozen=True)
@@ -90,9 +159,7 @@ class SimpleModel:
     clamp_max: float = NO_CLAMP["clamp_max"]
 
     def __post_init__(self) -> None:
-        check_probabilities(self)
-        check_spread(self.spread)
-        check_clamp(self)
+        check_parameters(self)
         fix = "a hit must speak more for occupied than a miss: try `p_hit=0.7` `p_miss=0.4`"
         found = f"p_miss {self.p_miss} is not below p_hit {self.p_hit}"
         require(self.p_miss < self.p_hit, found, fix)
@@ -126,11 +193,7 @@ class CountingModel:
     clamp_max: float = NO_CLAMP["clamp_max"]
 
     def __post_init__(self) -> None:
-        check_probabilities(self)
-        check_weight("strength", self.strength)
-        check_weight("hit_weight", self.hit_weight)
-        check_spread(self.spread)
-        check_clamp(self)
+        check_parameters(self)
 
     def log_odds(self, hits: Float64, misses: Float64) -> Float64:
         """Posterior mean (w hits + s prior) / (w hits + misses + s), as log-odds.
@@ -164,8 +227,7 @@ class QuadraticModel:
     clamp_max: float = NO_CLAMP["clamp_max"]
 
     def __post_init__(self) -> None:
-        check_probabilities(self)
-        check_clamp(self)
+        check_parameters(self)
         found = f"epsilon {self.epsilon} m is not possible"
         require(0 <= self.epsilon <= DEEPEST_HIT_M, found, "try `epsilon=0.05`")
         require(self.p_min < 0.5, f"p_min {self.p_min} leaves no evidence", "try `p_min=0.4`")

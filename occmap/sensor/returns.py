@@ -2,22 +2,32 @@
 
 Drivers disagree on what they write when nothing came back (REP 117 says +inf; others write the
 maximum, a value beyond it, or zero), so all of that is decided here, in one place, and counted.
+
+The robot is in its own scans: it blocks sectors, and fills a box. Both are given in the sensor's
+frame, where a person reads them off a plot of one scan, and where they hold however the sensor is
+mounted.
 """
 
 import math
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, TypeAlias
 
 import numpy as np
 
 from occmap.arrays import Bool, Float32, Float64, UInt8
 from occmap.cells import Box
 from occmap.errors import require
-from occmap.sensor.ignore import Sector, check_box, check_sector, mask_box, mask_sectors
 from occmap.types import Kind, PosedScans, Rays, Scan, ScanBatch
 from occmap.values import as_float32
+
+Sector: TypeAlias = tuple[float, float]
+"""From one bearing counter-clockwise to another (rad)."""
+
+FULL_TURN = 2 * math.pi
+EDGE_RAD = 1e-6
+"""A beam on the edge of a sector is inside, whatever its bearing was rounded to."""
 
 
 class NoReturn(StrEnum):
@@ -62,10 +72,15 @@ class ReturnOptions:
     footprint: Box | None = None
 
     def __post_init__(self) -> None:
-        for sector in self.ignore_sectors:
-            check_sector(sector)
+        for start, end in self.ignore_sectors:
+            is_sector = math.isfinite(start) and math.isfinite(end) and start != end
+            fix = "give two bearings, counter-clockwise, such as `ignore_sectors=2.5,-2.5`"
+            require(is_sector, f"from {start} to {end} rad is not a sector", fix)
         if self.footprint is not None:
-            check_box(self.footprint)
+            x_min, y_min, x_max, y_max = self.footprint
+            has_inside = all(map(math.isfinite, self.footprint)) and x_min < x_max and y_min < y_max
+            fix = "give x_min,y_min,x_max,y_max around the sensor in metres"
+            require(has_inside, f"{self.footprint} is not a footprint", fix)
         found = f"`min_range={self.min_range}` and `max_range={self.max_range}` leave no range"
         fix = "they must satisfy 0 <= min < max"
         require(0 <= self.min_range < self.max_range, found, fix)
@@ -177,6 +192,31 @@ def _find_own(batch: ScanBatch, options: ReturnOptions) -> Bool | None:
     if options.footprint is None:
         return own
     return own | mask_box(batch.ranges, tabulate_bearings(*shape), options.footprint)
+
+
+@lru_cache(maxsize=64)
+def mask_sectors(
+    angle_min: float, angle_increment: float, beams: int, sectors: tuple[Sector, ...]
+) -> Bool:
+    """(B,): which beams point into one of the sectors."""
+    bearings = angle_min + angle_increment * np.arange(beams)
+    inside = np.zeros(beams, np.bool_)
+    for start, end in sectors:
+        width = (end - start) % FULL_TURN or FULL_TURN
+        inside |= (bearings - start + EDGE_RAD) % FULL_TURN <= width + 2 * EDGE_RAD
+    return inside
+
+
+def mask_box(ranges: Float32, bearing: Float64, box: Box) -> Bool:
+    """(S, B): which ranges, along bearings (2, B), end in the box."""
+    # Slab by slab: a ray that misses the box enters it behind where it leaves it.
+    tiny = float(np.finfo(np.float32).tiny)
+    along = np.where(np.abs(bearing) < tiny, tiny, bearing)
+    corners = np.array(box).reshape(2, 2, 1)
+    low, high = corners / along
+    near = np.maximum(np.minimum(low, high).max(axis=0), 0)
+    far = np.maximum(low, high).min(axis=0)
+    return np.asarray((ranges >= as_float32(near)) & (ranges <= as_float32(far)))
 
 
 def goes_round(batch: ScanBatch) -> bool:

@@ -7,8 +7,14 @@ import pytest
 
 from occmap.cells import Box
 from occmap.errors import UsageError
-from occmap.sensor.ignore import Sector, mask_sectors
-from occmap.sensor.returns import NoReturn, ReturnCounts, ReturnOptions, classify
+from occmap.sensor.returns import (
+    NoReturn,
+    ReturnCounts,
+    ReturnOptions,
+    Sector,
+    classify,
+    mask_sectors,
+)
 from occmap.types import Kind, ScanBatch
 
 FRONT, LEFT, BACK, RIGHT = range(4)
