@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from occmap.batching import LeftOut, Selection
+from occmap.batching import LeftOut
 from occmap.mounts import list_misfits
 from occmap.options import BuildOptions
 from occmap.readers import Note
@@ -53,19 +53,19 @@ def list_notes(
     yield from options.list_idle()
     if options.resume_if_there and not options.resume_if_there.exists():
         yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
-    yield from note_idle_end(options.selection, tally)
-    yield from list_given_twice(paths)
-    yield from list_frames(tally)
-    yield from list_lacking(tally, facts)
-    yield from list_disagreement(facts)
-    yield from list_misfits(paths, options, facts.agreement, tally.lasers)
-
-
-def list_given_twice(logs: Sequence[Path]) -> Iterator[str]:
-    """Say which logs were given more than once, and count as often."""
-    for log, times in Counter(map(str, logs)).items():
+    end_s = options.selection.end_s
+    if end_s < math.inf and (end_s > LONGEST_LOG_S or str(LeftOut.TIME) not in tally.dropped):
+        yield f"`end_s={end_s:.12g}` leaves nothing out: it is in seconds after the first scan"
+    for log, times in Counter(map(str, paths)).items():
         if times > 1:
             yield f"{log}: given {times} times, and counted as often"
+    yield from list_frames(tally)
+    if not tally.beams.hit:  # evidence that the logs are added to may have walls
+        lack = "of the logs hit" if facts.has_walls else "hit"
+        end = "" if facts.has_walls else ", so the map has no walls"
+        yield f"no beam {lack} anything{end}: see the ranges in `occmap check`"
+    yield from list_disagreement(facts)
+    yield from list_misfits(paths, options, facts.agreement, tally.lasers)
 
 
 def list_frames(tally: Tally) -> Iterator[str]:
@@ -78,21 +78,6 @@ def list_frames(tally: Tally) -> Iterator[str]:
             "other, choose one with `map_frame`, or build each log alone with its own `transform` "
             "and merge them"
         )
-
-
-def list_lacking(tally: Tally, facts: MapFacts) -> Iterator[str]:
-    """Say that the logs show no walls; evidence that they are added to may have some."""
-    if not tally.beams.hit:
-        lack = "hit anything, so the map has no walls"
-        lack = "of the logs hit anything" if facts.has_walls else lack
-        yield f"no beam {lack}: see the ranges in `occmap check`"
-
-
-def note_idle_end(selection: Selection, tally: Tally) -> Iterator[str]:
-    """Say that `end_s` leaves nothing out: it may be meant as a date."""
-    end_s = selection.end_s
-    if end_s < math.inf and (end_s > LONGEST_LOG_S or str(LeftOut.TIME) not in tally.dropped):
-        yield f"`end_s={end_s:.12g}` leaves nothing out: it is in seconds after the first scan"
 
 
 def hint_at_tune(agreement: float) -> str:

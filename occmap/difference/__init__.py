@@ -169,9 +169,9 @@ def measure_largest(before: UInt8, after: UInt8, place: Place) -> ChangedBlob | 
     if blob is None:
         return None
     size = place.resolution
-    low = place.x + blob.col * size, place.y + blob.row * size
-    high = place.x + blob.col_end * size, place.y + blob.row_end * size
-    return ChangedBlob(blob.cells, (*low, *high))
+    row, col, row_end, col_end = (edge * size for edge in blob.box)
+    x, y = place.x, place.y
+    return ChangedBlob(blob.cells, (x + col, y + row, x + col_end, y + row_end))
 
 
 def paint(difference: MapDifference) -> UInt8:

@@ -5,17 +5,14 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.arrays import Bool, Int64
+from occmap.grid.lattice import CellBox
 
 
 class Blob(NamedTuple):
     """Cells that are connected over their edges or corners."""
 
     cells: int
-    row: int
-    col: int
-    row_end: int
-    col_end: int
-    """The box around them; the ends are not part of it"""
+    box: CellBox
 
 
 class Runs(NamedTuple):
@@ -36,8 +33,8 @@ def find_largest_blob(mask: Bool) -> Blob | None:
     cells = np.bincount(labels, weights=runs.end - runs.start)
     inside = labels == np.argmax(cells)
     row, start, end = (part[inside] for part in runs)
-    low, high = int(row[0]), int(row[-1])
-    return Blob(int(cells.max()), low, int(start.min()), high + 1, int(end.max()))
+    box = CellBox(int(row[0]), int(start.min()), int(row[-1]) + 1, int(end.max()))
+    return Blob(int(cells.max()), box)
 
 
 def find_runs(mask: Bool) -> Runs:

@@ -93,32 +93,21 @@ def load_map(path: Path, thresholds: WriteOptions) -> ClassMap:
     return loader(path, thresholds)
 
 
-def load_yaml(path: Path, _thresholds: WriteOptions) -> ClassMap:
-    """Load the image that a map_server YAML names, by the thresholds that it states.
+def load_grey(path: Path, _thresholds: WriteOptions) -> ClassMap:
+    """Load the image that a map_server YAML names, or a PGM by the YAML of its name.
 
     Raises
     ------
     MapError
         The YAML or its image is missing, damaged or not of a map.
     """
-    meta = parse_meta(path, read_yaml(path))
-    image = path.parent / meta.image
+    is_image = path.suffix.lower() == ".pgm"
+    stating = path.with_suffix(".yaml") if is_image else path
+    if not stating.is_file():
+        raise MapError(f"there is no {stating.name} beside it", where=path, fix="give the YAML")
+    meta = parse_meta(stating, read_yaml(stating))
+    image = path if is_image else path.parent / meta.image
     return ClassMap(path, classify(read_image(image), meta), meta.place, image)
-
-
-def load_pgm(path: Path, _thresholds: WriteOptions) -> ClassMap:
-    """Load a PGM by the YAML of its name.
-
-    Raises
-    ------
-    MapError
-        There is no such YAML, or `load_yaml` fails.
-    """
-    beside = path.with_suffix(".yaml")
-    if not beside.is_file():
-        raise MapError(f"there is no {beside.name} beside it", where=path, fix="give the YAML")
-    meta = parse_meta(beside, read_yaml(beside))
-    return ClassMap(path, classify(read_image(path), meta), meta.place)
 
 
 def load_png(path: Path, thresholds: WriteOptions) -> ClassMap:
@@ -158,9 +147,9 @@ def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
 
 
 LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {
-    ".pgm": load_pgm,
-    ".yaml": load_yaml,
-    ".yml": load_yaml,
+    ".pgm": load_grey,
+    ".yaml": load_grey,
+    ".yml": load_grey,
     ".png": load_png,
     ".npz": load_saved,
     ".zarr": load_saved,

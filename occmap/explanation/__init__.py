@@ -123,12 +123,15 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
     check_passes(question.min_passes, model)
     if question.poses and not question.logs:
         raise UsageError("`poses` goes with a log", fix="add `logs=LOG`, or leave it out")
-    evidence = read_around(saved, question.x, question.y)
+    # All that is in memory, or the tile that holds the point and those beside it.
+    cell = find_cell(Lattice(saved.manifest.resolution), question.x, question.y)
+    evidence = read_part(saved, CellBox.at(*cell))
     history = look_at(evidence, question.x, question.y)
     uses = find_uses(evidence, question.logs, question.poses)
     sightings, scans_used = find_sightings(uses, history, progress)
     builds = evidence.manifest.builds
-    made = map_cell(evidence, history.cell, model, question.min_passes)
+    lasting = keep_lasting(to_grid(evidence), evidence.slices, question.min_passes)
+    made = paint_box(lasting, model, CellBox.at(*cell))
     return Explanation(
         point=(question.x, question.y),
         cell=history.cell,
@@ -156,14 +159,6 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
     )
 
 
-def map_cell(
-    evidence: Evidence, cell: Cell, model: SensorModel, min_passes: int | None
-) -> OccupancyMap:
-    """Make a map of the one cell; it is not observed where `min_passes` leaves nothing."""
-    lasting = keep_lasting(to_grid(evidence), evidence.slices, min_passes)
-    return paint_box(lasting, model, CellBox.at(cell.row, cell.column))
-
-
 def name_class(made: OccupancyMap, writing: WriteOptions) -> Verdict:
     """Name what the one cell of a map is."""
     if not made.observed.all():
@@ -181,18 +176,6 @@ def measure_extent(saved: Saved, model: SensorModel) -> Box | None:
     else:
         box = find_bounds(View(saved, model)) if saved.blocks else None
     return None if box is None else Lattice(saved.manifest.resolution).measure(box)
-
-
-def read_around(saved: Saved, x: float, y: float) -> Evidence:
-    """Read the tile that holds a point (m) and those beside it, or all that is in memory.
-
-    Raises
-    ------
-    UsageError
-        No map reaches so far.
-    """
-    row, col = find_cell(Lattice(saved.manifest.resolution), x, y)
-    return read_part(saved, CellBox.at(row, col))
 
 
 def list_unexplained(

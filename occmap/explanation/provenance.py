@@ -1,17 +1,25 @@
-"""Which builds of evidence a log went into: found by its hash, not its name."""
+"""Which builds of evidence a log went into, and with what options.
+
+A log is found by its hash, not its name. Options are read back from what evidence keeps of them:
+`write_value` undone.
+"""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from types import NoneType
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from occmap.cells import Evidence
-from occmap.errors import LogError, PoseError
+from occmap.errors import LogError, MapError, OccmapError, PoseError
 from occmap.evidence.manifest import BuildRecord, describe_files, find_trajectory, list_inputs
-from occmap.explanation.recall import recall_options
+from occmap.keywords import drop_none
 from occmap.options import BuildOptions
+from occmap.sensor.models import parse_model
 from occmap.wording import join_names
+
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -149,3 +157,68 @@ def refuse_stranger(evidence: Evidence, log: Path) -> None:
         where=log,
         fix=f"it was made of {join_names(names or ['no log'])}: give `logs` with one of these",
     )
+
+
+def recall_options(plain: dict[str, Any], where: str) -> BuildOptions:
+    """Turn what `describe_build` wrote of the options of a build back into options.
+
+    What changes nothing about the evidence (threads, what was resumed) is at its default; a
+    trajectory file is a name without its folder. An option that was not there yet has its default.
+
+    Parameters
+    ----------
+    where
+        The evidence file, for errors.
+
+    Raises
+    ------
+    MapError
+        This occmap does not know an option, or a value of it.
+    """
+    model_text = plain.get("model")
+    try:
+        chosen = {name: value for name, value in plain.items() if name != "model"}
+        return make_group(BuildOptions, chosen, model=parse_model(str(model_text)))
+    except (OccmapError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise MapError(
+            f"the options of a build in it cannot be read ({error})",
+            where=where,
+            fix="use the occmap that built it, or build it again",
+        ) from None
+
+
+def make_group(group: type[Value], plain: dict[str, Any], **others: Any) -> Value:
+    """Make a group of options from values of JSON; `others` are taken as they are.
+
+    Raises
+    ------
+    TypeError, ValueError, AttributeError, UsageError
+        It has no option of such a name, or none that takes such a value.
+    """
+    kinds = get_type_hints(group)
+    unknown = sorted(plain.keys() - {field.name for field in fields(group)})  # type: ignore[arg-type]  # dataclass
+    if unknown:
+        raise ValueError(f"no option is called {unknown[0]!r}")
+    made = {name: make_value(kinds[name], value) for name, value in plain.items()}
+    return group(**made, **others)
+
+
+def make_value(kind: Any, plain: Any) -> Any:
+    """Turn a value of JSON back into one of a type.
+
+    Raises
+    ------
+    TypeError, ValueError, AttributeError, UsageError
+        It is not of that type.
+    """
+    if is_dataclass(kind) and isinstance(kind, type):
+        return make_group(kind, plain)
+    if plain is None and NoneType in get_args(kind):
+        return None
+    kind = drop_none(kind)
+    if issubclass(get_origin(kind) or kind, tuple):
+        kinds = get_args(kind) or tuple(get_type_hints(kind).values())  # else of a NamedTuple
+        kinds = kinds[:1] * len(list(plain)) if kinds[1:] == (Ellipsis,) else kinds
+        values = [make_value(each, value) for each, value in zip(kinds, plain, strict=True)]
+        return tuple(values) if get_origin(kind) else kind(*values)
+    return kind(plain)

@@ -8,6 +8,7 @@ from hypothesis.extra.numpy import arrays
 
 from occmap.arrays import Bool
 from occmap.difference.blobs import Blob, find_largest_blob
+from occmap.grid.lattice import CellBox
 
 
 def mask_of(art: str) -> Bool:
@@ -19,11 +20,14 @@ def mask_of(art: str) -> Bool:
     ("art", "expected"),
     [
         ("... ...", None),
-        ("..# ...", Blob(1, 1, 2, 2, 3)),
-        ("#.# .#.", Blob(3, 0, 0, 2, 3)),  # over corners
-        ("##..# ....#", Blob(2, 0, 4, 2, 5)),  # of two alike the lower
-        ("..# #..", Blob(1, 0, 0, 1, 1)),  # the end of a row does not touch the next one's start
-        ("####. #..#. #.##. #....", Blob(10, 0, 0, 4, 4)),  # a spiral
+        ("..# ...", Blob(1, CellBox(1, 2, 2, 3))),
+        ("#.# .#.", Blob(3, CellBox(0, 0, 2, 3))),  # over corners
+        ("##..# ....#", Blob(2, CellBox(0, 4, 2, 5))),  # of two alike the lower
+        (
+            "..# #..",
+            Blob(1, CellBox(0, 0, 1, 1)),
+        ),  # the end of a row does not touch the next one's start
+        ("####. #..#. #.##. #....", Blob(10, CellBox(0, 0, 4, 4))),  # a spiral
     ],
 )
 def test_drawings(art: str, expected: Blob | None) -> None:
@@ -56,4 +60,4 @@ def test_a_long_snake_takes_few_rounds() -> None:
     mask[::2] = True
     mask[1::4, -1] = mask[3::4, 0] = True
     blob = find_largest_blob(mask)
-    assert blob == Blob(2001 * 50 + 2000, 0, 0, 4001, 50)
+    assert blob == Blob(2001 * 50 + 2000, CellBox(0, 0, 4001, 50))

@@ -12,7 +12,7 @@ import pytest
 from occmap.batching import Selection
 from occmap.errors import MapError
 from occmap.evidence.manifest import UNRECORDED, describe_build
-from occmap.explanation.recall import recall_options
+from occmap.explanation.provenance import recall_options
 from occmap.options import BuildOptions
 from occmap.posing.options import Deskew, PosingOptions, Stamps
 from occmap.readers.options import Echo, ReaderOptions
