@@ -65,7 +65,7 @@ def list_notes(
         end = "" if facts.has_walls else ", so the map has no walls"
         yield f"no beam {lack} anything{end}: see the ranges in `occmap check`"
     yield from list_disagreement(facts)
-    yield from list_misfits(paths, options, facts.agreement, tally.lasers)
+    yield from list_misfits(paths, options, facts.agreement, tally)
 
 
 def list_frames(tally: Tally) -> Iterator[str]:

@@ -32,7 +32,7 @@ from occmap.types import Pose, PoseSample, Scan, ScanBatch
 from tests.inspection_logs import BEAMS, SCANS, Drive, measure_room, write_bag, write_csv
 from tests.posing.scenes import bolted, drive
 from tests.posing.scenes import build as make_poser
-from tests.samples import PLAIN
+from tests.samples import PLAIN, SAMPLE_LOGS
 from tests.samples import write_csv as write_row
 
 REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", Path(__file__).parents[2] / "shared/logs"))
@@ -457,6 +457,26 @@ def test_a_build_whose_hits_disagree_names_the_mount(tmp_path: Path) -> None:
     )
     right = BuildOptions(posing=PosingOptions(sensor_pose=Pose.planar(0, 0, math.pi)))
     assert not any("fit" in note for note in build([path], right).report.notes)
+
+
+@pytest.mark.parametrize("mirrored", [True, False])
+def test_a_build_of_a_short_log_names_the_mount_of_a_mirrored_laser(
+    tmp_path: Path, mirrored: bool
+) -> None:
+    """The robot turns so little that most hits agree, though left and right are exchanged."""
+    whole = (SAMPLE_LOGS / "drive.csv").read_text().splitlines()
+    lines = whole[:5]
+    for line in whole[5:25]:
+        stamp, x, y, yaw, *ranges = line.split(",")
+        lines.append(",".join([stamp, x, y, yaw, *(ranges[::-1] if mirrored else ranges)]))
+    path = tmp_path / "short.csv"
+    path.write_text("\n".join(lines))
+    report = build([path], BuildOptions()).report
+    assert report.map.agreement is not None
+    assert (SUSPECT < report.map.agreement < 0.9) == mirrored
+    better = "the scans would fit each other better with `sensor_pose=(0,0,0,3.14159,0)`"
+    told = [note for note in report.notes if "fit" in note]
+    assert told == ([f"{path}: scan: {better}"] if mirrored else [])
 
 
 def test_a_few_hits_are_no_reason_to_name_a_mount(tmp_path: Path) -> None:
