@@ -86,11 +86,8 @@ def compare_maps(before: ClassMap, after: ClassMap) -> MapDifference:
     second = CellBox(0, 0, *after.classes.shape).move(*shift)
     both = first.join(second)
     if both.cells > MAX_CELLS:
-        raise MapError(
-            f"both maps together take {both.cols} x {both.rows} cells, too many to compare",
-            where=after.path,
-            fix="check that both are in one map frame",
-        )
+        found = f"both maps together take {both.cols} x {both.rows} cells, too many to compare"
+        raise MapError(found, where=after.path, fix="check that both are in one map frame")
     one, other = place_in(both, first, before.classes), place_in(both, second, after.classes)
     size = place.resolution
     corner = Place(size, place.x + both.col * size, place.y + both.row * size)
@@ -123,25 +120,17 @@ def align(before: ClassMap, after: ClassMap) -> tuple[Place, tuple[int, int]]:
     if a is None or b is None:
         if before.classes.shape != after.classes.shape:
             bare = before.path if a is None else after.path
-            raise MapError(
-                "a PNG does not say where it lies, and the two maps differ in size",
-                where=bare,
-                fix="compare the maps as PGM with YAML, or as .npz",
-            )
+            found = "a PNG does not say where it lies, and the two maps differ in size"
+            raise MapError(found, where=bare, fix="compare the maps as PGM with YAML, or as .npz")
         return a or b or Place(1.0, 0.0, 0.0), (0, 0)
     if abs(a.resolution - b.resolution) > SAME_RESOLUTION * a.resolution:
-        raise MapError(
-            f"its cells are {b.resolution:g} m, those of {before.path} {a.resolution:g} m",
-            where=after.path,
-            fix="build both with one `resolution`",
-        )
+        found = f"its cells are {b.resolution:g} m, those of {before.path} {a.resolution:g} m"
+        raise MapError(found, where=after.path, fix="build both with one `resolution`")
     row, col = (b.y - a.y) / a.resolution, (b.x - a.x) / a.resolution
     if max(abs(row - round(row)), abs(col - round(col))) > LATTICE_TOLERANCE:
-        raise MapError(
-            f"lies {col:.3f} columns and {row:.3f} rows from {before.path}: not on one lattice",
-            where=after.path,
-            fix="maps that occmap builds with one `resolution` share a lattice",
-        )
+        found = f"lies {col:.3f} columns and {row:.3f} rows from {before.path}: not on one lattice"
+        fix = "maps that occmap builds with one `resolution` share a lattice"
+        raise MapError(found, where=after.path, fix=fix)
     return a, (round(row), round(col))
 
 

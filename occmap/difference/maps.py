@@ -83,11 +83,8 @@ def load_map(path: Path, thresholds: WriteOptions) -> ClassMap:
     """
     loader = LOADERS.get(path.suffix.lower())
     if loader is None:
-        raise UsageError(
-            f"the suffix {path.suffix!r} is not that of a map",
-            where=path,
-            fix=f"maps are {', '.join(LOADERS)}",
-        )
+        found = f"the suffix {path.suffix!r} is not that of a map"
+        raise UsageError(found, where=path, fix=f"maps are {', '.join(LOADERS)}")
     if not path.exists():
         raise MapError("no such file", where=path, fix="check the path")
     return loader(path, thresholds)

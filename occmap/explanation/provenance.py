@@ -132,11 +132,8 @@ def follow(
     if path is None:
         others = ", ".join(map(str, given.values()))
         differs = f" (the SHA-256 of {others} is another)" if others else ""
-        raise PoseError(
-            f"its poses came from {trajectory['name']}, which is needed again{differs}",
-            where=log,
-            fix=f"add `poses={trajectory['name']}`",
-        )
+        found = f"its poses came from {trajectory['name']}, which is needed again{differs}"
+        raise PoseError(found, where=log, fix=f"add `poses={trajectory['name']}`")
     return replace(options, posing=replace(options.posing, poses=str(path)))
 
 
@@ -152,11 +149,9 @@ def refuse_stranger(evidence: Evidence, log: Path) -> None:
     if log.resolve().name in names:
         found = f"is not the {log.resolve().name} that {evidence.where} was made of: it was changed"
         raise LogError(found, where=log, fix="give the log as it was, or build the evidence again")
-    raise LogError(
-        f"{evidence.where} was not made of it",
-        where=log,
-        fix=f"it was made of {join_names(names or ['no log'])}: give `logs` with one of these",
-    )
+    found = f"{evidence.where} was not made of it"
+    fix = f"it was made of {join_names(names or ['no log'])}: give `logs` with one of these"
+    raise LogError(found, where=log, fix=fix)
 
 
 def recall_options(plain: dict[str, Any], where: str) -> BuildOptions:
@@ -180,11 +175,9 @@ def recall_options(plain: dict[str, Any], where: str) -> BuildOptions:
         chosen = {name: value for name, value in plain.items() if name != "model"}
         return make_group(BuildOptions, chosen, model=parse_model(str(model_text)))
     except (OccmapError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise MapError(
-            f"the options of a build in it cannot be read ({error})",
-            where=where,
-            fix="use the occmap that built it, or build it again",
-        ) from None
+        found = f"the options of a build in it cannot be read ({error})"
+        fix = "use the occmap that built it, or build it again"
+        raise MapError(found, where=where, fix=fix) from None
 
 
 def make_group(group: type[Value], plain: dict[str, Any], **others: Any) -> Value:

@@ -65,10 +65,9 @@ def resolve(
     trajectory = sources.trajectory
     name, steps = search.follow(trajectory) if trajectory else search.climb(fixed)
     if fixed is not None and name != fixed:
-        raise PoseError(
-            f"{frame!r} maps in {name!r} while other scans map in {fixed!r}",
-            fix=f"join the two: `static_transforms={fixed},{name},X,Y,Z,ROLL,PITCH,YAW`",
-        )
+        found = f"{frame!r} maps in {name!r} while other scans map in {fixed!r}"
+        fix = f"join the two: `static_transforms={fixed},{name},X,Y,Z,ROLL,PITCH,YAW`"
+        raise PoseError(found, fix=fix)
     return Resolved(name, make_chain(steps, options.max_pose_gap_s), search.notes)
 
 
@@ -162,10 +161,8 @@ class _Search:
         bases = [wanted] if wanted else list_bases(self.tree, self.frame)
         if len(bases) == 1:
             return bases[0]
-        raise PoseError(
-            f"which frame the laser is mounted on is not clear ({self.known})",
-            fix=f"name it: `base_frame={bases[0] if bases else 'FRAME'}`",
-        )
+        found = f"which frame the laser is mounted on is not clear ({self.known})"
+        raise PoseError(found, fix=f"name it: `base_frame={bases[0] if bases else 'FRAME'}`")
 
     def _mount_on(self, anchor: str) -> list[Step]:
         """Make the step from the body to a sensor whose pose the user gave."""
@@ -186,10 +183,9 @@ class _Search:
             is_given = upper == self.options.map_frame
             fix = "give one of these as `map_frame`, or leave it out" if is_given else ""
             raise PoseError(f"no frame {upper!r} in the log ({self.known})", fix=fix)
-        raise PoseError(
-            f"no transform from {upper!r} to {lower!r} ({self.known})",
-            fix=f"give it: `static_transforms={upper},{lower},X,Y,Z,ROLL,PITCH,YAW`",
-        )
+        found = f"no transform from {upper!r} to {lower!r} ({self.known})"
+        fix = f"give it: `static_transforms={upper},{lower},X,Y,Z,ROLL,PITCH,YAW`"
+        raise PoseError(found, fix=fix)
 
     def _fail_without_mount(self) -> NoReturn:
         bases = list_bases(self.tree, self.frame)

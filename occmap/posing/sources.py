@@ -147,11 +147,9 @@ def _find_trajectory(options: PosingOptions, poses: Sequence[Edge], notes: list[
         fix = "check the path: `poses` takes a trajectory file, or a topic of the log"
         raise PoseError("no such file", where=name, fix=fix)
     topics = ", ".join(sorted({edge.topic for edge in poses}))
-    raise PoseError(
-        "neither a file nor a topic with poses",
-        where=name,
-        fix=f"topics with poses: {topics}" if topics else "the log has no topic with poses",
-    )
+    found = "neither a file nor a topic with poses"
+    fix = f"topics with poses: {topics}" if topics else "the log has no topic with poses"
+    raise PoseError(found, where=name, fix=fix)
 
 
 def _list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str]:
