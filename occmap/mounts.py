@@ -82,7 +82,7 @@ def guess_place(poser: Poser, parts: Sequence[PosedScans], options: BuildOptions
     Guess or None
         None where nothing is clearly better than all else.
     """
-    marked = count_turned(parts, options.returns)
+    marked = [count_marked(parts, turn, options.returns) for turn in TURNS]
     leaves = list_leaves(poser, parts[0].batch.frame) if parts else {}
     by_leaf = {leaf: count_marked(parts, leaves[leaf], options.returns) for leaf in leaves}
     leaf = min(by_leaf, key=by_leaf.__getitem__, default="")
@@ -144,7 +144,9 @@ def find_better(poser: Poser, parts: Sequence[PosedScans], options: ReturnOption
     str
         Such as "sensor_pose=0,0,3.14159"; "" where they fit as they are.
     """
-    turn = choose_turn(count_turned(parts, options)) if parts else None
+    if not parts:
+        return ""
+    turn = choose_turn([count_marked(parts, turn, options) for turn in TURNS])
     if turn is None or turn == UNTURNED:
         return ""
     return correct_mount(poser, parts[0].batch.frame, turn)
@@ -194,17 +196,6 @@ def place_on(steps: Sequence[Step]) -> Pose | None:
         pose = Pose(*track.position[0].tolist(), *track.quaternion[0].tolist())
         place = place.then(pose.invert() if step.inverted else pose)
     return place
-
-
-def count_turned(parts: Sequence[PosedScans], options: ReturnOptions) -> list[int]:
-    """Count the cells that have a hit with each of the eight turns.
-
-    Parameters
-    ----------
-    parts
-        Scans posed as if the sensor were the body.
-    """
-    return [count_marked(parts, turn, options) for turn in TURNS]
 
 
 def choose_turn(marked: Sequence[int]) -> Pose | None:

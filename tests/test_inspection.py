@@ -146,7 +146,7 @@ def test_the_share_of_a_repeated_value_is_of_all_ranges() -> None:
             make_batch([np.where(np.arange(BLOCK_RANGES) < markers * BLOCK_RANGES, 7, walls)])
         )
 
-    (repeated,) = census.list_repeated()
+    (repeated,) = census.sum_up(None).repeated
 
     assert repeated.value == 7
     assert repeated.share == pytest.approx(0.2, abs=1e-4)

@@ -11,12 +11,13 @@ from occmap.engines import plan_grid
 from occmap.explanation.history import CellHistory, Numbers, Seen
 from occmap.explanation.provenance import Use
 from occmap.observing import Progress
-from occmap.opening import choose_topics, count_scans, make_poser
+from occmap.opening import count_scans
 from occmap.options import BuildOptions
 from occmap.plain import Count
 from occmap.readers import Log, open_log, read_scans
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret
+from occmap.tracing import open_drive
 from occmap.types import PosedScans
 
 
@@ -71,8 +72,7 @@ def find_sightings(
 
 def pose_scans(log: Log, options: BuildOptions) -> Iterator[tuple[PosedScans | None, int]]:
     """Read and pose the scans of a log as a build does; of each batch say how many were read."""
-    topics = choose_topics(log, options.selection.topics)
-    poser = make_poser(log, topics, options.posing)
+    _, topics, poser, _ = open_drive(log, options)
     limits = RangeLimits(options.returns)
     for some in read_scans(log, topics):
         limits.see(some)

@@ -4,7 +4,7 @@ It reads the poses once and the scans once, as a build does; only where the moun
 missing are the scans read twice, for the mount is then guessed from them.
 """
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,6 @@ from occmap.inspection.findings import (
 )
 from occmap.inspection.poses import (
     Posing,
-    find_moving_stamp,
     list_coverage,
     prepare,
     suggest_stamps,
@@ -33,6 +32,7 @@ from occmap.inspection.survey import Extent, Survey, TopicSurvey
 from occmap.mounts import find_better
 from occmap.opening import choose_topics, count_messages
 from occmap.options import BuildOptions
+from occmap.posing.course import Course
 from occmap.posing.options import DropReason, Stamps
 from occmap.readers import Log, open_log, read_scans
 from occmap.sampling import estimate_agreement
@@ -108,9 +108,10 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
     model, problem = options.model, ""
     around = options.resolution if isinstance(model, Spreading) and model.spread > 0 else 0.0
     for _ in range(2):  # again where the first scans did not show what stands for "no return"
-        posing = replace(posing, poser=replace(posing.poser))  # as it was before it saw a scan
+        unseen = replace(posing.poser, courses=defaultdict(Course))
+        posing = replace(posing, poser=unseen)  # as it was before it saw a scan
         reach = Extent(options.hit_offset * options.resolution, around)
-        survey = Survey(posing.poser, options.returns, options.selection, expected, limits, reach)
+        survey = Survey(posing.poser, options, expected, limits, reach)
         try:
             survey.read(read_scans(log, topics))
         except LogError as error:
@@ -155,7 +156,8 @@ def sum_up(
     """Sum up all about one topic of scans, whose messages are of some kind."""
     ranked = topic.shapes.most_common()
     crossed = measure_crossing(topic.sample.parts, options.returns)
-    stamps, moving_ns = suggest_stamps(log, posing, topic), find_moving_stamp(posing.poser)
+    tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
+    moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
     mount, stance = None, posing.poser.courses[topic.topic].stance
     if stance is not None:  # of no scan where none has a pose
         better = find_better(posing.poser, topic.sample.parts, options.returns)
@@ -169,7 +171,7 @@ def sum_up(
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
         ranges=topic.census.sum_up(crossed),
-        times=topic.stamps.sum_up(stamps, moving_ns),
+        times=topic.stamps.sum_up(suggest_stamps(log, posing, topic), moving_ns),
         poses=sum_up_poses(topic, posing),
         mount=mount,
         agreement=estimate_agreement(topic.sample.parts, options),

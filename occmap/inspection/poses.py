@@ -77,12 +77,6 @@ def assume_mount(
     return Posing(poser, faults, posing.sensor_pose, is_guess=guess is None)
 
 
-def find_moving_stamp(poser: Poser) -> int | None:
-    """Find the latest stamp of all transforms that move; None where none does."""
-    tracks = [edge.track for edge in poser.sources.tree.edges if edge.track.moves]
-    return max((int(track.stamp_ns[-1]) for track in tracks), default=None)
-
-
 def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> Stamps:
     """Say which of the two times of messages gives more scans a pose."""
     chosen = posing.poser.options.stamps

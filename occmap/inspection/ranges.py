@@ -125,33 +125,24 @@ class RangeCensus:
         self._block.clear()
         self._block_size = 0
 
-    def list_repeated(self) -> tuple[Repeated, ...]:
-        """List the suspicious values, the most frequent first."""
+    def sum_up(self, crossed: float | None) -> RangeFindings:
+        """Sum up; `crossed` is what is known about beams without return."""
         self._fold()
         ranked = sorted(self._repeated, key=lambda value: (-self._common[value], value))
-        return tuple(
+        repeated = tuple(
             Repeated(value, self._common[value] / self._positive, value >= self.limit)
             for value in ranked[:MAX_REPEATED]
         )
-
-    def sum_up(self, crossed: float | None) -> RangeFindings:
-        """Sum up; `crossed` is what is known about beams without return."""
-        repeated = self.list_repeated()
         measured = self.total - self.counts.total()
         suggested = self._suggest_no_return(repeated, crossed)
+        advice = {name: suggested if name in NO_RETURNS else "" for name in MEANINGS}
         return RangeFindings(
             total=self.total,
             measured=measured,
             smallest=self.smallest if measured else math.nan,
             largest=self.largest if measured else math.nan,
             specials=tuple(
-                Special(
-                    name,
-                    count,
-                    count / self.total,
-                    meaning,
-                    suggested if name in NO_RETURNS else "",
-                )
+                Special(name, count, count / self.total, meaning, advice[name])
                 for name, meaning in MEANINGS.items()
                 if (count := self.counts[name])
             ),
@@ -216,16 +207,11 @@ def measure_crossing(parts: Sequence[PosedScans], options: ReturnOptions) -> flo
     some = np.linspace(0, len(reach) - 1, min(len(reach), MAX_CROSSING_BEAMS)).astype(np.int64)
     origin, direction = np.concatenate(origins)[some], np.concatenate(directions)[some]
     reach, hit = np.minimum(reach[some], MAX_REACH_M), np.concatenate(hits)
-    leaves = find_outside(origin + reach[:, None] * direction, hit)
-    return float((leaves | find_crossing(origin, direction, reach, hit)).mean())
-
-
-def find_outside(points: Float64, hit: Float64) -> Bool:
-    """(N,) whether points (N, 2) lie outside the octagon around all hits (H, 2)."""
+    # A beam leaves all that was hit where it ends outside of the octagon around it.
     sides = np.stack([np.cos(SIDES), np.sin(SIDES)])
     far = (hit @ sides).max(axis=0) if len(hit) else np.inf  # no hit, no building
-    outside: Bool = (points @ sides > far).any(axis=1)
-    return outside
+    leaves = ((origin + reach[:, None] * direction) @ sides > far).any(axis=1)
+    return float((leaves | find_crossing(origin, direction, reach, hit)).mean())
 
 
 def find_crossing(origin: Float64, direction: Float64, reach: Float64, hit: Float64) -> Bool:

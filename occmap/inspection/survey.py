@@ -17,12 +17,13 @@ from occmap.errors import PoseError
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.inspection.findings import MapFindings, Shape, TimeFindings
 from occmap.inspection.ranges import RangeCensus
+from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.options import DropReason, Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.sampling import Sample, expect_scans
 from occmap.sensor.no_return import RangeLimits
-from occmap.sensor.returns import ReturnOptions, interpret
+from occmap.sensor.returns import interpret
 from occmap.types import Kind, Rays, Scan, ScanBatch, ScanRun
 
 MAX_SHAPES = 1000
@@ -205,8 +206,7 @@ class Survey:
     """Reads the scans of a log once; `extent` and `topics` grow meanwhile."""
 
     poser: Poser
-    returns: ReturnOptions
-    selection: Selection
+    options: BuildOptions
     expected: int
     """Scans in the log, as its reader counts them"""
     limits: RangeLimits
@@ -224,7 +224,7 @@ class Survey:
                 survey.posed += len(posed.batch.stamp_ns)
                 if survey.is_sampled:
                     survey.sample.take(posed)
-                rays, _ = interpret(posed, self.returns)
+                rays, _ = interpret(posed, self.options.returns)
                 self.extent.add(rays)
 
     def _stack(self, scans: Iterable[Scan | ScanRun]) -> Iterator[ScanBatch]:
@@ -242,7 +242,7 @@ class Survey:
 
     def _select(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
         """Give the scans that a build would use; scans that nobody asked for are only counted."""
-        selector = Selector(self.selection, self.poser.options.stamps)
+        selector = Selector(self.options.selection, self.poser.options.stamps)
         for some, reason in selector.judge(scans):
             survey = self._find(some.first.topic)
             survey.read += some.scans
@@ -257,7 +257,7 @@ class Survey:
 
     def _find(self, topic: str) -> TopicSurvey:
         if topic not in self.topics:
-            sample = Sample(expect_scans(self.expected, self.selection))
+            sample = Sample(expect_scans(self.expected, self.options.selection))
             self.topics[topic] = TopicSurvey(topic, sample, len(self.topics) < SAMPLED_TOPICS)
         return self.topics[topic]
 

@@ -44,7 +44,7 @@ class Stance(NamedTuple):
 
 
 class Course:
-    """Where the sensor of one topic was; grows with the scans that it is shown, 32 bytes each."""
+    """Where the sensor of one topic was; grows with the scans that it is shown, 48 bytes each."""
 
     def __init__(self) -> None:
         self._chain: Chain | None = None
@@ -52,9 +52,8 @@ class Course:
         self._stated = TrackBuilder()
         """The poses that stand beside the scans"""
         self._stamps: list[Int64] = [np.empty(0, np.int64)]
-        self._tilts: list[Float64] = []
-        self._low = np.full(3, np.inf)
-        self._high = np.full(3, -np.inf)
+        self._seats: list[Float64] = [np.empty((0, 5))]
+        """x, y, z, and how far the z axis and the x axis of the sensor point up"""
         self._first: Float64 | None = None
         self._turned = 0.0
 
@@ -75,12 +74,9 @@ class Course:
         self._chain = chain
         self._stamps.append(stamp_ns)
         position, rotation = posed.at_first_beam
-        self._tilts.append(np.stack([rotation[:, 2, 2], rotation[:, 2, 0], position[:, 2]]))
-        self._low = np.minimum(self._low, position.min(axis=0))
-        self._high = np.maximum(self._high, position.max(axis=0))
-        first = rotation[0] if self._first is None else self._first
-        self._first = first
-        self._turned = max(self._turned, float(measure_turn(first, rotation).max()))
+        self._seats.append(np.column_stack([position, rotation[:, 2, [2, 0]]]))
+        self._first = rotation[0] if self._first is None else self._first
+        self._turned = max(self._turned, float(measure_turn(self._first, rotation).max()))
 
     @property
     def stamp_ns(self) -> Int64:
@@ -97,21 +93,22 @@ class Course:
     @property
     def bounds(self) -> Float64:
         """(2, 3) the lowest and the highest x, y and z (m)."""
-        return np.stack([self._low, self._high])
+        places = np.concatenate(self._seats)[:, :3]
+        return np.stack([places.min(axis=0, initial=np.inf), places.max(axis=0, initial=-np.inf)])
 
     @property
     def stands(self) -> bool:
         """Whether it never moved, though there were scans enough to see it move."""
-        scans = sum(tilts.shape[1] for tilts in self._tilts)
         far = float(np.diff(self.bounds, axis=0).max())
-        return scans >= STILL_SCANS and far < STILL_M and self._turned < STILL_RAD
+        has_seen = len(self.stamp_ns) >= STILL_SCANS
+        return has_seen and far < STILL_M and self._turned < STILL_RAD
 
     @property
     def stance(self) -> Stance | None:
         """How it sat; None where no scan had a pose."""
-        if not self._tilts:
+        *_, height, up, ahead = np.concatenate(self._seats).T
+        if not len(up):
             return None
-        up, ahead, height = (np.concatenate(parts) for parts in zip(*self._tilts, strict=True))
         return Stance(
             upside_down=bool(np.median(up) < 0),
             tilt=float(np.median(np.arccos(np.clip(np.abs(up), 0, 1)))),
