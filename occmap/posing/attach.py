@@ -111,14 +111,15 @@ class Poser:
             failures = {}
             for frame in left:
                 try:
-                    way = resolve(self.sources, self.options, frame, self.fixed, alone)
+                    found = resolve(self.sources, self.options, frame, self.fixed, alone)
                 except PoseError as error:
                     failures[frame] = error
                     continue
-                self.fixed, self.chains[frame] = way.fixed, way.chain
-                self._note(*way.notes)
-                if not way.chain.interval_s and self.sources.tree.moves:
-                    self._note(f"{frame!r} never moves in {way.fixed!r}, though other frames do")
+                self.fixed, chain, notes = found
+                self.chains[frame] = chain
+                self._note(*notes)
+                if not chain.interval_s and self.sources.tree.moves:
+                    self._note(f"{frame!r} never moves in {self.fixed!r}, though other frames do")
             if self.fixed is None:
                 return failures
             left, alone = list(failures), False

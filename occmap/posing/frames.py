@@ -3,7 +3,7 @@
 Which frame is the map and which the robot is told by the names that REP 105 gives.
 """
 
-from collections import defaultdict, deque
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -111,14 +111,12 @@ class FrameTree:
 
     def list_ancestors(self, frame: str) -> list[str]:
         """List a frame and those above it, nearest first, as many as a way may have steps."""
-        found = {frame: None}
-        queue = deque([frame])
-        while queue and len(found) <= MOST_STEPS:
-            for edge in self._up.get(queue.popleft(), ()):
-                if edge.parent not in found:
-                    found[edge.parent] = None
-                    queue.append(edge.parent)
-        return list(found)
+        found = [frame]
+        for below in found:  # it grows meanwhile
+            if len(found) > MOST_STEPS:
+                break
+            found += [e.parent for e in self._up.get(below, ()) if e.parent not in found]
+        return found
 
     def find_root(self, frame: str) -> str:
         """Find the nearest frame above that has no parent; in a cycle, the farthest frame."""
@@ -160,10 +158,8 @@ class FrameTree:
         if upper not in self:
             return {}
         if upper not in self._distances:
-            distances = {upper: 0}
-            queue = deque([upper])
-            while queue:
-                frame = queue.popleft()
+            distances, queue = {upper: 0}, [upper]
+            for frame in queue:  # it grows meanwhile
                 below = (edge.child for edge in self._down.get(frame, ()))
                 above = (edge.parent for edge in self._up.get(frame, ()))
                 for other in (*below, *above):

@@ -1,7 +1,7 @@
 """Resolution: by which frames and whose poses a scan's frame is found in the map."""
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, NoReturn
+from typing import NoReturn
 
 from occmap.errors import MountError, PoseError
 from occmap.posing.chain import Chain, make_chain
@@ -22,15 +22,7 @@ from occmap.posing.sources import Sources
 from occmap.posing.tracks import Track
 from occmap.wording import join_names
 
-
-class Resolved(NamedTuple):
-    """How one scan frame gets its poses."""
-
-    fixed: str
-    """The frame that its scans are mapped in."""
-    chain: Chain
-    notes: list[str]
-    """What was decided on the way and its user should know."""
+GIVE_POSES = "give a trajectory: `poses=FILE`"
 
 
 def resolve(
@@ -39,7 +31,7 @@ def resolve(
     frame: str,
     fixed: str | None = None,
     alone: bool = True,
-) -> Resolved:
+) -> tuple[str, Chain, list[str]]:
     """Find the way to a scan's frame.
 
     Where the user names a trajectory, it carries the scans. Else the tree of tf does, which
@@ -56,6 +48,12 @@ def resolve(
     alone
         No other laser of the log is mapped.
 
+    Returns
+    -------
+    fixed, chain, notes
+        The frame that its scans are mapped in, the way from there, and what was decided on the way
+        and its user should know.
+
     Raises
     ------
     PoseError
@@ -68,7 +66,7 @@ def resolve(
         found = f"{frame!r} maps in {name!r} while other scans map in {fixed!r}"
         fix = f"join the two: `static_transforms={fixed},{name},X,Y,Z,ROLL,PITCH,YAW`"
         raise PoseError(found, fix=fix)
-    return Resolved(name, make_chain(steps, options.max_pose_gap_s), search.notes)
+    return name, make_chain(steps, options.max_pose_gap_s), search.notes
 
 
 Way = tuple[str, list[Step]]
@@ -102,10 +100,10 @@ class _Search:
         if not self.tree.frames:
             if body_poses:
                 return self.follow(body_poses)
-            raise PoseError(
-                "the scans have no poses: looked for tf, odometry and topics of poses in the log",
-                fix="give a trajectory: `poses=FILE`",
+            found = (
+                "the scans have no poses: looked for tf, odometry and topics of poses in the log"
             )
+            raise PoseError(found, fix=GIVE_POSES)
         anchor = self._find_base() if self.options.sensor_pose else self.frame
         if anchor not in self.tree:
             self._fail_without_mount()
@@ -200,15 +198,9 @@ class _Search:
         raise MountError(found, fix=f"give its mount on {base}: {mount}")
 
     def _fail_without_motion(self, root: str) -> NoReturn:
-        bodies = self.tree.bodies
-        if bodies:
-            raise PoseError(
-                f"the laser's frame {self.frame!r} hangs on {root!r}, which is not connected to "
-                f"what moves: {join_names(bodies)}",
-                fix=f"join them: `static_transforms={bodies[0]},{root},0,0,0,0,0,0`",
-            )
-        raise PoseError(
-            f"the scans have no poses: tf only says where {self.frame!r} sits on {root!r}, and "
-            "the log has no odometry and no topic of poses",
-            fix="give a trajectory: `poses=FILE`",
-        )
+        if bodies := self.tree.bodies:
+            found = f"the laser's frame {self.frame!r} hangs on {root!r}, which is not connected to"
+            fix = f"join them: `static_transforms={bodies[0]},{root},0,0,0,0,0,0`"
+            raise PoseError(f"{found} what moves: {join_names(bodies)}", fix=fix)
+        found = f"the scans have no poses: tf only says where {self.frame!r} sits on {root!r}, and"
+        raise PoseError(f"{found} the log has no odometry and no topic of poses", fix=GIVE_POSES)
