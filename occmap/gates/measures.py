@@ -18,10 +18,15 @@ if TYPE_CHECKING:  # each command makes one kind of result, and need not load wh
 
 Measures = tuple[Measure[Any], ...]
 
-SAVED: "tuple[Measure[Report], ...]" = (
+SCANS: "tuple[Measure[Report | Scored], ...]" = (
     Measure("scans_read", COUNT, lambda it: it.scans.read),
     Measure("scans_used", COUNT, lambda it: it.scans.used),
     Measure("dropped_scans", SHARE, lambda it: it.scans.dropped_share),
+)
+"""What became of the scans, in any report"""
+
+SAVED: "tuple[Measure[Report], ...]" = (
+    *SCANS,
     Measure("hits", SHARE, lambda it: it.hit_share),
     Measure("no_return", SHARE, lambda it: it.no_return_share),
     Measure("occupied", SHARE, lambda it: it.map.occupied),
@@ -83,9 +88,7 @@ CHECK: "tuple[Measure[Inspection], ...]" = (
 )
 
 SCORED: "tuple[Measure[Scored], ...]" = (
-    Measure("scans_read", COUNT, lambda it: it.scans.read),
-    Measure("scans_used", COUNT, lambda it: it.scans.used),
-    Measure("dropped_scans", SHARE, lambda it: it.scans.dropped_share),
+    *SCANS,
     Measure("damage", COUNT, lambda it: len(it.damage)),
 )
 """What can be limited of anything that is scored on held-out scans"""

@@ -2,6 +2,9 @@
 
 It reads the poses once and the scans once, as a build does; only where the mount of the laser is
 missing are the scans read twice, for the mount is then guessed from them.
+
+`poses`, `survey` and `ranges` measure, `findings` holds what they find, `advice` judges it, and
+`telling` puts it into words for a terminal and a page.
 """
 
 from collections import Counter, defaultdict
@@ -9,31 +12,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from occmap.command import format_mount, spell_flag
 from occmap.errors import LogError, OccmapError
-from occmap.grid.lattice import MOST_CELLS_OF_BEAM
-from occmap.inspection.advice import compose_command, list_apart, list_concerns
-from occmap.inspection.findings import (
-    Inspection,
-    LogFindings,
-    MapFindings,
-    MountFindings,
-    PoseFindings,
-    ScanFindings,
-)
-from occmap.inspection.poses import (
-    Posing,
-    list_coverage,
-    prepare,
-    suggest_stamps,
-)
+from occmap.inspection.advice import judge, list_concerns
+from occmap.inspection.findings import Inspection, LogFindings, MountFindings, ScanFindings
+from occmap.inspection.poses import Posing, list_coverage, prepare, suggest_stamps, sum_up_poses
 from occmap.inspection.ranges import measure_crossing
 from occmap.inspection.survey import Extent, Survey, TopicSurvey
 from occmap.mounts import find_better
 from occmap.opening import choose_topics, count_messages
 from occmap.options import BuildOptions
 from occmap.posing.course import Course
-from occmap.posing.options import DropReason, Stamps
 from occmap.readers import Log, open_log, read_scans
 from occmap.sampling import estimate_agreement
 from occmap.sensor.models import Spreading
@@ -55,37 +43,9 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
     options
         Those that the build is to have; resolution, posing, returns, topics and `max_cells` matter.
     """
-    extent, stamps = Extent(), options.posing.stamps
+    extent = Extent()
     logs = [inspect_path(path, options, extent) for path in paths]
-    grid = extent.sum_up(options.resolution)
-    problems = [log.problem for log in logs if log.problem]
-    too_large = find_size_problem(grid, extent, options)
-    is_unseen = grid is None and any(topic.poses.posed for log in logs for topic in log.scans)
-    unseen = "no beam of any scan observes a cell: see the ranges" if is_unseen else ""
-    others = [text for text in (too_large, unseen) if text][:1]
-    problems += list_pose_problems(logs, stamps) or others
-    mapped = [  # scans that have no poses may have some by the other of their two times
-        log
-        for log in logs
-        if any(it.poses.posed or it.times.suggested_stamps != stamps for it in log.scans)
-    ]
-    apart = () if too_large else tuple(list_apart(mapped, options))
-    command = compose_command(mapped, options) if mapped and not too_large and not apart else ()
-    left = [log.path for log in logs if log not in mapped]
-    if left and (command or apart):
-        apart += (f"the line leaves out what cannot be mapped: {', '.join(left)}",)
-    if unseen and spell_flag("no_return") not in command:
-        command = ()  # nothing that is known makes anything of these logs
-    damage = (f"{log.path}: {text}" for log in logs for text in log.damage)
-    concerns = (concern.text for log in logs for concern in log.concerns)
-    return Inspection(
-        logs=tuple(logs),
-        map=grid,
-        problems=tuple(problems),
-        warnings=(*damage, *concerns, *apart),
-        command=command,
-        buildable=not problems,
-    )
+    return judge(logs, extent.sum_up(options.resolution), extent.longest, options)
 
 
 def inspect_path(path: Path, options: BuildOptions, extent: Extent) -> LogFindings:
@@ -176,67 +136,3 @@ def sum_up(
         mount=mount,
         agreement=estimate_agreement(topic.sample.parts, options),
     )
-
-
-def sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
-    """Sum up how the scans of a topic get their poses."""
-    stated = topic.stated and posing.poser.sources.trajectory is None
-    chain = None if stated else posing.poser.chains.get(next(iter(topic.frames)))
-    faults = [posing.faults[frame] for frame in topic.frames if frame in posing.faults]
-    return PoseFindings(
-        stated=stated,
-        chain=chain.frames if chain else (),
-        posed=topic.posed,
-        dropped=dict(topic.dropped),
-        problem="; ".join(map(str, faults)),
-        assumed=format_mount(posing.assumed) if posing.assumed and faults else "",
-        is_guess=posing.is_guess and bool(faults),
-    )
-
-
-def list_pose_problems(logs: Sequence[LogFindings], stamps: Stamps) -> list[str]:
-    """Say why no scan has a pose, of each log or of all: a build needs at least one."""
-    found = []
-    for log in logs:
-        faults = dict.fromkeys(topic.poses.problem for topic in log.scans)
-        if "" not in faults:  # else some topic of the log has poses
-            found += [f"{log.path}: {fault}" for fault in faults]
-    topics = [(log, topic) for log in logs for topic in log.scans]
-    if topics and not found and not any(topic.poses.posed for _, topic in topics):
-        for log, topic in topics:
-            unused = write_unused(topic.scans, {**topic.left_out, **topic.poses.dropped})
-            found.append(f"{topic.topic}: {unused}{bridge_clocks(log, topic, stamps)}")
-    return found
-
-
-def bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
-    """Suggest an option for scans and poses whose times do not overlap."""
-    if topic.poses.dropped.keys().isdisjoint({DropReason.BEFORE, DropReason.AFTER}):
-        return ""
-    times = topic.times
-    if times.suggested_stamps is not stamps:
-        return f"; try `stamps={times.suggested_stamps.value}`"
-    for source in log.coverage if stamps is Stamps.HEADER else ():
-        apart = source.end_ns < times.start_ns or times.end_ns < source.start_ns
-        if source.moves and apart:
-            offset_ms = -((times.start_ns - source.start_ns) // 10**6)  # up: not before the pose
-            option = f"`time_offset_s={offset_ms / 1e3:.12g}`"
-            return f"; {option} would put the first scan at the first pose"
-    return "; compare stamps and sources: `time_offset_s=S` or `stamps=record`"
-
-
-def find_size_problem(grid: MapFindings | None, extent: Extent, options: BuildOptions) -> str:
-    """Say why no map can be made for its size; "" where it can."""
-    if grid is not None and grid.columns * grid.rows > options.max_cells:
-        x, y, x_end, y_end = grid.extent
-        return (
-            f"the map would have {grid.columns} x {grid.rows} cells, more than "
-            f"`max_cells={options.max_cells}`: x from {x:g} to {x_end:g} m, y from "
-            f"{y:g} to {y_end:g} m; try a coarser `resolution` or a `max_range`"
-        )
-    if extent.longest / options.resolution > MOST_CELLS_OF_BEAM:
-        return (
-            f"a beam of {extent.longest:.6g} m is too long for cells of {options.resolution} m; "
-            "limit ranges with `max_range`, or use a coarser `resolution`"
-        )
-    return ""

@@ -1,20 +1,118 @@
-"""From findings to advice: warnings, and the command line that makes the best of the logs."""
+"""From findings to advice: problems, warnings, and the command that makes the best of the logs."""
 
 import shlex
 from collections.abc import Iterator, Sequence
 
 from occmap.batching import find_oddity
-from occmap.command import chain_builds, compose_build
-from occmap.inspection.findings import LogFindings, ScanFindings, TimeFindings
+from occmap.command import chain_builds, compose_build, spell_flag
+from occmap.grid.lattice import MOST_CELLS_OF_BEAM
+from occmap.inspection.findings import (
+    Inspection,
+    LogFindings,
+    MapFindings,
+    ScanFindings,
+    TimeFindings,
+)
 from occmap.mounts import warn_of_misfit
 from occmap.options import BuildOptions
-from occmap.posing.options import Concern
+from occmap.posing.options import Concern, DropReason, Stamps
 from occmap.remarks import LEAST_AGREEMENT
-from occmap.wording import count, write_counts
+from occmap.wording import count, write_counts, write_unused
 
 SHARE_OF_NOTE = 0.05
 DRIFT_S = 0.1
 ASK_TUNE = "try `occmap tune`"
+
+
+def judge(
+    logs: Sequence[LogFindings], grid: MapFindings | None, longest: float, options: BuildOptions
+) -> Inspection:
+    """Judge logs by what was found in them, and the map that they would make.
+
+    Parameters
+    ----------
+    grid
+        None where no beam observes a cell.
+    longest
+        Of all beams (m).
+    """
+    stamps = options.posing.stamps
+    problems = [log.problem for log in logs if log.problem]
+    too_large = find_size_problem(grid, longest, options)
+    is_unseen = grid is None and any(topic.poses.posed for log in logs for topic in log.scans)
+    unseen = "no beam of any scan observes a cell: see the ranges" if is_unseen else ""
+    others = [text for text in (too_large, unseen) if text][:1]
+    problems += list_pose_problems(logs, stamps) or others
+    mapped = [  # scans that have no poses may have some by the other of their two times
+        log
+        for log in logs
+        if any(it.poses.posed or it.times.suggested_stamps != stamps for it in log.scans)
+    ]
+    apart = () if too_large else tuple(list_apart(mapped, options))
+    command = compose_command(mapped, options) if mapped and not too_large and not apart else ()
+    left = [log.path for log in logs if log not in mapped]
+    if left and (command or apart):
+        apart += (f"the line leaves out what cannot be mapped: {', '.join(left)}",)
+    if unseen and spell_flag("no_return") not in command:
+        command = ()  # nothing that is known makes anything of these logs
+    damage = (f"{log.path}: {text}" for log in logs for text in log.damage)
+    concerns = (concern.text for log in logs for concern in log.concerns)
+    return Inspection(
+        logs=tuple(logs),
+        map=grid,
+        problems=tuple(problems),
+        warnings=(*damage, *concerns, *apart),
+        command=command,
+        buildable=not problems,
+    )
+
+
+def list_pose_problems(logs: Sequence[LogFindings], stamps: Stamps) -> list[str]:
+    """Say why no scan has a pose, of each log or of all: a build needs at least one."""
+    found = []
+    for log in logs:
+        faults = dict.fromkeys(topic.poses.problem for topic in log.scans)
+        if "" not in faults:  # else some topic of the log has poses
+            found += [f"{log.path}: {fault}" for fault in faults]
+    topics = [(log, topic) for log in logs for topic in log.scans]
+    if topics and not found and not any(topic.poses.posed for _, topic in topics):
+        for log, topic in topics:
+            unused = write_unused(topic.scans, {**topic.left_out, **topic.poses.dropped})
+            found.append(f"{topic.topic}: {unused}{bridge_clocks(log, topic, stamps)}")
+    return found
+
+
+def bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
+    """Suggest an option for scans and poses whose times do not overlap."""
+    if topic.poses.dropped.keys().isdisjoint({DropReason.BEFORE, DropReason.AFTER}):
+        return ""
+    times = topic.times
+    if times.suggested_stamps is not stamps:
+        return f"; try `stamps={times.suggested_stamps.value}`"
+    for source in log.coverage if stamps is Stamps.HEADER else ():
+        apart = source.end_ns < times.start_ns or times.end_ns < source.start_ns
+        if source.moves and apart:
+            offset_ms = -((times.start_ns - source.start_ns) // 10**6)  # up: not before the pose
+            option = f"`time_offset_s={offset_ms / 1e3:.12g}`"
+            return f"; {option} would put the first scan at the first pose"
+    return "; compare stamps and sources: `time_offset_s=S` or `stamps=record`"
+
+
+def find_size_problem(grid: MapFindings | None, longest: float, options: BuildOptions) -> str:
+    """Say why no map can be made for its size, or that of its longest beam (m); "" where it can."""
+    if grid is not None and grid.columns * grid.rows > options.max_cells:
+        x, y, x_end, y_end = grid.extent
+        return (
+            f"the map would have {grid.columns} x {grid.rows} cells, more than "
+            f"`max_cells={options.max_cells}`: x from {x:g} to {x_end:g} m, y from "
+            f"{y:g} to {y_end:g} m; try a coarser `resolution` or a `max_range`"
+        )
+    if longest / options.resolution > MOST_CELLS_OF_BEAM:
+        return (
+            f"a beam of {longest:.6g} m is too long for cells of {options.resolution} m; "
+            "limit ranges with `max_range`, or use a coarser `resolution`"
+        )
+    return ""
 
 
 def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple[str, ...]:
@@ -23,7 +121,7 @@ def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple
     Where the poses do not fit the scans, it is the one that looks for the reason; there is none
     where nothing helps, or where logs need different options.
     """
-    paths = [log.path for log in logs if not log.problem]
+    paths = [log.path for log in logs]
     concerns = [concern for log in logs for concern in log.concerns]
     advised = list_advised(logs, options)
     for name, value in (pair for each in concerns for pair in (each.remedy or {}).items()):

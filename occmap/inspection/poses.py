@@ -7,7 +7,7 @@ import numpy as np
 
 from occmap.command import format_mount
 from occmap.errors import MountError, PoseError
-from occmap.inspection.findings import Coverage
+from occmap.inspection.findings import Coverage, PoseFindings
 from occmap.inspection.survey import TopicSurvey
 from occmap.mounts import UNTURNED, guess_place
 from occmap.opening import refuse_shared_mount, take_first
@@ -118,3 +118,19 @@ def list_coverage(sources: Sources) -> list[Coverage]:
         )
         for edge in dict.fromkeys([*edges, *others])
     ]
+
+
+def sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
+    """Sum up how the scans of a topic get their poses."""
+    stated = topic.stated and posing.poser.sources.trajectory is None
+    chain = None if stated else posing.poser.chains.get(next(iter(topic.frames)))
+    faults = [posing.faults[frame] for frame in topic.frames if frame in posing.faults]
+    return PoseFindings(
+        stated=stated,
+        chain=chain.frames if chain else (),
+        posed=topic.posed,
+        dropped=dict(topic.dropped),
+        problem="; ".join(map(str, faults)),
+        assumed=format_mount(posing.assumed) if posing.assumed and faults else "",
+        is_guess=posing.is_guess and bool(faults),
+    )
