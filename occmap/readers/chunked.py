@@ -24,7 +24,7 @@ NEVER_NS = 2**64 - 1
 """A time later than any: the last of a chunk that states none."""
 LONGEST_RECORD = 2**32 - 1
 """Bytes of a record at most; one that states more is damaged."""
-_EVERY_ID = range(1 << 32)
+EVERY_ID = range(1 << 32)
 
 
 class Record(NamedTuple):
@@ -175,8 +175,8 @@ class ChunkedSource(ABC, Generic[Table]):
         """Find the channels and count their messages by reading the whole file."""
         table = self.table()
         held: Counter[int] = Counter()
-        for block in self._iterate_blocks(file, _EVERY_ID):
-            held.update(key for key, _, _ in self._split_block(block, _EVERY_ID, table))
+        for block in self._iterate_blocks(file, EVERY_ID):
+            held.update(key for key, _, _ in self._split_block(block, EVERY_ID, table))
         channels: dict[int, Channel] = {}
         for key, channel in table.build():
             channels.setdefault(key, channel)

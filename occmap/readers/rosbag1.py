@@ -6,6 +6,7 @@ that is made of them.
 
 import re
 import struct
+from bisect import bisect
 from collections import Counter
 from collections.abc import Container, Iterator
 from contextlib import suppress
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from occmap.errors import LogError
-from occmap.readers.chunked import Block, ChunkedSource, Record
+from occmap.readers.chunked import EVERY_ID, Block, ChunkedSource, Record
 from occmap.readers.inflate import Buffer, inflate
 from occmap.readers.ros_source import Channel, add_note
 
@@ -22,10 +23,10 @@ MAGIC = b"#ROSBAG V2.0\n"
 
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 """The opcodes."""
-INDEX_ENTRY = 12
-"""Bytes of an entry of an index record: a time and an offset."""
 INFO_ENTRY = struct.Struct("<II")
 """An entry of the record about a chunk: a connection, and how many messages it has there."""
+ENTRY_BYTES = {INDEX: 12, CHUNK_INFO: INFO_ENTRY.size}
+"""Bytes of an entry, of which a header has the count; one behind a chunk is a time and an offset"""
 
 RECORD_ERRORS = (struct.error, LookupError, ValueError)
 
@@ -258,12 +259,10 @@ class _Index:
         self.table = ChannelTable()
         self.chunks: list[int] = []
         """Where they begin"""
-        self.infos = 0
-        """Chunks, as the end of the bag has them."""
-        self.counts: Counter[int] = Counter()
-        """Messages by connection, as the end of the bag has them."""
-        self.entries: Counter[int] = Counter()
-        """Messages by connection, as the records behind each chunk have them."""
+        self.infos: dict[int, Counter[int]] = {}
+        """Messages by connection of the chunk at a position, as the end of the bag has them."""
+        self.behind: list[tuple[int, int, int]] = []
+        """The records behind the chunks: position, connection, and how many messages it has."""
 
     def add(self, record: Record, file: BinaryIO) -> None:
         """Take in a record, whose data the file is at."""
@@ -273,14 +272,42 @@ class _Index:
         elif record.opcode == CHUNK:
             self.chunks.append(record.position)
         elif record.opcode == INDEX:
-            self.entries[header.number(b"conn")] += header.number(b"count")
+            messages = record.length // ENTRY_BYTES[INDEX]
+            self.behind.append((record.position, header.number(b"conn"), messages))
         with suppress(*RECORD_ERRORS):
             if record.opcode == CONNECTION:
                 self.table.add(header, file.read(record.length))
             elif record.opcode == CHUNK_INFO:
-                self.infos += 1
+                counts = self.infos.setdefault(header.number(b"chunk_pos"), Counter())
                 for key, messages in INFO_ENTRY.iter_unpack(file.read(record.length)):
-                    self.counts[key] += messages
+                    counts[key] += messages
+
+    def count(self) -> tuple[Counter[int], Counter[int]]:
+        """Count the messages of each connection by the end of the bag, and behind its chunks."""
+        at_end, behind = Counter[int](), Counter[int]()
+        for counts in self.infos.values():
+            at_end += counts
+        for _, key, messages in self.behind:
+            behind[key] += messages
+        return at_end, behind
+
+    def count_parts(self) -> tuple[Counter[int], set[int]]:
+        """Count what is left of a damaged index, and find the chunks of which nothing is left.
+
+        Of a chunk, the records behind it count, and where one is lost, the end of the bag does.
+        """
+        at_end, behind = self.count()
+        if self.infos and max(self.infos) not in self.chunks:  # bytes are lost or added: all moved
+            return at_end if len(self.chunks) > len(self.infos) else at_end | behind, set()
+        positions = sorted({*self.infos, *self.chunks})
+        counts = {at: dict(self.infos.get(at, {})) for at in positions}
+        for position, key, messages in self.behind:
+            if messages and (place := bisect(positions, position)):
+                counts[positions[place - 1]][key] = messages
+        total = Counter[int]()
+        for each in counts.values():
+            total.update(each)
+        return total, {at for at, each in counts.items() if not each}
 
 
 class Bag1Source(ChunkedSource[ChannelTable]):
@@ -303,27 +330,37 @@ class Bag1Source(ChunkedSource[ChannelTable]):
         index = _Index()
         for record in self._walk(file):
             index.add(record, file)
-        bag, chunks, infos = index.bag, len(index.chunks), index.infos
+        bag, chunks, infos = index.bag, len(index.chunks), len(index.infos)
         if encryptor := bag.text(b"encryptor"):
             raise LogError(
                 f"the bag is encrypted with {encryptor}",
                 where=self.path,
                 fix="decrypt it with `rosbag decrypt` first",
             )
-        self._has_doubles = chunks > infos
         channels = dict(index.table.build())
+        counts, behind = index.count()
         stated = bag.number(b"conn_count"), bag.number(b"chunk_count")
-        if not (channels and bag.number(b"index_pos") and stated == (len(channels), infos)):
-            if not self.notes:
-                text = "the bag was not closed, or its index is damaged: all of it is read"
-                add_note(self.notes, text)
-            return self._survey(file)
-        if chunks != infos:
-            add_note(self.notes, f"{chunks} chunks are in it, its index has {infos}")
-        if +index.entries != +index.counts:
-            add_note(self.notes, "the indexes of its chunks and the one at its end differ")
-        self._chunks = index.chunks
-        return channels, index.counts
+        is_closed = bag.number(b"index_pos") and stated == (len(channels), infos) and channels
+        if not is_closed:
+            problem = "the bag was not closed, or its index is damaged: all of it is read"
+        elif chunks != infos:
+            problem = f"{chunks} chunks are in it, its index has {infos}"
+        elif +behind != +counts:
+            problem = "the indexes of its chunks and the one at its end differ"
+        else:
+            self._chunks = index.chunks
+            return channels, counts
+        if not self.notes:
+            add_note(self.notes, problem)
+        counts, lost = index.count_parts()
+        if lost := lost - {self._cut_at}:
+            text = f"nothing is left of the index of {len(lost)} of its {chunks} chunks"
+            add_note(self.notes, f"{text}: how many messages they should hold is not known")
+        self._has_doubles = chunks > infos
+        found, held = self._survey(file)
+        channels = found | channels if is_closed else found
+        known = channels.keys() | held.keys()
+        return channels, held | Counter({key: counts[key] for key in counts.keys() & known})
 
     def _read_record(self, file: BinaryIO, position: int) -> Record | None:
         file.seek(position)
@@ -337,26 +374,38 @@ class Bag1Source(ChunkedSource[ChannelTable]):
     def _find_length(self, file: BinaryIO, header: Header, position: int) -> int:
         """Find how long a record's data is, where it states another length than it has."""
         start = position + len(header.raw)
-        if header.opcode == INDEX:
-            length = INDEX_ENTRY * header.number(b"count")
-            if length != header.length and not self._odd_index:
+        stated = header.length
+        if header.opcode in ENTRY_BYTES:
+            length = ENTRY_BYTES[header.opcode] * header.number(b"count")
+            if length != stated and not self._odd_index:
                 self._odd_index = True
                 add_note(
                     self.notes,
                     f"index records state a wrong length, the first at byte {position};"
                     " the messages are all there",
                 )
-            return length if leads_on(file, start + length, self._size) else header.length
-        if header.opcode == CHUNK and not leads_on(file, start + header.length, self._size):
-            following = find_header(file, start, self._size, chunk_end=self._size)
-            if following is not None:
-                self._note(position, "states a wrong length")
-                return following - start
-        return header.length
+            return length if leads_on(file, start + length, self._size) else stated
+        if header.opcode != CHUNK or leads_on(file, start + stated, self._size):
+            return stated
+        following = find_header(file, start, self._size, chunk_end=self._size)
+        file.seek(start)
+        if following is None or (start + stated < following and self._is_whole(file, header)):
+            return stated
+        self._note(position, "states a wrong length")
+        return following - start
+
+    def _is_whole(self, file: BinaryIO, header: Header) -> bool:
+        """Whether messages fill a chunk up to its stated end; the file is at its body."""
+        block, problem = self._inflate(header, file.read(header.length))
+        ends = [end for *_, end in split_messages(block, EVERY_ID, ChannelTable(), [])]
+        return not problem and ends[-1:] == [len(block)]
+
+    def _inflate(self, header: Header, body: bytes) -> tuple[Buffer, str]:
+        """Decompress a chunk, and say what is wrong with it."""
+        return inflate(body, header.text(b"compression"), header.number(b"size"))
 
     def _open_chunk(self, record: Record, body: bytes, _file: BinaryIO) -> Block:
-        header = parse_header(record.head, 0)
-        block, problem = inflate(body, header.text(b"compression"), header.number(b"size"))
+        block, problem = self._inflate(parse_header(record.head, 0), body)
         if problem:
             self._note(record.position, problem)
         return Block(record.position, block)
