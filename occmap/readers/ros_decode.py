@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from rosbags.typesys.store import Typestore
 
 from occmap.errors import DamageError, LogError
-from occmap.readers.messages import SHAPES, normalise_type
+from occmap.readers.messages import TYPES, normalise_type
 from occmap.readers.ros_source import Channel
 from occmap.readers.shapes import take
 
@@ -92,7 +92,7 @@ def make_reader(
     if channel.encoding in _STORES and _load_types(channel)[1]:
         is_plain = channel.kind in _PLAIN_TYPES
         return lambda data, record_ns: convert(decode(data), topic, record_ns), is_plain
-    shape = SHAPES[channel.kind]
+    shape = TYPES[channel.kind].shape
     return lambda data, record_ns: convert(take(decode(data), shape), topic, record_ns), False
 
 

@@ -11,10 +11,9 @@ from typing import Any, Generic, TypeVar
 from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import DEFAULT_OPTIONS, Note, Role, Stream
 from occmap.readers.inflate import Buffer
-from occmap.readers.messages import POSE_TYPES, SCAN_TYPES
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_decode import FromBytes, make_reader
-from occmap.readers.ros_source import SCAN_ROLES, Channel, RawMessage, Source, add_note
+from occmap.readers.ros_source import Channel, RawMessage, Source, add_note
 from occmap.readers.ros_stacks import Stacked, read_scan_run, read_transforms
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
@@ -102,22 +101,25 @@ class RosLog:
             yield from _read_run(reader, run)
 
     def _make_pose_readers(self) -> dict[Channel, "_ChannelReader[list[PoseSample]]"]:
-        wanted = [channel for channel in self._source.channels if channel.has_poses]
-        return self._make_readers({channel: POSE_TYPES[channel.kind] for channel in wanted})
+        return self._make_readers(
+            (channel, channel.known.to_poses)
+            for channel in self._source.channels
+            if channel.known and channel.known.to_poses
+        )
 
     def _make_scan_readers(self, topics: Collection[str]) -> dict[Channel, "_ChannelReader[Scan]"]:
-        channels = [channel for channel in self._source.channels if channel.topic in topics]
-        wanted = [channel for channel in channels if channel.role in SCAN_ROLES]
         return self._make_readers(
-            {channel: partial(SCAN_TYPES[channel.kind], self._options) for channel in wanted}
+            (channel, partial(channel.known.to_scan, self._options))
+            for channel in self._source.channels
+            if channel.topic in topics and channel.known and channel.known.to_scan
         )
 
     def _make_readers(
-        self, converters: Mapping[Channel, Callable[[Any, str, int], T]]
+        self, wanted: Iterable[tuple[Channel, Callable[[Any, str, int], T]]]
     ) -> dict[Channel, "_ChannelReader[T]"]:
         """Build a reader for each channel; note and leave out what cannot be understood."""
         readers = {}
-        for channel, convert in converters.items():
+        for channel, convert in wanted:
             try:
                 readers[channel] = _ChannelReader(channel, convert)
             except LogError as error:
