@@ -7,7 +7,7 @@ import re
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Collection, Container, Iterator, Mapping
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
@@ -50,10 +50,6 @@ _SHORTEST: Mapping[int, int] = {
 }
 """Bytes of records whose texts and lists are empty."""
 _LAST_OPCODE = 15
-_CHUNK_HEAD = struct.Struct("<QQQII")
-"""Of a chunk: its first and last time, its size and checksum when it is decompressed, and the
-length of the name of its compression, which follows; then come the length of its data, and these"""
-_LENGTH = struct.Struct("<Q")
 _CHUNK = re.compile(
     rb".{28}(\x00{4}|\x03\x00{3}lz4|\x04\x00{3}(none|zstd))(?P<length>.{5}\x00{3})", re.DOTALL
 )
@@ -62,8 +58,6 @@ _CHUNK_START = 44
 """Bytes of it that say how long the chunk is."""
 _HEAD = re.compile(rb"(?=[\x03-\x0f].{4}\x00{4})", re.DOTALL)
 """How a record starts, if it is not longer than 2**32 - 1 bytes."""
-_INDEX_HEAD = struct.Struct("<HI")
-"""A channel, and the bytes of the entries that follow."""
 _INDEX_ENTRY = 16
 """Bytes of an entry: a time, and where in the chunk the message lies."""
 _MOST_INDEX = 1 << 24
@@ -80,17 +74,23 @@ _LONGEST_PADDING = 64
 _DESCRIPTIONS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
 
 
-def _make_channel(channel: McapChannel, schema: Schema | None) -> Channel:
-    """Combine a channel and its schema."""
-    schema = schema or Schema(0, b"", "", "")
-    is_text = schema.encoding in {"ros1msg", "ros2msg"}
-    return Channel(
-        topic=channel.topic,
-        type=schema.name,
-        encoding=channel.message_encoding,
-        definition=schema.data.decode(errors="replace") if is_text else "",
-        descriptors=schema.data if schema.encoding == "protobuf" else b"",
-    )
+def _make_channels(
+    channels: Iterable[McapChannel], schemas: Mapping[int, Schema]
+) -> Iterator[tuple[int, Channel]]:
+    """Combine channels and their schemas; give them with their numbers."""
+    for channel in channels:
+        schema = schemas.get(channel.schema_id, Schema(0, b"", "", ""))
+        is_text = schema.encoding in {"ros1msg", "ros2msg"}
+        yield (
+            channel.id,
+            Channel(
+                topic=channel.topic,
+                type=schema.name,
+                encoding=channel.message_encoding,
+                definition=schema.data.decode(errors="replace") if is_text else "",
+                descriptors=schema.data if schema.encoding == "protobuf" else b"",
+            ),
+        )
 
 
 def _find_record(file: BinaryIO, start: int, size: int, chunk_end: int = 0) -> int | None:
@@ -143,15 +143,9 @@ def _count_indexed(file: BinaryIO) -> int:
         if opcode != Opcode.MESSAGE_INDEX:
             break
         body = file.read(min(length, _MOST_INDEX))
-        _, size = _INDEX_HEAD.unpack(body[: _INDEX_HEAD.size].ljust(_INDEX_HEAD.size, b"\0"))
+        size = int.from_bytes(body[2:6], "little")  # of the entries, behind the channel's number
         messages += size // _INDEX_ENTRY
     return messages
-
-
-def _measure_chunk(start: bytes) -> int | None:
-    """Find how long the body of a chunk is from its first bytes; None where it is none."""
-    match = _CHUNK.match(start)
-    return match.end() + int.from_bytes(match["length"], "little") if match else None
 
 
 def _read_summary(file: BinaryIO, size: int) -> tuple[Summary, bool, str]:
@@ -229,10 +223,7 @@ class McapSource(ChunkedSource):
         self._held = {
             index.chunk_start_offset: index.message_index_offsets for index in summary.chunk_indexes
         }
-        channels = {
-            key: _make_channel(channel, summary.schemas.get(channel.schema_id))
-            for key, channel in summary.channels.items()
-        }
+        channels = dict(_make_channels(summary.channels.values(), summary.schemas))
         counts = Counter(statistics.channel_message_counts if statistics else {})
         if (
             statistics is not None
@@ -276,7 +267,8 @@ class McapSource(ChunkedSource):
         file.seek(position)
         opcode, length = _RECORD.unpack(file.read(_RECORD.size).ljust(_RECORD.size, b"\0"))
         start = position + _RECORD.size
-        measured = None if opcode == Opcode.MESSAGE else _measure_chunk(file.read(_CHUNK_START))
+        match = None if opcode == Opcode.MESSAGE else _CHUNK.match(file.read(_CHUNK_START))
+        measured = match.end() + int.from_bytes(match["length"], "little") if match else None
         if measured is not None and (opcode, length) != (Opcode.CHUNK, measured):
             is_odd = opcode == Opcode.CHUNK and not _leads_on(file, start + length, self._size)
             if is_odd or length == measured:
@@ -300,15 +292,14 @@ class McapSource(ChunkedSource):
         """Decompress a chunk, and verify its checksum when it is first read."""
         position = record.position
         indexed = _count_indexed(file)
-        try:  # not by the library, which gives nothing of a chunk that is cut
-            first_ns, last_ns, size, crc, name_length = _CHUNK_HEAD.unpack_from(body)
-            start = _CHUNK_HEAD.size + name_length
-            compression = str(body[_CHUNK_HEAD.size : start], "utf-8")
-            (length,) = _LENGTH.unpack_from(body, start)
+        stream = ReadDataStream(BytesIO(body))
+        try:  # not by Chunk.read, which gives nothing of a chunk that is cut
+            first_ns, last_ns, size = stream.read8(), stream.read8(), stream.read8()
+            crc, compression, length = stream.read4(), stream.read_prefixed_string(), stream.read8()
         except _RECORD_ERRORS:
             self._note(position, "has no head that can be read")
             return Block(position, b"")
-        data = memoryview(body)[start + _LENGTH.size :]
+        data = memoryview(body)[stream.count :]
         block, problem = inflate(data[:length], compression, size)
         if (left := len(data) - length) > _LONGEST_PADDING:
             problem = problem or f"has {count(left, 'byte')} that it does not state"
@@ -365,8 +356,7 @@ class McapSource(ChunkedSource):
             except _RECORD_ERRORS:
                 self._note(position, "holds a channel that cannot be read")
         # Only now, as a schema may come after its channel where a log is damaged.
-        for channel in channels:
-            yield channel.id, _make_channel(channel, schemas.get(channel.schema_id))
+        return _make_channels(channels, schemas)
 
 
 class McapReader(RosReader):
