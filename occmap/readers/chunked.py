@@ -8,11 +8,11 @@ and rosbags needs an index, which the bags of robots that lost power do not have
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Container, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import BinaryIO, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
+from typing import BinaryIO, ClassVar, NamedTuple, Self, TypeAlias
 
 from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import Note, NoteList, Span, make_part
@@ -24,7 +24,7 @@ NEVER_NS = 2**64 - 1
 """A time later than any: the last of a chunk that states none."""
 LONGEST_RECORD = 2**32 - 1
 """Bytes of a record at most; one that states more is damaged."""
-_EVERY_ID = range(1 << 32)
+EVERY_ID = range(1 << 32)
 
 
 class Record(NamedTuple):
@@ -65,17 +65,11 @@ class Block(NamedTuple):
     """How many messages the indexes after the chunk name; 0 where there are none"""
 
 
-class ChannelTable(Protocol):
-    """The channels that a file describes, gathered as they turn up in it."""
-
-    def build(self) -> Iterable[tuple[int, Channel]]:
-        """Give channels with their numbers; one that is described in two ways may come twice."""
+Descriptions: TypeAlias = dict[bytes, int]
+"""Records that describe channels, each with the position of the chunk where it is first."""
 
 
-Table = TypeVar("Table", bound=ChannelTable)
-
-
-class ChunkedSource(ABC, Generic[Table]):
+class ChunkedSource(ABC):
     """The channels and raw messages of a file of records."""
 
     magic: ClassVar[bytes]
@@ -88,8 +82,6 @@ class ChunkedSource(ABC, Generic[Table]):
     """The opcodes of those behind which no messages follow"""
     unit: ClassVar[str] = "channel"
     """What the format calls a channel"""
-    table: type[Table]
-    """What `_split_block` adds descriptions of channels to"""
     find_record: Callable[[BinaryIO, int, int, int], int | None]
     """Takes a file, an offset, the file's size and where a chunk ends.
 
@@ -125,12 +117,12 @@ class ChunkedSource(ABC, Generic[Table]):
     def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some channels, in file order."""
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
-        table = self.table()
+        descriptions: Descriptions = {}
         with self.path.open("rb") as file:
             for block in self._iterate_blocks(file, by_id):
-                for key, record_ns, data in self._split_block(block, by_id, table):
+                for key, record_ns, data in self._split_block(block, by_id, descriptions):
                     yield by_id[key], record_ns, data
-        for key, other in table.build():
+        for key, other in self._describe(descriptions):
             known = self._by_id.get(key, other)
             if known.description != other.description:
                 text = f"{self.unit} {key} is described in two ways: {known.topic}"
@@ -163,9 +155,16 @@ class ChunkedSource(ABC, Generic[Table]):
 
     @abstractmethod
     def _split_block(
-        self, block: Block, wanted: Container[int], table: Table
+        self, block: Block, wanted: Container[int], descriptions: Descriptions
     ) -> Iterator[tuple[int, int, memoryview]]:
-        """Give channel, record time (ns) and bytes of each message of some channels."""
+        """Give channel, record time (ns) and bytes of each message of some channels.
+
+        The records that describe channels are added to `descriptions`.
+        """
+
+    @abstractmethod
+    def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
+        """Give channels with their numbers; one that is described in two ways comes twice."""
 
     def _may_hold(self, _position: int, _wanted: Container[int]) -> bool:
         """Whether a chunk can hold messages of these channels, as the file's index has it."""
@@ -173,12 +172,12 @@ class ChunkedSource(ABC, Generic[Table]):
 
     def _survey(self, file: BinaryIO) -> tuple[dict[int, Channel], Counter[int]]:
         """Find the channels and count their messages by reading the whole file."""
-        table = self.table()
+        descriptions: Descriptions = {}
         held: Counter[int] = Counter()
-        for block in self._iterate_blocks(file, _EVERY_ID):
-            held.update(key for key, _, _ in self._split_block(block, _EVERY_ID, table))
+        for block in self._iterate_blocks(file, EVERY_ID):
+            held.update(key for key, _, _ in self._split_block(block, EVERY_ID, descriptions))
         channels: dict[int, Channel] = {}
-        for key, channel in table.build():
+        for key, channel in self._describe(descriptions):
             channels.setdefault(key, channel)
         return channels, held
 

@@ -8,14 +8,14 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from occmap.readers import Role
 from occmap.readers.options import ReaderOptions
 from occmap.readers.shapes import (
     POSE,
     QUATERNION,
     VECTOR,
+    MessageType,
     Shape,
-    ToPoses,
-    ToScan,
     as_row,
     get_field,
     read_frame,
@@ -64,16 +64,10 @@ def name_origin(frame: str, topic: str) -> str:
 
 def convert_transform(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
     """Convert a foxglove.FrameTransform."""
-    return [
-        PoseSample(
-            stamp_ns=message.timestamp,
-            parent=read_frame(message.parent_frame_id),
-            child=read_frame(message.child_frame_id),
-            pose=_read_pose(message.translation, message.rotation),
-            topic=topic,
-            record_ns=record_ns,
-        )
-    ]
+    parent, child = read_frame(message.parent_frame_id), read_frame(message.child_frame_id)
+    pose = _read_pose(message.translation, message.rotation)
+    stamp_ns = message.timestamp
+    return [PoseSample(stamp_ns, parent, child, pose, topic=topic, record_ns=record_ns)]
 
 
 def convert_transforms(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
@@ -96,14 +90,9 @@ def convert_poses(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
 
 
 def _make_sample(message: Any, pose: Any, topic: str, record_ns: int) -> PoseSample:
-    return PoseSample(
-        stamp_ns=message.timestamp,
-        parent=read_frame(message.frame_id),
-        child="",
-        pose=_read_pose(pose.position, pose.orientation),
-        topic=topic,
-        record_ns=record_ns,
-    )
+    stamp_ns, parent = message.timestamp, read_frame(message.frame_id)
+    position = _read_pose(pose.position, pose.orientation)
+    return PoseSample(stamp_ns, parent, "", position, topic=topic, record_ns=record_ns)
 
 
 def _read_origin(message: Any) -> Pose:
@@ -123,17 +112,14 @@ def as_time(value: Any) -> int:
     return as_stamp(seconds * 1_000_000_000 + nanoseconds)
 
 
-SCAN_TYPES: Mapping[str, ToScan] = {"foxglove.LaserScan": convert_scan}
-
-POSE_TYPES: Mapping[str, ToPoses] = {
-    "foxglove.FrameTransform": convert_transform,
-    "foxglove.FrameTransforms": convert_transforms,
-    "foxglove.PoseInFrame": convert_pose,
-    "foxglove.PosesInFrame": convert_poses,
-    "foxglove.LaserScan": convert_origin,
-}
-
 _FRAMED: Mapping[str, Shape] = {"timestamp": as_time, "frame_id": as_text}
+_SCAN: Shape = {
+    **_FRAMED,
+    "pose": POSE,
+    "start_angle": as_number,
+    "end_angle": as_number,
+    "ranges": as_row,
+}
 _TRANSFORM: Shape = {
     "timestamp": as_time,
     "parent_frame_id": as_text,
@@ -141,17 +127,16 @@ _TRANSFORM: Shape = {
     "translation": VECTOR,
     "rotation": QUATERNION,
 }
-SHAPES: Mapping[str, Shape] = {
-    "foxglove.LaserScan": {
-        **_FRAMED,
-        "pose": POSE,
-        "start_angle": as_number,
-        "end_angle": as_number,
-        "ranges": as_row,
-    },
-    "foxglove.FrameTransform": _TRANSFORM,
-    "foxglove.FrameTransforms": {"transforms": [_TRANSFORM]},
-    "foxglove.PoseInFrame": {**_FRAMED, "pose": POSE},
-    "foxglove.PosesInFrame": {**_FRAMED, "poses": [POSE]},
+_TRANSFORMS: Shape = {"transforms": [_TRANSFORM]}
+
+TYPES: Mapping[str, MessageType] = {
+    "foxglove.LaserScan": MessageType(Role.SCAN, _SCAN, convert_scan, convert_origin),
+    "foxglove.FrameTransform": MessageType(Role.POSE, _TRANSFORM, to_poses=convert_transform),
+    "foxglove.FrameTransforms": MessageType(Role.POSE, _TRANSFORMS, to_poses=convert_transforms),
+    "foxglove.PoseInFrame": MessageType(
+        Role.POSE, {**_FRAMED, "pose": POSE}, to_poses=convert_pose
+    ),
+    "foxglove.PosesInFrame": MessageType(
+        Role.POSE, {**_FRAMED, "poses": [POSE]}, to_poses=convert_poses
+    ),
 }
-"""The fields that a converter reads of each schema."""

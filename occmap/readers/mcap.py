@@ -7,8 +7,7 @@ import re
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Container, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
@@ -18,9 +17,11 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel as McapChannel
 from mcap.records import ChunkIndex, Footer, Schema, Statistics
+from mcap.stream_reader import StreamReader
+from mcap.summary import Summary
 
 from occmap.readers import Probe
-from occmap.readers.chunked import NEVER_NS, Block, ChunkedSource, Record
+from occmap.readers.chunked import NEVER_NS, Block, ChunkedSource, Descriptions, Record
 from occmap.readers.inflate import inflate
 from occmap.readers.ros_log import RosReader
 from occmap.readers.ros_source import Channel, add_note
@@ -49,10 +50,6 @@ _SHORTEST: Mapping[int, int] = {
 }
 """Bytes of records whose texts and lists are empty."""
 _LAST_OPCODE = 15
-_CHUNK_HEAD = struct.Struct("<QQQII")
-"""Of a chunk: its first and last time, its size and checksum when it is decompressed, and the
-length of the name of its compression, which follows; then come the length of its data, and these"""
-_LENGTH = struct.Struct("<Q")
 _CHUNK = re.compile(
     rb".{28}(\x00{4}|\x03\x00{3}lz4|\x04\x00{3}(none|zstd))(?P<length>.{5}\x00{3})", re.DOTALL
 )
@@ -61,8 +58,6 @@ _CHUNK_START = 44
 """Bytes of it that say how long the chunk is."""
 _HEAD = re.compile(rb"(?=[\x03-\x0f].{4}\x00{4})", re.DOTALL)
 """How a record starts, if it is not longer than 2**32 - 1 bytes."""
-_INDEX_HEAD = struct.Struct("<HI")
-"""A channel, and the bytes of the entries that follow."""
 _INDEX_ENTRY = 16
 """Bytes of an entry: a time, and where in the chunk the message lies."""
 _MOST_INDEX = 1 << 24
@@ -79,59 +74,23 @@ _LONGEST_PADDING = 64
 _DESCRIPTIONS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
 
 
-@dataclass(frozen=True)
-class _Summary:
-    """What the end of a file says that the file holds."""
-
-    channels: dict[int, Channel] = field(default_factory=dict)
-    chunk_channels: dict[int, frozenset[int]] = field(default_factory=dict)
-    """Which channels have messages in the chunk at a file position; none if the index is silent."""
-    statistics: Statistics | None = None
-    is_checked: bool = False
-    """Whether it has a checksum, and may be relied on to pass over chunks."""
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether it names every channel with its type, and counts every message."""
-        if self.statistics is None or len(self.channels) != self.statistics.channel_count:
-            return False
-        counts = self.statistics.channel_message_counts
-        return sum(counts.values()) == self.statistics.message_count and all(
-            key in self.channels and self.channels[key].type for key in counts
+def _make_channels(
+    channels: Iterable[McapChannel], schemas: Mapping[int, Schema]
+) -> Iterator[tuple[int, Channel]]:
+    """Combine channels and their schemas; give them with their numbers."""
+    for channel in channels:
+        schema = schemas.get(channel.schema_id, Schema(0, b"", "", ""))
+        is_text = schema.encoding in {"ros1msg", "ros2msg"}
+        yield (
+            channel.id,
+            Channel(
+                topic=channel.topic,
+                type=schema.name,
+                encoding=channel.message_encoding,
+                definition=schema.data.decode(errors="replace") if is_text else "",
+                descriptors=schema.data if schema.encoding == "protobuf" else b"",
+            ),
         )
-
-
-class _ChannelTable:
-    """Schemas and channels as they turn up in a file."""
-
-    def __init__(self) -> None:
-        self._schemas: dict[int, Schema] = {}
-        self._channels: dict[int, McapChannel] = {}
-
-    def add(self, opcode: int, body: bytes) -> None:
-        """Take in a record if it is a schema or a channel."""
-        if opcode == Opcode.SCHEMA:
-            schema = Schema.read(ReadDataStream(BytesIO(body)))
-            self._schemas.setdefault(schema.id, schema)
-        elif opcode == Opcode.CHANNEL:
-            channel = McapChannel.read(ReadDataStream(BytesIO(body)))
-            self._channels.setdefault(channel.id, channel)
-
-    def build(self) -> Iterator[tuple[int, Channel]]:
-        """Combine channels and their schemas; where a log is damaged, a schema may come later."""
-        for key, channel in self._channels.items():
-            schema = self._schemas.get(channel.schema_id, Schema(0, b"", "", ""))
-            is_text = schema.encoding in {"ros1msg", "ros2msg"}
-            yield (
-                key,
-                Channel(
-                    topic=channel.topic,
-                    type=schema.name,
-                    encoding=channel.message_encoding,
-                    definition=schema.data.decode(errors="replace") if is_text else "",
-                    descriptors=schema.data if schema.encoding == "protobuf" else b"",
-                ),
-            )
 
 
 def _find_record(file: BinaryIO, start: int, size: int, chunk_end: int = 0) -> int | None:
@@ -184,29 +143,26 @@ def _count_indexed(file: BinaryIO) -> int:
         if opcode != Opcode.MESSAGE_INDEX:
             break
         body = file.read(min(length, _MOST_INDEX))
-        _, size = _INDEX_HEAD.unpack(body[: _INDEX_HEAD.size].ljust(_INDEX_HEAD.size, b"\0"))
+        size = int.from_bytes(body[2:6], "little")  # of the entries, behind the channel's number
         messages += size // _INDEX_ENTRY
     return messages
 
 
-def _measure_chunk(start: bytes) -> int | None:
-    """Find how long the body of a chunk is from its first bytes; None where it is none."""
-    match = _CHUNK.match(start)
-    return match.end() + int.from_bytes(match["length"], "little") if match else None
+def _read_summary(file: BinaryIO, size: int) -> tuple[Summary, bool, str]:
+    """Read the summary at the end of a file, which may be absent.
 
-
-def _read_summary(file: BinaryIO, size: int) -> tuple[_Summary, str]:
-    """Read the summary at the end of a file, and say what is wrong with it.
-
-    A summary may be absent: that is not wrong.
+    Returns
+    -------
+    summary, is_checked, problem
+        Whether it has a checksum, and may be relied on to pass over chunks; and what is wrong.
     """
     end = size - _FOOTER_LENGTH - len(MAGIC)
     file.seek(max(end, 0))
     tail = file.read()
     if end < 0 or not tail.endswith(MAGIC):
-        return _Summary(), "the file is cut before its end"
+        return Summary(), False, "the file is cut before its end"
     if tail[0] != Opcode.FOOTER:
-        return _Summary(), "the footer is damaged"
+        return Summary(), False, "the footer is damaged"
     footer = Footer.read(ReadDataStream(BytesIO(tail[_RECORD.size :])))
     start = footer.summary_start or end
     file.seek(min(start, end))
@@ -214,63 +170,68 @@ def _read_summary(file: BinaryIO, size: int) -> tuple[_Summary, str]:
     # The checksum covers the footer, too, up to the checksum itself.
     crc = zlib.crc32(tail[: _FOOTER_LENGTH - 4], zlib.crc32(section))
     if start > end or footer.summary_crc not in {0, crc}:
-        return _Summary(), "the summary at its end is damaged"
+        return Summary(), False, "the summary at its end is damaged"
     try:
-        return _parse_summary(section, is_checked=footer.summary_crc != 0), ""
+        return _parse_summary(section + tail), footer.summary_crc != 0, ""
     except _RECORD_ERRORS:
-        return _Summary(), "the summary at its end cannot be read"
+        return Summary(), False, "the summary at its end cannot be read"
 
 
-def _parse_summary(section: bytes, is_checked: bool) -> _Summary:
-    """Collect channels, message counts and the channels of each chunk.
+def _parse_summary(end: bytes) -> Summary:
+    """Parse the end of a file. The library does so, too, but unpacks what it takes for chunks.
 
     Raises
     ------
     McapError, struct.error, LookupError, ValueError
         A record is not well formed, or the last is cut.
     """
-    table = _ChannelTable()
-    statistics: Statistics | None = None
-    chunk_channels = {}
-    start = 0
-    while start < len(section):
-        opcode, length = _RECORD.unpack_from(section, start)
-        body = section[start + _RECORD.size : start + _RECORD.size + length]
-        if not opcode or len(body) < length:
-            raise LookupError("a record is cut")
-        table.add(opcode, body)
-        if opcode == Opcode.STATISTICS:
-            statistics = Statistics.read(ReadDataStream(BytesIO(body)))
-        elif opcode == Opcode.CHUNK_INDEX:
-            index = ChunkIndex.read(ReadDataStream(BytesIO(body)))
-            chunk_channels[index.chunk_start_offset] = frozenset(index.message_index_offsets)
-        start += _RECORD.size + length
-    return _Summary(dict(table.build()), chunk_channels, statistics, is_checked)
+    summary = Summary()
+    for record in StreamReader(BytesIO(end), skip_magic=True, emit_chunks=True).records:
+        if isinstance(record, Schema):
+            summary.schemas[record.id] = record
+        elif isinstance(record, McapChannel):
+            summary.channels[record.id] = record
+        elif isinstance(record, Statistics):
+            summary.statistics = record
+        elif isinstance(record, ChunkIndex):
+            summary.chunk_indexes.append(record)
+    return summary
 
 
-class McapSource(ChunkedSource[_ChannelTable]):
+class McapSource(ChunkedSource):
     """The channels and raw messages of an MCAP file."""
 
     magic = MAGIC
     chunk = Opcode.CHUNK
     plain = _DESCRIPTIONS | {Opcode.MESSAGE}
     last = frozenset({Opcode.DATA_END, Opcode.FOOTER})
-    table = _ChannelTable
     find_record = staticmethod(_find_record)
 
     def __init__(self, path: Path) -> None:
         self._verified: set[int] = set()
         """Where chunks begin whose checksums were looked at: poses and scans lie in the same"""
-        self._summary = _Summary()
+        self._held: dict[int, Collection[int]] = {}
+        """Which channels have messages in the chunk at a position; none if the index is silent"""
+        self._is_checked = False
+        """Whether a checksum says that this is so"""
         super().__init__(path)
 
     def _find_channels(self, file: BinaryIO) -> tuple[dict[int, Channel], Counter[int]]:
         """Take the channels and their counts from the summary; where it lacks some, survey all."""
-        self._summary, problem = _read_summary(file, self._size)
-        channels, statistics = self._summary.channels, self._summary.statistics
+        summary, self._is_checked, problem = _read_summary(file, self._size)
+        statistics = summary.statistics
+        self._held = {
+            index.chunk_start_offset: index.message_index_offsets for index in summary.chunk_indexes
+        }
+        channels = dict(_make_channels(summary.channels.values(), summary.schemas))
         counts = Counter(statistics.channel_message_counts if statistics else {})
-        if self._summary.is_complete:
-            self._chunks = sorted(self._summary.chunk_channels) if self._summary.is_checked else ()
+        if (
+            statistics is not None
+            and len(channels) == statistics.channel_count
+            and counts.total() == statistics.message_count
+            and all(key in channels and channels[key].type for key in counts)
+        ):
+            self._chunks = sorted(self._held) if self._is_checked else ()
         else:
             self._has_doubles = True
             found, held = self._survey(file)
@@ -296,7 +257,7 @@ class McapSource(ChunkedSource[_ChannelTable]):
                 chunks.add(record.position)
             yield record
         start, end = self._span
-        announced = {at for at in self._summary.chunk_channels if start <= at < end}
+        announced = {at for at in self._held if start <= at < end}
         if lost := announced - chunks:
             text = f"{len(lost)} chunks of its index are not there, the first at byte {min(lost)}"
             add_note(self.notes, text)
@@ -306,7 +267,8 @@ class McapSource(ChunkedSource[_ChannelTable]):
         file.seek(position)
         opcode, length = _RECORD.unpack(file.read(_RECORD.size).ljust(_RECORD.size, b"\0"))
         start = position + _RECORD.size
-        measured = None if opcode == Opcode.MESSAGE else _measure_chunk(file.read(_CHUNK_START))
+        match = None if opcode == Opcode.MESSAGE else _CHUNK.match(file.read(_CHUNK_START))
+        measured = match.end() + int.from_bytes(match["length"], "little") if match else None
         if measured is not None and (opcode, length) != (Opcode.CHUNK, measured):
             is_odd = opcode == Opcode.CHUNK and not _leads_on(file, start + length, self._size)
             if is_odd or length == measured:
@@ -323,23 +285,21 @@ class McapSource(ChunkedSource[_ChannelTable]):
         return None
 
     def _may_hold(self, position: int, wanted: Container[int]) -> bool:
-        """Rely on an index that has a checksum."""
-        held = self._summary.chunk_channels.get(position)
-        return not (held and self._summary.is_checked) or any(key in wanted for key in held)
+        held = self._held.get(position)
+        return not (held and self._is_checked) or any(key in wanted for key in held)
 
     def _open_chunk(self, record: Record, body: bytes, file: BinaryIO) -> Block:
         """Decompress a chunk, and verify its checksum when it is first read."""
         position = record.position
         indexed = _count_indexed(file)
-        try:  # not by the library, which gives nothing of a chunk that is cut
-            first_ns, last_ns, size, crc, name_length = _CHUNK_HEAD.unpack_from(body)
-            start = _CHUNK_HEAD.size + name_length
-            compression = str(body[_CHUNK_HEAD.size : start], "utf-8")
-            (length,) = _LENGTH.unpack_from(body, start)
+        stream = ReadDataStream(BytesIO(body))
+        try:  # not by Chunk.read, which gives nothing of a chunk that is cut
+            first_ns, last_ns, size = stream.read8(), stream.read8(), stream.read8()
+            crc, compression, length = stream.read4(), stream.read_prefixed_string(), stream.read8()
         except _RECORD_ERRORS:
             self._note(position, "has no head that can be read")
             return Block(position, b"")
-        data = memoryview(body)[start + _LENGTH.size :]
+        data = memoryview(body)[stream.count :]
         block, problem = inflate(data[:length], compression, size)
         if (left := len(data) - length) > _LONGEST_PADDING:
             problem = problem or f"has {count(left, 'byte')} that it does not state"
@@ -352,7 +312,7 @@ class McapSource(ChunkedSource[_ChannelTable]):
         return Block(position, block, first_ns, last_ns or NEVER_NS, indexed)
 
     def _split_block(
-        self, block: Block, wanted: Container[int], table: _ChannelTable
+        self, block: Block, wanted: Container[int], descriptions: Descriptions
     ) -> Iterator[tuple[int, int, memoryview]]:
         position, records, first_ns, last_ns, indexed = block
         view, size = memoryview(records), len(records)
@@ -371,10 +331,7 @@ class McapSource(ChunkedSource[_ChannelTable]):
                     is_timely &= first_ns <= record_ns <= last_ns
                     yield channel_id, min(record_ns, _LATEST_NS), view[data:end]
             elif opcode in _DESCRIPTIONS and end <= size:
-                try:
-                    table.add(opcode, bytes(view[start + _RECORD.size : end]))
-                except _RECORD_ERRORS:
-                    self._note(position, "holds a channel that cannot be read")
+                descriptions.setdefault(bytes(view[start:end]), position)
             else:
                 self._note(position, f"is damaged {size - start} bytes before its end")
                 end = _find_record(BytesIO(view), behind, size) or size
@@ -384,6 +341,22 @@ class McapSource(ChunkedSource[_ChannelTable]):
             self._note(position, "holds messages from outside the times that it states")
         if indexed not in {0, held}:
             self._note(position, f"holds {held} messages, its index {indexed}")
+
+    def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
+        schemas: dict[int, Schema] = {}
+        channels: list[McapChannel] = []
+        for record, position in descriptions.items():
+            body = ReadDataStream(BytesIO(record[_RECORD.size :]))
+            try:
+                if record[0] == Opcode.CHANNEL:
+                    channels.append(McapChannel.read(body))
+                    continue
+                schema = Schema.read(body)
+                schemas.setdefault(schema.id, schema)
+            except _RECORD_ERRORS:
+                self._note(position, "holds a channel that cannot be read")
+        # Only now, as a schema may come after its channel where a log is damaged.
+        return _make_channels(channels, schemas)
 
 
 class McapReader(RosReader):

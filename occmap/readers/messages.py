@@ -1,8 +1,8 @@
 """ROS messages as scans and pose samples: the types that occmap understands, and what each becomes.
 
 A type is listed under its ROS 2 name; ROS 1 names are brought to that form. To support another
-type, write what is read of it, its converter, and a line in one of the tables at the end: the
-table that a type stands in is its role. Foxglove's schemas stand in these tables, too.
+type, write what is read of it, its converter, and a line in the table at the end. Foxglove's
+schemas stand in it, too.
 """
 
 import math
@@ -19,9 +19,8 @@ from occmap.readers.shapes import (
     POSE,
     QUATERNION,
     VECTOR,
+    MessageType,
     Shape,
-    ToPoses,
-    ToScan,
     as_row,
     read_frame,
     read_stamp,
@@ -29,26 +28,11 @@ from occmap.readers.shapes import (
 from occmap.types import Pose, PoseSample, Scan
 from occmap.values import as_number, as_text
 
-_CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
-
 
 def normalise_type(name: str) -> str:
     """Bring a message type to its ROS 2 form: `tf/tfMessage` becomes `tf/msg/tfMessage`."""
     package, slash, base = name.rpartition("/")
     return f"{package}/msg/{base}" if slash and not package.endswith("/msg") else name
-
-
-def find_role(name: str) -> Role:
-    """Say what messages of a type can be used for; a ROS type is in its ROS 1 or ROS 2 form."""
-    normal = normalise_type(name)
-    if normal in SCAN_TYPES:
-        return Role.CLOUD if normal == _CLOUD_TYPE else Role.SCAN
-    return Role.POSE if normal in POSE_TYPES else Role.OTHER
-
-
-def is_static_topic(topic: str) -> bool:
-    """Say whether the transforms of a topic hold at all times: /tf_static, with any namespace."""
-    return topic.rpartition("/")[2] == "tf_static"
 
 
 def convert_laser_scan(_options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Scan:
@@ -82,20 +66,18 @@ def _make_scan(message: Any, ranges: ArrayLike, topic: str, record_ns: int) -> S
 
 
 def convert_transforms(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
-    """Convert a tf2_msgs/TFMessage or the older tf/tfMessage: each transform is a sample."""
-    static = is_static_topic(topic)
-    return [
-        PoseSample(
-            stamp_ns=read_stamp(transform.header),
-            parent=read_frame(transform.header.frame_id),
-            child=read_frame(transform.child_frame_id),
-            pose=_read_pose(transform.transform.translation, transform.transform.rotation),
-            static=static,
-            topic=topic,
-            record_ns=record_ns,
-        )
-        for transform in message.transforms
-    ]
+    """Convert a tf2_msgs/TFMessage or the older tf/tfMessage: each transform is a sample.
+
+    Those of a topic /tf_static, with any namespace, hold at all times.
+    """
+    static = topic.rpartition("/")[2] == "tf_static"
+    samples = []
+    for item in message.transforms:
+        stamp_ns, parent = read_stamp(item.header), read_frame(item.header.frame_id)
+        child = read_frame(item.child_frame_id)
+        pose = _read_pose(item.transform.translation, item.transform.rotation)
+        samples.append(PoseSample(stamp_ns, parent, child, pose, static, topic, record_ns))
+    return samples
 
 
 def convert_odometry(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
@@ -123,14 +105,9 @@ def convert_path(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
 
 def _make_sample(header: Any, pose: Any, topic: str, record_ns: int) -> PoseSample:
     """Build the sample of a pose that has a header and no name for what moved."""
-    return PoseSample(
-        stamp_ns=read_stamp(header),
-        parent=read_frame(header.frame_id),
-        child="",
-        pose=_read_pose(pose.position, pose.orientation),
-        topic=topic,
-        record_ns=record_ns,
-    )
+    stamp_ns, parent = read_stamp(header), read_frame(header.frame_id)
+    position = _read_pose(pose.position, pose.orientation)
+    return PoseSample(stamp_ns, parent, "", position, topic=topic, record_ns=record_ns)
 
 
 def _read_pose(position: Any, rotation: Any) -> Pose:
@@ -152,38 +129,25 @@ _TRANSFORM: Shape = {
     "child_frame_id": as_text,
     "transform": {"translation": VECTOR, "rotation": QUATERNION},
 }
-_TRANSFORMS: Shape = {"transforms": [_TRANSFORM]}
 _STAMPED: Shape = {"header": HEADER, "pose": POSE}
 _UNCERTAIN: Mapping[str, Shape] = {"header": HEADER, "pose": {"pose": POSE}}
 
+_ECHOES: Shape = {**_LASER, "ranges": [{"echoes": as_row}]}
+_ODOMETRY: Shape = {**_UNCERTAIN, "child_frame_id": as_text}
+_PATH: Shape = {"header": HEADER, "poses": [_STAMPED]}
+_TRANSFORMS = MessageType(Role.POSE, {"transforms": [_TRANSFORM]}, to_poses=convert_transforms)
 
-SCAN_TYPES: Mapping[str, ToScan] = {
-    "sensor_msgs/msg/LaserScan": convert_laser_scan,
-    "sensor_msgs/msg/MultiEchoLaserScan": convert_multi_echo,
-    _CLOUD_TYPE: convert_cloud,
-    **foxglove.SCAN_TYPES,
-}
-
-POSE_TYPES: Mapping[str, ToPoses] = {
-    "tf2_msgs/msg/TFMessage": convert_transforms,
-    "tf/msg/tfMessage": convert_transforms,
-    "nav_msgs/msg/Odometry": convert_odometry,
-    "geometry_msgs/msg/PoseStamped": convert_pose,
-    "geometry_msgs/msg/PoseWithCovarianceStamped": convert_pose_with_covariance,
-    "nav_msgs/msg/Path": convert_path,
-    **foxglove.POSE_TYPES,
-}
-
-SHAPES: Mapping[str, Shape] = {
-    "sensor_msgs/msg/LaserScan": _LASER,
-    "sensor_msgs/msg/MultiEchoLaserScan": {**_LASER, "ranges": [{"echoes": as_row}]},
-    _CLOUD_TYPE: CLOUD,
+TYPES: Mapping[str, MessageType] = {
+    "sensor_msgs/msg/LaserScan": MessageType(Role.SCAN, _LASER, convert_laser_scan),
+    "sensor_msgs/msg/MultiEchoLaserScan": MessageType(Role.SCAN, _ECHOES, convert_multi_echo),
+    "sensor_msgs/msg/PointCloud2": MessageType(Role.CLOUD, CLOUD, convert_cloud),
     "tf2_msgs/msg/TFMessage": _TRANSFORMS,
     "tf/msg/tfMessage": _TRANSFORMS,
-    "nav_msgs/msg/Odometry": {**_UNCERTAIN, "child_frame_id": as_text},
-    "geometry_msgs/msg/PoseStamped": _STAMPED,
-    "geometry_msgs/msg/PoseWithCovarianceStamped": _UNCERTAIN,
-    "nav_msgs/msg/Path": {"header": HEADER, "poses": [_STAMPED]},
-    **foxglove.SHAPES,
+    "nav_msgs/msg/Odometry": MessageType(Role.POSE, _ODOMETRY, to_poses=convert_odometry),
+    "geometry_msgs/msg/PoseStamped": MessageType(Role.POSE, _STAMPED, to_poses=convert_pose),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": MessageType(
+        Role.POSE, _UNCERTAIN, to_poses=convert_pose_with_covariance
+    ),
+    "nav_msgs/msg/Path": MessageType(Role.POSE, _PATH, to_poses=convert_path),
+    **foxglove.TYPES,
 }
-"""The fields that a converter reads, for logs that define a type in another way than ROS does."""

@@ -8,9 +8,9 @@ import json
 import struct
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache, lru_cache, partial
+from functools import cache, lru_cache
 from graphlib import TopologicalSorter
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import Typesdict
@@ -19,11 +19,9 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from rosbags.typesys.store import Typestore
 
 from occmap.errors import DamageError, LogError
-from occmap.readers.messages import POSE_TYPES, SCAN_TYPES, SHAPES, normalise_type
-from occmap.readers.options import ReaderOptions
+from occmap.readers.messages import TYPES, normalise_type
 from occmap.readers.ros_source import Channel
 from occmap.readers.shapes import take
-from occmap.types import PoseSample, Scan
 
 T = TypeVar("T")
 FromBytes: TypeAlias = Callable[[memoryview, int], T]
@@ -67,57 +65,40 @@ _PLAIN_HASHES = {
 types, which takes a build 5 to 8% of its time, that a log defines one as ROS does."""
 
 
-def make_scan_reader(channel: Channel, options: ReaderOptions) -> FromBytes[Scan]:
-    """Build the function that reads a channel's messages as scans.
-
-    Raises
-    ------
-    LogError
-        The channel's message definition cannot be understood.
-    """
-    return _combine(channel, partial(SCAN_TYPES[channel.kind], options))
-
-
-def make_pose_reader(channel: Channel) -> FromBytes[list[PoseSample]]:
-    """Build the function that reads a channel's messages as pose samples.
-
-    Raises
-    ------
-    LogError
-        The channel's message definition cannot be understood.
-    """
-    return _combine(channel, POSE_TYPES[channel.kind])
-
-
-def is_laid_out_plainly(channel: Channel) -> bool:
-    """Say whether messages are of the types that a log holds most of, and laid out as is usual.
-
-    Little-endian ones can then be stacked, and read many at once.
-    """
-    if channel.kind not in _PLAIN_TYPES:
-        return False
-    try:
-        return channel.encoding in _STORES and _load_types(channel).is_standard
-    except LogError:
-        return False
-
-
-def _combine(channel: Channel, convert: Callable[[Any, str, int], T]) -> FromBytes[T]:
-    """Build what decodes and converts a message.
+def make_reader(
+    channel: Channel, convert: Callable[[Any, str, int], T]
+) -> tuple[FromBytes[T], bool]:
+    """Build the function that reads a channel's messages: decodes and converts them.
 
     Where the type is not as ROS defines it, what was decoded is brought into shape between the two.
+
+    Parameters
+    ----------
+    convert
+        Takes a decoded message, its topic and its record time in ns.
+
+    Returns
+    -------
+    read, is_plain
+        Whether the messages are of the types that a log holds most of, and laid out as is usual:
+        little-endian ones can then be stacked, and read many at once.
+
+    Raises
+    ------
+    LogError
+        The channel's message definition cannot be understood.
     """
-    topic = channel.topic
-    decode = _DECODERS[channel.encoding](channel)
-    if channel.encoding in _STORES and _load_types(channel).is_standard:
-        return lambda data, record_ns: convert(decode(data), topic, record_ns)
-    shape = SHAPES[channel.kind]
-    return lambda data, record_ns: convert(take(decode(data), shape), topic, record_ns)
+    topic, decode = channel.topic, _DECODERS[channel.encoding](channel)
+    if channel.encoding in _STORES and _load_types(channel)[1]:
+        is_plain = channel.kind in _PLAIN_TYPES
+        return lambda data, record_ns: convert(decode(data), topic, record_ns), is_plain
+    shape = TYPES[channel.kind].shape
+    return lambda data, record_ns: convert(take(decode(data), shape), topic, record_ns), False
 
 
 def _make_ros_decoder(channel: Channel) -> Callable[[memoryview], Any]:
     """Build what decodes a message by its definition; it raises DamageError."""
-    store, name = _load_types(channel).store, channel.kind
+    store, name = _load_types(channel)[0], channel.kind
     try:
         store.get_msgdef(name)
     except _DEFINITION_ERRORS as error:
@@ -138,14 +119,6 @@ def _refuse(kind: str, why: str | Exception) -> LogError:
     return LogError(f"the definition of {kind} cannot be understood ({reason})")
 
 
-class _Types(NamedTuple):
-    """The types that messages are decoded by."""
-
-    store: Typestore
-    is_standard: bool
-    """Whether a message is as ROS itself defines it"""
-
-
 @cache
 def _load_standard(encoding: str) -> Typestore:
     """Load the types that ROS itself has."""
@@ -156,8 +129,13 @@ def _load_standard(encoding: str) -> Typestore:
     return store
 
 
-def _load_types(channel: Channel) -> _Types:
-    """Load the log's own definition of a message type, or ROS's where it has none or the same.
+def _load_types(channel: Channel) -> tuple[Typestore, bool]:
+    """Load the types that messages are decoded by: the log's own, or ROS's where it has none.
+
+    Returns
+    -------
+    store, is_standard
+        Whether a message is as ROS itself defines it.
 
     Raises
     ------
@@ -168,10 +146,10 @@ def _load_types(channel: Channel) -> _Types:
 
 
 @lru_cache(maxsize=64)
-def _make_store(text: str, kind: str, encoding: str) -> _Types:
+def _make_store(text: str, kind: str, encoding: str) -> tuple[Typestore, bool]:
     """Make the types of a definition. Cached, since all logs of a robot have the same ones."""
     if not text:
-        return _Types(_load_standard(encoding), is_standard=True)
+        return _load_standard(encoding), True
     own, name = _parse_definition(text, kind), normalise_type(kind)
     store = get_typestore(Stores.EMPTY)
     try:
@@ -180,12 +158,12 @@ def _make_store(text: str, kind: str, encoding: str) -> _Types:
         raise _refuse(kind, error) from error
     with suppress(LookupError):  # of a type that has no hash
         if store.hash_rihs01(name) in _PLAIN_HASHES[encoding]:
-            return _Types(store, is_standard=True)
+            return store, True
     standard = _load_standard(encoding)
     known = standard.fielddefs
     if all(part in known and known[part][1] == fields for part, (_, fields) in own.items()):
-        return _Types(standard, is_standard=True)
-    return _Types(store, is_standard=False)
+        return standard, True
+    return store, False
 
 
 def _parse_definition(text: str, kind: str) -> Typesdict:

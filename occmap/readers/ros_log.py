@@ -6,19 +6,14 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import DEFAULT_OPTIONS, Note, Role, Stream
 from occmap.readers.inflate import Buffer
 from occmap.readers.options import ReaderOptions
-from occmap.readers.ros_decode import (
-    FromBytes,
-    is_laid_out_plainly,
-    make_pose_reader,
-    make_scan_reader,
-)
-from occmap.readers.ros_source import SCAN_ROLES, Channel, RawMessage, Source, add_note
+from occmap.readers.ros_decode import FromBytes, make_reader
+from occmap.readers.ros_source import Channel, RawMessage, Source, add_note
 from occmap.readers.ros_stacks import Stacked, read_scan_run, read_transforms
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
@@ -106,22 +101,27 @@ class RosLog:
             yield from _read_run(reader, run)
 
     def _make_pose_readers(self) -> dict[Channel, "_ChannelReader[list[PoseSample]]"]:
-        wanted = [channel for channel in self._source.channels if channel.has_poses]
-        return self._make_readers(wanted, make_pose_reader)
+        return self._make_readers(
+            (channel, channel.known.to_poses)
+            for channel in self._source.channels
+            if channel.known and channel.known.to_poses
+        )
 
     def _make_scan_readers(self, topics: Collection[str]) -> dict[Channel, "_ChannelReader[Scan]"]:
-        channels = [channel for channel in self._source.channels if channel.topic in topics]
-        wanted = [channel for channel in channels if channel.role in SCAN_ROLES]
-        return self._make_readers(wanted, partial(make_scan_reader, options=self._options))
+        return self._make_readers(
+            (channel, partial(channel.known.to_scan, self._options))
+            for channel in self._source.channels
+            if channel.topic in topics and channel.known and channel.known.to_scan
+        )
 
     def _make_readers(
-        self, channels: Collection[Channel], make: Callable[[Channel], FromBytes[T]]
+        self, wanted: Iterable[tuple[Channel, Callable[[Any, str, int], T]]]
     ) -> dict[Channel, "_ChannelReader[T]"]:
         """Build a reader for each channel; note and leave out what cannot be understood."""
         readers = {}
-        for channel in channels:
+        for channel, convert in wanted:
             try:
-                readers[channel] = _ChannelReader(channel, make)
+                readers[channel] = _ChannelReader(channel, convert)
             except LogError as error:
                 found = error.placed(channel.topic)
                 add_note(self.notes, f"{found}: its {channel.count} messages are not used")
@@ -190,22 +190,25 @@ class _ChannelReader(Generic[T]):
     decides between the two.
     """
 
-    def __init__(self, channel: Channel, make: Callable[[Channel], FromBytes[T]]) -> None:
+    def __init__(self, channel: Channel, convert: Callable[[Any, str, int], T]) -> None:
         self.encoding = channel.encoding
-        self.is_plain = is_laid_out_plainly(channel)
         self.failures = 0
         self.uses_standard = False
-        self._decided = not channel.definition
-        self._make_standard = partial(make, replace(channel, definition=""))
+        standard = replace(channel, definition="")
+        self._make_standard = (
+            partial(make_reader, standard, convert) if channel.definition else None
+        )
+        """Builds what stands in, until one of the two could read a message"""
         try:
-            self.decode = make(channel)
+            self.decode, self.is_plain = make_reader(channel, convert)
         except LogError:
-            if self._decided:
+            if self._make_standard is None:
                 raise
-            self._use(self._make_standard())
+            self._use(*self._make_standard())
 
-    def _use(self, standard: FromBytes[T]) -> None:
-        self.decode, self._decided, self.uses_standard = standard, True, True
+    def _use(self, standard: FromBytes[T], is_plain: bool) -> None:
+        self.decode, self.is_plain = standard, is_plain
+        self._make_standard, self.uses_standard = None, True
 
     def read_all(self, messages: Iterable[tuple[Buffer, int]]) -> Iterator[T]:
         """Read messages one by one; those that are damaged are counted and left out."""
@@ -217,22 +220,17 @@ class _ChannelReader(Generic[T]):
     def read(self, data: Buffer, record_ns: int) -> T | None:
         """Read a message. One that is damaged is counted, and gives None."""
         view = memoryview(data)
-        try:
-            item: T | None = self.decode(view, record_ns)
-        except DamageError:
-            item = None if self._decided else self._read_by_standard(view, record_ns)
-            self.failures += item is None
-            return item
-        self._decided = True
-        return item
-
-    def _read_by_standard(self, data: memoryview, record_ns: int) -> T | None:
-        """Try the standard definition on a message that the log's own definition does not fit."""
-        standard = self._make_standard()
         with suppress(DamageError):
-            item = standard(data, record_ns)
-            self._use(standard)
+            item = self.decode(view, record_ns)
+            self._make_standard = None
             return item
+        if self._make_standard is not None:
+            standard, is_plain = self._make_standard()
+            with suppress(DamageError):
+                item = standard(view, record_ns)
+                self._use(standard, is_plain)
+                return item
+        self.failures += 1
         return None
 
 

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Protocol, TypeAlias
 
 from occmap.readers import Note, Role
-from occmap.readers.messages import POSE_TYPES, SHAPES, find_role, normalise_type
+from occmap.readers.messages import TYPES, normalise_type
+from occmap.readers.shapes import MessageType
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -38,10 +39,15 @@ class Channel:
         return normalise_type(self.type)
 
     @property
-    def role(self) -> Role:
-        """What the messages can be used for: ROS and Foxglove each write theirs in two ways."""
+    def known(self) -> MessageType | None:
+        """How its messages are read, if at all: ROS and Foxglove each write in two ways."""
         encodings = {"cdr", "ros1"} if "/" in self.type else {"json", "protobuf"}
-        return find_role(self.type) if self.encoding in encodings else Role.OTHER
+        return TYPES.get(self.kind) if self.encoding in encodings else None
+
+    @property
+    def role(self) -> Role:
+        """What the messages can be used for."""
+        return self.known.role if self.known else Role.OTHER
 
     @property
     def oddity(self) -> str:
@@ -49,22 +55,17 @@ class Channel:
 
         Damage to the name of a type, or of an encoding, leaves a file that is sound otherwise.
         """
-        if self.role is not Role.OTHER:
+        if self.known:
             return ""
-        if self.kind in SHAPES:
+        if self.kind in TYPES:
             return "which are written in a way that occmap does not know"
         if not (self.type.isascii() and self.type.isprintable()):
             return "which is not the name of a type"
-        for known in SHAPES:
+        for known in TYPES:
             for name in (known, known.replace("/msg/", "/")):  # as ROS 2 and ROS 1 write it
                 if len(name) == len(self.type) and sum(map(ne, name, self.type)) <= _MOST_LETTERS:
                     return f"which may be meant to be {name}"
         return ""
-
-    @property
-    def has_poses(self) -> bool:
-        """Whether the messages state poses, alone or beside a scan."""
-        return self.role is not Role.OTHER and self.kind in POSE_TYPES
 
 
 SCAN_ROLES = frozenset({Role.SCAN, Role.CLOUD})

@@ -6,15 +6,17 @@ that is made of them.
 
 import re
 import struct
+from bisect import bisect
 from collections import Counter
 from collections.abc import Container, Iterator
 from contextlib import suppress
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from occmap.errors import LogError
-from occmap.readers.chunked import Block, ChunkedSource, Record
+from occmap.readers.chunked import EVERY_ID, Block, ChunkedSource, Descriptions, Record
 from occmap.readers.inflate import Buffer, inflate
 from occmap.readers.ros_source import Channel, add_note
 
@@ -22,10 +24,10 @@ MAGIC = b"#ROSBAG V2.0\n"
 
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 """The opcodes."""
-INDEX_ENTRY = 12
-"""Bytes of an entry of an index record: a time and an offset."""
 INFO_ENTRY = struct.Struct("<II")
 """An entry of the record about a chunk: a connection, and how many messages it has there."""
+ENTRY_BYTES = {INDEX: 12, CHUNK_INFO: INFO_ENTRY.size}
+"""Bytes of an entry, of which a header has the count; one behind a chunk is a time and an offset"""
 
 RECORD_ERRORS = (struct.error, LookupError, ValueError)
 
@@ -51,12 +53,10 @@ _FIELDS = {
 """Which fields the header of each kind must have."""
 _OPCODE = re.compile(rb"\x04\x00{3}op=[\x02-\x07]")
 _WINDOW = 1 << 20
-_OVERLAP = 1 << 12
-"""Bytes of a window that the next one has, too: longer than headers are."""
+_LONGEST_HEADER = 1 << 12
+"""Bytes of a header and its lengths, at most; it is a hundred bytes, and the name of a topic."""
 _LONGEST_START = 100
 """Bytes of a header before its opcode, at most."""
-_MAX_HEADER = 1 << 20
-"""A header is a hundred bytes; what claims to be longer than this is not a header."""
 
 
 class Header(NamedTuple):
@@ -81,62 +81,16 @@ class Header(NamedTuple):
         """Read a text, "" where there is none."""
         return self.fields.get(name, b"").decode(errors="replace")
 
-    def time_ns(self) -> int:
-        """Read when a message was recorded."""
-        return _read_time(self.fields[b"time"])
-
-
-def read_header(file: BinaryIO) -> Header | None:
-    """Read a record's header; None where the file ends or holds something else."""
-    start = file.read(_LENGTH.size)
-    try:
-        (length,) = _LENGTH.unpack(start)
-        raw = start + file.read(min(length, _MAX_HEADER) + _LENGTH.size)
-        return parse_header(raw, 0)
-    except RECORD_ERRORS:
-        return None
-
-
-class ChannelTable:
-    """Connections as they turn up in a bag."""
-
-    def __init__(self) -> None:
-        self._channels: dict[tuple[int, object], Channel] = {}
-
-    def add(self, header: Header, data: Buffer) -> None:
-        """Take in a connection record.
-
-        Raises
-        ------
-        struct.error, LookupError
-            It is not well formed.
-        """
-        fields = Header(b"", _parse_fields(bytes(data)), 0)
-        channel = Channel(
-            topic=header.text(b"topic"),
-            type=fields.text(b"type"),
-            encoding="ros1",
-            definition=fields.text(b"message_definition"),
-        )
-        self._channels.setdefault((header.number(b"conn"), channel.description), channel)
-
-    def build(self) -> Iterator[tuple[int, Channel]]:
-        """Give each description of a connection, with the connection's number."""
-        for (key, _), channel in self._channels.items():
-            yield key, channel
-
 
 def split_messages(
-    block: Buffer, wanted: Container[int], table: ChannelTable, damaged: list[int]
+    block: Block, wanted: Container[int], descriptions: Descriptions, damaged: list[int]
 ) -> Iterator[tuple[int, int, int, int]]:
     """Find the messages of some connections. A damaged record ends nothing: the next is looked for.
 
     Parameters
     ----------
-    block
-        Records, as a chunk holds them.
-    table
-        Gets the connections that the block describes.
+    descriptions
+        Gets the records of connections.
     damaged
         Gets where in the block records are damaged.
 
@@ -145,9 +99,10 @@ def split_messages(
     message
         Its connection, when it was recorded (ns), and where in the block its bytes start and end.
     """
+    position, records, *_ = block
     at = behind = 0
-    while at < len(block):
-        match = _MESSAGE_HEAD.match(block, at)
+    while at < len(records):
+        match = _MESSAGE_HEAD.match(records, at)
         try:
             if match is not None and match.end() == at + _MESSAGE_HEAD_SIZE:
                 start = match.end()
@@ -155,19 +110,19 @@ def split_messages(
                 (connection,) = _LENGTH.unpack(match["conn"])
                 record_ns = _read_time(match["time"]) if connection in wanted else 0
             else:
-                header = parse_header(block, at)
+                header = parse_header(records, at)
                 start = at + len(header.raw)
                 end = start + header.length
                 connection = header.number(b"conn") if header.opcode == MESSAGE else -1
-                record_ns = header.time_ns() if connection in wanted else 0
-                if header.opcode == CONNECTION and end <= len(block):
-                    table.add(header, block[start:end])
-            if end > len(block):
-                raise LookupError(f"{len(block) - start} of {end - start} bytes are there")
+                record_ns = _read_time(header.fields[b"time"]) if connection in wanted else 0
+                if header.opcode == CONNECTION and end <= len(records):
+                    descriptions.setdefault(bytes(records[at:end]), position)
+            if end > len(records):
+                raise LookupError(f"{len(records) - start} of {end - start} bytes are there")
         except RECORD_ERRORS:
             damaged.append(at)
-            found = find_header(BytesIO(block), behind, len(block))
-            at, behind = (len(block), 0) if found is None else (found, found + 1)
+            found = find_header(BytesIO(records), behind, len(records))
+            at, behind = (len(records), 0) if found is None else (found, found + 1)
             continue
         if connection in wanted:
             yield connection, record_ns, start, end
@@ -190,23 +145,26 @@ def find_header(file: BinaryIO, start: int, size: int, chunk_end: int = 0) -> in
                     continue
                 if position >= chunk_end or header.opcode not in {MESSAGE, CONNECTION}:
                     return position
-        start += _WINDOW - _OVERLAP
+        start += _WINDOW - _LONGEST_HEADER
     return None
 
 
-def leads_on(file: BinaryIO, position: int, size: int) -> bool:
+def _leads_on(file: BinaryIO, position: int, size: int) -> bool:
     """Say whether a record, or the end of the file, is at a position."""
     if position >= size:
         return position == size
     file.seek(position)
-    return read_header(file) is not None
+    return _try_header(file.read(_LONGEST_HEADER)) is not None
 
 
-def _try_header(block: Buffer, at: int, size: int) -> Header | None:
+NO_HEADER = Header(b"", {}, 0)
+
+
+def _try_header(block: Buffer, at: int = 0, size: int | None = None) -> Header | None:
     """Parse what may be a header; None where it is none, or its data reaches beyond a size."""
     with suppress(*RECORD_ERRORS):
         header = parse_header(block, at)
-        if at + len(header.raw) + header.length <= size:
+        if size is None or at + len(header.raw) + header.length <= size:
             return header
     return None
 
@@ -250,20 +208,18 @@ def _parse_fields(header: bytes) -> dict[bytes, bytes]:
     return fields
 
 
+@dataclass
 class _Index:
     """What the records around the messages of a bag say that it holds."""
 
-    def __init__(self) -> None:
-        self.bag = Header(b"", {}, 0)
-        self.table = ChannelTable()
-        self.chunks: list[int] = []
-        """Where they begin"""
-        self.infos = 0
-        """Chunks, as the end of the bag has them."""
-        self.counts: Counter[int] = Counter()
-        """Messages by connection, as the end of the bag has them."""
-        self.entries: Counter[int] = Counter()
-        """Messages by connection, as the records behind each chunk have them."""
+    bag: Header = NO_HEADER
+    descriptions: Descriptions = field(default_factory=dict)
+    chunks: list[int] = field(default_factory=list)
+    """Where they begin"""
+    at_end: dict[int, Counter[int]] = field(default_factory=dict)
+    """Messages by connection of the chunk at a position, as the end of the bag has them."""
+    behind: list[tuple[int, int, int]] = field(default_factory=list)
+    """The records behind the chunks: position, connection, and how many messages it has."""
 
     def add(self, record: Record, file: BinaryIO) -> None:
         """Take in a record, whose data the file is at."""
@@ -273,17 +229,43 @@ class _Index:
         elif record.opcode == CHUNK:
             self.chunks.append(record.position)
         elif record.opcode == INDEX:
-            self.entries[header.number(b"conn")] += header.number(b"count")
-        with suppress(*RECORD_ERRORS):
-            if record.opcode == CONNECTION:
-                self.table.add(header, file.read(record.length))
-            elif record.opcode == CHUNK_INFO:
-                self.infos += 1
+            messages = record.length // ENTRY_BYTES[INDEX]
+            self.behind.append((record.position, header.number(b"conn"), messages))
+        elif record.opcode == CONNECTION:
+            self.descriptions[record.head + file.read(record.length)] = record.position
+        elif record.opcode == CHUNK_INFO:
+            counts = self.at_end.setdefault(header.number(b"chunk_pos"), Counter())
+            with suppress(struct.error):
                 for key, messages in INFO_ENTRY.iter_unpack(file.read(record.length)):
-                    self.counts[key] += messages
+                    counts[key] += messages
+
+    def count(self) -> tuple[Counter[int], Counter[int]]:
+        """Count the messages of each connection by the end of the bag, and behind its chunks."""
+        behind: Counter[int] = Counter()
+        for _, key, messages in self.behind:
+            behind[key] += messages
+        return sum(self.at_end.values(), Counter()), +behind
+
+    def count_parts(self) -> tuple[Counter[int], set[int]]:
+        """Count what is left of a damaged index, and find the chunks of which nothing is left.
+
+        Of a chunk, the records behind it count, and where one is lost, the end of the bag does.
+        """
+        if self.at_end and max(self.at_end) not in self.chunks:  # bytes are lost or added
+            at_end, behind = self.count()
+            return at_end if len(self.chunks) > len(self.at_end) else at_end | behind, set()
+        places = sorted({*self.at_end, *self.chunks})
+        counts = {at: dict(self.at_end.get(at, {})) for at in places}
+        for position, key, messages in self.behind:
+            if messages and (place := bisect(places, position)):
+                counts[places[place - 1]][key] = messages
+        total: Counter[int] = Counter()
+        for each in counts.values():
+            total.update(each)
+        return total, {at for at, each in counts.items() if not each}
 
 
-class Bag1Source(ChunkedSource[ChannelTable]):
+class Bag1Source(ChunkedSource):
     """The channels and raw messages of a ROS 1 bag."""
 
     magic = MAGIC
@@ -291,7 +273,6 @@ class Bag1Source(ChunkedSource[ChannelTable]):
     plain = frozenset({MESSAGE, CONNECTION})
     """The last chunk of a recording that was not closed has no length yet: they lie open."""
     unit = "connection"
-    table = ChannelTable
     find_record = staticmethod(find_header)
 
     def __init__(self, path: Path) -> None:
@@ -303,71 +284,111 @@ class Bag1Source(ChunkedSource[ChannelTable]):
         index = _Index()
         for record in self._walk(file):
             index.add(record, file)
-        bag, chunks, infos = index.bag, len(index.chunks), index.infos
+        bag, chunks, infos = index.bag, len(index.chunks), len(index.at_end)
         if encryptor := bag.text(b"encryptor"):
             raise LogError(
                 f"the bag is encrypted with {encryptor}",
                 where=self.path,
                 fix="decrypt it with `rosbag decrypt` first",
             )
-        self._has_doubles = chunks > infos
-        channels = dict(index.table.build())
+        channels = dict(self._describe(index.descriptions))
+        counts, behind = index.count()
         stated = bag.number(b"conn_count"), bag.number(b"chunk_count")
-        if not (channels and bag.number(b"index_pos") and stated == (len(channels), infos)):
-            if not self.notes:
-                text = "the bag was not closed, or its index is damaged: all of it is read"
-                add_note(self.notes, text)
-            return self._survey(file)
-        if chunks != infos:
-            add_note(self.notes, f"{chunks} chunks are in it, its index has {infos}")
-        if +index.entries != +index.counts:
-            add_note(self.notes, "the indexes of its chunks and the one at its end differ")
-        self._chunks = index.chunks
-        return channels, index.counts
+        is_closed = bag.number(b"index_pos") and stated == (len(channels), infos) and channels
+        if not is_closed:
+            problem = "the bag was not closed, or its index is damaged: all of it is read"
+        elif chunks != infos:
+            problem = f"{chunks} chunks are in it, its index has {infos}"
+        elif behind != counts:
+            problem = "the indexes of its chunks and the one at its end differ"
+        else:
+            self._chunks = index.chunks
+            return channels, counts
+        if not self.notes:
+            add_note(self.notes, problem)
+        counts, lost = index.count_parts()
+        if lost := lost - {self._cut_at}:
+            text = f"nothing is left of the index of {len(lost)} of its {chunks} chunks"
+            add_note(self.notes, f"{text}: how many messages they should hold is not known")
+        self._has_doubles = chunks > infos
+        found, held = self._survey(file)
+        channels = found | channels if is_closed else found
+        known = channels.keys() | held.keys()
+        return channels, held | Counter({key: counts[key] for key in counts.keys() & known})
 
     def _read_record(self, file: BinaryIO, position: int) -> Record | None:
         file.seek(position)
-        header = read_header(file)
+        header = _try_header(file.read(_LONGEST_HEADER))
         if header is None:
             return None
         length = self._find_length(file, header, position)
-        is_chunk = header.opcode == CHUNK
-        return Record(header.opcode, position, header.raw, length, is_sure=is_chunk)
+        return Record(header.opcode, position, header.raw, length, header.opcode == CHUNK)
 
     def _find_length(self, file: BinaryIO, header: Header, position: int) -> int:
         """Find how long a record's data is, where it states another length than it has."""
-        start = position + len(header.raw)
-        if header.opcode == INDEX:
-            length = INDEX_ENTRY * header.number(b"count")
-            if length != header.length and not self._odd_index:
+        start, stated = position + len(header.raw), header.length
+        if header.opcode in ENTRY_BYTES:
+            length = ENTRY_BYTES[header.opcode] * header.number(b"count")
+            if length != stated and not self._odd_index:
                 self._odd_index = True
                 add_note(
                     self.notes,
                     f"index records state a wrong length, the first at byte {position};"
                     " the messages are all there",
                 )
-            return length if leads_on(file, start + length, self._size) else header.length
-        if header.opcode == CHUNK and not leads_on(file, start + header.length, self._size):
-            following = find_header(file, start, self._size, chunk_end=self._size)
-            if following is not None:
-                self._note(position, "states a wrong length")
-                return following - start
-        return header.length
+            return length if _leads_on(file, start + length, self._size) else stated
+        if header.opcode != CHUNK or _leads_on(file, start + stated, self._size):
+            return stated
+        following = find_header(file, start, self._size, chunk_end=self._size)
+        if following is None:
+            return stated
+        if start + stated < following:  # what follows is damaged where messages fill the chunk
+            file.seek(start)
+            block, problem = _inflate(header, file.read(stated))
+            ends = [end for *_, end in split_messages(Block(0, block), EVERY_ID, {}, [])]
+            if not problem and ends[-1:] == [len(block)]:
+                return stated
+        self._note(position, "states a wrong length")
+        return following - start
 
     def _open_chunk(self, record: Record, body: bytes, _file: BinaryIO) -> Block:
-        header = parse_header(record.head, 0)
-        block, problem = inflate(body, header.text(b"compression"), header.number(b"size"))
+        block, problem = _inflate(parse_header(record.head, 0), body)
         if problem:
             self._note(record.position, problem)
         return Block(record.position, block)
 
     def _split_block(
-        self, block: Block, wanted: Container[int], table: ChannelTable
+        self, block: Block, wanted: Container[int], descriptions: Descriptions
     ) -> Iterator[tuple[int, int, memoryview]]:
         view = memoryview(block.records)
         damaged: list[int] = []
-        for connection, record_ns, start, end in split_messages(view, wanted, table, damaged):
+        for connection, record_ns, start, end in split_messages(
+            block, wanted, descriptions, damaged
+        ):
             yield connection, record_ns, view[start:end]
         if damaged:
             more = f" and in {len(damaged) - 1} more of its places" if len(damaged) > 1 else ""
             self._note(block.position, f"is damaged at byte {damaged[0]}{more}")
+
+    def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
+        for record, position in descriptions.items():
+            try:
+                header = parse_header(record, 0)
+                fields = Header(b"", _parse_fields(record[len(header.raw) :]), 0)
+            except RECORD_ERRORS:
+                self._note(position, "holds a connection that cannot be read")
+                continue
+            yield (
+                header.number(b"conn"),
+                Channel(
+                    topic=header.text(b"topic"),
+                    type=fields.text(b"type"),
+                    encoding="ros1",
+                    definition=fields.text(b"message_definition"),
+                ),
+            )
+
+
+def _inflate(header: Header, body: bytes) -> tuple[Buffer, str]:
+    """Decompress a chunk, and say what is wrong with it."""
+    return inflate(body, header.text(b"compression"), header.number(b"size"))

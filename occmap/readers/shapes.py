@@ -7,12 +7,13 @@ damaged, and every other error of a converter is a fault of its own.
 
 from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from occmap.arrays import Float64, UInt8
 from occmap.errors import DamageError
+from occmap.readers import Role
 from occmap.readers.options import ReaderOptions
 from occmap.types import PoseSample, Scan
 from occmap.values import as_number, as_stamp, as_text, shorten
@@ -23,6 +24,17 @@ ToPoses: TypeAlias = Callable[[Any, str, int], list[PoseSample]]
 
 Shape: TypeAlias = "Mapping[str, Shape] | list[Shape] | Callable[[Any], Any]"
 """The fields of a message, a list of messages, or what brings a value to its type."""
+
+
+class MessageType(NamedTuple):
+    """What messages of a type are for, and what reads them."""
+
+    role: Role
+    shape: Shape
+    """The fields that are read, for logs that define the type in another way than ROS does"""
+    to_scan: ToScan | None = None
+    to_poses: ToPoses | None = None
+
 
 VECTOR: Shape = {"x": as_number, "y": as_number, "z": as_number}
 QUATERNION: Shape = {"x": as_number, "y": as_number, "z": as_number, "w": as_number}

@@ -145,8 +145,8 @@ def test_a_fault_of_a_converter_is_no_damage_of_the_log(
     def convert(*given: Any) -> Any:
         return given[-3].anlge_min  # before it the options, behind it topic and record time
 
-    table = messages.SCAN_TYPES if kind == SCAN else messages.POSE_TYPES
-    monkeypatch.setitem(table, kind, convert)
+    faulty = messages.TYPES[kind]._replace(to_scan=convert, to_poses=convert)
+    monkeypatch.setitem(messages.TYPES, kind, faulty)
     message = ros_scan(ROS2, 5) if kind == SCAN else transforms(ROS2, 5, [("a", "b", 1.0)])
     channel = Channel("/it", kind, "cdr", count=1)
     log = RosLog(Memory([(channel, 7, bytes(ROS2.serialize_cdr(message, kind)))]))
@@ -159,11 +159,11 @@ def test_a_fault_of_a_converter_is_no_damage_of_the_log(
 def test_a_fault_of_a_foxglove_converter_is_no_damage_of_the_log(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setitem(
-        messages.SCAN_TYPES,
-        "foxglove.LaserScan",
-        lambda _options, message, _topic, _record_ns: message.anlge_min,
-    )
+    def convert(_options: ReaderOptions, message: Any, _topic: str, _record_ns: int) -> Any:
+        return message.anlge_min
+
+    kind = "foxglove.LaserScan"
+    monkeypatch.setitem(messages.TYPES, kind, messages.TYPES[kind]._replace(to_scan=convert))
     log = open_log(write_json(tmp_path / "log.mcap", SCANS))
 
     with pytest.raises(AttributeError, match="anlge_min"):

@@ -16,8 +16,7 @@ from google.protobuf.descriptor_pb2 import (
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from occmap.readers import ros_decode
-from occmap.readers.options import ReaderOptions
-from occmap.readers.ros_decode import make_scan_reader
+from occmap.readers.ros_decode import make_reader
 from occmap.readers.ros_log import RosLog
 from occmap.readers.ros_source import Channel
 from tests.fuzz.__main__ import alarm
@@ -34,7 +33,7 @@ MEMORY = 64_000_000
 
 @contextmanager
 def bounded() -> Iterator[None]:
-    make_scan_reader(Channel("/warm", SCAN, "cdr"), ReaderOptions())  # loads rosbags' own types
+    make_reader(Channel("/warm", SCAN, "cdr"), lambda *_: None)  # loads rosbags' own types
     tracemalloc.start()
     try:
         with alarm(5):

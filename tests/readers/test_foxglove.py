@@ -13,8 +13,7 @@ from occmap.errors import LogError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.readers import Log, Role, open_log
-from occmap.readers.foxglove import POSE_TYPES, SCAN_TYPES
-from occmap.readers.messages import find_role
+from occmap.readers.foxglove import TYPES
 from occmap.types import Pose, PoseSample
 from tests.readers.foxglove_logs import (
     SECOND,
@@ -132,5 +131,5 @@ def test_descriptors_that_are_damaged_are_noted(tmp_path: Path) -> None:
     source = open_log(path)
     assert len(read(source)[0]) == 5
     schemas = {stream.type for stream in source.streams}
-    assert schemas <= {*SCAN_TYPES, *POSE_TYPES}
-    assert find_role("foxglove.Log") is Role.OTHER
+    assert schemas <= TYPES.keys()
+    assert "foxglove.Log" not in TYPES

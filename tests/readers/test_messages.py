@@ -6,11 +6,8 @@ from rosbags.typesys.store import Typestore
 
 from occmap.readers import Role
 from occmap.readers.messages import (
-    POSE_TYPES,
-    SCAN_TYPES,
+    TYPES,
     convert_laser_scan,
-    find_role,
-    is_static_topic,
     normalise_type,
 )
 from occmap.readers.options import ReaderOptions
@@ -22,8 +19,10 @@ STAMP = 1_600_000_000_123_456_789
 HALF_TURN = Pose(1.0, 2.0, 3.0, 0.0, 0.0, 1.0, 0.0)
 
 
-def convert(kind: str, message: Any) -> list[PoseSample]:
-    return POSE_TYPES[kind](message, "/topic", 42)
+def convert(kind: str, message: Any, topic: str = "/topic") -> list[PoseSample]:
+    to_poses = TYPES[kind].to_poses
+    assert to_poses is not None
+    return to_poses(message, topic, 42)
 
 
 @pytest.fixture(params=[ROS1, ROS2], ids=["ros1", "ros2"])
@@ -60,12 +59,16 @@ def test_each_transform_is_a_sample_without_leading_slashes(kind: str) -> None:
     ]
 
 
-def test_transforms_on_a_static_topic_hold_at_all_times() -> None:
+@pytest.mark.parametrize(
+    ("topic", "static"),
+    [("/tf_static", True), ("/robot1/tf_static", True), ("tf_static", True), ("/tf", False)],
+)
+def test_transforms_on_a_static_topic_hold_at_all_times(topic: str, static: bool) -> None:
     message = transforms(ROS2, STAMP, [("base", "laser", 1.0)])
 
-    (sample,) = POSE_TYPES["tf2_msgs/msg/TFMessage"](message, "/robot1/tf_static", 42)
+    (sample,) = convert("tf2_msgs/msg/TFMessage", message, topic)
 
-    assert sample.static
+    assert sample.static is static
 
 
 def test_odometry_names_both_frames(store: Typestore) -> None:
@@ -127,12 +130,15 @@ def test_each_pose_of_a_path_is_a_sample_with_its_own_stamp(store: Typestore) ->
     ],
 )
 def test_the_type_decides_the_role(name: str, role: Role) -> None:
-    assert find_role(name) is role
+    encodings = ("cdr", "ros1", "json", "protobuf")
+    roles = {Channel("/x", name, encoding).role for encoding in encodings}
+    assert roles == {role, Role.OTHER}  # no type is written in all of these ways
 
 
 def test_only_foxglove_states_the_pose_of_a_scan_in_it() -> None:
-    assert SCAN_TYPES.keys() & POSE_TYPES.keys() == {"foxglove.LaserScan"}
-    assert all(normalise_type(name) == name for name in (*SCAN_TYPES, *POSE_TYPES))
+    both = {name for name, each in TYPES.items() if each.to_scan and each.to_poses}
+    assert both == {"foxglove.LaserScan"}
+    assert all(normalise_type(name) == name for name in TYPES)
 
 
 def test_a_type_counts_only_as_it_is_written() -> None:
@@ -140,11 +146,3 @@ def test_a_type_counts_only_as_it_is_written() -> None:
     assert Channel("/x", "sensor_msgs/LaserScan", "json").role is Role.OTHER
     assert Channel("/x", "foxglove.LaserScan", "json").role is Role.SCAN
     assert Channel("/x", "foxglove.LaserScan", "cdr").role is Role.OTHER
-
-
-@pytest.mark.parametrize(
-    ("topic", "static"),
-    [("/tf_static", True), ("/robot1/tf_static", True), ("tf_static", True), ("/tf", False)],
-)
-def test_static_topics_are_known_by_their_last_part(topic: str, static: bool) -> None:
-    assert is_static_topic(topic) is static

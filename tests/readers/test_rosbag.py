@@ -3,6 +3,7 @@ import os
 import shutil
 import struct
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -289,6 +290,78 @@ def test_a_chunk_that_is_gone_is_told_of(tmp_path: Path) -> None:
     at, _, end = list_records(data, 5)[7]
 
     assert set(read_damaged(tmp_path / "damaged.bag", data[:at] + data[end:])) < set(range(30))
+
+
+@PACKED
+def test_damage_in_a_record_behind_a_chunk_is_one_note_that_names_its_place(
+    tmp_path: Path, packed: str
+) -> None:
+    data = write_chunks(tmp_path / "drive.bag", packed)
+    _, _, chunk_end = list_records(data, 5)[7]
+    behind = [(at, end) for at, _, end in list_records(data, 4) if at >= chunk_end][:2]
+    assert behind[0][0] == chunk_end
+    for at, end in behind:
+        damaged = bytearray(data)
+        damaged[at] ^= 0x55  # of the length of its header
+
+        assert read_damaged(tmp_path / "damaged.bag", damaged) == list(range(30))
+        log = open_log(tmp_path / "damaged.bag")
+        assert [note.text for note in log.notes] == [
+            f"damaged at byte {at}, read on from byte {end}"
+        ]
+        assert [stream.count for stream in log.streams] == [1, 30, 30]
+
+
+def test_bytes_that_are_added_to_a_chunk_push_no_message_out_of_it(tmp_path: Path) -> None:
+    data = write_chunks(tmp_path / "drive.bag", "none", chunk_size=1 << 20)
+    at = data.index((RANGES + 8).tobytes())
+
+    numbers = read_damaged(tmp_path / "damaged.bag", data[:at] + b"\xff\x05" * 20 + data[at:])
+
+    assert set(range(30)) - set(numbers) <= {8}
+
+
+def zero(data: bytearray, records: Iterable[tuple[int, int, int]]) -> None:
+    for at, _, end in records:
+        data[at:end] = bytes(end - at)
+
+
+@pytest.mark.parametrize("left", [4, 6])
+def test_messages_that_any_part_of_a_damaged_index_announces_are_missed(
+    left: int, tmp_path: Path
+) -> None:
+    data = bytearray(write_chunks(tmp_path / "drive.bag", "lz4"))
+    chunks, behind, at_end = (list_records(data, opcode) for opcode in (5, 4, 6))
+    _, start, lost_end = chunks[7]
+    (first, *_), (last, *_) = chunks[9], chunks[12]
+    # One record about each chunk is left, behind some chunks and at the end for the others.
+    zero(data, [record for record in behind if (first < record[0] < last) == (left == 6)])
+    zero(data, at_end[9:12] if left == 4 else at_end[:9] + at_end[12:-1])
+    data[start:lost_end] = bytes(lost_end - start)
+
+    lost = 30 - len(read_damaged(tmp_path / "damaged.bag", data))
+
+    log = open_log(tmp_path / "damaged.bag")
+    list(log.scans({"/scan"}))
+    assert [stream.count for stream in log.streams] == [1, 30, 30]
+    assert 0 < lost < 4
+    text = f"{30 - lost} messages are read on /scan, where the log announces 30"
+    assert text in [note.text for note in log.notes]
+
+
+def test_chunks_of_which_no_index_is_left_are_told_of(tmp_path: Path) -> None:
+    data = bytearray(write_chunks(tmp_path / "drive.bag", "lz4"))
+    chunks, behind, at_end = (list_records(data, opcode) for opcode in (5, 4, 6))
+    (first, *_), (last, *_) = chunks[9], chunks[12]
+    zero(data, [record for record in behind if first < record[0] < last])
+    zero(data, at_end[9:12])
+
+    assert read_damaged(tmp_path / "damaged.bag", data) == list(range(30))
+
+    log = open_log(tmp_path / "damaged.bag")
+    assert [stream.count for stream in log.streams] == [1, 30, 30]
+    text = "nothing is left of the index of 3 of its 18 chunks"
+    assert any(note.text.startswith(text) for note in log.notes)
 
 
 @pytest.mark.parametrize("opcode", [4, 5, 6, 7])

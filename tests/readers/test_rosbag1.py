@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from occmap.readers.chunked import Block
 from occmap.readers.rosbag1 import (
     CONNECTION,
     MESSAGE,
-    ChannelTable,
     split_messages,
 )
 
@@ -69,7 +69,7 @@ def test_messages_are_those_that_were_written(
             damaged.append(start)
     found: list[int] = []
 
-    assert list(split_messages(block, WANTED, ChannelTable(), found)) == expected
+    assert list(split_messages(Block(0, block), WANTED, {}, found)) == expected
     assert found or not damaged
 
 
@@ -77,7 +77,7 @@ def test_messages_are_those_that_were_written(
 def test_a_message_has_its_connection_time_and_data(order: Sequence[str]) -> None:
     block = b"".join(write(order, MESSAGE, 7 + i, (i, 5), b"data%d" % i) for i in range(3))
 
-    found = list(split_messages(block, {7, 8, 9}, ChannelTable(), []))
+    found = list(split_messages(Block(0, block), {7, 8, 9}, {}, []))
 
     assert [(connection, time) for connection, time, _, _ in found] == [
         (7, 5),
@@ -90,4 +90,4 @@ def test_a_message_has_its_connection_time_and_data(order: Sequence[str]) -> Non
 def test_a_damaged_time_of_another_connection_is_not_looked_at() -> None:
     other = write(NO_TIME, MESSAGE, 8, (0, 0), b"")
     block = other + write(ORDERS[0], MESSAGE, 7, (1, 0), b"data")
-    assert [connection for connection, *_ in split_messages(block, {7}, ChannelTable(), [])] == [7]
+    assert [connection for connection, *_ in split_messages(Block(0, block), {7}, {}, [])] == [7]
