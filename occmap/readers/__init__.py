@@ -86,19 +86,17 @@ class Note:
 
 
 class NoteList(list[Note]):
-    """Notes that `in` searches at once, since a damaged log may give very many."""
+    """Notes, each once however often the log is read; a damaged log may give very many."""
 
     def __init__(self, notes: Iterable[Note] = ()) -> None:
         super().__init__(notes)
         self._known = set(self)
 
-    def __contains__(self, note: object) -> bool:
-        return note in self._known
-
     def append(self, note: Note) -> None:
-        """Add a note."""
-        super().append(note)
-        self._known.add(note)
+        """Add a note unless it is there."""
+        if note not in self._known:
+            super().append(note)
+            self._known.add(note)
 
 
 class Span(NamedTuple):

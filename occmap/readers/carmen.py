@@ -22,7 +22,7 @@ from occmap.readers.carmen_lines import (
     parse_front_offset,
     parse_odometry,
 )
-from occmap.readers.text import Block, Line, add_note, note_cut_line, probe_lines, read_blocks
+from occmap.readers.text import Block, Line, note_cut_line, probe_lines, read_blocks
 from occmap.readers.text_log import LineTally, TextLog
 from occmap.types import Pose, PoseSample, Scan, ScanRun
 from occmap.values import shorten
@@ -117,8 +117,13 @@ class CarmenLog(TextLog):
         for block in read_blocks(self.path, self.notes, span):
             yield block, _pick_scans(_sort_lines(block))
 
-    def _count_malformed(self, line: Line, fault: str, tally: LineTally) -> None:
-        tally.add(line, f"malformed {line.text.split(None, 1)[0]} line: {fault}")
+    def _read(self) -> Iterator[Scan | ScanRun]:
+        """Yield all scans; they were judged when the log was opened."""
+        if self._kept is not None:
+            yield from self._kept
+            return
+        for block, lines in self._find_scan_lines(self._span):
+            yield from self._parse_block(block, lines, LineTally())
 
     def _survey(self) -> None:
         """Read the log once: count its lines, and keep its scans if they are few."""
@@ -134,7 +139,7 @@ class CarmenLog(TextLog):
         self._words = +self._words  # drops keywords of which no line was a scan
         tally.judge(self.path, self.notes, FIX)
         if len(self._stamps) == 1 and sum(self._words[word] for word in POSED_FRAMES) > 1:
-            add_note(self.notes, Note("all scans have one time: they are taken in their order"))
+            self.notes.append(Note("all scans have one time: they are taken in their order"))
 
     def _count_words(self, lines: Mapping[str, Int64], block: Block) -> None:
         """Count lines by their keyword; scans are counted when they have been parsed."""
@@ -164,7 +169,7 @@ class CarmenLog(TextLog):
         if first.topic in PLAIN_FRAMES and beams not in IMPLIED_INCREMENTS:
             spacing = f"{math.degrees(imply_increment(beams)):g} deg apart, from -90 deg"
             text = f"{first.topic} states no angles: {beams} beams are read as {spacing}"
-            add_note(self.notes, Note(text))
+            self.notes.append(Note(text))
 
     def _find_role(self, word: str) -> Role:
         if word not in FRAMES or self._is_repeated(word):
@@ -180,13 +185,13 @@ class CarmenLog(TextLog):
     def _note_other_lines(self) -> None:
         for word in filter(self._is_repeated, self._words):
             text = f"{word} repeats scans that the log holds with their pose; it is left out"
-            add_note(self.notes, Note(text))
+            self.notes.append(Note(text))
         used = {*FRAMES, "ODOM"}
         others = Counter({word: n for word, n in self._words.items() if word not in used})
         if others:
             top = ", ".join(_count_lines(word, n) for word, n in others.most_common(5))
             text = f"{count(others.total(), 'line')} without scan or pose passed over: {top}"
-            add_note(self.notes, Note(text + (", ..." if len(others) > 5 else "")))
+            self.notes.append(Note(text + (", ..." if len(others) > 5 else "")))
 
 
 def _sort_lines(block: Block) -> dict[str, Int64]:

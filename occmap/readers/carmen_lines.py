@@ -160,7 +160,7 @@ def split_timed(text: str) -> _Message:
     head, *tail = text.rsplit(None, 3)
     words = head.split(None, 1)
     if len(tail) < 3 or len(words) < 2:
-        raise ValueError("it is too short")
+        raise ValueError("the line is too short")
     stamp_ns, logged_ns = parse_seconds(tail[0]), parse_seconds(tail[2])
     # Converters write 0 where they know no second time.
     return _Message(words[0], _parse_numbers(words[1]), stamp_ns, logged_ns or stamp_ns)
@@ -188,7 +188,7 @@ def _find_list(values: Float64, at: int) -> slice:
     if room >= 0 and 0 <= values[at] <= room:
         return slice(at + 1, at + 1 + int(values[at]))
     announced = f"{values[at]:g}" if room >= 0 else "no"
-    raise ValueError(f"it announces {announced} values where {max(room, 0)} follow")
+    raise ValueError(f"the line announces {announced} values where {max(room, 0)} follow")
 
 
 def _check_rest(values: Float64, at: int, size: int) -> None:
