@@ -44,9 +44,8 @@ BEHIND_LISTS = (
     dict.fromkeys(PLAIN_FRAMES, 6) | dict.fromkeys(ROBOT_FRAMES, 11) | dict.fromkeys(RAW_FRAMES, 0)
 )
 """How many numbers stand between the lists and the time; the first are the pose of the laser."""
-IMPLIED_INCREMENTS = {beams: math.radians(1.0) for beams in (180, 181)} | {
-    beams: math.radians(0.5) for beams in (360, 361)
-}
+USUAL_BEAMS = (180, 181, 360, 361)
+"""How many beams a line has that is known to imply its angles."""
 FRONT_OFFSET = "robot_frontlaser_offset"
 
 
@@ -139,8 +138,6 @@ def parse_front_offset(text: str) -> float | None:
 
 def imply_increment(beams: int) -> float:
     """Return the angle between beams (rad) where only their number is known."""
-    if beams in IMPLIED_INCREMENTS:
-        return IMPLIED_INCREMENTS[beams]
     return math.pi / max(beams - beams % 2, 1)
 
 

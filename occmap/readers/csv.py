@@ -1,6 +1,6 @@
 """Reads occmap's own CSV: one scan a row, beams as r0, r1, ..., constants in comments."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -116,27 +116,26 @@ class CsvLog(TextLog):
             text = f"line {line.number}, the last, has no line end; it is taken as whole"
             self.notes.append(Note(text))
 
-    def _find_scan_lines(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
-        """Yield blocks, and which of their lines are rows, without the header."""
-        header = 1 if span.start == 0 else 0
-        for block in read_blocks(self.path, self.notes, span):
-            rows, _ = _sort_lines(block)
-            yield block, {TOPIC: rows[header:]}
-            header = 0 if rows.size else header
-
     def _read(self) -> Iterator[Scan | ScanRun]:
         tally = LineTally()
-        for block, rows in self._find_scan_lines(self._span):
-            scans = self._parse_block(block, rows, tally)
+        for scans in self._parse_rows(self._span, tally):
             if tally.malformed and not self._is_judged:
                 self._judge()
             yield from scans
 
+    def _parse_rows(self, span: Span, tally: LineTally) -> Iterator[Sequence[Scan | ScanRun]]:
+        """Parse the rows of a part of the file, a block at a time."""
+        header = 1 if span.start == 0 else 0
+        for block in read_blocks(self.path, self.notes, span):
+            rows, _ = _sort_lines(block)
+            yield self._parse_block(block, {TOPIC: rows[header:]}, tally)
+            header = 0 if rows.size else header
+
     def _judge(self) -> None:
         """Tell damage from a file that is not a log: by all its rows, even where this is a part."""
         tally = LineTally()
-        for block, rows in self._find_scan_lines(ALL):
-            self._parse_block(block, rows, tally)
+        for _ in self._parse_rows(ALL, tally):
+            pass
         self._rows = tally.total - tally.malformed
         fix = "correct or delete this row" if self._rows else "correct the header or these rows"
         tally.judge(self.path, self.notes, fix)

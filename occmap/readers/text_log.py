@@ -3,7 +3,7 @@
 The way of a line from the file to a `Scan`:
 
 1. `text.read_blocks` reads the file in blocks of lines.
-2. `_find_scan_lines` of the format says which lines of a block are scans, and of which kind.
+2. `_read` of the format says which lines of a block are scans, and of which kind.
 3. `_parse_together` lets the format's `parse` make a `Scan` of the first sound line of each kind.
    From that line, `find_pattern` says what each word of lines like it is.
 4. `parse_table` has all lines of that pattern parsed by a kernel, and `make_run` makes a `ScanRun`
@@ -26,7 +26,7 @@ import numpy as np
 
 from occmap.arrays import Float32, Float64, Int64, UInt8
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList, Span, make_part
+from occmap.readers import Note, NoteList, make_part
 from occmap.readers.kernels import NUMBER, PADDING, RANGE, SAME, SECONDS
 from occmap.readers.text import ALL, Block, Line, note_cut_line, split_lines
 from occmap.types import Scan, ScanRun
@@ -186,10 +186,6 @@ class TextLog(ABC):
         self._span = ALL
         self._kept: list[Scan | ScanRun] | None = None
         """The scans of a log that were read when it was opened"""
-
-    @abstractmethod
-    def _find_scan_lines(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
-        """Yield blocks, and the indices of those of their lines that are scans, by kind."""
 
     @abstractmethod
     def _read(self) -> Iterator[Scan | ScanRun]:
