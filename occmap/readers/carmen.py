@@ -12,10 +12,9 @@ from occmap.arrays import Int64
 from occmap.readers import Note, Probe, Role, Stream
 from occmap.readers.carmen_lines import (
     FRAMES,
-    FRONT,
     PLAIN_FRAMES,
+    POSED_FRAMES,
     RAW_FRAMES,
-    ROBOT_FRAMES,
     USUAL_BEAMS,
     CarmenForm,
     imply_increment,
@@ -24,7 +23,7 @@ from occmap.readers.carmen_lines import (
 )
 from occmap.readers.text import Block, Line, note_cut_line, probe_lines, read_blocks
 from occmap.readers.text_log import LineTally, TextLog
-from occmap.types import Pose, PoseSample, Scan, ScanRun
+from occmap.types import PoseSample, Scan, ScanRun
 from occmap.values import shorten
 from occmap.wording import count
 
@@ -36,8 +35,6 @@ OTHER_WORDS = frozenset({
 })
 # fmt: on
 """Lines that are common in these logs (the last ones are g2o's) and hold no scan or pose."""
-POSED_FRAMES = PLAIN_FRAMES | ROBOT_FRAMES
-"""Lines that state the pose beside the scan, so that no time is needed"""
 MAX_WORDS = 100
 """Keywords that are counted one by one; the many of a damaged file must not fill the memory."""
 MAX_KEPT_BYTES = 1 << 26
@@ -86,7 +83,7 @@ class CarmenLog(TextLog):
         self.form = CarmenForm()
         self._words: Counter[str] = Counter()
         """How many lines begin with each keyword; # stands for every comment"""
-        self._front_offset: float | None = None
+        self._front_offset: PoseSample | None = None
         self._stamps: set[int] = set()
         self._size = 0
         self._kept = []
@@ -107,8 +104,7 @@ class CarmenLog(TextLog):
     def poses(self) -> Iterator[PoseSample]:
         """Give the front laser's offset, where a PARAM states it, then the odometry."""
         if self._front_offset is not None:
-            offset = Pose.planar(self._front_offset, 0.0, 0.0)
-            yield PoseSample(0, "base_link", FRONT, offset, static=True, topic="PARAM")
+            yield self._front_offset
         if not self._words["ODOM"]:
             return
         tally = LineTally()

@@ -31,15 +31,17 @@ from occmap.arrays import Float64
 from occmap.readers.kernels import ANY, NUMBER, RANGE, SAME, SECONDS
 from occmap.readers.text import Line, make_planar, round_limit, stack_planar
 from occmap.readers.text_log import Pattern, Table
-from occmap.types import UNKNOWN_POSE, PoseSample, Scan, ScanRun
+from occmap.types import UNKNOWN_POSE, Pose, PoseSample, Scan, ScanRun
 from occmap.values import as_float32, parse_seconds, shorten
 
 FRONT, REAR = "front_laser", "rear_laser"
 PLAIN_FRAMES = {"FLASER": FRONT, "RLASER": REAR}
 """Lines that imply their angles and state no limits."""
 ROBOT_FRAMES = {"ROBOTLASER0": FRONT, "ROBOTLASER1": FRONT, "ROBOTLASER2": REAR}
+POSED_FRAMES = PLAIN_FRAMES | ROBOT_FRAMES
+"""Lines that state the pose beside the scan, so that no time is needed."""
 RAW_FRAMES = {"RAWLASER1": FRONT, "RAWLASER2": REAR}
-FRAMES = PLAIN_FRAMES | ROBOT_FRAMES | RAW_FRAMES
+FRAMES = POSED_FRAMES | RAW_FRAMES
 BEHIND_LISTS = (
     dict.fromkeys(PLAIN_FRAMES, 6) | dict.fromkeys(ROBOT_FRAMES, 11) | dict.fromkeys(RAW_FRAMES, 0)
 )
@@ -125,15 +127,16 @@ def parse_odometry(text: str) -> PoseSample:
     )
 
 
-def parse_front_offset(text: str) -> float | None:
-    """Parse a PARAM line: how far the front laser is before the robot's centre (m), or None."""
+def parse_front_offset(text: str) -> PoseSample | None:
+    """Parse a PARAM line: where the front laser is on the robot, or None where it says no such."""
     fields = text.split()
     if fields[1:2] != [FRONT_OFFSET]:
         return None
     offset = float(fields[2]) if len(fields) > 2 else math.nan
     if not math.isfinite(offset):
         raise ValueError("the offset is not a finite number")
-    return offset
+    pose = Pose.planar(offset, 0.0, 0.0)
+    return PoseSample(0, "base_link", FRONT, pose, static=True, topic="PARAM")
 
 
 def imply_increment(beams: int) -> float:
