@@ -5,11 +5,11 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any, NamedTuple, Self, overload
+from typing import NamedTuple, Self, overload
 
 import numpy as np
 
-from occmap.arrays import Float32, Float64, Int64
+from occmap.arrays import Int64
 from occmap.errors import require
 from occmap.posing.options import Stamps
 from occmap.sensor.no_return import RangeLimits
@@ -86,26 +86,6 @@ class Geometry(NamedTuple):
         """Take it from a scan."""
         shape = scan.topic, scan.frame, scan.angle_min, scan.angle_increment, len(scan.ranges)
         return cls(*shape, *read_limits(scan), posed=scan.pose is not None)
-
-    def stack(
-        self,
-        stamp_ns: Int64,
-        ranges: Float32,
-        time_increment: Float64,
-        pose: Float64 | None,
-        number: Int64 | None = None,
-    ) -> ScanBatch:
-        """Make a batch of what differs between its scans."""
-        shared: dict[str, Any] = self._asdict()
-        del shared["beams"], shared["posed"]  # the arrays show these
-        return ScanBatch(
-            **shared,
-            stamp_ns=stamp_ns,
-            ranges=ranges,
-            time_increment=time_increment,
-            pose=pose,
-            number=number,
-        )
 
 
 def find_flaw(scan: Scan) -> LeftOut | None:
@@ -210,37 +190,40 @@ class Batcher:
             if reason is not None:
                 self.left_out[reason] += 1
                 continue
+            if isinstance(some, Scan):
+                held.setdefault(Geometry.of(some), {})[self.read] = some
+                beams += len(some.ranges)
+            if isinstance(some, ScanRun) or beams >= BATCH_BEAMS:
+                yield from self._release(held)
+                held, beams = {}, 0
             if isinstance(some, ScanRun):
-                yield from self._release(held)
-                held, beams = {}, 0
-                stamp_ns, geometry = self._selector.stamp(some), Geometry.of(some.first)
-                batch = geometry.stack(stamp_ns, some.ranges, some.time_increment, some.pose)
-                yield self._look_at(batch)
-                continue
-            held.setdefault(Geometry.of(some), {})[self.read] = some
-            beams += len(some.ranges)
-            if beams >= BATCH_BEAMS:
-                yield from self._release(held)
-                held, beams = {}, 0
+                yield self._make_batch(some)
         yield from self._release(held)
 
     def _release(self, held: Mapping[Geometry, Mapping[int, Scan]]) -> Iterator[ScanBatch]:
         lasers = Counter((geometry.topic, geometry.frame) for geometry in held)
         for geometry, numbered in held.items():
-            scans = numbered.values()
-            stamp_ns = np.array([self._selector.stamp(scan) for scan in scans], np.int64)
-            ranges = np.stack([scan.ranges for scan in scans])
-            time_increment = np.array([scan.time_increment for scan in scans], np.float64)
-            pose = np.array([scan.pose for scan in scans]) if geometry.posed else None
+            scans = list(numbered.values())
+            run = ScanRun(
+                scans[0],
+                np.array([scan.stamp_ns for scan in scans], np.int64),
+                np.array([scan.record_ns for scan in scans], np.int64),
+                np.stack([scan.ranges for scan in scans]),
+                np.array([scan.time_increment for scan in scans], np.float64),
+                np.array([scan.pose for scan in scans]) if geometry.posed else None,
+            )
             is_mixed = lasers[geometry.topic, geometry.frame] > 1
-            number = np.array([*numbered], np.int64) if is_mixed else None
-            yield self._look_at(geometry.stack(stamp_ns, ranges, time_increment, pose, number))
+            yield self._make_batch(run, np.array([*numbered], np.int64) if is_mixed else None)
 
-    def _look_at(self, batch: ScanBatch) -> ScanBatch:
-        """Note what is odd about the scans of a batch."""
-        oddity = find_oddity(batch.angle_increment, batch.ranges.shape[1])
-        if oddity and (note := f"{batch.topic}: {oddity}") not in self.notes:
+    def _make_batch(self, run: ScanRun, number: Int64 | None = None) -> ScanBatch:
+        """Make a batch of scans that are alike, and note what is odd about them."""
+        first = run.first
+        oddity = find_oddity(first.angle_increment, len(first.ranges))
+        if oddity and (note := f"{first.topic}: {oddity}") not in self.notes:
             self.notes.append(note)
+        shape = first.frame, first.angle_min, first.angle_increment, *read_limits(first)
+        differing = self._selector.stamp(run), run.ranges, run.time_increment, run.pose
+        batch = ScanBatch(*shape, *differing, first.topic, number)
         return batch if self._limits is None else self._limits.apply(batch)
 
 

@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 from occmap.errors import LogError, OccmapError
 from occmap.opening import choose_topics, take_first
-from occmap.plugins import list_plugins, load_plugin
-from occmap.readers import open_log, probe_path
+from occmap.readers import load_readers, open_log, probe_path
 from occmap.readers.options import ReaderOptions
 from occmap.wording import STDIN_FOLDER, count, join_names
 
@@ -93,8 +92,7 @@ def is_recording(path: Path) -> bool:
         probe = probe_path(path)
     except LogError:
         return False
-    readers = (load_plugin("occmap.readers", each.name) for each in list_plugins("occmap.readers"))
-    return any(reader().recognises(probe) for reader in readers if reader is not None)
+    return any(reader and reader.recognises(probe) for _, reader in load_readers())
 
 
 def find_start(path: Path, options: ReaderOptions) -> tuple[int, str]:

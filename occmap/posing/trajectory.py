@@ -5,29 +5,32 @@ TUM: `stamp x y z qx qy qz qw` (s). CSV: a header `stamp,x,y,yaw` or more column
 each line, and the time of each (s) in times.txt beside it.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import NoReturn
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
 from occmap.errors import LogError, refuse_unreadable
 from occmap.posing.rotations import to_quaternions
 from occmap.types import Pose, PoseSample
-from occmap.values import parse_nanoseconds, parse_seconds
+from occmap.values import parse_nanoseconds, parse_seconds, shorten
+
+Parsed = TypeVar("Parsed")
+TimedPose: TypeAlias = tuple[int, Pose]
+"""A pose and its time (ns)"""
+NumberedLine: TypeAlias = tuple[int, str]
 
 TRAJECTORY_FRAME = "map"
-TUM_COLUMNS = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
 QUATERNION = ("qx", "qy", "qz", "qw")
 ANGLES = ("roll", "pitch", "yaw")
 SHAPES = (
     "expected lines `stamp x y z qx qy qz qw`, the header stamp,x,y,yaw and such lines, or those "
     "of EuRoC or KITTI"
 )
-EUROC_COLUMNS = ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")
 MATRIX = 12
 """Numbers in a line of KITTI"""
 TIMES = "times.txt"
@@ -44,32 +47,37 @@ MAX_LINE = 4096
 """The longest line: longer ones are not poses, and a file without line ends may not fill memory."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    """Which column holds what."""
+class _Layout(NamedTuple):
+    """What the lines of a file hold, and where."""
 
-    columns: Mapping[str, int]
+    columns: Sequence[str]
     separator: str | None
     """None: any white space."""
-    read_stamp: Callable[[str], int]
-    """Reads a time as nanoseconds; raises ValueError"""
+    parse_stamp: Callable[[str], int]
+    """Parses a time as nanoseconds; raises ValueError"""
     has_more: bool = False
     """Further columns may follow"""
 
+    def parse(self, text: str) -> TimedPose:
+        """Parse a line; optional columns that are absent are 0. Raises ValueError."""
+        fields, expected = text.split(self.separator), len(self.columns)
+        if len(fields) < expected or (len(fields) > expected and not self.has_more):
+            raise ValueError(f"{len(fields)} values where {expected} belong")
+        texts = dict(zip(self.columns, fields, strict=False))
+        stamp_ns = self.parse_stamp(texts["stamp"])
+        x, y, z = (_to_float(texts.get(name, "0")) for name in "xyz")
+        if "qw" in texts:
+            qx, qy, qz, qw = (_to_float(texts[name]) for name in QUATERNION)
+            return stamp_ns, Pose(x, y, z, qx, qy, qz, qw)
+        roll, pitch, yaw = (_to_float(texts.get(name, "0")) for name in ANGLES)
+        if not math.isfinite(roll + pitch + yaw):  # an infinite angle has no sine
+            roll = pitch = yaw = math.nan
+        return stamp_ns, Pose.from_xyzrpy((x, y, z), (roll, pitch, yaw))
 
-@dataclass(frozen=True, slots=True)
-class _Line:
-    """A line of a file, and where it stands."""
 
-    path: Path
-    number: int
-    text: str
-
-    def fail(self, found: str, fix: str = SHAPES) -> NoReturn:
-        raise LogError(found, where=f"{self.path}:{self.number}", fix=fix)
-
-    def quote(self) -> str:
-        return repr(self.text[:60])
+TUM = _Layout(("stamp", "x", "y", "z", *QUATERNION), None, parse_seconds)
+EUROC_COLUMNS = ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")
+EUROC = _Layout(EUROC_COLUMNS, ",", parse_nanoseconds, has_more=True)
 
 
 def read_trajectory(path: Path, notes: list[str] | None = None) -> Iterator[PoseSample]:
@@ -89,50 +97,45 @@ def read_trajectory(path: Path, notes: list[str] | None = None) -> Iterator[Pose
     LogError
         The file cannot be read or holds no poses, or a line is not a pose.
     """
-    lines = _read_lines(path)
-    first = next(lines, None)
-    if first is None:
-        raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
-    if len(first.text.split()) == MATRIX:
-        poses = _read_matrices(path, chain([first], lines), [] if notes is None else notes)
-    else:
-        layout, is_header = _find_layout(first)
-        rest = lines if is_header else chain([first], lines)
-        poses = (_parse(line, layout) for line in rest)
     found = False
-    for stamp_ns, pose in poses:
+    for stamp_ns, pose in _read_poses(path, [] if notes is None else notes):
         yield PoseSample(stamp_ns, TRAJECTORY_FRAME, "", pose, record_ns=stamp_ns)
         found = True
     if not found:
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
 
 
-def _find_layout(first: _Line) -> tuple[_Layout, bool]:
-    """Tell the layout of a file by its first line, and whether that is a header."""
-    if "," not in first.text:
-        return _number(TUM_COLUMNS, None, parse_seconds), False
-    if first.text.partition(",")[0].strip().lstrip("-").isdecimal():
-        return replace(_number(EUROC_COLUMNS, ",", parse_nanoseconds), has_more=True), False
-    return _read_header(first), True
-
-
-def _number(
-    names: Sequence[str], separator: str | None, read_stamp: Callable[[str], int]
-) -> _Layout:
-    return _Layout({name: i for i, name in enumerate(names)}, separator, read_stamp)
+def _read_poses(path: Path, notes: list[str]) -> Iterator[TimedPose]:
+    """Read the poses of a file whose first line tells of which form it is."""
+    lines = _read_lines(path)
+    first = next(lines, (0, ""))
+    whole = chain([first], lines)
+    if not first[1]:
+        return iter(())
+    if len(first[1].split()) == MATRIX:
+        return _read_matrices(path, whole, notes)
+    if "," not in first[1]:
+        return _parse_lines(path, whole, TUM.parse)
+    if first[1].partition(",")[0].strip().lstrip("-").isdecimal():
+        return _parse_lines(path, whole, EUROC.parse)
+    (layout,) = _parse_lines(path, [first], _parse_header)
+    return _parse_lines(path, lines, layout.parse)
 
 
 def _read_matrices(
-    path: Path, lines: Iterable[_Line], notes: list[str]
-) -> Iterator[tuple[int, Pose]]:
+    path: Path, lines: Iterable[NumberedLine], notes: list[str]
+) -> Iterator[TimedPose]:
     """Read KITTI's poses, each with its time.
 
     Those of a camera, whose z is ahead and whose y is down, are turned to the axes of a robot. They
     are told by where they lead: a robot that stays on the ground moves along z only in such axes.
     """
-    texts = list(lines)
-    rows = np.array([_read_row(line) for line in texts]).reshape(-1, 3, 4)
-    times = list(_read_times(path.parent / TIMES, path))
+    rows = np.array(list(_parse_lines(path, lines, _parse_row))).reshape(-1, 3, 4)
+    beside = path.parent / TIMES
+    if not beside.is_file():
+        raise LogError("poses without times", where=path, fix=f"put KITTI's {TIMES} beside it")
+    fix = "a time in seconds stands in each line"
+    times = list(_parse_lines(beside, _read_lines(beside), parse_seconds, fix))
     if len(times) != len(rows):
         found = f"it holds {len(rows):,} poses, and {TIMES} beside it {len(times):,} times"
         raise LogError(found, where=path, fix="there must be one for each pose")
@@ -146,83 +149,55 @@ def _read_matrices(
         rows = np.einsum("ij,njk,kl->nil", FROM_CAMERA, rows, TO_CAMERA)
     rows[~np.isfinite(rows).all(axis=(1, 2))] = np.nan
     poses = np.column_stack([rows[:, :, 3], to_quaternions(rows[:, :, :3])]).tolist()
-    yield from ((stamp_ns, Pose(*pose)) for stamp_ns, pose in zip(times, poses, strict=True))
+    return zip(times, map(Pose._make, poses), strict=True)
 
 
-def _read_row(line: _Line) -> list[float]:
-    words = line.text.split()
-    if len(words) != MATRIX:
-        line.fail(f"{len(words)} values where {MATRIX} belong: {line.quote()}")
-    try:
-        return list(map(_to_float, words))
-    except ValueError as error:
-        line.fail(f"{error}: {line.quote()}")
-
-
-def _read_times(path: Path, poses: Path) -> Iterator[int]:
-    """Read the times (ns) of KITTI's poses."""
-    if not path.is_file():
-        raise LogError("poses without times", where=poses, fix=f"put KITTI's {TIMES} beside it")
-    for line in _read_lines(path):
-        try:
-            yield parse_seconds(line.text)
-        except ValueError as error:
-            line.fail(str(error), "a time in seconds stands in each line")
-
-
-def _read_lines(path: Path) -> Iterator[_Line]:
+def _read_lines(path: Path) -> Iterator[NumberedLine]:
     """Read the lines that are neither empty nor comments."""
     with refuse_unreadable(path):
         with path.open("rb") as file:
             if b"\0" in file.read(BINARY_WITHIN):
                 raise LogError("not text, so not a trajectory", where=path, fix=SHAPES)
         with path.open(encoding="utf-8-sig", errors="replace") as file:
-            for number, text in enumerate(iter(partial(file.readline, MAX_LINE), ""), start=1):
-                line = _Line(path, number, text.strip())
-                if line.text and not line.text.startswith("#"):
-                    yield line
+            for number, line in enumerate(iter(partial(file.readline, MAX_LINE), ""), start=1):
+                text = line.strip()
+                if text and not text.startswith("#"):
+                    yield number, text
 
 
-def _read_header(line: _Line) -> _Layout:
+def _parse_lines(
+    path: Path, lines: Iterable[NumberedLine], parse: Callable[[str], Parsed], fix: str = SHAPES
+) -> Iterator[Parsed]:
+    """Parse lines; raises LogError for the first one of which `parse` raises ValueError."""
+    for number, text in lines:
+        try:
+            yield parse(text)
+        except ValueError as error:
+            whole = "" if repr(text) in str(error) else f": {text[:60]!r}"
+            raise LogError(f"{error}{whole}", where=f"{path}:{number}", fix=fix) from None
+
+
+def _parse_header(text: str) -> _Layout:
     """Read the column names of a CSV; columns that do not belong to a pose are passed over."""
-    names = [name.strip().lower() for name in line.text.split(",")]
-    layout = _number(names, ",", parse_seconds)
-    has_quaternion = any(name in layout.columns for name in QUATERNION)
-    missing = {"stamp", "x", "y", *(QUATERNION if has_quaternion else ("yaw",))}.difference(names)
+    names = [name.strip().lower() for name in text.split(",")]
+    angles = QUATERNION if set(QUATERNION).intersection(names) else ("yaw",)
+    missing = {"stamp", "x", "y", *angles}.difference(names)
     if missing:
-        line.fail(f"the header {line.quote()} has no column {', '.join(sorted(missing))}")
-    return layout
+        raise ValueError(f"the header has no column {', '.join(sorted(missing))}")
+    if len(set(names)) < len(names):
+        raise ValueError("the header names a column twice")
+    return _Layout(names, ",", parse_seconds)
 
 
-def _parse(line: _Line, layout: _Layout) -> tuple[int, Pose]:
-    """Read one pose; optional columns that are absent are 0."""
-    fields = line.text.split(layout.separator)
-    more = len(fields) - len(layout.columns)
-    if more < 0 or (more and not layout.has_more):
-        line.fail(f"{len(fields)} values where {len(layout.columns)} belong: {line.quote()}")
-    texts = {name: fields[i] for name, i in layout.columns.items()}
-    try:
-        stamp_ns = layout.read_stamp(texts["stamp"])
-        x, y, z = (_to_float(texts.get(name, "0")) for name in "xyz")
-        if "qw" in texts:
-            qx, qy, qz, qw = (_to_float(texts[name]) for name in QUATERNION)
-            return stamp_ns, Pose(x, y, z, qx, qy, qz, qw)
-        roll, pitch, yaw = (_to_float(texts.get(name, "0")) for name in ANGLES)
-    except ValueError as error:
-        line.fail(f"{error}: {line.quote()}")
-    return stamp_ns, _turn((x, y, z), (roll, pitch, yaw))
+def _parse_row(text: str) -> list[float]:
+    words = text.split()
+    if len(words) != MATRIX:
+        raise ValueError(f"{len(words)} values where {MATRIX} belong")
+    return list(map(_to_float, words))
 
 
 def _to_float(text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise ValueError(f"{text!r} is not a number") from None
-
-
-def _turn(xyz: tuple[float, float, float], rpy: tuple[float, float, float]) -> Pose:
-    """Make a pose from angles; an infinite angle, which has no sine, makes it not finite."""
-    try:
-        return Pose.from_xyzrpy(xyz, rpy)
-    except ValueError:
-        return Pose(*xyz, *(float("nan"),) * 4)
+        raise ValueError(f"{shorten(text)} is not a number") from None

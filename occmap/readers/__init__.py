@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 from occmap.errors import LogError
 from occmap.plugins import list_plugins, load_plugin
-from occmap.readers.gunzip import GUNZIP_ERRORS, gunzip
+from occmap.readers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
 from occmap.readers.options import ReaderOptions
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
@@ -28,16 +28,20 @@ SIMILAR = 0.85
 """How alike (0 to 1) a file must be named that is suggested for one that is not there."""
 _MAP = "a map, not a log: `occmap diff` compares maps"
 OTHER_FILES = {
-    b"PK\x03\x04": "not a log but an archive: "
-    "evidence in .npz is for `occmap render`, or for `resume`",
-    b"P5": _MAP,
-    b"image:": _MAP,
-    b"\x89PNG": "a picture, not a log: `occmap diff` compares maps",
+    b"PK\x03\x04": (
+        "not a log but an archive: evidence in .npz is for `occmap render`, or for `resume`",
+        "",
+    ),
+    b"P5": (_MAP, ""),
+    b"image:": (_MAP, ""),
+    b"\x89PNG": ("a picture, not a log: `occmap diff` compares maps", ""),
+    b"version https://git-lfs": (
+        "a Git LFS pointer, which stands in for the file",
+        "fetch the file: git lfs pull",
+    ),
+    b"\x28\xb5\x2f\xfd": ("a file that zstd compressed", "decompress it first: unzstd PATH"),
 }
-"""What a file is, by how it begins."""
-LFS_MAGIC = b"version https://git-lfs"
-UNPACKERS = {b"\x1f\x8b": ("gzip", "gunzip"), b"\x28\xb5\x2f\xfd": ("zstd", "unzstd")}
-"""What compressed files start with, what compressed them, and what unpacks them"""
+"""What a file is, by how it begins, and what mends it, if that is not one of the readers."""
 
 
 class Role(StrEnum):
@@ -86,19 +90,17 @@ class Note:
 
 
 class NoteList(list[Note]):
-    """Notes that `in` searches at once, since a damaged log may give very many."""
+    """Notes, each once however often the log is read; a damaged log may give very many."""
 
     def __init__(self, notes: Iterable[Note] = ()) -> None:
         super().__init__(notes)
         self._known = set(self)
 
-    def __contains__(self, note: object) -> bool:
-        return note in self._known
-
     def append(self, note: Note) -> None:
-        """Add a note."""
-        super().append(note)
-        self._known.add(note)
+        """Add a note unless it is there."""
+        if note not in self._known:
+            super().append(note)
+            self._known.add(note)
 
 
 class Span(NamedTuple):
@@ -234,7 +236,7 @@ def probe_path(path: Path) -> Probe:
         raise _miss(path) from None
     except OSError as error:
         raise LogError(f"cannot be read ({error.strerror})", where=path) from None
-    return Probe(path, raw, _peek_gzip(path) if raw.startswith(b"\x1f\x8b") else raw)
+    return Probe(path, raw, _peek_gzip(path) if raw.startswith(MAGIC) else raw)
 
 
 def _miss(path: Path) -> LogError:
@@ -263,6 +265,13 @@ def _peek_gzip(path: Path) -> bytes:
     return content[:PROBE_BYTES]
 
 
+def load_readers() -> Iterator[tuple[str, Reader | None]]:
+    """Load the readers one by one, as the later ones take longest; None: it cannot be loaded."""
+    for entry in list_plugins("occmap.readers"):
+        reader_class = load_plugin("occmap.readers", entry.name)
+        yield entry.name, reader_class and reader_class()
+
+
 def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
     """Open a log with the first reader that recognises its content.
 
@@ -272,56 +281,41 @@ def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
         The path cannot be read, or no reader knows what it is.
     """
     probe = probe_path(path)
-    names = [entry.name for entry in list_plugins("occmap.readers")]
-    broken = []
-    for name in names:  # loaded one by one: the later ones take longest
-        reader_class = load_plugin("occmap.readers", name)
-        if reader_class is None:
-            broken.append(name)
-            continue
-        reader: Reader = reader_class()
-        if reader.recognises(probe):
+    whole: list[str] = []
+    broken: list[str] = []
+    for name, reader in load_readers():
+        (broken if reader is None else whole).append(name)
+        if reader is not None and reader.recognises(probe):
             if isinstance(reader, TunableReader):
                 return reader.open_tuned(path, options)
             return reader.open(path)
-    whole = ", ".join(name for name in names if name not in broken)
     lacking = f" ({', '.join(broken)} cannot be loaded)" if broken else ""
-    raise _explain_unknown(probe, f"occmap reads {whole}{lacking}: see `occmap readers`")
+    raise _explain_unknown(probe, f"occmap reads {', '.join(whole)}{lacking}: see `occmap readers`")
 
 
 def _explain_unknown(probe: Probe, otherwise: str) -> LogError:
     """Say what a path that no reader knows is, and what mends it; `otherwise` says what is read."""
-    raw, content = probe.raw, probe.content
-    found, fix = _describe_unknown(probe), otherwise
-    if raw.startswith(LFS_MAGIC):
-        found = "a Git LFS pointer, which stands in for the file"
-        fix = "fetch the file: git lfs pull"
-    elif raw and not any(raw):
+    raw, content, fix = probe.raw, probe.content, ""
+    if probe.path.is_dir():
+        found = _describe_folder(probe.path)
+    elif not raw:
+        found = "the file is empty"
+    elif not any(raw):
         found = f"the first {len(raw):,} bytes are zero, as a power cut leaves a file"
         fix = "take the log from where it was copied from"
-    elif content and not content.isascii():
-        for magic, (kind, unpack) in UNPACKERS.items():
-            if raw.startswith(magic):
-                found = f"a file that {kind} compressed"
-                fix = f"decompress it first: {unpack} {shlex.quote(str(probe.path))}"
-    return LogError(found, where=probe.path, fix=fix)
-
-
-def _describe_unknown(probe: Probe) -> str:
-    """Say what a path that no reader knows looks like."""
-    if probe.path.is_dir():
-        return _describe_folder(probe.path)
-    if not probe.raw:
-        return "the file is empty"
-    if not probe.content:
-        return "a gzip file with nothing in it that can be read"
-    for start, what in OTHER_FILES.items():
-        if probe.content.startswith(start):
-            return what
-    if probe.content.isascii():
-        first_line = probe.content.decode("ascii").splitlines()[0][:60]
-        return f"a text file of no known log format: it starts with {first_line!r}"
-    return f"not a known log format: it starts with the bytes {probe.raw[:8].hex(' ')}"
+    elif not content:
+        found = "a gzip file with nothing in it that can be read"
+    elif begins := [start for start in OTHER_FILES if content.startswith(start)]:
+        found, fix = OTHER_FILES[begins[0]]
+    elif content.isascii():
+        first_line = content.decode("ascii").splitlines()[0][:60]
+        found = f"a text file of no known log format: it starts with {first_line!r}"
+    elif content is not raw:
+        found, fix = "a file that gzip compressed", "decompress it first: gunzip PATH"
+    else:
+        found = f"not a known log format: it starts with the bytes {raw[:8].hex(' ')}"
+    fix = fix.replace("PATH", shlex.quote(str(probe.path)))
+    return LogError(found, where=probe.path, fix=fix or otherwise)
 
 
 def _describe_folder(folder: Path) -> str:

@@ -9,22 +9,21 @@ from pathlib import Path
 import numpy as np
 
 from occmap.arrays import Int64
-from occmap.readers import Note, Probe, Role, Span, Stream
+from occmap.readers import Note, Probe, Role, Stream
 from occmap.readers.carmen_lines import (
     FRAMES,
-    FRONT,
-    IMPLIED_INCREMENTS,
     PLAIN_FRAMES,
+    POSED_FRAMES,
     RAW_FRAMES,
-    ROBOT_FRAMES,
+    USUAL_BEAMS,
     CarmenForm,
     imply_increment,
     parse_front_offset,
     parse_odometry,
 )
-from occmap.readers.text import Block, Line, add_note, note_cut_line, probe_lines, read_blocks
+from occmap.readers.text import Block, Line, note_cut_line, probe_lines, read_blocks
 from occmap.readers.text_log import LineTally, TextLog
-from occmap.types import Pose, PoseSample, Scan, ScanRun
+from occmap.types import PoseSample, Scan, ScanRun
 from occmap.values import shorten
 from occmap.wording import count
 
@@ -36,8 +35,6 @@ OTHER_WORDS = frozenset({
 })
 # fmt: on
 """Lines that are common in these logs (the last ones are g2o's) and hold no scan or pose."""
-POSED_FRAMES = PLAIN_FRAMES | ROBOT_FRAMES
-"""Lines that state the pose beside the scan, so that no time is needed"""
 MAX_WORDS = 100
 """Keywords that are counted one by one; the many of a damaged file must not fill the memory."""
 MAX_KEPT_BYTES = 1 << 26
@@ -83,26 +80,31 @@ class CarmenLog(TextLog):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._words: Counter[str] = Counter()
-        self._front_offset: float | None = None
-        self._size = 0
         self.form = CarmenForm()
+        self._words: Counter[str] = Counter()
+        """How many lines begin with each keyword; # stands for every comment"""
+        self._front_offset: PoseSample | None = None
         self._stamps: set[int] = set()
+        self._size = 0
         self._kept = []
         self._survey()
+        posed = {POSED_FRAMES[word] for word in POSED_FRAMES if word in self._words}
+        self._repeated = [word for word in self._words if RAW_FRAMES.get(word) in posed]
+        """RAWLASER streams whose scans are in the log once more, with their pose"""
         self._note_other_lines()
 
     @property
     def streams(self) -> Sequence[Stream]:
         """One stream for each keyword, in order of first appearance."""
+        roles = {**dict.fromkeys(FRAMES, Role.SCAN), "ODOM": Role.POSE}
+        roles |= dict.fromkeys(self._repeated, Role.OTHER)
         words = ((word, n) for word, n in self._words.items() if word != "#")
-        return [Stream(word, word, n, self._find_role(word)) for word, n in words]
+        return [Stream(word, word, n, roles.get(word, Role.OTHER)) for word, n in words]
 
     def poses(self) -> Iterator[PoseSample]:
         """Give the front laser's offset, where a PARAM states it, then the odometry."""
         if self._front_offset is not None:
-            offset = Pose.planar(self._front_offset, 0.0, 0.0)
-            yield PoseSample(0, "base_link", FRONT, offset, static=True, topic="PARAM")
+            yield self._front_offset
         if not self._words["ODOM"]:
             return
         tally = LineTally()
@@ -112,81 +114,71 @@ class CarmenLog(TextLog):
                     yield sample
         tally.judge(self.path, self.notes, FIX)
 
-    def _find_scan_lines(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
-        """Yield blocks, and which of their lines are scans, by keyword."""
-        for block in read_blocks(self.path, self.notes, span):
-            yield block, _pick_scans(_sort_lines(block))
-
-    def _count_malformed(self, line: Line, fault: str, tally: LineTally) -> None:
-        tally.add(line, f"malformed {line.text.split(None, 1)[0]} line: {fault}")
+    def _read(self) -> Iterator[Scan | ScanRun]:
+        """Yield all scans; they were judged when the log was opened."""
+        if self._kept is not None:
+            yield from self._kept
+            return
+        for block in read_blocks(self.path, self.notes, self._span):
+            yield from self._parse_block(block, _pick_scans(_sort_lines(block)), LineTally())
 
     def _survey(self) -> None:
         """Read the log once: count its lines, and keep its scans if they are few."""
         tally = LineTally()
         for block in read_blocks(self.path, self.notes):
+            if not block.ended and _is_cut(block.get_line(0)):
+                note_cut_line(self.notes, block.get_line(0))
+                continue
             lines = _sort_lines(block)
-            self._count_words(lines, block)
+            self._count_words(lines)
             for line in block.get_lines(lines.get("PARAM", NO_LINES)):
-                if self._front_offset is None and not _is_cut("PARAM", line):
+                if self._front_offset is None:
                     self._front_offset = self._parse(line, parse_front_offset, tally)
             for some in self._parse_block(block, _pick_scans(lines), tally):
                 self._survey_scans(some)
         self._words = +self._words  # drops keywords of which no line was a scan
         tally.judge(self.path, self.notes, FIX)
         if len(self._stamps) == 1 and sum(self._words[word] for word in POSED_FRAMES) > 1:
-            add_note(self.notes, Note("all scans have one time: they are taken in their order"))
+            self.notes.append(Note("all scans have one time: they are taken in their order"))
 
-    def _count_words(self, lines: Mapping[str, Int64], block: Block) -> None:
+    def _count_words(self, lines: Mapping[str, Int64]) -> None:
         """Count lines by their keyword; scans are counted when they have been parsed."""
         for word, rows in lines.items():
             if word in FRAMES:
                 self._words[word] += 0  # streams are listed in the order in which they appear
-            elif word and _is_cut(word, block.get_line(0)):
-                note_cut_line(self.notes, block.get_line(0))
             elif word:
                 known = word in self._words or len(self._words) < MAX_WORDS
                 self._words[word[:40] if known else "other"] += len(rows)
 
     def _survey_scans(self, some: Scan | ScanRun) -> None:
-        first, scans = some.first, some.scans
-        if not first.ranges.size:
-            self._words[f"{first.topic} without beams"] += scans
+        first, beams = some.first, some.first.ranges.size
+        if not beams:
+            self._words[f"{first.topic} without beams"] += some.scans
             return
-        self._words[first.topic] += scans
+        self._words[first.topic] += some.scans
         if len(self._stamps) < 2:
             self._stamps.update(np.atleast_1d(some.stamp_ns).tolist())
-        self._size += SCAN_BYTES * scans + some.ranges.nbytes
+        self._size += SCAN_BYTES * some.scans + some.ranges.nbytes
         if self._size > MAX_KEPT_BYTES:
             self._kept = None
         if self._kept is not None:
             self._kept.append(some)
-        beams = first.ranges.size
-        if first.topic in PLAIN_FRAMES and beams not in IMPLIED_INCREMENTS:
+        if first.topic in PLAIN_FRAMES and beams not in USUAL_BEAMS:
             spacing = f"{math.degrees(imply_increment(beams)):g} deg apart, from -90 deg"
             text = f"{first.topic} states no angles: {beams} beams are read as {spacing}"
-            add_note(self.notes, Note(text))
-
-    def _find_role(self, word: str) -> Role:
-        if word not in FRAMES or self._is_repeated(word):
-            return Role.POSE if word == "ODOM" else Role.OTHER
-        return Role.SCAN
-
-    def _is_repeated(self, word: str) -> bool:
-        """Whether the scans of a RAWLASER stream are in the log once more, with their pose."""
-        return word in RAW_FRAMES and any(
-            FRAMES.get(other) == FRAMES[word] and other not in RAW_FRAMES for other in self._words
-        )
+            self.notes.append(Note(text))
 
     def _note_other_lines(self) -> None:
-        for word in filter(self._is_repeated, self._words):
+        for word in self._repeated:
             text = f"{word} repeats scans that the log holds with their pose; it is left out"
-            add_note(self.notes, Note(text))
+            self.notes.append(Note(text))
         used = {*FRAMES, "ODOM"}
         others = Counter({word: n for word, n in self._words.items() if word not in used})
         if others:
             top = ", ".join(_count_lines(word, n) for word, n in others.most_common(5))
-            text = f"{count(others.total(), 'line')} without scan or pose passed over: {top}"
-            add_note(self.notes, Note(text + (", ..." if len(others) > 5 else "")))
+            more = ", ..." if len(others) > 5 else ""
+            lines = count(others.total(), "line")
+            self.notes.append(Note(f"{lines} without scan or pose passed over: {top}{more}"))
 
 
 def _sort_lines(block: Block) -> dict[str, Int64]:
@@ -229,9 +221,10 @@ def _starts_message(head: list[str]) -> bool:
     return head[1].lstrip("-").replace(".", "", 1)[:1].isdigit()
 
 
-def _is_cut(word: str, line: Line) -> bool:
-    """Whether a line, which is not a scan, is cut: the last line of a file may be."""
-    if line.ended:
+def _is_cut(line: Line) -> bool:
+    """Whether a last line without its end is cut; of a scan its parsing tells."""
+    word = _find_word(line.raw)
+    if not word or word in FRAMES:
         return False
     try:
         if word == "ODOM":

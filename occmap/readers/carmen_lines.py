@@ -31,22 +31,23 @@ from occmap.arrays import Float64
 from occmap.readers.kernels import ANY, NUMBER, RANGE, SAME, SECONDS
 from occmap.readers.text import Line, make_planar, round_limit, stack_planar
 from occmap.readers.text_log import Pattern, Table
-from occmap.types import UNKNOWN_POSE, PoseSample, Scan, ScanRun
+from occmap.types import UNKNOWN_POSE, Pose, PoseSample, Scan, ScanRun
 from occmap.values import as_float32, parse_seconds, shorten
 
 FRONT, REAR = "front_laser", "rear_laser"
 PLAIN_FRAMES = {"FLASER": FRONT, "RLASER": REAR}
 """Lines that imply their angles and state no limits."""
 ROBOT_FRAMES = {"ROBOTLASER0": FRONT, "ROBOTLASER1": FRONT, "ROBOTLASER2": REAR}
+POSED_FRAMES = PLAIN_FRAMES | ROBOT_FRAMES
+"""Lines that state the pose beside the scan, so that no time is needed."""
 RAW_FRAMES = {"RAWLASER1": FRONT, "RAWLASER2": REAR}
-FRAMES = PLAIN_FRAMES | ROBOT_FRAMES | RAW_FRAMES
+FRAMES = POSED_FRAMES | RAW_FRAMES
 BEHIND_LISTS = (
     dict.fromkeys(PLAIN_FRAMES, 6) | dict.fromkeys(ROBOT_FRAMES, 11) | dict.fromkeys(RAW_FRAMES, 0)
 )
 """How many numbers stand between the lists and the time; the first are the pose of the laser."""
-IMPLIED_INCREMENTS = {beams: math.radians(1.0) for beams in (180, 181)} | {
-    beams: math.radians(0.5) for beams in (360, 361)
-}
+USUAL_BEAMS = (180, 181, 360, 361)
+"""How many beams a line has that is known to imply its angles."""
 FRONT_OFFSET = "robot_frontlaser_offset"
 
 
@@ -126,21 +127,20 @@ def parse_odometry(text: str) -> PoseSample:
     )
 
 
-def parse_front_offset(text: str) -> float | None:
-    """Parse a PARAM line: how far the front laser is before the robot's centre (m), or None."""
+def parse_front_offset(text: str) -> PoseSample | None:
+    """Parse a PARAM line: where the front laser is on the robot, or None where it says no such."""
     fields = text.split()
     if fields[1:2] != [FRONT_OFFSET]:
         return None
     offset = float(fields[2]) if len(fields) > 2 else math.nan
     if not math.isfinite(offset):
         raise ValueError("the offset is not a finite number")
-    return offset
+    pose = Pose.planar(offset, 0.0, 0.0)
+    return PoseSample(0, "base_link", FRONT, pose, static=True, topic="PARAM")
 
 
 def imply_increment(beams: int) -> float:
     """Return the angle between beams (rad) where only their number is known."""
-    if beams in IMPLIED_INCREMENTS:
-        return IMPLIED_INCREMENTS[beams]
     return math.pi / max(beams - beams % 2, 1)
 
 
@@ -160,7 +160,7 @@ def split_timed(text: str) -> _Message:
     head, *tail = text.rsplit(None, 3)
     words = head.split(None, 1)
     if len(tail) < 3 or len(words) < 2:
-        raise ValueError("it is too short")
+        raise ValueError("the line is too short")
     stamp_ns, logged_ns = parse_seconds(tail[0]), parse_seconds(tail[2])
     # Converters write 0 where they know no second time.
     return _Message(words[0], _parse_numbers(words[1]), stamp_ns, logged_ns or stamp_ns)
@@ -188,7 +188,7 @@ def _find_list(values: Float64, at: int) -> slice:
     if room >= 0 and 0 <= values[at] <= room:
         return slice(at + 1, at + 1 + int(values[at]))
     announced = f"{values[at]:g}" if room >= 0 else "no"
-    raise ValueError(f"it announces {announced} values where {max(room, 0)} follow")
+    raise ValueError(f"the line announces {announced} values where {max(room, 0)} follow")
 
 
 def _check_rest(values: Float64, at: int, size: int) -> None:

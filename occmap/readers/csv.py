@@ -1,8 +1,6 @@
 """Reads occmap's own CSV: one scan a row, beams as r0, r1, ..., constants in comments."""
 
-from codecs import BOM_UTF8
-from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -20,9 +18,9 @@ from occmap.readers.csv_layout import (
     split_comment,
     split_names,
 )
-from occmap.readers.text import ALL, Block, Line, add_note, probe_lines, read_blocks
+from occmap.readers.text import ALL, Block, Line, is_heading, probe_lines, read_blocks
 from occmap.readers.text_log import LineTally, TextLog
-from occmap.types import PoseSample
+from occmap.types import PoseSample, Scan, ScanRun
 
 MAX_NAMES = 5
 """Names in one note."""
@@ -69,15 +67,12 @@ class CsvLog(TextLog):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._rows = 0
-        self._last: Line | None = None
-        self._whole: LineTally | None = None
-        """Counts all rows of the log, once one is malformed"""
+        self._is_judged = False
         self.form = self._survey()
-        self._check_last()
         unused = [name for name in self.form.header if name and not is_known(name)]
         if unused:
             text = f"columns that are not used: {', '.join(unused[:MAX_NAMES])}"
-            add_note(self.notes, Note(text))
+            self.notes.append(Note(text))
 
     @property
     def streams(self) -> Sequence[Stream]:
@@ -88,72 +83,72 @@ class CsvLog(TextLog):
         """Give none: where the log has poses, each scan holds its own."""
         return iter(())
 
-    def _find_scan_lines(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
-        """Yield blocks, and which of their lines are rows, without the header."""
-        header = 1 if span.start == 0 else 0
-        for block in read_blocks(self.path, self.notes, span):
-            rows, _ = self._sort_lines(block)
-            yield block, {TOPIC: rows[header:]}
-            header = 0 if rows.size else header
-
     def _survey(self) -> Layout:
         """Find the header, and the constants wherever they stand, and count the rows."""
         header: Line | None = None
+        last: Line | None = None
         constants: dict[str, Line] = {}
         unused: dict[str, None] = {}
         for block in read_blocks(self.path, self.notes):
-            rows, headings = self._sort_lines(block)
+            rows, headings = _sort_lines(block)
             for line in headings:
                 _keep_comment(line, constants, unused)
             if rows.size and header is None:
                 header, rows = block.get_line(int(rows[0])), rows[1:]
             if rows.size:
                 self._rows += len(rows)
-                self._last = block.get_line(int(rows[-1]))
+                last = block.get_line(int(rows[-1]))
         if header is None:
             found = "; ".join(["no header row", *(note.text for note in self.notes)])
             raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
         if unused:
-            add_note(self.notes, Note(f"comments that are not used: {', '.join(unused)}"))
-        return read_layout(self.path, header, constants)
+            self.notes.append(Note(f"comments that are not used: {', '.join(unused)}"))
+        layout = read_layout(self.path, header, constants)
+        if last is not None and not last.ended:
+            self._check_last(last, layout)
+        return layout
 
-    def _check_last(self) -> None:
-        """Where the file has no last line end, see whether its last row is whole."""
-        if self._last is None or self._last.ended:
-            return
-        if self._parse(self._last, self.form.parse, LineTally()) is None:
+    def _check_last(self, line: Line, layout: Layout) -> None:
+        """See whether a last row is whole that has no line end."""
+        if self._parse(line, layout.parse, LineTally()) is None:
             self._rows -= 1
         else:
-            text = f"line {self._last.number}, the last, has no line end; it is taken as whole"
-            add_note(self.notes, Note(text))
+            text = f"line {line.number}, the last, has no line end; it is taken as whole"
+            self.notes.append(Note(text))
 
-    def _sort_lines(self, block: Block) -> tuple[Int64, list[Line]]:
-        """Tell rows, by their indices, from the lines that are comments or blank."""
-        first = np.frombuffer(block.text, np.uint8)[block.starts[:-1]]
-        maybe = np.flatnonzero(first <= ord("#"))  # blanks and line ends are below it
-        headings = [each for each in block.get_lines(maybe) if self._is_heading(each.raw)]
-        rows = np.delete(np.arange(len(block)), [each.number - block.number for each in headings])
-        return rows, headings
+    def _read(self) -> Iterator[Scan | ScanRun]:
+        tally = LineTally()
+        for scans in self._parse_rows(self._span, tally):
+            if tally.malformed and not self._is_judged:
+                self._judge()
+            yield from scans
 
-    def _is_heading(self, raw: bytes) -> bool:
-        """Whether a line is a comment or blank, as lines before the header are."""
-        return raw.removeprefix(BOM_UTF8).lstrip()[:1] in {b"", b"#"}
-
-    def _count_malformed(self, line: Line, fault: str, tally: LineTally) -> None:
-        tally.add(line, fault)
-        if tally is not self._whole:
-            self._judge()
+    def _parse_rows(self, span: Span, tally: LineTally) -> Iterator[Sequence[Scan | ScanRun]]:
+        """Parse the rows of a part of the file, a block at a time."""
+        header = 1 if span.start == 0 else 0
+        for block in read_blocks(self.path, self.notes, span):
+            rows, _ = _sort_lines(block)
+            yield self._parse_block(block, {TOPIC: rows[header:]}, tally)
+            header = 0 if rows.size else header
 
     def _judge(self) -> None:
         """Tell damage from a file that is not a log: by all its rows, even where this is a part."""
-        if self._whole is None:
-            self._whole = LineTally()
-            for block, rows in self._find_scan_lines(ALL):
-                deque(self._parse_block(block, rows, self._whole), maxlen=0)
-            self._rows -= self._whole.malformed
-        is_all = self._whole.malformed == self._whole.total
-        fix = "correct the header or these rows" if is_all else "correct or delete this row"
-        self._whole.judge(self.path, self.notes, fix)
+        tally = LineTally()
+        for _ in self._parse_rows(ALL, tally):
+            pass
+        self._rows = tally.total - tally.malformed
+        fix = "correct or delete this row" if self._rows else "correct the header or these rows"
+        tally.judge(self.path, self.notes, fix)
+        self._is_judged = True
+
+
+def _sort_lines(block: Block) -> tuple[Int64, list[Line]]:
+    """Tell rows, by their indices, from the lines that are comments or blank."""
+    first = np.frombuffer(block.text, np.uint8)[block.starts[:-1]]
+    maybe = np.flatnonzero(first <= ord("#"))  # blanks and line ends are below it
+    headings = [line for line in block.get_lines(maybe) if is_heading(line.raw)]
+    rows = np.delete(np.arange(len(block)), [line.number - block.number for line in headings])
+    return rows, headings
 
 
 def _keep_comment(line: Line, constants: dict[str, Line], unused: dict[str, None]) -> None:

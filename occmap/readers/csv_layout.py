@@ -28,6 +28,8 @@ TOPIC = "scan"
 POSE_NAMES = ("x", "y", "yaw")
 REQUIRED = ("stamp", "angle_min", "angle_increment")
 DEFAULTS = {"range_min": "0", "range_max": "inf", "time_increment": "0", "frame": "laser"}
+FINITE = ("angle_min", "angle_increment", "time_increment")
+LIMITS = ("range_min", "range_max")
 MEASURED = frozenset(("time_increment", *POSE_NAMES))
 """Numbers that differ between the scans of one laser, as stamps and ranges do."""
 NAMES = frozenset((*REQUIRED, *DEFAULTS, *POSE_NAMES))
@@ -73,31 +75,20 @@ class Layout:
         except ValueError as error:
             raise ValueError(f"stamp: {error}") from None
 
-        def read_finite(name: str) -> float:
-            value = read_number(name, texts[name])
-            if not math.isfinite(value):
-                raise ValueError(f"{name} is {value}, which is not an angle or a time")
-            return value
+        def read(name: str) -> float:
+            return read_number(name, texts[name])
 
-        def read_limit(name: str) -> float:
-            value = read_number(name, texts[name])
-            if math.isnan(value):
-                raise ValueError(f"{name} is nan, which is not a limit")
-            return round_limit(value)
-
-        def read_place(name: str) -> float:
-            return read_number(name, texts[name].strip() or "nan")
-
+        place = (read_number(name, texts[name].strip() or "nan") for name in POSE_NAMES)
         return Scan(
             stamp_ns=stamp_ns,
             frame=texts["frame"].strip().lstrip("/"),
-            angle_min=read_finite("angle_min"),
-            angle_increment=read_finite("angle_increment"),
+            angle_min=read("angle_min"),
+            angle_increment=read("angle_increment"),
             ranges=_read_beams([cells[at] for at in self.beams]),
-            range_min=read_limit("range_min"),
-            range_max=read_limit("range_max"),
-            time_increment=read_finite("time_increment"),
-            pose=make_planar(*map(read_place, POSE_NAMES)) if "x" in texts else None,
+            range_min=round_limit(read("range_min")),
+            range_max=round_limit(read("range_max")),
+            time_increment=read("time_increment"),
+            pose=make_planar(*place) if "x" in texts else None,
             topic=TOPIC,
             record_ns=stamp_ns,
         )
@@ -228,9 +219,14 @@ def _is_beam(name: str) -> bool:
 def read_number(name: str, text: str) -> float:
     """Read a number of a cell or constant; raises ValueError, naming the column."""
     try:
-        return float(text)
+        value = float(text)
     except ValueError:
         raise ValueError(f"{name} is {shorten(text)} where a number belongs") from None
+    if name in FINITE and not math.isfinite(value):
+        raise ValueError(f"{name} is {value}, which is not an angle or a time")
+    if name in LIMITS and math.isnan(value):
+        raise ValueError(f"{name} is nan, which is not a limit")
+    return value
 
 
 def _find_fault(names: list[str], given: set[str]) -> tuple[str, str] | None:

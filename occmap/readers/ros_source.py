@@ -94,7 +94,5 @@ class Source(Protocol):
 
 
 def add_note(notes: list[Note], text: str) -> None:
-    """Note damage; however often the log is read, each note is there once."""
-    note = Note(text, damage=True)
-    if note not in notes:
-        notes.append(note)
+    """Note damage."""
+    notes.append(Note(text, damage=True))

@@ -3,7 +3,7 @@
 import math
 import sys
 from codecs import BOM_UTF8
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -102,14 +102,15 @@ class Block:
         return np.ndarray(len(self.text) - 7, "<u8", self.text, strides=(1,))
 
 
-def split_lines(path: Path, size: int, is_heading: Callable[[bytes], bool]) -> list[Span]:
+def is_heading(line: bytes) -> bool:
+    """Whether a line is a comment or blank, as lines at the head of a file are."""
+    return line.removeprefix(BOM_UTF8).lstrip()[:1] in {b"", b"#"}
+
+
+def split_lines(path: Path, size: int) -> list[Span]:
     """Cut a text file into spans of whole lines, of about `size` bytes; gzip cannot be cut.
 
-    Parameters
-    ----------
-    is_heading
-        Whether a line belongs to the head of the file. The first span holds the head and at least
-        one line more, which may be a header row.
+    The first span holds the head of the file and one line more, which may be a header row.
 
     Raises
     ------
@@ -120,7 +121,7 @@ def split_lines(path: Path, size: int, is_heading: Callable[[bytes], bool]) -> l
         if file.read(2) == MAGIC:
             return [ALL]
         file.seek(0)
-        while is_heading(file.readline(MAX_LINE_BYTES)):
+        while (line := file.readline(MAX_LINE_BYTES)) and is_heading(line):
             pass
         heading, length = file.tell(), file.seek(0, 2)
         cuts = [0]
@@ -164,7 +165,7 @@ def read_blocks(path: Path, notes: list[Note], span: Span = ALL) -> Iterator[Blo
     except GUNZIP_ERRORS as error:
         reason = "cut short" if isinstance(error, EOFError) else f"corrupt: {error}"
         lost = f"the gzip data is {reason}; all after line {number - 1} is lost"
-        add_note(notes, Note(lost, damage=True))
+        notes.append(Note(lost, damage=True))
     except OSError as error:
         raise LogError(f"cannot be read ({error.strerror})", where=path) from None
 
@@ -219,12 +220,6 @@ def round_limit(limit: float) -> float:
     return float(as_float32(limit))
 
 
-def add_note(notes: list[Note], note: Note) -> None:
-    """Add a note unless an earlier reading of the log has added it."""
-    if note not in notes:
-        notes.append(note)
-
-
 def probe_lines(probe: Probe) -> list[str]:
     """Return the first lines of a file that may be text; the probe may end within the last."""
     if b"\0" in probe.content:
@@ -235,4 +230,4 @@ def probe_lines(probe: Probe) -> list[str]:
 def note_cut_line(notes: list[Note], line: Line) -> None:
     """Say that the last line is not whole and was not used."""
     text = f"the file ends in the middle of line {line.number}; this line is lost"
-    add_note(notes, Note(text, damage=True))
+    notes.append(Note(text, damage=True))

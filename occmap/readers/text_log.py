@@ -3,12 +3,16 @@
 The way of a line from the file to a `Scan`:
 
 1. `text.read_blocks` reads the file in blocks of lines.
-2. `_find_scan_lines` of the format says which lines of a block are scans, and of which kind.
+2. `_read` of the format says which lines of a block are scans, and of which kind.
 3. `_parse_together` lets the format's `parse` make a `Scan` of the first sound line of each kind.
    From that line, `find_pattern` says what each word of lines like it is.
 4. `parse_table` has all lines of that pattern parsed by a kernel, and `make_run` makes a `ScanRun`
    of the table.
 5. `_parse_block` gives every line that does not fit the pattern to `parse`, one by one.
+
+A malformed line is counted. Whether a log with such lines is damaged or no log is judged by all of
+its lines (`LineTally.judge`): CARMEN's are read once as it is opened, a CSV's are read once more
+when the first malformed row is met.
 """
 
 from abc import ABC, abstractmethod
@@ -22,9 +26,9 @@ import numpy as np
 
 from occmap.arrays import Float32, Float64, Int64, UInt8
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList, Span, make_part
+from occmap.readers import Note, NoteList, make_part
 from occmap.readers.kernels import NUMBER, PADDING, RANGE, SAME, SECONDS
-from occmap.readers.text import ALL, Block, Line, add_note, note_cut_line, split_lines
+from occmap.readers.text import ALL, Block, Line, note_cut_line, split_lines
 from occmap.types import Scan, ScanRun
 from occmap.values import as_float32, parse_nanoseconds, parse_seconds, shorten
 
@@ -109,7 +113,7 @@ class LineTally:
             found = fault + (count if self.malformed > 1 else "")
             raise LogError(found, where=f"{path}:{number}", fix=fix)
         count = f"{self.malformed} of {self.total} lines are malformed and left out"
-        add_note(notes, Note(f"{count}, the first is line {number}: {fault}", damage=True))
+        notes.append(Note(f"{count}, the first is line {number}: {fault}", damage=True))
 
 
 def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
@@ -184,16 +188,14 @@ class TextLog(ABC):
         """The scans of a log that were read when it was opened"""
 
     @abstractmethod
-    def _find_scan_lines(self, span: Span) -> Iterator[tuple[Block, Mapping[str, Int64]]]:
-        """Yield blocks, and the indices of those of their lines that are scans, by kind."""
+    def _read(self) -> Iterator[Scan | ScanRun]:
+        """Yield all scans of the log, or of this part of it.
 
-    @abstractmethod
-    def _count_malformed(self, line: Line, fault: str, tally: LineTally) -> None:
-        """Count a malformed line; `fault` says what is wrong with it."""
-
-    def _is_heading(self, _raw: bytes) -> bool:
-        """Whether a line belongs to the head of a file, which no part but the first has."""
-        return False
+        Raises
+        ------
+        LogError
+            As `scans`.
+        """
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """The scans of these topics, in file order.
@@ -208,23 +210,20 @@ class TextLog(ABC):
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The same, with many at once where only times, ranges and poses differ."""
-        tally = LineTally()
-        found = self._find_scan_lines(self._span)
-        read = (some for block, lines in found for some in self._parse_block(block, lines, tally))
-        for some in read if self._kept is None else self._kept:
+        for some in self._read():
             if some.first.topic in topics and some.first.ranges.size:
                 yield some
 
     def split(self, size: int) -> Sequence[Self]:
         """Cut the log into parts of about `size` bytes, as `occmap.readers.Splittable` says."""
         damaged = any(note.damage for note in self.notes)
-        spans = [ALL] if damaged else split_lines(self.path, size, self._is_heading)
+        spans = [ALL] if damaged else split_lines(self.path, size)
         return [make_part(self, _span=span, _kept=None) for span in spans]
 
     def _parse_block(
         self, block: Block, lines: Mapping[str, Int64], tally: LineTally
-    ) -> Iterator[Scan | ScanRun]:
-        """Yield the scans of some lines, given by kind, in file order, without damaged ones.
+    ) -> Sequence[Scan | ScanRun]:
+        """Parse some lines, given by kind: the scans in file order, without damaged ones.
 
         Where all lines are of one kind and alike they are one run, else single scans.
         """
@@ -234,15 +233,14 @@ class TextLog(ABC):
                 parsed, run = found
                 if len(lines) == 1 and run.scans == len(rows):
                     tally.total += run.scans
-                    yield run
-                    return
+                    return [run]
                 scans |= zip(parsed.tolist(), run.split(), strict=True)
         for row in sorted(row for rows in lines.values() for row in rows.tolist()):
             if row in scans:
                 tally.total += 1
-                yield scans[row]
             elif scan := self._parse(block.get_line(row), self.form.parse, tally):
-                yield scan
+                scans[row] = scan
+        return [scans[row] for row in sorted(scans)]
 
     def _parse_together(self, block: Block, rows: Int64) -> tuple[Int64, ScanRun] | None:
         """Parse the lines of one kind that are like the first sound one; say which these are."""
@@ -266,7 +264,7 @@ class TextLog(ABC):
             parsed = parse(line.text)
         except ValueError as error:
             if line.ended:
-                self._count_malformed(line, str(error), tally)
+                tally.add(line, str(error))
             else:
                 note_cut_line(self.notes, line)
             return None

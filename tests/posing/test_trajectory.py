@@ -65,6 +65,7 @@ def test_a_lost_tracker_writes_nan(tmp_path: Path) -> None:
         ("stamp,x,yaw\n1,2,3\n", 1, "has no column y"),
         ("stamp,x,y\n1,2,3\n", 1, "has no column yaw"),
         ("stamp,x,y,qw\n1,2,3,1\n", 1, "has no column qx, qy, qz"),
+        ("stamp,x,y,yaw,x\n1,2,3,0,4\n", 1, "names a column twice"),
         ("stamp,x,y,yaw\n1,2,3,0\n\n2,,3,0\n", 4, "'' is not a number"),
         ("stamp,x,y,yaw\n1,2,3\n", 2, "3 values where 4 belong"),
         ("9" * 100_000, 1, "1 values where 8 belong"),

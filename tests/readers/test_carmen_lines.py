@@ -240,7 +240,9 @@ def test_malformed_odometry_is_a_value_error(line: str) -> None:
 
 
 def test_front_offset() -> None:
-    assert parse_front_offset("PARAM robot_frontlaser_offset -0.04 1 merci 1") == -0.04
+    sample = parse_front_offset("PARAM robot_frontlaser_offset -0.04 1 merci 1")
+    pose = Pose(-0.04, 0, 0, 0, 0, 0, 1)
+    assert sample == PoseSample(0, "base_link", "front_laser", pose, static=True, topic="PARAM")
     assert parse_front_offset("PARAM robot_rearlaser_offset 0.1 1 merci 1") is None
     assert parse_front_offset("PARAM") is None
 

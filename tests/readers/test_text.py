@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from occmap.errors import LogError
-from occmap.readers import Note, text
+from occmap.readers import Note, NoteList, text
 from occmap.readers.text import Block, Line, read_blocks
 
 
@@ -82,7 +82,7 @@ def test_flipped_bytes_in_gzip_raise_nothing(tmp_path: Path) -> None:
 def test_a_note_is_given_once_for_two_readings(tmp_path: Path) -> None:
     path = tmp_path / "log.gz"
     path.write_bytes(gzip.compress(b"one\n" * 999)[:-9])
-    notes: list[Note] = []
+    notes = NoteList()
     list(read_blocks(path, notes))
     list(read_blocks(path, notes))
     assert len(notes) == 1
