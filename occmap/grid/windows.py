@@ -10,7 +10,6 @@ import numpy as np
 
 from occmap.arrays import Int32, Int64
 from occmap.grid.kernels.beams import Profile, note_beams
-from occmap.grid.kernels.outline import Surfaces
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.kernels.sums import Changes, Packing, read_tiles
@@ -62,7 +61,7 @@ class Window(ABC):
 
     def has_room(self, projected: Projected) -> bool:
         """Whether rays lie wholly in the box and cannot make a number overflow."""
-        observations = self.observations + count_observations(projected.rays, self.spec)
+        observations = self.observations + count_observations(projected.beams.rays, self.spec)
         return self.box.contains(projected.box) and observations <= find_most_observations(
             self.spec
         )
@@ -70,7 +69,7 @@ class Window(ABC):
     def observe(self, projected: Projected) -> None:
         """Observe what lies in the box."""
         self.trace(projected)
-        self.observations += count_observations(projected.rays, self.spec)
+        self.observations += count_observations(projected.beams.rays, self.spec)
         touched = self.box.clip(projected.box).align(TILE)
         self.touched = touched if self.touched is None else self.touched.join(touched)
 
@@ -151,7 +150,7 @@ class BeamWindow(DenseWindow):
         )
 
     def trace(self, projected: Projected) -> None:
-        corner = self.corner - projected.anchor
+        corner = self.corner - projected.beams.anchor
         if self.spec.radial is None:
             hit = int(self.tables.hit[0])
             note_beams(projected.beams, hit, corner, self.cells, self.changes)
@@ -181,7 +180,7 @@ class SparseBeamWindow(Window):
         if self.spec.radial is None:
             # Hits have a layer of their own: each adds 1, and not the packed 1 << COUNT_BITS.
             profile = profile._replace(hit=profile.free)
-        trace_tiles(projected.beams, profile, self.corner - projected.anchor, self.tiles)
+        trace_tiles(projected.beams, profile, self.corner - projected.beams.anchor, self.tiles)
 
     def read(self) -> dict[Key, Tile]:
         table, used = self.tiles.table, int(self.tiles.used[0])
@@ -198,23 +197,6 @@ class SparseBeamWindow(Window):
         return self.name_tiles(places, tiles)
 
 
-def describe_surfaces(spec: GridSpec, projected: Projected, window: Window) -> Surfaces:
-    """What a polygon kernel needs to know beside the rays and the arrays of a window."""
-    left, bottom = window.corner.tolist()
-    shift_x, shift_y = (projected.anchor - (left, bottom)).tolist()
-    return Surfaces(
-        units_per_metre=spec.lattice.units_per_metre,
-        jump=spec.jump,
-        border_gap=spec.border_gap,
-        full_circle=projected.rays.full_circle,
-        left=left,
-        bottom=bottom,
-        shift_x=shift_x,
-        shift_y=shift_y,
-        clipped=not window.box.contains(projected.box),
-    )
-
-
 class PolygonWindow(DenseWindow):
     """Hits and misses, scan by scan."""
 
@@ -223,16 +205,12 @@ class PolygonWindow(DenseWindow):
         return Packing(BORDER_BITS, COUNTED, 1)
 
     def trace(self, projected: Projected) -> None:
-        rays = projected.rays
         trace_polygons(
-            rays.origin,
-            rays.turn,
-            rays.bearing,
-            rays.distance,
-            projected.beams.ends_x,
-            projected.beams.ends_y,
-            rays.kind,
-            describe_surfaces(self.spec, projected, self),
+            projected.beams,
+            self.spec.jump,
+            self.spec.border_gap,
+            self.corner - projected.beams.anchor,
+            not self.box.contains(projected.box),
             self.cells,
             self.changes.row_runs,
             self.observations,
@@ -243,20 +221,8 @@ class RadialPolygonWindow(DenseWindow):
     """A radial model, once for each cell of a scan."""
 
     def trace(self, projected: Projected) -> None:
-        rays = projected.rays
-        trace_radial_polygons(
-            rays.origin,
-            rays.turn,
-            rays.bearing,
-            rays.distance,
-            rays.kind,
-            rays.full_circle,
-            self.corner,
-            self.spec.lattice.units_per_metre,
-            self.make_profile(),
-            self.cells,
-            self.changes.row_runs,
-        )
+        corner, runs = self.corner - projected.beams.anchor, self.changes.row_runs
+        trace_radial_polygons(projected.beams, corner, self.make_profile(), self.cells, runs)
 
 
 CROSSED_OFTEN = 6
@@ -267,7 +233,7 @@ def choose_window(spec: GridSpec, projected: Projected) -> type[Window]:
     """The kind of window that an update and a model need, and these rays."""
     if spec.update is Update.POLYGON and spec.radial is None:
         return PolygonWindow
-    if spec.update is Update.POLYGON and projected.rays.kind.shape[1] > 1:
+    if spec.update is Update.POLYGON and projected.beams.rays.kind.shape[1] > 1:
         return RadialPolygonWindow  # a single beam has no neighbour to say how wide it is: a line
     often = projected.crossings >= CROSSED_OFTEN * projected.box.cells
     return BeamWindow if often else SparseBeamWindow

@@ -1,6 +1,5 @@
 """The extent that a map would have, and what that costs."""
 
-from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -35,7 +34,7 @@ class Extent:
     def add(self, rays: Rays) -> None:
         """Take in the beams that are used, from where they were sent to where they end."""
         hit, used = rays.kind == Kind.HIT, rays.kind != Kind.SKIP
-        ends = replace(rays, distance=rays.distance + hit * np.float32(self._behind)).end
+        ends = rays._replace(distance=rays.distance + hit * np.float32(self._behind)).end
         one_viewpoint = rays.origin.shape[1] == 1
         self._take(rays.origin[used.any(axis=1, keepdims=True) if one_viewpoint else used])
         self._take(ends[used])

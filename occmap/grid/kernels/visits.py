@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.arrays import Float64, Int32, Int64
-from occmap.grid.kernels.beams import Beams, Lines, Profile, list_lines, make_lines, note_lines
+from occmap.grid.kernels.beams import Lines, Profile, list_lines, make_lines, note_lines
 from occmap.grid.kernels.lines import count_steps, draw_line
+from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.sums import Changes
 from occmap.grid.kernels.units import (
     AT_A_TIME,
@@ -68,7 +69,7 @@ def trace_window(
     """
     rows, cols, numbers = cells.shape[0], cells.shape[1] - PAD, cells.ravel()
     lines, notes, entries = make_room(beams, profile, rows, cols)
-    for s in range(len(beams.kinds)):
+    for s in range(len(beams.rays.kind)):
         size = list_lines(beams, s, profile, corner, rows, cols, lines)
         note_lines(lines, size, rows, cols, changes)
         k = 0
@@ -85,7 +86,7 @@ def trace_tiles(beams: Beams, profile: Profile, corner: Int64, tiles: Tiles) -> 
     while 1 << col_bits < cols:
         col_bits += 1
     lines, notes, entries = make_room(beams, profile, rows, cols)
-    for s in range(len(beams.kinds)):
+    for s in range(len(beams.rays.kind)):
         size = list_lines(beams, s, profile, corner, rows, cols, lines)
         visit_lines(lines, size, profile.free[0], tiles)
         k = 0
@@ -100,7 +101,7 @@ def trace_tiles(beams: Beams, profile: Profile, corner: Int64, tiles: Tiles) -> 
 @kernel
 def make_room(beams: Beams, profile: Profile, rows: int, cols: int) -> tuple[Lines, Float64, Int64]:
     """Room for the lines of a scan, room for notes, and the entries that notes speak of."""
-    lines = make_lines(beams.kinds.shape[1])
+    lines = make_lines(beams.rays.kind.shape[1])
     notes = np.empty(lines.ranges.size + max(rows, cols) + AT_A_TIME)
     return lines, notes, np.concatenate((profile.free, profile.hit, np.zeros(1, np.int64)))
 
