@@ -11,7 +11,7 @@ from occmap.grid.lattice import MOST_CELLS_OF_BEAM, CellBox, Lattice
 from occmap.grid.projection import Projected, offset_hits, project
 from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
-from occmap.grid.windows import Window, choose_window, count_observations, find_most_observations
+from occmap.grid.windows import Window, choose_window, count_observations
 from occmap.types import Rays
 
 ROOMY_CELLS = 1 << 22
@@ -68,11 +68,11 @@ class GridEngine:
     def _add_prepared(self, rays: Rays) -> None:
         refuse_long_beams(rays, self.spec.lattice.resolution)
         refuse_many_beams(rays, self.spec)
-        too_much = count_observations(rays, self.spec) > find_most_observations(self.spec)
+        observations, most = count_observations(rays, self.spec)
         # Where sensors are so far apart, one anchor cannot serve the ends of all beams.
         apart = float(np.ptp(rays.origin, axis=(0, 1)).max()) / self.spec.lattice.resolution
         too_wide = apart > MOST_CELLS_OF_BEAM / 2
-        if (too_much or too_wide) and len(rays.kind) > 1:
+        if (observations > most or too_wide) and len(rays.kind) > 1:
             self._add_halves(rays)
             return
         projected = project(rays, self.spec)
@@ -141,7 +141,8 @@ def refuse_many_beams(rays: Rays, spec: GridSpec) -> None:
     MapError
         Saying how many beams a scan has.
     """
-    if count_observations(rays.take(slice(1)), spec) > find_most_observations(spec):
+    observations, most = count_observations(rays.take(slice(1)), spec)
+    if observations > most:
         found = f"a scan of {rays.kind.shape[1]} beams is more than this model can count"
         fix = "no laser has so many: see what is in the log with `occmap check`"
         raise MapError(found, fix=fix)
