@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from occmap.cells import Slices
 from occmap.errors import MapError
-from occmap.grid.engine import GridEngine
-from occmap.grid.sliced import SlicedEngine
+from occmap.grid.engine import GridEngine, SlicedEngine
 from occmap.grid.slices import count_visits, split_tiles, unpack
 from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import TILE
