@@ -10,26 +10,19 @@ from occmap.sensor.models import RadialModel
 
 if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
     from occmap.grid.engine import GridEngine
-    from occmap.grid.sliced import SlicedEngine
 
 
-def choose_engine(
-    options: BuildOptions, keep_slices: bool, window_cells: int = WINDOW_CELLS
-) -> "GridEngine | SlicedEngine":
-    """Make an engine, one that keeps slices of time only where they are asked for."""
-    if not keep_slices:
-        return make_engine(options, window_cells)
-    from occmap.grid.sliced import SlicedEngine  # noqa: PLC0415  late: as below
+def make_engine(
+    options: BuildOptions, keep_slices: bool = False, window_cells: int = WINDOW_CELLS
+) -> "GridEngine":
+    """Make an engine for an update and a model, which keeps slices of time if asked to."""
+    from occmap.grid.engine import GridEngine, SlicedEngine  # noqa: PLC0415  late: it brings numba
 
-    slice_ns = round(options.pass_gap_s * 1e9)
-    return SlicedEngine(plan_grid(options), slice_ns, window_cells, options.max_cells)
-
-
-def make_engine(options: BuildOptions, window_cells: int = WINDOW_CELLS) -> "GridEngine":
-    """Make the grid engine for an update and a model."""
-    from occmap.grid.engine import GridEngine  # noqa: PLC0415  late: numba takes a third of a second
-
-    return GridEngine(plan_grid(options), window_cells=window_cells, max_cells=options.max_cells)
+    spec = plan_grid(options)
+    if keep_slices:
+        slice_ns = round(options.pass_gap_s * 1e9)
+        return SlicedEngine(spec, slice_ns, window_cells, options.max_cells)
+    return GridEngine(spec, window_cells, options.max_cells)
 
 
 def make_grid(options: BuildOptions) -> TileGrid:

@@ -17,6 +17,8 @@ from numba.core.compiler import CompileResult
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
+from occmap import types
+
 F = TypeVar("F", bound=Callable[..., Any])
 DIGEST_BYTES = hashlib.sha256().digest_size
 
@@ -107,10 +109,10 @@ def warn_not_kept() -> None:
 def list_folders(source: Path) -> tuple[Path, ...]:
     """Name the folders for the machine code of the kernels in a folder, the preferred one first.
 
-    A kernel's code contains that of the kernels that it calls. So the name is a digest of all of
-    them, and of what turned them into code.
+    A kernel's code contains that of the kernels that it calls, and knows the fields of `Rays` by
+    their places. So the name is a digest of all of these, and of what turned them into code.
     """
-    sources = sorted([Path(__file__), *source.glob("*.py")])
+    sources = sorted([Path(__file__), Path(types.__file__), *source.glob("*.py")])
     digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources))
     settings = sorted(item for item in os.environ.items() if item[0].startswith("NUMBA_"))
     settings = [item for item in settings if item[0] != "NUMBA_CACHE_DIR"]  # says where, not how

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
 from occmap.cells import Slices
-from occmap.engines import choose_engine, make_grid
+from occmap.engines import make_engine, make_grid
 from occmap.errors import MapError
 from occmap.evidence.fit import list_misfit
 from occmap.grid.slices import unite
@@ -21,7 +21,6 @@ from occmap.tracing import AddRays, trace_logs
 
 if TYPE_CHECKING:  # as in engines
     from occmap.grid.engine import GridEngine
-    from occmap.grid.sliced import SlicedEngine
 
 Progress: TypeAlias = Callable[[int, int], None]
 """Called now and then with the scans read since the last call, and with all that there are"""
@@ -105,13 +104,13 @@ def observe(
 
 def observe_log(
     log: Log, options: BuildOptions, keep_slices: bool, tally: Tally
-) -> tuple["GridEngine | SlicedEngine", list[str]]:
+) -> tuple["GridEngine", list[str]]:
     """Trace a log in an engine of its own; return the engine, and notes on the log."""
-    engines: list[GridEngine | SlicedEngine] = []
+    engines: list[GridEngine] = []
 
     def begin() -> AddRays:
         engines.clear()  # where the log is read once more, the first one is of no use
-        engines.append(choose_engine(options, keep_slices))
+        engines.append(make_engine(options, keep_slices))
         return engines[-1].add
 
     traced = trace_logs([log], options, begin, tally)

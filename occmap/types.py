@@ -363,8 +363,7 @@ class Update(StrEnum):
     """Each beam, and between neighbours on one surface the beams that a denser laser sends."""
 
 
-@dataclass(frozen=True, slots=True)
-class Rays:
+class Rays(NamedTuple):
     """Beams of S scans in the map frame; what each range value means is decided.
 
     A beam ends at `origin + distance * direction`. Directions are kept as one table of bearings for
@@ -406,8 +405,7 @@ class Rays:
 
     def take(self, scans: slice | Bool) -> Self:
         """Select scans by a slice or by a mask (S,)."""
-        return replace(
-            self,
+        return self._replace(
             origin=self.origin[scans],
             turn=self.turn[scans],
             distance=self.distance[scans],

@@ -182,7 +182,7 @@ def test_a_build_loads_what_it_needs_and_no_more(update: str, tmp_path: Path) ->
     line = ["build", update, str(log), "-o", str(tmp_path / "m.pgm")]
     loaded = list_loaded(f"from occmap.cli import run; assert run({line}) == 0")
     assert loaded.isdisjoint({"rosbags", "mcap", "PIL", "tqdm", "ruamel", "jsonschema"})
-    others = {"difference", "explanation", "inspection", "scoring", "grid.sliced"}
+    others = {"difference", "explanation", "inspection", "scoring"}
     assert {f"occmap.{name}" for name in others} <= set(map(name_module, MODULES)) - loaded
     assert {name for name in loaded if name.startswith("occmap.cli.")} <= BUILD_COMMAND
 

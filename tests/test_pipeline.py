@@ -135,6 +135,6 @@ def test_the_size_of_windows_changes_nothing(
     tmp_path: Path, reference: Reference, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     update, model, expected = reference
-    small = partial(engines.choose_engine, window_cells=20_000)
-    monkeypatch.setattr(observing, "choose_engine", small)
+    small = partial(engines.make_engine, window_cells=20_000)
+    monkeypatch.setattr(observing, "make_engine", small)
     assert write_map(tmp_path, DRIVES[:2], choose(update, model)) == expected

@@ -9,7 +9,7 @@ from occmap import jit
 from occmap.grid.kernels.beams import note_beams
 from occmap.grid.kernels.cast import cast_beams
 from occmap.grid.kernels.polygon import trace_polygons
-from occmap.grid.kernels.project import project_ends
+from occmap.grid.kernels.projection import project_ends
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.kernels.sums import read_tiles
 from occmap.grid.kernels.visits import trace_tiles, trace_window

@@ -13,7 +13,7 @@ import numpy as np
 
 from occmap.arrays import Float64, Int64
 from occmap.batching import Seam, Selector
-from occmap.engines import choose_engine
+from occmap.engines import make_engine
 from occmap.errors import LogError, PoseError
 from occmap.evidence.manifest import describe_files
 from occmap.fleet.runs import (
@@ -249,7 +249,7 @@ class RunWriter:
 
     def _begin(self) -> None:
         setting = self._job.setting
-        self._engine = choose_engine(setting.options, setting.keep.slices, setting.window_cells)
+        self._engine = make_engine(setting.options, setting.keep.slices, setting.window_cells)
 
     def add(self, rays: Rays) -> None:
         """Observe rays."""

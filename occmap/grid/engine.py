@@ -1,5 +1,9 @@
-"""The grid engine: it takes rays from any number of threads and gives one grid of evidence."""
+"""The grid engine: it takes rays from any number of threads and gives one grid of evidence.
 
+One that keeps slices of time has an ordinary engine for each of them.
+"""
+
+from functools import partial
 from threading import Lock
 
 import numpy as np
@@ -9,13 +13,18 @@ from occmap.errors import MapError
 from occmap.grid.kernels.units import TILE
 from occmap.grid.lattice import MOST_CELLS_OF_BEAM, CellBox, Lattice
 from occmap.grid.projection import Projected, offset_hits, project
+from occmap.grid.slices import mark_observed, unite
 from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
-from occmap.grid.windows import Window, choose_window, count_observations, find_most_observations
+from occmap.grid.windows import Window, choose_window, count_observations
 from occmap.types import Rays
 
 ROOMY_CELLS = 1 << 22
 """Only the scans at hand make a window larger than this, never the room for scans to come."""
+ROOMY_CELLS_OF_SLICE = 1 << 18
+"""Windows have hardly more room than a slice takes, since each is made and read for one slice."""
+MOST_OPEN = 2
+"""Slices that wait for more of their scans: batches of several threads share slices."""
 MOST_PARTS = 64
 """A batch that needs more windows than this lies far apart: it is halved until it fits or one scan
 is left."""
@@ -68,11 +77,11 @@ class GridEngine:
     def _add_prepared(self, rays: Rays) -> None:
         refuse_long_beams(rays, self.spec.lattice.resolution)
         refuse_many_beams(rays, self.spec)
-        too_much = count_observations(rays, self.spec) > find_most_observations(self.spec)
+        observations, most = count_observations(rays, self.spec)
         # Where sensors are so far apart, one anchor cannot serve the ends of all beams.
         apart = float(np.ptp(rays.origin, axis=(0, 1)).max()) / self.spec.lattice.resolution
         too_wide = apart > MOST_CELLS_OF_BEAM / 2
-        if (too_much or too_wide) and len(rays.kind) > 1:
+        if (observations > most or too_wide) and len(rays.kind) > 1:
             self._add_halves(rays)
             return
         projected = project(rays, self.spec)
@@ -119,7 +128,7 @@ class GridEngine:
 
     @property
     def bytes_held(self) -> int:
-        """What the tiles take in memory, without those of scans that windows still hold."""
+        """What is held in memory, without scans that windows or open slices still hold."""
         return self.grid.nbytes
 
     def finish(self) -> TileGrid:
@@ -133,6 +142,73 @@ class GridEngine:
         return ()
 
 
+class SlicedEngine(GridEngine):
+    """Adds up what rays observe, and keeps which slice of time observed what.
+
+    Each thread takes an engine of the slice for itself. When a slice is over, its evidence is added
+    to the whole and its bits are kept. If scans of it come later, it is opened anew.
+    """
+
+    def __init__(
+        self,
+        spec: GridSpec,
+        slice_ns: int,
+        window_cells: int = WINDOW_CELLS,
+        max_cells: int = MAX_CELLS,
+    ) -> None:
+        super().__init__(spec, window_cells, max_cells)
+        self._slice_ns = slice_ns
+        self._make_engine = partial(GridEngine, spec, window_cells, max_cells, ROOMY_CELLS_OF_SLICE)
+        self._slices: list[Slices] = []
+        self._open: list[tuple[int, GridEngine]] = []
+
+    def add(self, rays: Rays) -> None:
+        """Observe the cells that these rays cross, slice by slice; errors as of `GridEngine`."""
+        numbers = rays.stamp_ns // self._slice_ns
+        for number in np.unique(numbers).tolist():
+            engine = self._take(number)
+            engine.add(rays.take(numbers == number))
+            with self._lock:
+                self._open.append((number, engine))
+                over = self._open.pop(0) if len(self._open) > MOST_OPEN else None
+            if over:
+                self._fold(*over)
+
+    def _take(self, number: int) -> GridEngine:
+        """An engine of a slice that no other thread uses."""
+        with self._lock:
+            for place, (other, engine) in enumerate(self._open):
+                if other == number:
+                    del self._open[place]
+                    return engine
+        return self._make_engine()
+
+    def _fold(self, number: int, engine: GridEngine) -> None:
+        """Add a slice to the whole."""
+        grid = engine.finish()
+        observed = mark_observed(grid, number)
+        with self._lock:
+            self.grid.merge(grid)
+            self._slices.append(observed)
+            self.grid.refuse_outgrown(self._max_cells)
+
+    @property
+    def bytes_held(self) -> int:
+        """As of `GridEngine`, and what the slices take."""
+        return super().bytes_held + sum(slices.nbytes for slices in self._slices)
+
+    def finish(self) -> TileGrid:
+        """Fold all slices and give the evidence; more may be added later."""
+        while self._open:
+            self._fold(*self._open.pop())
+        return self.grid
+
+    def read_slices(self) -> tuple[Slices, ...]:
+        """Which cells each slice observed of what `finish` gave."""
+        self._slices = [unite(self._slices)]
+        return tuple(self._slices)
+
+
 def refuse_many_beams(rays: Rays, spec: GridSpec) -> None:
     """Refuse scans that could each make the numbers of a cell overflow.
 
@@ -141,7 +217,8 @@ def refuse_many_beams(rays: Rays, spec: GridSpec) -> None:
     MapError
         Saying how many beams a scan has.
     """
-    if count_observations(rays.take(slice(1)), spec) > find_most_observations(spec):
+    observations, most = count_observations(rays.take(slice(1)), spec)
+    if observations > most:
         found = f"a scan of {rays.kind.shape[1]} beams is more than this model can count"
         fix = "no laser has so many: see what is in the log with `occmap check`"
         raise MapError(found, fix=fix)

@@ -1,13 +1,10 @@
 """Rays on the lattice: where they begin and end, and the box of cells that they may touch."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from occmap.arrays import Int64
-from occmap.grid.kernels.beams import Beams
-from occmap.grid.kernels.neighbours import link_neighbours
-from occmap.grid.kernels.project import measure_ranges, project_ends
+from occmap.grid.kernels.projection import Beams, link_neighbours, project_ends
 from occmap.grid.kernels.units import CELL_SHIFT, NO_LENGTH
 from occmap.grid.lattice import CellBox
 from occmap.grid.spec import GridSpec
@@ -16,15 +13,11 @@ from occmap.types import Kind, Rays, Update
 
 @dataclass(frozen=True)
 class Projected:
-    """Rays and where on the lattice they begin and end."""
+    """Rays on the lattice."""
 
-    rays: Rays
-    anchor: Int64
-    """(2,) x and y of a corner of a cell near them (lattice units)"""
     beams: Beams
-    """In lattice units from the anchor"""
     box: CellBox
-    """Around all cells that these rays may touch"""
+    """Around all cells that the beams may touch"""
 
     @property
     def crossings(self) -> int:
@@ -33,15 +26,15 @@ class Projected:
         some = slice(None, None, 8), slice(None, None, 8)
         across = np.abs(beams.ends_x[some] - beams.origins[*some, 0])
         up = np.abs(beams.ends_y[some] - beams.origins[*some, 1])
-        cells = (np.maximum(across, up) >> CELL_SHIFT) * (beams.kinds[some] != Kind.SKIP)
-        return int(cells.mean() * beams.kinds.size)
+        cells = (np.maximum(across, up) >> CELL_SHIFT) * (beams.rays.kind[some] != Kind.SKIP)
+        return int(cells.mean() * beams.ends_x.size)
 
 
 def offset_hits(rays: Rays, spec: GridSpec) -> Rays:
     """Move hits behind the measured surfaces; for a polygon, see each scan from one point."""
     if spec.hit_offset:
         offset = np.float32(spec.hit_offset * spec.lattice.resolution)
-        rays = replace(rays, distance=rays.distance + (rays.kind == Kind.HIT) * offset)
+        rays = rays._replace(distance=rays.distance + (rays.kind == Kind.HIT) * offset)
     return join_viewpoints(rays) if spec.update is Update.POLYGON else rays
 
 
@@ -64,31 +57,32 @@ def join_viewpoints(rays: Rays) -> Rays:
 
 def project(rays: Rays, spec: GridSpec) -> Projected:
     """Round rays, as `offset_hits` gives them, to the lattice, once."""
-    depth = 0.0 if spec.radial is None else spec.radial.depth
+    shape = rays.kind.shape
     origins = spec.lattice.to_units(rays.origin)
     anchor = origins[0, 0] >> CELL_SHIFT << CELL_SHIFT
-    origins -= anchor
-    ends_x, ends_y = np.empty(rays.kind.shape, np.int32), np.empty(rays.kind.shape, np.int32)
-    scale = spec.lattice.units_per_metre
-    lines = rays.origin, rays.turn, rays.bearing, rays.distance, rays.kind
-    to_anchor = anchor.astype(np.float64)
-    left, bottom, right, top = project_ends(*lines, depth, scale, to_anchor, ends_x, ends_y)
-    lowest = np.minimum(origins.min(axis=(0, 1)), (left, bottom))
-    highest = np.maximum(origins.max(axis=(0, 1)), (right, top))
+    weights = between = np.zeros((0, 0), np.uint8)
+    if spec.update is not Update.POLYGON or shape[1] == 1:  # a single beam is a line
+        weights, between = np.ones(shape, np.uint8), np.zeros(shape, np.uint8)
+    beams = Beams(
+        rays,
+        spec.lattice.units_per_metre,
+        anchor,
+        origins - anchor,
+        ends_x=np.empty(shape, np.int32),
+        ends_y=np.empty(shape, np.int32),
+        ranges=np.empty(shape),
+        weights=weights,
+        between=between,
+    )
+    left, bottom, right, top = project_ends(beams, spec.radial.depth if spec.radial else 0.0)
+    if spec.update is Update.SURFACE:
+        link_neighbours(beams, spec.jump)
+    lowest = np.minimum(beams.origins.min(axis=(0, 1)), (left, bottom))
+    highest = np.maximum(beams.origins.max(axis=(0, 1)), (right, top))
     edges = np.stack([lowest, highest]) + anchor
     (col, row), (col_end, row_end) = (edges >> CELL_SHIFT).tolist()
     box = CellBox(row, col, row_end + 1, col_end + 1).grow(1 + _reach_beside(rays, spec))
-    ranges = np.empty(rays.kind.shape if spec.radial else (0, 0))
-    measure_ranges(rays.turn, rays.bearing, rays.distance, scale, ranges)
-    weights = between = np.zeros((0, 0), np.uint8)
-    if spec.update is not Update.POLYGON or rays.kind.shape[1] == 1:  # a single beam is a line
-        weights, between = np.ones_like(rays.kind), np.zeros_like(rays.kind)
-    if spec.update is Update.SURFACE:
-        link_neighbours(
-            rays.distance, rays.kind, ends_x, ends_y, rays.full_circle, spec.jump, weights, between
-        )
-    beams = Beams(origins, ends_x, ends_y, rays.kind, ranges, weights, between)
-    return Projected(rays, anchor, beams, box)
+    return Projected(beams, box)
 
 
 def _reach_beside(rays: Rays, spec: GridSpec) -> int:

@@ -10,7 +10,6 @@ import numpy as np
 
 from occmap.arrays import Int32, Int64
 from occmap.grid.kernels.beams import Profile, note_beams
-from occmap.grid.kernels.outline import Surfaces
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.kernels.sums import Changes, Packing, read_tiles
@@ -18,7 +17,7 @@ from occmap.grid.kernels.units import PAD, TILE, UNITS_PER_CELL
 from occmap.grid.kernels.visits import Tiles, trace_tiles, trace_window
 from occmap.grid.lattice import CellBox
 from occmap.grid.projection import Projected
-from occmap.grid.spec import GridSpec, Tables
+from occmap.grid.spec import GridSpec
 from occmap.grid.tiles import Key, Tile
 from occmap.types import Rays, Update
 
@@ -26,16 +25,11 @@ ALL_BITS = -1
 """The mask of numbers of which all bits are evidence."""
 
 
-def count_observations(rays: Rays, spec: GridSpec) -> int:
-    """How much rays may add to the observations of one cell."""
-    once_a_scan = spec.update is Update.POLYGON and spec.radial is None
-    return len(rays.kind) if once_a_scan else rays.kind.size * spec.unit
-
-
-def find_most_observations(spec: GridSpec) -> int:
-    """How often a cell may be observed before its window must be emptied."""
-    once_a_scan = spec.update is Update.POLYGON and spec.radial is None
-    return MOST_SCANS if once_a_scan else spec.tables.most_observations
+def count_observations(rays: Rays, spec: GridSpec) -> tuple[int, int]:
+    """How much rays may add to the observations of one cell, and how many it has room for."""
+    if spec.update is Update.POLYGON and spec.radial is None:
+        return len(rays.kind), MOST_SCANS
+    return rays.kind.size * spec.unit, spec.tables.most_observations
 
 
 class Window(ABC):
@@ -45,38 +39,34 @@ class Window(ABC):
     """Such a window may have so many times the cells of others"""
 
     def __init__(self, spec: GridSpec, box: CellBox) -> None:
-        self.spec = spec
-        self.box = box.align(TILE)
+        self.spec, self.box = spec, box.align(TILE)
         self.touched: CellBox | None = None
         self.observations = 0
-        self.allocate(self.box.rows, self.box.cols)
+        tables = spec.tables
+        depth = tables.depth * spec.lattice.units_per_metre
+        self.profile = Profile(depth, tables.free, tables.hit, tables.plain)
+        self.allocate(*self.box.shape)
 
     @abstractmethod
     def allocate(self, rows: int, cols: int) -> None:
         """Make empty arrays."""
 
-    @property
-    def tables(self) -> Tables:
-        """What the model says."""
-        return self.spec.tables
-
     def has_room(self, projected: Projected) -> bool:
         """Whether rays lie wholly in the box and cannot make a number overflow."""
-        observations = self.observations + count_observations(projected.rays, self.spec)
-        return self.box.contains(projected.box) and observations <= find_most_observations(
-            self.spec
-        )
+        more, most = count_observations(projected.beams.rays, self.spec)
+        return self.box.contains(projected.box) and self.observations + more <= most
 
     def observe(self, projected: Projected) -> None:
         """Observe what lies in the box."""
-        self.trace(projected)
-        self.observations += count_observations(projected.rays, self.spec)
+        corner = np.array([self.box.col, self.box.row]) * UNITS_PER_CELL - projected.beams.anchor
+        self.trace(projected, corner)
+        self.observations += count_observations(projected.beams.rays, self.spec)[0]
         touched = self.box.clip(projected.box).align(TILE)
         self.touched = touched if self.touched is None else self.touched.join(touched)
 
     @abstractmethod
-    def trace(self, projected: Projected) -> None:
-        """Call the kernel."""
+    def trace(self, projected: Projected, corner: Int64) -> None:
+        """Call the kernel; `corner` (2,) is x and y of the lower-left (units from the anchor)."""
 
     @abstractmethod
     def read(self) -> dict[Key, Tile]:
@@ -85,56 +75,40 @@ class Window(ABC):
     @property
     def bound(self) -> int:
         """No value of `read` is larger, either way."""
-        return self.observations * self.tables.largest
-
-    @property
-    def corner(self) -> Int64:
-        """(2,) x and y of the lower-left corner (lattice units)."""
-        return np.array([self.box.col * UNITS_PER_CELL, self.box.row * UNITS_PER_CELL], np.int64)
+        return self.observations * self.spec.tables.largest
 
     def name_tiles(self, places: Int64, tiles: Int32 | Int64) -> dict[Key, Tile]:
         """Tiles (N, 2, TILE, TILE) by the keys of their places (N, 2) in the window."""
         keys = places + np.array(self.box.shrink(TILE)[:2])
         return {(row, col): tile for (row, col), tile in zip(keys.tolist(), tiles, strict=True)}
 
-    def make_profile(self) -> Profile:
-        """The tables as kernels take them."""
-        tables = self.tables
-        depth = tables.depth * self.spec.lattice.units_per_metre
-        return Profile(depth, tables.free, tables.hit, tables.plain)
-
 
 class DenseWindow(Window):
     """A window that has a place for each cell, and one for what changes from cell to cell."""
 
+    along_lines = False
+    """Whether cells change along lines, or along rows alone"""
+
     def allocate(self, rows: int, cols: int) -> None:
-        self.cells = np.zeros((rows, cols + PAD), np.int64)
-        self.changes = Changes(
-            row_runs=np.zeros(rows * (cols + PAD), np.int32),
-            row_steps=np.zeros(0, np.int32),
-            col_runs=np.zeros(0, np.int32),
-            col_steps=np.zeros(0, np.int32),
-        )
+        across, up = cols + PAD, rows + PAD
+        sizes = (rows + 1) * across, cols * up, (cols + 1) * up
+        more = (np.zeros(size if self.along_lines else 0, np.int32) for size in sizes)
+        self.cells = np.zeros((rows, across), np.int64)
+        self.changes = Changes(np.zeros(rows * across, np.int32), *more)
 
     @property
     def packing(self) -> Packing:
         """How `cells` hold the numbers of a cell."""
-        return Packing(self.tables.bits, ALL_BITS, int(self.tables.free[0]))
+        return Packing(self.spec.tables.bits, ALL_BITS, int(self.profile.free[0]))
 
     def read(self) -> dict[Key, Tile]:
         if self.touched is None:
             return {}
-        box, touched = self.box.shrink(TILE), self.touched.shrink(TILE)
-        inside = (
-            touched.row - box.row,
-            touched.col - box.col,
-            touched.row_end - box.row,
-            touched.col_end - box.col,
-        )
-        most = touched.cells
-        places = np.empty((most, 2), np.int64)
+        inside = self.touched.move(-self.box.row, -self.box.col).shrink(TILE)
+        places = np.empty((inside.cells, 2), np.int64)
         numbers = np.int32 if self.spec.radial is None else np.int64
-        tiles = np.empty((most + 1, 2, TILE, TILE), numbers)  # the last is read into and not kept
+        # The last tile is read into and not kept.
+        tiles = np.empty((inside.cells + 1, 2, TILE, TILE), numbers)
         found = read_tiles(self.cells, self.changes, self.packing, inside, places, tiles)
         return self.name_tiles(places[:found], tiles[:found])
 
@@ -142,21 +116,42 @@ class DenseWindow(Window):
 class BeamWindow(DenseWindow):
     """Beam by beam, with those drawn between where the update asks for them."""
 
-    def allocate(self, rows: int, cols: int) -> None:
-        super().allocate(rows, cols)
-        self.changes = self.changes._replace(
-            row_steps=np.zeros((rows + 1) * (cols + PAD), np.int32),
-            col_runs=np.zeros(cols * (rows + PAD), np.int32),
-            col_steps=np.zeros((cols + 1) * (rows + PAD), np.int32),
+    along_lines = True
+
+    def trace(self, projected: Projected, corner: Int64) -> None:
+        if self.spec.radial is None:
+            hit = int(self.profile.hit[0])
+            note_beams(projected.beams, hit, corner, self.cells, self.changes)
+        else:
+            trace_window(projected.beams, self.profile, corner, self.cells, self.changes)
+
+
+class PolygonWindow(DenseWindow):
+    """Hits and misses, scan by scan."""
+
+    @property
+    def packing(self) -> Packing:
+        return Packing(BORDER_BITS, COUNTED, 1)
+
+    def trace(self, projected: Projected, corner: Int64) -> None:
+        trace_polygons(
+            projected.beams,
+            self.spec.jump,
+            self.spec.border_gap,
+            corner,
+            not self.box.contains(projected.box),
+            self.cells,
+            self.changes.row_runs,
+            self.observations,
         )
 
-    def trace(self, projected: Projected) -> None:
-        corner = self.corner - projected.anchor
-        if self.spec.radial is None:
-            hit = int(self.tables.hit[0])
-            note_beams(projected.beams, hit, corner, self.cells, self.changes)
-            return
-        trace_window(projected.beams, self.make_profile(), corner, self.cells, self.changes)
+
+class RadialPolygonWindow(DenseWindow):
+    """A radial model, once for each cell of a scan."""
+
+    def trace(self, projected: Projected, corner: Int64) -> None:
+        runs = self.changes.row_runs
+        trace_radial_polygons(projected.beams, corner, self.profile, self.cells, runs)
 
 
 class SparseBeamWindow(Window):
@@ -169,94 +164,27 @@ class SparseBeamWindow(Window):
 
     def allocate(self, rows: int, cols: int) -> None:
         # Hits and misses have a layer each; log-odds share a number with that of observations.
-        counts = self.spec.radial is None
+        counts, size = self.spec.radial is None, rows * cols
         layers = 2 if counts else 1
-        size = rows * cols * layers
-        numbers = np.zeros(size, np.int32) if counts else np.zeros(size, np.int64)
+        numbers = np.zeros(2 * size, np.int32) if counts else np.zeros(size, np.int64)
         table = np.full((rows // TILE, cols // TILE), -1, np.int32)
         self.tiles = Tiles(table, np.zeros(1, np.int64), numbers, layers)
 
-    def trace(self, projected: Projected) -> None:
-        profile = self.make_profile()
-        if self.spec.radial is None:
-            # Hits have a layer of their own: each adds 1, and not the packed 1 << COUNT_BITS.
-            profile = profile._replace(hit=profile.free)
-        trace_tiles(projected.beams, profile, self.corner - projected.anchor, self.tiles)
+    def trace(self, projected: Projected, corner: Int64) -> None:
+        trace_tiles(projected.beams, self.profile, corner, self.tiles)
 
     def read(self) -> dict[Key, Tile]:
         table, used = self.tiles.table, int(self.tiles.used[0])
         places = np.empty((used, 2), np.int64)
         places[table[table >= 0]] = np.argwhere(table >= 0)
-        tiles = self.tiles.numbers.reshape(-1, self.tiles.layers, TILE, TILE)[:used]
+        tiles: Tile = self.tiles.numbers.reshape(-1, self.tiles.layers, TILE, TILE)[:used]
         if self.spec.radial is not None:
             # A beam may reach a tile and add nothing to it.
-            seen = np.flatnonzero(tiles.any(axis=(1, 2, 3)))
-            places, packed = places[seen], tiles[seen, 0]
-            tiles = np.empty((len(seen), 2, TILE, TILE), np.int64)
-            np.right_shift(packed, self.tables.bits, out=tiles[:, 0])
-            np.bitwise_and(packed, (1 << self.tables.bits) - 1, out=tiles[:, 1])
+            seen, bits = tiles.any(axis=(1, 2, 3)), self.spec.tables.bits
+            places, tiles = places[seen], np.repeat(tiles[seen], 2, axis=1)
+            tiles[:, 0] >>= bits
+            tiles[:, 1] &= (1 << bits) - 1
         return self.name_tiles(places, tiles)
-
-
-def describe_surfaces(spec: GridSpec, projected: Projected, window: Window) -> Surfaces:
-    """What a polygon kernel needs to know beside the rays and the arrays of a window."""
-    left, bottom = window.corner.tolist()
-    shift_x, shift_y = (projected.anchor - (left, bottom)).tolist()
-    return Surfaces(
-        units_per_metre=spec.lattice.units_per_metre,
-        jump=spec.jump,
-        border_gap=spec.border_gap,
-        full_circle=projected.rays.full_circle,
-        left=left,
-        bottom=bottom,
-        shift_x=shift_x,
-        shift_y=shift_y,
-        clipped=not window.box.contains(projected.box),
-    )
-
-
-class PolygonWindow(DenseWindow):
-    """Hits and misses, scan by scan."""
-
-    @property
-    def packing(self) -> Packing:
-        return Packing(BORDER_BITS, COUNTED, 1)
-
-    def trace(self, projected: Projected) -> None:
-        rays = projected.rays
-        trace_polygons(
-            rays.origin,
-            rays.turn,
-            rays.bearing,
-            rays.distance,
-            projected.beams.ends_x,
-            projected.beams.ends_y,
-            rays.kind,
-            describe_surfaces(self.spec, projected, self),
-            self.cells,
-            self.changes.row_runs,
-            self.observations,
-        )
-
-
-class RadialPolygonWindow(DenseWindow):
-    """A radial model, once for each cell of a scan."""
-
-    def trace(self, projected: Projected) -> None:
-        rays = projected.rays
-        trace_radial_polygons(
-            rays.origin,
-            rays.turn,
-            rays.bearing,
-            rays.distance,
-            rays.kind,
-            rays.full_circle,
-            self.corner,
-            self.spec.lattice.units_per_metre,
-            self.make_profile(),
-            self.cells,
-            self.changes.row_runs,
-        )
 
 
 CROSSED_OFTEN = 6
@@ -267,7 +195,7 @@ def choose_window(spec: GridSpec, projected: Projected) -> type[Window]:
     """The kind of window that an update and a model need, and these rays."""
     if spec.update is Update.POLYGON and spec.radial is None:
         return PolygonWindow
-    if spec.update is Update.POLYGON and projected.rays.kind.shape[1] > 1:
+    if spec.update is Update.POLYGON and projected.beams.rays.kind.shape[1] > 1:
         return RadialPolygonWindow  # a single beam has no neighbour to say how wide it is: a line
     often = projected.crossings >= CROSSED_OFTEN * projected.box.cells
     return BeamWindow if often else SparseBeamWindow

@@ -6,7 +6,7 @@ That is their shapes, their times, their range values (in `ranges`), and the ext
 from array import array
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
@@ -132,7 +132,7 @@ class Extent:
     def add(self, rays: Rays) -> None:
         """Take in the beams that are used, from where they were sent to where they end."""
         hit, used = rays.kind == Kind.HIT, rays.kind != Kind.SKIP
-        ends = replace(rays, distance=rays.distance + hit * np.float32(self._behind)).end
+        ends = rays._replace(distance=rays.distance + hit * np.float32(self._behind)).end
         one_viewpoint = rays.origin.shape[1] == 1
         self._take(rays.origin[used.any(axis=1, keepdims=True) if one_viewpoint else used])
         self._take(ends[used])

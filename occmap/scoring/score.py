@@ -65,33 +65,18 @@ class Trial(NamedTuple):
 
 def score_map(grid: OccupancyMap, held_out: Sequence[Rays], jobs: int) -> Trial:
     """Cast held-out beams, of which some must have measured a range, through a map."""
-    from occmap.grid.kernels.cast import BINS, CERTAIN, cast_beams  # noqa: PLC0415  late: loads numba
+    from occmap.grid.kernels.cast import BINS, CERTAIN, Chart, cast_beams  # noqa: PLC0415  late: loads numba
 
     probability = np.where(grid.observed, grid.probability, np.float32(0.5))
-    occupied = grid.occupied
     free_cost = -np.log(np.maximum(1 - probability, np.float32(CERTAIN)))
     tenths = np.minimum(probability * BINS, BINS - 1)
     bins = np.where(grid.observed, tenths, BINS).astype(np.uint8)
+    chart = Chart(grid.occupied, probability, free_cost, bins, grid.origin, grid.resolution)
     totals = [np.zeros((len(rays.kind), 6)) for rays in held_out]
     tallies = [np.zeros((BINS + 1, 3)) for _ in held_out]
 
     def cast(index: int) -> None:
-        rays = held_out[index]
-        cast_beams(
-            rays.origin,
-            rays.turn,
-            rays.bearing,
-            rays.distance,
-            rays.kind,
-            occupied,
-            probability,
-            free_cost,
-            grid.origin,
-            grid.resolution,
-            totals[index],
-            bins,
-            tallies[index],
-        )
+        cast_beams(held_out[index], chart, totals[index], tallies[index])
 
     with Workers(cast, jobs) as workers:
         for index in range(len(held_out)):

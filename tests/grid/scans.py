@@ -3,7 +3,6 @@
 import math
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -183,7 +182,7 @@ def upright_drives(draw: st.DrawFn) -> Drive:
         plane = draw(st.sampled_from([0.0, 1.0, math.pi / 2, -2.5, math.pi]))
         direction = direction[..., :1] * np.array([math.cos(plane), math.sin(plane)])
     turn = np.stack([direction, np.zeros_like(direction)], axis=-1)
-    return Drive(replace(rays, turn=turn), resolution)
+    return Drive(rays._replace(turn=turn), resolution)
 
 
 TWELVE = [
@@ -213,7 +212,7 @@ def aligned_drives(draw: st.DrawFn) -> Drive:
 
 
 def shift(rays: Rays, metres: tuple[float, float]) -> Rays:
-    return replace(rays, origin=rays.origin + np.array(metres))
+    return rays._replace(origin=rays.origin + np.array(metres))
 
 
 def make_scan(*beams: tuple[float, Kind]) -> Rays:

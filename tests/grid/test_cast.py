@@ -10,15 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from occmap.arrays import Bool, Float32, Float64
-from occmap.grid.kernels.cast import BINS, CERTAIN, FOLLOWED, UNIFORM, cast_beam, cast_beams
+from occmap.grid.kernels.cast import BINS, CERTAIN, FOLLOWED, UNIFORM, Chart, cast_beam, cast_beams
 from occmap.types import Kind, Rays
 from tests.grid.scans import FEW
 
 UNKNOWN_COST = math.log(2)
 
 
-def cost_free(probability: Float32) -> Float32:
-    return np.asarray(-np.log(np.maximum(1 - probability, CERTAIN)), np.float32)
+def draw(occupied: Bool, probability: Float32, resolution: float = 1.0) -> Chart:
+    cost = np.asarray(-np.log(np.maximum(1 - probability, CERTAIN)), np.float32)
+    bins = np.zeros(probability.shape, np.uint8)
+    return Chart(occupied, probability, cost, bins, (-1.0, -1.0), resolution)
 
 
 def call_occupied(probability: Float32) -> Bool:
@@ -47,9 +49,8 @@ def cast_through(
     along: tuple[float, float],
     reach: float,
 ) -> Cast:
-    maps = occupied, probability, cost_free(probability)
-    bins, tally = np.zeros(probability.shape, np.uint8), np.zeros((BINS + 1, 3))
-    return Cast(*cast_beam(*maps, x, y, *along, reach, bins, True, tally))
+    tally = np.zeros((BINS + 1, 3))
+    return Cast(*cast_beam(draw(occupied, probability), (x, y), along, reach, True, tally))
 
 
 def cast_slowly(probability: Float32, x: float, y: float, angle: float, reach: float) -> Cast:
@@ -143,21 +144,8 @@ def test_beyond_the_map_all_is_unknown_and_costs_no_time(cells: int) -> None:
 
 def total(rays: Rays, probability: Float32, resolution: float = 1.0) -> Float64:
     totals = np.zeros((len(rays.kind), 6))
-    cast_beams(
-        rays.origin,
-        rays.turn,
-        rays.bearing,
-        rays.distance,
-        rays.kind,
-        call_occupied(probability),
-        probability,
-        cost_free(probability),
-        (-1.0, -1.0),
-        resolution,
-        totals,
-        np.zeros(probability.shape, np.uint8),
-        np.zeros((BINS + 1, 3)),
-    )
+    chart = draw(call_occupied(probability), probability, resolution)
+    cast_beams(rays, chart, totals, np.zeros((BINS + 1, 3)))
     by_kind: Float64 = totals.sum(axis=0)
     return by_kind
 

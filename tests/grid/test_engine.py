@@ -93,9 +93,8 @@ def test_a_hit_is_moved_outward_before_anything_is_rounded(
 ) -> None:
     rays, resolution = drive
     offset = np.float32(cells * resolution)
-    moved = replace(
-        rays, distance=np.where(rays.kind == Kind.HIT, rays.distance + offset, rays.distance)
-    )
+    farther = np.where(rays.kind == Kind.HIT, rays.distance + offset, rays.distance)
+    moved = rays._replace(distance=farther)
     spec = GridSpec(update, Lattice(resolution))
     assert observe(replace(spec, hit_offset=cells), [rays]) == observe(spec, [moved])
 
@@ -189,7 +188,7 @@ def test_a_shift_by_whole_cells_shifts_the_map(
 ) -> None:
     rays, resolution = drive
     # Origins on the lattice: a float has then bits enough for the sum of both.
-    rays = replace(rays, origin=np.rint(rays.origin / resolution * 256) / 256 * resolution)
+    rays = rays._replace(origin=np.rint(rays.origin / resolution * 256) / 256 * resolution)
     spec = all_specs(resolution)[kind_of_map]
     there = observe(spec, [shift(rays, (cols * resolution, rows * resolution))])
     for layer, moved in zip(observe(spec, [rays]), there, strict=True):

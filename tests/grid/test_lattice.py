@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from occmap.errors import UsageError
-from occmap.grid.kernels.project import round_to_units
+from occmap.grid.kernels.projection import round_to_units
 from occmap.grid.lattice import CellBox, Lattice
 
 

@@ -1,7 +1,7 @@
 """Slices of time and visits: the engine of slices against one fresh engine for every scan."""
 
 from collections import defaultdict
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import permutations
 from threading import Thread
 
@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from occmap.cells import Slices
 from occmap.errors import MapError
-from occmap.grid.engine import GridEngine
-from occmap.grid.sliced import SlicedEngine
+from occmap.grid.engine import GridEngine, SlicedEngine
 from occmap.grid.slices import count_visits, split_tiles, unpack
 from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import TILE
@@ -180,7 +179,7 @@ def test_a_map_that_slices_make_too_large_is_refused() -> None:
     engine = SlicedEngine(all_specs(1.0)[0], SLICE, max_cells=1000)
     far = one_beam([0, 1000, 2000])
     for s in range(3):
-        engine.add(replace(take(far, [s]), origin=np.full((1, 1, 2), 640.5 * s)))
+        engine.add(take(far, [s])._replace(origin=np.full((1, 1, 2), 640.5 * s)))
     with pytest.raises(MapError, match="more than `max_cells=1000`"):
         engine.finish()
 

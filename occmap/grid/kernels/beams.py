@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Bool, Float64, Int32, Int64, UInt8
+from occmap.arrays import Bool, Float64, Int64
 from occmap.grid.kernels.lines import clip_line, draw_line, lies_inside, note_line
+from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.sums import Changes
 from occmap.grid.kernels.units import (
     BETWEEN,
@@ -33,25 +34,6 @@ FARTHEST_CENTRE = 1.25
 diagonal at the first cell, and half a cell beside the line."""
 BEGIN_EIGHTHS = 5
 """A beam between two others is drawn from so many eighths of its way on."""
-
-
-class Beams(NamedTuple):
-    """Beams on the lattice, in units from an anchor."""
-
-    origins: Int64
-    """(S, K, 2)"""
-    ends_x: Int32
-    """(S, B); a HIT beam is followed to its range + the model's depth"""
-    ends_y: Int32
-    """(S, B)"""
-    kinds: UInt8
-    """(S, B)"""
-    ranges: Float64
-    """(S, B) on the map; (0, 0) where no model asks"""
-    weights: UInt8
-    """(S, B) what each beam counts"""
-    between: UInt8
-    """(S, B) how many beams are drawn between each and the next"""
 
 
 class Profile(NamedTuple):
@@ -104,7 +86,7 @@ def note_beams(beams: Beams, hit: int, corner: Int64, cells: Int64, changes: Cha
     cells
         (H, W + PAD) sums of what visited cells got: here the ends.
     """
-    origins, ends_x, ends_y, kinds = beams.origins, beams.ends_x, beams.ends_y, beams.kinds
+    origins, ends_x, ends_y, kinds = beams.origins, beams.ends_x, beams.ends_y, beams.rays.kind
     weights, between = beams.weights, beams.between
     row_runs, row_steps = changes.row_runs, changes.row_steps
     col_runs, col_steps = changes.col_runs, changes.col_steps
@@ -174,7 +156,7 @@ def list_lines(
     lines
         Written here.
     """
-    origins, ends_x, ends_y, kinds = beams.origins, beams.ends_x, beams.ends_y, beams.kinds
+    origins, ends_x, ends_y, kinds = beams.origins, beams.ends_x, beams.ends_y, beams.rays.kind
     ranges, weights, between = beams.ranges, beams.weights, beams.between
     radial, depth = profile.hit.size > 1, profile.depth
     count, viewpoints = kinds.shape[1], origins.shape[1]

@@ -5,12 +5,14 @@ A beam visits exactly the cells that it crosses, from the sensor's true position
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from occmap.arrays import Bool, Float32, Float64, UInt8
 from occmap.grid.kernels.units import HIT, SKIP
 from occmap.jit import kernel
+from occmap.types import Rays
 
 NEAR = 2.0
 """What lies within this many cells of the measured range is what the beam met."""
@@ -27,70 +29,54 @@ FOLLOWED = 64
 """This many unknown cells stop a beam with certainty; there is no likelihood left after them."""
 
 
+class Chart(NamedTuple):
+    """A finished map, and what each of its cells costs a beam."""
+
+    occupied: Bool
+    """(H, W) what the map calls so"""
+    probability: Float32
+    """(H, W) of being occupied, 0.5 where unknown"""
+    free_cost: Float32
+    """(H, W) -ln(1 - probability), bounded by CERTAIN"""
+    bins: UInt8
+    """(H, W) which bin of probabilities each cell is in; BINS where unknown"""
+    corner: tuple[float, float]
+    """x and y of the lower-left corner (m)"""
+    resolution: float
+    """Side of a cell (m)"""
+
+
 @kernel
-def cast_beams(
-    origin: Float64,
-    turn: Float64,
-    bearing: Float64,
-    distance: Float32,
-    kinds: UInt8,
-    occupied: Bool,
-    probability: Float32,
-    free_cost: Float32,
-    corner: tuple[float, float],
-    resolution: float,
-    totals: Float64,
-    bins: UInt8,
-    tally: Float64,
-) -> None:
+def cast_beams(rays: Rays, chart: Chart, totals: Float64, tally: Float64) -> None:
     """Score a map by beams that it was not made from.
 
     Parameters
     ----------
-    origin, turn, bearing, distance, kinds
-        (S, K, 2), (S, K, 2, 2), (2, B), (S, B), (S, B) as in `Rays`.
-    occupied
-        (H, W) what the map calls so.
-    probability
-        (H, W) of being occupied, 0.5 where unknown.
-    free_cost
-        (H, W) -ln(1 - probability), bounded by CERTAIN.
-    corner
-        x and y of the map's lower-left corner (m).
     totals
         (S, 6) added to, scan by scan: HIT beams; those whose first occupied cell is near the
         measured range; the log-likelihoods of their ranges; the costs of the cells that they ended
         in; cells that any beam found free; the costs of those.
-    bins
-        (H, W) which bin of probabilities each cell is in; BINS where unknown.
     tally
         (BINS + 1, 3) added to, bin by bin, whenever a beam looks at a cell: 1; the cell's
         probability; 1 if the beam measured a range that ends there.
     """
-    scans, beams = distance.shape
-    viewpoints, turns = origin.shape[1], turn.shape[1]
-    for s in range(scans):
-        for b in range(beams):
-            k, t = min(b, viewpoints - 1), min(b, turns - 1)
+    origin, turn, bearing, kinds = rays.origin, rays.turn, rays.bearing, rays.kind
+    (left, bottom), resolution = chart.corner, chart.resolution
+    for s in range(kinds.shape[0]):
+        for b in range(kinds.shape[1]):
+            k, t = min(b, origin.shape[1] - 1), min(b, turn.shape[1] - 1)
             along_x = turn[s, t, 0, 0] * bearing[0, b] + turn[s, t, 0, 1] * bearing[1, b]
             along_y = turn[s, t, 1, 0] * bearing[0, b] + turn[s, t, 1, 1] * bearing[1, b]
             length = np.sqrt(along_x * along_x + along_y * along_y)
             if kinds[s, b] == SKIP or length == 0:  # nothing measured, or straight up
                 continue
+            x, y = (origin[s, k, 0] - left) / resolution, (origin[s, k, 1] - bottom) / resolution
+            along, reach = (along_x / length, along_y / length), rays.distance[s, b] * length
+            stops = kinds[s, b] == HIT
             found, stopped, free, cost, end = cast_beam(
-                occupied,
-                probability,
-                free_cost,
-                (origin[s, k, 0] - corner[0]) / resolution,
-                (origin[s, k, 1] - corner[1]) / resolution,
-                along_x / length,
-                along_y / length,
-                distance[s, b] * length / resolution,
-                bins,
-                kinds[s, b] == HIT,
-                tally,
+                chart, (x, y), along, reach / resolution, stops, tally
             )
-            if kinds[s, b] == HIT:
+            if stops:
                 totals[s, 0] += 1
                 totals[s, 1] += found
                 totals[s, 2] += math.log((1 - UNIFORM) * stopped + UNIFORM * UNIFORM)
@@ -104,27 +90,24 @@ def cast_beams(
 
 @kernel
 def cast_beam(
-    occupied: Bool,
-    probability: Float32,
-    free_cost: Float32,
-    x: float,
-    y: float,
-    along_x: float,
-    along_y: float,
+    chart: Chart,
+    start: tuple[float, float],
+    along: tuple[float, float],
     reach: float,
-    bins: UInt8,
     stops: bool,
     tally: Float64,
 ) -> tuple[int, float, int, float, float]:
     """Follow one beam; lengths are in cells from the map's corner.
 
-    It `stops` at its end, or measured no range; `bins` and `tally` are as for `cast_beams`.
+    It `stops` at its end, or measured no range; `tally` is as for `cast_beams`.
 
     Returns
     -------
     1 if the first occupied cell is near the measured range; the probability that the beam stops
     near it; the cells before its end, and their cost; the probability of its last cell.
     """
+    occupied, probability, free_cost = chart.occupied, chart.probability, chart.free_cost
+    bins, (x, y), (along_x, along_y) = chart.bins, start, along
     rows, cols = probability.shape
     col, row = int(np.floor(x)), int(np.floor(y))
     last_col, last_row = int(np.floor(x + reach * along_x)), int(np.floor(y + reach * along_y))

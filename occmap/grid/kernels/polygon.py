@@ -3,6 +3,11 @@
 Each border cell gets one hit a scan, however many beams end there. Every other cell whose centre is
 inside gets one miss a scan.
 
+Each run of beams that are not SKIP makes a region, closed through the sensor; a scan that goes all
+the way round closes on itself. Between neighbours whose ranges differ by more than the jump the
+edge steps, at the nearer range. The border is every HIT end cell and, between two HIT neighbours of
+one surface, the cells of Bresenham's line between their ends.
+
 The inside is not visited: a span of free cells is +1 at its first column and -1 after its last,
 and one running sum along the rows turns thousands of scans' spans into counts. The cost of a scan
 is thus its border. A border cell gets no miss from its own scan, so it counts how often it lay in
@@ -11,10 +16,10 @@ a span of its own scan, and that is taken off in the end.
 
 import numpy as np
 
-from occmap.arrays import Float32, Float64, Int32, Int64, UInt8
-from occmap.grid.kernels.fill import Spans, fill_outline, make_outline, make_spans
-from occmap.grid.kernels.outline import ScanBeams, Surfaces, link_beams, list_border, outline_scan
-from occmap.grid.kernels.units import AT_A_TIME, PAD
+from occmap.arrays import Int32, Int64, UInt8
+from occmap.grid.kernels.fill import Outline, Spans, fill_outline, make_outline, make_spans
+from occmap.grid.kernels.projection import Beams, round_to_units
+from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, HALF_CELL, HIT, PAD, SKIP
 from occmap.jit import kernel
 
 BORDER_BITS = 22
@@ -24,18 +29,18 @@ COUNTED = (1 << (2 * BORDER_BITS)) - 1
 """Mask of the bits of both counts, without those of the last scan."""
 MOST_SCANS = (1 << 20) - 1
 """The bits above both counts hold no larger number of a scan."""
+EDGE, CELL, JOINED = 1, 2, 4
+"""Bits of a link. EDGE: the edge from the beam before may matter. CELL: the beam's end cell is
+listed. JOINED: so are the cells between the two end cells."""
 
 
 @kernel
 def trace_polygons(
-    origin: Float64,
-    turn: Float64,
-    bearing: Float64,
-    distance: Float32,
-    ends_x: Int32,
-    ends_y: Int32,
-    kinds: UInt8,
-    surfaces: Surfaces,
+    beams: Beams,
+    jump: float,
+    border_gap: int,
+    corner: Int64,
+    clipped: bool,
     border: Int64,
     runs: Int32,
     mark: int,
@@ -44,31 +49,141 @@ def trace_polygons(
 
     Parameters
     ----------
-    origin, turn, bearing, distance, kinds
-        (S, 1, 2), (S, K, 2, 2), (2, B), (S, B), (S, B) as in `Rays`.
-    ends_x, ends_y
-        (S, B) lattice units from the anchor.
+    jump
+        Neighbours see one surface where their ranges differ by at most this (m).
+    border_gap
+        The border is closed between end cells of one surface at most so far apart (cells).
+    corner
+        (2,) x and y of the window's corner (lattice units from the anchor).
+    clipped
+        The scans may reach beyond the window.
     border
         (H, W + PAD) packed as `BORDER_BITS` says; scans count from `mark` + 1, and none above
         `mark` is there yet.
     runs
         H x (W + PAD), flat: changes of the misses along rows.
     """
-    scans, beams = kinds.shape
+    scans, count = beams.rays.kind.shape
     rows, cols = border.shape[0], border.shape[1] - PAD
-    links, room = np.empty(beams, np.uint8), np.empty(beams, np.int32)
-    cells = np.empty((beams * max(surfaces.border_gap, 1) + AT_A_TIME, 2), np.int32)
-    outline, spans = make_outline(3 * beams + 4), make_spans(rows)
+    links, room = np.empty(count, np.uint8), np.empty(count, np.int32)
+    cells = np.empty((count * max(border_gap, 1) + AT_A_TIME, 2), np.int32)
+    outline, spans = make_outline(3 * count + 4), make_spans(rows)
     for s in range(scans):
-        scan = ScanBeams(
-            origin[s, 0], turn[s], bearing, distance[s], kinds[s], ends_x[s], ends_y[s]
-        )
-        listed = link_beams(scan, surfaces, links, room)
-        corners, touched = outline_scan(scan, surfaces, links, listed, outline, rows)
+        listed = _link_beams(beams, s, jump, border_gap, links, room)
+        corners, touched = _outline_scan(beams, s, jump, corner, links, listed, outline, rows)
         spans = fill_outline(outline, corners, touched, cols, spans)
         _note_spans(touched, spans, border.shape[1], runs)
-        size = list_border(scan, links, listed, surfaces, rows, cols, cells)
+        size = _list_border(beams, s, corner, links, listed, cells)
+        if clipped:
+            size = _keep_inside(cells, size, rows, cols)
         _note_border(cells, size, spans, mark + s + 1, border)
+
+
+@kernel
+def _link_beams(
+    beams: Beams, s: int, jump: float, border_gap: int, links: UInt8, listed: Int32
+) -> Int32:
+    """Say how each beam of a scan is linked to the one before it.
+
+    There are no branches, so that many beams are compared at a time. Returns the beams with an edge
+    that may matter, or with cells between, from the start of `listed`: these are few.
+    """
+    distance, kinds = beams.rays.distance[s], beams.rays.kind[s]
+    ends_x, ends_y, last = beams.ends_x[s], beams.ends_y[s], kinds.size - 1
+    for a, b, size in ((0, 1, last), (last, 0, 1)):  # the first beam comes after the last
+        before, after, link = kinds[a : a + size], kinds[b : b + size], links[b : b + size]
+        near, far = distance[a : a + size], distance[b : b + size]
+        from_x, to_x = ends_x[a : a + size], ends_x[b : b + size]
+        from_y, to_y = ends_y[a : a + size], ends_y[b : b + size]
+        for i in range(size):
+            one_surface = abs(np.float64(far[i]) - np.float64(near[i])) <= jump
+            solid = (before[i] != 0) & (after[i] != 0)
+            centre, to_centre = from_y[i] + HALF_CELL - 1, to_y[i] + HALF_CELL - 1
+            crosses = (centre >> CELL_SHIFT) != (to_centre >> CELL_SHIFT)
+            ends = (before[i] != 0) != (after[i] != 0)
+            edge = (solid & (crosses | (not one_surface))) | ends
+            both = (before[i] == HIT) & (after[i] == HIT)
+            across = abs((to_x[i] >> CELL_SHIFT) - (from_x[i] >> CELL_SHIFT))
+            up = abs((to_y[i] >> CELL_SHIFT) - (from_y[i] >> CELL_SHIFT))
+            steps = max(across, up)
+            cell = (after[i] == HIT) & (not (both & (steps == 0)))
+            joined = both & one_surface & (steps > 1) & (steps <= border_gap)
+            link[i] = edge * EDGE + cell * CELL + joined * JOINED
+    if not beams.rays.full_circle:
+        links[0] = EDGE * (kinds[0] != SKIP)
+    links[0] |= CELL * (kinds[0] == HIT)  # all beams may end in one cell
+    size = 0
+    for b in range(kinds.size):
+        listed[np.uint64(size)] = b
+        size += (links[b] & (EDGE | JOINED)) != 0
+    return listed[:size]
+
+
+@kernel
+def _outline_scan(
+    beams: Beams,
+    s: int,
+    jump: float,
+    corner: Int64,
+    links: UInt8,
+    listed: Int32,
+    outline: Outline,
+    rows: int,
+) -> tuple[int, tuple[int, int]]:
+    """Write the corners of one scan's regions: one region for each run of beams that are not SKIP.
+
+    A region is closed through the sensor or, where a full circle has all its beams, on itself.
+    Corners between which no row's centre line is crossed are left out. Returns the number of
+    corners; and of the window's `rows` the first that the scan touches, and the one after the last.
+    """
+    rays, full_circle = beams.rays, beams.rays.full_circle
+    origin, turn, bearing = rays.origin[s, 0], rays.turn[s], rays.bearing
+    distance, kinds = rays.distance[s], rays.kind[s]
+    ends_x, ends_y, scale = beams.ends_x[s], beams.ends_y[s], beams.units_per_metre
+    left, bottom = corner[0], corner[1]
+    at_x, at_y = beams.origins[s, 0, 0] - left, beams.origins[s, 0, 1] - bottom
+    low, high = ends_y[0], ends_y[0]
+    for b in range(kinds.size):
+        low, high = min(low, ends_y[b]), max(high, ends_y[b])
+    corners, drawn, last = 0, -1, kinds.size - 1
+    for i in range(listed.size):
+        b = int(listed[i])
+        if not links[b] & EDGE:
+            continue
+        a = b - 1 if b > 0 else last
+        begun = kinds[a] != 0 and (b > 0 or full_circle)
+        if not begun:
+            corners = _add_corner(outline, corners, at_x, at_y, True)
+        elif drawn != a:
+            corners = _add_corner(outline, corners, ends_x[a] - left, ends_y[a] - bottom, True)
+        if kinds[b] == SKIP:
+            corners = _add_corner(outline, corners, at_x, at_y, False)
+            continue
+        if begun and abs(np.float64(distance[b]) - distance[a]) > jump:
+            # Step at the nearer range, so that no space behind an edge is called free.
+            near, far = (b, a) if distance[b] < distance[a] else (a, b)
+            t, reach = min(far, turn.shape[0] - 1), np.float64(distance[near])
+            along_x = turn[t, 0, 0] * bearing[0, far] + turn[t, 0, 1] * bearing[1, far]
+            along_y = turn[t, 1, 0] * bearing[0, far] + turn[t, 1, 1] * bearing[1, far]
+            x = round_to_units(origin[0] + reach * along_x, scale) - beams.anchor[0]
+            y = round_to_units(origin[1] + reach * along_y, scale) - beams.anchor[1]
+            corners = _add_corner(outline, corners, x - left, y - bottom, False)
+        corners = _add_corner(outline, corners, ends_x[b] - left, ends_y[b] - bottom, False)
+        drawn = b
+    if kinds[last] != 0 and not full_circle:
+        if drawn != last:
+            x, y = ends_x[last] - left, ends_y[last] - bottom
+            corners = _add_corner(outline, corners, x, y, True)
+        corners = _add_corner(outline, corners, at_x, at_y, False)
+    lowest, highest = min(at_y, low - bottom) >> CELL_SHIFT, max(at_y, high - bottom) >> CELL_SHIFT
+    return corners, (max(lowest, 0), min(highest + 1, rows))
+
+
+@kernel
+def _add_corner(outline: Outline, corners: int, at_x: int, at_y: int, first: bool) -> int:
+    i = np.uint64(corners)
+    outline.x[i], outline.y[i], outline.begins[i] = at_x, at_y, first
+    return corners + 1
 
 
 @kernel
@@ -84,6 +199,53 @@ def _note_spans(touched: tuple[int, int], spans: Spans, stride: int, runs: Int32
         for i in range(begin, begin + size, 2):
             runs[np.uint64(place + limits[np.uint64(i)])] += 1
             runs[np.uint64(place + limits[np.uint64(i + 1)])] -= 1
+
+
+@kernel
+def _list_border(
+    beams: Beams, s: int, corner: Int64, links: UInt8, listed: Int32, cells: Int32
+) -> int:
+    """Write row and column of the cells of a scan's border, some twice; returns how many."""
+    ends_x, ends_y, size = beams.ends_x[s], beams.ends_y[s], 0
+    to_col, to_row = corner[0] >> CELL_SHIFT, corner[1] >> CELL_SHIFT
+    for b in range(links.size):
+        k = np.uint64(size)
+        cells[k, 0] = (ends_y[b] >> CELL_SHIFT) - to_row
+        cells[k, 1] = (ends_x[b] >> CELL_SHIFT) - to_col
+        size += (links[b] & CELL) != 0
+    for i in range(listed.size):
+        b = int(listed[i])
+        if not links[b] & JOINED:
+            continue
+        a = b - 1 if b > 0 else links.size - 1
+        col, row = ends_x[b] >> CELL_SHIFT, ends_y[b] >> CELL_SHIFT
+        across, up = col - (ends_x[a] >> CELL_SHIFT), row - (ends_y[a] >> CELL_SHIFT)
+        right, above = np.sign(across), np.sign(up)
+        n = max(abs(across), abs(up))
+        # From the end cell back along Bresenham's line that begins at the neighbour's cell: halves
+        # are rounded away from the neighbour, so towards this end. Half a unit of 1 / (2 n) keeps
+        # whole numbers from what rounding does.
+        twice_x, twice_y, half, per_2n = 2.0 * abs(across), 2.0 * abs(up), n - 0.5, 0.5 / n
+        for j in range((n - 1 + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
+            steps_x = int(((j + 1) * twice_x + half) * per_2n)
+            steps_y = int(((j + 1) * twice_y + half) * per_2n)
+            k = np.uint64(size + j)
+            cells[k, 0] = row - to_row - above * steps_y
+            cells[k, 1] = col - to_col - right * steps_x
+        size += n - 1
+    return size
+
+
+@kernel
+def _keep_inside(cells: Int32, size: int, rows: int, cols: int) -> int:
+    """Keep those of the listed cells that lie in the window; returns how many."""
+    kept = 0
+    for i in range(size):
+        row, col = cells[i, 0], cells[i, 1]
+        if 0 <= row < rows and 0 <= col < cols:
+            cells[kept, 0], cells[kept, 1] = row, col
+            kept += 1
+    return kept
 
 
 @kernel

@@ -13,24 +13,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Float32, Float64, Int32, Int64, UInt8
+from occmap.arrays import Float64, Int32, Int64, UInt8
 from occmap.grid.kernels.beams import Profile
 from occmap.grid.kernels.fill import Spans, fill_outline, find_rows, make_outline, make_spans
-from occmap.grid.kernels.project import round_to_units
+from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.sectors import (
     BEARINGS,
-    COS_60,
+    ROUNDED,
     bearing_of,
     cover_bearings,
     find_sectors,
+    make_sectors,
     outline_sectors,
+    reach_out,
     stay_inside,
 )
-from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, HALF_CELL, HIT, NO_LENGTH, PAD
+from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, HALF_CELL, HIT, PAD
 from occmap.jit import kernel
 
-ROUNDED = 4
-"""Lattice units by which corners may lie farther out than the sectors that they are made for."""
 MANY = 4096
 """Cells are visited when so many are listed: loops are long, and the lists fit the cache."""
 
@@ -65,17 +65,7 @@ class Listed(NamedTuple):
 
 @kernel
 def trace_radial_polygons(
-    origin: Float64,
-    turn: Float64,
-    bearing: Float64,
-    distance: Float32,
-    kinds: UInt8,
-    full_circle: bool,
-    corner: Int64,
-    units_per_metre: float,
-    profile: Profile,
-    cells: Int64,
-    runs: Int32,
+    beams: Beams, corner: Int64, profile: Profile, cells: Int64, runs: Int32
 ) -> None:
     """Add what every scan says about each cell that it covers, once.
 
@@ -85,94 +75,42 @@ def trace_radial_polygons(
 
     Parameters
     ----------
-    origin, turn, bearing, distance, kinds
-        (S, 1, 2), (S, K, 2, 2), (2, B), (S, B), (S, B) as in `Rays`.
     corner
-        (2,) x and y of the window's corner in lattice units.
+        (2,) x and y of the window's corner (lattice units from the anchor).
     cells
         (H, W + PAD) sums of the entries of the cells that were visited.
     runs
         H x (W + PAD), flat: changes along rows of how often a cell got the first entry of `free`.
     """
-    scans, beams = kinds.shape
+    scans, count = beams.rays.kind.shape
     rows, cols = cells.shape[0], cells.shape[1] - PAD
-    free, hit, depth, plain = profile.free, profile.hit, profile.depth, profile.plain
-    direction, ranges = np.empty((beams, 2), np.float64), np.empty(beams, np.float64)
-    sides = np.empty((beams, 4), np.float64)
-    covers, shares_side = np.empty(beams, np.bool_), np.empty(beams, np.bool_)
-    lengths, covering = np.empty((beams, 4), np.float64), np.empty(BEARINGS + 1, np.int32)
-    limits, within = np.empty(2 * beams + 2, np.float64), np.empty(beams, np.float64)
+    free, depth = profile.free, profile.depth
+    sectors, covering = make_sectors(count), np.empty(BEARINGS + 1, np.int32)
+    limits, within = np.empty(2 * count + 2), np.empty(count)
     room = MANY + cells.shape[1] + AT_A_TIME
-    listed = Listed(
-        np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32),
-        np.empty(2 * room, np.float64),
-    )  # fmt: skip
-    entries = np.concatenate((free[:-1], np.zeros(1, np.int64), hit))
-    outline, outer, inner = make_outline(4 * beams + 4), make_spans(rows), make_spans(rows)
+    places = np.empty((3, room), np.int32)
+    listed = Listed(places[0], places[1], places[2], np.empty(2 * room))
+    entries = np.concatenate((free[:-1], np.zeros(1, np.int64), profile.hit))
+    outline, outer, inner = make_outline(4 * count + 4), make_spans(rows), make_spans(rows)
     for s in range(scans):
-        at_x = round_to_units(origin[s, 0, 0], units_per_metre) - corner[0]
-        at_y = round_to_units(origin[s, 0, 1], units_per_metre) - corner[1]
-        aim(turn[s], bearing, distance[s], units_per_metre, direction, ranges)
-        sign = find_sectors(direction, kinds[s], full_circle, sides, covers, shares_side)
-        side_by_side = cover_bearings(sides, kinds[s], covers, sign, covering)
-        reach_out(direction, ranges, kinds[s], full_circle, depth, sides, lengths)
-        corners = outline_sectors(at_x, at_y, sides, lengths, covers, shares_side, outline)
+        ranges, kinds = beams.ranges[s], beams.rays.kind[s]
+        at_x, at_y = beams.origins[s, 0, 0] - corner[0], beams.origins[s, 0, 1] - corner[1]
+        sign = find_sectors(beams, s, sectors)
+        side_by_side = cover_bearings(sectors, kinds, sign, covering)
+        reach_out(beams, s, depth, sectors)
+        corners = outline_sectors(at_x, at_y, sectors, outline)
         touched = find_rows(outline.y, corners, rows)
         outer = fill_outline(outline, corners, touched, cols, outer)
         inner.counts[:] = 0
         if side_by_side:
-            for b in range(beams):
-                within[b] = max(plain * (ranges[b] - depth) * (1 - 1e-6) - ROUNDED, 0.0)
-            stay_inside(within, sides, sign, shares_side, lengths)
-            corners = outline_sectors(at_x, at_y, sides, lengths, covers, shares_side, outline)
+            for b in range(count):
+                within[b] = max(profile.plain * (ranges[b] - depth) * (1 - 1e-6) - ROUNDED, 0.0)
+            stay_inside(within, sign, sectors)
+            corners = outline_sectors(at_x, at_y, sectors, outline)
             inner = fill_outline(outline, corners, touched, cols, inner)
-        limit_ranges(ranges, kinds[s], depth, free.size - 1, limits)
+        limit_ranges(ranges, kinds, depth, free.size - 1, limits)
         view = View(at_x, at_y, covering, limits, depth, entries)
         _observe_spans(view, touched, outer, inner, listed, cells, runs)
-
-
-@kernel
-def aim(
-    turn: Float64,
-    bearing: Float64,
-    distance: Float32,
-    units_per_metre: float,
-    direction: Float64,
-    ranges: Float64,
-) -> None:
-    """Write one scan's unit vectors (B, 2) and ranges (B,) in the map plane (lattice units)."""
-    for b in range(distance.size):
-        t = min(b, turn.shape[0] - 1)
-        x = turn[t, 0, 0] * bearing[0, b] + turn[t, 0, 1] * bearing[1, b]
-        y = turn[t, 1, 0] * bearing[0, b] + turn[t, 1, 1] * bearing[1, b]
-        length = max(np.sqrt(x * x + y * y), NO_LENGTH)
-        direction[b, 0], direction[b, 1] = x / length, y / length
-        ranges[b] = distance[b] * length * units_per_metre
-
-
-@kernel
-def reach_out(
-    direction: Float64,
-    ranges: Float64,
-    kinds: UInt8,
-    full_circle: bool,
-    depth: float,
-    sides: Float64,
-    lengths: Float64,
-) -> None:
-    """Write how far sectors must go to hold every cell that their beams reach.
-
-    That is to the tangent at the outermost circle, and a little more for rounding. A side lies at
-    most 60 degrees from its beam; a beam straight up has no sides.
-    """
-    for b in range(kinds.size):
-        reach = ranges[b] + (depth if kinds[b] == HIT else 0.0) + ROUNDED
-        for side in range(2):
-            cosine = sides[b, 2 * side] * direction[b, 0] + sides[b, 2 * side + 1] * direction[b, 1]
-            lengths[b, 2 * side] = reach / max(cosine, COS_60 / 2)
-            lengths[b, 2 * side + 1] = 0.0
-    for b in range(0 if full_circle else 1, kinds.size):
-        lengths[b - 1, 2] = lengths[b, 0] = max(lengths[b - 1, 2], lengths[b, 0])
 
 
 @kernel

@@ -4,17 +4,22 @@ A beam covers the bearings from half-way to the beam before it to half-way to th
 most 60 degrees to either side. Where two cover one bearing, the later counts.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from occmap.arrays import Bool, Float64, Int32, UInt8
 from occmap.grid.kernels.fill import Outline
-from occmap.grid.kernels.units import NO_LENGTH, SKIP
+from occmap.grid.kernels.projection import Beams
+from occmap.grid.kernels.units import HIT, NO_LENGTH, SKIP
 from occmap.jit import kernel
 
 BEARINGS = 1 << 14
 """Steps of a full turn to which the bearing of a cell is known."""
 STEP = 5e-4
 """More than the angle of such a step (rad), which is twice as wide on diagonals as along axes."""
+ROUNDED = 4
+"""Lattice units by which corners may lie farther out than the sectors that they are made for."""
 BESIDE = 2.0
 """How far rounding may take a corner to the side (lattice units)."""
 COS_60, SIN_60 = 0.5, 0.75**0.5
@@ -24,50 +29,72 @@ less (rad) turns neither way, and a sector this narrow covers nothing. All of th
 upright laser, whose beams lie in one vertical plane."""
 
 
-@kernel
-def find_sectors(
-    direction: Float64,
-    kinds: UInt8,
-    full_circle: bool,
-    sides: Float64,
-    covers: Bool,
-    shares_side: Bool,
-) -> float:
-    """Find what each beam covers: from half-way to one neighbour to half-way to the other.
+class Sectors(NamedTuple):
+    """What each beam of a scan covers: from half-way to one neighbour to half-way to the other."""
 
-    `sides` (B, 4) is written: x and y of the unit vector at the side of the beam before, and of
-    that at the side of the beam after, at most 60 degrees away. `covers` (B,) too: False where a
-    beam is SKIP, and where its sides lie the wrong way round. That happens where a scan is not seen
-    from where it was taken and a nearer thing shifts across a farther one; its neighbours' sectors
-    then overlap. `shares_side` (B,) says whether a sector begins where the one before ends, which
-    60 degrees may have ended earlier.
+    direction: Float64
+    """(B, 2) of the beams, of length 1"""
+    sides: Float64
+    """(B, 4) x and y of the unit vector at the side of the beam before, and of that at the side of
+    the beam after, at most 60 degrees away"""
+    covers: Bool
+    """(B,) False where a beam is SKIP, and where its sides lie the wrong way round. That happens
+    where a scan is not seen from where it was taken and a nearer thing shifts across a farther one;
+    its neighbours' sectors then overlap"""
+    shares_side: Bool
+    """(B,) whether a sector begins where the one before ends, which 60 degrees may have ended
+    earlier"""
+    lengths: Float64
+    """(B, 4) how far to outline a sector along each of its sides, and how far to the left of it, in
+    lattice units from the sensor"""
+
+
+@kernel
+def make_sectors(count: int) -> Sectors:
+    """Room for the sectors of so many beams."""
+    sides, lengths = np.empty((count, 4)), np.empty((count, 4))
+    covers, shares_side = np.empty(count, np.bool_), np.empty(count, np.bool_)
+    return Sectors(np.empty((count, 2)), sides, covers, shares_side, lengths)
+
+
+@kernel
+def find_sectors(beams: Beams, s: int, sectors: Sectors) -> float:
+    """Find what each beam of a scan covers; all but `lengths` is written.
 
     Returns
     -------
     1 where the scan turns counter-clockwise or neither way, -1 where clockwise.
     """
-    beams = kinds.size
-    turn = 0.0
-    for b in range(1, beams):
+    direction, sides = sectors.direction, sectors.sides
+    covers, shares_side = sectors.covers, sectors.shares_side
+    turns, bearing, kinds = beams.rays.turn[s], beams.rays.bearing, beams.rays.kind[s]
+    count, turn = kinds.size, 0.0
+    for b in range(count):
+        t = min(b, turns.shape[0] - 1)
+        x = turns[t, 0, 0] * bearing[0, b] + turns[t, 0, 1] * bearing[1, b]
+        y = turns[t, 1, 0] * bearing[0, b] + turns[t, 1, 1] * bearing[1, b]
+        length = max(np.sqrt(x * x + y * y), NO_LENGTH)
+        direction[b, 0], direction[b, 1] = x / length, y / length
+    for b in range(1, count):
         turn += direction[b - 1, 0] * direction[b, 1] - direction[b - 1, 1] * direction[b, 0]
     sign = 1.0 if turn >= -ROUNDING else -1.0
-    for b in range(beams):
-        after = b + 1 if b < beams - 1 else 0
+    for b in range(count):
+        after = b + 1 if b < count - 1 else 0
         x, y = direction[b, 0] + direction[after, 0], direction[b, 1] + direction[after, 1]
         length = np.sqrt(x * x + y * y)
         share = 1 / length if length > ROUNDING else 0.0
         sides[b, 2], sides[b, 3] = share * x, share * y
         sides[after, 0], sides[after, 1] = share * x, share * y
-    if not full_circle:
+    if not beams.rays.full_circle:
         # The first beam and the last cover as much beyond themselves as to their neighbour.
-        last = beams - 1
+        last = count - 1
         cosine = sides[0, 2] * direction[0, 0] + sides[0, 3] * direction[0, 1]
         sides[0, 0] = 2 * cosine * direction[0, 0] - sides[0, 2]
         sides[0, 1] = 2 * cosine * direction[0, 1] - sides[0, 3]
         cosine = sides[last, 0] * direction[last, 0] + sides[last, 1] * direction[last, 1]
         sides[last, 2] = 2 * cosine * direction[last, 0] - sides[last, 0]
         sides[last, 3] = 2 * cosine * direction[last, 1] - sides[last, 1]
-    for b in range(beams):
+    for b in range(count):
         along_x, along_y = direction[b, 0], direction[b, 1]
         for side in range(0, 4, 2):
             if sides[b, side] * along_x + sides[b, side + 1] * along_y < COS_60:
@@ -76,7 +103,7 @@ def find_sectors(
                 sides[b, side + 1] = COS_60 * along_y + sine * along_x
         widening = sides[b, 0] * sides[b, 3] - sides[b, 1] * sides[b, 2]
         covers[b] = kinds[b] != 0 and sign * widening > ROUNDING
-    for b in range(beams):
+    for b in range(count):
         shared = sides[b - 1, 2] == sides[b, 0] and sides[b - 1, 3] == sides[b, 1]
         shares_side[b] = b > 0 and covers[b - 1] and covers[b] and shared
     return sign
@@ -95,15 +122,14 @@ def bearing_of(x: float, y: float) -> np.int64:
 
 
 @kernel
-def cover_bearings(
-    sides: Float64, kinds: UInt8, covers: Bool, sign: float, covering: Int32
-) -> bool:
+def cover_bearings(sectors: Sectors, kinds: UInt8, sign: float, covering: Int32) -> bool:
     """Write for each step of a turn the beam that covers it, the later of two; B where none does.
 
     Returns
     -------
     Whether the beams lie side by side: each that is not SKIP has a step, and none has another's.
     """
+    sides, covers = sectors.sides, sectors.covers
     covering[:] = covers.size
     right = 0 if sign > 0 else 2
     side_by_side, given = True, np.int64(0)
@@ -126,24 +152,40 @@ def cover_bearings(
 
 
 @kernel
-def stay_inside(
-    own: Float64, sides: Float64, sign: float, shares_side: Bool, lengths: Float64
-) -> None:
+def reach_out(beams: Beams, s: int, depth: float, sectors: Sectors) -> None:
+    """Write how far sectors must go to hold every cell that their beams reach.
+
+    That is to the tangent at the outermost circle, and a little more for rounding. A side lies at
+    most 60 degrees from its beam; a beam straight up has no sides.
+    """
+    sides, direction, lengths = sectors.sides, sectors.direction, sectors.lengths
+    ranges, kinds = beams.ranges[s], beams.rays.kind[s]
+    for b in range(kinds.size):
+        reach = ranges[b] + (depth if kinds[b] == HIT else 0.0) + ROUNDED
+        for i in range(0, 4, 2):
+            cosine = sides[b, i] * direction[b, 0] + sides[b, i + 1] * direction[b, 1]
+            lengths[b, i], lengths[b, i + 1] = reach / max(cosine, COS_60 / 2), 0.0
+    for b in range(0 if beams.rays.full_circle else 1, kinds.size):
+        lengths[b - 1, 2] = lengths[b, 0] = max(lengths[b - 1, 2], lengths[b, 0])
+
+
+@kernel
+def stay_inside(own: Float64, sign: float, sectors: Sectors) -> None:
     """Write how far sectors go so that what is outlined is surely theirs and no longer than `own`.
 
     Where neighbours differ (B,), the outline runs within the longer, so far from their side that no
     cell of it is the shorter's. A sector that is too narrow for that goes only as far as both of
     its neighbours do.
     """
-    beams = shares_side.size
-    reach, inward = np.empty(beams, np.float64), np.empty(beams, np.float64)
-    for b in range(beams):
-        after = b + 1 if b + 1 < beams else 0
+    sides, shares_side, lengths = sectors.sides, sectors.shares_side, sectors.lengths
+    reach, inward = np.empty(own.size), np.empty(own.size)
+    for b in range(own.size):
+        after = b + 1 if b + 1 < own.size else 0
         width = abs(sides[b, 0] * sides[b, 3] - sides[b, 1] * sides[b, 2])
         is_wide = own[b] * width > 2 * (BESIDE + STEP * own[b])
         inward[b] = sign if is_wide else 0.0
         reach[b] = own[b] if is_wide else min(own[b - 1], own[b], own[after])
-    for b in range(beams):
+    for b in range(own.size):
         least, shift_before, shift = 0.0, -inward[b - 1], inward[b]
         if shares_side[b]:
             least = min(reach[b - 1], reach[b])
@@ -156,21 +198,13 @@ def stay_inside(
 
 
 @kernel
-def outline_sectors(
-    at_x: int,
-    at_y: int,
-    sides: Float64,
-    lengths: Float64,
-    covers: Bool,
-    shares_side: Bool,
-    outline: Outline,
-) -> int:
+def outline_sectors(at_x: int, at_y: int, sectors: Sectors, outline: Outline) -> int:
     """Write corners around the sectors of beams; returns their number.
 
-    `lengths` (B, 4) says, for each of the two sides of a sector, how far it goes along that, and
-    how far to the left of it, in lattice units from the sensor at `at_x`, `at_y`. A run of sectors
-    that share their sides is closed at the sensor.
+    A run of sectors that share their sides is closed at the sensor, at `at_x`, `at_y`.
     """
+    sides, lengths = sectors.sides, sectors.lengths
+    covers, shares_side = sectors.covers, sectors.shares_side
     x, y, begins = outline.x, outline.y, outline.begins
     corners = 0
     for b in range(covers.size):

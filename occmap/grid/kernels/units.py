@@ -33,4 +33,4 @@ ALONE = BETWEEN = 2
 """What a beam weighs in it without its neighbours, and what one that is drawn between two does."""
 BEAM_WEIGHT = ALONE + 2 * MOST_BETWEEN
 """The most that a beam weighs: its own 2, and 3 for each of two neighbours on its surface. The
-module `neighbours` says how."""
+module `projection` says how."""

@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.arrays import Float64, Int32, Int64
-from occmap.grid.kernels.beams import Beams, Lines, Profile, list_lines, make_lines, note_lines
+from occmap.grid.kernels.beams import Lines, Profile, list_lines, make_lines, note_lines
 from occmap.grid.kernels.lines import count_steps, draw_line
+from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.sums import Changes
 from occmap.grid.kernels.units import (
     AT_A_TIME,
@@ -68,7 +69,7 @@ def trace_window(
     """
     rows, cols, numbers = cells.shape[0], cells.shape[1] - PAD, cells.ravel()
     lines, notes, entries = make_room(beams, profile, rows, cols)
-    for s in range(len(beams.kinds)):
+    for s in range(len(beams.rays.kind)):
         size = list_lines(beams, s, profile, corner, rows, cols, lines)
         note_lines(lines, size, rows, cols, changes)
         k = 0
@@ -81,43 +82,23 @@ def trace_window(
 def trace_tiles(beams: Beams, profile: Profile, corner: Int64, tiles: Tiles) -> None:
     """Add to the cells of tiles what a model says of every beam; parameters as `trace_window`."""
     rows, cols = tiles.table.shape[0] * TILE, tiles.table.shape[1] * TILE
-    col_bits = 0
-    while 1 << col_bits < cols:
-        col_bits += 1
+    col_bits, counts = int(np.ceil(np.log2(cols))), profile.hit.size == 1
     lines, notes, entries = make_room(beams, profile, rows, cols)
-    for s in range(len(beams.kinds)):
+    for s in range(len(beams.rays.kind)):
         size = list_lines(beams, s, profile, corner, rows, cols, lines)
-        visit_lines(lines, size, profile.free[0], tiles)
-        k = 0
+        visit_lines(lines, size, profile.free[0], counts, tiles)
+        k = size if counts else 0
         while k < size:
-            if profile.hit.size == 1:
-                k, fill = list_ends(lines, size, profile, 1 << col_bits, notes)
-            else:
-                k, fill = list_slopes(lines, k, size, profile, 1 << col_bits, notes)
+            k, fill = list_slopes(lines, k, size, profile, 1 << col_bits, notes)
             add_to_tiles(notes[:fill], entries, col_bits, tiles)
 
 
 @kernel
 def make_room(beams: Beams, profile: Profile, rows: int, cols: int) -> tuple[Lines, Float64, Int64]:
     """Room for the lines of a scan, room for notes, and the entries that notes speak of."""
-    lines = make_lines(beams.kinds.shape[1])
+    lines = make_lines(beams.rays.kind.shape[1])
     notes = np.empty(lines.ranges.size + max(rows, cols) + AT_A_TIME)
     return lines, notes, np.concatenate((profile.free, profile.hit, np.zeros(1, np.int64)))
-
-
-@kernel
-def list_ends(
-    lines: Lines, size: int, profile: Profile, stride: int, notes: Float64
-) -> tuple[int, int]:
-    """List what the ends of HIT beams get, in notes as `list_slopes` makes them."""
-    cells, parts, weights = lines.cells, lines.parts, lines.weights
-    fill = 0
-    for k in range(size):
-        if parts[k, 1] < parts[k, 2]:
-            place = cells[k, 3] * stride + cells[k, 2]
-            notes[fill] = (((place << WEIGHT_BITS) + weights[k]) << ENTRY_BITS) + profile.free.size
-            fill += 1
-    return size, fill
 
 
 @kernel
@@ -212,13 +193,16 @@ def add_to_tiles(notes: Float64, entries: Int64, col_bits: int, tiles: Tiles) ->
 
 
 @kernel
-def visit_lines(lines: Lines, size: int, entry: int, tiles: Tiles) -> None:
-    """Add an entry to the plain cells of lines, in the last layer, tile by tile."""
+def visit_lines(lines: Lines, size: int, entry: int, ends: bool, tiles: Tiles) -> None:
+    """Add an entry to the plain cells of lines, in the last layer, tile by tile.
+
+    With `ends`, it is added to the end cells of HIT beams as well, in the first layer.
+    """
     cells, parts, weights = lines.cells, lines.parts, lines.weights
     table, used, numbers = tiles.table, tiles.used, tiles.numbers
     places = np.empty(TILE + AT_A_TIME, np.int64)
     for k in range(size):
-        i, end = parts[k, 0], parts[k, 1]
+        i, plain, end = parts[k, 0], parts[k, 1], parts[k, 2 if ends else 1]
         if i >= end:
             continue
         line = draw_line(cells[k, 0], cells[k, 1], cells[k, 2], cells[k, 3])
@@ -241,15 +225,15 @@ def visit_lines(lines: Lines, size: int, entry: int, tiles: Tiles) -> None:
         while i < end:
             # As `find_step` has it: half a unit of 1 / (2 m) keeps it from what rounding does.
             next_v = int((float(n * (2 * step - 1) + 2 * m) - 0.5) * per_2m) if m else end
-            stop = min(next_u, next_v, end)
+            stop = min(next_u, next_v, plain if i < plain else end)
             row, col = (u, v) if line.steep else (v, u)
             up, right = np.uint64(row >> TILE_BITS), np.uint64(col >> TILE_BITS)
             tile = np.int64(table[up, right])
             if tile < 0:
                 tile = table[up, right] = used[0]
                 used[0] += 1
-            layer = (tile * tiles.layers + tiles.layers - 1) * TILE**2
-            place = layer + ((row & INSIDE) << TILE_BITS) + (col & INSIDE)
+            layer = tile * tiles.layers + (tiles.layers - 1 if i < plain else 0)
+            place = layer * TILE**2 + ((row & INSIDE) << TILE_BITS) + (col & INSIDE)
             place -= (q >> SLOPE_BITS) * across
             # Places are worked out many at a time, in a loop of their own.
             for j in range((stop - i + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):

@@ -1,0 +1,128 @@
+"""Rays on the lattice: where beams end, and what neighbours together say of a surface.
+
+Ends are rounded as `occmap.grid.lattice` does.
+
+In the surface update, a denser laser would have sent more beams between two neighbours that meet
+one surface. They are drawn as far as cells lie between the ends, and from five eighths of their way
+on: nearer the sensor they run through cells that the two beams cross anyway. The weight of those
+that are not drawn goes to the two beams, so that every pair weighs the same however far away the
+surface is.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from occmap.arrays import Float64, Int32, Int64, UInt8
+from occmap.grid.kernels.units import ALONE, CELL_SHIFT, FREE, HIT, MOST_BETWEEN, NO_LENGTH
+from occmap.jit import kernel
+from occmap.types import Rays
+
+WIDEST_GAP = 12
+"""Nothing is known of a surface between ends that lie more cells apart."""
+SLANT = 0.1
+"""The share of the nearer range by which two may differ: far walls are seen at a slant."""
+
+
+class Beams(NamedTuple):
+    """The beams of a batch on the lattice, in units from an anchor."""
+
+    rays: Rays
+    """Of which this says where on the lattice they lie"""
+    units_per_metre: float
+    """Lattice units in a metre"""
+    anchor: Int64
+    """(2,) x and y of a corner of a cell near the beams (lattice units)"""
+    origins: Int64
+    """(S, K, 2)"""
+    ends_x: Int32
+    """(S, B); a HIT beam is followed to its range + the model's depth"""
+    ends_y: Int32
+    """(S, B)"""
+    ranges: Float64
+    """(S, B) on the map; (0, 0) where no model asks"""
+    weights: UInt8
+    """(S, B) what each beam counts"""
+    between: UInt8
+    """(S, B) how many beams are drawn between each and the next"""
+
+
+@kernel
+def round_to_units(metres: float, units_per_metre: float) -> int:
+    """Round a coordinate to lattice units, as `Lattice.to_units` does."""
+    return int(np.rint(metres * units_per_metre))
+
+
+@kernel
+def project_ends(beams: Beams, depth: float) -> tuple[int, int, int, int]:
+    """Compute where beams end, and their ranges where a model asks.
+
+    A beam straight up or down has no direction on the map, and ends where it begins.
+
+    Parameters
+    ----------
+    depth
+        How far beyond its range a HIT beam is followed on the map (m).
+
+    Returns
+    -------
+    The lowest x and y of all ends, and the highest x and y.
+    """
+    origin, turn, bearing = beams.rays.origin, beams.rays.turn, beams.rays.bearing
+    distance, kinds, ranges = beams.rays.distance, beams.rays.kind, beams.ranges
+    ends_x, ends_y, scale = beams.ends_x, beams.ends_y, beams.units_per_metre
+    anchor_x, anchor_y = float(beams.anchor[0]), float(beams.anchor[1])
+    (scans, count), turns = kinds.shape, turn.shape[1]
+    left = bottom = np.int32(2**31 - 1)
+    right = top = np.int32(-(2**31))
+    for s in range(scans):
+        for t in range(turns):
+            k, first, end = min(t, origin.shape[1] - 1), t, t + 1
+            if turns == 1:
+                first, end = 0, count
+            at_x, at_y = origin[s, k, 0], origin[s, k, 1]
+            xx, xy, yx, yy = turn[s, t, 0, 0], turn[s, t, 0, 1], turn[s, t, 1, 0], turn[s, t, 1, 1]
+            bearing_x, bearing_y = bearing[0, first:end], bearing[1, first:end]
+            far, kind, of = distance[s, first:end], kinds[s, first:end], ranges[s, first:end]
+            x, y = ends_x[s, first:end], ends_y[s, first:end]
+            for b in range(end - first):
+                along_x = xx * bearing_x[b] + xy * bearing_y[b]
+                along_y = yx * bearing_x[b] + yy * bearing_y[b]
+                length = np.sqrt(along_x * along_x + along_y * along_y)
+                beyond = depth / max(length, NO_LENGTH)
+                reach = np.float64(far[b]) + (beyond if kind[b] == HIT else 0.0)
+                x[b] = np.int32(np.rint((at_x + reach * along_x) * scale) - anchor_x)
+                y[b] = np.int32(np.rint((at_y + reach * along_y) * scale) - anchor_y)
+                of[b] = far[b] * length * scale
+        for b in range(count):  # a loop of its own: many ends are compared at a time
+            left, right = min(left, ends_x[s, b]), max(right, ends_x[s, b])
+            bottom, top = min(bottom, ends_y[s, b]), max(top, ends_y[s, b])
+    return int(left), int(bottom), int(right), int(top)
+
+
+@kernel
+def link_neighbours(beams: Beams, jump: float) -> None:
+    """Say how many beams to draw between each beam and the next, and what each beam weighs.
+
+    Neighbours meet one surface where their ranges differ by at most `jump` (m) or by a tenth.
+    """
+    distance, kinds = beams.rays.distance, beams.rays.kind
+    ends_x, ends_y = beams.ends_x, beams.ends_y
+    weights, between = beams.weights, beams.between
+    scans, count = kinds.shape
+    weights[:] = ALONE
+    for s in range(scans):
+        for b in range(count if beams.rays.full_circle and count > 1 else count - 1):
+            c = b + 1 if b + 1 < count else 0
+            here, there = float(distance[s, b]), float(distance[s, c])
+            across, up = abs(ends_x[s, c] - ends_x[s, b]), abs(ends_y[s, c] - ends_y[s, b])
+            cells = max(across, up) >> CELL_SHIFT
+            both_hit = (kinds[s, b] == HIT) & (kinds[s, c] == HIT)
+            one_surface = abs(here - there) <= max(jump, SLANT * min(here, there))
+            joined = both_hit & one_surface & (cells <= WIDEST_GAP)
+            both_free = (kinds[s, b] == FREE) & (kinds[s, c] == FREE)
+            drawn = min(cells, MOST_BETWEEN) if joined else 0
+            rest = MOST_BETWEEN - drawn if joined | both_free else 0
+            between[s, b] = drawn
+            weights[s, b] += rest
+            weights[s, c] += rest
