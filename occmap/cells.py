@@ -65,9 +65,8 @@ class OccupancyMap:
     @property
     def probability(self) -> Float32:
         """(H, W) probability of being occupied, 1 / (1 + exp(-log_odds))."""
-        odds = np.exp(-np.abs(self.log_odds))
-        numerator: Float32 = np.where(self.log_odds < 0, odds, np.float32(1))
-        return np.asarray(numerator / (1 + odds))
+        # Neither power of e overflows.
+        return np.asarray(np.exp(np.minimum(self.log_odds, 0)) / (1 + np.exp(-abs(self.log_odds))))
 
     @property
     def occupied(self) -> Bool:

@@ -11,9 +11,9 @@ import shutil
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,10 +23,9 @@ from occmap.errors import OutputError
 from occmap.evidence.manifest import UNRECORDED, write_value
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
 from occmap.fleet.reducing import BlockJob, reduce_block
-from occmap.fleet.runs import Piece, read_pieces
+from occmap.fleet.runs import Piece, Setting, read_pieces
 from occmap.fleet.settling import LogTrace
 from occmap.fleet.tasks import (
-    Setting,
     Survey,
     SurveyJob,
     Traced,
@@ -116,14 +115,14 @@ class Fleet:
             sizes = self.slice_bytes, window, spare
             setting = Setting(options, keep, folder, *sizes, logs=len(paths))
             with tally.time("open"):
-                surveys = survey_logs(cluster, setting, paths)
+                surveys = cluster.run("open", survey_log, list_surveys(setting, paths))
             blocks: dict[Block, dict[int, list[Piece]]] = defaultdict(lambda: defaultdict(list))
-            for log in trace_parts(cluster, setting, surveys, progress):
+            for place, log in enumerate(trace_parts(cluster, setting, surveys, progress)):
                 remarks.note(log.survey.path, log.parts[0].log_notes, log.list_findings())
                 for part in log.parts:
                     tally.add(part.tally)
                     for block, pieces in part.pieces.items():
-                        blocks[block][log.survey.log] += pieces
+                        blocks[block][place] += pieces
                 remarks.notes += log.list_uncut()
             yield Work(cluster, setting, tally, remarks, blocks)
 
@@ -169,20 +168,11 @@ def describe_state(path: Path) -> list[int]:
     return [number for each in inner for number in (each.stat().st_size, each.stat().st_mtime_ns)]
 
 
-def survey_logs(cluster: Cluster, setting: Setting, paths: Sequence[Path]) -> list[Survey]:
-    """Open all logs.
-
-    Raises
-    ------
-    OccmapError
-        A log cannot be read, or has no scans or no poses.
-    """
-    jobs = [SurveyJob(setting, place, path) for place, path in enumerate(paths)]
-    surveys = cluster.run("open", survey_log, jobs)
-    for survey in surveys:
-        if survey.error is not None:
-            raise survey.error
-    return surveys
+def list_surveys(setting: Setting, paths: Sequence[Path]) -> list[SurveyJob]:
+    """List the logs that are to be opened."""
+    return [
+        SurveyJob(setting, f"log{place:05}", str(path), path) for place, path in enumerate(paths)
+    ]
 
 
 def trace_parts(
@@ -206,24 +196,22 @@ def trace_parts(
 
 def plan_traces(cluster: Cluster, setting: Setting, surveys: Sequence[Survey]) -> list[LogTrace]:
     """Plan the parts of all logs; for a stride, the wanted scans of each are counted first."""
-    counts = {survey.log: [0] * survey.parts for survey in surveys}
-    if setting.options.selection.stride > 1:
-        jobs = [
-            job
-            for survey in surveys
-            for job in LogTrace(setting, survey, counts[survey.log]).jobs
-            if survey.parts > 1
-        ]
-        for job, wanted in zip(jobs, cluster.run("count", count_in_window, jobs), strict=True):
-            counts[job.survey.log][job.part or 0] = wanted
-    return [LogTrace(setting, survey, counts[survey.log]) for survey in surveys]
+    logs = [LogTrace(setting, survey, [0] * survey.parts) for survey in surveys]
+    if setting.options.selection.stride == 1:
+        return logs
+    jobs = [job for log in logs if log.survey.parts > 1 for job in log.jobs]
+    wanted = iter(cluster.run("count", count_in_window, jobs))
+    return [
+        LogTrace(setting, survey, list(islice(wanted, survey.parts))) if survey.parts > 1 else log
+        for survey, log in zip(surveys, logs, strict=True)
+    ]
 
 
 def list_reductions(work: Work) -> list[BlockJob]:
     """List the blocks that are to be added up, each with all that was observed in it."""
     return [
-        BlockJob(work.setting, block, tuple(chain.from_iterable(work.blocks[block].values())))
-        for block in sorted(work.blocks)
+        replace(BlockJob.of(work.setting, block), pieces=tuple(chain.from_iterable(found.values())))
+        for block, found in sorted(work.blocks.items())
     ]
 
 

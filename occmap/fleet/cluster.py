@@ -5,26 +5,16 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from occmap.errors import FleetError
+from occmap.fleet.runs import AnyJob, Job, Result
 from occmap.plugins import need_extra
 from occmap.wording import count
 
 if TYPE_CHECKING:
     from distributed import Client
 
-
-class Job(Protocol):
-    """What a task is given."""
-
-    @property
-    def where(self) -> str:
-        """What an error is about."""
-
-
-AnyJob = TypeVar("AnyJob", bound=Job)
-Result = TypeVar("Result")
 
 LOCAL = "local"
 """The address that stands for processes on this machine"""

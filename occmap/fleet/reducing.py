@@ -1,32 +1,37 @@
 """What workers do with blocks of the map: add up what parts of logs observed in them."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
 
 from occmap.cells import Slices
 from occmap.engines import make_grid
-from occmap.fleet.runs import Piece, do_once, read_pieces, write_run
-from occmap.fleet.tasks import Setting
+from occmap.fleet.runs import Job, Piece, Setting, once, read_pieces, write_run
 from occmap.grid.slices import unite
 from occmap.grid.tiles import add_stack, stack_tiles
 from occmap.store.blocks import Block, BlockContent
 
 
-class BlockJob(NamedTuple):
+@dataclass(frozen=True)
+class BlockJob(Job):
     """A block of the map to be added up, written or painted."""
 
-    setting: Setting
     block: Block
     pieces: tuple[Piece, ...] = ()
     """All that parts of logs observed in it"""
     logs: tuple[int, ...] = ()
     """Which files of logs observed something in it; none in a block that lies beside others"""
 
-    @property
-    def where(self) -> str:
-        """What an error is about."""
-        return f"block {tuple(self.block)}"
+    store: Path = Path()
+    """Where it is written"""
+
+    @classmethod
+    def of(cls, setting: Setting, block: Block) -> Self:
+        """Make a job of a block of which nothing is known yet."""
+        return cls(setting, f"block{block.row}_{block.col}", f"block {tuple(block)}", block)
 
 
+@once
 def reduce_block(job: BlockJob) -> Piece:
     """Add up all that was observed in a block, and leave it in a run file of its own.
 
@@ -35,12 +40,8 @@ def reduce_block(job: BlockJob) -> Piece:
     OccmapError
         A run file cannot be read, or the scratch folder cannot be written.
     """
-    folder, name = job.setting.folder, "block{}_{}".format(*job.block)
-
-    def reduce() -> Piece:
-        return write_run(folder, f"{name}.run", [(job.block, add_up(job))])[job.block]
-
-    return do_once(folder / f"{name}.sum", reduce)
+    parts = [(job.block, add_up(job))]
+    return write_run(job.setting.folder, f"{job.name}.run", parts)[job.block]
 
 
 def add_up(job: BlockJob) -> BlockContent:

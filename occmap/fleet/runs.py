@@ -6,6 +6,8 @@ are renamed into place, the stub last: where it is there, the task is done for g
 
 import pickle
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import wraps
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -13,15 +15,47 @@ from typing import Any, NamedTuple, TypeVar
 import zstandard
 
 from occmap.errors import MapError
+from occmap.observing import Keep
+from occmap.options import BuildOptions
 from occmap.store.blocks import Block, BlockContent
 from occmap.writers.atomic import open_atomic
 
+AnyJob = TypeVar("AnyJob", bound="Job")
 Result = TypeVar("Result")
 
 ALIGNED = 64
 """Arrays begin at multiples of this (bytes)"""
 COMPRESSOR = zstandard.ZstdCompressor(write_checksum=True)
 """Its checksum tells altered data from what was written"""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What all tasks of a build share."""
+
+    options: BuildOptions
+    keep: Keep
+    folder: Path
+    """Where results go"""
+    slice_bytes: int
+    """About how much of a log is one task"""
+    window_cells: int
+    """The largest window of an engine"""
+    most_bytes: int
+    """How much evidence is kept in memory before it goes to a run file"""
+    logs: int = 1
+    """How many logs the build has"""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a task is given."""
+
+    setting: Setting
+    name: str
+    """What its files are called"""
+    where: str
+    """What an error is about"""
 
 
 class Piece(NamedTuple):
@@ -101,20 +135,23 @@ def read_mapped(path: Path) -> Any:
     return pickle.loads(head, buffers=[data[start : start + size] for start, size in spans])
 
 
-def do_once(stub: Path, task: Callable[[], Result]) -> Result:
-    """Do a task and keep its result, or give the result of a task that is done.
+def once(task: Callable[[AnyJob], Result]) -> Callable[[AnyJob], Result]:
+    """Let a task keep its result, and give that at once where it is there already.
 
-    Raises
-    ------
-    OccmapError
-        As the task, or its result cannot be written.
+    Then it also raises OutputError, where its result cannot be written.
     """
-    known: Result | None = read_stub(stub)
-    if known is not None:
-        return known
-    result = task()
-    write_stub(stub, result)
-    return result
+
+    @wraps(task)
+    def do_once(job: AnyJob) -> Result:
+        stub = job.setting.folder / f"{job.name}.{task.__name__}"
+        known: Result | None = read_stub(stub)
+        if known is not None:
+            return known
+        result = task(job)
+        write_stub(stub, result)
+        return result
+
+    return do_once
 
 
 def write_stub(path: Path, value: Any) -> None:

@@ -1,13 +1,15 @@
 """From the parts of a log to what the whole log shows: exactly what one process would find."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import accumulate
 
 import numpy as np
 
 from occmap.arrays import Float64
 from occmap.batching import FROM_THE_START, Seam
-from occmap.fleet.tasks import Setting, Survey, Traced, TraceJob
+from occmap.fleet.runs import Setting
+from occmap.fleet.tasks import Survey, Traced, TraceJob
 from occmap.posing.course import STANDS, STILL_M
 from occmap.posing.leaps import MOST_PATHS, Ends, Laser
 from occmap.sensor.no_return import RangeLimits
@@ -24,10 +26,10 @@ class LogTrace:
 
     def __init__(self, setting: Setting, survey: Survey, wanted: Sequence[int]) -> None:
         self.survey = survey
-        self.jobs = [
-            TraceJob(setting, survey, part, Seam(survey.first_ns if part else None, before))
-            for part, before in enumerate(accumulate(wanted[:-1], initial=0))
-        ]
+        self.jobs = []
+        for part, before in enumerate(accumulate(wanted[:-1], initial=0)):
+            seam, name = Seam(survey.first_ns if part else None, before), f"{survey.name}-{part:05}"
+            self.jobs.append(TraceJob(setting, name, str(survey.path), survey, part, seam))
         self.traced: dict[str, Traced] = {}
         """By the names of jobs"""
         self.limits: RangeLimits | None = None
@@ -61,14 +63,17 @@ class LogTrace:
     def _settle(self) -> None:
         """Find what the whole log shows, and what has to be traced once more by that."""
         if len(self.jobs) > 1 and not self._is_sum_of_parts():
-            self.jobs = [self.jobs[0]._replace(part=None, seam=FROM_THE_START)]
+            name = f"{self.survey.name}-whole"
+            self.jobs = [replace(self.jobs[0], name=name, part=None, seam=FROM_THE_START)]
             return
         self.limits = RangeLimits(self.jobs[0].setting.options.returns)
         for part in self.parts:
             self.limits.merge(part.limits)
         self.limits.settle()
         self.jobs = [
-            job if part.limits.agrees_with(self.limits) else job._replace(limits=self.limits)
+            job
+            if part.limits.agrees_with(self.limits)
+            else replace(job, name=f"{job.name}-again", limits=self.limits)
             for job, part in zip(self.jobs, self.parts, strict=True)
         ]
 

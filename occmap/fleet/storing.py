@@ -3,7 +3,8 @@
 import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import partial, reduce
+from functools import reduce
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,10 +14,10 @@ from occmap.alignment import settle_align
 from occmap.arrays import Int64
 from occmap.cells import Manifest
 from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
-from occmap.fleet import Fleet, Work, list_reductions
+from occmap.fleet import Fleet, Work, list_reductions, list_surveys
 from occmap.fleet.reducing import BlockJob, add_up
-from occmap.fleet.runs import do_once, read_stub, write_stub
-from occmap.fleet.tasks import Setting, SurveyJob, hash_log
+from occmap.fleet.runs import Setting, once, read_stub, write_stub
+from occmap.fleet.tasks import hash_log
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing
 from occmap.observing import Keep, Progress
@@ -25,14 +26,7 @@ from occmap.pipeline import list_inputs, make_report
 from occmap.remarks import list_notes
 from occmap.report import MapFacts, Report, count_cells
 from occmap.store.blocks import Block, BlockRecord, list_blocks
-from occmap.store.writing import (
-    create_store,
-    edit_store,
-    finish_store,
-    paint_block,
-    write_block,
-    write_classes,
-)
+from occmap.store.writing import create_store, finish_store, paint_block, write_block
 from occmap.tally import refuse_unseen, refuse_unused
 from occmap.writers.atomic import follow_links, publish_folder, refuse_unwritable
 from occmap.writers.outputs import check_outputs
@@ -75,8 +69,7 @@ def build_store(
             facts = paint_blocks(work, store, records)
         remarks.notes += work.cluster.list_losses()
         with tally.time("write"):
-            # The workers have painted the blocks.
-            finish_store(store, manifest, records, run=lambda _paint, _blocks: ())
+            finish_store(store, manifest, records)
             with refuse_unwritable(output):
                 publish_folder(store, follow_links(output))
     remarks.notes += [*unaligned, *list_doubts(manifest)]
@@ -87,7 +80,7 @@ def build_store(
 def hash_logs(work: Work, paths: Sequence[Path]) -> dict[Path, list[dict[str, Any]]]:
     """Name, size and SHA-256 of the files of each log."""
     different = list(dict.fromkeys(paths))
-    jobs = [SurveyJob(work.setting, place, path) for place, path in enumerate(different)]
+    jobs = list_surveys(work.setting, different)
     return dict(zip(different, work.cluster.run("hash", hash_log, jobs), strict=True))
 
 
@@ -101,7 +94,7 @@ def open_target(
     store = (setting.folder if is_near else target.parent) / f".occmap-{setting.folder.name}.tmp"
     if read_stub(stub) is None or not store.exists():
         shutil.rmtree(store, ignore_errors=True)
-        for done in setting.folder.glob("*.stored"):
+        for done in setting.folder.glob(f"*.{store_block.__name__}"):
             done.unlink()
         create_store(store, manifest, blocks)
         write_stub(stub, True)
@@ -114,14 +107,15 @@ def write_blocks(
     """Write all blocks of a store."""
     ends = np.cumsum([len(known[path]) for path in paths])
     files = [range(end - len(known[path]), end) for end, path in zip(ends, paths, strict=True)]
-    jobs = [
-        job._replace(logs=tuple(file for log in work.blocks[job.block] for file in files[log]))
-        for job in list_reductions(work)
-    ]
-    return work.cluster.run("reduce", partial(store_block, store), jobs)
+    jobs = []
+    for job in list_reductions(work):
+        logs = tuple(chain.from_iterable(files[log] for log in work.blocks[job.block]))
+        jobs.append(replace(job, logs=logs, store=store))
+    return work.cluster.run("reduce", store_block, jobs)
 
 
-def store_block(store: Path, job: BlockJob) -> BlockRecord:
+@once
+def store_block(job: BlockJob) -> BlockRecord:
     """Add up a block and write it.
 
     Raises
@@ -129,8 +123,7 @@ def store_block(store: Path, job: BlockJob) -> BlockRecord:
     OccmapError
         A run file cannot be read, or the store cannot be written.
     """
-    stub = job.setting.folder / "block{}_{}.stored".format(*job.block)
-    return do_once(stub, lambda: write_block(store, job.block, add_up(job)))
+    return write_block(job.store, job.block, add_up(job))
 
 
 def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> MapFacts:
@@ -140,8 +133,11 @@ def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> Map
     """
     written = {record.block: record.logs for record in records}
     around = {block for record in records for block in list_blocks(record.reach.grow(1))}
-    jobs = [BlockJob(work.setting, block, logs=written.get(block, ())) for block in sorted(around)]
-    measured = work.cluster.run("paint", partial(measure_block, store), jobs)
+    jobs = [
+        replace(BlockJob.of(work.setting, block), logs=written.get(block, ()), store=store)
+        for block in sorted(around)
+    ]
+    measured = work.cluster.run("paint", measure_block, jobs)
     box = reduce(CellBox.join, (each.reach for each in measured if each.reach))
     agreeing, hits = (sum(column) for column in zip(*(each.hits for each in measured), strict=True))
     cells = np.sum([each.cells for each in measured], axis=0)
@@ -149,7 +145,7 @@ def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> Map
     return MapFacts.of_counts(extent, box.shape, cells, agreeing / hits if hits else None)
 
 
-def measure_block(store: Path, job: BlockJob) -> Measured:
+def measure_block(job: BlockJob) -> Measured:
     """Paint the pictures of a block, if it is one that was written, and measure it.
 
     Raises
@@ -158,10 +154,7 @@ def measure_block(store: Path, job: BlockJob) -> Measured:
         They cannot be written.
     """
     box = job.block.box
-    with edit_store(store) as root:
-        grid, made = paint_block(root, job.block)
-        if job.logs:
-            write_classes(root, job.block, made.classes)
+    grid, made = paint_block(job.store, job.block, keep=bool(job.logs))
     reach = CellBox.around(made.observed, box.row, box.col)
     cells = count_cells(made, job.setting.options.writing)
     return Measured(reach, cells, count_agreeing(grid, made.occupied, box))

@@ -5,7 +5,6 @@ Each leaves its result in the scratch folder and gives it at once where it is th
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,21 +13,11 @@ import numpy as np
 from occmap.arrays import Float64, Int64
 from occmap.batching import Seam, Selector
 from occmap.engines import make_engine
-from occmap.errors import LogError, PoseError
+from occmap.errors import LogError
 from occmap.evidence.manifest import describe_files
-from occmap.fleet.runs import (
-    Piece,
-    do_once,
-    read_mapped,
-    read_stub,
-    write_mapped,
-    write_run,
-    write_stub,
-)
+from occmap.fleet.runs import Job, Piece, once, read_mapped, write_mapped, write_run
 from occmap.grid.tiles import stack_tiles
-from occmap.observing import Keep
 from occmap.opening import count_scans
-from occmap.options import BuildOptions
 from occmap.posing.jumps import find_breaks
 from occmap.posing.leaps import Ends, Laser
 from occmap.readers import Note, open_log, read_scans, split_log
@@ -40,41 +29,17 @@ from occmap.types import Rays
 
 
 @dataclass(frozen=True)
-class Setting:
-    """What all tasks of a build share."""
-
-    options: BuildOptions
-    keep: Keep
-    folder: Path
-    """Where results go"""
-    slice_bytes: int
-    """About how much of a log is one task"""
-    window_cells: int
-    """The largest window of an engine"""
-    most_bytes: int
-    """How much evidence is kept in memory before it goes to a run file"""
-    logs: int = 1
-    """How many logs the build has"""
-
-
-class SurveyJob(NamedTuple):
+class SurveyJob(Job):
     """A log to be opened."""
 
-    setting: Setting
-    log: int
-    """Its place on the command line: a log that is given twice is two"""
     path: Path
-
-    @property
-    def where(self) -> str:
-        """What an error is about."""
-        return str(self.path)
 
 
 class Survey(NamedTuple):
     """What there is to know of a log before its scans are traced."""
 
-    log: int
+    name: str
+    """What files of it are called; a log that is given twice is two"""
     path: Path
     scans: int
     """As the log announces them"""
@@ -84,31 +49,18 @@ class Survey(NamedTuple):
     notes: tuple[Note, ...]
     first_ns: int | None
     """The stamp of the first scan; None where there is none"""
-    error: PoseError | None = None
-    """Why its scans have no poses"""
 
 
-class TraceJob(NamedTuple):
+@dataclass(frozen=True)
+class TraceJob(Job):
     """A part of a log to be traced."""
 
-    setting: Setting
     survey: Survey
     part: int | None
     """None: all of it"""
     seam: Seam
     limits: RangeLimits | None = None
     """Those of the whole log, where they are known"""
-
-    @property
-    def where(self) -> str:
-        """What an error is about."""
-        return str(self.survey.path)
-
-    @property
-    def name(self) -> str:
-        """What its files are called."""
-        part = "whole" if self.part is None else f"{self.part:05}"
-        return f"log{self.survey.log:05}-{part}-{'first' if self.limits is None else 'again'}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,38 +84,30 @@ class Traced:
     pieces: Mapping[Block, tuple[Piece, ...]] = field(default_factory=dict)
 
 
+@once
 def survey_log(job: SurveyJob) -> Survey:
     """Open a log, read its poses, and cut it into parts.
 
     Raises
     ------
-    LogError
-        It cannot be read, or has no scans.
+    LogError, PoseError
+        It cannot be read, has no scans, or its scans have no poses.
     """
-    setting, options = job.setting, job.setting.options
-    stub = setting.folder / f"log{job.log:05}.survey"
-    if (known := read_stub(stub)) is not None:
-        survey: Survey = known
-        return survey
+    options = job.setting.options
     log = open_log(job.path, options.reading)
     scans = count_scans(log, options.selection.topics)
-    try:
-        drive = open_drive(log, options)
-    except PoseError as error:
-        return Survey(job.log, job.path, scans, 1, 0, (), None, error)
-    parts = split_log(log, setting.slice_bytes)
+    drive = open_drive(log, options)
+    parts = split_log(log, job.setting.slice_bytes)
     if parts:
         for chain in filter(None, drive.poser.chains.values()):
             find_breaks(chain)  # so that every part is pickled with tracks that have cached steps
         drives = [drive._replace(log=part) for part in parts]
-        write_mapped(stub.with_suffix(".parts"), drives)
+        write_mapped(job.setting.folder / f"{job.name}.parts", drives)
     first = next(iter(read_scans(log, drive.topics)), None)
     clock = Selector(options.selection, options.posing.stamps)
     first_ns = None if first is None else clock.stamp(first.first)
     size, notes = measure_size(job.path), tuple(log.notes)
-    survey = Survey(job.log, job.path, scans, len(parts) or 1, size, notes, first_ns)
-    write_stub(stub, survey)
-    return survey
+    return Survey(job.name, job.path, scans, len(parts) or 1, size, notes, first_ns)
 
 
 def measure_size(path: Path) -> int:
@@ -177,7 +121,7 @@ def open_part(job: TraceJob) -> Drive:
     setting, options = job.setting, job.setting.options
     parts: Sequence[Drive] | None = None
     if job.part is not None:
-        parts = read_mapped(setting.folder / f"log{job.survey.log:05}.parts")
+        parts = read_mapped(setting.folder / f"{job.survey.name}.parts")
     if parts is None:
         return open_drive(open_log(job.survey.path, options.reading), options)
     return parts[job.part or 0]._replace(seam=job.seam)
@@ -193,6 +137,7 @@ def count_in_window(job: TraceJob) -> int:
     return selector.seam.wanted
 
 
+@once
 def trace_part(job: TraceJob) -> Traced:
     """Trace a log or a part of one, and leave what it observed in run files.
 
@@ -203,11 +148,6 @@ def trace_part(job: TraceJob) -> Traced:
     OccmapError
         As `trace`, or the scratch folder cannot be written.
     """
-    return do_once(job.setting.folder / f"{job.name}.trace", partial(trace_job, job))
-
-
-def trace_job(job: TraceJob) -> Traced:
-    """Trace a log or a part of one; `trace_part` also keeps the result."""
     drive = open_part(job)
     options = replace(job.setting.options, jobs=1)
     is_part = job.part is not None and job.survey.parts > 1

@@ -10,7 +10,7 @@ from occmap.arrays import Bool, UInt8
 from occmap.cells import OccupancyMap
 from occmap.grid.lattice import CellBox
 from occmap.scoring.trials import Result
-from occmap.writers.panels import Panel, write_panels
+from occmap.writers.images import Panel, write_panels
 
 LARGEST_PX, SMALLEST_PX = 1000, 360
 """The longer side of a panel."""

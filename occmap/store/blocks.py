@@ -15,7 +15,7 @@ from occmap.evidence.manifest import MEANING, list_inputs
 from occmap.grid.lattice import CellBox
 from occmap.grid.slices import take, unite
 from occmap.grid.tiles import TILE
-from occmap.writers.compact import pack_slices, unpack_slices
+from occmap.writers.npz import pack_slices, unpack_slices
 
 BLOCK = 1024
 """Cells along the side of a block"""

@@ -11,7 +11,7 @@ from occmap.store.blocks import Block, BlockRecord, describe_block
 from occmap.store.layout import LAYERS, find_place, import_zarr
 from occmap.store.reading import Store, open_store
 from occmap.store.sources import Blocks, Held
-from occmap.store.writing import create_store, finish_store, write_block
+from occmap.store.writing import create_store, finish_store, paint_block, write_block
 from occmap.writers.atomic import make_folder, refuse_unwritable
 
 
@@ -53,6 +53,8 @@ class ZarrWriter:
         with make_folder(path) as folder:
             create_store(folder, manifest, source.blocks)
             records = [self._write_block(folder, base, block, source) for block in source.blocks]
+            for block in source.blocks:
+                paint_block(folder, block)
             finish_store(folder, manifest, records)
         return (path,)
 

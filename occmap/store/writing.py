@@ -1,8 +1,7 @@
 """How a store is made: created, written block by block by whoever has one, and finished."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +41,6 @@ from occmap.store.layout import (
 )
 from occmap.types import Update
 from occmap.writers.atomic import refuse_unwritable
-
-Run = Callable[[Callable[[Block], None], Sequence[Block]], Iterable[None]]
-"""Calls a function for each block, as `map` does: in this process, or in others"""
 
 
 def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
@@ -152,8 +148,13 @@ def write_block(path: Path, block: Block, content: BlockContent) -> BlockRecord:
     return describe_block(block, content)
 
 
-def write_overview(path: Path, block: Block) -> None:
-    """Paint the pictures of a block, as soon as it and those around it are written.
+def paint_block(path: Path, block: Block, keep: bool = True) -> tuple[TileGrid, OccupancyMap]:
+    """Paint a block as the store's own model sees it, as soon as those around it are written, too.
+
+    Parameters
+    ----------
+    keep
+        Whether the pictures of it in the store are painted, too: not of one that was not written.
 
     Raises
     ------
@@ -161,15 +162,13 @@ def write_overview(path: Path, block: Block) -> None:
         They cannot be written.
     """
     with edit_store(path) as root:
-        _, made = paint_block(root, block)
-        write_classes(root, block, made.classes)
-
-
-def write_classes(root: Any, block: Block, classes: UInt8) -> None:
-    """Write what the cells (1024, 1024) of a block are as pictures of it."""
-    for side in FINE_LEVELS:
-        place = find_place(block, root.attrs["occmap"]["offset"], side)
-        root["classes"][str(side)][place] = reduce_classes(classes, side)
+        head = root.attrs["occmap"]
+        grid = read_around(root, head, block.box)
+        made = paint_box(grid, parse_model(head["model"]), block.box)
+        for side in FINE_LEVELS if keep else ():
+            place = find_place(block, head["offset"], side)
+            root["classes"][str(side)][place] = reduce_classes(made.classes, side)
+    return grid, made
 
 
 def read_around(root: Any, head: dict[str, Any], box: CellBox) -> TileGrid:
@@ -185,13 +184,6 @@ def read_around(root: Any, head: dict[str, Any], box: CellBox) -> TileGrid:
     return grid
 
 
-def paint_block(root: Any, block: Block) -> tuple[TileGrid, OccupancyMap]:
-    """Read a block and the tiles beside it; the map says what the store's own model makes of it."""
-    head = root.attrs["occmap"]
-    grid = read_around(root, head, block.box)
-    return grid, paint_box(grid, parse_model(head["model"]), block.box)
-
-
 def reduce_classes(classes: UInt8, side: int) -> UInt8:
     """Make squares of cells one pixel: occupied where any cell is, else free where any is."""
     height, width = (-(-length // side) * side for length in classes.shape)
@@ -200,10 +192,8 @@ def reduce_classes(classes: UInt8, side: int) -> UInt8:
     return np.asarray(squares.max(axis=(1, 3)))
 
 
-def finish_store(
-    path: Path, manifest: Manifest, records: Iterable[BlockRecord], run: Run = map
-) -> str:
-    """Paint the overview, write the table and, last, what makes the store whole; give its digest.
+def finish_store(path: Path, manifest: Manifest, records: Iterable[BlockRecord]) -> str:
+    """Write the table and, last, what makes the store whole, when all is painted; give its digest.
 
     Parameters
     ----------
@@ -211,8 +201,6 @@ def finish_store(
         With all builds.
     records
         What `write_block` said of each block.
-    run
-        How a function is called for each block: in this process, or in others.
 
     Raises
     ------
@@ -220,8 +208,6 @@ def finish_store(
         It cannot be written.
     """
     known = sorted(records)
-    for _ in run(partial(write_overview, path), [record.block for record in known]):
-        pass
     table = make_table(known)
     with edit_store(path) as root:
         head = make_head(manifest, root.attrs["occmap"]["offset"])

@@ -102,13 +102,17 @@ class OneFile:
         return (path,)
 
 
-class Writer(Protocol):
-    """A map format."""
+class Format(Protocol):
+    """What all writers have."""
 
     description: str
 
     def targets(self, path: Path) -> tuple[Path, ...]:
-        """Every file that `write` makes, so that all can be checked before the work starts."""
+        """Every file that is written, so that all can be checked before the work starts."""
+
+
+class Writer(Format, Protocol):
+    """A map format."""
 
     def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
         """Write a map; return the files written.
@@ -121,13 +125,8 @@ class Writer(Protocol):
 
 
 @runtime_checkable
-class EvidenceWriter(Protocol):
+class EvidenceWriter(Format, Protocol):
     """A format for what was observed."""
-
-    description: str
-
-    def targets(self, path: Path) -> tuple[Path, ...]:
-        """Every file that `write_evidence` makes."""
 
     def write_evidence(self, path: Path, evidence: Evidence) -> tuple[Path, ...]:
         """Write evidence; return the files written.
@@ -168,17 +167,13 @@ class Product:
 
 
 @runtime_checkable
-class ProductWriter(Protocol):
+class ProductWriter(Format, Protocol):
     """A format for more than a map."""
 
-    description: str
     needs_evidence: bool
     """Whether it calls `Product.evidence`, so that a build keeps when cells were seen"""
     needs_journey: bool
     """Whether it writes nothing else than where the robot went"""
-
-    def targets(self, path: Path) -> tuple[Path, ...]:
-        """Every file that `write_product` makes."""
 
     def write_product(
         self, path: Path, product: Product, options: WriteOptions

@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -88,16 +89,11 @@ def describe(grid: Windows) -> dict[str, Any]:
     }
 
 
-def paint_windows(grid: Windows) -> Iterator[tuple[Any, OccupancyMap]]:
+def paint_windows(grid: Windows) -> Iterator[tuple[tuple[slice, slice], OccupancyMap]]:
     """Paint a map part by part, and say where in the image, top row first, each part lies."""
-    from rasterio.windows import Window  # noqa: PLC0415  late: an extra
-
     (rows, cols), (row, col) = grid.shape, grid.place.tolist()
-    for low in range(-(row % WINDOW), rows, WINDOW):
-        for left in range(-(col % WINDOW), cols, WINDOW):
-            part = grid.take(
-                slice(max(low, 0), min(low + WINDOW, rows)),
-                slice(max(left, 0), min(left + WINDOW, cols)),
-            )
-            height, width = part.shape
-            yield Window(max(left, 0), rows - max(low, 0) - height, width, height), part
+    corners = product(range(-(row % WINDOW), rows, WINDOW), range(-(col % WINDOW), cols, WINDOW))
+    for low, left in corners:
+        up = slice(max(low, 0), min(low + WINDOW, rows))
+        across = slice(max(left, 0), min(left + WINDOW, cols))
+        yield (slice(rows - up.stop, rows - up.start), across), grid.take(up, across)

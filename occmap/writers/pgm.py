@@ -46,9 +46,14 @@ class PgmWriter:
             One of them cannot be written; then neither is left behind.
         """
         image_path, yaml_path = self.targets(path)
+        painters = {MapMode.TRINARY: _trinary, MapMode.SCALE: _scale, MapMode.RAW: to_raw}
+        to_pixels = painters[options.mode]
         # The image is renamed first: a YAML never names an image that is not there.
         with open_atomic(image_path, yaml_path) as (image, yaml):
-            _write_image(image, grid, options)
+            rows, cols = grid.shape
+            image.write(f"P5\n{cols} {rows}\n255\n".encode("ascii"))
+            for band in bands_from_top(replace(grid, decision=options.decide(grid.decision))):
+                image.write(to_pixels(band)[::-1].tobytes())
             write_yaml(yaml, describe_map(image_path.name, grid, options))
         return image_path, yaml_path
 
@@ -78,16 +83,6 @@ def written_thresholds(options: WriteOptions) -> tuple[float, float]:
     if options.mode is not MapMode.TRINARY:
         return occupied, free
     return min(max(occupied, 0.2), 0.99), min(max(free, 0.01), 0.196)
-
-
-def _write_image(file: BinaryIO, grid: OccupancyMap, options: WriteOptions) -> None:
-    rows, cols = grid.shape
-    file.write(f"P5\n{cols} {rows}\n255\n".encode("ascii"))
-    painters = {MapMode.TRINARY: _trinary, MapMode.SCALE: _scale, MapMode.RAW: to_raw}
-    to_pixels = painters[options.mode]
-    decided = replace(grid, decision=options.decide(grid.decision))
-    for band in bands_from_top(decided):
-        file.write(to_pixels(band)[::-1].tobytes())
 
 
 def _trinary(grid: OccupancyMap) -> UInt8:

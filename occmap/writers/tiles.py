@@ -6,11 +6,9 @@ level 0, a single tile. x counts to the right and y down. Tiles in which nothing
 left out.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 from PIL import Image
@@ -28,9 +26,6 @@ GREYS = np.array([UNKNOWN, FREE, OCCUPIED], np.uint8)
 
 TRINARY = WriteOptions()
 """For the thresholds of the YAML: the greys are classes"""
-
-Address: TypeAlias = tuple[int, int, int]
-"""Level, x and y of a tile"""
 
 
 class TilesWriter(OneFile):
@@ -53,7 +48,7 @@ class TilesWriter(OneFile):
         """
         with make_folder(path) as folder:
             folder.mkdir()
-            TileTree(folder, grid, options).write((0, 0, 0))
+            TileTree(folder, grid, options).write(level=0, x=0, y=0)
         return (path,)
 
 
@@ -70,13 +65,13 @@ class TileTree:
         self.top = int(self.size.max() - 1).bit_length()
         """The level at which a pixel is a cell"""
 
-    def write(self, address: Address) -> UInt8 | None:
+    def write(self, level: int, x: int, y: int) -> UInt8 | None:
         """Write a tile and all above it; return its classes, or None where there is nothing."""
-        level, x, y = address
         if level == self.top:
             classes = self.paint(x, y)
         else:
-            classes = self.shrink([self.write(each) for each in list_above(address)])
+            quarters = product((2 * y, 2 * y + 1), (2 * x, 2 * x + 1))
+            classes = self.shrink([self.write(level + 1, right, down) for down, right in quarters])
         if classes is not None:
             file = self.folder / f"{level}" / f"{x}" / f"{y}.png"
             file.parent.mkdir(parents=True, exist_ok=True)
@@ -115,10 +110,3 @@ class TileTree:
         with file.open("wb") as opened:
             write_yaml(opened, describe_map(f"{y}.png", lying, TRINARY))
         return classes
-
-
-def list_above(address: Address) -> Iterator[Address]:
-    """The four tiles of the next level that one covers."""
-    level, x, y = address
-    for down, right in product((0, 1), repeat=2):
-        yield level + 1, 2 * x + right, 2 * y + down

@@ -77,6 +77,11 @@ def test_a_yaml_of_another_tool_is_read_by_the_rules_of_map_server(tmp_path: Pat
     assert loaded.place == Place(0.05, -1.0, 2.0)
 
 
+def test_a_map_may_lie_where_a_float_still_tells_metres_apart(tmp_path: Path) -> None:
+    text = META.replace("0.05", "1e15").replace("2.0", "-1e15") + THRESHOLDS
+    assert load_map(write_foreign(tmp_path, text, [[0]]), OPTIONS).place == Place(1e15, -1.0, -1e15)
+
+
 def test_negate_turns_black_and_white(tmp_path: Path) -> None:
     path = write_foreign(tmp_path, META.replace("negate: 0", "negate: 1") + THRESHOLDS, [[0, 255]])
     assert draw(load_map(path, OPTIONS).classes) == ".#"
@@ -93,6 +98,8 @@ def test_negate_turns_black_and_white(tmp_path: Path) -> None:
         (META, "occupied_thresh is None, where a number belongs"),
         (META.replace("0.05", ".nan") + THRESHOLDS, "resolution is '.nan', where a number"),
         (META.replace("0.05", "0") + THRESHOLDS, "a resolution of 0.0 m is not possible"),
+        (META.replace("0.05", "1.01e15") + THRESHOLDS, "of 1010000000000000.0 m is not"),
+        (META.replace("2.0", "1.01e15") + THRESHOLDS, "(-1, 1.01e+15) m is too far away"),
         (META.replace("2.0, 0.0", "2.0") + THRESHOLDS, "where [x, y, yaw] belongs"),
         (META.replace("2.0, 0.0", "2.0, 0.1") + THRESHOLDS, "the map is turned by 0.1 rad"),
         (META + THRESHOLDS + "mode: grey\n", "'grey' is not a mode of a map"),

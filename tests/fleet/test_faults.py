@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from threading import Thread
-from typing import NamedTuple
 
 import pytest
 from distributed import Client
@@ -18,6 +17,7 @@ from distributed import Client
 from occmap.errors import FleetError, LogError, UsageError
 from occmap.fleet import Fleet, cluster, open_scratch
 from occmap.fleet.cluster import open_cluster
+from occmap.fleet.runs import Job, Setting
 from occmap.fleet.storing import build_store
 from occmap.observing import Keep, ignore_progress
 from occmap.options import BuildOptions
@@ -68,7 +68,7 @@ def kill_worker(address: str, scratch: Path, phase: str) -> Iterator[None]:
     killer.join()
 
 
-@pytest.mark.parametrize("phase", ["*.survey", "*.trace", "*.sum"])
+@pytest.mark.parametrize("phase", ["*.survey_log", "*.trace_part", "*.reduce_block"])
 def test_a_worker_is_killed(address: str, tmp_path: Path, expected: bytes, phase: str) -> None:
     scratch = tmp_path / "scratch"
     with kill_worker(address, scratch, phase):
@@ -77,7 +77,7 @@ def test_a_worker_is_killed(address: str, tmp_path: Path, expected: bytes, phase
     assert (tmp_path / "map.npz").read_bytes() == expected
 
 
-@pytest.mark.parametrize("phase", ["*.stored", ".occmap-*/classes/1/c/*"])
+@pytest.mark.parametrize("phase", ["*.store_block", ".occmap-*/classes/1/c/*"])
 def test_a_worker_is_killed_while_it_writes_a_store(
     address: str, tmp_path: Path, phase: str
 ) -> None:
@@ -93,7 +93,7 @@ def test_a_worker_is_killed_while_it_writes_a_store(
         assert (one.root["classes"][level][:] == other.root["classes"][level][:]).all()
 
 
-@pytest.mark.parametrize("phase", ["*.survey", "*.trace", "*.sum"])
+@pytest.mark.parametrize("phase", ["*.survey_log", "*.trace_part", "*.reduce_block"])
 def test_a_build_whose_driver_was_killed_goes_on_where_it_was(
     address: str,
     tmp_path: Path,
@@ -138,23 +138,18 @@ def test_a_full_disk_is_one_line_and_nothing_is_published(tmp_path: Path) -> Non
     assert [path.name for path in tmp_path.iterdir()] == ["map.npz.scratch"]
 
 
-class Deadly(NamedTuple):
-    """What its worker does not survive."""
-
-    where: str = "drive.mcap"
-
-
-def die(_job: Deadly) -> int:
+def die(_job: Job) -> int:
     os.kill(os.getpid(), signal.SIGKILL)
     return 0
 
 
 def test_a_task_that_kills_its_workers_is_named(address: str) -> None:
+    job = Job(Setting(OPTIONS, Keep(), Path(), SLICE, 0, 0), "log", "drive.mcap")
     with (
         open_cluster(address, 2, lambda _: None) as found,
         pytest.raises(FleetError, match=r"drive.mcap: killed its workers 4 times, which had \d+ M"),
     ):
-        found.run("trace", die, [Deadly()])
+        found.run("trace", die, [job])
 
 
 def test_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -70,17 +70,22 @@ def test_a_frame_of_too_many_cells_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "box", [(0, 0, 0, 1), (0, 1, 1, 0), (0, math.nan, 1, 1), (math.nan, 0, 1, 1), (0, 0, 1e9, 1)]
+    "box", [(0, 0, 0, 1), (0, 1, 1, 0), (0, math.nan, 1, 1), (math.nan, 0, 1, 1), (0, 0, 1.01e8, 1)]
 )
 def test_what_is_no_box_is_refused(box: Box) -> None:
     with pytest.raises(UsageError, match="is not a box; write x_min"):
         Framing(extent=box)
 
 
-@pytest.mark.parametrize("margin", [-0.1, math.nan, math.inf])
+@pytest.mark.parametrize("margin", [-0.1, 1.01e8, math.nan, math.inf])
 def test_what_is_no_margin_is_refused(margin: float) -> None:
     with pytest.raises(UsageError, match="give 0 or more"):
         Framing(margin=margin)
+
+
+def test_a_frame_may_reach_twice_around_the_earth() -> None:
+    assert Framing(extent=(-1e8, 0.0, 1.0, 1e8)).extent == (-1e8, 0.0, 1.0, 1e8)
+    assert Framing(margin=1e8).margin == 1e8
 
 
 def test_a_margin_around_an_extent_is_refused() -> None:

@@ -24,7 +24,7 @@ from occmap.store.layout import compute_checksum
 from occmap.store.reading import open_store
 from occmap.store.sources import read_all
 from occmap.store.writer import ZarrWriter
-from occmap.store.writing import create_store, finish_store, write_block, write_overview
+from occmap.store.writing import create_store, finish_store, paint_block, write_block
 from occmap.types import Update
 from tests.evidence.saving import choose, each_combination, save, write_bytes
 
@@ -127,7 +127,10 @@ def test_coarse_pictures_of_a_store_of_blocks_far_apart(tmp_path: Path, drive: E
     contents = dict(split_evidence(evidence))
     assert list(contents) == blocks
     create_store(path, drive.manifest, contents)
-    finish_store(path, drive.manifest, [write_block(path, *each) for each in contents.items()])
+    records = [write_block(path, *each) for each in contents.items()]
+    for block in contents:
+        paint_block(path, block)
+    finish_store(path, drive.manifest, records)
     classes, store = open_group(path / "classes"), open_store(path)
     assert sorted(classes.array_keys(), key=int) == ["1", "4", "16", "64", "256", "1024", "4096"]
     coarse = classes["4096"]
@@ -169,8 +172,9 @@ def test_processes_write_blocks_at_once_and_a_task_may_run_twice(
         assert len(records) == len(contents)
 
         # A driver that is killed here, too, finishes what it began.
-        digests = {finish_store(path, drive.manifest, records, pool.map) for _ in range(2)}
-        (digest,) = digests
+        for _ in range(2):
+            list(pool.map(paint_block, repeat(path), contents))
+            digest = finish_store(path, drive.manifest, records)
     assert digest == open_store(kept).digest
     assert write_bytes(tmp_path, read_all(open_store(path))) == write_bytes(tmp_path, drive)
 
@@ -182,7 +186,7 @@ def test_a_store_that_is_not_finished_is_refused(tmp_path: Path, drive: Evidence
         write_block(path, *each)
         assert "is not complete" in refuse(path)
     for block in contents:
-        write_overview(path, block)
+        paint_block(path, block)
     assert "is not complete" in refuse(path)
     with pytest.raises(OutputError, match="exists already"):
         create_store(path, drive.manifest, contents)

@@ -14,8 +14,16 @@ from occmap.cells import Evidence, Manifest, Slices
 from occmap.errors import MapError
 from occmap.grid.slices import pack
 from occmap.grid.tiles import TILE
-from occmap.writers.compact import SLICE_ARRAYS, narrow, pack_slices, unpack_slices
-from occmap.writers.npz import SIDE, NpzWriter, add_array, read_evidence
+from occmap.writers.npz import (
+    SIDE,
+    SLICE_ARRAYS,
+    NpzWriter,
+    add_array,
+    narrow,
+    pack_slices,
+    read_evidence,
+    unpack_slices,
+)
 
 SELECTION = {"topics": [], "start_s": "-inf", "end_s": 2.5, "stride": 1}
 BUILD = {

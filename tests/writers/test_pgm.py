@@ -214,6 +214,15 @@ def test_scale_with_thresholds_at_the_ends(tmp_path: Path) -> None:
     assert load_nav2(yaml).tolist() == [[1, 50, 99]]  # 254 and 1 would load as 0 and 100
 
 
+def test_scale_leaves_out_the_greys_that_only_single_precision_decides(tmp_path: Path) -> None:
+    # By 0.8 and 4/255 the span is from grey 51 to grey 251, and half a per cent of it is 1 grey. So
+    # 52 and 250 lie where nav2 rounds 99.5 and 0.5 per cent, whichever way that goes.
+    grid = map_of([[0.799, 0.0167]])
+    yaml = write(tmp_path, grid, WriteOptions(MapMode.SCALE, 0.8, 4 / 255))
+    assert read_pgm(yaml.with_suffix(".pgm")).tolist() == [[53, 249]]
+    assert load_nav2(yaml).tolist() == [[99, 1]]
+
+
 @pytest.mark.parametrize("free", [0.55, 0.05])
 def test_unknown_is_never_a_class_in_scale(tmp_path: Path, free: float) -> None:
     yaml = write(tmp_path, map_of([[np.nan]]), WriteOptions(MapMode.SCALE, free + 0.1, free))

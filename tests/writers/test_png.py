@@ -24,6 +24,13 @@ def test_grey_is_the_probability_and_unknown_is_transparent(tmp_path: Path) -> N
     assert read(tmp_path / "m.png") == [[[0, 255], [255, 255]], [[204, 255], [127, 0]]]
 
 
+def test_it_is_a_sound_image_that_says_how_its_pixels_are_decided(tmp_path: Path) -> None:
+    PngWriter().write(tmp_path / "m.png", map_of([[0.2, 0.9]]), WriteOptions(free_thresh=0.1))
+    with Image.open(tmp_path / "m.png") as image:
+        assert image.info == {"occupied_thresh": "0.5", "free_thresh": "0.1", "negate": "0"}
+        image.verify()  # checksums
+
+
 def test_light_occupied_is_the_negative(tmp_path: Path) -> None:
     options = WriteOptions(shade=Shade.LIGHT_OCCUPIED)
     PngWriter().write(tmp_path / "m.png", map_of([[0.2, np.nan, 0.999]]), options)

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from occmap.errors import OutputError
-from occmap.writers.panels import GAP_PX, LINE_PX, Panel, arrange, write_panels
+from occmap.writers.images import GAP_PX, LINE_PX, Panel, arrange, write_panels
 
 
 def make_panels(count: int, shape: tuple[int, int] = (40, 60)) -> list[Panel]:
