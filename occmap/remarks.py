@@ -62,6 +62,12 @@ def list_notes(
     yield from list_misfits(paths, options, facts.agreement, tally.lasers)
 
 
+def drop_damage(notes: Iterable[str], damage: Iterable[str]) -> list[str]:
+    """List the notes that do not tell of damage, which a page shows apart."""
+    told = set(damage)
+    return [note for note in notes if note not in told]
+
+
 def list_given_twice(logs: Sequence[Path]) -> Iterator[str]:
     """Say which logs were given more than once, and count as often."""
     for log, times in Counter(map(str, logs)).items():

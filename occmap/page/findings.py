@@ -1,7 +1,7 @@
 """What commands say, as sections of a page."""
 
 import shlex
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from occmap.evidence.manifest import describe_files
@@ -26,17 +26,17 @@ from occmap.page.document import (
     write_page,
 )
 from occmap.readers import Role
+from occmap.remarks import drop_damage
 from occmap.wording import count
 
 MOST_LOGS = 20
 """With all that is found in them; warnings and problems are those of all logs."""
 
 
-def tell_notes(notes: Iterable[str], damage: Iterable[str] = ()) -> Section:
+def tell_notes(notes: Sequence[str], damage: Sequence[str]) -> Section:
     """Say what the command said beside its numbers."""
-    damaged = list(damage)
-    plain = [note for note in notes if note not in damaged]
-    blocks = [Block("list", texts=damaged, tone="problem")] if damaged else []
+    plain = drop_damage(notes, damage)
+    blocks = [Block("list", texts=damage, tone="problem")] if damage else []
     blocks += [Block("list", texts=plain)] if plain else []
     said = blocks or [Block("list", texts=["Nothing: no damage and no warnings."])]
     return Section("What the command said", said, wide=True)
@@ -65,8 +65,7 @@ def list_log(log: LogFindings) -> Iterator[Block]:
     """All about one log."""
     if log.damage:
         yield Block("list", title="Damage", texts=log.damage, tone="problem")
-    notes = [note for note in log.notes if note not in log.damage]
-    if notes:
+    if notes := drop_damage(log.notes, log.damage):
         yield Block("list", title="Notes", texts=notes)
     if log.streams:
         streams = [

@@ -172,7 +172,7 @@ def test_scripts_do_not_end_where_a_name_says_so() -> None:
     value = {"name": "</script><script>alert(1)</script>&"}
     assert "<" not in to_script(value)
     assert json.loads(to_script(value)) == value
-    page = compose(Page("</title><b>", "", [tell_notes(["</li><script>"]), Section("<i>", [])]))
+    page = compose(Page("</title><b>", "", [tell_notes(["</li><script>"], []), Section("<i>", [])]))
     assert Reader(page).kinds.isdisjoint({"b", "i"})
 
 

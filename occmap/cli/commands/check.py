@@ -28,6 +28,7 @@ from occmap.inspection.telling import (
 from occmap.keywords import take
 from occmap.options import BuildOptions
 from occmap.readers import Role, Stream
+from occmap.remarks import drop_damage
 from occmap.writers.outputs import check_picture
 
 LABEL = 10
@@ -101,7 +102,7 @@ def list_log(log: LogFindings) -> Iterator[Row]:
     if log.coverage:
         yield "", ""
     yield from label_first("sources", tell_sources(log.coverage))
-    yield from label_first("note", [text for text in log.notes if text not in log.damage])
+    yield from label_first("note", drop_damage(log.notes, log.damage))
 
 
 def list_streams(streams: Sequence[Stream]) -> Iterator[str]:
