@@ -4,10 +4,14 @@
 each field.
 """
 
+import ast
+import inspect
 import math
+import sys
+import textwrap
 from dataclasses import fields, is_dataclass
 from enum import Enum
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, TypeAlias, is_typeddict
 
 Count: TypeAlias = Annotated[int, ("minimum", 0)]
 Share: TypeAlias = Annotated[float, ("minimum", 0), ("maximum", 1)]
@@ -54,3 +58,18 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def read_texts(kind: Any) -> dict[str, str]:
+    """Read the text below each field of a type and of those that it extends."""
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+    assert isinstance(tree, ast.ClassDef)
+    known = vars(sys.modules[kind.__module__])
+    texts: dict[str, str] = {}
+    for base in (known.get(ast.unparse(base)) for base in tree.bases):
+        if is_typeddict(base) or is_dataclass(base):
+            texts |= read_texts(base)
+    for field, text in zip(tree.body, tree.body[1:], strict=False):
+        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
+            texts[ast.unparse(field.target)] = " ".join(ast.literal_eval(text.value).split())
+    return texts

@@ -45,7 +45,7 @@ HEAVY = {
 BUILD_COMMAND = {
     f"occmap.cli.{name}"
     for name in [
-        *("commands", "commands.build", "collect", "config", "console", "limits", "log_options"),
+        *("commands", "commands.build", "collect", "config", "console", "limits"),
         *("options", "progress", "sections", "signals", "streams", "values"),
     ]
 }

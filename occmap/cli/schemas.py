@@ -1,10 +1,7 @@
 """JSON Schemas worked out from the types of what is printed, with their texts as descriptions."""
 
-import ast
 import inspect
 import re
-import sys
-import textwrap
 from dataclasses import is_dataclass
 from enum import Enum
 from types import NoneType, UnionType
@@ -16,10 +13,9 @@ from typing import (
     get_args,
     get_origin,
     get_type_hints,
-    is_typeddict,
 )
 
-from occmap.plain import list_printed
+from occmap.plain import list_printed, read_texts
 
 Schema = dict[str, Any]
 
@@ -99,18 +95,3 @@ def describe_fields(kind: Any, defs: dict[str, Schema]) -> Schema:
         "required": list(properties),
         "additionalProperties": False,
     }
-
-
-def read_texts(kind: Any) -> dict[str, str]:
-    """Read the text below each field of a type and of those that it extends."""
-    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
-    assert isinstance(tree, ast.ClassDef)
-    known = vars(sys.modules[kind.__module__])
-    texts: dict[str, str] = {}
-    for base in (known.get(ast.unparse(base)) for base in tree.bases):
-        if is_typeddict(base) or is_dataclass(base):
-            texts |= read_texts(base)
-    for field, text in zip(tree.body, tree.body[1:], strict=False):
-        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
-            texts[ast.unparse(field.target)] = " ".join(ast.literal_eval(text.value).split())
-    return texts

@@ -1,60 +1,27 @@
 """How the text of an option becomes a value: lists of numbers, and names from an enum."""
 
 import math
-from collections.abc import Callable, Sequence
+import re
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import click
 
 from occmap.command import spell_flag
 from occmap.errors import UsageError
-from occmap.keywords import read_pose, read_sector, read_transform
+from occmap.keywords import drop_none, find_form, list_options
+from occmap.options import BuildOptions
 from occmap.wording import count
 
+HINTS = list_options(BuildOptions)
 PATH = click.Path(path_type=Path, readable=False)
 """Where click would look whether it can be read, occmap's own error says more."""
 FROM_SCANS = "auto"
 """The value of --align that leaves the angle to the scans."""
+FORM = re.compile(r"\((.*?)\)")
+"""A tuple, as it is written in Python"""
 SIZES = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
-
-
-class Form(NamedTuple):
-    """How an option of several numbers is written, and what it makes of them."""
-
-    sizes: tuple[int, ...]
-    """How many numbers there may be"""
-    read: Callable[[Sequence[Any]], Any]
-    fix: str
-    words: int = 0
-    """How many words go before the numbers"""
-
-
-NUMBERS = {
-    "sensor_pose": Form(
-        (3, 5),
-        read_pose,
-        "write x,y,yaw or x,y,yaw,roll,pitch in metres and radians, such as 0.1,0,3.14159",
-    ),
-    "transform": Form(
-        (3,), read_pose, "write x,y,yaw in metres and radians, such as 12.5,-3,1.5708"
-    ),
-    "static_transforms": Form(
-        (6,),
-        read_transform,
-        "write parent,child,x,y,z,roll,pitch,yaw in metres and radians",
-        words=2,
-    ),
-    "ignore_sectors": Form(
-        (2,), read_sector, "write FROM,TO in radians, counter-clockwise, such as 2.5,-2.5"
-    ),
-    "footprint": Form(
-        (4,), tuple, "write x_min,y_min,x_max,y_max in metres, such as -0.4,-0.3,0.2,0.3"
-    ),
-    "extent": Form((4,), tuple, "write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4"),
-}
-"""By the names of the options"""
 
 
 def parse_numbers(name: str, text: str) -> Any:
@@ -65,18 +32,19 @@ def parse_numbers(name: str, text: str) -> Any:
     UsageError
         There are too many or too few numbers, one is not a number, or an angle is in degrees.
     """
-    form, where = NUMBERS[name], f"{spell_flag(name)} {text}"
+    read, form = find_form(drop_none(HINTS[name]))
+    typed = FORM.sub(lambda found: found[1].replace(" ", ""), form)
+    where, fix = f"{spell_flag(name)} {text}", f"write {typed}"
     values = [value.strip() for value in text.split(",")]
-    words, numbers = values[: form.words], values[form.words :]
-    if len(numbers) not in form.sizes or not all(words):
-        sizes = " or ".join(str(form.words + size) for size in form.sizes)
-        raise UsageError(
-            f"{count(len(values), 'value')} where {sizes} belong", where=where, fix=form.fix
-        )
+    frames = 2 if name == "static_transforms" else 0
     try:
-        return form.read([*words, *read_numbers(numbers, where, form.fix)])
+        return read([*values[:frames], *read_numbers(values[frames:], where, fix)])
     except UsageError as error:
-        raise error.placed(where) from None
+        raise UsageError(error.found, where=where, fix=error.fix or fix) from None
+    except ValueError:
+        belong = [str(each.count(",") + 1) for each in FORM.findall(form.partition(" in ")[0])]
+        found = f"{count(len(values), 'value')} where {' or '.join(belong)} belong"
+        raise UsageError(found, where=where, fix=fix) from None
 
 
 def parse_size(text: str) -> int:

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, limits, log_options, options
+from occmap.cli import COMMANDS, limits, options
 from occmap.cli.collect import Values, collect_model
 from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.progress import Bar, show_progress
@@ -79,8 +79,7 @@ fleet = join(
 @click.argument("words", nargs=-1, metavar="[beam|polygon|surface] LOG...")
 @join(options.writing, options.resume, options.lattice, options.align)
 @join(options.framing, options.min_passes, options.pass_gap)
-@join(log_options.ranges, options.model)
-@join(log_options.selection, log_options.posing)
+@join(options.ranges, options.model, options.selection, options.posing)
 @join(limits.fail_if(BUILD, "agreement < 70%"), options.jobs, fleet, strict, options.config)
 @join(options.as_json, options.verbosity)
 @click.pass_obj

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, limits, log_options, options
+from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console, Verbosity, label_first, write_command, write_rows
 from occmap.cli.sections import SectionCommand, join
 from occmap.cli.streams import gather_logs
@@ -51,8 +51,7 @@ page = options.one_output("output", "FILE.html", "Write the findings as a page a
 
 @click.command("check", cls=SectionCommand, help=HELP, short_help=COMMANDS["check"])
 @click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG...")
-@join(page, options.resolution, options.max_cells, log_options.ranges)
-@join(log_options.selection, log_options.posing)
+@join(page, options.resolution, options.max_cells, options.reading)
 @join(
     limits.fail_if(CHECK, "dropped_scans > 5%"), options.config, options.as_json, options.verbosity
 )

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, limits, log_options, options
+from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console, align, write_command
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join, option
@@ -70,8 +70,7 @@ picture = options.one_output(
 
 @click.command("compare", cls=SectionCommand, help=HELP, short_help=COMMANDS["compare"])
 @click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG...")
-@join(variants, picture, options.lattice, log_options.ranges)
-@join(log_options.selection, log_options.posing)
+@join(variants, picture, options.lattice, options.reading)
 @join(
     limits.fail_if(COMPARE, "share < 70%"),
     options.jobs,
