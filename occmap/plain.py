@@ -21,6 +21,8 @@ Finite: TypeAlias = Annotated[float, ("type", ("number", "null"))]
 
 HIDDEN = {"printed": ""}
 """Metadata of a dataclass field that is not part of what is printed"""
+IN_PLACE = {"printed": "*"}
+"""Metadata of a dataclass field whose own fields are printed in its place"""
 
 
 def printed_as(name: str) -> dict[str, str]:
@@ -46,8 +48,12 @@ def list_printed(kind: Any) -> dict[str, str]:
 def to_plain(value: Any) -> Any:
     """Turn a result into JSON values; a number that is not finite becomes None."""
     if is_dataclass(value):
-        value = {printed: getattr(value, name) for name, printed in list_printed(value).items()}
-    elif isinstance(value, tuple) and hasattr(value, "_asdict"):
+        parts: dict[str, Any] = {}
+        for name, printed in list_printed(value).items():
+            part = to_plain(getattr(value, name))
+            parts |= part if printed == "*" else {printed: part}
+        return parts
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
         value = value._asdict()
     if isinstance(value, dict):
         return {str(key): to_plain(item) for key, item in value.items()}

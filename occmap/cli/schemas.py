@@ -84,10 +84,13 @@ def describe_fields(kind: Any, defs: dict[str, Schema]) -> Schema:
     """Make the schema of a type with fields; all are there, and no others."""
     texts, hints = read_texts(kind), get_type_hints(kind, include_extras=True)
     names = list_printed(kind) if is_dataclass(kind) else {name: name for name in hints}
-    properties = {
-        printed: make_part(hints[name], defs) | {"description": texts.get(name, "")}
-        for name, printed in names.items()
-    }
+    properties: Schema = {}
+    for name, printed in names.items():
+        if printed == "*":
+            properties |= describe_fields(hints[name], defs)["properties"]
+        else:
+            part = make_part(hints[name], defs)
+            properties[printed] = part | {"description": texts.get(name, "")}
     return {
         "type": "object",
         "description": (inspect.getdoc(kind) or "").partition("\n\n")[0].replace("\n", " "),

@@ -66,9 +66,9 @@ def tune(
     both = find(scorer, way.correction, TOGETHER if again else [])
     after = scorer.score(both.correction)
     gain, error = Gain.measure(before, after)
+    scans = KeptScans(**vars(tally.scans), held_out=len(before.predicted), kept=kept)
     tuning = Tuning(
-        **describe_run(remarks, options),
-        scans=KeptScans(**vars(tally.scans), held_out=len(before.predicted), kept=kept),
+        **describe_run(remarks, options, scans),
         beams=before.score.beams,
         share_before=before.score.share,
         share=after.score.share,

@@ -94,7 +94,7 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
 
 def format_comparison(comparison: VariantComparison) -> list[str]:
     """Write the table, on what it rests, and the command line of the best."""
-    best, likeliest = comparison.recommended, comparison.likeliest
+    best = comparison.recommended
     preference = comparison.preference
     held = count(comparison.scans.held_out, "held-out scan")
     rest = f"scored by {count(best.score.beams, 'beam')} of {held}"
@@ -108,16 +108,16 @@ def format_comparison(comparison: VariantComparison) -> list[str]:
     lines = [
         *align([SCORES, *map(list_scores, comparison.results)], labels=1),
         "",
-        f"cells of {best.variant.name}, as held-out beams look at them",
+        f"cells of {best.name}, as held-out beams look at them",
         *align([*zip(*reliability, strict=True)], labels=1),
         "",
         f"{rest}; {comparison.scans.used:,} of {comparison.scans.read:,} used",
         *(f"picture: {file}" for file in comparison.files),
         *([f"as good within the error: {preference}"] if preference else []),
-        f"best: {best.variant.name}",
-        write_command(comparison.build_command(best)),
+        f"best: {best.name}",
+        write_command(comparison.command),
     ]
-    if likeliest is not best:
-        lines.append(f"where probabilities matter: {likeliest.variant.name}")
-        lines.append(write_command(comparison.build_command(likeliest)))
+    if comparison.likeliest is not best:
+        lines.append(f"where probabilities matter: {comparison.likeliest_name}")
+        lines.append(write_command(comparison.likeliest_command))
     return lines

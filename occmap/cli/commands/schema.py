@@ -16,7 +16,7 @@ from occmap.plugins import Broken
 SCHEMAS = {
     "build": "occmap.report:Report",
     "check": "occmap.inspection.findings:Inspection",
-    "compare": "occmap.scoring.compare:PrintedComparison",
+    "compare": "occmap.scoring.compare:VariantComparison",
     "diff": "occmap.difference:MapDifference",
     "explain": "occmap.explanation:Explanation",
     "merge": "occmap.report:Report",
