@@ -5,6 +5,9 @@ text.
 """
 
 import math
+import re
+from collections.abc import Mapping
+from dataclasses import fields as list_fields
 from dataclasses import is_dataclass
 from enum import StrEnum
 from functools import cache
@@ -15,13 +18,23 @@ import click
 
 from occmap.cli.console import Console, Verbosity, spell
 from occmap.cli.sections import BareOption, SectionOption, join, option
-from occmap.cli.values import FROM_SCANS, PATH, one_of, parse_align, parse_numbers, take_one
-from occmap.command import spell_flag
-from occmap.keywords import drop_none, list_options, list_values
+from occmap.command import MODEL_PARAMETERS, spell_flag
+from occmap.errors import UsageError
+from occmap.keywords import drop_none, find_form, list_options, list_values
 from occmap.options import BuildOptions
 from occmap.plain import read_texts
-from occmap.sensor.models import describe_model
+from occmap.sensor.models import SensorModel, describe_model, parse_model
+from occmap.wording import count
 from occmap.writers import Shade
+
+PATH = click.Path(path_type=Path, readable=False)
+"""Where click would look whether it can be read, occmap's own error says more."""
+FROM_SCANS = "auto"
+"""The value of --align that leaves the angle to the scans."""
+FORM = re.compile(r"\((.*?)\)")
+"""A tuple, as it is written in Python"""
+Values = Mapping[str, Any]
+"""What click has read, by the names of the options."""
 
 HINTS, DEFAULTS = list_options(BuildOptions, include_extras=True), list_values(BuildOptions())
 TYPES: dict[Any, Any] = {float: float, int: int, Path: PATH}
@@ -40,6 +53,49 @@ USUAL = {
 
 MAP, MODEL, RANGES = "Map", "Sensor model", "What a range means"
 SCANS, POSES, FILES, RUN = "Which scans", "Where the scans were taken", "Files", "Run"
+
+
+def parse_numbers(name: str, text: str) -> Any:
+    """Read an option of several numbers with commas between.
+
+    Raises
+    ------
+    UsageError
+        There are too many or too few numbers, one is not a number, or an angle is in degrees.
+    """
+    read, form = find_form(get_args(drop_none(HINTS[name]))[0])
+    typed = FORM.sub(lambda found: found[1].replace(" ", ""), form)
+    where, fix = f"{spell_flag(name)} {text}", f"write {typed}"
+    values = [value.strip() for value in text.split(",")]
+    frames = 2 if name == "static_transforms" else 0
+    try:
+        return read([*values[:frames], *read_numbers(values[frames:], where, fix)])
+    except UsageError as error:
+        raise UsageError(error.found, where=where, fix=error.fix or fix) from None
+    except ValueError:
+        belong = [str(each.count(",") + 1) for each in FORM.findall(form.partition(" in ")[0])]
+        found = f"{count(len(values), 'value')} where {' or '.join(belong)} belong"
+        raise UsageError(found, where=where, fix=fix) from None
+
+
+def read_numbers(words: list[str], where: str, form: str) -> list[float]:
+    """Read finite decimal numbers.
+
+    Raises
+    ------
+    UsageError
+        Naming the first word that is not a number, and the form that is expected.
+    """
+    numbers = []
+    for word in words:
+        try:
+            number = float(word)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            raise UsageError(f"{word.strip()!r} is not a number", where=where, fix=form)
+        numbers.append(number)
+    return numbers
 
 
 @cache
@@ -67,7 +123,9 @@ def field(section: str, name: str, **more: Any) -> Any:
     kind, metavar = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
     settings: dict[str, Any] = {"cls": FieldOption, "metavar": metavar, "type": TYPES.get(kind)}
     if isinstance(default, StrEnum):
-        settings |= {**one_of(kind), "default": default.value, "show_default": True}
+        settings |= {"type": click.Choice([member.value for member in kind])}
+        settings |= {"callback": lambda _ctx, _param, value: kind(value)}
+        settings |= {"default": default.value, "show_default": True}
     elif metavar and "," in metavar:
         settings["type"] = lambda text: parse_numbers(name, text)
     elif isinstance(default, int | float):
@@ -97,6 +155,17 @@ output = option(
 )
 
 
+def take_one(_ctx: click.Context, param: click.Parameter, values: tuple[Any, ...]) -> Any:
+    """Take the only value of an option, None if there is none; raises UsageError for several."""
+    if len(values) > 1:
+        given = ", ".join(map(str, values))
+        raise UsageError(
+            f"{param.opts[-1]} takes one file, and is given {len(values)}: {given}",
+            fix="run the command once for each",
+        )
+    return next(iter(values), None)
+
+
 def one_output(name: str, metavar: str, text: str) -> Any:
     """Declare the option that names the one file that a command writes."""
     names = FILES, "-o", "--output", name
@@ -124,6 +193,20 @@ resolution, max_cells = (
     field(MAP, "max_cells", type=click.IntRange(min=1)),
 )
 lattice = join(resolution, fields(MAP, "jump", "hit_offset", "border_gap"), max_cells)
+
+
+def parse_align(text: str) -> float | None:
+    """Read an angle in degrees, or the word that leaves it to the scans.
+
+    Raises
+    ------
+    UsageError
+        It is neither.
+    """
+    form = f"write degrees such as 12.5, or {FROM_SCANS}"
+    return None if text == FROM_SCANS else read_numbers([text], f"--align {text}", form)[0]
+
+
 align = option(
     MAP,
     "--align",
@@ -183,6 +266,32 @@ model_parameters = join(
 )
 model = join(model_option(describe_model(DEFAULTS["model"])), model_parameters)
 saved_model = join(model_option("what it was built with"), model_parameters)
+
+
+def collect_model(values: Values, usual: SensorModel) -> SensorModel:
+    """Make the sensor model; a shorthand such as --p-hit goes before what --model says.
+
+    `usual` is the one to take where --model says nothing.
+
+    Raises
+    ------
+    UsageError
+        No such model, or a parameter that it does not have or allow.
+    """
+    text = values["model"] or describe_model(usual)
+    name = text.partition(":")[0]
+    given = {key: values[key] for key in MODEL_PARAMETERS if values[key] is not None}
+    known = [each.name for each in list_fields(parse_model(name))]  # type: ignore[arg-type]  # a dataclass
+    flags = ", ".join(spell_flag(key) for key in MODEL_PARAMETERS if key in known)
+    for key in given:
+        if key not in known:
+            raise UsageError(
+                f"{spell_flag(key)} does not go with the model {name}",
+                fix=f"it has {flags}; see `occmap models` for --model",
+            )
+    pairs = [text.partition(":")[2], *(f"{key}={value!r}" for key, value in given.items())]
+    return parse_model(f"{name}:{','.join(filter(None, pairs))}")
+
 
 jobs = field(RUN, "jobs")
 config = option(

@@ -10,7 +10,6 @@ from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console, Verbosity, label_first, write_command, write_rows
 from occmap.cli.sections import SectionCommand, join
 from occmap.cli.streams import gather_logs
-from occmap.cli.values import PATH
 from occmap.gates.measures import CHECK
 from occmap.inspection import inspect
 from occmap.inspection.findings import Inspection, LogFindings, RangeFindings
@@ -50,7 +49,7 @@ page = options.one_output("output", "FILE.html", "Write the findings as a page a
 
 
 @click.command("check", cls=SectionCommand, help=HELP, short_help=COMMANDS["check"])
-@click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG...")
+@click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
 @join(page, options.resolution, options.max_cells, options.reading)
 @join(
     limits.fail_if(CHECK, "dropped_scans > 5%"), options.config, options.as_json, options.verbosity

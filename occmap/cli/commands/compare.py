@@ -10,7 +10,6 @@ from occmap.cli.console import Console, align, write_command
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.streams import gather_logs
-from occmap.cli.values import PATH
 from occmap.gates.measures import COMPARE
 from occmap.keywords import take
 from occmap.options import BuildOptions
@@ -69,7 +68,7 @@ picture = options.one_output(
 
 
 @click.command("compare", cls=SectionCommand, help=HELP, short_help=COMMANDS["compare"])
-@click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG...")
+@click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
 @join(variants, picture, options.lattice, options.reading)
 @join(
     limits.fail_if(COMPARE, "share < 70%"),

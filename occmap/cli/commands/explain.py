@@ -8,11 +8,11 @@ from typing import Any
 import click
 
 from occmap.cli import COMMANDS, options
-from occmap.cli.collect import choose_saved_model
 from occmap.cli.console import Console, align, label_first, write_rows
+from occmap.cli.options import PATH
 from occmap.cli.progress import show_progress
+from occmap.cli.saved import choose_saved_model
 from occmap.cli.sections import SectionCommand, join, option
-from occmap.cli.values import PATH
 from occmap.explanation import Explanation, Question, describe_numbers, explain
 from occmap.explanation.history import Seen, Visits
 from occmap.explanation.sightings import add_up

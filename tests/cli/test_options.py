@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from occmap.cli.values import parse_numbers
+from occmap.cli.options import parse_numbers
 from occmap.errors import UsageError
 from occmap.types import Pose
 
