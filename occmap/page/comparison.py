@@ -34,8 +34,8 @@ def write_comparison(path: Path, comparison: VariantComparison) -> None:
     )
     sections = [
         tell_verdict(comparison),
-        Section("Scores", [tell_scores(comparison)], wide=True),
-        Section("Do probabilities mean what they say?", [tell_reliability(results)], wide=True),
+        Section("Scores", [tell_scores(comparison)]),
+        Section("Do probabilities mean what they say?", [tell_reliability(results)]),
         tell_notes(comparison.notes, comparison.damage),
         describe_maker(entry for log in logs for entry in describe_files(log)),
     ]
@@ -53,7 +53,7 @@ def tell_verdict(comparison: VariantComparison) -> Section:
         command = shlex.join(comparison.likeliest_command)
         rows = [("where probabilities matter", comparison.likeliest_name)]
         blocks += [Block("facts", rows), Block("code", texts=[command])]
-    return Section("Verdict", blocks, wide=True)
+    return Section("Verdict", blocks)
 
 
 def tell_scores(comparison: VariantComparison) -> Block:
