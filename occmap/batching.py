@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import NamedTuple, Self, overload
+from typing import Annotated, NamedTuple, Self, overload
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from occmap.errors import require
 from occmap.posing.options import Stamps
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import read_limits
-from occmap.types import Scan, ScanBatch, ScanRun
+from occmap.types import Scan, ScanBatch, ScanRun, Seconds
 
 BATCH_BEAMS = 1 << 18
 """Beams that are gathered before they are handed on: a few megabytes, and enough work that threads
@@ -44,23 +44,22 @@ def count_wanted(read: int, unused: Mapping[str, int]) -> int:
 
 @dataclass(frozen=True)
 class Selection:
-    """Which scans of a log to use.
+    """Which scans of a log to use: a log that is cut at any time falls into parts that share none.
 
-    Parameters
-    ----------
-    topics
-        The scan topics; empty: all.
-    start_s, end_s
-        Seconds after the log's first scan; the end is outside, so that a log that is cut at any
-        moment falls into parts that share no scan.
-    stride
-        Every n-th scan of those in the time window.
+    Raises
+    ------
+    UsageError
+        The values leave no scan to use.
     """
 
-    topics: tuple[str, ...] = ()
-    start_s: float = -math.inf
-    end_s: float = math.inf
-    stride: int = 1
+    topics: Annotated[tuple[str, ...], "TOPIC"] = ()
+    """Use the scans of this topic."""
+    start_s: Seconds = -math.inf
+    """Use scans from this time after the first on."""
+    end_s: Seconds = math.inf
+    """Use scans before this time after the first."""
+    stride: Annotated[int, "N"] = 1
+    """Use every N-th of these scans."""
 
     def __post_init__(self) -> None:
         require(self.stride >= 1, f"a stride of {self.stride} is not possible", "give 1 or more")

@@ -106,8 +106,8 @@ def list_beside(name: str, texts: Sequence[str], text: str) -> list[str]:
 
 def name_map(path: str) -> str:
     """Name a map after its log: the base name without what it is packed and written in."""
-    name = Path(path).resolve().name.removesuffix(".gz")
-    return Path(name).stem or "map"
+    stem = Path(Path(path).resolve().name.removesuffix(".gz")).stem
+    return "stdin" if stem == "-" else stem or "map"
 
 
 def list_texts(value: Any) -> list[str]:

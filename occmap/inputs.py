@@ -136,7 +136,7 @@ def keep_stdin(paths: Sequence[Path]) -> Iterator[list[Path]]:
     if sys.stdin is None:
         raise LogError("is closed", where="stdin", fix="pipe a log into it")
     with tempfile.TemporaryDirectory(prefix=STDIN_FOLDER) as folder:
-        saved = Path(folder) / "stdin"
+        saved = Path(folder) / STDIN.name  # pages and evidence call it so
         with saved.open("wb") as file:
             shutil.copyfileobj(sys.stdin.buffer, file)
         if not saved.stat().st_size:

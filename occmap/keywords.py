@@ -5,7 +5,7 @@ import operator
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import is_dataclass
-from enum import StrEnum
+from enum import EnumType, StrEnum
 from functools import reduce
 from numbers import Real
 from pathlib import Path
@@ -60,11 +60,12 @@ def read_options(kind: type[Options], given: Mapping[str, Any], call: str) -> Op
     return take(kind, values)
 
 
-def list_options(kind: Any) -> dict[str, Any]:
-    """List the type of each option by its name, those in groups, too."""
+def list_options(kind: Any, *, include_extras: bool = False) -> dict[str, Any]:
+    """List the type of each option by its name, those in groups, too; as `get_type_hints`."""
     found: dict[str, Any] = {}
-    for name, hint in get_type_hints(kind).items():
-        found |= list_options(hint) if is_dataclass(hint) else {name: hint}
+    for name, hint in get_type_hints(kind, include_extras=include_extras).items():
+        is_group = is_dataclass(hint)
+        found |= list_options(hint, include_extras=include_extras) if is_group else {name: hint}
     return found
 
 
@@ -105,16 +106,21 @@ def read_option(name: str, hint: Any, value: Any) -> Any:
     if value is None and NoneType in get_args(hint):
         return None
     hint = drop_none(hint)
-    if hint not in FORMS:
-        return _read_member(name, hint, value)
-    read, form = FORMS[hint]
+    if isinstance(hint, EnumType):
+        return _read_member(name, cast(type[StrEnum], hint), value)
+    several, (read, form) = hint not in FORMS, find_form(hint)
     try:
-        return read(value)
+        return tuple(map(read, value)) if several else read(value)
     except UsageError as error:
         raise error.placed(f"{name} = {value!r}") from None
     except (TypeError, ValueError):
-        fix = f"give {form}{NONE_MEANS.get(name, '')}"
+        fix = f"give {'a list of ' * several}{form}{NONE_MEANS.get(name, '')}"
         raise UsageError(f"{name} is {value!r}", fix=fix) from None
+
+
+def find_form(hint: Any) -> tuple[Callable[[Any], Any], str]:
+    """Find how a value of a type, or each of several, is read, and what to give."""
+    return FORMS[hint if hint in FORMS else get_args(hint)[0]]
 
 
 def _read_member(name: str, kind: type[StrEnum], value: Any) -> StrEnum:
@@ -125,7 +131,7 @@ def _read_member(name: str, kind: type[StrEnum], value: Any) -> StrEnum:
     return kind(value)
 
 
-def refuse_degrees(angles: Iterable[float]) -> None:
+def _refuse_degrees(angles: Iterable[float]) -> None:
     """Refuse angles of more than a turn, which are degrees; raises UsageError with the radians."""
     for angle in angles:
         if abs(angle) > LARGEST_ANGLE:
@@ -147,30 +153,32 @@ def _read_numbers(value: Iterable[Any], *sizes: int) -> tuple[float, ...]:
     return numbers
 
 
-def read_pose(value: Any) -> Pose:
+def _read_pose(value: Any) -> Pose:
     """Make a pose of (x, y, yaw) or (x, y, yaw, roll, pitch), in metres and radians."""
     if isinstance(value, Pose):
         return value
     x, y, yaw, roll, pitch, *_ = (*_read_numbers(value, 3, 5), 0.0, 0.0)
-    refuse_degrees((yaw, roll, pitch))
+    _refuse_degrees((yaw, roll, pitch))
     return Pose.from_xyzrpy((x, y, 0.0), (roll, pitch, yaw))
 
 
-def read_transform(value: Any) -> PoseSample:
+def _read_transform(value: Any) -> PoseSample:
     """Make a fixed transform of (parent, child, x, y, z, roll, pitch, yaw)."""
     if isinstance(value, PoseSample):
         return value
     parent, child, *numbers = value
     x, y, z, roll, pitch, yaw = _read_numbers(numbers, 6)
-    refuse_degrees((roll, pitch, yaw))
+    if not (parent and child):
+        raise UsageError("a frame has no name")
+    _refuse_degrees((roll, pitch, yaw))
     pose = Pose.from_xyzrpy((x, y, z), (roll, pitch, yaw))
     return PoseSample(0, os.fspath(parent), os.fspath(child), pose, static=True)
 
 
-def read_sector(value: Any) -> tuple[float, ...]:
+def _read_sector(value: Any) -> tuple[float, ...]:
     """Make a sector of two bearings in radians."""
     sector = _read_numbers(value, 2)
-    refuse_degrees(sector)
+    _refuse_degrees(sector)
     return sector
 
 
@@ -191,17 +199,21 @@ FORMS: dict[Any, tuple[Callable[[Any], Any], str]] = {
     int: (operator.index, "a whole number"),
     str: (os.fspath, "text"),
     Path: (Path, "a path"),
-    Pose: (read_pose, "(x, y, yaw) or (x, y, yaw, roll, pitch) in metres and radians"),
-    Box: (lambda box: _read_numbers(box, 4), "(x_min, y_min, x_max, y_max) in metres"),
+    Pose: (
+        _read_pose,
+        "(x, y, yaw) or (x, y, yaw, roll, pitch) in metres and radians, such as (0.1, 0, 3.14159)",
+    ),
+    PoseSample: (
+        _read_transform,
+        "(parent, child, x, y, z, roll, pitch, yaw) in metres and radians",
+    ),
+    Sector: (_read_sector, "(from, to) in radians, counter-clockwise, such as (2.5, -2.5)"),
+    Box: (
+        lambda box: _read_numbers(box, 4),
+        "(x_min, y_min, x_max, y_max) in metres, such as (-0.4, -0.3, 0.2, 0.3)",
+    ),
     SensorModel: (_read_model, 'text such as "simple:p_hit=0.8", or a model'),
     tuple[str, ...]: (_read_topics, "a topic or a list of topics"),
-    tuple[Sector, ...]: (
-        lambda sectors: tuple(map(read_sector, sectors)),
-        "a list of (from, to) in radians, counter-clockwise",
-    ),
-    tuple[PoseSample, ...]: (
-        lambda transforms: tuple(map(read_transform, transforms)),
-        "a list of (parent, child, x, y, z, roll, pitch, yaw) in metres and radians",
-    ),
 }
-"""How a value of each type is read, and what to give; enums are read by the text of a member."""
+"""How a value of each type is read, or each of several, and what to give; enums are read by the
+text of a member."""

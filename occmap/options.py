@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 from occmap.batching import Selection
 from occmap.errors import require
@@ -13,7 +14,7 @@ from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions
 from occmap.sensor.models import CountingModel, SensorModel
 from occmap.sensor.returns import ReturnOptions
-from occmap.types import Update
+from occmap.types import Metres, Seconds, Update
 from occmap.workers import count_cores
 from occmap.writers import WriteOptions
 
@@ -34,10 +35,14 @@ def choose_model(update: Update) -> SensorModel:
 
 @dataclass(frozen=True)
 class BuildOptions:
-    """What a user may choose about a map, grouped by the stage that it concerns."""
+    """What a user may choose about a map, grouped by the stage that it concerns.
 
-    resolution: float = 0.05
-    """Side of a cell (m)"""
+    The text below a field is its help on the command line, where a second part of its type, as in
+    `Metres`, stands for the value.
+    """
+
+    resolution: Metres = 0.05
+    """Side of a cell."""
     update: Update = DEFAULT_UPDATE
     model: SensorModel = field(default_factory=CountingModel)
     reading: ReaderOptions = field(default_factory=ReaderOptions)
@@ -46,24 +51,25 @@ class BuildOptions:
     selection: Selection = field(default_factory=Selection)
     framing: Framing = field(default_factory=Framing)
     writing: WriteOptions = field(default_factory=WriteOptions)
-    jump: float = 0.1
-    """Neighbouring beams see one surface where ranges differ by at most this (m; not beam)"""
-    border_gap: int = 8
-    """A surface is closed between end cells at most this far apart (cells; polygon)"""
-    hit_offset: float = 0.5
-    """How far a hit lies behind the measured point, which is on a surface (cells)"""
-    max_cells: int = MAX_CELLS
-    """A map with more cells is refused"""
-    min_passes: int | None = None
-    """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
-    pass_gap_s: float = 10.0
-    """Two visits of a cell lie at least this far apart (s)"""
-    jobs: int = field(default_factory=count_cores)
-    """Threads"""
-    resume: Path | None = None
-    """An evidence file: its observations are added to those of the logs"""
-    resume_if_there: Path | None = None
-    """As `resume` where this file exists; where it does not, the build starts anew"""
+    jump: Metres = 0.1
+    """Two neighbouring beams meet one surface if their ranges differ by at most this."""
+    border_gap: Annotated[int, "CELLS"] = 8
+    """polygon: join end cells on one surface up to this far apart."""
+    hit_offset: Annotated[float, "CELLS"] = 0.5
+    """Move each hit this far behind the measured point, which is on a surface."""
+    max_cells: Annotated[int, "N"] = MAX_CELLS
+    """Refuse to make a larger map."""
+    min_passes: Annotated[int, "K"] | None = None
+    """Keep the hits of a cell only if they came on at least this many visits: drops people who
+    passed once."""
+    pass_gap_s: Seconds = 10.0
+    """Sightings of a cell at least this far apart are two visits."""
+    jobs: Annotated[int, "N"] = field(default_factory=count_cores)
+    """Threads."""
+    resume: Annotated[Path, "NPZ"] | None = None
+    """Add to the evidence in this file, which `outputs` may name again."""
+    resume_if_there: Annotated[Path, "NPZ"] | None = None
+    """As `resume` if the file exists; otherwise start a new map."""
 
     def __post_init__(self) -> None:
         check_passes(self.min_passes, self.model)

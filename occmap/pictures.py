@@ -40,7 +40,7 @@ def compare_logs(
         from occmap.scoring.picture import write_picture  # noqa: PLC0415  late: it brings PIL
 
         write_picture(picture, comparison.results)
-    return replace(comparison, files=[str(picture)])
+    return replace(comparison, files=(str(picture),))
 
 
 def compare_files(

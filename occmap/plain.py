@@ -4,10 +4,14 @@
 each field.
 """
 
+import ast
+import inspect
 import math
+import sys
+import textwrap
 from dataclasses import fields, is_dataclass
 from enum import Enum
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, TypeAlias, is_typeddict
 
 Count: TypeAlias = Annotated[int, ("minimum", 0)]
 Share: TypeAlias = Annotated[float, ("minimum", 0), ("maximum", 1)]
@@ -17,6 +21,8 @@ Finite: TypeAlias = Annotated[float, ("type", ("number", "null"))]
 
 HIDDEN = {"printed": ""}
 """Metadata of a dataclass field that is not part of what is printed"""
+IN_PLACE = {"printed": "*"}
+"""Metadata of a dataclass field whose own fields are printed in its place"""
 
 
 def printed_as(name: str) -> dict[str, str]:
@@ -42,8 +48,12 @@ def list_printed(kind: Any) -> dict[str, str]:
 def to_plain(value: Any) -> Any:
     """Turn a result into JSON values; a number that is not finite becomes None."""
     if is_dataclass(value):
-        value = {printed: getattr(value, name) for name, printed in list_printed(value).items()}
-    elif isinstance(value, tuple) and hasattr(value, "_asdict"):
+        parts: dict[str, Any] = {}
+        for name, printed in list_printed(value).items():
+            part = to_plain(getattr(value, name))
+            parts |= part if printed == "*" else {printed: part}
+        return parts
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
         value = value._asdict()
     if isinstance(value, dict):
         return {str(key): to_plain(item) for key, item in value.items()}
@@ -54,3 +64,18 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def read_texts(kind: Any) -> dict[str, str]:
+    """Read the text below each field of a type and of those that it extends."""
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+    assert isinstance(tree, ast.ClassDef)
+    known = vars(sys.modules[kind.__module__])
+    texts: dict[str, str] = {}
+    for base in (known.get(ast.unparse(base)) for base in tree.bases):
+        if is_typeddict(base) or is_dataclass(base):
+            texts |= read_texts(base)
+    for field, text in zip(tree.body, tree.body[1:], strict=False):
+        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
+            texts[ast.unparse(field.target)] = " ".join(ast.literal_eval(text.value).split())
+    return texts

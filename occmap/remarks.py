@@ -68,6 +68,12 @@ def list_notes(
     yield from list_misfits(paths, options, facts.agreement, tally)
 
 
+def drop_damage(notes: Iterable[str], damage: Iterable[str]) -> list[str]:
+    """List the notes that do not tell of damage, which a page shows apart."""
+    told = set(damage)
+    return [note for note in notes if note not in told]
+
+
 def list_frames(tally: Tally) -> Iterator[str]:
     """Say that logs are mapped in frames of different names, which may lie anywhere."""
     first = {frame: log for log, frame in reversed(tally.frames.items()) if frame}

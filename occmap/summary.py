@@ -30,7 +30,7 @@ def tell_scans(report: Report) -> list[Row]:
         used = f"{used}, added to {past} in {report.resumed.file}"
     elif report.builds > 1:
         if report.scans.wanted < report.scans.read:  # most leave out what is in another one
-            used = f"{report.scans.used:,} of {report.scans.wanted:,} asked for used"
+            used = f"{report.scans.used:,} used of {report.scans.wanted:,} asked for"
         used = f"{used}, in {count(report.builds, 'build')}"
     dropped = write_counts(report.scans.dropped)
     return [("scans", used), *([("dropped", dropped)] if dropped else [])]

@@ -11,7 +11,7 @@ left, z up, yaw counter-clockwise.
 import math
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
-from typing import NamedTuple, Self
+from typing import Annotated, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +19,10 @@ from numpy.typing import ArrayLike
 from occmap.arrays import Bool, Float32, Float64, Int64, UInt8
 from occmap.errors import DamageError
 from occmap.values import as_number, as_ranges, as_stamp, as_text, shorten
+
+Metres: TypeAlias = Annotated[float, "M"]
+Seconds: TypeAlias = Annotated[float, "S"]
+"""Types of options; the second part stands for the value on the command line"""
 
 
 class Pose(NamedTuple):

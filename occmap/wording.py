@@ -72,4 +72,4 @@ def name_stdin(text: str) -> str:
         return text
     from tempfile import gettempdir  # noqa: PLC0415  late: few texts need it
 
-    return re.sub(rf"{re.escape(gettempdir())}[/\\]{STDIN_FOLDER}\w+[/\\]stdin", "-", text)
+    return re.sub(rf"{re.escape(gettempdir())}[/\\]{STDIN_FOLDER}\w+[/\\]-", "-", text)

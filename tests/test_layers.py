@@ -45,8 +45,8 @@ HEAVY = {
 BUILD_COMMAND = {
     f"occmap.cli.{name}"
     for name in [
-        *("commands", "commands.build", "collect", "config", "console", "limits", "log_options"),
-        *("options", "progress", "sections", "signals", "streams", "values"),
+        *("commands", "commands.build", "config", "console", "limits"),
+        *("options", "progress", "sections", "signals", "streams"),
     ]
 }
 

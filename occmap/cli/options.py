@@ -1,70 +1,144 @@
 """The options that commands share, so that a flag means the same everywhere.
 
-Most set a field of `BuildOptions`: they are spelt like it, and take its type and its default.
+Most set a field of `BuildOptions`: they are spelt like it, and take its type, its default and its
+text.
 """
 
 import math
+import re
+from collections.abc import Mapping
+from dataclasses import fields as list_fields
+from dataclasses import is_dataclass
 from enum import StrEnum
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import click
 
-from occmap.cli.console import Console, Verbosity
-from occmap.cli.sections import BareOption, join, option
-from occmap.cli.values import (
-    FROM_SCANS,
-    NUMBERS,
-    PATH,
-    one_of,
-    parse_align,
-    parse_numbers,
-    take_one,
-)
-from occmap.command import spell_flag
-from occmap.keywords import drop_none, list_options, list_values
+from occmap.cli.console import Console, Verbosity, spell
+from occmap.cli.sections import BareOption, SectionOption, join, option
+from occmap.command import MODEL_PARAMETERS, spell_flag
+from occmap.errors import UsageError
+from occmap.keywords import drop_none, find_form, list_options, list_values
 from occmap.options import BuildOptions
-from occmap.sensor.models import describe_model
+from occmap.plain import read_texts
+from occmap.sensor.models import SensorModel, describe_model, parse_model
+from occmap.wording import count
 from occmap.writers import Shade
 
-HINTS, DEFAULTS = list_options(BuildOptions), list_values(BuildOptions())
-TYPES: dict[Any, Any] = {float: float, int: int, Path: PATH}
+PATH = click.Path(path_type=Path, readable=False)
+"""Where click would look whether it can be read, occmap's own error says more."""
+FROM_SCANS = "auto"
+"""The value of --align that leaves the angle to the scans."""
+FORM = re.compile(r"\((.*?)\)")
+"""A tuple, as it is written in Python"""
+Values = Mapping[str, Any]
+"""What click has read, by the names of the options."""
 
+HINTS, DEFAULTS = list_options(BuildOptions, include_extras=True), list_values(BuildOptions())
+TYPES: dict[Any, Any] = {float: float, int: int, Path: PATH}
 SHORT = {"resolution": ("-r",)}
+USUAL = {
+    "extent": "what was observed",
+    "free_thresh": "the model's --cut; in the YAML 0.196",
+    "jobs": "one for each core",
+    "map_frame": "map, else odom, else the root",
+    "max_range": "no limit",
+    "occupied_thresh": "the model's --cut; in the YAML 0.65",
+    "range_max": "what the log states",
+    "topics": "all",
+}
+"""What --help shows as the default, where that is neither a number nor a word"""
 
 MAP, MODEL, RANGES = "Map", "Sensor model", "What a range means"
 SCANS, POSES, FILES, RUN = "Which scans", "Where the scans were taken", "Files", "Run"
 
 
-def field(section: str, name: str, metavar: str, text: str, usual: str = "", **more: Any) -> Any:
-    """Declare the option for a field of BuildOptions.
+def parse_numbers(name: str, text: str) -> Any:
+    """Read an option of several numbers with commas between.
 
-    Parameters
-    ----------
-    metavar
-        What stands for the value; "" where it is one of some words, which --help lists.
-    usual
-        What --help shows as the default, where that is not a number.
-    more
-        Settings of the option that replace what the field says.
+    Raises
+    ------
+    UsageError
+        There are too many or too few numbers, one is not a number, or an angle is in degrees.
+    """
+    read, form = find_form(get_args(drop_none(HINTS[name]))[0])
+    typed = FORM.sub(lambda found: found[1].replace(" ", ""), form)
+    where, fix = f"{spell_flag(name)} {text}", f"write {typed}"
+    values = [value.strip() for value in text.split(",")]
+    frames = 2 if name == "static_transforms" else 0
+    try:
+        return read([*values[:frames], *read_numbers(values[frames:], where, fix)])
+    except UsageError as error:
+        raise UsageError(error.found, where=where, fix=error.fix or fix) from None
+    except ValueError:
+        belong = [str(each.count(",") + 1) for each in FORM.findall(form.partition(" in ")[0])]
+        found = f"{count(len(values), 'value')} where {' or '.join(belong)} belong"
+        raise UsageError(found, where=where, fix=fix) from None
+
+
+def read_numbers(words: list[str], where: str, form: str) -> list[float]:
+    """Read finite decimal numbers.
+
+    Raises
+    ------
+    UsageError
+        Naming the first word that is not a number, and the form that is expected.
+    """
+    numbers = []
+    for word in words:
+        try:
+            number = float(word)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            raise UsageError(f"{word.strip()!r} is not a number", where=where, fix=form)
+        numbers.append(number)
+    return numbers
+
+
+@cache
+def read_help() -> dict[str, str]:
+    """Read what each field of BuildOptions is for, from the text below it."""
+    groups = [BuildOptions, *filter(is_dataclass, get_type_hints(BuildOptions).values())]
+    return {name: spell(text) for group in groups for name, text in read_texts(group).items()}
+
+
+class FieldOption(SectionOption):
+    """An option that sets a field of BuildOptions, whose text is read for --help alone."""
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        """Write the option's line of --help."""
+        self.help = read_help()[str(self.name)] + " May repeat." * self.multiple
+        return super().get_help_record(ctx)
+
+
+def field(section: str, name: str, **more: Any) -> Any:
+    """Declare the option for a field of BuildOptions: its type, default and text are the field's.
+
+    `more` are settings that replace these.
     """
     hint, default = drop_none(HINTS[name]), DEFAULTS[name]
-    settings: dict[str, Any] = {"metavar": metavar, "type": TYPES.get(hint)}
+    kind, metavar = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
+    settings: dict[str, Any] = {"cls": FieldOption, "metavar": metavar, "type": TYPES.get(kind)}
     if isinstance(default, StrEnum):
-        settings = {**one_of(hint), "default": default.value, "show_default": True}
-    elif name in NUMBERS:
+        settings |= {"type": click.Choice([member.value for member in kind])}
+        settings |= {"callback": lambda _ctx, _param, value: kind(value)}
+        settings |= {"default": default.value, "show_default": True}
+    elif metavar and "," in metavar:
         settings["type"] = lambda text: parse_numbers(name, text)
     elif isinstance(default, int | float):
         settings |= {"default": default, "show_default": math.isfinite(default)}
-    settings |= {"multiple": default == (), "help": text}
-    if usual:
-        settings["show_default"] = usual
-    return option(section, *SHORT.get(name, ()), spell_flag(name), name, **settings | more)
+    if name in USUAL:
+        settings["show_default"] = USUAL[name]
+    flags = *SHORT.get(name, ()), spell_flag(name)
+    return option(section, *flags, name, multiple=default == (), **settings | more)
 
 
-def fields(section: str, **rows: tuple[str, ...]) -> Any:
-    """Declare options for fields of BuildOptions, each by its metavar, its text and its default."""
-    return join(*(field(section, name, *row) for name, row in rows.items()))
+def fields(section: str, *names: str) -> Any:
+    """Declare options for fields of BuildOptions, in the order of --help."""
+    return join(*(field(section, name) for name in names))
 
 
 output = option(
@@ -81,24 +155,27 @@ output = option(
 )
 
 
+def take_one(_ctx: click.Context, param: click.Parameter, values: tuple[Any, ...]) -> Any:
+    """Take the only value of an option, None if there is none; raises UsageError for several."""
+    if len(values) > 1:
+        given = ", ".join(map(str, values))
+        raise UsageError(
+            f"{param.opts[-1]} takes one file, and is given {len(values)}: {given}",
+            fix="run the command once for each",
+        )
+    return next(iter(values), None)
+
+
 def one_output(name: str, metavar: str, text: str) -> Any:
     """Declare the option that names the one file that a command writes."""
     names = FILES, "-o", "--output", name
     return option(*names, type=PATH, multiple=True, callback=take_one, metavar=metavar, help=text)
 
 
-thresholds = fields(
-    FILES,
-    occupied_thresh=(
-        "P",
-        "Occupied above this probability.",
-        "the model's --cut; in the YAML 0.65",
-    ),
-    free_thresh=("P", "Free below this probability.", "the model's --cut; in the YAML 0.196"),
-)
+thresholds = fields(FILES, "occupied_thresh", "free_thresh")
 writing = join(
     output,
-    field(FILES, "mode", "", "What the pixels of a PGM mean."),
+    field(FILES, "mode"),
     thresholds,
     option(
         FILES,
@@ -109,63 +186,55 @@ writing = join(
         help="PNG: light is occupied, as in Elfes' figures.",
     ),
 )
-resume = fields(
-    FILES,
-    resume=("NPZ", "Add to the evidence in this file, which -o may name again."),
-    resume_if_there=("NPZ", "As --resume if the file exists; otherwise start a new map."),
-)
+resume = fields(FILES, "resume", "resume_if_there")
 
-resolution = field(MAP, "resolution", "M", "Side of a cell.")
-max_cells = field(MAP, "max_cells", "N", "Refuse to make a larger map.", type=click.IntRange(min=1))
-lattice = join(
-    resolution,
-    fields(
-        MAP,
-        jump=(
-            "M",
-            "Two neighbouring beams meet one surface if their ranges differ by at most this.",
-        ),
-        hit_offset=(
-            "CELLS",
-            "Move each hit this far behind the measured point, which is on a surface.",
-        ),
-        border_gap=("CELLS", "polygon: join end cells on one surface up to this far apart."),
-    ),
-    max_cells,
+resolution, max_cells = (
+    field(MAP, "resolution"),
+    field(MAP, "max_cells", type=click.IntRange(min=1)),
 )
+lattice = join(resolution, fields(MAP, "jump", "hit_offset", "border_gap"), max_cells)
 
-align = field(
+
+def parse_align(text: str) -> float | None:
+    """Read an angle in degrees, or the word that leaves it to the scans.
+
+    Raises
+    ------
+    UsageError
+        It is neither.
+    """
+    form = f"write degrees such as 12.5, or {FROM_SCANS}"
+    return None if text == FROM_SCANS else read_numbers([text], f"--align {text}", form)[0]
+
+
+align = option(
     MAP,
-    "align",
-    "[DEG]",
-    "Turn the map by this many degrees counter-clockwise; without a number, by the smallest angle "
-    "that brings its walls along the axes.",
-    "not turned",
+    "--align",
     cls=BareOption,
     bare=FROM_SCANS,
     type=parse_align,
     default="0",
+    metavar="[DEG]",
+    show_default="not turned",
+    help="Turn the map by this many degrees counter-clockwise; without a number, by the smallest "
+    "angle that brings its walls along the axes.",
 )
-framing = fields(
-    MAP,
-    extent=(
-        "X_MIN,Y_MIN,X_MAX,Y_MAX",
-        "Cover exactly this box (m), to whole cells; an .npz still holds everything.",
-        "what was observed",
-    ),
-    margin=("M", "Add unknown space around what was observed."),
-)
+framing = fields(MAP, "extent", "margin")
+min_passes, pass_gap = field(MAP, "min_passes"), field(MAP, "pass_gap_s")
 
-min_passes = field(
-    MAP,
-    "min_passes",
-    "K",
-    "Keep the hits of a cell only if they came on at least this many visits: drops people who "
-    "passed once.",
+ranges = fields(
+    RANGES,
+    *("min_range", "max_range", "range_max", "no_return", "ignore_sectors", "footprint"),
 )
-pass_gap = field(
-    MAP, "pass_gap_s", "S", "Sightings of a cell at least this far apart are two visits."
+selection = fields(
+    SCANS, "topics", "start_s", "end_s", "stride", "echo", "min_height", "max_height"
 )
+posing = fields(
+    POSES,
+    *("poses", "sensor_pose", "static_transforms", "map_frame", "transform", "base_frame"),
+    *("max_pose_gap_s", "max_speed", "time_offset_s", "stamps", "deskew"),
+)
+reading = join(ranges, selection, posing)
 
 
 def model_option(usual: str) -> Any:
@@ -198,7 +267,33 @@ model_parameters = join(
 model = join(model_option(describe_model(DEFAULTS["model"])), model_parameters)
 saved_model = join(model_option("what it was built with"), model_parameters)
 
-jobs = field(RUN, "jobs", "N", "Threads.", "one for each core")
+
+def collect_model(values: Values, usual: SensorModel) -> SensorModel:
+    """Make the sensor model; a shorthand such as --p-hit goes before what --model says.
+
+    `usual` is the one to take where --model says nothing.
+
+    Raises
+    ------
+    UsageError
+        No such model, or a parameter that it does not have or allow.
+    """
+    text = values["model"] or describe_model(usual)
+    name = text.partition(":")[0]
+    given = {key: values[key] for key in MODEL_PARAMETERS if values[key] is not None}
+    known = [each.name for each in list_fields(parse_model(name))]  # type: ignore[arg-type]  # a dataclass
+    flags = ", ".join(spell_flag(key) for key in MODEL_PARAMETERS if key in known)
+    for key in given:
+        if key not in known:
+            raise UsageError(
+                f"{spell_flag(key)} does not go with the model {name}",
+                fix=f"it has {flags}; see `occmap models` for --model",
+            )
+    pairs = [text.partition(":")[2], *(f"{key}={value!r}" for key, value in given.items())]
+    return parse_model(f"{name}:{','.join(filter(None, pairs))}")
+
+
+jobs = field(RUN, "jobs")
 config = option(
     RUN,
     "--config",

@@ -5,12 +5,15 @@ from pathlib import Path
 from typing import Any
 
 from occmap.cli import limits
-from occmap.cli.collect import choose_saved_model
 from occmap.cli.console import Console, label_first, write_rows
+from occmap.cli.options import Values, collect_model
 from occmap.cli.streams import hide_caught, place_outputs
+from occmap.command import MODEL_PARAMETERS
 from occmap.errors import UsageError
+from occmap.evidence import Described, read_model
 from occmap.evidence.publishing import RenderOptions, publish
 from occmap.keywords import take
+from occmap.sensor.models import SensorModel
 from occmap.store.sources import Saved
 from occmap.summary import tell_map, tell_scans
 from occmap.writers.outputs import check_outputs
@@ -41,3 +44,16 @@ def choose_outputs(
     placed = place_outputs(console, outputs, inputs[0])
     check_outputs(placed, inputs)
     return placed
+
+
+def choose_saved_model(evidence: Described, values: Values) -> SensorModel | None:
+    """Make the model that the user wants, if any; a shorthand changes the one of the evidence.
+
+    Raises
+    ------
+    UsageError
+        No such model, or a parameter that it does not have or allow.
+    """
+    if all(values.get(name) is None for name in ("model", *MODEL_PARAMETERS)):
+        return None
+    return collect_model(values, read_model(evidence))

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from occmap.cells import Box, OccupancyMap, to_log_odds
 from occmap.errors import MapError, require
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.tiles import refuse_large
+from occmap.types import Metres
 
 CELL_SLACK = 1e-6
 """In cells: 0.15 m is three cells of 0.05 m, whatever floats say."""
@@ -26,10 +28,10 @@ class Framing:
         A value is out of its range, or both are given.
     """
 
-    extent: Box | None = None
-    """The map covers this box (m), to whole cells; what was not observed in it is unknown"""
-    margin: float = 0.0
-    """How much unknown space the map has around what was observed (m), to whole cells"""
+    extent: Annotated[Box, "X_MIN,Y_MIN,X_MAX,Y_MAX"] | None = None
+    """Cover exactly this box (m), to whole cells; an .npz still holds everything."""
+    margin: Metres = 0.0
+    """Add unknown space around what was observed."""
 
     def __post_init__(self) -> None:
         found = f"a margin of {self.margin} m is not possible"

@@ -16,7 +16,7 @@ from occmap.page.layers import describe_rasters, name_layers
 from occmap.page.plots import plot_map
 from occmap.page.raster import MOST_BYTES, make_raster
 from occmap.scoring.compare import SCORES, VariantComparison, list_scores
-from occmap.scoring.trials import Result
+from occmap.scoring.trials import ScoredVariant
 
 
 def write_comparison(path: Path, comparison: VariantComparison) -> None:
@@ -34,8 +34,8 @@ def write_comparison(path: Path, comparison: VariantComparison) -> None:
     )
     sections = [
         tell_verdict(comparison),
-        Section("Scores", [tell_scores(comparison)], wide=True),
-        Section("Do probabilities mean what they say?", [tell_reliability(results)], wide=True),
+        Section("Scores", [tell_scores(comparison)]),
+        Section("Do probabilities mean what they say?", [tell_reliability(results)]),
         tell_notes(comparison.notes, comparison.damage),
         describe_maker(entry for log in logs for entry in describe_files(log)),
     ]
@@ -45,17 +45,15 @@ def write_comparison(path: Path, comparison: VariantComparison) -> None:
 
 def tell_verdict(comparison: VariantComparison) -> Section:
     """Say which variant to use, and how."""
-    best, likeliest = comparison.recommended, comparison.likeliest
-    rows = [("best", best.variant.name)]
+    rows = [("best", comparison.best)]
     if comparison.preference:
         rows.append(("as good within the error", comparison.preference))
-    command = shlex.join(comparison.build_command(best))
-    blocks = [Block("facts", rows), Block("code", texts=[command])]
-    if likeliest is not best:
-        rows = [("where probabilities matter", likeliest.variant.name)]
-        command = shlex.join(comparison.build_command(likeliest))
+    blocks = [Block("facts", rows), Block("code", texts=[shlex.join(comparison.command)])]
+    if comparison.likeliest is not comparison.recommended:
+        command = shlex.join(comparison.likeliest_command)
+        rows = [("where probabilities matter", comparison.likeliest_name)]
         blocks += [Block("facts", rows), Block("code", texts=[command])]
-    return Section("Verdict", blocks, wide=True)
+    return Section("Verdict", blocks)
 
 
 def tell_scores(comparison: VariantComparison) -> Block:
@@ -68,7 +66,7 @@ def tell_scores(comparison: VariantComparison) -> Block:
     return Block("table", rows, head)
 
 
-def tell_reliability(results: Sequence[Result]) -> Block:
+def tell_reliability(results: Sequence[ScoredVariant]) -> Block:
     """Draw what maps say of their cells over what held-out beams found in them."""
     plot = figure(
         height=380,
@@ -88,7 +86,7 @@ def tell_reliability(results: Sequence[Result]) -> Block:
         spots = [each.predicted for each in bins], [each.observed for each in bins]
         style: dict[str, Any] = {
             "color": Category10_10[index % 10],
-            "legend_label": result.variant.name,
+            "legend_label": result.name,
             "line_dash": "solid" if index < 10 else "dotted",
         }
         plot.line(*spots, line_width=2, **style)
@@ -99,7 +97,7 @@ def tell_reliability(results: Sequence[Result]) -> Block:
     return Block("plot", plot=plot)
 
 
-def stage(results: Sequence[Result]) -> Stage:
+def stage(results: Sequence[ScoredVariant]) -> Stage:
     """Set out the maps side by side; what one shows, all show."""
     share = MOST_BYTES // len(results)
     rasters = [make_raster(result.map, None, share) for result in results]
@@ -112,7 +110,7 @@ def stage(results: Sequence[Result]) -> Stage:
     note = f"Large maps are shown thinned, up to one of {coarse} x {coarse} cells."
     return Stage(
         plots=plots,
-        titles=[f"share {each.score.share:.3f} \u2013 {each.variant.name}" for each in results],
+        titles=[f"share {each.score.share:.3f} \u2013 {each.name}" for each in results],
         data=data,
         arrays=arrays,
         note=note if coarse > 1 else "",

@@ -9,9 +9,8 @@ from occmap.difference import COLOURS, FREE, NEITHER, OCCUPIED, MapDifference
 from occmap.evidence.manifest import describe_files
 from occmap.page.document import Block, Page, Section, Stage, describe_maker, write_page
 from occmap.page.layers import CLASS_COLOURS, Layer, describe_rasters
-from occmap.page.packing import pack
 from occmap.page.plots import plot_map
-from occmap.page.raster import MOST_CELLS, Layers, Raster, thin
+from occmap.page.raster import MOST_CELLS, Layers, Raster, pack, thin
 from occmap.wording import write_box
 
 CHANGES = (
@@ -45,11 +44,9 @@ def write_difference(path: Path, difference: MapDifference, maps: tuple[Path, Pa
     facts.append((CLASSES[NEITHER], "or undecided: what is neither occupied nor free"))
     if blob := difference.largest:
         facts.append(("largest", f"{blob.cells:,} connected cells, {write_box(blob.extent)}"))
-    blocks = [Block("facts", facts)]
-    if rows:
-        blocks.append(Block("table", rows, ("what changed", "#cells")))
+    blocks = [Block("facts", facts), Block("table", rows, ("what changed", "#cells"))]
     inputs = [entry for each in maps for entry in describe_files(each)]
-    sections = [Section("Changes", blocks, wide=True), describe_maker(inputs)]
+    sections = [Section("Changes", blocks), describe_maker(inputs)]
     title = f"From {before.name} to {after.name}"
     write_page(path, Page(title, subtitle, sections, stage(difference)))
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from platform import python_version
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal
 
 from occmap.command import spell_flags
 from occmap.plugins import need_extra
@@ -18,12 +18,11 @@ from occmap.writers.atomic import open_atomic
 HERE = Path(__file__).parent
 MOST_NAMES = 3
 """Logs that a title names at most"""
-Tone: TypeAlias = Literal["", "warning", "problem"]
 
 
 @dataclass(frozen=True)
 class Block:
-    """A part of a section."""
+    """A part of a section; one that holds nothing is not shown."""
 
     kind: Literal["facts", "table", "list", "code", "plot"]
     rows: Sequence[Sequence[Any]] = ()
@@ -32,7 +31,7 @@ class Block:
     """Names of the columns of a table; one that begins with # holds numbers"""
     texts: Sequence[str] = ()
     """Items of a list, or lines of code"""
-    tone: Tone = ""
+    tone: Literal["", "warning", "problem"] = ""
     title: str = ""
     plot: Any = None
     """A Bokeh figure"""
@@ -44,7 +43,7 @@ class Section:
 
     title: str
     blocks: Sequence[Block]
-    wide: bool = False
+    wide: bool = True
     """Whether it is as wide as the page"""
 
 
@@ -146,6 +145,5 @@ def describe_maker(inputs: Iterable[Mapping[str, Any]] = ()) -> Section:
     versions = ", ".join(f"{name} {version(name)}" for name in ("occmap", "numpy", "bokeh"))
     blocks.append(Block("facts", rows=[("versions", f"{versions}, Python {python_version()}")]))
     files = [(each["name"], f"{each['bytes']:,}", each["sha256"]) for each in inputs]
-    if files:
-        blocks.append(Block("table", files, ("file", "#bytes", "SHA-256")))
-    return Section("How it was made", blocks, wide=True)
+    blocks.append(Block("table", files, ("file", "#bytes", "SHA-256")))
+    return Section("How it was made", blocks)

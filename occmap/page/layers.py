@@ -9,8 +9,7 @@ import numpy as np
 from bokeh.palettes import Blues256, Greys256, Oranges256, Purples256, Viridis256
 
 from occmap.cells import Box
-from occmap.page.packing import Packed
-from occmap.page.raster import NOT_OBSERVED, Raster, to_blocks
+from occmap.page.raster import NOT_OBSERVED, Packed, Raster, to_blocks
 from occmap.writers.images import encode_png
 
 CLASS_NAMES = ("unknown", "free", "undecided", "occupied")

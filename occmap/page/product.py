@@ -10,9 +10,8 @@ from occmap.evidence.manifest import list_inputs
 from occmap.page.document import Block, Page, Section, Stage, describe_maker, name_logs
 from occmap.page.findings import tell_findings, tell_notes
 from occmap.page.layers import describe_rasters, name_layers
-from occmap.page.packing import Packed, pack
 from occmap.page.plots import WAY_COLOURS, add_scan, add_way, plot_map
-from occmap.page.raster import Raster, make_raster
+from occmap.page.raster import Packed, Raster, make_raster, pack
 from occmap.summary import tell_beams, tell_map, tell_scans
 from occmap.types import Journey
 from occmap.writers import Product, WriteOptions
@@ -45,8 +44,8 @@ def list_sections(product: Product, inputs: list[dict[str, Any]]) -> list[Sectio
     if report is not None:
         scans = [*tell_scans(report), tell_beams(report)]
         sections += [
-            Section("The map", [Block("facts", tell_map(report.map))]),
-            Section("Scans and beams", [Block("facts", scans)]),
+            Section("The map", [Block("facts", tell_map(report.map))], wide=False),
+            Section("Scans and beams", [Block("facts", scans)], wide=False),
             tell_notes(report.notes, report.damage),
         ]
     if product.inspect:

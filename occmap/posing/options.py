@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from occmap.errors import require
-from occmap.types import Pose, PoseSample
+from occmap.types import Pose, PoseSample, Seconds
 
 MAX_OFFSET_S = 4e9
 """The largest offset: from a clock that begins at 0 to any date; two of them fit an int64 of ns."""
@@ -68,32 +68,35 @@ class PosingOptions:
         A value is out of its range.
     """
 
-    map_frame: str | None = None
-    """The frame to map in; None: `map`, else `odom`, else the root of the scan's tree."""
-    base_frame: str | None = None
-    """The moving body that `sensor_pose` and unnamed poses belong to."""
-    sensor_pose: Pose | None = None
-    """Where the laser sits on the moving body; goes before what the log says."""
-    poses: str | None = None
-    """A trajectory file, or the topic to take the poses from instead of tf."""
-    max_pose_gap_s: float | None = 2.0
-    """Nothing is interpolated across a longer gap; None: across any. Two seconds: logs that are
-    whole have gaps of one, and a robot that is not watched for longer can have been anywhere."""
-    time_offset_s: float = 0.0
-    """Added to the stamps of scans, for a lidar whose clock is off."""
+    map_frame: Annotated[str, "FRAME"] | None = None
+    """Map in this frame."""
+    base_frame: Annotated[str, "FRAME"] | None = None
+    """The moving body that `sensor_pose` is on."""
+    sensor_pose: Annotated[Pose, "X,Y,YAW[,ROLL,PITCH]"] | None = None
+    """Where the laser sits on the robot (metres, radians)."""
+    poses: Annotated[str, "FILE|TOPIC"] | None = None
+    """Take the poses from a file (TUM, EuRoC, KITTI or CSV: stamp,x,y,yaw) or from this topic."""
+    # None: across any gap. Logs that are whole have gaps of one second, and a robot that is not
+    # watched for longer than two can have been anywhere.
+    max_pose_gap_s: Seconds | None = 2.0
+    """Leave out scans in a longer gap between poses."""
+    time_offset_s: Seconds = 0.0
+    """Add this to the stamps of scans."""
+    # Off unless asked: drivers disagree on which beam the stamp belongs to and on the order of the
+    # beams. Of two real logs that state a time between beams both were blurred by believing it.
     deskew: Deskew = Deskew.OFF
-    """Off unless asked: drivers disagree on which beam the stamp belongs to and on the order of
-    the beams. Of two real logs that state a time between beams both were blurred by believing it.
-    """
+    """Give every beam of a scan a pose of its own."""
     stamps: Stamps = Stamps.HEADER
-    """Which time of a pose sample to use; a scan batch holds the chosen one already."""
-    static_transforms: tuple[PoseSample, ...] = ()
-    """Fixed transforms that the log lacks; each goes before what the log says of its child."""
-    max_speed: float = 50.0
-    """Scans are left out that leap away faster than this, and back (m/s; inf: none). The fastest
-    step of nine logs of robots, with rounded stamps, is 8; cars reach 50."""
-    transform: Pose | None = None
-    """Where the log's map frame lies in the frame to map in; None: they are one."""
+    """Use the times that the driver wrote, or the recorder's."""
+    # Each goes before what the log says of its child.
+    static_transforms: Annotated[tuple[PoseSample, ...], "PARENT,CHILD,X,Y,Z,ROLL,PITCH,YAW"] = ()
+    """A fixed transform that the log lacks (m, rad)."""
+    # The fastest step of nine logs of robots, with rounded stamps, is 8; cars reach 50.
+    max_speed: Annotated[float, "M/S"] = 50.0
+    """Leave out scans whose poses leap away faster than this, and back."""
+    transform: Annotated[Pose, "X,Y,YAW"] | None = None
+    """Pose of the logs' map frame in the new map (m, rad), to join sessions that have a frame
+    each."""
     align: float | None = 0.0
     """The map is turned by this angle (degrees, counter-clockwise); None: by the smallest one that
     brings its walls along the axes, which is for `occmap.alignment` to find."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from occmap.errors import require
+from occmap.types import Metres
 
 
 class Echo(StrEnum):
@@ -26,10 +27,12 @@ class ReaderOptions:
     """
 
     echo: Echo = Echo.FIRST
-    min_height: float = -0.2
-    max_height: float = 0.2
-    """Points of a cloud between these heights above its own frame (m) are flattened into a scan.
-    The default is a slice around the sensor: above the floor for a lidar on a robot's body."""
+    """MultiEchoLaserScan: the echo of a beam that counts."""
+    # A slice around the sensor: above the floor for a lidar on a robot's body.
+    min_height: Metres = -0.2
+    """PointCloud2: use points from this height over the sensor on."""
+    max_height: Metres = 0.2
+    """PointCloud2: use points up to this height over the sensor."""
 
     def __post_init__(self) -> None:
         found = f"no point lies above {self.min_height} m and below {self.max_height} m"

@@ -9,7 +9,7 @@ import numpy as np
 from occmap.arrays import Bool, UInt8
 from occmap.cells import OccupancyMap
 from occmap.grid.lattice import CellBox
-from occmap.scoring.trials import Result
+from occmap.scoring.trials import ScoredVariant
 from occmap.writers.images import Panel, write_panels
 
 LARGEST_PX, SMALLEST_PX = 1000, 360
@@ -46,7 +46,7 @@ class Frame:
         return np.asarray(self.shrink(np.where(cells, 0, 255).astype(np.uint8)) == 0)
 
 
-def write_picture(path: Path, results: Sequence[Result]) -> None:
+def write_picture(path: Path, results: Sequence[ScoredVariant]) -> None:
     """Draw the maps, the best first, and where they disagree.
 
     Raises
@@ -61,11 +61,11 @@ def write_picture(path: Path, results: Sequence[Result]) -> None:
     write_panels(path, panels)
 
 
-def title(result: Result) -> tuple[str, str]:
+def title(result: ScoredVariant) -> tuple[str, str]:
     """Name a map and its score."""
     score = result.score
     numbers = f"share {score.share:.3f}, log-likelihood {score.log_likelihood:.3f}"
-    return result.variant.name, numbers
+    return result.name, numbers
 
 
 def paint_map(grid: OccupancyMap, frame: Frame) -> UInt8:

@@ -1,9 +1,9 @@
 """Variants of a map that grow from the same scans, and the scans that are kept from them."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from time import thread_time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -12,9 +12,10 @@ from occmap.cells import OccupancyMap
 from occmap.engines import make_engine, plan_grid
 from occmap.evidence import render
 from occmap.options import BuildOptions
-from occmap.scoring.score import Score, estimate_error, score_map
-from occmap.scoring.variants import Variant
-from occmap.types import Kind, Rays
+from occmap.plain import HIDDEN, IN_PLACE, Count, Finite, Share
+from occmap.scoring.score import Score, Trial, estimate_error, score_map
+from occmap.scoring.variants import Variant, shorten_model
+from occmap.types import Kind, Rays, Update
 from occmap.workers import Workers
 
 if TYPE_CHECKING:
@@ -88,35 +89,68 @@ Task = tuple[SharedEvidence, Rays]
 """Scans for one piece of evidence"""
 
 
-@dataclass(frozen=True, eq=False)
-class Result:
-    """A variant's map, its score and what it cost."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ScoredVariant:
+    """One way to make the map, and how well that map predicts the held-out scans."""
 
-    variant: Variant
-    map: OccupancyMap
-    score: Score
+    variant: Variant = field(metadata=HIDDEN)
+    map: OccupancyMap = field(metadata=HIDDEN)
+    predicted: Float64 = field(metadata=HIDDEN)
+    """(N, 2) of each held-out scan: beams that measured a range, and those of them it predicted"""
+    score: Score = field(metadata=IN_PLACE)
+    name: str
+    """The update, the model, and its parameters that are not at their defaults"""
+    update: Update
+    """How scans became observations of cells"""
+    model: str
+    """Sensor model, as `model` takes it"""
+    behind: Share = 0.0
+    """How much lower the share is than the best one"""
+    behind_error: Finite = 0.0
+    """Standard error of that, from the differences scan by scan; null where one scan is all
+    there is"""
+    as_good: bool = True
+    """The share is behind the best one by at most two standard errors, or half a percent"""
+    columns: Count
+    """Cells of the map from left to right (along x)"""
+    rows: Count
+    """Cells of the map from bottom to top (along y)"""
     seconds: float
     """Processor time to trace and render (s)"""
-    bytes: int
-    """Size of the evidence"""
-    predicted: Float64
-    """(N, 2) of each held-out scan: beams that measured a range, and those of them it predicted"""
-    behind: float = 0.0
-    """How much lower the share is than the best one"""
-    behind_error: float = 0.0
-    """Standard error of that; it is smaller than those of the shares, since all variants are asked
-    about the same scans"""
+    bytes: Count
+    """Size of the evidence in memory (bytes)"""
 
-    @property
-    def as_good(self) -> bool:
-        """Whether the lead of the best is small, or another draw of scans might as well turn it."""
-        return self.behind <= max(NOISE * self.behind_error, SMALL)
+    @classmethod
+    def of(
+        cls, variant: Variant, grid: OccupancyMap, trial: Trial, seconds: float, size: int
+    ) -> Self:
+        """Describe a variant, its map, and what these cost."""
+        rows, columns = grid.shape
+        return cls(
+            variant=variant,
+            map=grid,
+            predicted=trial.predicted,
+            score=trial.score,
+            name=variant.name,
+            update=variant.update,
+            model=shorten_model(variant.model),
+            columns=columns,
+            rows=rows,
+            seconds=round(seconds, 4),
+            bytes=size,
+        )
 
-    def compare_with(self, best: "Result") -> "Result":
-        """Measure how far the share is from the best one, scan by scan."""
+    def compare_with(self, best: Self) -> Self:
+        """Measure how far the share is from the best one, scan by scan.
+
+        The error is smaller than those of the shares, since all variants are asked about the same
+        scans.
+        """
         beams, near = best.predicted.T
+        behind = best.score.share - self.score.share
         error = estimate_error(near - self.predicted[:, 1], beams)
-        return replace(self, behind=best.score.share - self.score.share, behind_error=error)
+        as_good = behind <= max(NOISE * error, SMALL)
+        return replace(self, behind=behind, behind_error=error, as_good=as_good)
 
 
 class Trials:
@@ -147,7 +181,7 @@ class Trials:
 
         return observe
 
-    def score(self) -> list[Result]:
+    def score(self) -> list[ScoredVariant]:
         """Render every variant and score it on the scans held out, the best share first.
 
         Raises
@@ -161,10 +195,10 @@ class Trials:
         results.sort(key=lambda each: (-each.score.share, -each.score.log_likelihood))
         return [each.compare_with(results[0]) for each in results]
 
-    def _score(self, variant: Variant, grid: "TileGrid", held_out: Sequence[Rays]) -> Result:
+    def _score(self, variant: Variant, grid: "TileGrid", held_out: Sequence[Rays]) -> ScoredVariant:
         start = thread_time()
         made = render(grid, variant.model, self._options.max_cells)
         seconds = self.evidence[variant.evidence].seconds + thread_time() - start
-        score, predicted = score_map(made, held_out, self._options.jobs)
+        trial = score_map(made, held_out, self._options.jobs)
         size = sum(tile.nbytes for tile in grid.tiles.values())
-        return Result(variant, made, score, seconds, size, predicted)
+        return ScoredVariant.of(variant, made, trial, seconds, size)

@@ -12,14 +12,14 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
-from typing import NamedTuple, Self, TypeAlias
+from typing import Annotated, NamedTuple, Self, TypeAlias
 
 import numpy as np
 
 from occmap.arrays import Bool, Float32, Float64, UInt8
 from occmap.cells import Box
 from occmap.errors import require
-from occmap.types import Kind, PosedScans, Rays, Scan, ScanBatch
+from occmap.types import Kind, Metres, PosedScans, Rays, Scan, ScanBatch
 from occmap.values import as_float32
 
 Sector: TypeAlias = tuple[float, float]
@@ -43,33 +43,26 @@ class NoReturn(StrEnum):
 class ReturnOptions:
     """How range values are read.
 
-    Parameters
-    ----------
-    min_range, max_range
-        The user's own limits (m), inside those that the log states.
-    range_max
-        Replaces the sensor's limit that the log states (m).
-    no_return
-        What +inf, and anything at or beyond the sensor's limit, means.
-    ignore_sectors
-        Beams that the robot itself blocks; each from one bearing in the sensor's frame
-        counter-clockwise to another (rad).
-    footprint
-        Box in the sensor's frame that the robot fills, x_min, y_min, x_max, y_max (m): what is
-        measured in it is the robot.
-
     Raises
     ------
     UsageError
         The limits leave no range to use, or a sector or the box is empty.
     """
 
-    min_range: float = 0.0
-    max_range: float = math.inf
-    range_max: float | None = None
+    min_range: Metres = 0.0
+    """Ignore nearer ranges."""
+    max_range: Metres = math.inf
+    """Use beams only up to here; a longer one clears the space up to here."""
+    range_max: Metres | None = None
+    """Ranges at or beyond this count as no return."""
     no_return: NoReturn = NoReturn.IGNORE
-    ignore_sectors: tuple[Sector, ...] = ()
-    footprint: Box | None = None
+    """A beam without return clears the space up to the limit, or says nothing."""
+    ignore_sectors: Annotated[tuple[Sector, ...], "FROM,TO"] = ()
+    """Leave out the beams from one bearing counter-clockwise to another (rad, as the sensor sees
+    it): the robot blocks them."""
+    footprint: Annotated[Box, "X_MIN,Y_MIN,X_MAX,Y_MAX"] | None = None
+    """Leave out what is measured in this box around the sensor (m, as the sensor sees it): it is
+    the robot."""
 
     def __post_init__(self) -> None:
         for start, end in self.ignore_sectors:

@@ -1,7 +1,7 @@
 """Tuning: the time offset and the mount by which a map predicts scans best."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,18 +11,16 @@ from occmap.command import compose_build
 from occmap.observing import Progress, ignore_progress
 from occmap.opening import count_scans
 from occmap.options import BuildOptions
+from occmap.plain import HIDDEN, Count, Finite, Share
 from occmap.readers import open_log
 from occmap.remarks import LEAST_AGREEMENT, Remarks
-from occmap.scoring.compare import FEW_SCANS, describe_run
+from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored, describe_run
 from occmap.tally import Tally
 from occmap.tuning.kept import MOST_SCANS, KeptLog, find_mount, keep_logs
-from occmap.tuning.result import KeptScans, TriedCorrection, Tuning
 from occmap.tuning.search import TIME, TOGETHER, YAW, Correction, Knob, Scorer, X, Y
 from occmap.tuning.verdict import Finding, Gain, Verdict, find
 from occmap.types import Pose, Rays
 from occmap.wording import count
-
-__all__ = ["Tuning", "tune"]
 
 USUAL_SCORINGS = 35
 """About how many maps a search scores, for the progress bar"""
@@ -31,6 +29,64 @@ TRAVEL_M = 0.5
 turns with it, and cells fit the walls better or worse by chance."""
 TURN_RAD = 0.5
 """A robot that turns less does not show the place of a mount: the whole map shifts with it."""
+
+
+@dataclass(frozen=True)
+class KeptScans(HeldOutScans):
+    """What became of the scans."""
+
+    kept: Count
+    """Scans that the maps were made of and scored on: spread over the logs, and with a pose at
+    every time offset"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TriedCorrection(Correction):
+    """A correction that was tried."""
+
+    share: Share
+    """Share of held-out beams that the map predicts"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tuning(Scored):
+    """What is wrong with time and mount, by held-out beams: what occmap tune prints."""
+
+    scans: KeptScans
+    """What became of the scans"""
+    beams: Count
+    """Held-out beams that measured a range"""
+    share_before: Share
+    """Share of these whose first occupied cell is within two cells of the range, with the
+    options given"""
+    share: Share
+    """The same share with what is recommended"""
+    gain: float
+    """How much larger the share is"""
+    gain_error: Finite
+    """Standard error of the gain, from the differences scan by scan; null where one scan is all
+    there is"""
+    correction: Correction
+    """All that is recommended; zeros where nothing is"""
+    time: Finding
+    """What came of the search for a time offset"""
+    mount: Finding
+    """What came of the search for the laser's yaw, x and y on its body; the one of these two that
+    explains more is searched first, and the other with what that found"""
+    together: Finding
+    """What came of the search for both once more, where a mount was found"""
+    tried: list[TriedCorrection]
+    """All corrections that were tried, in the order of the search"""
+    command: tuple[str, ...]
+    """The command line that builds the better map, word by word; empty where nothing is
+    recommended"""
+    agreement: float | None = field(metadata=HIDDEN)
+    """Share of the hits in cells that the map of the best calls occupied; None without any"""
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether scans contradict each other even with the best that was found."""
+        return self.agreement is not None and self.agreement < LEAST_AGREEMENT
 
 
 def tune(
@@ -66,9 +122,9 @@ def tune(
     both = find(scorer, way.correction, TOGETHER if again else [])
     after = scorer.score(both.correction)
     gain, error = Gain.measure(before, after)
+    scans = KeptScans(**vars(tally.scans), held_out=len(before.predicted), kept=kept)
     tuning = Tuning(
-        **describe_run(remarks, options),
-        scans=KeptScans(**vars(tally.scans), held_out=len(before.predicted), kept=kept),
+        **describe_run(remarks, options, scans),
         beams=before.score.beams,
         share_before=before.score.share,
         share=after.score.share,
@@ -142,31 +198,22 @@ def find_way(scorer: Scorer, timed: Sequence[Knob], place: Sequence[Knob]) -> Wa
 
 
 class Motion(NamedTuple):
-    """How far the sensors get from where they began."""
+    """What the way of the sensors shows of a wrong time or mount."""
 
-    travel: float
-    """m"""
-    turn: float
-    """rad"""
+    shows_yaw: bool
+    """Whether a wrong yaw of the mount blurs the map, rather than turning all of it"""
+    shows_place: bool
+    """Whether a wrong place of the mount blurs the map, rather than shifting all of it"""
 
     @classmethod
     def measure(cls, scans: Sequence[Rays]) -> "Motion":
-        """Measure how far scans get from the first one, also those of other logs."""
+        """Measure how far scans get and turn from the first one, also those of other logs."""
         place = np.concatenate([rays.origin[:, 0] for rays in scans])
         ahead = np.concatenate([rays.turn[:, 0, :, 0] for rays in scans])
         cosine = ahead @ ahead[0] / np.maximum(np.linalg.norm(ahead, axis=1), 1e-9)
         travel = np.linalg.norm(place - place[0], axis=1).max()
-        return cls(float(travel), float(np.arccos(np.clip(cosine, -1, 1)).max()))
-
-    @property
-    def shows_yaw(self) -> bool:
-        """Whether a wrong yaw of the mount blurs the map, rather than turning all of it."""
-        return self.travel > TRAVEL_M
-
-    @property
-    def shows_place(self) -> bool:
-        """Whether a wrong place of the mount blurs the map, rather than shifting all of it."""
-        return self.turn > TURN_RAD
+        turn = np.arccos(np.clip(cosine, -1, 1)).max()
+        return cls(bool(travel > TRAVEL_M), bool(turn > TURN_RAD))
 
     @property
     def shows_time(self) -> bool:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias, runtime_checkable
+from typing import Annotated, Any, Protocol, TypeAlias, runtime_checkable
 
 from occmap.arrays import Int64
 from occmap.cells import Decision, Evidence, OccupancyMap
@@ -58,10 +58,11 @@ class WriteOptions:
     """
 
     mode: MapMode = MapMode.TRINARY
-    occupied_thresh: float | None = None
-    """Occupied above this probability"""
-    free_thresh: float | None = None
-    """Free below this one"""
+    """What the pixels of a PGM mean."""
+    occupied_thresh: Annotated[float, "P"] | None = None
+    """Occupied above this probability."""
+    free_thresh: Annotated[float, "P"] | None = None
+    """Free below this probability."""
     shade: Shade = Shade.DARK_OCCUPIED
 
     def __post_init__(self) -> None:

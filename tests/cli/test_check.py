@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from occmap.cli import run
-from occmap.cli.values import parse_numbers
+from occmap.cli.options import parse_numbers
 from occmap.command import format_mount, format_static
 from tests.cli.runner import occmap
 from tests.inspection_logs import SCANS, Drive, write_bag, write_csv

@@ -110,6 +110,9 @@ def test_hits_on_too_few_visits_are_forgotten() -> None:
         "seen     1 hit and 0 misses",
     ]
     assert "class    occupied" in occmap(*words, "1").out
+    # Nothing around the point lasts either: that is an answer, too, and no error.
+    words[2] = "0.47"
+    assert occmap(*words, "2").out.splitlines()[1] == "class    unknown: nothing observed this cell"
 
 
 def test_coordinates_may_be_negative() -> None:

@@ -146,7 +146,7 @@ def test_halves_that_are_merged_are_no_loss() -> None:
     assert occmap("build", "long.csv", "--end", "2", "-o", "1.npz").code == 0
     assert occmap("build", "long.csv", "--start", "2", "-o", "2.npz").code == 0
     merged = occmap("merge", "1.npz", "2.npz", "-o", "12.npz").out.splitlines()
-    assert "scans    4 of 4 asked for used, in 2 builds" in merged
+    assert "scans    4 used of 4 asked for, in 2 builds" in merged
 
 
 def test_evidence_is_a_map_to_diff() -> None:

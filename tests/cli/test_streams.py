@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -74,6 +75,9 @@ def test_a_page_calls_a_log_on_stdin_by_what_was_typed(command: str, tmp_path: P
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "the file ends in the middle of line 193" in page or command == "compare"
     assert "occmap build" in page
+    assert re.search(r"<title>\D+ of -</title>", page)
+    assert "<td>-</td>" in page
+    assert "stdin<" not in page
     assert "/stdin" not in page
 
 

@@ -138,7 +138,7 @@ def test_a_comparison_says_what_to_type_of_a_log_whose_name_has_a_space(tmp_path
     log = tmp_path / "my room.csv"
     shutil.copy(DRIVE, log)
     made = api.compare(log, models=["simple"], resolution=0.4, picture=tmp_path / "c.html")
-    assert shlex.join(made.build_command(made.recommended)) in read(tmp_path / "c.html").texts
+    assert shlex.join(made.command) in read(tmp_path / "c.html").texts
 
 
 def test_a_difference_says_what_the_json_says(
@@ -172,7 +172,7 @@ def test_scripts_do_not_end_where_a_name_says_so() -> None:
     value = {"name": "</script><script>alert(1)</script>&"}
     assert "<" not in to_script(value)
     assert json.loads(to_script(value)) == value
-    page = compose(Page("</title><b>", "", [tell_notes(["</li><script>"]), Section("<i>", [])]))
+    page = compose(Page("</title><b>", "", [tell_notes(["</li><script>"], []), Section("<i>", [])]))
     assert Reader(page).kinds.isdisjoint({"b", "i"})
 
 

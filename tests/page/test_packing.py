@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from occmap.page.packing import Packed, pack, pack_few
+from occmap.page.raster import Packed, pack, pack_few
 
 
 def unpack(packed: Packed) -> NDArray[np.uint32]:

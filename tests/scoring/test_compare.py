@@ -14,9 +14,15 @@ from occmap.errors import LogError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions
 from occmap.pipeline import build
 from occmap.remarks import Remarks
-from occmap.scoring.compare import HeldOutScans, VariantComparison, compare, describe_run
-from occmap.scoring.score import Score, estimate_error
-from occmap.scoring.trials import HoldOut, Result
+from occmap.scoring.compare import (
+    HeldOutScans,
+    VariantComparison,
+    choose_best,
+    compare,
+    describe_run,
+)
+from occmap.scoring.score import Score, Trial, estimate_error
+from occmap.scoring.trials import HoldOut, ScoredVariant
 from occmap.scoring.variants import Variant, combine, shorten_model
 from occmap.sensor.models import (
     CountingModel,
@@ -191,23 +197,22 @@ def test_the_error_of_a_share_is_that_of_scans(
 
 def make_result(
     model: SensorModel, predicted: list[int], log_likelihood: float, beams: int = 10
-) -> Result:
+) -> ScoredVariant:
     """Of scans of so many beams each."""
     by_scan = np.array([(beams, near) for near in predicted], float)
     share = sum(predicted) / (beams * len(predicted))
     score = Score(beams * len(predicted), share, 0.0, log_likelihood, 0.0, 0.0, 0.0)
     grid = OccupancyMap(np.zeros((1, 1), np.float32), np.ones((1, 1), bool), 0.05, (0.0, 0.0))
-    return Result(Variant(Update.SURFACE, model), grid, score, 0.0, 0, by_scan)
+    return ScoredVariant.of(Variant(Update.SURFACE, model), grid, Trial(score, by_scan), 0.0, 0)
 
 
-def rank(*results: Result) -> VariantComparison:
+def rank(*results: ScoredVariant) -> VariantComparison:
     ranked = tuple(result.compare_with(results[0]) for result in results)
     options, scans = BuildOptions(), HeldOutScans(15, 15, {}, held_out=3)
-    run = describe_run(Remarks(["x"]), options)
-    return VariantComparison(**run, scans=scans, options=options, results=ranked)
+    return choose_best(ranked, options, describe_run(Remarks(["x"]), options, scans))
 
 
-def choose(*results: Result) -> str:
+def choose(*results: ScoredVariant) -> str:
     return rank(*results).recommended.variant.name
 
 
@@ -256,7 +261,7 @@ def test_a_drive_of_83_scans_does_not_tell_its_best_variants_apart(
     first, *others = drive.results
     assert (first.behind, first.behind_error, first.as_good) == (0, 0, True)
     assert all(0 < each.behind_error < each.score.share_error for each in others)
-    names = {each.variant.name for each in drive.equals}
+    names = {each.variant.name for each in drive.results if each.as_good}
     assert {drive.recommended.variant.name, first.variant.name} <= names
 
 
@@ -291,14 +296,12 @@ def test_the_command_repeats_what_was_chosen() -> None:
         resolution=0.1, jump=0.3, selection=Selection(stride=2), returns=ReturnOptions(max_range=9)
     )
     model = CountingModel(prior=0.4)
-    variants = [Variant(update, model) for update in (Update.BEAM, Update.POLYGON)]
-    comparison = compare([DRIVE], variants, options)
-    for result in comparison.results:
-        update = result.variant.update
+    for update in (Update.BEAM, Update.POLYGON):
+        comparison = compare([DRIVE], [Variant(update, model)], options)
         jump = " --jump 0.3" if update is Update.POLYGON else ""  # beams know no surfaces
         words = f"--resolution 0.1 --max-range 9 --stride 2{jump} --model counting:prior=0.4"
         expected = f"occmap build {update.value} {DRIVE} {words} -o drive.pgm"
-        assert comparison.build_command(result) == tuple(expected.split())
+        assert comparison.command == tuple(expected.split())
 
 
 def test_too_few_scans_or_hits_are_refused(tmp_path: Path) -> None:

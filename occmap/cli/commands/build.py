@@ -1,5 +1,6 @@
 """`occmap build`: one map from one or more logs."""
 
+import re
 from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -8,13 +9,12 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, limits, log_options, options
-from occmap.cli.collect import Values, collect_model
+from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console, label_first, write_rows
+from occmap.cli.options import PATH, Values, collect_model
 from occmap.cli.progress import Bar, show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.streams import gather_logs, hide_caught, place_outputs
-from occmap.cli.values import PATH, parse_size
 from occmap.errors import LogError, UsageError
 from occmap.gates.measures import BUILD
 from occmap.grid.framing import Framing
@@ -37,6 +37,20 @@ lies between them (surface). Without it: {DEFAULT_UPDATE}. A log that is called 
   occmap build polygon intel.log.gz -o intel.pgm -o intel.png --resolution 0.1
   occmap build room.bag -o room.pgm --sensor-pose 0,0,3.14159
 """
+
+SIZE = re.compile(r"(\d*\.?\d+)([KMGT]?)B?", re.IGNORECASE)
+UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
+
+
+def parse_size(text: str) -> int:
+    """Read a number of bytes such as 256MB; raises UsageError where it is not 1 kB or more."""
+    found = SIZE.fullmatch(text)
+    size = round(float(found[1]) * UNITS[found[2].upper()]) if found else 0
+    if size < 1000:
+        fix = "write a size such as 256MB or 1GB"
+        raise UsageError("is not a size of 1 kB or more", where=f"--slice {text}", fix=fix)
+    return size
+
 
 strict = option(
     options.RUN,
@@ -79,8 +93,7 @@ fleet = join(
 @click.argument("words", nargs=-1, metavar="[beam|polygon|surface] LOG...")
 @join(options.writing, options.resume, options.lattice, options.align)
 @join(options.framing, options.min_passes, options.pass_gap)
-@join(log_options.ranges, options.model)
-@join(log_options.selection, log_options.posing)
+@join(options.ranges, options.model, options.selection, options.posing)
 @join(limits.fail_if(BUILD, "agreement < 70%"), options.jobs, fleet, strict, options.config)
 @join(options.as_json, options.verbosity)
 @click.pass_obj

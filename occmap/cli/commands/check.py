@@ -6,28 +6,17 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, limits, log_options, options
+from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console, Verbosity, label_first, write_command, write_rows
 from occmap.cli.sections import SectionCommand, join
 from occmap.cli.streams import gather_logs
-from occmap.cli.values import PATH
 from occmap.gates.measures import CHECK
-from occmap.inspection import inspect
+from occmap.inspection import inspect, telling
 from occmap.inspection.findings import Inspection, LogFindings, RangeFindings
-from occmap.inspection.telling import (
-    Row,
-    describe_map,
-    list_kinds,
-    list_pose_facts,
-    list_repeated,
-    list_scan_facts,
-    tell_crossed,
-    tell_ranges,
-    tell_sources,
-)
 from occmap.keywords import take
 from occmap.options import BuildOptions
 from occmap.readers import Role, Stream
+from occmap.remarks import drop_damage
 from occmap.writers.outputs import check_picture
 
 LABEL = 10
@@ -49,9 +38,8 @@ page = options.one_output("output", "FILE.html", "Write the findings as a page a
 
 
 @click.command("check", cls=SectionCommand, help=HELP, short_help=COMMANDS["check"])
-@click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG...")
-@join(page, options.resolution, options.max_cells, log_options.ranges)
-@join(log_options.selection, log_options.posing)
+@click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
+@join(page, options.resolution, options.max_cells, options.reading)
 @join(
     limits.fail_if(CHECK, "dropped_scans > 5%"), options.config, options.as_json, options.verbosity
 )
@@ -82,7 +70,7 @@ def format_inspection(inspection: Inspection) -> Iterator[str]:
         yield log.path
         yield from write_rows(((f"  {name}", text) for name, text in list_log(log)), LABEL)
         yield ""
-    rows = [] if inspection.map is None else [("map", describe_map(inspection.map))]
+    rows = [] if inspection.map is None else [("map", telling.describe_map(inspection.map))]
     rows += [("warning", text) for text in inspection.warnings]
     rows += [("problem", text) for text in inspection.problems]
     yield from write_rows(rows, LABEL)
@@ -90,18 +78,18 @@ def format_inspection(inspection: Inspection) -> Iterator[str]:
         yield from ("", write_command(inspection.command))
 
 
-def list_log(log: LogFindings) -> Iterator[Row]:
+def list_log(log: LogFindings) -> Iterator[telling.Row]:
     """List all about one log."""
     yield from label_first("topics", list_streams(log.streams))
     for topic in log.scans:
         yield "", ""
-        yield from list_scan_facts(topic)
+        yield from telling.list_scan_facts(topic)
         yield from label_first("ranges", list_ranges(topic.ranges))
-        yield from list_pose_facts(topic)
+        yield from telling.list_pose_facts(topic)
     if log.coverage:
         yield "", ""
-    yield from label_first("sources", tell_sources(log.coverage))
-    yield from label_first("note", [text for text in log.notes if text not in log.damage])
+    yield from label_first("sources", telling.tell_sources(log.coverage))
+    yield from label_first("note", drop_damage(log.notes, log.damage))
 
 
 def list_streams(streams: Sequence[Stream]) -> Iterator[str]:
@@ -115,10 +103,10 @@ def list_streams(streams: Sequence[Stream]) -> Iterator[str]:
 
 def list_ranges(ranges: RangeFindings) -> Iterator[str]:
     """Write a histogram of the range values that are special, and what each suggests."""
-    yield tell_ranges(ranges)
-    for name, number, share, meaning in list_kinds(ranges):
+    yield telling.tell_ranges(ranges)
+    for name, number, share, meaning in telling.list_kinds(ranges):
         yield f"{name:<12} {number:>10} {share:>6}  {meaning}"
-    for value, share, meaning in list_repeated(ranges):
+    for value, share, meaning in telling.list_repeated(ranges):
         yield f"{value:<12} repeated: {share}; {meaning}"
-    if crossed := tell_crossed(ranges):
+    if crossed := telling.tell_crossed(ranges):
         yield crossed

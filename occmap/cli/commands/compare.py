@@ -5,12 +5,11 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, limits, log_options, options
+from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console, align, write_command
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.streams import gather_logs
-from occmap.cli.values import PATH
 from occmap.gates.measures import COMPARE
 from occmap.keywords import take
 from occmap.options import BuildOptions
@@ -69,9 +68,8 @@ picture = options.one_output(
 
 
 @click.command("compare", cls=SectionCommand, help=HELP, short_help=COMMANDS["compare"])
-@click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG...")
-@join(variants, picture, options.lattice, log_options.ranges)
-@join(log_options.selection, log_options.posing)
+@click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
+@join(variants, picture, options.lattice, options.reading)
 @join(
     limits.fail_if(COMPARE, "share < 70%"),
     options.jobs,
@@ -95,7 +93,7 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
 
 def format_comparison(comparison: VariantComparison) -> list[str]:
     """Write the table, on what it rests, and the command line of the best."""
-    best, likeliest = comparison.recommended, comparison.likeliest
+    best = comparison.recommended
     preference = comparison.preference
     held = count(comparison.scans.held_out, "held-out scan")
     rest = f"scored by {count(best.score.beams, 'beam')} of {held}"
@@ -109,16 +107,16 @@ def format_comparison(comparison: VariantComparison) -> list[str]:
     lines = [
         *align([SCORES, *map(list_scores, comparison.results)], labels=1),
         "",
-        f"cells of {best.variant.name}, as held-out beams look at them",
+        f"cells of {best.name}, as held-out beams look at them",
         *align([*zip(*reliability, strict=True)], labels=1),
         "",
         f"{rest}; {comparison.scans.used:,} of {comparison.scans.read:,} used",
         *(f"picture: {file}" for file in comparison.files),
         *([f"as good within the error: {preference}"] if preference else []),
-        f"best: {best.variant.name}",
-        write_command(comparison.build_command(best)),
+        f"best: {best.name}",
+        write_command(comparison.command),
     ]
-    if likeliest is not best:
-        lines.append(f"where probabilities matter: {likeliest.variant.name}")
-        lines.append(write_command(comparison.build_command(likeliest)))
+    if comparison.likeliest is not best:
+        lines.append(f"where probabilities matter: {comparison.likeliest_name}")
+        lines.append(write_command(comparison.likeliest_command))
     return lines

@@ -9,7 +9,6 @@ import click
 from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.sections import SectionCommand, join, option
-from occmap.cli.values import PATH
 from occmap.difference import MapDifference
 from occmap.gates import Limit, parse_bound
 from occmap.gates.measures import DIFF
@@ -57,8 +56,8 @@ fail_above = option(
 
 
 @click.command("diff", cls=SectionCommand, help=HELP, short_help=COMMANDS["diff"])
-@click.argument("before", type=PATH, metavar="A")
-@click.argument("after", type=PATH, metavar="B")
+@click.argument("before", type=options.PATH, metavar="A")
+@click.argument("after", type=options.PATH, metavar="B")
 @join(picture, options.thresholds, fail_above, limits.fail_if(DIFF, "changed > 1%"))
 @join(options.as_json, options.verbosity)
 @click.pass_obj

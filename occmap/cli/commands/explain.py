@@ -8,11 +8,11 @@ from typing import Any
 import click
 
 from occmap.cli import COMMANDS, options
-from occmap.cli.collect import choose_saved_model
 from occmap.cli.console import Console, align, label_first, write_rows
+from occmap.cli.options import PATH
 from occmap.cli.progress import show_progress
+from occmap.cli.saved import choose_saved_model
 from occmap.cli.sections import SectionCommand, join, option
-from occmap.cli.values import PATH
 from occmap.explanation import Explanation, Question, describe_numbers, explain
 from occmap.explanation.history import Seen, Visits
 from occmap.explanation.sightings import add_up
@@ -20,7 +20,7 @@ from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.inputs import keep_stdin
 from occmap.keywords import take
 from occmap.store.sources import open_saved
-from occmap.wording import count, join_names, name_stdin, write_box, write_time
+from occmap.wording import count, join_names, write_box, write_time
 from occmap.writers import WriteOptions
 
 HELP = f"""{COMMANDS["explain"]}
@@ -186,7 +186,7 @@ def list_scans(explanation: Explanation) -> Iterator[tuple[str, str]]:
             *split_pair(scan.seen, explanation),
             f"{scan.x:.3f}, {scan.y:.3f}",
             f"{scan.distance:.3f}",
-            f"{Path(name_stdin(scan.log)).name} {scan.topic}",
+            f"{Path(scan.log).name} {scan.topic}",
         )
         for scan in shown
     ]

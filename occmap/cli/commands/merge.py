@@ -9,7 +9,6 @@ from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console
 from occmap.cli.saved import choose_outputs, put_out
 from occmap.cli.sections import SectionCommand, join, option
-from occmap.cli.values import PATH
 from occmap.evidence.merging import combine
 from occmap.gates.measures import SAVED
 
@@ -27,7 +26,7 @@ leaves no trace. All must have one resolution, update and kind of model. The vis
 subtracted = option(
     options.FILES,
     "--subtract",
-    type=PATH,
+    type=options.PATH,
     multiple=True,
     metavar="NPZ",
     help="Take the evidence in this file away. May repeat.",
@@ -35,7 +34,7 @@ subtracted = option(
 
 
 @click.command("merge", cls=SectionCommand, help=HELP, short_help=COMMANDS["merge"])
-@click.argument("paths", nargs=-1, required=True, type=PATH, metavar="NPZ|ZARR...")
+@click.argument("paths", nargs=-1, required=True, type=options.PATH, metavar="NPZ|ZARR...")
 @join(options.writing, subtracted, options.min_passes, options.max_cells)
 @join(limits.fail_if(SAVED, "unknown > 60%"), options.as_json, options.verbosity)
 @click.pass_obj

@@ -9,7 +9,6 @@ from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console
 from occmap.cli.saved import choose_outputs, put_out
 from occmap.cli.sections import SectionCommand, join, option
-from occmap.cli.values import PATH
 from occmap.gates.measures import SAVED
 from occmap.store.sources import open_saved
 
@@ -37,7 +36,7 @@ overview = option(
 
 
 @click.command("render", cls=SectionCommand, help=HELP, short_help=COMMANDS["render"])
-@click.argument("path", type=PATH, metavar="NPZ|ZARR")
+@click.argument("path", type=options.PATH, metavar="NPZ|ZARR")
 @join(options.writing, options.framing, overview, options.min_passes, options.max_cells)
 @join(options.saved_model)
 @join(limits.fail_if(SAVED, "unknown > 60%"), options.as_json, options.verbosity)

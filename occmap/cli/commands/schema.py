@@ -1,29 +1,48 @@
-"""`occmap schema`: what programs may rely on in the JSON of a command."""
+"""`occmap schema`: what programs may rely on in the JSON of a command.
 
+Schemas are worked out from the types of what is printed, with their texts as descriptions.
+"""
+
+import inspect
 import json
+import re
+from dataclasses import is_dataclass
+from enum import Enum
 from importlib import import_module
-from typing import Any
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import click
 
 from occmap.cli import COMMANDS, options
 from occmap.cli.console import RESULT_VERSION, put_line, spell_all
 from occmap.cli.listing import KINDS, Listed
-from occmap.cli.schemas import make_schema
 from occmap.gates import Failed
+from occmap.plain import list_printed, read_texts
 from occmap.plugins import Broken
+
+Schema = dict[str, Any]
+
+PLAIN: dict[Any, Schema] = {
+    str: {"type": "string"},
+    bool: {"type": "boolean"},
+    int: {"type": "integer"},
+    float: {"type": "number"},
+    NoneType: {"type": "null"},
+    Any: {},
+}
 
 SCHEMAS = {
     "build": "occmap.report:Report",
     "check": "occmap.inspection.findings:Inspection",
-    "compare": "occmap.scoring.compare:PrintedComparison",
+    "compare": "occmap.scoring.compare:VariantComparison",
     "diff": "occmap.difference:MapDifference",
     "explain": "occmap.explanation:Explanation",
     "merge": "occmap.report:Report",
     "models": "occmap.cli.listing:Listing",
     "readers": "occmap.cli.listing:Listing",
     "render": "occmap.report:Report",
-    "tune": "occmap.tuning.result:Tuning",
+    "tune": "occmap.tuning:Tuning",
     "writers": "occmap.cli.listing:Listing",
     "error": "occmap.cli.console:PrintedError",
 }
@@ -74,3 +93,74 @@ def describe_printed(name: str) -> dict[str, Any]:
     if name in KINDS:
         schema["description"] = f"{KINDS[name][1]}: what occmap {name} prints."
     return schema
+
+
+def make_schema(title: str, kind: Any, first: Schema, more: dict[str, Any]) -> Schema:
+    """Make the schema of a result.
+
+    Parameters
+    ----------
+    kind
+        A dataclass, NamedTuple or TypedDict.
+    first
+        Schemas of fields that go before those of the type.
+    more
+        Types and descriptions of fields that follow them.
+    """
+    defs: dict[str, Schema] = {}
+    whole = describe_fields(kind, defs)
+    properties = first | whole["properties"]
+    for name, (hint, text) in more.items():
+        properties[name] = make_part(hint, defs) | {"description": text}
+    whole |= {"properties": properties, "required": list(properties)}
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title, **whole}
+    return schema | ({"$defs": defs} if defs else {})
+
+
+def make_part(hint: Any, defs: dict[str, Schema]) -> Schema:
+    """Make the schema of a type; what has fields goes to `defs`, and is referred to."""
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return make_part(parts[0], defs) | dict(parts[1:])
+    if origin is Literal:
+        return {"enum": list(parts)}
+    if origin in (UnionType, Union):
+        return {"anyOf": [make_part(part, defs) for part in parts]}
+    if origin is dict:
+        return {"type": "object", "additionalProperties": make_part(parts[1], defs)}
+    if origin in (list, tuple):
+        items = {"type": "array", "items": make_part(parts[0], defs)}
+        is_sized = len(parts) > 1 and parts[1] is not Ellipsis  # so many items of one type
+        return items | ({"minItems": len(parts), "maxItems": len(parts)} if is_sized else {})
+    return PLAIN[hint] if hint in PLAIN else refer_to(hint, defs)
+
+
+def refer_to(hint: Any, defs: dict[str, Schema]) -> Schema:
+    """Make the schema of an enum, or refer to that of a type with fields."""
+    if issubclass(hint, Enum):
+        return {"enum": [member.name.lower() for member in hint]}
+    name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", hint.__name__.removeprefix("Printed")).lower()
+    if name not in defs:
+        defs[name] = {}  # its place, ahead of what it holds
+        defs[name] = describe_fields(hint, defs)
+    return {"$ref": f"#/$defs/{name}"}
+
+
+def describe_fields(kind: Any, defs: dict[str, Schema]) -> Schema:
+    """Make the schema of a type with fields; all are there, and no others."""
+    texts, hints = read_texts(kind), get_type_hints(kind, include_extras=True)
+    names = list_printed(kind) if is_dataclass(kind) else {name: name for name in hints}
+    properties: Schema = {}
+    for name, printed in names.items():
+        if printed == "*":
+            properties |= describe_fields(hints[name], defs)["properties"]
+        else:
+            part = make_part(hints[name], defs)
+            properties[printed] = part | {"description": texts.get(name, "")}
+    return {
+        "type": "object",
+        "description": (inspect.getdoc(kind) or "").partition("\n\n")[0].replace("\n", " "),
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }

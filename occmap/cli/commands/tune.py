@@ -7,12 +7,11 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, limits, log_options, options
+from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console, write_command
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import SectionCommand, join
 from occmap.cli.streams import gather_logs
-from occmap.cli.values import PATH
 from occmap.gates.measures import TUNE
 from occmap.keywords import take
 from occmap.options import BuildOptions
@@ -39,9 +38,8 @@ held-out scans show it. What is found is added to the --time-offset and --sensor
 
 
 @click.command("tune", cls=SectionCommand, help=HELP, short_help=COMMANDS["tune"])
-@click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG...")
-@join(options.resolution, options.max_cells, log_options.ranges)
-@join(log_options.selection, log_options.posing)
+@click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
+@join(options.resolution, options.max_cells, options.reading)
 @join(
     limits.fail_if(TUNE, "gain > 2%"),
     options.jobs,

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from occmap.cli.values import parse_numbers
+from occmap.cli.options import parse_numbers
 from occmap.errors import UsageError
 from occmap.types import Pose
 
@@ -24,12 +24,12 @@ def test_a_sensor_pose_upside_down() -> None:
     [
         ("0,0", "2 values where 3 or 5 belong"),
         ("0,0,0,0", "4 values where 3 or 5 belong"),
-        ("", "1 value where 3 or 5 belong"),
+        ("", "'' is not a number"),
         ("0,0,pi", "'pi' is not a number"),
         ("0,,0", "'' is not a number"),
         ("0,nan,0", "'nan' is not a number"),
         ("inf,0,0", "'inf' is not a number"),
-        ("0;0;0", "1 value where 3 or 5 belong"),
+        ("0;0;0", "'0;0;0' is not a number"),
     ],
 )
 def test_a_wrong_sensor_pose_says_what_to_write(text: str, found: str) -> None:
@@ -58,12 +58,12 @@ def test_degrees_are_refused_and_turned_to_radians(name: str, text: str) -> None
         (
             "ignore_sectors",
             "1",
-            "--ignore-sector 1: 1 value where 2 belong; write FROM,TO in radians",
+            "--ignore-sector 1: 1 value where 2 belong; write from,to in radians",
         ),
         ("ignore_sectors", "1,one", "--ignore-sector 1,one: 'one' is not a number"),
         ("footprint", "1,2,3", "--footprint 1,2,3: 3 values where 4 belong; write x_min,y_min"),
         ("extent", "1", "--extent 1: 1 value where 4 belong; write x_min"),
-        ("transform", "1,2", "--transform 1,2: 2 values where 3 belong; write x,y,yaw"),
+        ("transform", "1,2", "--transform 1,2: 2 values where 3 or 5 belong; write x,y,yaw"),
     ],
 )
 def test_a_refused_value_names_its_option(name: str, text: str, found: str) -> None:
