@@ -5,7 +5,7 @@ A log is found by its hash, not its name. Options are read back from what eviden
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from types import NoneType
@@ -50,39 +50,24 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Sequence[Path]) -
     given = {digest: path for path in poses for digest in hash_files(path)}
     uses: list[Use] = []
     wanted: set[str] = set()
-    for log, hashes in list_distinct(logs):
+    distinct: dict[frozenset[tuple[str, int]], Path] = {}
+    for log in logs:  # of equal ones only the first: a build used them alike
+        distinct.setdefault(frozenset(hash_files(log).items()), log)
+    for hashes, log in distinct.items():
         counts = [count_uses(hashes, build) for build in evidence.manifest.builds]
         if not any(counts):
             refuse_stranger(evidence, log)
-        for index, times in enumerate(counts):
-            if times:
-                build = evidence.manifest.builds[index]
-                options = recall_options(build["options"], evidence.where)
-                trajectory = find_trajectory(build)
-                if trajectory:
-                    wanted.add(trajectory["sha256"])
-                    options = follow(options, log, trajectory, given)
-                uses += [Use(log, index, options)] * times
+        for index in (index for index, times in enumerate(counts) if times):
+            build = evidence.manifest.builds[index]
+            options = recall_options(build["options"], evidence.where)
+            if trajectory := find_trajectory(build):
+                wanted.add(trajectory["sha256"])
+                options = follow(options, log, trajectory, given)
+            uses += [Use(log, index, options)] * counts[index]
     if idle := [path for digest, path in given.items() if digest not in wanted]:
         found = "is not a trajectory that these logs were built with"
         raise PoseError(found, where=idle[0], fix="leave it out")
     return uses
-
-
-def list_distinct(logs: Iterable[Path]) -> Iterator[tuple[Path, Counter[str]]]:
-    """List logs with their hashes; of equal ones only the first: a build used them alike.
-
-    Raises
-    ------
-    LogError
-        A file cannot be read.
-    """
-    known: list[Counter[str]] = []
-    for log in logs:
-        hashes = hash_files(log)
-        if hashes not in known:
-            known.append(hashes)
-            yield log, hashes
 
 
 def hash_files(path: Path) -> Counter[str]:
@@ -96,10 +81,10 @@ def hash_files(path: Path) -> Counter[str]:
     return Counter(str(entry["sha256"]) for entry in describe_files(path))
 
 
-def count_uses(hashes: Counter[str], build: BuildRecord) -> int:
+def count_uses(hashes: Iterable[tuple[str, int]], build: BuildRecord) -> int:
     """How many times a build read the log that has these hashes."""
     held = Counter(entry["sha256"] for entry in list_inputs(build))
-    return min((held[digest] // count for digest, count in hashes.items()), default=0)
+    return min((held[digest] // count for digest, count in hashes), default=0)
 
 
 def list_logs(build: BuildRecord) -> list[str]:

@@ -162,7 +162,7 @@ def _list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str
     for used in (edge for edge in tree.edges if edge.source is not Source.GIVEN):
         parents[used.child].append(used.parent)
         same = stated[used.parent, used.child] if used.source is Source.TF else []
-        if _differ(same):
+        if _disagree(same):
             topics = join_names(sorted({edge.topic for edge in same}))
             doubles[topics, used.topic].append(f"{used.parent} -> {used.child}")
     for (topics, topic), names in doubles.items():
@@ -173,7 +173,7 @@ def _list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str
     yield from _list_loops(parents)
 
 
-def _differ(same: Sequence[Edge]) -> bool:
+def _disagree(same: Sequence[Edge]) -> bool:
     """Whether edges from one frame to another, of which some are fixed, hold several poses."""
     if len(same) < 2 or not any(edge.track.static for edge in same):
         return False

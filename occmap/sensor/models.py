@@ -19,9 +19,8 @@ from occmap.plugins import list_plugins, load_plugin, suggest
 from occmap.sensor.rules import occupancy, probability, visibility
 
 
-@runtime_checkable
-class CountModel(Protocol):
-    """A model that needs to know only how often a cell was hit and how often missed."""
+class Model(Protocol):
+    """What every model has."""
 
     name: ClassVar[str]
     description: ClassVar[str]
@@ -29,21 +28,19 @@ class CountModel(Protocol):
     @property
     def prior(self) -> float:
         """Probability of a cell that nothing observed."""
+
+
+@runtime_checkable
+class CountModel(Model, Protocol):
+    """A model that needs to know only how often a cell was hit and how often missed."""
 
     def log_odds(self, hits: Float64, misses: Float64) -> Float64:
         """Log-odds of being occupied, in the shape of the counts."""
 
 
 @runtime_checkable
-class RadialModel(Protocol):
+class RadialModel(Model, Protocol):
     """A model whose evidence depends on the distance between a cell and the measured range."""
-
-    name: ClassVar[str]
-    description: ClassVar[str]
-
-    @property
-    def prior(self) -> float:
-        """Probability of a cell that nothing observed."""
 
     def depth(self, resolution: float) -> float:
         """How far before and behind the range the hit reaches (m)."""
