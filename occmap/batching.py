@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Annotated, NamedTuple, Self, overload
+from typing import Annotated, NamedTuple, TypeAlias, overload
 
 import numpy as np
 
@@ -22,6 +22,10 @@ seldom wait for Python's lock."""
 
 MOST_TURNS = 1.5
 """Some lasers overlap a little where a turn closes; none goes round twice."""
+
+
+Geometry: TypeAlias = tuple[tuple[str, str], tuple[float, ...]]
+"""What all scans of a batch share: topic and frame, then angles, beams, limits and posed or not."""
 
 
 class LeftOut(StrEnum):
@@ -68,23 +72,11 @@ class Selection:
         require(self.start_s < self.end_s, found, fix)
 
 
-class Geometry(NamedTuple):
-    """What scans must share to be stacked."""
-
-    topic: str
-    frame: str
-    angle_min: float
-    angle_increment: float
-    beams: int
-    range_min: float
-    range_max: float
-    posed: bool
-
-    @classmethod
-    def of(cls, scan: Scan) -> Self:
-        """Take it from a scan."""
-        shape = scan.topic, scan.frame, scan.angle_min, scan.angle_increment, len(scan.ranges)
-        return cls(*shape, *read_limits(scan), posed=scan.pose is not None)
+def find_geometry(scan: Scan) -> Geometry:
+    """Take from a scan what all scans of a batch share."""
+    limits, has_pose = read_limits(scan), scan.pose is not None
+    angles = scan.angle_min, scan.angle_increment
+    return (scan.topic, scan.frame), (*angles, len(scan.ranges), *limits, has_pose)
 
 
 def find_flaw(scan: Scan) -> LeftOut | None:
@@ -190,7 +182,7 @@ class Batcher:
                 self.left_out[reason] += 1
                 continue
             if isinstance(some, Scan):
-                held.setdefault(Geometry.of(some), {})[self.read] = some
+                held.setdefault(find_geometry(some), {})[self.read] = some
                 beams += len(some.ranges)
             if isinstance(some, ScanRun) or beams >= BATCH_BEAMS:
                 yield from self._release(held)
@@ -200,8 +192,8 @@ class Batcher:
         yield from self._release(held)
 
     def _release(self, held: Mapping[Geometry, Mapping[int, Scan]]) -> Iterator[ScanBatch]:
-        lasers = Counter((geometry.topic, geometry.frame) for geometry in held)
-        for geometry, numbered in held.items():
+        lasers = Counter(laser for laser, _ in held)
+        for (laser, _), numbered in held.items():
             scans = list(numbered.values())
             run = ScanRun(
                 scans[0],
@@ -209,10 +201,10 @@ class Batcher:
                 np.array([scan.record_ns for scan in scans], np.int64),
                 np.stack([scan.ranges for scan in scans]),
                 np.array([scan.time_increment for scan in scans], np.float64),
-                np.array([scan.pose for scan in scans]) if geometry.posed else None,
+                np.array([scan.pose for scan in scans]) if scans[0].pose is not None else None,
             )
-            is_mixed = lasers[geometry.topic, geometry.frame] > 1
-            yield self._make_batch(run, np.array([*numbered], np.int64) if is_mixed else None)
+            number = np.array([*numbered], np.int64) if lasers[laser] > 1 else None
+            yield self._make_batch(run, number)
 
     def _make_batch(self, run: ScanRun, number: Int64 | None = None) -> ScanBatch:
         """Make a batch of scans that are alike, and note what is odd about them."""

@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 
 from occmap.arrays import Float64, Int64
-from occmap.batching import NOT_ASKED_FOR, Batcher, Geometry, Selection, Selector
+from occmap.batching import NOT_ASKED_FOR, Batcher, Selection, Selector
 from occmap.errors import PoseError
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.inspection.findings import MapFindings, Shape, TimeFindings
@@ -23,7 +23,7 @@ from occmap.posing.options import DropReason, Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.sampling import Sample, expect_scans
 from occmap.sensor.no_return import RangeLimits
-from occmap.sensor.returns import interpret
+from occmap.sensor.returns import interpret, read_limits
 from occmap.types import Kind, Rays, Scan, ScanBatch, ScanRun
 
 MAX_SHAPES = 1000
@@ -193,10 +193,10 @@ class TopicSurvey:
         """Take note of one scan, or of all scans of a run."""
         self.stamps.add(some)
         self.stated &= some.first.pose is not None
-        geometry = Geometry.of(some.first)
-        self.frames.setdefault(geometry.frame)
-        angles = geometry.angle_min, geometry.angle_increment
-        shape = Shape(geometry.beams, *angles, geometry.range_min, geometry.range_max, scans=0)
+        first = some.first
+        self.frames.setdefault(first.frame)
+        angles = first.angle_min, first.angle_increment
+        shape = Shape(len(first.ranges), *angles, *read_limits(first), scans=0)
         if shape in self.shapes or len(self.shapes) < MAX_SHAPES:
             self.shapes[shape] += some.scans
 

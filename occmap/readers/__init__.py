@@ -28,20 +28,14 @@ SIMILAR = 0.85
 """How alike (0 to 1) a file must be named that is suggested for one that is not there."""
 _MAP = "a map, not a log: `occmap diff` compares maps"
 OTHER_FILES = {
-    b"PK\x03\x04": (
-        "not a log but an archive: evidence in .npz is for `occmap render`, or for `resume`",
-        "",
-    ),
+    b"PK\x03\x04": ("an archive; if it is evidence (.npz), `occmap render` reads it", ""),
     b"P5": (_MAP, ""),
     b"image:": (_MAP, ""),
     b"\x89PNG": ("a picture, not a log: `occmap diff` compares maps", ""),
-    b"version https://git-lfs": (
-        "a Git LFS pointer, which stands in for the file",
-        "fetch the file: git lfs pull",
-    ),
+    b"version https://git-lfs": ("a Git LFS pointer, not the file", "fetch it: git lfs pull"),
     b"\x28\xb5\x2f\xfd": ("a file that zstd compressed", "decompress it first: unzstd PATH"),
 }
-"""What a file is, by how it begins, and what mends it, if that is not one of the readers."""
+"""What a file is, by how it begins, and what mends it; "": to give a log that occmap reads."""
 
 
 class Role(StrEnum):

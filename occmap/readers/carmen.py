@@ -37,6 +37,8 @@ OTHER_WORDS = frozenset({
 """Lines that are common in these logs (the last ones are g2o's) and hold no scan or pose."""
 MAX_WORDS = 100
 """Keywords that are counted one by one; the many of a damaged file must not fill the memory."""
+MOST_LETTERS = 64
+"""What of a line is looked at for its keyword; the rest of a longer word is not told."""
 MAX_KEPT_BYTES = 1 << 26
 """The scans of a log that take no more memory are kept; larger logs are parsed once more."""
 WHOLE_MESSAGE = re.compile(r"\S+\s+\S+\s+\S.*\s(?!\d)\S+\s+[-+.e\d]+\s*")
@@ -190,15 +192,18 @@ def _sort_lines(block: Block) -> dict[str, Int64]:
         word = "" if cut[-1] else _find_word(head.partition(b"\n")[0])
         keys.append(numbers.setdefault(word, len(numbers)))
     key = np.array(keys)[which]
-    for at in np.flatnonzero(np.array(cut)[which]).tolist():
-        key[at] = numbers.setdefault(_find_word(block.get_line(at).raw), len(numbers))
+    longer = np.flatnonzero(np.array(cut)[which])
+    starts = block.starts[longer]
+    ends = np.minimum(block.starts[longer + 1], starts + MOST_LETTERS)
+    for at, start, end in np.column_stack([longer, starts, ends]).tolist():
+        key[at] = numbers.setdefault(_find_word(block.text[start:end]), len(numbers))
     order, ends = np.argsort(key, kind="stable"), np.cumsum(np.bincount(key)).tolist()
     spans = zip(numbers, [0, *ends], ends, strict=False)
     lines = [(word, order[start:end]) for word, start, end in spans if start < end]
     return dict(sorted(lines, key=lambda each: int(each[1][0])))  # as they appear
 
 
-def _find_word(line: bytes) -> str:
+def _find_word(line: bytes | bytearray) -> str:
     word = b"".join(line.split(None, 1)[:1])
     return "#" if word[:1] == b"#" else word.decode("utf-8", "replace")
 

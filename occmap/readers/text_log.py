@@ -10,9 +10,9 @@ The way of a line from the file to a `Scan`:
    of the table.
 5. `_parse_block` gives every line that does not fit the pattern to `parse`, one by one.
 
-A malformed line is counted. Whether a log with such lines is damaged or no log is judged by all of
-its lines (`LineTally.judge`): CARMEN's are read once as it is opened, a CSV's are read once more
-when the first malformed row is met.
+Malformed lines are counted. All lines of a log together show whether it is damaged, or a file of
+another kind (`LineTally.judge`). A CARMEN log is judged when it is opened, as it is parsed then. A
+CSV is judged when the first malformed row turns up: then all its rows are parsed once more.
 """
 
 from abc import ABC, abstractmethod

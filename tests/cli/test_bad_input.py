@@ -90,9 +90,7 @@ def test_a_file_that_is_no_log(name: str, content: str | bytes, found: str) -> N
 def test_a_git_lfs_pointer_says_how_to_get_the_file() -> None:
     pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 123\n"
     error = fail(1, write("drive.mcap", pointer), "-o", "m.pgm")
-    assert error == (
-        "drive.mcap: a Git LFS pointer, which stands in for the file; fetch the file: git lfs pull"
-    )
+    assert error == ("drive.mcap: a Git LFS pointer, not the file; fetch it: git lfs pull")
 
 
 def test_a_folder_that_is_no_bag() -> None:

@@ -188,6 +188,20 @@ def test_a_word_in_a_constant_names_its_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("name", "value", "complaint"),
+    [
+        ("range_max", "nan", "range_max is nan, which is not a limit"),
+        ("time_increment", "inf", "time_increment is inf, which is not an angle or a time"),
+    ],
+)
+def test_a_constant_that_no_row_can_use_names_its_line(
+    tmp_path: Path, name: str, value: str, complaint: str
+) -> None:
+    with pytest.raises(LogError, match=f"log.csv:3: {complaint}; write `# {name}: NUMBER`"):
+        open_text(tmp_path, f"{CONSTANTS}# {name}: {value}\nstamp,r0\n1,2\n")
+
+
+@pytest.mark.parametrize(
     ("good", "bad", "complaint"),
     [
         (",1.5,", ",near,", "column r0 is 'near' where a number belongs"),
