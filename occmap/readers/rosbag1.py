@@ -51,12 +51,11 @@ _FIELDS = {
     CONNECTION: {b"conn", b"topic"},
 }
 """Which fields the header of each kind must have."""
-_OPCODE = re.compile(rb"\x04\x00{3}op=[\x02-\x07]")
+_HEAD = re.compile(rb"(?=..\x00{2}..\x00{2}[a-z_]+=)", re.DOTALL)
+"""How a header starts: with its length, and that of its first field."""
 _WINDOW = 1 << 20
 _LONGEST_HEADER = 1 << 12
 """Bytes of a header and its lengths, at most; it is a hundred bytes, and the name of a topic."""
-_LONGEST_START = 100
-"""Bytes of a header before its opcode, at most."""
 
 
 class Header(NamedTuple):
@@ -137,14 +136,13 @@ def find_header(file: BinaryIO, start: int, size: int, chunk_end: int = 0) -> in
     while start < size:
         file.seek(start)
         window = file.read(_WINDOW)
-        for match in _OPCODE.finditer(window):
-            for at in range(max(match.start() - _LONGEST_START, 0), match.start() - 3):
-                position = start + at
-                header = _try_header(window, at, size - start)
-                if header is None or header.opcode != match.group()[-1]:
-                    continue
-                if position >= chunk_end or header.opcode not in {MESSAGE, CONNECTION}:
-                    return position
+        for match in _HEAD.finditer(window):
+            position = start + match.start()
+            header = _try_header(window, match.start(), size - start)
+            if header is None:
+                continue
+            if position >= chunk_end or header.opcode not in {MESSAGE, CONNECTION}:
+                return position
         start += _WINDOW - _LONGEST_HEADER
     return None
 
