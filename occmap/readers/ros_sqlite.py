@@ -29,10 +29,8 @@ _LOG_HEAD, _FRAME_HEAD = 32, 24
 """Bytes at the start of a write-ahead log, and before each page in it"""
 _MOST_BYTES = 1 << 30
 """The largest value that is read; no message is near it."""
-_FIRST = -(2**63)
-"""No id of a row is below this one."""
-_LAST = 2**63 - 1
-"""No id of a row is above this one."""
+_EVERY_ID = -(2**63), 2**63 - 1
+"""The first and the last id that a row can have"""
 
 
 class SqliteSource:
@@ -45,7 +43,7 @@ class SqliteSource:
         # A recorder that died leaves its last rows in a log beside the file.
         self._has_log = self._log.is_file() and self._log.stat().st_size > 0
         self._is_sound = True
-        self._rows = _FIRST, _LAST
+        self._rows = _EVERY_ID
         """Ids of the first row and the last that are read"""
         try:
             with closing(self._connect()) as database:
@@ -58,13 +56,9 @@ class SqliteSource:
                 f"an SQLite database that cannot be read as a ROS 2 bag ({error})", where=path
             ) from None
         self._by_id = {key: replace(item, count=counts[key]) for key, item in topics.items()}
+        self.channels = list(self._by_id.values())
         if lost := counts.total() - sum(channel.count for channel in self.channels):
             add_note(self.notes, f"the file names no topic for {count(lost, 'message')}")
-
-    @property
-    def channels(self) -> Sequence[Channel]:
-        """Every topic of the file."""
-        return list(self._by_id.values())
 
     def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some topics, in the order in which they were written."""
@@ -94,7 +88,7 @@ class SqliteSource:
             " AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
             " AND rowid BETWEEN ? AND ? ORDER BY rowid"
         )
-        last = _FIRST
+        last = _EVERY_ID[0]
         if self._is_sound:
             try:
                 for row in database.execute(query, (*topics, *self._rows)):
