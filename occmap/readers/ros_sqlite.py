@@ -19,8 +19,6 @@ from occmap.readers.ros_source import Channel, RawMessage, add_note
 from occmap.readers.sqlite_pages import Row, find_rows
 from occmap.wording import count
 
-MAGIC = b"SQLite format 3\x00"
-
 _ERRORS = (apsw.Error, UnicodeDecodeError)
 """What the library raises on damaged files; texts in them may be anything."""
 _LOCKLESS = "win32-none" if os.name == "nt" else "unix-none"
@@ -35,6 +33,8 @@ _EVERY_ID = -(2**63), 2**63 - 1
 
 class SqliteSource:
     """The channels and raw messages of a .db3 file."""
+
+    magic = b"SQLite format 3\x00"
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -20,8 +20,6 @@ from occmap.readers.chunked import EVERY_ID, Block, ChunkedSource, Descriptions,
 from occmap.readers.inflate import Buffer, inflate
 from occmap.readers.ros_source import Channel, add_note
 
-MAGIC = b"#ROSBAG V2.0\n"
-
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 """The opcodes."""
 INFO_ENTRY = struct.Struct("<II")
@@ -79,6 +77,9 @@ class Header(NamedTuple):
     def text(self, name: bytes) -> str:
         """Read a text, "" where there is none."""
         return self.fields.get(name, b"").decode(errors="replace")
+
+
+NO_HEADER = Header(b"", {}, 0)
 
 
 def split_messages(
@@ -153,9 +154,6 @@ def _leads_on(file: BinaryIO, position: int, size: int) -> bool:
         return position == size
     file.seek(position)
     return _try_header(file.read(_LONGEST_HEADER)) is not None
-
-
-NO_HEADER = Header(b"", {}, 0)
 
 
 def _try_header(block: Buffer, at: int = 0, size: int | None = None) -> Header | None:
@@ -266,7 +264,7 @@ class _Index:
 class Bag1Source(ChunkedSource):
     """The channels and raw messages of a ROS 1 bag."""
 
-    magic = MAGIC
+    magic = b"#ROSBAG V2.0\n"
     chunk = CHUNK
     plain = frozenset({MESSAGE, CONNECTION})
     """The last chunk of a recording that was not closed has no length yet: they lie open."""
