@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
@@ -34,13 +34,9 @@ _MOST_METADATA = 1 << 20
 _STORAGE_NAME = re.compile(r".*\.(db3|mcap)(\.zstd)?")
 
 
-class _Metadata(NamedTuple):
-    """What only metadata.yaml says, and the storage files do not."""
-
-    files: Sequence[str] = ()
-    zipped_messages: bool = False
-    counts: Mapping[tuple[str, str], int] = {}
-    """Messages by topic and type."""
+_Metadata: TypeAlias = tuple[Sequence[str], bool, Mapping[tuple[str, str], int]]
+"""What only metadata.yaml says: the files, whether each message is compressed on its own, and how
+many messages there are by topic and type"""
 
 
 def list_storage(folder: Path) -> list[Path]:
@@ -76,14 +72,13 @@ class Bag2Source:
         self.notes: list[Note] = NoteList()
         self._scratch: Path | None = None
         with refuse_unreadable(path):
-            metadata = self._read_metadata()
-            self._parts = self._open_parts(self._find_files(metadata.files))
-        self._zipped = metadata.zipped_messages
+            names, self._zipped, announced = self._read_metadata()
+            self._parts = self._open_parts(self._find_files(names))
         self._gather_notes()
         held = Counter[tuple[str, str]]()
         for channel in self.channels:
             held[channel.topic, channel.type] += channel.count
-        for (topic, kind), count in metadata.counts.items():
+        for (topic, kind), count in announced.items():
             if (found := held[topic, kind]) != count:
                 text = f"{METADATA} announces {count} messages of {kind} on {topic}"
                 add_note(self.notes, f"{text}, the files {found}")
@@ -154,10 +149,11 @@ class Bag2Source:
         """Read metadata.yaml; where it is absent or damaged, the files speak for themselves."""
         path = self.path / METADATA
         try:
-            return _parse_metadata(path) if path.is_file() else _Metadata()
+            if path.is_file():
+                return _parse_metadata(path)
         except (YAMLError, LookupError, TypeError, AttributeError, ValueError, RecursionError):
             add_note(self.notes, f"{METADATA} is damaged and not used")
-            return _Metadata()
+        return (), False, {}
 
     def _gather_notes(self) -> None:
         """Take over what the storage files had to say."""
@@ -185,7 +181,7 @@ def _parse_metadata(path: Path) -> _Metadata:
     for topic in information.get("topics_with_message_count") or ():
         described = topic["topic_metadata"]
         counts[described["name"], described["type"]] += int(topic["message_count"])
-    return _Metadata(files, mode.lower() == "message", counts)
+    return files, mode.lower() == "message", counts
 
 
 def _open_file(path: Path) -> Source:
