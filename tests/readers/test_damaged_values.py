@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from occmap.readers import messages, open_log
-from occmap.readers.flatten import convert_cloud
+from occmap.readers.messages import convert_cloud
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_log import RosLog
 from occmap.readers.ros_source import Channel
