@@ -122,7 +122,8 @@ def read_points(message: Any) -> Float64:
     points = [
         np.ndarray((rows, width), kind, data, at, (row_step, step)).ravel() for kind, at in columns
     ]
-    stacked = np.stack(points, axis=1).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a flipped bit makes a signalling NaN of infinity
+        stacked = np.stack(points, axis=1).astype(np.float64)
     return stacked[np.isfinite(stacked).all(axis=1)]
 
 
