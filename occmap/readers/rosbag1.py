@@ -247,7 +247,8 @@ class _Index:
 
         Of a chunk, the records behind it count, and where one is lost, the end of the bag does.
         """
-        if self.at_end and max(self.at_end) not in self.chunks:  # bytes are lost or added
+        if self.at_end and max(self.at_end) not in self.chunks:
+            # Bytes are lost or added, so that the positions at the end are those of no chunk.
             at_end, behind = self.count()
             return at_end if len(self.chunks) > len(self.at_end) else at_end | behind, set()
         places = sorted({*self.at_end, *self.chunks})
