@@ -202,7 +202,9 @@ class ChunkedSource(ABC):
             if record is None or (is_cut and not record.is_sure):
                 found = self.find_record(file, behind, self._size, chunk_end)
                 if found is not None:
-                    add_note(self.notes, f"damaged at byte {position}, read on from byte {found}")
+                    # A record that reaches beyond what is found behind it states a wrong length.
+                    at = position if position < found else behind
+                    add_note(self.notes, f"damaged at byte {at}, read on from byte {found}")
                     position, behind = found, found + 1
                     continue
             if record is None or is_cut:
