@@ -103,16 +103,12 @@ class ChunkedSource(ABC):
             self._span = Span(len(self.magic), self._size)
             channels, counts = self._find_channels(file)
         self._by_id = {key: replace(each, count=counts[key]) for key, each in channels.items()}
+        self.channels = list(self._by_id.values())
         if lost := sum(messages for key, messages in counts.items() if key not in channels):
             add_note(self.notes, f"the file names no {self.unit} for {count(lost, 'message')}")
-        if self.notes and not self._by_id:
+        if self.notes and not self.channels:
             found = "; ".join(note.text for note in self.notes[:3])
             raise LogError(f"nothing in it can be read: {found}", where=path)
-
-    @property
-    def channels(self) -> Sequence[Channel]:
-        """Every channel of the file."""
-        return list(self._by_id.values())
 
     def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some channels, in file order."""
@@ -206,7 +202,9 @@ class ChunkedSource(ABC):
             if record is None or (is_cut and not record.is_sure):
                 found = self.find_record(file, behind, self._size, chunk_end)
                 if found is not None:
-                    add_note(self.notes, f"damaged at byte {position}, read on from byte {found}")
+                    # A record that reaches beyond what is found behind it states a wrong length.
+                    at = position if position < found else behind
+                    add_note(self.notes, f"damaged at byte {at}, read on from byte {found}")
                     position, behind = found, found + 1
                     continue
             if record is None or is_cut:

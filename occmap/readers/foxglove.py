@@ -72,11 +72,8 @@ def convert_transform(message: Any, topic: str, record_ns: int) -> list[PoseSamp
 
 def convert_transforms(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
     """Convert a foxglove.FrameTransforms."""
-    return [
-        sample
-        for transform in message.transforms
-        for sample in convert_transform(transform, topic, record_ns)
-    ]
+    transforms = (convert_transform(each, topic, record_ns) for each in message.transforms)
+    return [sample for (sample,) in transforms]
 
 
 def convert_pose(message: Any, topic: str, record_ns: int) -> list[PoseSample]:

@@ -40,15 +40,6 @@ _FOOTER_BODY = 20
 _FOOTER_LENGTH = _RECORD.size + _FOOTER_BODY
 _LONGEST_DATA_END = 255
 """Four bytes, and what a writer may add to them."""
-_SHORTEST: Mapping[int, int] = {
-    Opcode.SCHEMA: 14,
-    Opcode.CHANNEL: 16,
-    Opcode.MESSAGE: 22,
-    Opcode.CHUNK: 40,
-    Opcode.MESSAGE_INDEX: 6,
-    Opcode.DATA_END: 4,
-}
-"""Bytes of records whose texts and lists are empty."""
 _LAST_OPCODE = 15
 _CHUNK = re.compile(
     rb".{28}(\x00{4}|\x03\x00{3}lz4|\x04\x00{3}(none|zstd))(?P<length>.{5}\x00{3})", re.DOTALL
@@ -132,7 +123,7 @@ def _is_plausible(opcode: int, length: int, left: int) -> bool:
         return False
     if opcode == Opcode.FOOTER:
         return length == _FOOTER_BODY and left == _FOOTER_BODY + len(MAGIC)
-    return 0 < opcode <= _LAST_OPCODE and _SHORTEST.get(opcode, 0) <= length <= left
+    return 0 < opcode <= _LAST_OPCODE and length <= left
 
 
 def _count_indexed(file: BinaryIO) -> int:

@@ -6,7 +6,7 @@ damage of the log. Any other error is a fault of occmap's, and is not caught.
 
 import json
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import cache, lru_cache
 from graphlib import TopologicalSorter
@@ -26,6 +26,9 @@ from occmap.readers.shapes import take
 T = TypeVar("T")
 FromBytes: TypeAlias = Callable[[memoryview, int], T]
 """From a message's bytes and its record time in ns; it raises DamageError."""
+_Parser: TypeAlias = tuple[Callable[[memoryview], Any], tuple[type[Exception], ...], bool]
+"""From a message's bytes to its fields, what it raises on bytes that are not well formed, and
+whether a message is as ROS itself defines it."""
 
 # What rosbags raises on definitions and on bytes that are not well formed.
 _DEFINITION_ERRORS = (
@@ -88,30 +91,38 @@ def make_reader(
     LogError
         The channel's message definition cannot be understood.
     """
-    topic, decode = channel.topic, _DECODERS[channel.encoding](channel)
-    if channel.encoding in _STORES and _load_types(channel)[1]:
-        is_plain = channel.kind in _PLAIN_TYPES
+    topic, kind = channel.topic, channel.kind
+    parse, errors, is_standard = _PARSERS[channel.encoding](channel)
+
+    def decode(data: memoryview) -> Any:
+        try:
+            return parse(data)
+        except errors as error:
+            raise DamageError(f"is not a {kind} ({type(error).__name__})") from error
+
+    if is_standard:
+        is_plain = kind in _PLAIN_TYPES
         return lambda data, record_ns: convert(decode(data), topic, record_ns), is_plain
-    shape = TYPES[channel.kind].shape
+    shape = TYPES[kind].shape
     return lambda data, record_ns: convert(take(decode(data), shape), topic, record_ns), False
 
 
-def _make_ros_decoder(channel: Channel) -> Callable[[memoryview], Any]:
-    """Build what decodes a message by its definition; it raises DamageError."""
-    store, name = _load_types(channel)[0], channel.kind
+def _make_ros_parser(channel: Channel) -> _Parser:
+    """Make what reads a message by the log's definition of it, or by ROS's where it has none.
+
+    Raises
+    ------
+    LogError
+        The definition cannot be understood, or asks for more than any message needs.
+    """
+    store, is_standard = _make_store(channel.definition, channel.type, channel.encoding)
+    name = channel.kind
     try:
         store.get_msgdef(name)
     except _DEFINITION_ERRORS as error:
         raise _refuse(channel.type, error) from error
     deserialise = store.deserialize_ros1 if channel.encoding == "ros1" else store.deserialize_cdr
-
-    def decode(data: memoryview) -> Any:
-        try:
-            return deserialise(data, name)
-        except _DECODE_ERRORS as error:
-            raise DamageError(f"is not a {name} ({type(error).__name__})") from error
-
-    return decode
+    return lambda data: deserialise(data, name), _DECODE_ERRORS, is_standard
 
 
 def _refuse(kind: str, why: str | Exception) -> LogError:
@@ -127,22 +138,6 @@ def _load_standard(encoding: str) -> Typestore:
         if name not in store.fielddefs:
             store.register(get_types_from_msg(_TF_DEFINITION, name))
     return store
-
-
-def _load_types(channel: Channel) -> tuple[Typestore, bool]:
-    """Load the types that messages are decoded by: the log's own, or ROS's where it has none.
-
-    Returns
-    -------
-    store, is_standard
-        Whether a message is as ROS itself defines it.
-
-    Raises
-    ------
-    LogError
-        The definition cannot be understood, or asks for more than any message needs.
-    """
-    return _make_store(channel.definition, channel.type, channel.encoding)
 
 
 @lru_cache(maxsize=64)
@@ -210,20 +205,12 @@ def _find_flaw(types: Typesdict, name: str, counts: dict[str, int]) -> str:
     return "" if 0 < total <= MAX_VALUES else f"{name} holds {total} values"
 
 
-def _make_json_decoder(_channel: Channel) -> Callable[[memoryview], Any]:
-    """Give what decodes a JSON object; it raises DamageError where it is not one."""
-
-    def decode(data: memoryview) -> Any:
-        try:
-            return json.loads(bytes(data))
-        except (ValueError, RecursionError, MemoryError) as error:
-            raise DamageError(f"is not JSON ({type(error).__name__})") from error
-
-    return decode
+def _make_json_parser(_channel: Channel) -> _Parser:
+    return lambda data: json.loads(bytes(data)), (ValueError, RecursionError, MemoryError), False
 
 
-def _make_protobuf_decoder(channel: Channel) -> Callable[[memoryview], Any]:
-    """Build a decoder by the descriptors that lie in the log; it raises DamageError.
+def _make_protobuf_parser(channel: Channel) -> _Parser:
+    """Make what reads a message by the descriptors that lie in the log.
 
     Raises
     ------
@@ -236,22 +223,13 @@ def _make_protobuf_decoder(channel: Channel) -> Callable[[memoryview], Any]:
         fix = "install what reads it: pip install '.[foxglove]'"
         raise LogError(f"{channel.type} is written in protobuf", fix=fix) from None
     try:
-        make = _load_message(channel)
+        message_class = _load_message(channel)
     except (DecodeError, KeyError, TypeError, ValueError) as error:
         raise _refuse(channel.type, error) from error
-
-    def decode(data: memoryview) -> Any:
-        message = make()
-        try:
-            message.ParseFromString(bytes(data))
-        except DecodeError as error:
-            raise DamageError("is not of its protobuf type") from error
-        return message
-
-    return decode
+    return lambda data: message_class.FromString(bytes(data)), (DecodeError,), False
 
 
-def _load_message(channel: Channel) -> Callable[[], Any]:
+def _load_message(channel: Channel) -> Any:
     """Load the message class, giving the pool each file after those that it is made of."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory  # noqa: PLC0415
 
@@ -264,16 +242,13 @@ def _load_message(channel: Channel) -> Callable[[], Any]:
     for name in order.static_order():
         if name in by_name:
             pool.Add(by_name[name])
-    make: Callable[[], Any] = message_factory.GetMessageClass(
-        pool.FindMessageTypeByName(channel.type)
-    )
-    return make
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(channel.type))
 
 
-_DECODERS = {
-    "cdr": _make_ros_decoder,
-    "ros1": _make_ros_decoder,
-    "json": _make_json_decoder,
-    "protobuf": _make_protobuf_decoder,
+_PARSERS: Mapping[str, Callable[[Channel], _Parser]] = {
+    "cdr": _make_ros_parser,
+    "ros1": _make_ros_parser,
+    "json": _make_json_parser,
+    "protobuf": _make_protobuf_parser,
 }
-"""What builds a decoder, for each way in which messages are written."""
+"""What makes the parser of each way in which messages are written."""

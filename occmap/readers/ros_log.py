@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from occmap.errors import DamageError, LogError, refuse_unreadable
-from occmap.readers import DEFAULT_OPTIONS, Note, Role, Stream
+from occmap.readers import DEFAULT_OPTIONS, Role, Stream
 from occmap.readers.inflate import Buffer
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_decode import FromBytes, make_reader
@@ -34,26 +34,21 @@ class RosReader:
 
     open_source: Callable[[Path], Source]
 
-    def open(self, path: Path) -> "RosLog":
-        """Open a log.
+    def open_tuned(self, path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> "RosLog":
+        """Open a log; echoes and clouds become scans as the user chose.
 
         Raises
         ------
         LogError
             Nothing in it can be read.
         """
-        return self.open_tuned(path, DEFAULT_OPTIONS)
-
-    def open_tuned(self, path: Path, options: ReaderOptions) -> "RosLog":
-        """Open a log; echoes and clouds become scans as the user chose. Raises what `open` does."""
         return RosLog(self.open_source(path), options)
+
+    open = open_tuned
 
 
 class RosLog:
     """Scans and poses of a container of ROS messages."""
-
-    path: Path
-    notes: list[Note]
 
     def __init__(self, source: Source, options: ReaderOptions = DEFAULT_OPTIONS) -> None:
         self.path = source.path
@@ -151,36 +146,27 @@ class RosLog:
         yield from ((readers[kind], stack) for (kind, _), stack in stacks.items())
         self._note_damage(readers)
 
+    def _messages(self, readers: Mapping[Channel, "_ChannelReader[T]"]) -> Iterator[RawMessage]:
+        """Give raw messages, and count them; a disk that fails is an error with the log's name."""
+        if readers:
+            with refuse_unreadable(self.path):
+                for message in self._source.messages(readers):
+                    readers[message[0]].messages += 1
+                    yield message
+
     def _note_damage(self, readers: Mapping[Channel, "_ChannelReader[T]"]) -> None:
-        """Say what of the messages was damaged so far."""
+        """Say what of the messages was lost or damaged."""
         for channel, reader in readers.items():
-            topic = channel.topic
+            topic, announced = channel.topic, channel.count
+            if self._is_whole and reader.messages != announced:
+                text = f"{reader.messages} messages are read on {topic}"
+                add_note(self.notes, f"{text}, where the log announces {announced}")
             if reader.uses_standard:
                 text = f"the definition of {channel.type} on {topic} is damaged"
                 add_note(self.notes, f"{text}; the standard one is used")
             if reader.failures:
-                text = f"{reader.failures} of {channel.count} messages on {topic} are damaged"
+                text = f"{reader.failures} of {announced} messages on {topic} are damaged"
                 add_note(self.notes, f"{text} and not used")
-
-    def _messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
-        """Give raw messages, and note where they are not as many as the log announces.
-
-        A disk that fails is an error with the log's name.
-        """
-        if not wanted:
-            return
-        counts = dict.fromkeys(wanted, 0)
-        with refuse_unreadable(self.path):
-            for message in self._source.messages(wanted):
-                counts[message[0]] += 1
-                yield message
-        for channel, count in counts.items():
-            if self._is_whole and count != channel.count:
-                add_note(
-                    self.notes,
-                    f"{count} messages are read on {channel.topic},"
-                    f" where the log announces {channel.count}",
-                )
 
 
 class _ChannelReader(Generic[T]):
@@ -192,7 +178,7 @@ class _ChannelReader(Generic[T]):
 
     def __init__(self, channel: Channel, convert: Callable[[Any, str, int], T]) -> None:
         self.encoding = channel.encoding
-        self.failures = 0
+        self.messages = self.failures = 0
         self.uses_standard = False
         standard = replace(channel, definition="")
         self._make_standard = (

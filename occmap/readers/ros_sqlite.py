@@ -16,25 +16,25 @@ import apsw
 from occmap.errors import LogError
 from occmap.readers import Note, NoteList, make_part
 from occmap.readers.ros_source import Channel, RawMessage, add_note
-from occmap.readers.sqlite_pages import Row, count_lost_frames, find_rows
+from occmap.readers.sqlite_pages import Row, find_rows
 from occmap.wording import count
-
-MAGIC = b"SQLite format 3\x00"
 
 _ERRORS = (apsw.Error, UnicodeDecodeError)
 """What the library raises on damaged files; texts in them may be anything."""
 _LOCKLESS = "win32-none" if os.name == "nt" else "unix-none"
 """SQLite's way to open files without a lock"""
+_LOG_HEAD, _FRAME_HEAD = 32, 24
+"""Bytes at the start of a write-ahead log, and before each page in it"""
 _MOST_BYTES = 1 << 30
 """The largest value that is read; no message is near it."""
-_FIRST = -(2**63)
-"""No id of a row is below this one."""
-_LAST = 2**63 - 1
-"""No id of a row is above this one."""
+_EVERY_ID = -(2**63), 2**63 - 1
+"""The first and the last id that a row can have"""
 
 
 class SqliteSource:
     """The channels and raw messages of a .db3 file."""
+
+    magic = b"SQLite format 3\x00"
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -43,26 +43,22 @@ class SqliteSource:
         # A recorder that died leaves its last rows in a log beside the file.
         self._has_log = self._log.is_file() and self._log.stat().st_size > 0
         self._is_sound = True
-        self._rows = _FIRST, _LAST
+        self._rows = _EVERY_ID
         """Ids of the first row and the last that are read"""
         try:
             with closing(self._connect()) as database:
                 _refuse_imitations(database)
                 topics = _read_topics(database)
                 counts = self._count_messages(database, topics)
-                self._note_state()
+                self._note_state(database)
         except _ERRORS as error:
             raise LogError(
                 f"an SQLite database that cannot be read as a ROS 2 bag ({error})", where=path
             ) from None
         self._by_id = {key: replace(item, count=counts[key]) for key, item in topics.items()}
+        self.channels = list(self._by_id.values())
         if lost := counts.total() - sum(channel.count for channel in self.channels):
             add_note(self.notes, f"the file names no topic for {count(lost, 'message')}")
-
-    @property
-    def channels(self) -> Sequence[Channel]:
-        """Every topic of the file."""
-        return list(self._by_id.values())
 
     def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some topics, in the order in which they were written."""
@@ -92,7 +88,7 @@ class SqliteSource:
             " AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
             " AND rowid BETWEEN ? AND ? ORDER BY rowid"
         )
-        last = _FIRST
+        last = _EVERY_ID[0]
         if self._is_sound:
             try:
                 for row in database.execute(query, (*topics, *self._rows)):
@@ -125,22 +121,35 @@ class SqliteSource:
         add_note(self.notes, f"the storage file is damaged ({problem}): {share} messages are found")
         return counts
 
-    def _note_state(self) -> None:
+    def _note_state(self, database: apsw.Connection) -> None:
         """Note the signs that the file was cut, or that its recorder died."""
         with self.path.open("rb") as file:
             page, pages = struct.unpack(">16xH10xI", file.read(32))
+            page = 1 << 16 if page == 1 else page
             size = file.seek(0, 2)
-            whole = (1 << 16 if page == 1 else page) * pages
-        if size < whole and not self._has_log:
-            add_note(self.notes, f"the storage file is cut: {size} of its {whole} bytes are there")
-        if self._has_log and (lost := count_lost_frames(self._log)):
-            add_note(
-                self.notes,
-                f"{self._log.name} is cut or damaged: its last {lost} pages are not read",
-            )
+        if size < page * pages and not self._has_log:
+            text = f"the storage file is cut: {size} of its {page * pages} bytes are there"
+            add_note(self.notes, text)
+        if self._has_log and (lost := self._count_lost_pages(database, page)):
+            text = f"{self._log.name} is cut or damaged: its last {lost} pages are not read"
+            add_note(self.notes, text)
         journal = self.path.with_name(self.path.name + "-journal")
         if journal.is_file() and journal.stat().st_size:
             add_note(self.notes, f"the recorder died while it wrote: {journal.name} is not used")
+
+    def _count_lost_pages(self, database: apsw.Connection, page: int) -> int:
+        """Count the pages in the write-ahead log that lie behind its last whole transaction."""
+        used: int
+        ((_, used, _),) = database.execute("PRAGMA wal_checkpoint(NOOP)")
+        data = self._log.read_bytes()
+        if not used:
+            return -(-(len(data) - _LOG_HEAD) // (page + _FRAME_HEAD)) or len(data) != _LOG_HEAD
+        salts = data[16:24]
+        present = 0
+        for number, at in enumerate(range(_LOG_HEAD, len(data), page + _FRAME_HEAD), 1):
+            # Frames with other salts are left from before the log was last emptied.
+            present = number if salts.startswith(data[at + 8 : at + 16]) else present
+        return present - used
 
     def _connect(self) -> apsw.Connection:
         """Open the file in a way that never writes anything beside it, not even a lock."""

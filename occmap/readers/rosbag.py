@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
@@ -20,13 +20,10 @@ from ruamel.yaml.error import YAMLError
 from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import Note, NoteList, Probe, make_part, probe_path
 from occmap.readers.inflate import inflate_message, unzip_file
-from occmap.readers.mcap import MAGIC as MCAP_MAGIC
 from occmap.readers.mcap import McapSource
 from occmap.readers.ros_log import RosReader
 from occmap.readers.ros_source import Channel, RawMessage, Source, add_note
-from occmap.readers.ros_sqlite import MAGIC as SQLITE_MAGIC
 from occmap.readers.ros_sqlite import SqliteSource
-from occmap.readers.rosbag1 import MAGIC as BAG_MAGIC
 from occmap.readers.rosbag1 import Bag1Source
 
 METADATA = "metadata.yaml"
@@ -37,13 +34,9 @@ _MOST_METADATA = 1 << 20
 _STORAGE_NAME = re.compile(r".*\.(db3|mcap)(\.zstd)?")
 
 
-class _Metadata(NamedTuple):
-    """What only metadata.yaml says, and the storage files do not."""
-
-    files: Sequence[str] = ()
-    zipped_messages: bool = False
-    counts: Mapping[tuple[str, str], int] = {}
-    """Messages by topic and type."""
+_Metadata: TypeAlias = tuple[Sequence[str], bool, Mapping[tuple[str, str], int]]
+"""What only metadata.yaml says: the files, whether each message is compressed on its own, and how
+many messages there are by topic and type"""
 
 
 def list_storage(folder: Path) -> list[Path]:
@@ -79,14 +72,13 @@ class Bag2Source:
         self.notes: list[Note] = NoteList()
         self._scratch: Path | None = None
         with refuse_unreadable(path):
-            metadata = self._read_metadata()
-            self._parts = self._open_parts(self._find_files(metadata.files))
-        self._zipped = metadata.zipped_messages
+            names, self._zipped, announced = self._read_metadata()
+            self._parts = self._open_parts(self._find_files(names))
         self._gather_notes()
         held = Counter[tuple[str, str]]()
         for channel in self.channels:
             held[channel.topic, channel.type] += channel.count
-        for (topic, kind), count in metadata.counts.items():
+        for (topic, kind), count in announced.items():
             if (found := held[topic, kind]) != count:
                 text = f"{METADATA} announces {count} messages of {kind} on {topic}"
                 add_note(self.notes, f"{text}, the files {found}")
@@ -128,12 +120,13 @@ class Bag2Source:
             refuse_mixed(self.path, present)
         return there or present
 
-    def _open_parts(self, files: Sequence[Path]) -> list[McapSource | SqliteSource]:
+    def _open_parts(self, files: Sequence[Path]) -> list[Source]:
         """Open storage files; one that cannot be read is noted, unless there is no other."""
-        parts: list[McapSource | SqliteSource] = []
+        parts: list[Source] = []
         for file in files:
             try:
-                parts.append(self._open_part(file))
+                is_zipped = probe_path(file).raw.startswith(ZSTD_MAGIC)
+                parts.append(_open_file(self._unzip(file) if is_zipped else file))
             except LogError as error:
                 if len(files) == 1:
                     raise
@@ -141,17 +134,6 @@ class Bag2Source:
         if not parts:
             raise LogError("no storage file in it can be read", where=self.path)
         return parts
-
-    def _open_part(self, file: Path) -> McapSource | SqliteSource:
-        """Open a storage file, by content rather than by name."""
-        if probe_path(file).raw.startswith(ZSTD_MAGIC):
-            file = self._unzip(file)
-        start = probe_path(file).raw
-        if start.startswith(MCAP_MAGIC):
-            return McapSource(file)
-        if start.startswith(SQLITE_MAGIC):
-            return SqliteSource(file)
-        raise LogError("neither SQLite nor MCAP", where=file)
 
     def _unzip(self, file: Path) -> Path:
         """Decompress a storage file into a folder that goes away with this object."""
@@ -167,10 +149,11 @@ class Bag2Source:
         """Read metadata.yaml; where it is absent or damaged, the files speak for themselves."""
         path = self.path / METADATA
         try:
-            return _parse_metadata(path) if path.is_file() else _Metadata()
+            if path.is_file():
+                return _parse_metadata(path)
         except (YAMLError, LookupError, TypeError, AttributeError, ValueError, RecursionError):
             add_note(self.notes, f"{METADATA} is damaged and not used")
-            return _Metadata()
+        return (), False, {}
 
     def _gather_notes(self) -> None:
         """Take over what the storage files had to say."""
@@ -198,23 +181,22 @@ def _parse_metadata(path: Path) -> _Metadata:
     for topic in information.get("topics_with_message_count") or ():
         described = topic["topic_metadata"]
         counts[described["name"], described["type"]] += int(topic["message_count"])
-    return _Metadata(files, mode.lower() == "message", counts)
+    return files, mode.lower() == "message", counts
 
 
-def _open_source(path: Path) -> Source:
-    """Choose by content."""
-    if path.is_dir():
-        return Bag2Source(path)
+def _open_file(path: Path) -> Source:
+    """Open a file by its content rather than by its name."""
     start = probe_path(path).raw
-    if start.startswith(SQLITE_MAGIC):
-        return SqliteSource(path)
+    for source in (McapSource, SqliteSource, Bag1Source):
+        if start.startswith(source.magic):
+            return source(path)
     if start.startswith(_OLD_MAGICS):
         raise LogError(
             f"a bag of the old format {start[:15].decode('ascii', 'replace')!r}",
             where=path,
             fix="convert it with ROS 1's `rosbag fix old.bag new.bag` (or `rosbag migrate`)",
         )
-    return Bag1Source(path)
+    raise LogError("neither SQLite nor MCAP", where=path)
 
 
 class RosbagReader(RosReader):
@@ -222,7 +204,6 @@ class RosbagReader(RosReader):
 
     name = "rosbag"
     description = "ROS 1 .bag (none, bz2, lz4); ROS 2 folder or .db3 (SQLite, MCAP, zstd)"
-    open_source = staticmethod(_open_source)
 
     def recognises(self, probe: Probe) -> bool:
         """Say whether a file starts as bags do, or a folder holds storage files."""
@@ -230,4 +211,8 @@ class RosbagReader(RosReader):
             with suppress(PermissionError):
                 return (probe.path / METADATA).exists() or bool(list_storage(probe.path))
             return False
-        return probe.raw.startswith((BAG_MAGIC, SQLITE_MAGIC, *_OLD_MAGICS))
+        return probe.raw.startswith((Bag1Source.magic, SqliteSource.magic, *_OLD_MAGICS))
+
+    def open_source(self, path: Path) -> Source:
+        """Open a folder or a file."""
+        return Bag2Source(path) if path.is_dir() else _open_file(path)

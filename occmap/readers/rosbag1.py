@@ -20,8 +20,6 @@ from occmap.readers.chunked import EVERY_ID, Block, ChunkedSource, Descriptions,
 from occmap.readers.inflate import Buffer, inflate
 from occmap.readers.ros_source import Channel, add_note
 
-MAGIC = b"#ROSBAG V2.0\n"
-
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 """The opcodes."""
 INFO_ENTRY = struct.Struct("<II")
@@ -51,12 +49,11 @@ _FIELDS = {
     CONNECTION: {b"conn", b"topic"},
 }
 """Which fields the header of each kind must have."""
-_OPCODE = re.compile(rb"\x04\x00{3}op=[\x02-\x07]")
+_HEAD = re.compile(rb"(?=..\x00{2}..\x00{2}[a-z_]+=)", re.DOTALL)
+"""How a header starts: with its length, and that of its first field."""
 _WINDOW = 1 << 20
 _LONGEST_HEADER = 1 << 12
 """Bytes of a header and its lengths, at most; it is a hundred bytes, and the name of a topic."""
-_LONGEST_START = 100
-"""Bytes of a header before its opcode, at most."""
 
 
 class Header(NamedTuple):
@@ -80,6 +77,9 @@ class Header(NamedTuple):
     def text(self, name: bytes) -> str:
         """Read a text, "" where there is none."""
         return self.fields.get(name, b"").decode(errors="replace")
+
+
+NO_HEADER = Header(b"", {}, 0)
 
 
 def split_messages(
@@ -137,14 +137,13 @@ def find_header(file: BinaryIO, start: int, size: int, chunk_end: int = 0) -> in
     while start < size:
         file.seek(start)
         window = file.read(_WINDOW)
-        for match in _OPCODE.finditer(window):
-            for at in range(max(match.start() - _LONGEST_START, 0), match.start() - 3):
-                position = start + at
-                header = _try_header(window, at, size - start)
-                if header is None or header.opcode != match.group()[-1]:
-                    continue
-                if position >= chunk_end or header.opcode not in {MESSAGE, CONNECTION}:
-                    return position
+        for match in _HEAD.finditer(window):
+            position = start + match.start()
+            header = _try_header(window, match.start(), size - start)
+            if header is None:
+                continue
+            if position >= chunk_end or header.opcode not in {MESSAGE, CONNECTION}:
+                return position
         start += _WINDOW - _LONGEST_HEADER
     return None
 
@@ -155,9 +154,6 @@ def _leads_on(file: BinaryIO, position: int, size: int) -> bool:
         return position == size
     file.seek(position)
     return _try_header(file.read(_LONGEST_HEADER)) is not None
-
-
-NO_HEADER = Header(b"", {}, 0)
 
 
 def _try_header(block: Buffer, at: int = 0, size: int | None = None) -> Header | None:
@@ -251,7 +247,8 @@ class _Index:
 
         Of a chunk, the records behind it count, and where one is lost, the end of the bag does.
         """
-        if self.at_end and max(self.at_end) not in self.chunks:  # bytes are lost or added
+        if self.at_end and max(self.at_end) not in self.chunks:
+            # Bytes are lost or added, so that the positions at the end are those of no chunk.
             at_end, behind = self.count()
             return at_end if len(self.chunks) > len(self.at_end) else at_end | behind, set()
         places = sorted({*self.at_end, *self.chunks})
@@ -268,7 +265,7 @@ class _Index:
 class Bag1Source(ChunkedSource):
     """The channels and raw messages of a ROS 1 bag."""
 
-    magic = MAGIC
+    magic = b"#ROSBAG V2.0\n"
     chunk = CHUNK
     plain = frozenset({MESSAGE, CONNECTION})
     """The last chunk of a recording that was not closed has no length yet: they lie open."""

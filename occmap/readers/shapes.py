@@ -76,7 +76,8 @@ def as_row(values: Any) -> Float64:
     JSON has no infinity: writers leave a null or a name, which NumPy reads as nan or infinity.
     """
     try:
-        row = np.array(values, np.float64)
+        with np.errstate(invalid="ignore"):  # a flipped bit makes a signalling NaN of infinity
+            row = np.array(values, np.float64)
     except (TypeError, ValueError, OverflowError):
         row = np.empty(())
     if row.ndim != 1:

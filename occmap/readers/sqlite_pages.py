@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 _LEAF = 0x0D
 """The first byte of a page that holds rows of a table."""
@@ -22,8 +21,6 @@ _WIDTHS = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
 """Bytes of an integer by its type: 0 is NULL, 8 and 9 are the numbers 0 and 1."""
 _BLOB = 12
 """From this type on, even types are blobs."""
-_LOG_HEAD = 32
-"""Bytes at the start of a write-ahead log."""
 
 
 Row: TypeAlias = tuple[int, int, int, bytes | None]
@@ -144,38 +141,3 @@ def _read_varint(page: bytes, at: int) -> tuple[int, int]:
         if page[place] < 0x80:
             return value, place + 1
     return value << 8 | page[at + 8], at + 9
-
-
-def count_lost_frames(path: Path) -> int:
-    """Count the pages in a write-ahead log that lie behind its last whole transaction."""
-    data = path.read_bytes()
-    head = np.frombuffer(data[:_LOG_HEAD].ljust(_LOG_HEAD, b"\0"), ">u4")
-    words = 6 + int(head[2]) // 4
-    count, rest = divmod(len(data) - _LOG_HEAD, 4 * words)
-    if count <= 0:
-        return int(len(data) != _LOG_HEAD)
-    raw = data[_LOG_HEAD : len(data) - rest]
-    frames = np.frombuffer(raw, ">u4").reshape(count, words)
-    # A page, its size after a commit, two salts, two sums that go on from those before.
-    salts, sums = frames[:, 2:4], np.vstack([head[6:8], frames[:, 4:6]])
-    is_current = (salts == head[4:6]).all(axis=1)
-    order = ">u4" if head[0] & 1 else "<u4"
-    body = np.delete(np.frombuffer(raw, order).reshape(count, words), range(2, 6), axis=1)
-    is_sound = is_current & (_add_up(body, sums[:-1]) == sums[1:]).all(axis=1)
-    start = np.frombuffer(data[:24], order)[np.newaxis]
-    if not (_add_up(start, np.zeros((1, 2), np.uint32)) == head[6:8]).all():
-        return count + (rest > 0)
-    sound = count if is_sound.all() else int(is_sound.argmin())
-    whole = 1 + max(np.flatnonzero(frames[:sound, 1]), default=-1)
-    # Those with other salts are left from before the log was last emptied.
-    present = 1 + max(np.flatnonzero(is_current), default=-1)
-    return int(present - whole) + (present == count and rest > 0)
-
-
-def _add_up(words: NDArray[np.uint32], sums: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Add the words of each row to its two sums, as a write-ahead log does."""
-    first, second = sums.T.astype(np.uint32)
-    for even, odd in words.reshape(len(words), -1, 2).transpose(1, 2, 0):
-        first = first + even + second
-        second = second + odd + first
-    return np.stack([first, second], axis=1)

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from occmap.readers import messages, open_log
-from occmap.readers.flatten import convert_cloud
+from occmap.readers.messages import convert_cloud
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_log import RosLog
 from occmap.readers.ros_source import Channel
+from occmap.readers.shapes import as_row
 from tests.readers.foxglove_logs import SECOND, Message, drive, scan, write_json
 from tests.readers.ros import ROS2, SCAN, TF, Memory, Written, transforms, write_mcap
 from tests.readers.ros import scan as ros_scan
@@ -128,6 +129,16 @@ def test_a_single_row_of_points_needs_no_row_step() -> None:
     assert convert_cloud(ReaderOptions(), message, "/p", 7).ranges.min() == np.float32(
         math.hypot(2.0, np.float32(0.1))
     )
+
+
+def test_a_nan_that_a_flipped_bit_makes_of_infinity_is_read_without_a_warning() -> None:
+    signalling = np.array([0x7F800001], np.uint32).view(np.float32)
+    message = cloud(ROS2, [(2.0, 0.1, 0.0)])
+    x = signalling.view(np.uint8)
+    message.data = np.concatenate([message.data[:2], x, message.data[6:]])
+
+    assert np.isnan(as_row(signalling)).all()
+    assert np.isinf(convert_cloud(ReaderOptions(), message, "/p", 7).ranges).all()
 
 
 @pytest.mark.parametrize(

@@ -364,6 +364,17 @@ def test_chunks_of_which_no_index_is_left_are_told_of(tmp_path: Path) -> None:
     assert any(note.text.startswith(text) for note in log.notes)
 
 
+def test_reading_goes_on_behind_the_place_that_is_said_to_be_damaged(tmp_path: Path) -> None:
+    data = bytearray(write_chunks(tmp_path / "drive.bag", "none"))
+    _, start, end = list_records(data, 7)[0]
+    struct.pack_into("<I", data, start - 4, end - start + 100)
+
+    assert read_damaged(tmp_path / "damaged.bag", data) == list(range(30))
+
+    (note, *_) = open_log(tmp_path / "damaged.bag").notes
+    assert note.text == f"damaged at byte {start}, read on from byte {end}"
+
+
 @pytest.mark.parametrize("opcode", [4, 5, 6, 7])
 def test_a_record_that_states_4_gib_is_read_in_bounded_memory(tmp_path: Path, opcode: int) -> None:
     data = bytearray(write_chunks(tmp_path / "drive.bag", "none"))
