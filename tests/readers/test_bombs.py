@@ -16,11 +16,18 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.readers import Log, open_log, text
 from tests.readers.ros import ROS1, ROS2, drive, write_bag1, write_mcap
+from tests.samples import SAMPLE_LOGS
 
 MEMORY = 64_000_000
 HUGE = 2**31
 BOMB = 100_000_000
 """Bytes that a bomb truly holds: below what a block may have, far more than it is worth."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def load_kernels() -> None:
+    """Load what a build of a text log needs: numba and its kernels are not part of a bomb."""
+    build([SAMPLE_LOGS / "drive.csv"], BuildOptions())
 
 
 @contextmanager
