@@ -4,7 +4,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -12,7 +12,7 @@ from typing import Any, TypedDict
 
 import click
 
-from occmap.errors import OccmapError, OutputError
+from occmap.errors import OccmapError, OutputError, UsageError
 from occmap.wording import name_stdin
 
 ORDER = re.compile(r"^(\s*):(?=:)|#(?=#\w*\[)")
@@ -65,6 +65,8 @@ class Console:
     """A map goes there: all else goes to stderr"""
     announced: list[str] = field(default_factory=list)
     """What was said of the command line itself: the first notes of a result"""
+    place: Callable[[UsageError], UsageError] = lambda error: error
+    """Names the file of options in an error that it makes, where there is one"""
 
     def put(self, lines: Iterable[str]) -> None:
         """Print a result, unless the user wants quiet."""

@@ -11,7 +11,7 @@ import click
 
 from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console, label_first, write_rows
-from occmap.cli.options import PATH, Values, collect_model
+from occmap.cli.options import PATH, collect_model
 from occmap.cli.progress import Bar, show_progress
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.cli.streams import gather_logs, hide_caught, place_outputs
@@ -119,7 +119,7 @@ def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
     limits.leave(failed)
 
 
-def read_request(words: Sequence[str], values: Values) -> tuple[list[Path], BuildOptions]:
+def read_request(words: Sequence[str], values: dict[str, Any]) -> tuple[list[Path], BuildOptions]:
     """Read the command line as a whole.
 
     Raises
@@ -156,7 +156,9 @@ def split_words(words: Sequence[str]) -> tuple[Update, list[Path]]:
     return update, [Path(word) for word in words]
 
 
-def run_build(logs: list[Path], chosen: BuildOptions, values: Values, progress: Bar) -> Report:
+def run_build(
+    logs: list[Path], chosen: BuildOptions, values: dict[str, Any], progress: Bar
+) -> Report:
     """Build in this process, or by the workers that --dask names."""
     outputs = values["outputs"]
     if values["dask"] is None:

@@ -7,7 +7,7 @@ import click
 
 from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console
-from occmap.cli.saved import choose_outputs, put_out
+from occmap.cli.saved import put_out
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.evidence.merging import combine
 from occmap.gates.measures import SAVED
@@ -40,6 +40,5 @@ subtracted = option(
 @click.pass_obj
 def command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> None:
     """Add and subtract evidence, and write what comes out."""
-    inputs = [*paths, *values["subtract"]]
-    values["outputs"] = choose_outputs(console, values["outputs"], "merged.npz", inputs)
-    put_out(console, "merge", combine(paths, values["subtract"]), values)
+    taken = values["subtract"]
+    put_out(console, "merge", [*paths, *taken], lambda: combine(paths, taken), values)

@@ -7,7 +7,7 @@ import click
 
 from occmap.cli import COMMANDS, limits, options
 from occmap.cli.console import Console
-from occmap.cli.saved import choose_outputs, put_out
+from occmap.cli.saved import put_out
 from occmap.cli.sections import SectionCommand, join, option
 from occmap.gates.measures import SAVED
 from occmap.store.sources import open_saved
@@ -43,5 +43,4 @@ overview = option(
 @click.pass_obj
 def command(console: Console, /, path: Path, **values: Any) -> None:
     """Read evidence, and write a map of it."""
-    values["outputs"] = choose_outputs(console, values["outputs"], "map.pgm", [path])
-    put_out(console, "render", open_saved(path), values)
+    put_out(console, "render", [path], lambda: open_saved(path), values)
