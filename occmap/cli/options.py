@@ -320,3 +320,4 @@ verbosity = join(
     loudness("-q", "--quiet", Verbosity.QUIET, "Print errors only, and what --json asks for."),
     loudness("-v", "--verbose", Verbosity.VERBOSE, "Print the traceback of a fault in occmap."),
 )
+printing = join(as_json, verbosity)

@@ -1,5 +1,6 @@
 """Options under headings: what makes the --help of a command with many options readable."""
 
+import inspect
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -8,6 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
+from occmap.cli import COMMANDS
 from occmap.cli.console import Console
 from occmap.errors import UsageError
 
@@ -88,6 +90,18 @@ class SectionCommand(click.Command):
         for title, records in sections.items():
             with formatter.section(title):
                 formatter.write_dl(records)
+
+
+def as_command(
+    name: str, cls: type[click.Command] = SectionCommand
+) -> Callable[[Callable[..., None]], click.Command]:
+    """Declare a command whose --help begins with its docstring; indented lines stay as they are."""
+
+    def decorate(function: Callable[..., None]) -> click.Command:
+        text = inspect.cleandoc(function.__doc__ or "").replace("\n\n  ", "\n\n\b\n  ")
+        return click.command(name, cls=cls, help=text, short_help=COMMANDS[name])(function)
+
+    return decorate
 
 
 def option(section: str, *names: str, **settings: Any) -> Callable[[Command], Command]:

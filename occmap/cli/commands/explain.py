@@ -7,12 +7,12 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, options
+from occmap.cli import options
 from occmap.cli.console import Console, align, label_first, write_rows
 from occmap.cli.options import PATH
 from occmap.cli.progress import show_progress
 from occmap.cli.saved import choose_saved_model
-from occmap.cli.sections import SectionCommand, join, option
+from occmap.cli.sections import SectionCommand, as_command, join, option
 from occmap.explanation import Explanation, Question, describe_numbers, explain
 from occmap.explanation.history import Seen, Visits
 from occmap.explanation.sightings import add_up
@@ -22,17 +22,6 @@ from occmap.keywords import take
 from occmap.store.sources import open_saved
 from occmap.wording import count, join_names, write_box, write_time
 from occmap.writers import WriteOptions
-
-HELP = f"""{COMMANDS["explain"]}
-
-X and Y are metres in the map frame. Give the logs that the evidence was made of as --log, to list
-the scans that hit or cleared the cell. A log is known by its hash, wherever it lies now.
-
-\b
-  occmap explain map.npz 1.5 -0.25
-  occmap explain map.npz 1.5 -0.25 --log drive.mcap
-  occmap explain map.npz 1.5 -0.25 --log scans.csv --poses trajectory.txt --json
-"""
 
 MOST_SCANS = 12
 """More are cut out of the middle of the list"""
@@ -72,15 +61,23 @@ poses = option(
 )
 
 
-@click.command("explain", cls=PointCommand, help=HELP, short_help=COMMANDS["explain"])
+@as_command("explain", PointCommand)
 @click.argument("path", type=PATH, metavar="NPZ|ZARR")
 @click.argument("x", type=float)
 @click.argument("y", type=float)
 @join(logs, poses, options.min_passes, options.saved_model, options.thresholds)
-@join(options.as_json, options.verbosity)
+@options.printing
 @click.pass_obj
 def command(console: Console, /, path: Path, **values: Any) -> None:
-    """Look at a cell, and print what was found."""
+    """Say what was seen at a point of saved evidence, and by which scans.
+
+    X and Y are metres in the map frame. Give the logs that the evidence was made of as --log, to
+    list the scans that hit or cleared the cell. A log is known by its hash, wherever it lies now.
+
+      occmap explain map.npz 1.5 -0.25
+      occmap explain map.npz 1.5 -0.25 --log drive.mcap
+      occmap explain map.npz 1.5 -0.25 --log scans.csv --poses trajectory.txt --json
+    """
     evidence = open_saved(path)
     view = {"model": choose_saved_model(evidence, values), "writing": take(WriteOptions, values)}
     values["logs"] = click.get_current_context().with_resource(keep_stdin(values["logs"]))
