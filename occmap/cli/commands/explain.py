@@ -9,7 +9,6 @@ import click
 
 from occmap.cli import options
 from occmap.cli.console import Console, align, label_first, write_rows
-from occmap.cli.options import PATH
 from occmap.cli.progress import show_progress
 from occmap.cli.saved import choose_saved_model
 from occmap.cli.sections import SectionCommand, as_command, join, option
@@ -46,7 +45,7 @@ logs = option(
     options.SCANS,
     "--log",
     "logs",
-    type=PATH,
+    type=options.PATH,
     multiple=True,
     metavar="LOG",
     help="List the scans of this log that observed the cell. May repeat.",
@@ -54,7 +53,7 @@ logs = option(
 poses = option(
     options.POSES,
     "--poses",
-    type=PATH,
+    type=options.PATH,
     multiple=True,
     metavar="FILE",
     help="The trajectory that the log was built with. May repeat.",
@@ -62,7 +61,7 @@ poses = option(
 
 
 @as_command("explain", PointCommand)
-@click.argument("path", type=PATH, metavar="NPZ|ZARR")
+@click.argument("path", type=options.PATH, metavar="NPZ|ZARR")
 @click.argument("x", type=float)
 @click.argument("y", type=float)
 @join(logs, poses, options.min_passes, options.saved_model, options.thresholds)
