@@ -63,7 +63,7 @@ def parse_numbers(name: str, text: str) -> Any:
     UsageError
         There are too many or too few numbers, one is not a number, or an angle is in degrees.
     """
-    read, form = find_form(get_args(drop_none(HINTS[name]))[0])
+    read, form = find_form(name, get_args(drop_none(HINTS[name]))[0])
     typed = FORM.sub(lambda found: found[1].replace(" ", ""), form)
     where, fix = f"{spell_flag(name)} {text}", f"write {typed}"
     values = [value.strip() for value in text.split(",")]
