@@ -7,6 +7,7 @@ text.
 import math
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import fields as list_fields
 from dataclasses import is_dataclass
 from enum import StrEnum
@@ -69,7 +70,8 @@ def parse_numbers(name: str, text: str) -> Any:
     values = [value.strip() for value in text.split(",")]
     frames = 2 if name == "static_transforms" else 0
     try:
-        return read([*values[:frames], *read_numbers(values[frames:], where, fix)])
+        numbers = [read_number(value, where, fix) for value in values[frames:]]
+        return read([*values[:frames], *numbers])
     except UsageError as error:
         raise UsageError(error.found, where=where, fix=error.fix or fix) from None
     except ValueError:
@@ -78,24 +80,12 @@ def parse_numbers(name: str, text: str) -> Any:
         raise UsageError(found, where=where, fix=fix) from None
 
 
-def read_numbers(words: list[str], where: str, form: str) -> list[float]:
-    """Read finite decimal numbers.
-
-    Raises
-    ------
-    UsageError
-        Naming the first word that is not a number, and the form that is expected.
-    """
-    numbers = []
-    for word in words:
-        try:
-            number = float(word)
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
-            raise UsageError(f"{word.strip()!r} is not a number", where=where, fix=form)
-        numbers.append(number)
-    return numbers
+def read_number(word: str, where: str, form: str) -> float:
+    """Read a finite decimal number; raises UsageError, with the form that is expected."""
+    with suppress(ValueError):
+        if math.isfinite(number := float(word)):
+            return number
+    raise UsageError(f"{word.strip()!r} is not a number", where=where, fix=form)
 
 
 @cache
@@ -123,10 +113,10 @@ def field(section: str, name: str, **more: Any) -> Any:
     kind, metavar = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
     settings: dict[str, Any] = {"cls": FieldOption, "metavar": metavar, "type": TYPES.get(kind)}
     if isinstance(default, StrEnum):
-        settings |= {"type": click.Choice([member.value for member in kind])}
-        settings |= {"callback": lambda _ctx, _param, value: kind(value)}
+        settings["type"] = click.Choice([member.value for member in kind])
+        settings["callback"] = lambda _ctx, _param, value: kind(value)
         settings |= {"default": default.value, "show_default": True}
-    elif metavar and "," in metavar:
+    elif metavar and "," in metavar:  # several numbers in one word
         settings["type"] = lambda text: parse_numbers(name, text)
     elif isinstance(default, int | float):
         settings |= {"default": default, "show_default": math.isfinite(default)}
@@ -204,7 +194,7 @@ def parse_align(text: str) -> float | None:
         It is neither.
     """
     form = f"write degrees such as 12.5, or {FROM_SCANS}"
-    return None if text == FROM_SCANS else read_numbers([text], f"--align {text}", form)[0]
+    return None if text == FROM_SCANS else read_number(text, f"--align {text}", form)
 
 
 align = option(
