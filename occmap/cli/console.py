@@ -154,13 +154,14 @@ def align(table: Sequence[Sequence[str]], labels: int = 0) -> Iterator[str]:
 
 def find_place(error: BaseException) -> str:
     """Name the innermost line of occmap that an error passed through."""
+    from traceback import walk_tb  # noqa: PLC0415  late: rarely needed
+
     home = os.path.dirname(os.path.dirname(__file__))  # noqa: PTH120  as in cli
-    place, step = "?", error.__traceback__
-    while step is not None:
-        path = step.tb_frame.f_code.co_filename
+    place = "?"
+    for frame, line in walk_tb(error.__traceback__):
+        path = frame.f_code.co_filename
         if path.startswith(home):
-            place = f"occmap{path.removeprefix(home)}:{step.tb_lineno}"
-        step = step.tb_next
+            place = f"occmap{path.removeprefix(home)}:{line}"
     return place
 
 
