@@ -96,12 +96,16 @@ def read_help() -> dict[str, str]:
 
 
 class FieldOption(SectionOption):
-    """An option that sets a field of BuildOptions, whose text is read for --help alone."""
+    """An option that sets a field of BuildOptions, whose text is read when it is asked for."""
 
-    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
-        """Write the option's line of --help."""
-        self.help = read_help()[str(self.name)] + " May repeat." * self.multiple
-        return super().get_help_record(ctx)
+    @property
+    def help(self) -> str:
+        """What the option does."""
+        return read_help()[str(self.name)] + " May repeat." * self.multiple
+
+    @help.setter  # noqa: A003  the name is click's
+    def help(self, _text: str | None) -> None:
+        """Take no other text, as click would give it."""
 
 
 def field(section: str, name: str, **more: Any) -> Any:
