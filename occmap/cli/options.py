@@ -135,17 +135,21 @@ def fields(section: str, *names: str) -> Any:
     return join(*(field(section, name) for name in names))
 
 
-output = option(
+def paths(section: str, *names: str, metavar: str, text: str) -> Any:
+    """Declare an option that names files, and may repeat."""
+    settings = {"metavar": metavar, "help": f"{text} May repeat."}
+    return option(section, *names, type=PATH, multiple=True, **settings)
+
+
+output = paths(
     FILES,
     "-o",
     "--output",
     "outputs",
-    type=PATH,
-    multiple=True,
     metavar="FILE",
-    help="Write the map here; the suffix picks the format: .pgm, .png, .tif or .tiles for large "
+    text="Write the map here; the suffix picks the format: .pgm, .png, .tif or .tiles for large "
     "maps, .html for a page, .mcap for Foxglove and RViz, .tum or .csv for the trajectory, .npz "
-    "for evidence to render, merge and resume, or .zarr for the same in blocks. May repeat.",
+    "for evidence to render, merge and resume, or .zarr for the same in blocks.",
 )
 
 

@@ -11,7 +11,7 @@ from occmap.cli import options
 from occmap.cli.console import Console, align, label_first, write_rows
 from occmap.cli.progress import show_progress
 from occmap.cli.saved import choose_saved_model
-from occmap.cli.sections import SectionCommand, as_command, join, option
+from occmap.cli.sections import SectionCommand, as_command, join
 from occmap.explanation import Explanation, Question, describe_numbers, explain
 from occmap.explanation.history import Seen, Visits
 from occmap.explanation.sightings import add_up
@@ -41,22 +41,15 @@ class PointCommand(SectionCommand):
         return super().parse_args(ctx, [f" {w}" if NEGATIVE.fullmatch(w) else w for w in words])
 
 
-logs = option(
+logs = options.paths(
     options.SCANS,
     "--log",
     "logs",
-    type=options.PATH,
-    multiple=True,
     metavar="LOG",
-    help="List the scans of this log that observed the cell. May repeat.",
+    text="List the scans of this log that observed the cell.",
 )
-poses = option(
-    options.POSES,
-    "--poses",
-    type=options.PATH,
-    multiple=True,
-    metavar="FILE",
-    help="The trajectory that the log was built with. May repeat.",
+poses = options.paths(
+    options.POSES, "--poses", metavar="FILE", text="The trajectory that the log was built with."
 )
 
 

@@ -8,17 +8,12 @@ import click
 from occmap.cli import limits, options
 from occmap.cli.console import Console
 from occmap.cli.saved import put_out
-from occmap.cli.sections import as_command, join, option
+from occmap.cli.sections import as_command, join
 from occmap.evidence.merging import combine
 from occmap.gates.measures import SAVED
 
-subtracted = option(
-    options.FILES,
-    "--subtract",
-    type=options.PATH,
-    multiple=True,
-    metavar="NPZ",
-    help="Take the evidence in this file away. May repeat.",
+subtracted = options.paths(
+    options.FILES, "--subtract", metavar="NPZ", text="Take the evidence in this file away."
 )
 
 
