@@ -112,20 +112,19 @@ def name_map(path: str) -> str:
 
 def list_texts(value: Any) -> list[str]:
     """Write the value of an option as it is typed; some options are typed once for each item."""
-    if isinstance(value, Pose):
-        return [format_mount(value)]
-    if isinstance(value, tuple) and not isinstance(value[0], float):
-        return [text for item in value for text in list_item(item)]
-    return list_item(value)
+    one = not isinstance(value, tuple) or isinstance(value, Pose) or isinstance(value[0], float)
+    return [write_item(item) for item in ([value] if one else value)]
 
 
-def list_item(value: Any) -> list[str]:
+def write_item(value: Any) -> str:
     """Write a value, or one item of several, as it is typed."""
+    if isinstance(value, Pose):
+        return format_mount(value)
     if isinstance(value, PoseSample):
-        return [format_static(value.parent, value.child, value.pose)]
+        return format_static(value.parent, value.child, value.pose)
     if isinstance(value, tuple):
-        return [_join(value)]
-    return [f"{value:.12g}" if isinstance(value, float) else str(value)]
+        return _join(value)
+    return f"{value:.12g}" if isinstance(value, float) else str(value)
 
 
 def format_mount(pose: Pose) -> str:

@@ -108,7 +108,7 @@ def read_option(name: str, hint: Any, value: Any) -> Any:
     hint = drop_none(hint)
     if isinstance(hint, EnumType):
         return _read_member(name, cast(type[StrEnum], hint), value)
-    several, (read, form) = hint not in FORMS, find_form(hint)
+    several, (read, form) = hint not in FORMS, find_form(name, hint)
     try:
         return tuple(map(read, value)) if several else read(value)
     except UsageError as error:
@@ -118,9 +118,9 @@ def read_option(name: str, hint: Any, value: Any) -> Any:
         raise UsageError(f"{name} is {value!r}", fix=fix) from None
 
 
-def find_form(hint: Any) -> tuple[Callable[[Any], Any], str]:
-    """Find how a value of a type, or each of several, is read, and what to give."""
-    return FORMS[hint if hint in FORMS else get_args(hint)[0]]
+def find_form(name: str, hint: Any) -> tuple[Callable[[Any], Any], str]:
+    """Find how the value of an option, or each of several, is read, and what to give."""
+    return FORMS.get(name) or FORMS[hint if hint in FORMS else get_args(hint)[0]]
 
 
 def _read_member(name: str, kind: type[StrEnum], value: Any) -> StrEnum:
@@ -160,6 +160,11 @@ def _read_pose(value: Any) -> Pose:
     x, y, yaw, roll, pitch, *_ = (*_read_numbers(value, 3, 5), 0.0, 0.0)
     _refuse_degrees((yaw, roll, pitch))
     return Pose.from_xyzrpy((x, y, 0.0), (roll, pitch, yaw))
+
+
+def _read_planar(value: Any) -> Pose:
+    """Make a pose of (x, y, yaw), in metres and radians."""
+    return value if isinstance(value, Pose) else _read_pose(_read_numbers(value, 3))
 
 
 def _read_transform(value: Any) -> PoseSample:
@@ -208,6 +213,10 @@ FORMS: dict[Any, tuple[Callable[[Any], Any], str]] = {
         "(parent, child, x, y, z, roll, pitch, yaw) in metres and radians",
     ),
     Sector: (_read_sector, "(from, to) in radians, counter-clockwise, such as (2.5, -2.5)"),
+    "transform": (
+        _read_planar,
+        "(x, y, yaw) in metres and radians, such as (12.5, -3, 1.5708)",
+    ),
     Box: (
         lambda box: _read_numbers(box, 4),
         "(x_min, y_min, x_max, y_max) in metres, such as (-0.4, -0.3, 0.2, 0.3)",
@@ -215,5 +224,5 @@ FORMS: dict[Any, tuple[Callable[[Any], Any], str]] = {
     SensorModel: (_read_model, 'text such as "simple:p_hit=0.8", or a model'),
     tuple[str, ...]: (_read_topics, "a topic or a list of topics"),
 }
-"""How a value of each type is read, or each of several, and what to give; enums are read by the
-text of a member."""
+"""How a value of each type or option is read, or each of several, and what to give; enums are read
+by the text of a member."""

@@ -1,7 +1,7 @@
 """How readers, sensor models and writers are found: through entry points, loaded on use."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache
@@ -45,10 +45,8 @@ def load_plugin(group: Group, name: str) -> Any:
     """Import one plugin; None where no plugin has that name or it does not import."""
     for entry in list_plugins(group):
         if entry.name == name:
-            try:
+            with suppress(Exception):  # as above
                 return entry.load()
-            except Exception:  # noqa: BLE001  as above
-                return None
     return None
 
 

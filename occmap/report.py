@@ -26,21 +26,16 @@ class Resumed:
     """Scans that its builds used"""
 
 
-class Shares(NamedTuple):
-    """The shares of a map's cells by class; the rest was observed and is undecided."""
-
-    occupied: float
-    free: float
-    unknown: float
-
-
 class MapFacts(NamedTuple):
     """What is measured of a map for its report."""
 
     shape: tuple[int, int]
     """Rows and columns"""
     extent: Box
-    shares: Shares
+    occupied: float
+    free: float
+    unknown: float
+    """Shares of its cells; the rest was observed and is undecided"""
     agreement: float | None
     has_walls: bool
     """Whether it calls any cell occupied"""
@@ -52,8 +47,8 @@ class MapFacts(NamedTuple):
         """Make them of the numbers that `count_cells` gives, added up over the whole map."""
         cells = shape[0] * shape[1]
         observed, occupied, free, walls = counts.tolist()
-        shares = Shares(occupied / cells, free / cells, (cells - observed) / cells)
-        return cls(shape, extent, shares, agreement, walls > 0)
+        shares = occupied / cells, free / cells, (cells - observed) / cells
+        return cls(shape, extent, *shares, agreement, walls > 0)
 
 
 @dataclass(frozen=True)
@@ -114,8 +109,10 @@ class MapSummary:
             rows=rows,
             extent=facts.extent,
             align=manifest.align or 0.0,
-            **facts.shares._asdict(),
-            undecided=max(round(1 - sum(facts.shares), 12), 0.0),  # 0 where all shares add up to 1
+            occupied=facts.occupied,
+            free=facts.free,
+            unknown=facts.unknown,
+            undecided=max(round(1 - (facts.occupied + facts.free + facts.unknown), 12), 0.0),
             agreement=facts.agreement,
         )
 

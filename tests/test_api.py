@@ -196,6 +196,10 @@ def test_none_is_the_default_but_where_it_is_a_value() -> None:
         ({"footprint": (0, 1)}, "give (x_min, y_min, x_max, y_max) in metres"),
         ({"sensor_pose": (0, 0)}, "give (x, y, yaw) or (x, y, yaw, roll, pitch)"),
         ({"sensor_pose": "0,0,1"}, "sensor_pose is '0,0,1'; give (x, y, yaw)"),
+        (
+            {"transform": (0, 0, 0, 3, 0)},
+            "transform is (0, 0, 0, 3, 0); give (x, y, yaw) in metres",
+        ),
         ({"sensor_pose": (0, 0, 90)}, "90 degrees are 1.5708"),
         ({"sensor_pose": (math.nan, 0, 0)}, "the sensor's pose cannot be (nan, 0.0, 0.0)"),
         ({"ignore_sectors": (2.5, -2.5)}, "give a list of (from, to) in radians"),

@@ -118,8 +118,10 @@ def answer(error: BaseException, console: Console) -> int:
         discard_stdout()
         return 0
     if isinstance(error, click.ClickException):
-        return console.fail(describe_misuse(error), error.exit_code)
-    if isinstance(error, OSError):  # a path too long, a disk that fails
+        return console.fail(console.place(describe_misuse(error)), error.exit_code)
+    if isinstance(error, UsageError):
+        error = console.place(error)
+    elif isinstance(error, OSError):  # a path too long, a disk that fails
         error = OccmapError(error.strerror or type(error).__name__, where=error.filename or "")
     elif isinstance(error, MemoryError):
         error = OccmapError("out of memory", fix="try a coarser --resolution or fewer --jobs")
@@ -128,7 +130,7 @@ def answer(error: BaseException, console: Console) -> int:
     return console.fail_unexpectedly(error)
 
 
-def describe_misuse(error: click.ClickException) -> OccmapError:
+def describe_misuse(error: click.ClickException) -> UsageError:
     """Say what click found, and where to read on."""
     found = " ".join(error.format_message().split()).removesuffix(".")
     context = error.ctx if isinstance(error, click.UsageError) else None

@@ -4,7 +4,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -12,7 +12,7 @@ from typing import Any, TypedDict
 
 import click
 
-from occmap.errors import OccmapError, OutputError
+from occmap.errors import OccmapError, OutputError, UsageError
 from occmap.wording import name_stdin
 
 ORDER = re.compile(r"^(\s*):(?=:)|#(?=#\w*\[)")
@@ -65,6 +65,8 @@ class Console:
     """A map goes there: all else goes to stderr"""
     announced: list[str] = field(default_factory=list)
     """What was said of the command line itself: the first notes of a result"""
+    place: Callable[[UsageError], UsageError] = lambda error: error
+    """Names the file of options in an error that it makes, where there is one"""
 
     def put(self, lines: Iterable[str]) -> None:
         """Print a result, unless the user wants quiet."""
@@ -152,13 +154,14 @@ def align(table: Sequence[Sequence[str]], labels: int = 0) -> Iterator[str]:
 
 def find_place(error: BaseException) -> str:
     """Name the innermost line of occmap that an error passed through."""
+    from traceback import walk_tb  # noqa: PLC0415  late: rarely needed
+
     home = os.path.dirname(os.path.dirname(__file__))  # noqa: PTH120  as in cli
-    place, step = "?", error.__traceback__
-    while step is not None:
-        path = step.tb_frame.f_code.co_filename
+    place = "?"
+    for frame, line in walk_tb(error.__traceback__):
+        path = frame.f_code.co_filename
         if path.startswith(home):
-            place = f"occmap{path.removeprefix(home)}:{step.tb_lineno}"
-        step = step.tb_next
+            place = f"occmap{path.removeprefix(home)}:{line}"
     return place
 
 

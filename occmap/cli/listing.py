@@ -44,8 +44,7 @@ def make_command(kind: str) -> click.Command:
     """Make the command that lists the plugins of a kind."""
 
     @click.command(kind, help=COMMANDS[kind])
-    @options.as_json
-    @options.verbosity
+    @options.printing
     @click.pass_obj
     def command(console: Console, /, as_json: bool) -> None:
         """List what is installed."""

@@ -7,6 +7,7 @@ text.
 import math
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import fields as list_fields
 from dataclasses import is_dataclass
 from enum import StrEnum
@@ -63,13 +64,14 @@ def parse_numbers(name: str, text: str) -> Any:
     UsageError
         There are too many or too few numbers, one is not a number, or an angle is in degrees.
     """
-    read, form = find_form(get_args(drop_none(HINTS[name]))[0])
+    read, form = find_form(name, get_args(drop_none(HINTS[name]))[0])
     typed = FORM.sub(lambda found: found[1].replace(" ", ""), form)
     where, fix = f"{spell_flag(name)} {text}", f"write {typed}"
     values = [value.strip() for value in text.split(",")]
     frames = 2 if name == "static_transforms" else 0
     try:
-        return read([*values[:frames], *read_numbers(values[frames:], where, fix)])
+        numbers = [read_number(value, where, fix) for value in values[frames:]]
+        return read([*values[:frames], *numbers])
     except UsageError as error:
         raise UsageError(error.found, where=where, fix=error.fix or fix) from None
     except ValueError:
@@ -78,24 +80,12 @@ def parse_numbers(name: str, text: str) -> Any:
         raise UsageError(found, where=where, fix=fix) from None
 
 
-def read_numbers(words: list[str], where: str, form: str) -> list[float]:
-    """Read finite decimal numbers.
-
-    Raises
-    ------
-    UsageError
-        Naming the first word that is not a number, and the form that is expected.
-    """
-    numbers = []
-    for word in words:
-        try:
-            number = float(word)
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
-            raise UsageError(f"{word.strip()!r} is not a number", where=where, fix=form)
-        numbers.append(number)
-    return numbers
+def read_number(word: str, where: str, form: str) -> float:
+    """Read a finite decimal number; raises UsageError, with the form that is expected."""
+    with suppress(ValueError):
+        if math.isfinite(number := float(word)):
+            return number
+    raise UsageError(f"{word.strip()!r} is not a number", where=where, fix=form)
 
 
 @cache
@@ -106,12 +96,16 @@ def read_help() -> dict[str, str]:
 
 
 class FieldOption(SectionOption):
-    """An option that sets a field of BuildOptions, whose text is read for --help alone."""
+    """An option that sets a field of BuildOptions, whose text is read when it is asked for."""
 
-    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
-        """Write the option's line of --help."""
-        self.help = read_help()[str(self.name)] + " May repeat." * self.multiple
-        return super().get_help_record(ctx)
+    @property
+    def help(self) -> str:
+        """What the option does."""
+        return read_help()[str(self.name)] + " May repeat." * self.multiple
+
+    @help.setter  # noqa: A003  the name is click's
+    def help(self, _text: str | None) -> None:
+        """Take no other text, as click would give it."""
 
 
 def field(section: str, name: str, **more: Any) -> Any:
@@ -123,10 +117,10 @@ def field(section: str, name: str, **more: Any) -> Any:
     kind, metavar = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
     settings: dict[str, Any] = {"cls": FieldOption, "metavar": metavar, "type": TYPES.get(kind)}
     if isinstance(default, StrEnum):
-        settings |= {"type": click.Choice([member.value for member in kind])}
-        settings |= {"callback": lambda _ctx, _param, value: kind(value)}
+        settings["type"] = click.Choice([member.value for member in kind])
+        settings["callback"] = lambda _ctx, _param, value: kind(value)
         settings |= {"default": default.value, "show_default": True}
-    elif metavar and "," in metavar:
+    elif metavar and "," in metavar:  # several numbers in one word
         settings["type"] = lambda text: parse_numbers(name, text)
     elif isinstance(default, int | float):
         settings |= {"default": default, "show_default": math.isfinite(default)}
@@ -141,17 +135,21 @@ def fields(section: str, *names: str) -> Any:
     return join(*(field(section, name) for name in names))
 
 
-output = option(
+def paths(section: str, *names: str, metavar: str, text: str) -> Any:
+    """Declare an option that names files, and may repeat."""
+    settings = {"metavar": metavar, "help": f"{text} May repeat."}
+    return option(section, *names, type=PATH, multiple=True, **settings)
+
+
+output = paths(
     FILES,
     "-o",
     "--output",
     "outputs",
-    type=PATH,
-    multiple=True,
     metavar="FILE",
-    help="Write the map here; the suffix picks the format: .pgm, .png, .tif or .tiles for large "
+    text="Write the map here; the suffix picks the format: .pgm, .png, .tif or .tiles for large "
     "maps, .html for a page, .mcap for Foxglove and RViz, .tum or .csv for the trajectory, .npz "
-    "for evidence to render, merge and resume, or .zarr for the same in blocks. May repeat.",
+    "for evidence to render, merge and resume, or .zarr for the same in blocks.",
 )
 
 
@@ -204,7 +202,7 @@ def parse_align(text: str) -> float | None:
         It is neither.
     """
     form = f"write degrees such as 12.5, or {FROM_SCANS}"
-    return None if text == FROM_SCANS else read_numbers([text], f"--align {text}", form)[0]
+    return None if text == FROM_SCANS else read_number(text, f"--align {text}", form)
 
 
 align = option(
@@ -320,3 +318,4 @@ verbosity = join(
     loudness("-q", "--quiet", Verbosity.QUIET, "Print errors only, and what --json asks for."),
     loudness("-v", "--verbose", Verbosity.VERBOSE, "Print the traceback of a fault in occmap."),
 )
+printing = join(as_json, verbosity)

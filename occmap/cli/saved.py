@@ -1,6 +1,6 @@
 """What the commands on saved evidence share: writing what it makes, and saying so."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,31 +19,32 @@ from occmap.summary import tell_map, tell_scans
 from occmap.writers.outputs import check_outputs
 
 
-def put_out(console: Console, command: str, evidence: Saved, values: dict[str, Any]) -> None:
-    """Render evidence, write it as the user wants, sum it up, and hold the limits."""
-    model = choose_saved_model(evidence, values)
-    options = take(RenderOptions, {**values, "model": model})
-    report = hide_caught(publish(evidence, options, values["outputs"]))
-    console.note(*report.notes)
-    rows = [*tell_map(report.map), *tell_scans(report), *label_first("files", report.files)]
-    limits.leave(limits.answer(console, command, report, write_rows(rows), values))
-
-
-def choose_outputs(
-    console: Console, outputs: tuple[Path, ...], example: str, inputs: Sequence[Path]
-) -> tuple[Path, ...]:
-    """Refuse, before anything is read, to make no output, or one that cannot be made.
+def put_out(
+    console: Console,
+    command: str,
+    inputs: Sequence[Path],
+    read: Callable[[], Saved],
+    values: dict[str, Any],
+) -> None:
+    """Render evidence, write it as the user wants, sum it up, and hold the limits.
 
     Raises
     ------
-    UsageError, OutputError
-        No output is given, or one that cannot be made or is an input.
+    OccmapError
+        No output is given, or, before anything is read, one that cannot be made or is an input;
+        or the evidence cannot be rendered.
     """
-    if not outputs:
+    if not values["outputs"]:
+        example = "merged.npz" if command == "merge" else "map.pgm"
         raise UsageError("where to write is not given", fix=f"add -o {example}")
-    placed = place_outputs(console, outputs, inputs[0])
-    check_outputs(placed, inputs)
-    return placed
+    outputs = place_outputs(console, values["outputs"], inputs[0])
+    check_outputs(outputs, inputs)
+    evidence = read()
+    options = take(RenderOptions, {**values, "model": choose_saved_model(evidence, values)})
+    report = hide_caught(publish(evidence, options, outputs))
+    console.note(*report.notes)
+    rows = [*tell_map(report.map), *tell_scans(report), *label_first("files", report.files)]
+    limits.leave(limits.answer(console, command, report, write_rows(rows), values))
 
 
 def choose_saved_model(evidence: Described, values: Values) -> SensorModel | None:

@@ -1,5 +1,6 @@
 """Options under headings: what makes the --help of a command with many options readable."""
 
+import inspect
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -8,11 +9,10 @@ from typing import Any, TypeVar
 
 import click
 
+from occmap.cli import COMMANDS
 from occmap.cli.console import Console
 from occmap.errors import UsageError
 
-PLACE = "occmap.cli.config.place_error"
-"""Where a context keeps what names the file of options in an error."""
 SHORT_EQUALS = re.compile("-[a-z]=")
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -53,7 +53,7 @@ class SectionCommand(click.Command):
     """Where --help itself is listed."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Take what is not typed from a file of options, where there is one.
+        """Take what is not typed from a file of options, where there is one; errors name the file.
 
         Raises
         ------
@@ -73,26 +73,11 @@ class SectionCommand(click.Command):
         if config is None:
             return super().parse_args(ctx, args)
         ctx.default_map = config.values
-        ctx.meta[PLACE] = partial(place_error, config, self)
-        try:
-            rest = super().parse_args(ctx, args)
-        except click.BadParameter as error:
-            fix = f"see `{ctx.command_path} --help`"
-            found = error.format_message().removesuffix(".")
-            raise ctx.meta[PLACE](UsageError(found, fix=fix)) from None
-        except UsageError as error:
-            raise ctx.meta[PLACE](error) from None
-        ctx.ensure_object(Console).announce(config.note)
+        console = ctx.ensure_object(Console)
+        console.place = partial(place_error, config, self)
+        rest = super().parse_args(ctx, args)
+        console.announce(config.note)
         return rest
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; an error that a file of options makes names that file."""
-        try:
-            return super().invoke(ctx)
-        except UsageError as error:
-            if PLACE not in ctx.meta:
-                raise
-            raise ctx.meta[PLACE](error) from None
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write one list for each section."""
@@ -105,6 +90,18 @@ class SectionCommand(click.Command):
         for title, records in sections.items():
             with formatter.section(title):
                 formatter.write_dl(records)
+
+
+def as_command(
+    name: str, cls: type[click.Command] = SectionCommand
+) -> Callable[[Callable[..., None]], click.Command]:
+    """Declare a command whose --help begins with its docstring; indented lines stay as they are."""
+
+    def decorate(function: Callable[..., None]) -> click.Command:
+        text = inspect.cleandoc(function.__doc__ or "").replace("\n\n  ", "\n\n\b\n  ")
+        return click.command(name, cls=cls, help=text, short_help=COMMANDS[name])(function)
+
+    return decorate
 
 
 def option(section: str, *names: str, **settings: Any) -> Callable[[Command], Command]:

@@ -8,7 +8,10 @@ from time import monotonic
 from types import FrameType
 from typing import Any
 
-NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
+ENDING = [
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+]
+"""Windows has no SIGHUP."""
 GRACE_S = 1.0
 """A terminal that closes may send two signals; the second must not break off the clearing up."""
 
@@ -36,17 +39,15 @@ class Signals:
 
     def listen(self) -> None:
         """Raise Interrupted at each signal, unless the parent has it ignored (nohup)."""
-        for name in NAMES:
-            number = getattr(signal, name, None)  # Windows has no SIGHUP
-            if number and signal.getsignal(number) in {signal.SIG_DFL, signal.default_int_handler}:
+        for number in ENDING:
+            if signal.getsignal(number) in {signal.SIG_DFL, signal.default_int_handler}:
                 signal.signal(number, self.receive)
         sys.unraisablehook = self.raise_later
 
     def ignore(self) -> None:
         """Let no signal disturb the end of a process whose work is done."""
-        for name in NAMES:
-            if number := getattr(signal, name, None):
-                signal.signal(number, signal.SIG_IGN)
+        for number in ENDING:
+            signal.signal(number, signal.SIG_IGN)
 
     def receive(self, number: int, _frame: FrameType | None) -> None:
         """Interrupt the main thread, once."""

@@ -51,19 +51,10 @@ def name_layers(rasters: Sequence[Raster]) -> list[Layer]:
     """Say what the layers of maps are, which all have the same ones."""
     first = rasters[0]
     tops = {name: max(*(each.layers[name].largest for each in rasters), 1) for name in first.layers}
+    percent: dict[str, Any] = {"none": NOT_OBSERVED, "top": 100, "scale": 0.01, "digits": 2}
     found = [
         Layer("class", "class", "classes", CLASS_COLOURS, CLASS_NAMES),
-        Layer(
-            "p",
-            "probability",
-            "ramp",
-            pick(Greys256[::-1]),
-            none=NOT_OBSERVED,
-            top=100,
-            scale=0.01,
-            digits=2,
-            high="1",
-        ),
+        Layer("p", "probability", "ramp", pick(Greys256[::-1]), high="1", **percent),
     ]
     digits = 1 if first.unit > 1 else 0
     counts = {"hits": Oranges256, "misses": Blues256, "looks": Blues256}

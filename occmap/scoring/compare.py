@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from occmap.command import compose_build
 from occmap.errors import LogError
@@ -114,11 +113,11 @@ def compare(
         held_out = count(hold_out.scans, "held-out scan")
         remarks.notes.append(f"{held_out}: too few to tell variants apart; give a longer log")
     scans = HeldOutScans(**vars(tally.scans), held_out=hold_out.scans)
-    return choose_best(trials.score(), options, describe_run(remarks, options, scans))
+    return choose_best(trials.score(), options, remarks, scans)
 
 
 def choose_best(
-    results: Sequence[ScoredVariant], options: BuildOptions, run: dict[str, Any]
+    results: Sequence[ScoredVariant], options: BuildOptions, remarks: Remarks, scans: HeldOutScans
 ) -> VariantComparison:
     """Choose the variants to use, of those whose share is as good as the best."""
     equals = [each for each in results if each.as_good]
@@ -131,12 +130,14 @@ def choose_best(
     names = ", ".join(each.name for each in equals)
     why = "the default" if default else "the best log-likelihood"
     return VariantComparison(
-        **run,
+        **vars(remarks),
+        scans=scans,
+        resolution=options.resolution,
         results=tuple(results),
         best=recommended.name,
-        command=compose_variant(run["logs"], options, recommended),
+        command=compose_variant(remarks.logs, options, recommended),
         likeliest_name=likeliest.name,
-        likeliest_command=compose_variant(run["logs"], options, likeliest),
+        likeliest_command=compose_variant(remarks.logs, options, likeliest),
         recommended=recommended,
         likeliest=likeliest,
         preference=f"{names}; of these, {why} is preferred" if len(equals) > 1 else "",
@@ -168,17 +169,6 @@ def refuse_unscored(logs: Sequence[str], hold_out: HoldOut) -> None:
             where=", ".join(logs),
             fix="give more scans: every fifth is held out",
         )
-
-
-def describe_run(remarks: Remarks, options: BuildOptions, scans: HeldOutScans) -> dict[str, Any]:
-    """Say what maps were scored on, and what there is to know of that: fields of `Scored`."""
-    return {
-        "logs": remarks.logs,
-        "scans": scans,
-        "resolution": options.resolution,
-        "notes": remarks.notes,
-        "damage": remarks.damage,
-    }
 
 
 SCORES = (

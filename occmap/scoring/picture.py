@@ -55,17 +55,14 @@ def write_picture(path: Path, results: Sequence[ScoredVariant]) -> None:
         The picture cannot be written.
     """
     frame = Frame([result.map for result in results])
-    panels = [Panel(title(result), paint_map(result.map, frame)) for result in results]
+    panels = []
+    for result in results:
+        score = result.score
+        numbers = f"share {score.share:.3f}, log-likelihood {score.log_likelihood:.3f}"
+        panels.append(Panel((result.name, numbers), paint_map(result.map, frame)))
     if len(results) > 1:
         panels.append(paint_disagreement([result.map for result in results], frame))
     write_panels(path, panels)
-
-
-def title(result: ScoredVariant) -> tuple[str, str]:
-    """Name a map and its score."""
-    score = result.score
-    numbers = f"share {score.share:.3f}, log-likelihood {score.log_likelihood:.3f}"
-    return result.name, numbers
 
 
 def paint_map(grid: OccupancyMap, frame: Frame) -> UInt8:

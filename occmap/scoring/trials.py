@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from time import thread_time
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 
@@ -11,15 +11,13 @@ from occmap.arrays import Float64
 from occmap.cells import OccupancyMap
 from occmap.engines import make_engine, plan_grid
 from occmap.evidence import render
+from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions
 from occmap.plain import HIDDEN, IN_PLACE, Count, Finite, Share
 from occmap.scoring.score import Score, Trial, estimate_error, score_map
 from occmap.scoring.variants import Variant, shorten_model
 from occmap.types import Kind, Rays, Update
 from occmap.workers import Workers
-
-if TYPE_CHECKING:
-    from occmap.grid.tiles import TileGrid
 
 EVERY = 5
 """Every n-th scan is held out"""
@@ -72,7 +70,7 @@ class SharedEvidence:
         self._engine.add(rays)
         self._seconds.append(thread_time() - start)
 
-    def finish(self) -> "TileGrid":
+    def finish(self) -> TileGrid:
         """Return the evidence of all scans."""
         start = thread_time()
         grid = self._engine.finish()
@@ -195,7 +193,7 @@ class Trials:
         results.sort(key=lambda each: (-each.score.share, -each.score.log_likelihood))
         return [each.compare_with(results[0]) for each in results]
 
-    def _score(self, variant: Variant, grid: "TileGrid", held_out: Sequence[Rays]) -> ScoredVariant:
+    def _score(self, variant: Variant, grid: TileGrid, held_out: Sequence[Rays]) -> ScoredVariant:
         start = thread_time()
         made = render(grid, variant.model, self._options.max_cells)
         seconds = self.evidence[variant.evidence].seconds + thread_time() - start

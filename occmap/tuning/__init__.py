@@ -14,7 +14,7 @@ from occmap.options import BuildOptions
 from occmap.plain import HIDDEN, Count, Finite, Share
 from occmap.readers import open_log
 from occmap.remarks import LEAST_AGREEMENT, Remarks
-from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored, describe_run
+from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored
 from occmap.tally import Tally
 from occmap.tuning.kept import MOST_SCANS, KeptLog, find_mount, keep_logs
 from occmap.tuning.search import TIME, TOGETHER, YAW, Correction, Knob, Scorer, X, Y
@@ -124,7 +124,9 @@ def tune(
     gain, error = Gain.measure(before, after)
     scans = KeptScans(**vars(tally.scans), held_out=len(before.predicted), kept=kept)
     tuning = Tuning(
-        **describe_run(remarks, options, scans),
+        **vars(remarks),
+        scans=scans,
+        resolution=options.resolution,
         beams=before.score.beams,
         share_before=before.score.share,
         share=after.score.share,
@@ -164,11 +166,6 @@ class Way(NamedTuple):
     correction: Correction
     """What both found together"""
 
-    @property
-    def found(self) -> int:
-        """How many of the two found something."""
-        return [self.time.verdict, self.mount.verdict].count(Verdict.FOUND)
-
 
 def find_way(scorer: Scorer, timed: Sequence[Knob], place: Sequence[Knob]) -> Way:
     """Search for a time offset and then for a mount; where that matters, the other way round too.
@@ -192,7 +189,10 @@ def find_way(scorer: Scorer, timed: Sequence[Knob], place: Sequence[Knob]) -> Wa
     disagree = Verdict.DISAGREE in (usual.time.verdict, usual.mount.verdict)
     if disagree and time.verdict is Verdict.FOUND:
         return usual
-    simple, other = sorted([usual, Way(time, mount, time.correction)], key=lambda way: way.found)
+    found = [usual.time.verdict, usual.mount.verdict].count(Verdict.FOUND)
+    simple, other = usual, Way(time, mount, time.correction)
+    if [time.verdict, mount.verdict].count(Verdict.FOUND) < found:
+        simple, other = other, simple
     gain = Gain.measure(scorer.score(simple.correction), scorer.score(other.correction))
     return other if gain.certain else simple
 

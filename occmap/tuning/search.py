@@ -1,7 +1,7 @@
 """The search for a correction: from coarse to fine, one number after the other."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from occmap.command import to_rpy
@@ -88,7 +88,7 @@ class Scorer:
     def score(self, correction: Correction) -> Trial:
         """Score a map of the scans posed with a correction."""
         if correction not in self.tried:
-            self.tried[correction] = self._score(self.trace(correction))
+            self.tried[correction] = self._try(correction)
             self._advance()
         return self.tried[correction]
 
@@ -106,12 +106,12 @@ class Scorer:
             engine.add(rays)
         return render(engine.finish(), options.model, options.max_cells).agreement
 
-    def _score(self, scans: Iterable[Rays]) -> Trial:
+    def _try(self, correction: Correction) -> Trial:
         options = self._options
         trials = Trials([Variant(options.update, options.model)], options)
         with trials.tracing() as workers:
             observe = trials.begin(workers)
-            for rays in scans:
+            for rays in self.trace(correction):
                 observe(rays)
         refuse_unscored([log.path for log in self._logs], trials.hold_out)
         (result,) = trials.score()

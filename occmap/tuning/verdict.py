@@ -80,6 +80,7 @@ def find(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Finding:
     if not knobs:
         return Finding(Verdict.UNSEEN, start)
     before, earlier = scorer.score(start), set(scorer.tried)
+    middle = len(before.predicted) // 2
     best = search(scorer, start, knobs)
     tried = {start, best} | (scorer.tried.keys() - earlier)
     gain = Gain.measure(before, scorer.tried[best])
@@ -89,7 +90,7 @@ def find(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Finding:
             for each, trial in scorer.tried.items()
             if each in tried
         }
-        for half in cut(before)
+        for half in (slice(middle), slice(middle, None))
     ]
     alike = tuple(Half(best, *gains[best]) for gains in halves)
     if gain.certain and all(half.gain > SMALL for half in alike):
@@ -103,9 +104,3 @@ def find(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Finding:
         apart = tuple(Half(each, *gains[each]) for each, gains in zip(own, halves, strict=True))
         return Finding(Verdict.DISAGREE, start, *gain, apart)
     return Finding(Verdict.NOTHING, start, *gain, alike)
-
-
-def cut(trial: Trial) -> tuple[slice, slice]:
-    """Cut the held-out scans of a trial into halves."""
-    middle = len(trial.predicted) // 2
-    return slice(0, middle), slice(middle, None)

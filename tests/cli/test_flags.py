@@ -63,7 +63,5 @@ def test_whatever_is_printed_is_spelled(capsys: pytest.CaptureFixture[str]) -> N
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_option_says_what_it_does(name: str) -> None:
     command = find_command(name)
-    context = click.Context(command)
     options = [each for each in command.params if isinstance(each, click.Option)]
-    told = [each.get_help_record(context) for each in options]
-    assert all(record and record[1].strip() for record in told)
+    assert all(each.help for each in options)  # shells show it, too, where they complete a word

@@ -8,6 +8,7 @@ import pytest
 from occmap import cli
 from occmap.cli import COMMANDS, listing
 from occmap.errors import LogError, OccmapError, UsageError
+from occmap.options import DEFAULT_UPDATE
 from tests.cli.runner import find_command, occmap, read_error
 
 
@@ -119,3 +120,13 @@ def test_no_error_leaves_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cli, "discard_stdout", lambda: silenced.append(True))
     assert occmap("readers") == (0, "", "")
     assert silenced == [True]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_is_told_alike_in_the_list_and_in_its_own_help(name: str) -> None:
+    text = (find_command(name).help or "").partition("\n")[0]
+    assert text == COMMANDS[name]
+
+
+def test_the_help_of_build_names_the_default_update() -> None:
+    assert f"Without it: {DEFAULT_UPDATE}." in " ".join((find_command("build").help or "").split())

@@ -14,13 +14,7 @@ from occmap.errors import LogError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions
 from occmap.pipeline import build
 from occmap.remarks import Remarks
-from occmap.scoring.compare import (
-    HeldOutScans,
-    VariantComparison,
-    choose_best,
-    compare,
-    describe_run,
-)
+from occmap.scoring.compare import HeldOutScans, VariantComparison, choose_best, compare
 from occmap.scoring.score import Score, Trial, estimate_error
 from occmap.scoring.trials import HoldOut, ScoredVariant
 from occmap.scoring.variants import Variant, combine, shorten_model
@@ -209,7 +203,7 @@ def make_result(
 def rank(*results: ScoredVariant) -> VariantComparison:
     ranked = tuple(result.compare_with(results[0]) for result in results)
     options, scans = BuildOptions(), HeldOutScans(15, 15, {}, held_out=3)
-    return choose_best(ranked, options, describe_run(Remarks(["x"]), options, scans))
+    return choose_best(ranked, options, Remarks(["x"]), scans)
 
 
 def choose(*results: ScoredVariant) -> str:

@@ -9,11 +9,11 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, limits, options
+from occmap.cli import limits, options
 from occmap.cli.console import Console, label_first, write_rows
-from occmap.cli.options import PATH, Values, collect_model
+from occmap.cli.options import PATH, collect_model
 from occmap.cli.progress import Bar, show_progress
-from occmap.cli.sections import SectionCommand, join, option
+from occmap.cli.sections import as_command, join, option
 from occmap.cli.streams import gather_logs, hide_caught, place_outputs
 from occmap.errors import LogError, UsageError
 from occmap.gates.measures import BUILD
@@ -24,19 +24,6 @@ from occmap.pipeline import build
 from occmap.report import Report
 from occmap.summary import tell_beams, tell_map, tell_scans
 from occmap.types import Update
-
-HELP = f"""{COMMANDS["build"]}
-
-The first word may say how a scan becomes observations of cells: each beam by itself (beam); a
-whole scan as one region (polygon); or each beam and, between neighbours that meet one surface, what
-lies between them (surface). Without it: {DEFAULT_UPDATE}. A log that is called `beam` is written
-./beam.
-
-\b
-  occmap build drive.mcap -o map.pgm
-  occmap build polygon intel.log.gz -o intel.pgm -o intel.png --resolution 0.1
-  occmap build room.bag -o room.pgm --sensor-pose 0,0,3.14159
-"""
 
 SIZE = re.compile(r"(\d*\.?\d+)([KMGT]?)B?", re.IGNORECASE)
 UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
@@ -89,16 +76,26 @@ fleet = join(
 )
 
 
-@click.command("build", cls=SectionCommand, help=HELP, short_help=COMMANDS["build"])
+@as_command("build")
 @click.argument("words", nargs=-1, metavar="[beam|polygon|surface] LOG...")
 @join(options.writing, options.resume, options.lattice, options.align)
 @join(options.framing, options.min_passes, options.pass_gap)
 @join(options.ranges, options.model, options.selection, options.posing)
 @join(limits.fail_if(BUILD, "agreement < 70%"), options.jobs, fleet, strict, options.config)
-@join(options.as_json, options.verbosity)
+@options.printing
 @click.pass_obj
 def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
-    """Build a map, write it, and say how it came about."""
+    """Build one map from one or more logs.
+
+    The first word may say how a scan becomes observations of cells: each beam by itself (beam); a
+    whole scan as one region (polygon); or each beam and, between neighbours that meet one surface,
+    what lies between them (surface). Without it: surface. A log that is called `beam` is written
+    ./beam.
+
+      occmap build drive.mcap -o map.pgm
+      occmap build polygon intel.log.gz -o intel.pgm -o intel.png --resolution 0.1
+      occmap build room.bag -o room.pgm --sensor-pose 0,0,3.14159
+    """
     given, chosen = read_request(words, values)
     logs = gather_logs(console, given, chosen, values["outputs"])
     values["outputs"] = place_outputs(console, values["outputs"], logs[0])
@@ -119,7 +116,7 @@ def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
     limits.leave(failed)
 
 
-def read_request(words: Sequence[str], values: Values) -> tuple[list[Path], BuildOptions]:
+def read_request(words: Sequence[str], values: dict[str, Any]) -> tuple[list[Path], BuildOptions]:
     """Read the command line as a whole.
 
     Raises
@@ -156,7 +153,9 @@ def split_words(words: Sequence[str]) -> tuple[Update, list[Path]]:
     return update, [Path(word) for word in words]
 
 
-def run_build(logs: list[Path], chosen: BuildOptions, values: Values, progress: Bar) -> Report:
+def run_build(
+    logs: list[Path], chosen: BuildOptions, values: dict[str, Any], progress: Bar
+) -> Report:
     """Build in this process, or by the workers that --dask names."""
     outputs = values["outputs"]
     if values["dask"] is None:

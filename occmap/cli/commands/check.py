@@ -6,9 +6,9 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, limits, options
+from occmap.cli import limits, options
 from occmap.cli.console import Console, Verbosity, label_first, write_command, write_rows
-from occmap.cli.sections import SectionCommand, join
+from occmap.cli.sections import as_command, join
 from occmap.cli.streams import gather_logs
 from occmap.gates.measures import CHECK
 from occmap.inspection import inspect, telling
@@ -22,30 +22,24 @@ from occmap.writers.outputs import check_picture
 LABEL = 10
 """Width of the column of labels"""
 
-HELP = f"""{COMMANDS["check"]}
-
-It takes the options of `occmap build` that concern scans, poses and ranges, and ends with the
-command line that it recommends. Exits with 1 if a build with the options given would fail.
-
-\b
-  occmap check drive.mcap
-  occmap check room.bag --sensor-pose 0,0,3.14159 --resolution 0.02
-  occmap check intel.log.gz --json
-"""
-
-
 page = options.one_output("output", "FILE.html", "Write the findings as a page as well.")
 
 
-@click.command("check", cls=SectionCommand, help=HELP, short_help=COMMANDS["check"])
+@as_command("check")
 @click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
 @join(page, options.resolution, options.max_cells, options.reading)
-@join(
-    limits.fail_if(CHECK, "dropped_scans > 5%"), options.config, options.as_json, options.verbosity
-)
+@join(limits.fail_if(CHECK, "dropped_scans > 5%"), options.config, options.printing)
 @click.pass_context
 def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> None:
-    """Look into logs, and print what was found."""
+    """Say what is in logs, and what will go wrong with them.
+
+    It takes the options of `occmap build` that concern scans, poses and ranges, and ends with the
+    command line that it recommends. Exits with 1 if a build with the options given would fail.
+
+      occmap check drive.mcap
+      occmap check room.bag --sensor-pose 0,0,3.14159 --resolution 0.02
+      occmap check intel.log.gz --json
+    """
     if values["output"]:
         check_picture(values["output"], logs, [".html"])
     console = ctx.ensure_object(Console)

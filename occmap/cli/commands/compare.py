@@ -5,10 +5,10 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, limits, options
+from occmap.cli import limits, options
 from occmap.cli.console import Console, align, write_command
 from occmap.cli.progress import show_progress
-from occmap.cli.sections import SectionCommand, join, option
+from occmap.cli.sections import as_command, join, option
 from occmap.cli.streams import gather_logs
 from occmap.gates.measures import COMPARE
 from occmap.keywords import take
@@ -19,24 +19,6 @@ from occmap.scoring.variants import DEFAULT_MODELS, combine
 from occmap.sensor.models import parse_model
 from occmap.types import Update
 from occmap.wording import count
-
-HELP = f"""{COMMANDS["compare"]}
-
-Every fifth scan is held out, and each map is scored on these scans: by the share of beams whose
-first occupied cell is within two cells of the measured range, by the log-likelihood of the range,
-and by the cross-entropy of the cells found free and found occupied. A share that is behind the best
-by less than two standard errors, or by less than half a percent, counts as equally good. Of those
-that are equally good the default is recommended. The one with the best log-likelihood is named,
-too: its probabilities are the ones to plan and localise with.
-
-A table says whether the probabilities of the recommended map mean what they say: for the cells of
-each tenth of probability, the share that beams found occupied.
-
-\b
-  occmap compare drive.mcap
-  occmap compare intel.log.gz -o compare.png --resolution 0.1
-  occmap compare room.bag --update beam --model counting --model simple:p_hit=0.8
-"""
 
 VARIANTS = "What to compare"
 
@@ -67,19 +49,28 @@ picture = options.one_output(
 )
 
 
-@click.command("compare", cls=SectionCommand, help=HELP, short_help=COMMANDS["compare"])
+@as_command("compare")
 @click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
 @join(variants, picture, options.lattice, options.reading)
-@join(
-    limits.fail_if(COMPARE, "share < 70%"),
-    options.jobs,
-    options.config,
-    options.as_json,
-    options.verbosity,
-)
+@join(limits.fail_if(COMPARE, "share < 70%"), options.jobs, options.config, options.printing)
 @click.pass_obj
 def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
-    """Compare variants, and print the table."""
+    """Say which update and sensor model suits logs best.
+
+    Every fifth scan is held out, and each map is scored on these scans: by the share of beams whose
+    first occupied cell is within two cells of the measured range, by the log-likelihood of the
+    range, and by the cross-entropy of the cells found free and found occupied. A share that is
+    behind the best by less than two standard errors, or by less than half a percent, counts as
+    equally good. Of those that are equally good the default is recommended. The one with the best
+    log-likelihood is named, too: its probabilities are the ones to plan and localise with.
+
+    A table says whether the probabilities of the recommended map mean what they say: for the cells
+    of each tenth of probability, the share that beams found occupied.
+
+      occmap compare drive.mcap
+      occmap compare intel.log.gz -o compare.png --resolution 0.1
+      occmap compare room.bag --update beam --model counting --model simple:p_hit=0.8
+    """
     models = [parse_model(text) for text in values["model_texts"]]
     chosen = combine([Update(text) for text in values["updates"]], models)
     common = take(BuildOptions, values)

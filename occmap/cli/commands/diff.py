@@ -6,9 +6,9 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, limits, options
+from occmap.cli import limits, options
 from occmap.cli.console import Console, label_first, write_rows
-from occmap.cli.sections import SectionCommand, join, option
+from occmap.cli.sections import as_command, join, option
 from occmap.difference import MapDifference
 from occmap.gates import Limit, parse_bound
 from occmap.gates.measures import DIFF
@@ -16,25 +16,6 @@ from occmap.keywords import take
 from occmap.pictures import compare_files
 from occmap.wording import count
 from occmap.writers import WriteOptions
-
-HELP = f"""{COMMANDS["diff"]}
-
-A and B are maps as PGM with YAML, PNG, or evidence (.npz or .zarr). They may differ in size, as all
-maps of one resolution share a lattice. A PNG does not say where it lies, so it is compared with a
-map of its size. A PNG that occmap wrote says how its cells were decided; in any other, dark cells
-are occupied.
-
-A cell that is neither occupied nor free is unknown or undecided; images do not tell one from the
-other, so both count as neither.
-
-In the picture, cells that became occupied are orange and cells that became free are blue: strong
-where they were the opposite before, pale where they were neither. Cells that became neither are
-wine red if they were occupied and pink if they were free.
-
-\b
-  occmap diff yesterday.pgm today.pgm
-  occmap diff golden.yaml build/map.pgm -o diff.png --fail-above 1%
-"""
 
 
 def limit_change(text: str) -> Limit:
@@ -55,14 +36,30 @@ fail_above = option(
 )
 
 
-@click.command("diff", cls=SectionCommand, help=HELP, short_help=COMMANDS["diff"])
+@as_command("diff")
 @click.argument("before", type=options.PATH, metavar="A")
 @click.argument("after", type=options.PATH, metavar="B")
 @join(picture, options.thresholds, fail_above, limits.fail_if(DIFF, "changed > 1%"))
-@join(options.as_json, options.verbosity)
+@options.printing
 @click.pass_obj
 def command(console: Console, /, before: Path, after: Path, **values: Any) -> None:
-    """Compare two maps, paint the changes, and hold the limit."""
+    """Say what changed between two maps, and fail above a limit.
+
+    A and B are maps as PGM with YAML, PNG, or evidence (.npz or .zarr). They may differ in size, as
+    all maps of one resolution share a lattice. A PNG does not say where it lies, so it is compared
+    with a map of its size. A PNG that occmap wrote says how its cells were decided; in any other,
+    dark cells are occupied.
+
+    A cell that is neither occupied nor free is unknown or undecided; images do not tell one from
+    the other, so both count as neither.
+
+    In the picture, cells that became occupied are orange and cells that became free are blue:
+    strong where they were the opposite before, pale where they were neither. Cells that became
+    neither are wine red if they were occupied and pink if they were free.
+
+      occmap diff yesterday.pgm today.pgm
+      occmap diff golden.yaml build/map.pgm -o diff.png --fail-above 1%
+    """
     difference = compare_files(before, after, take(WriteOptions, values), values["output"])
     if values["fail_above"]:
         values["limits"] = (values["fail_above"], *values["limits"])

@@ -7,12 +7,11 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, options
+from occmap.cli import options
 from occmap.cli.console import Console, align, label_first, write_rows
-from occmap.cli.options import PATH
 from occmap.cli.progress import show_progress
 from occmap.cli.saved import choose_saved_model
-from occmap.cli.sections import SectionCommand, join, option
+from occmap.cli.sections import SectionCommand, as_command, join
 from occmap.explanation import Explanation, Question, describe_numbers, explain
 from occmap.explanation.history import Seen, Visits
 from occmap.explanation.sightings import add_up
@@ -22,17 +21,6 @@ from occmap.keywords import take
 from occmap.store.sources import open_saved
 from occmap.wording import count, join_names, write_box, write_time
 from occmap.writers import WriteOptions
-
-HELP = f"""{COMMANDS["explain"]}
-
-X and Y are metres in the map frame. Give the logs that the evidence was made of as --log, to list
-the scans that hit or cleared the cell. A log is known by its hash, wherever it lies now.
-
-\b
-  occmap explain map.npz 1.5 -0.25
-  occmap explain map.npz 1.5 -0.25 --log drive.mcap
-  occmap explain map.npz 1.5 -0.25 --log scans.csv --poses trajectory.txt --json
-"""
 
 MOST_SCANS = 12
 """More are cut out of the middle of the list"""
@@ -53,34 +41,35 @@ class PointCommand(SectionCommand):
         return super().parse_args(ctx, [f" {w}" if NEGATIVE.fullmatch(w) else w for w in words])
 
 
-logs = option(
+logs = options.paths(
     options.SCANS,
     "--log",
     "logs",
-    type=PATH,
-    multiple=True,
     metavar="LOG",
-    help="List the scans of this log that observed the cell. May repeat.",
+    text="List the scans of this log that observed the cell.",
 )
-poses = option(
-    options.POSES,
-    "--poses",
-    type=PATH,
-    multiple=True,
-    metavar="FILE",
-    help="The trajectory that the log was built with. May repeat.",
+poses = options.paths(
+    options.POSES, "--poses", metavar="FILE", text="The trajectory that the log was built with."
 )
 
 
-@click.command("explain", cls=PointCommand, help=HELP, short_help=COMMANDS["explain"])
-@click.argument("path", type=PATH, metavar="NPZ|ZARR")
+@as_command("explain", PointCommand)
+@click.argument("path", type=options.PATH, metavar="NPZ|ZARR")
 @click.argument("x", type=float)
 @click.argument("y", type=float)
 @join(logs, poses, options.min_passes, options.saved_model, options.thresholds)
-@join(options.as_json, options.verbosity)
+@options.printing
 @click.pass_obj
 def command(console: Console, /, path: Path, **values: Any) -> None:
-    """Look at a cell, and print what was found."""
+    """Say what was seen at a point of saved evidence, and by which scans.
+
+    X and Y are metres in the map frame. Give the logs that the evidence was made of as --log, to
+    list the scans that hit or cleared the cell. A log is known by its hash, wherever it lies now.
+
+      occmap explain map.npz 1.5 -0.25
+      occmap explain map.npz 1.5 -0.25 --log drive.mcap
+      occmap explain map.npz 1.5 -0.25 --log scans.csv --poses trajectory.txt --json
+    """
     evidence = open_saved(path)
     view = {"model": choose_saved_model(evidence, values), "writing": take(WriteOptions, values)}
     values["logs"] = click.get_current_context().with_resource(keep_stdin(values["logs"]))

@@ -5,41 +5,32 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, limits, options
+from occmap.cli import limits, options
 from occmap.cli.console import Console
-from occmap.cli.saved import choose_outputs, put_out
-from occmap.cli.sections import SectionCommand, join, option
+from occmap.cli.saved import put_out
+from occmap.cli.sections import as_command, join
 from occmap.evidence.merging import combine
 from occmap.gates.measures import SAVED
 
-HELP = f"""{COMMANDS["merge"]}
-
-The sum has the same cells as one build of all the logs, whatever the order; what is subtracted
-leaves no trace. All must have one resolution, update and kind of model. The visits that
---min-passes counts are those of one build, too: one that goes on from log to log is one.
-
-\b
-  occmap merge monday.npz tuesday.npz -o both.npz
-  occmap merge both.npz --subtract monday.npz -o tuesday.npz -o tuesday.pgm
-"""
-
-subtracted = option(
-    options.FILES,
-    "--subtract",
-    type=options.PATH,
-    multiple=True,
-    metavar="NPZ",
-    help="Take the evidence in this file away. May repeat.",
+subtracted = options.paths(
+    options.FILES, "--subtract", metavar="NPZ", text="Take the evidence in this file away."
 )
 
 
-@click.command("merge", cls=SectionCommand, help=HELP, short_help=COMMANDS["merge"])
+@as_command("merge")
 @click.argument("paths", nargs=-1, required=True, type=options.PATH, metavar="NPZ|ZARR...")
 @join(options.writing, subtracted, options.min_passes, options.max_cells)
-@join(limits.fail_if(SAVED, "unknown > 60%"), options.as_json, options.verbosity)
+@join(limits.fail_if(SAVED, "unknown > 60%"), options.printing)
 @click.pass_obj
 def command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> None:
-    """Add and subtract evidence, and write what comes out."""
-    inputs = [*paths, *values["subtract"]]
-    values["outputs"] = choose_outputs(console, values["outputs"], "merged.npz", inputs)
-    put_out(console, "merge", combine(paths, values["subtract"]), values)
+    """Add saved evidence, or take some of it away, exactly.
+
+    The sum has the same cells as one build of all the logs, whatever the order; what is subtracted
+    leaves no trace. All must have one resolution, update and kind of model. The visits that
+    --min-passes counts are those of one build, too: one that goes on from log to log is one.
+
+      occmap merge monday.npz tuesday.npz -o both.npz
+      occmap merge both.npz --subtract monday.npz -o tuesday.npz -o tuesday.pgm
+    """
+    taken = values["subtract"]
+    put_out(console, "merge", [*paths, *taken], lambda: combine(paths, taken), values)

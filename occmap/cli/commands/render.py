@@ -5,26 +5,12 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, limits, options
+from occmap.cli import limits, options
 from occmap.cli.console import Console
-from occmap.cli.saved import choose_outputs, put_out
-from occmap.cli.sections import SectionCommand, join, option
+from occmap.cli.saved import put_out
+from occmap.cli.sections import as_command, join, option
 from occmap.gates.measures import SAVED
 from occmap.store.sources import open_saved
-
-HELP = f"""{COMMANDS["render"]}
-
-The evidence is what `occmap build -o map.npz` wrote. Hits and misses can be weighed by any model
-that counts. The evidence of a radial model, such as quadratic, can be weighed only by that model,
-though with another --prior, --clamp-min or --clamp-max.
-
-\b
-  occmap render map.npz -o map.pgm --p-hit 0.8
-  occmap render map.npz -o map.pgm -o map.png --model counting --mode scale
-  occmap render map.npz -o room.png --extent 0,0,5,4
-  occmap render city.zarr -o city.png --overview 16
-"""
-
 
 overview = option(
     options.MAP,
@@ -35,13 +21,22 @@ overview = option(
 )
 
 
-@click.command("render", cls=SectionCommand, help=HELP, short_help=COMMANDS["render"])
+@as_command("render")
 @click.argument("path", type=options.PATH, metavar="NPZ|ZARR")
 @join(options.writing, options.framing, overview, options.min_passes, options.max_cells)
 @join(options.saved_model)
-@join(limits.fail_if(SAVED, "unknown > 60%"), options.as_json, options.verbosity)
+@join(limits.fail_if(SAVED, "unknown > 60%"), options.printing)
 @click.pass_obj
 def command(console: Console, /, path: Path, **values: Any) -> None:
-    """Read evidence, and write a map of it."""
-    values["outputs"] = choose_outputs(console, values["outputs"], "map.pgm", [path])
-    put_out(console, "render", open_saved(path), values)
+    """Make a map of saved evidence, without reading the log.
+
+    The evidence is what `occmap build -o map.npz` wrote. Hits and misses can be weighed by any
+    model that counts. The evidence of a radial model, such as quadratic, can be weighed only by
+    that model, though with another --prior, --clamp-min or --clamp-max.
+
+      occmap render map.npz -o map.pgm --p-hit 0.8
+      occmap render map.npz -o map.pgm -o map.png --model counting --mode scale
+      occmap render map.npz -o room.png --extent 0,0,5,4
+      occmap render city.zarr -o city.png --overview 16
+    """
+    put_out(console, "render", [path], lambda: open_saved(path), values)

@@ -14,9 +14,10 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 import click
 
-from occmap.cli import COMMANDS, options
+from occmap.cli import options
 from occmap.cli.console import RESULT_VERSION, put_line, spell_all
 from occmap.cli.listing import KINDS, Listed
+from occmap.cli.sections import as_command
 from occmap.gates import Failed
 from occmap.plain import list_printed, read_texts
 from occmap.plugins import Broken
@@ -54,23 +55,20 @@ FAILED = (
     "The limits of `limits` that the result does not keep to; any of them makes the exit code 3"
 )
 
-HELP = f"""{COMMANDS["schema"]}
 
-It is of JSON Schema draft 2020-12; every field has a description with its unit. The field "schema"
-of a result names the command and the version of its schema. A command that fails before it has a
-result prints an `error`.
-
-\b
-  occmap schema build
-  occmap schema error
-"""
-
-
-@click.command("schema", help=HELP, short_help=COMMANDS["schema"])
+@as_command("schema", click.Command)
 @click.argument("name", type=click.Choice(list(SCHEMAS)), metavar="COMMAND")
 @options.verbosity
 def command(name: str) -> None:
-    """Print the schema of what a command prints."""
+    """Print the JSON Schema of what a command prints with --json.
+
+    It is of JSON Schema draft 2020-12; every field has a description with its unit. The field
+    "schema" of a result names the command and the version of its schema. A command that fails
+    before it has a result prints an `error`.
+
+      occmap schema build
+      occmap schema error
+    """
     schema = json.dumps(spell_all(describe_printed(name)), indent=2)
     put_line(schema)
 

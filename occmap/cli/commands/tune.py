@@ -7,10 +7,10 @@ from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, limits, options
+from occmap.cli import limits, options
 from occmap.cli.console import Console, write_command
 from occmap.cli.progress import show_progress
-from occmap.cli.sections import SectionCommand, join
+from occmap.cli.sections import as_command, join
 from occmap.cli.streams import gather_logs
 from occmap.gates.measures import TUNE
 from occmap.keywords import take
@@ -20,36 +20,28 @@ from occmap.tuning.search import Correction
 from occmap.tuning.verdict import Finding, Verdict
 from occmap.wording import count
 
-HELP = f"""{COMMANDS["tune"]}
 
-A map is made of four fifths of the scans, a thousand at most, and asked what the others will see:
-the share of beams whose first occupied cell is within two cells of the measured range. A search
-from coarse to fine, some thirty maps, looks for the time offset by which that share is largest, and
-then for yaw, x and y of the laser on its body. If an offset is found, some sixty more maps look for
-the mount first, as one may make up for the other, and if the mount is off, for all four together.
-A gain counts if it is more than two standard errors and half a percent, and if both halves of the
-held-out scans show it. What is found is added to the --time-offset and --sensor-pose that you give.
-
-\b
-  occmap tune drive.mcap
-  occmap tune room.bag --sensor-pose 0,0,3.14159
-  occmap tune drive.bag --fail-if "gain > 2%"
-"""
-
-
-@click.command("tune", cls=SectionCommand, help=HELP, short_help=COMMANDS["tune"])
+@as_command("tune")
 @click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
 @join(options.resolution, options.max_cells, options.reading)
-@join(
-    limits.fail_if(TUNE, "gain > 2%"),
-    options.jobs,
-    options.config,
-    options.as_json,
-    options.verbosity,
-)
+@join(limits.fail_if(TUNE, "gain > 2%"), options.jobs, options.config, options.printing)
 @click.pass_obj
 def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
-    """Search for what is off, and print what was found."""
+    """Find the time offset and the mount that suit logs best.
+
+    A map is made of four fifths of the scans, a thousand at most, and asked what the others will
+    see: the share of beams whose first occupied cell is within two cells of the measured range. A
+    search from coarse to fine, some thirty maps, looks for the time offset by which that share is
+    largest, and then for yaw, x and y of the laser on its body. If an offset is found, some sixty
+    more maps look for the mount first, as one may make up for the other, and if the mount is off,
+    for all four together. A gain counts if it is more than two standard errors and half a percent,
+    and if both halves of the held-out scans show it. What is found is added to the --time-offset
+    and --sensor-pose that you give.
+
+      occmap tune drive.mcap
+      occmap tune room.bag --sensor-pose 0,0,3.14159
+      occmap tune drive.bag --fail-if "gain > 2%"
+    """
     common = take(BuildOptions, values)
     found = gather_logs(console, logs, common)
     with show_progress(console) as progress:
