@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -70,13 +71,17 @@ def describe_files(path: Path) -> Iterator[dict[str, Any]]:
     LogError
         A file cannot be read any more.
     """
-    inner = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
-    for each in inner:
+    for each in list_files(path):
         with refuse_unreadable(each), each.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
             size = file.tell()
         name = each.relative_to(path.parent).as_posix()
         yield {"name": name, "bytes": size, "sha256": digest}
+
+
+def list_files(path: Path) -> list[Path]:
+    """List a file, or all files in a folder."""
+    return sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
 
 
 def find_trajectory(build: BuildRecord) -> dict[str, Any] | None:
@@ -123,7 +128,11 @@ def plan_manifest(options: Any) -> Manifest:
 def list_doubts(manifest: Manifest) -> Iterator[str]:
     """Say what a reader of evidence should know of it."""
     yield from list_repeated(manifest.builds)
-    yield from list_mixed(manifest)
+    names = {Update.BEAM: (), Update.SURFACE: ("jump",), Update.POLYGON: ("jump", "border_gap")}
+    for name in names[Update(manifest.update)]:
+        values = {str(b["options"][name]) for b in manifest.builds if name in b["options"]}
+        if len(values) > 1:
+            yield f"its builds differ in `{name}` ({', '.join(sorted(values))})"
     if manifest.subtracted:
         yield "what was subtracted was not a whole build, so numbers of visits are upper bounds"
 
@@ -131,17 +140,14 @@ def list_doubts(manifest: Manifest) -> Iterator[str]:
 def list_repeated(builds: Sequence[BuildRecord]) -> Iterator[str]:
     """Say which logs count twice. Parts of one log that share no scan do not."""
     said: dict[str, None] = {}
+    logs = defaultdict(list)
     for build in builds:
-        hashes = [entry["sha256"] for entry in list_inputs(build)]
-        again = (e for i, e in enumerate(list_inputs(build)) if e["sha256"] in hashes[:i])
-        said |= dict.fromkeys(tell_repeated(entry["name"]) for entry in again)
-    for one, other in combinations(builds, 2):
-        mine, its = one["options"]["selection"], other["options"]["selection"]
-        hashes = [entry["sha256"] for entry in list_inputs(one)]
-        again = (entry for entry in list_inputs(other) if entry["sha256"] in hashes)
-        if overlap(mine, its):
-            part = "" if mine == its else ", in part"
-            said |= dict.fromkeys(tell_repeated(entry["name"], part) for entry in again)
+        for entry in list_inputs(build):
+            logs[entry["sha256"]].append((build["options"]["selection"], entry["name"]))
+    for same in logs.values():
+        for (mine, _), (its, name) in combinations(same, 2):
+            if overlap(mine, its):
+                said[tell_repeated(name, "" if mine == its else ", in part")] = None
     yield from said
 
 
@@ -163,15 +169,6 @@ def overlap(one: dict[str, Any], other: dict[str, Any]) -> bool:
     topics, others = set(one["topics"]), set(other["topics"])
     apart = begin >= end or (topics and others and not topics & others)
     return not apart and (one == other or 1 in (one["stride"], other["stride"]))
-
-
-def list_mixed(manifest: Manifest) -> Iterator[str]:
-    """Say which options shaped what builds observed, and are not the same in all of them."""
-    names = {Update.BEAM: (), Update.SURFACE: ("jump",), Update.POLYGON: ("jump", "border_gap")}
-    for name in names[Update(manifest.update)]:
-        values = {str(b["options"][name]) for b in manifest.builds if name in b["options"]}
-        if len(values) > 1:
-            yield f"its builds differ in `{name}` ({', '.join(sorted(values))})"
 
 
 def describe_profile(model: SensorModel) -> str:

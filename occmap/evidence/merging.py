@@ -9,27 +9,14 @@ import numpy as np
 
 from occmap.cells import Evidence, Manifest
 from occmap.errors import MapError
-from occmap.evidence import Described, read_model, to_evidence, to_grid
+from occmap.evidence import Described, read_model, to_grid
 from occmap.evidence.fit import list_misfit
 from occmap.evidence.manifest import MEANING
 from occmap.grid.slices import restrict
 from occmap.grid.tiles import EvidenceKind, TileGrid, add_stack, drop_empty, stack_tiles, view_tiles
 from occmap.sensor.models import SensorModel
-from occmap.store.sources import Combined, Saved, as_blocks, open_saved, read_all
-
-
-def open_resumed(path: Path, plan: Manifest) -> Evidence:
-    """Read evidence that a build is to add to.
-
-    Raises
-    ------
-    MapError
-        It cannot be read, or cannot be combined with what the build makes.
-    """
-    saved = read_all(open_saved(path))
-    mine = saved.manifest.align if plan.align is None else plan.align
-    refuse_different(replace(plan, align=mine), saved)
-    return saved
+from occmap.store.blocks import join_contents
+from occmap.store.sources import Combined, Saved, as_blocks, open_saved
 
 
 def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:
@@ -54,9 +41,11 @@ def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:
         with suppress(MapError):  # without a model, no note says what does not fit
             model = read_model(held[0])
         return add_up(held, model)
-    made = Combined(tuple(map(as_blocks, parts)), add_up)
-    refuse_different(made.manifest, parts[0])  # of nothing yet: what differs is refused at once
-    return made
+    nothing = [join_contents((), each.manifest, each.where) for each in parts]
+    manifest = add_up(nothing).manifest  # what differs is refused at once
+    cut = tuple(map(as_blocks, parts))
+    blocks = sorted({block for part in cut for block in part.blocks})
+    return Combined(cut, add_up, manifest, dict.fromkeys(blocks))
 
 
 def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Evidence:
@@ -90,7 +79,7 @@ def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Ev
         builds += other.manifest.builds
         subtracted += other.manifest.subtracted
     manifest = replace(first.manifest, builds=builds, subtracted=subtracted)
-    return replace(to_evidence(grid, manifest, slices), notes=tuple(notes))
+    return Evidence(manifest, *stack_tiles(grid.tiles), slices, notes=tuple(notes))
 
 
 def subtract(evidence: Evidence, other: Evidence) -> Evidence:
@@ -119,7 +108,8 @@ def subtract(evidence: Evidence, other: Evidence) -> Evidence:
         else:
             unknown.append(build)
     manifest = replace(evidence.manifest, builds=tuple(builds), subtracted=tuple(unknown))
-    return to_evidence(grid, manifest, tuple(restrict(each, grid) for each in slices))
+    left = tuple(restrict(each, grid) for each in slices)
+    return Evidence(manifest, *stack_tiles(grid.tiles), left)
 
 
 def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None:

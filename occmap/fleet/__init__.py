@@ -20,10 +20,9 @@ from typing import NamedTuple
 from occmap.cells import Slices
 from occmap.engines import make_grid
 from occmap.errors import OutputError
-from occmap.evidence.manifest import UNRECORDED, write_value
+from occmap.evidence.manifest import UNRECORDED, list_files, write_value
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
-from occmap.fleet.reducing import BlockJob, reduce_block
-from occmap.fleet.runs import Piece, Setting, read_pieces
+from occmap.fleet.runs import BlockJob, Piece, Setting, read_pieces, reduce_block
 from occmap.fleet.settling import LogTrace
 from occmap.fleet.tasks import (
     Survey,
@@ -89,7 +88,13 @@ class Fleet:
         with self.work(paths, options, keep, progress) as work, work.tally.time("fold"):
             pieces = work.cluster.run("reduce", reduce_block, list_reductions(work))
             work.remarks.notes += work.cluster.list_losses()
-            return gather(work, pieces)
+            grid = make_grid(options)
+            layers: list[Slices] = []
+            for content in read_pieces(work.setting.folder, pieces):
+                grid.tiles |= view_tiles(content.tiles, content.cells)
+                layers += content.slices
+            slices = (unite(layers),) if keep.slices else ()
+            return Observed(grid, slices, work.tally, work.remarks)
 
     @contextmanager
     def work(
@@ -143,12 +148,14 @@ def open_scratch(
     """
     poses = options.posing.poses
     inputs = [*paths, Path(poses)] if poses else paths
+    states = [file.stat() for path in inputs if path.exists() for file in list_files(path)]
     what = [
         version("occmap"),
         {name: value for name, value in write_value(options).items() if name not in UNRECORDED},
         keep,
         fleet.slice_bytes,
-        [[str(path), *describe_state(path)] for path in inputs],
+        [str(path) for path in inputs],
+        [[state.st_size, state.st_mtime_ns] for state in states],
     ]
     digest = hashlib.sha256(json.dumps(what).encode()).hexdigest()[:16]
     folder = fleet.scratch.absolute() / f"build-{digest}"
@@ -160,12 +167,6 @@ def open_scratch(
     shutil.rmtree(folder, ignore_errors=True)
     with suppress(OSError):  # another build may have something in it
         fleet.scratch.rmdir()
-
-
-def describe_state(path: Path) -> list[int]:
-    """Sizes and times of change (ns) of the files of an input; nothing of one that is not there."""
-    inner = sorted(path.rglob("*")) if path.is_dir() else [path] if path.exists() else []
-    return [number for each in inner for number in (each.stat().st_size, each.stat().st_mtime_ns)]
 
 
 def list_surveys(setting: Setting, paths: Sequence[Path]) -> list[SurveyJob]:
@@ -213,15 +214,3 @@ def list_reductions(work: Work) -> list[BlockJob]:
         replace(BlockJob.of(work.setting, block), pieces=tuple(chain.from_iterable(found.values())))
         for block, found in sorted(work.blocks.items())
     ]
-
-
-def gather(work: Work, pieces: Sequence[Piece]) -> Observed:
-    """Put the map together of its blocks."""
-    setting = work.setting
-    grid = make_grid(setting.options)
-    layers: list[Slices] = []
-    for content in read_pieces(setting.folder, pieces):
-        grid.tiles |= view_tiles(content.tiles, content.cells)
-        layers += content.slices
-    slices = (unite(layers),) if setting.keep.slices else ()
-    return Observed(grid, slices, work.tally, work.remarks)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from occmap.errors import FleetError
-from occmap.fleet.runs import AnyJob, Job, Result
+from occmap.fleet.runs import AnyJob, Result
 from occmap.plugins import need_extra
 from occmap.wording import count
 
@@ -68,7 +68,7 @@ class Cluster:
         OccmapError
             Of the first job that failed, or its workers died.
         """
-        from distributed import as_completed  # noqa: PLC0415  late: an extra
+        from distributed import KilledWorker, as_completed  # noqa: PLC0415  late: an extra
 
         # Not pure: Dask takes equal calls for one, and a log that is given twice counts twice.
         futures = self._client.map(task, jobs, pure=False, retries=0)
@@ -89,8 +89,13 @@ class Cluster:
             workers, link = count(self.workers, "worker"), self._client.dashboard_link
             self._describe(f"{phase} {done}/{len(jobs)}, {workers}{link and f', {link}'}")
         if failed:
-            place = min(failed)
-            raise explain(failed[place], jobs[place], self.memory)
+            error = failed[min(failed)]
+            if isinstance(error, KilledWorker):
+                limit = self.memory and f", which had {self.memory >> 20} MiB of memory"
+                found = f"killed its workers {error.allowed_failures + 1} times{limit or ''}"
+                fix = "give workers more memory, or build with a smaller `slice`"
+                raise FleetError(found, where=jobs[min(failed)].where, fix=fix)
+            raise error
         return [results[place] for place in range(len(jobs))]
 
     def list_losses(self) -> Iterator[str]:
@@ -153,18 +158,17 @@ def open_cluster(
             fix = f"start some: dask worker {address}"
             raise FleetError("the scheduler has no workers", where=address, fix=fix) from None
         cluster = Cluster(client, describe)
-        refuse_unequal(cluster)
-        refuse_small(cluster)
+        refuse_unfit(cluster)
         yield cluster
 
 
-def refuse_unequal(cluster: Cluster) -> None:
-    """Refuse workers on which the same tasks might make other cells.
+def refuse_unfit(cluster: Cluster) -> None:
+    """Refuse workers that might make other cells, or would wait for memory for ever.
 
     Raises
     ------
     FleetError
-        Saying how many there are, and what they run.
+        Saying how many there are and what they run, or how much memory the smallest has.
     """
     mine, theirs = list_versions(), cluster.ask(list_versions)
     if other := [each for each in theirs if each != mine]:
@@ -175,25 +179,15 @@ def refuse_unequal(cluster: Cluster) -> None:
         workers = f"{len(other)} of {count(len(theirs), 'worker')}"
         found = f"{workers} run {there}, where {here} runs here"
         raise FleetError(found, fix="install the same versions everywhere")
+    if cluster.memory is not None and cluster.memory < LEAST_BYTES:
+        memory, least = cluster.memory >> 20, LEAST_BYTES >> 20
+        found = f"a worker may take {memory} MiB of memory, and {least} MiB are the least"
+        raise FleetError(found, fix="start fewer workers, or give each more memory")
 
 
 def list_versions() -> dict[str, str]:
     """Versions of what decides which cells a scan observes."""
     return {name: version(name) for name in MUST_EQUAL}
-
-
-def refuse_small(cluster: Cluster) -> None:
-    """Refuse workers that would wait for memory for ever.
-
-    Raises
-    ------
-    FleetError
-        Saying how much the smallest has.
-    """
-    if cluster.memory is not None and cluster.memory < LEAST_BYTES:
-        memory, least = cluster.memory >> 20, LEAST_BYTES >> 20
-        found = f"a worker may take {memory} MiB of memory, and {least} MiB are the least"
-        raise FleetError(found, fix="start fewer workers, or give each more memory")
 
 
 def refuse_unseen_files(cluster: Cluster, paths: Sequence[Path]) -> None:
@@ -214,15 +208,3 @@ def refuse_unseen_files(cluster: Cluster, paths: Sequence[Path]) -> None:
 def list_missing(paths: Sequence[Path]) -> list[Path]:
     """List the paths that are not there."""
     return [path for path in paths if not path.exists()]
-
-
-def explain(error: BaseException, job: Job, memory: int | None) -> BaseException:
-    """Say what to do where a task killed its workers; any other error speaks for itself."""
-    from distributed import KilledWorker  # noqa: PLC0415  late: an extra
-
-    if not isinstance(error, KilledWorker):
-        return error
-    limit = "" if memory is None else f", which had {memory >> 20} MiB of memory"
-    found = f"killed its workers {error.allowed_failures + 1} times{limit}"
-    fix = "give workers more memory, or build with a smaller `slice`"
-    return FleetError(found, where=job.where, fix=fix)

@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import reduce
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -15,8 +15,7 @@ from occmap.arrays import Int64
 from occmap.cells import Manifest
 from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
 from occmap.fleet import Fleet, Work, list_reductions, list_surveys
-from occmap.fleet.reducing import BlockJob, add_up
-from occmap.fleet.runs import Setting, once, read_stub, write_stub
+from occmap.fleet.runs import BlockJob, Setting, add_up, once, read_stub, write_stub
 from occmap.fleet.tasks import hash_log
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing
@@ -30,17 +29,6 @@ from occmap.store.writing import create_store, finish_store, paint_block, write_
 from occmap.tally import refuse_unseen, refuse_unused
 from occmap.writers.atomic import follow_links, publish_folder, refuse_unwritable
 from occmap.writers.outputs import check_outputs
-
-
-class Measured(NamedTuple):
-    """What the report tells of a block."""
-
-    reach: CellBox | None
-    """Around the cells that are observed; None: there is none"""
-    cells: Int64
-    """(4,) as `count_cells` gives them"""
-    hits: tuple[int, int]
-    """Those in cells called occupied, and all"""
 
 
 def build_store(
@@ -60,7 +48,9 @@ def build_store(
         refuse_unused(paths, tally)
         refuse_unseen(paths, tally, work.blocks)
         with tally.time("fold"):
-            known = hash_logs(work, paths)
+            logs = list(dict.fromkeys(paths))
+            hashed = work.cluster.run("hash", hash_log, list_surveys(work.setting, logs))
+            known = dict(zip(logs, hashed, strict=True))
             build = describe_build(paths, options, tally.to_json(), known)
             manifest = replace(plan_manifest(options), builds=(build,))
             store = open_target(work.setting, output, manifest, work.blocks)
@@ -75,13 +65,6 @@ def build_store(
     remarks.notes += [*unaligned, *list_doubts(manifest)]
     remarks.notes += list_notes(paths, options, [output], tally, facts)
     return replace(make_report(options, tally, remarks, facts), files=(str(output),))
-
-
-def hash_logs(work: Work, paths: Sequence[Path]) -> dict[Path, list[dict[str, Any]]]:
-    """Name, size and SHA-256 of the files of each log."""
-    different = list(dict.fromkeys(paths))
-    jobs = list_surveys(work.setting, different)
-    return dict(zip(different, work.cluster.run("hash", hash_log, jobs), strict=True))
 
 
 def open_target(
@@ -138,15 +121,19 @@ def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> Map
         for block in sorted(around)
     ]
     measured = work.cluster.run("paint", measure_block, jobs)
-    box = reduce(CellBox.join, (each.reach for each in measured if each.reach))
-    agreeing, hits = (sum(column) for column in zip(*(each.hits for each in measured), strict=True))
-    cells = np.sum([each.cells for each in measured], axis=0)
-    extent = Lattice(work.setting.options.resolution).measure(box)
-    return MapFacts.of_counts(extent, box.shape, cells, agreeing / hits if hits else None)
+    reaches, cells, hits = zip(*measured, strict=True)
+    box = reduce(CellBox.join, filter(None, reaches))
+    agreeing, met = np.sum(hits, axis=0).tolist()
+    lattice = Lattice(work.setting.options.resolution)
+    where = lattice.resolution, lattice.measure(box), box.shape
+    return MapFacts(*where, np.sum(cells, axis=0), agreeing / met if met else None)
 
 
-def measure_block(job: BlockJob) -> Measured:
+def measure_block(job: BlockJob) -> tuple[CellBox | None, Int64, tuple[int, int]]:
     """Paint the pictures of a block, if it is one that was written, and measure it.
+
+    Returns a box around the cells that are observed, if there are any; numbers (4,) as
+    `count_cells` gives them; and the hits in cells called occupied, and all hits.
 
     Raises
     ------
@@ -157,4 +144,4 @@ def measure_block(job: BlockJob) -> Measured:
     grid, made = paint_block(job.store, job.block, keep=bool(job.logs))
     reach = CellBox.around(made.observed, box.row, box.col)
     cells = count_cells(made, job.setting.options.writing)
-    return Measured(reach, cells, count_agreeing(grid, made.occupied, box))
+    return reach, cells, count_agreeing(grid, made.occupied, box)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
 from typing import Protocol, TypeAlias
@@ -60,7 +59,9 @@ def open_saved(path: Path) -> Evidence | Store:
 
 def as_blocks(saved: Saved) -> Blocks:
     """Cut evidence into blocks, where it is not yet."""
-    return Held(saved) if isinstance(saved, Evidence) else saved
+    if isinstance(saved, Evidence):
+        return Held(saved.manifest, saved.where, dict(split_evidence(saved)))
+    return saved
 
 
 def read_all(saved: Saved) -> Evidence:
@@ -105,22 +106,10 @@ def cut_content(content: BlockContent, box: CellBox) -> BlockContent:
 class Held:
     """Evidence in memory; all logs of a build are said to have observed its blocks."""
 
-    evidence: Evidence
-
-    @property
-    def manifest(self) -> Manifest:
-        """What it is."""
-        return self.evidence.manifest
-
-    @property
-    def where(self) -> str:
-        """What it was read from."""
-        return self.evidence.where
-
-    @cached_property
-    def blocks(self) -> dict[Block, BlockContent]:
-        """All of it."""
-        return dict(split_evidence(self.evidence))
+    manifest: Manifest
+    where: str
+    blocks: dict[Block, BlockContent]
+    """All of it"""
 
     def read_block(self, block: Block) -> BlockContent:
         """What was observed in a block."""
@@ -134,19 +123,10 @@ class Combined:
     parts: tuple[Blocks, ...]
     combine: Callable[[Sequence[Evidence]], Evidence]
     """Makes one evidence of all parts, which may be empty"""
+    manifest: Manifest
+    blocks: Collection[Block]
+    """Those of all parts, in ascending order"""
     where: str = ""
-
-    @cached_property
-    def manifest(self) -> Manifest:
-        """What it is."""
-        nothing = [join_contents((), each.manifest, each.where) for each in self.parts]
-        return self.combine(nothing).manifest
-
-    @cached_property
-    def blocks(self) -> Collection[Block]:
-        """Those of all parts."""
-        known: set[Block] = set().union(*(each.blocks for each in self.parts))
-        return dict.fromkeys(sorted(known))
 
     def read_block(self, block: Block) -> BlockContent:
         """What is in a block of the sum or the difference."""

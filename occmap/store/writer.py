@@ -2,16 +2,22 @@
 
 import os
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 from occmap.cells import Evidence, Manifest
+from occmap.evidence.manifest import list_files
 from occmap.grid.tiles import EvidenceKind
-from occmap.store.blocks import Block, BlockRecord, describe_block
-from occmap.store.layout import LAYERS, find_place, import_zarr
+from occmap.store.blocks import BLOCK, Block, BlockRecord, describe_block
 from occmap.store.reading import Store, open_store
-from occmap.store.sources import Blocks, Held
-from occmap.store.writing import create_store, finish_store, paint_block, write_block
+from occmap.store.sources import Blocks, as_blocks
+from occmap.store.writing import (
+    LAYERS,
+    create_store,
+    finish_store,
+    import_zarr,
+    paint_block,
+    write_block,
+)
 from occmap.writers.atomic import make_folder, refuse_unwritable
 
 
@@ -37,7 +43,7 @@ class ZarrWriter:
         OutputError
             It cannot be written; then nothing is left behind.
         """
-        return self.write_blocks(path, Held(evidence), evidence.manifest)
+        return self.write_blocks(path, as_blocks(evidence), evidence.manifest)
 
     def write_blocks(self, path: Path, source: Blocks, manifest: Manifest) -> tuple[Path, ...]:
         """Write evidence block by block; the manifest may name another model.
@@ -49,7 +55,8 @@ class ZarrWriter:
         OccmapError
             As `write_evidence`, or a block cannot be read.
         """
-        base = open_base(source.where)
+        known = Path(source.where)
+        base = open_store(known) if source.where and (known / "zarr.json").is_file() else None
         with make_folder(path) as folder:
             create_store(folder, manifest, source.blocks)
             records = [self._write_block(folder, base, block, source) for block in source.blocks]
@@ -70,12 +77,6 @@ class ZarrWriter:
         return write_block(folder, block, content)
 
 
-def open_base(where: str) -> Store | None:
-    """Open the store that evidence was read from; None where it was no store."""
-    path = Path(where)
-    return open_store(path) if where and (path / "zarr.json").is_file() else None
-
-
 def share_block(base: Store, path: Path, block: Block) -> bool:
     """Put a block of one store into a new one; False where that compresses in another way.
 
@@ -92,8 +93,8 @@ def share_block(base: Store, path: Path, block: Block) -> bool:
     with refuse_unwritable(path):
         for name in names:
             source, target = (
-                folder / name / locate_shard(base, block, start)
-                for folder, start in ((base.path, base.offset), (path, offset))
+                folder / name / f"c/{block.row - row // BLOCK}/{block.col - col // BLOCK}"
+                for folder, (row, col) in ((base.path, base.offset), (path, offset))
             )
             if source.exists():  # a shard of zeros is not kept
                 link(source, target)
@@ -101,18 +102,6 @@ def share_block(base: Store, path: Path, block: Block) -> bool:
         for file in list_files(slices):
             link(file, path / file.relative_to(base.path))
     return True
-
-
-def locate_shard(base: Store, block: Block, offset: tuple[int, int]) -> str:
-    """Name the file of a block in an array that begins at a row and column of the lattice."""
-    rows, cols = find_place(block, offset)
-    height, width = base.root[LAYERS[EvidenceKind(base.manifest.kind)][0]].shards
-    return f"c/{rows.start // height}/{cols.start // width}"
-
-
-def list_files(folder: Path) -> Iterator[Path]:
-    """All files in a folder."""
-    return (each for each in sorted(folder.rglob("*")) if each.is_file())
 
 
 def link(source: Path, target: Path) -> None:
