@@ -11,8 +11,8 @@ import numpy as np
 from occmap.cells import Slices
 from occmap.errors import MapError
 from occmap.grid.kernels.units import TILE
-from occmap.grid.lattice import MOST_CELLS_OF_BEAM, CellBox, Lattice
-from occmap.grid.projection import Projected, offset_hits, project
+from occmap.grid.lattice import MOST_CELLS_OF_BEAM, CellBox
+from occmap.grid.projection import Projected, prepare, project
 from occmap.grid.slices import mark_observed, unite
 from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
@@ -31,8 +31,6 @@ is left."""
 MARGIN = 4
 """The box around rays is larger than what they observe. A single scan is refused before it is
 traced only where its box is this many times too large; otherwise when its tiles are counted."""
-FARTHEST_UNIT = 1 << 52
-"""Beyond this a float cannot tell lattice units apart."""
 
 
 class GridEngine:
@@ -69,14 +67,10 @@ class GridEngine:
             A sensor is too far away or a beam too long for the resolution, or one scan has too
             many beams or makes too large a map.
         """
-        if not rays.kind.size:
-            return
-        refuse_far_sensors(rays, self.spec.lattice)
-        self._add_prepared(offset_hits(rays, self.spec))
+        if rays.kind.size:
+            self._add_prepared(prepare(rays, self.spec))
 
     def _add_prepared(self, rays: Rays) -> None:
-        refuse_long_beams(rays, self.spec.lattice.resolution)
-        refuse_many_beams(rays, self.spec)
         observations, most = count_observations(rays, self.spec)
         # Where sensors are so far apart, one anchor cannot serve the ends of all beams.
         apart = float(np.ptp(rays.origin, axis=(0, 1)).max()) / self.spec.lattice.resolution
@@ -84,6 +78,10 @@ class GridEngine:
         if (observations > most or too_wide) and len(rays.kind) > 1:
             self._add_halves(rays)
             return
+        if observations > most:
+            found = f"a scan of {rays.kind.shape[1]} beams is more than this model can count"
+            fix = "no laser has so many: see what is in the log with `occmap check`"
+            raise MapError(found, fix=fix)
         projected = project(rays, self.spec)
         window_type = choose_window(self.spec, projected)
         most_cells = window_type.most_cells_times * self._window_cells
@@ -209,21 +207,6 @@ class SlicedEngine(GridEngine):
         return tuple(self._slices)
 
 
-def refuse_many_beams(rays: Rays, spec: GridSpec) -> None:
-    """Refuse scans that could each make the numbers of a cell overflow.
-
-    Raises
-    ------
-    MapError
-        Saying how many beams a scan has.
-    """
-    observations, most = count_observations(rays.take(slice(1)), spec)
-    if observations > most:
-        found = f"a scan of {rays.kind.shape[1]} beams is more than this model can count"
-        fix = "no laser has so many: see what is in the log with `occmap check`"
-        raise MapError(found, fix=fix)
-
-
 def add_room(box: CellBox, most_cells: int) -> CellBox:
     """Grow a box by half its size on each side, as far as the number of cells allows."""
     limit = max(most_cells, box.cells)
@@ -241,35 +224,3 @@ def split_box(box: CellBox, most_cells: int) -> list[CellBox]:
         for row in range(box.row, box.row_end, side)
         for col in range(box.col, box.col_end, side)
     ]
-
-
-def refuse_far_sensors(rays: Rays, lattice: Lattice) -> None:
-    """Refuse places too far away to be counted in lattice units, or not finite.
-
-    Raises
-    ------
-    MapError
-        Saying how far away the farthest is.
-    """
-    farthest = float(np.abs(rays.origin).max(initial=0.0))
-    if not farthest * lattice.units_per_metre < FARTHEST_UNIT:
-        raise MapError(
-            f"a sensor {farthest:.6g} m from the map's zero is too far away for cells of "
-            f"{lattice.resolution} m",
-            fix="if a pose is wrong, leave it out with `start_s` and `end_s`; else use a coarser "
-            "`resolution`",
-        )
-
-
-def refuse_long_beams(rays: Rays, resolution: float) -> None:
-    """Refuse beams of more cells than a kernel's integers can hold.
-
-    Raises
-    ------
-    MapError
-        Saying how long the longest beam is.
-    """
-    longest = float(rays.distance.max(initial=0.0))
-    if longest / resolution > MOST_CELLS_OF_BEAM:
-        found = f"a beam of {longest:.6g} m is too long for cells of {resolution} m"
-        raise MapError(found, fix="limit ranges with `max_range`, or use a coarser `resolution`")

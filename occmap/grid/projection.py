@@ -4,11 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from occmap.errors import MapError
 from occmap.grid.kernels.projection import Beams, link_neighbours, project_ends
 from occmap.grid.kernels.units import CELL_SHIFT, NO_LENGTH
-from occmap.grid.lattice import CellBox
+from occmap.grid.lattice import MOST_CELLS_OF_BEAM, CellBox
 from occmap.grid.spec import GridSpec
 from occmap.types import Kind, Rays, Update
+
+FARTHEST_UNIT = 1 << 52
+"""Beyond this a float cannot tell lattice units apart."""
 
 
 @dataclass(frozen=True)
@@ -30,12 +34,33 @@ class Projected:
         return int(cells.mean() * beams.ends_x.size)
 
 
-def offset_hits(rays: Rays, spec: GridSpec) -> Rays:
-    """Move hits behind the measured surfaces; for a polygon, see each scan from one point."""
+def prepare(rays: Rays, spec: GridSpec) -> Rays:
+    """Move hits behind the measured surfaces; for a polygon, see each scan from one point.
+
+    Raises
+    ------
+    MapError
+        A sensor is too far away to be counted in lattice units, or not finite, or a beam has more
+        cells than a kernel's integers can hold.
+    """
+    resolution, farthest = spec.lattice.resolution, float(np.abs(rays.origin).max(initial=0.0))
+    if not farthest * spec.lattice.units_per_metre < FARTHEST_UNIT:
+        raise MapError(
+            f"a sensor {farthest:.6g} m from the map's zero is too far away for cells of "
+            f"{resolution} m",
+            fix="if a pose is wrong, leave it out with `start_s` and `end_s`; else use a coarser "
+            "`resolution`",
+        )
     if spec.hit_offset:
-        offset = np.float32(spec.hit_offset * spec.lattice.resolution)
+        offset = np.float32(spec.hit_offset * resolution)
         rays = rays._replace(distance=rays.distance + (rays.kind == Kind.HIT) * offset)
-    return join_viewpoints(rays) if spec.update is Update.POLYGON else rays
+    if spec.update is Update.POLYGON:
+        rays = join_viewpoints(rays)
+    longest = float(rays.distance.max(initial=0.0))
+    if longest / resolution > MOST_CELLS_OF_BEAM:
+        found = f"a beam of {longest:.6g} m is too long for cells of {resolution} m"
+        raise MapError(found, fix="limit ranges with `max_range`, or use a coarser `resolution`")
+    return rays
 
 
 def join_viewpoints(rays: Rays) -> Rays:
@@ -56,7 +81,7 @@ def join_viewpoints(rays: Rays) -> Rays:
 
 
 def project(rays: Rays, spec: GridSpec) -> Projected:
-    """Round rays, as `offset_hits` gives them, to the lattice, once."""
+    """Round rays, as `prepare` gives them, to the lattice, once."""
     shape = rays.kind.shape
     origins = spec.lattice.to_units(rays.origin)
     anchor = origins[0, 0] >> CELL_SHIFT << CELL_SHIFT
