@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from occmap.arrays import Int32, Int64
-from occmap.grid.kernels.beams import Profile, note_beams
+from occmap.grid.kernels.beams import note_beams
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.kernels.sums import Changes, Packing, read_tiles
@@ -42,9 +42,6 @@ class Window(ABC):
         self.spec, self.box = spec, box.align(TILE)
         self.touched: CellBox | None = None
         self.observations = 0
-        tables = spec.tables
-        depth = tables.depth * spec.lattice.units_per_metre
-        self.profile = Profile(depth, tables.free, tables.hit, tables.plain)
         self.allocate(*self.box.shape)
 
     @abstractmethod
@@ -99,7 +96,7 @@ class DenseWindow(Window):
     @property
     def packing(self) -> Packing:
         """How `cells` hold the numbers of a cell."""
-        return Packing(self.spec.tables.bits, ALL_BITS, int(self.profile.free[0]))
+        return Packing(self.spec.tables.bits, ALL_BITS, int(self.spec.tables.free[0]))
 
     def read(self) -> dict[Key, Tile]:
         if self.touched is None:
@@ -120,10 +117,10 @@ class BeamWindow(DenseWindow):
 
     def trace(self, projected: Projected, corner: Int64) -> None:
         if self.spec.radial is None:
-            hit = int(self.profile.hit[0])
+            hit = int(self.spec.tables.hit[0])
             note_beams(projected.beams, hit, corner, self.cells, self.changes)
         else:
-            trace_window(projected.beams, self.profile, corner, self.cells, self.changes)
+            trace_window(projected.beams, self.spec.tables, corner, self.cells, self.changes)
 
 
 class PolygonWindow(DenseWindow):
@@ -151,7 +148,7 @@ class RadialPolygonWindow(DenseWindow):
 
     def trace(self, projected: Projected, corner: Int64) -> None:
         runs = self.changes.row_runs
-        trace_radial_polygons(projected.beams, corner, self.profile, self.cells, runs)
+        trace_radial_polygons(projected.beams, corner, self.spec.tables, self.cells, runs)
 
 
 class SparseBeamWindow(Window):
@@ -171,7 +168,7 @@ class SparseBeamWindow(Window):
         self.tiles = Tiles(table, np.zeros(1, np.int64), numbers, layers)
 
     def trace(self, projected: Projected, corner: Int64) -> None:
-        trace_tiles(projected.beams, self.profile, corner, self.tiles)
+        trace_tiles(projected.beams, self.spec.tables, corner, self.tiles)
 
     def read(self) -> dict[Key, Tile]:
         table, used = self.tiles.table, int(self.tiles.used[0])
