@@ -10,9 +10,10 @@ import numpy as np
 
 from occmap.cells import Slices
 from occmap.errors import MapError
+from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.units import TILE
 from occmap.grid.lattice import MOST_CELLS_OF_BEAM, CellBox
-from occmap.grid.projection import Projected, prepare, project
+from occmap.grid.projection import prepare, project
 from occmap.grid.slices import mark_observed, unite
 from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
@@ -82,19 +83,19 @@ class GridEngine:
             found = f"a scan of {rays.kind.shape[1]} beams is more than this model can count"
             fix = "no laser has so many: see what is in the log with `occmap check`"
             raise MapError(found, fix=fix)
-        projected = project(rays, self.spec)
-        window_type = choose_window(self.spec, projected)
+        beams = project(rays, self.spec)
+        window_type = choose_window(self.spec, beams)
         most_cells = window_type.most_cells_times * self._window_cells
-        if projected.box.cells <= most_cells:
-            self._trace(projected, window_type)
-        elif projected.box.cells > MOST_PARTS * self._window_cells and len(rays.kind) > 1:
+        if beams.box.cells <= most_cells:
+            self._trace(beams, window_type)
+        elif beams.box.cells > MOST_PARTS * self._window_cells and len(rays.kind) > 1:
             self._add_halves(rays)
         else:
-            if len(rays.kind) == 1 and projected.box.cells > MARGIN * self._max_cells:
-                refuse_large(projected.box, self.spec.lattice, self._max_cells)
-            for part in split_box(projected.box.align(TILE), most_cells):
+            if len(rays.kind) == 1 and beams.box.cells > MARGIN * self._max_cells:
+                refuse_large(beams.box, self.spec.lattice, self._max_cells)
+            for part in split_box(beams.box.align(TILE), most_cells):
                 window = window_type(self.spec, part)
-                window.observe(projected)
+                window.observe(beams)
                 self._empty(window)
 
     def _add_halves(self, rays: Rays) -> None:
@@ -102,19 +103,17 @@ class GridEngine:
         self._add_prepared(rays.take(slice(None, middle)))
         self._add_prepared(rays.take(slice(middle, None)))
 
-    def _trace(self, projected: Projected, window_type: type[Window]) -> None:
+    def _trace(self, beams: Beams, window_type: type[Window]) -> None:
         """Trace in a window that nobody else is writing to, with room for the scans to come."""
         with self._lock:
             window = self._idle.pop() if self._idle else None
-        if window is not None and not (
-            isinstance(window, window_type) and window.has_room(projected)
-        ):
+        if window is not None and not (isinstance(window, window_type) and window.has_room(beams)):
             self._empty(window)
             window = None
         if window is None:
             most = window_type.most_cells_times * self._roomy_cells
-            window = window_type(self.spec, add_room(projected.box, most))
-        window.observe(projected)
+            window = window_type(self.spec, add_room(beams.box, most))
+        window.observe(beams)
         with self._lock:
             self._idle.append(window)
 

@@ -26,9 +26,9 @@ def look_at_cell(rays: Rays, spec: GridSpec, row: int, col: int) -> Int64:
         return seen
     rays = prepare(rays, spec)
     for scan in np.flatnonzero(find_near(rays, spec, box)):
-        projected = project(rays.take(slice(scan, scan + 1)), spec)
-        window = choose_window(spec, projected)(spec, box)
-        window.observe(projected)
+        beams = project(rays.take(slice(scan, scan + 1)), spec)
+        window = choose_window(spec, beams)(spec, box)
+        window.observe(beams)
         for tile in window.read().values():  # the window is a single tile
             seen[scan] = tile[:, row % TILE, col % TILE]
     return seen
@@ -43,5 +43,5 @@ def find_near(rays: Rays, spec: GridSpec, box: CellBox) -> Bool:
     resolution, start = spec.lattice.resolution, rays.origin[:, 0]
     away = np.hypot(*(start - (np.array([box.col, box.row]) + 0.5) * resolution).T)
     spread = np.hypot(*np.moveaxis(rays.origin - start[:, None], -1, 0)).max(axis=1)
-    reach = rays.distance.max(axis=1) + spread + (spec.radial.depth if spec.radial else 0.0)
+    reach = rays.distance.max(axis=1) + spread + spec.tables.depth
     return np.asarray(away <= reach + 2 * math.sqrt(2) * resolution)

@@ -1,7 +1,5 @@
 """Rays on the lattice: where they begin and end, and the box of cells that they may touch."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from occmap.errors import MapError
@@ -13,25 +11,6 @@ from occmap.types import Kind, Rays, Update
 
 FARTHEST_UNIT = 1 << 52
 """Beyond this a float cannot tell lattice units apart."""
-
-
-@dataclass(frozen=True)
-class Projected:
-    """Rays on the lattice."""
-
-    beams: Beams
-    box: CellBox
-    """Around all cells that the beams may touch"""
-
-    @property
-    def crossings(self) -> int:
-        """About how often beams cross a cell, from every eighth beam of every eighth scan."""
-        beams = self.beams
-        some = slice(None, None, 8), slice(None, None, 8)
-        across = np.abs(beams.ends_x[some] - beams.origins[*some, 0])
-        up = np.abs(beams.ends_y[some] - beams.origins[*some, 1])
-        cells = (np.maximum(across, up) >> CELL_SHIFT) * (beams.rays.kind[some] != Kind.SKIP)
-        return int(cells.mean() * beams.ends_x.size)
 
 
 def prepare(rays: Rays, spec: GridSpec) -> Rays:
@@ -80,7 +59,7 @@ def join_viewpoints(rays: Rays) -> Rays:
     return Rays.along(middle, direction, distance, rays.kind, rays.stamp_ns, full_circle=circle)
 
 
-def project(rays: Rays, spec: GridSpec) -> Projected:
+def project(rays: Rays, spec: GridSpec) -> Beams:
     """Round rays, as `prepare` gives them, to the lattice, once."""
     shape = rays.kind.shape
     origins = spec.lattice.to_units(rays.origin)
@@ -98,8 +77,9 @@ def project(rays: Rays, spec: GridSpec) -> Projected:
         ranges=np.empty(shape),
         weights=weights,
         between=between,
+        box=CellBox(0, 0, 0, 0),  # known once it is known where they end
     )
-    left, bottom, right, top = project_ends(beams, spec.radial.depth if spec.radial else 0.0)
+    left, bottom, right, top = project_ends(beams, spec.tables.depth)
     if spec.update is Update.SURFACE:
         link_neighbours(beams, spec.jump)
     lowest = np.minimum(beams.origins.min(axis=(0, 1)), (left, bottom))
@@ -107,7 +87,7 @@ def project(rays: Rays, spec: GridSpec) -> Projected:
     edges = np.stack([lowest, highest]) + anchor
     (col, row), (col_end, row_end) = (edges >> CELL_SHIFT).tolist()
     box = CellBox(row, col, row_end + 1, col_end + 1).grow(1 + _reach_beside(rays, spec))
-    return Projected(beams, box)
+    return beams._replace(box=box)
 
 
 def _reach_beside(rays: Rays, spec: GridSpec) -> int:

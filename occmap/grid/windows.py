@@ -11,15 +11,15 @@ import numpy as np
 from occmap.arrays import Int32, Int64
 from occmap.grid.kernels.beams import note_beams
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
+from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.kernels.sums import Changes, Packing, read_tiles
-from occmap.grid.kernels.units import PAD, TILE, UNITS_PER_CELL
+from occmap.grid.kernels.units import CELL_SHIFT, PAD, TILE, UNITS_PER_CELL
 from occmap.grid.kernels.visits import Tiles, trace_tiles, trace_window
 from occmap.grid.lattice import CellBox
-from occmap.grid.projection import Projected
 from occmap.grid.spec import GridSpec
-from occmap.grid.tiles import Key, Tile
-from occmap.types import Rays, Update
+from occmap.grid.tiles import Key, Tile, view_tiles
+from occmap.types import Kind, Rays, Update
 
 ALL_BITS = -1
 """The mask of numbers of which all bits are evidence."""
@@ -48,21 +48,21 @@ class Window(ABC):
     def allocate(self, rows: int, cols: int) -> None:
         """Make empty arrays."""
 
-    def has_room(self, projected: Projected) -> bool:
+    def has_room(self, beams: Beams) -> bool:
         """Whether rays lie wholly in the box and cannot make a number overflow."""
-        more, most = count_observations(projected.beams.rays, self.spec)
-        return self.box.contains(projected.box) and self.observations + more <= most
+        more, most = count_observations(beams.rays, self.spec)
+        return self.box.contains(beams.box) and self.observations + more <= most
 
-    def observe(self, projected: Projected) -> None:
+    def observe(self, beams: Beams) -> None:
         """Observe what lies in the box."""
-        corner = np.array([self.box.col, self.box.row]) * UNITS_PER_CELL - projected.beams.anchor
-        self.trace(projected, corner)
-        self.observations += count_observations(projected.beams.rays, self.spec)[0]
-        touched = self.box.clip(projected.box).align(TILE)
+        corner = np.array([self.box.col, self.box.row]) * UNITS_PER_CELL - beams.anchor
+        self.trace(beams, corner)
+        self.observations += count_observations(beams.rays, self.spec)[0]
+        touched = self.box.clip(beams.box).align(TILE)
         self.touched = touched if self.touched is None else self.touched.join(touched)
 
     @abstractmethod
-    def trace(self, projected: Projected, corner: Int64) -> None:
+    def trace(self, beams: Beams, corner: Int64) -> None:
         """Call the kernel; `corner` (2,) is x and y of the lower-left (units from the anchor)."""
 
     @abstractmethod
@@ -76,8 +76,7 @@ class Window(ABC):
 
     def name_tiles(self, places: Int64, tiles: Int32 | Int64) -> dict[Key, Tile]:
         """Tiles (N, 2, TILE, TILE) by the keys of their places (N, 2) in the window."""
-        keys = places + np.array(self.box.shrink(TILE)[:2])
-        return {(row, col): tile for (row, col), tile in zip(keys.tolist(), tiles, strict=True)}
+        return view_tiles(places + np.array(self.box.shrink(TILE)[:2]), tiles)
 
 
 class DenseWindow(Window):
@@ -115,12 +114,12 @@ class BeamWindow(DenseWindow):
 
     along_lines = True
 
-    def trace(self, projected: Projected, corner: Int64) -> None:
+    def trace(self, beams: Beams, corner: Int64) -> None:
         if self.spec.radial is None:
             hit = int(self.spec.tables.hit[0])
-            note_beams(projected.beams, hit, corner, self.cells, self.changes)
+            note_beams(beams, hit, corner, self.cells, self.changes)
         else:
-            trace_window(projected.beams, self.spec.tables, corner, self.cells, self.changes)
+            trace_window(beams, self.spec.tables, corner, self.cells, self.changes)
 
 
 class PolygonWindow(DenseWindow):
@@ -130,13 +129,13 @@ class PolygonWindow(DenseWindow):
     def packing(self) -> Packing:
         return Packing(BORDER_BITS, COUNTED, 1)
 
-    def trace(self, projected: Projected, corner: Int64) -> None:
+    def trace(self, beams: Beams, corner: Int64) -> None:
         trace_polygons(
-            projected.beams,
+            beams,
             self.spec.jump,
             self.spec.border_gap,
             corner,
-            not self.box.contains(projected.box),
+            not self.box.contains(beams.box),
             self.cells,
             self.changes.row_runs,
             self.observations,
@@ -146,9 +145,9 @@ class PolygonWindow(DenseWindow):
 class RadialPolygonWindow(DenseWindow):
     """A radial model, once for each cell of a scan."""
 
-    def trace(self, projected: Projected, corner: Int64) -> None:
+    def trace(self, beams: Beams, corner: Int64) -> None:
         runs = self.changes.row_runs
-        trace_radial_polygons(projected.beams, corner, self.spec.tables, self.cells, runs)
+        trace_radial_polygons(beams, corner, self.spec.tables, self.cells, runs)
 
 
 class SparseBeamWindow(Window):
@@ -167,8 +166,8 @@ class SparseBeamWindow(Window):
         table = np.full((rows // TILE, cols // TILE), -1, np.int32)
         self.tiles = Tiles(table, np.zeros(1, np.int64), numbers, layers)
 
-    def trace(self, projected: Projected, corner: Int64) -> None:
-        trace_tiles(projected.beams, self.spec.tables, corner, self.tiles)
+    def trace(self, beams: Beams, corner: Int64) -> None:
+        trace_tiles(beams, self.spec.tables, corner, self.tiles)
 
     def read(self) -> dict[Key, Tile]:
         table, used = self.tiles.table, int(self.tiles.used[0])
@@ -185,14 +184,19 @@ class SparseBeamWindow(Window):
 
 
 CROSSED_OFTEN = 6
-"""From so many beams a cell on, changes in a dense window cost less than visits of cells."""
+"""From so many beams a cell on, changes in a dense window cost less than visits of cells. About how
+many there are is seen from every eighth beam of every eighth scan."""
 
 
-def choose_window(spec: GridSpec, projected: Projected) -> type[Window]:
+def choose_window(spec: GridSpec, beams: Beams) -> type[Window]:
     """The kind of window that an update and a model need, and these rays."""
     if spec.update is Update.POLYGON and spec.radial is None:
         return PolygonWindow
-    if spec.update is Update.POLYGON and projected.beams.rays.kind.shape[1] > 1:
+    if spec.update is Update.POLYGON and beams.rays.kind.shape[1] > 1:
         return RadialPolygonWindow  # a single beam has no neighbour to say how wide it is: a line
-    often = projected.crossings >= CROSSED_OFTEN * projected.box.cells
+    some = slice(None, None, 8), slice(None, None, 8)
+    across = np.abs(beams.ends_x[some] - beams.origins[*some, 0])
+    up = np.abs(beams.ends_y[some] - beams.origins[*some, 1])
+    cells = (np.maximum(across, up) >> CELL_SHIFT) * (beams.rays.kind[some] != Kind.SKIP)
+    often = cells.mean() * beams.ends_x.size >= CROSSED_OFTEN * beams.box.cells
     return BeamWindow if often else SparseBeamWindow

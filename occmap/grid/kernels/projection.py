@@ -15,6 +15,7 @@ import numpy as np
 
 from occmap.arrays import Float64, Int32, Int64, UInt8
 from occmap.grid.kernels.units import ALONE, CELL_SHIFT, FREE, HIT, MOST_BETWEEN, NO_LENGTH
+from occmap.grid.lattice import CellBox
 from occmap.jit import kernel
 from occmap.types import Rays
 
@@ -45,6 +46,8 @@ class Beams(NamedTuple):
     """(S, B) what each beam counts"""
     between: UInt8
     """(S, B) how many beams are drawn between each and the next"""
+    box: CellBox
+    """Around all cells that the beams may touch"""
 
 
 @kernel
