@@ -26,6 +26,8 @@ ROOMY_CELLS_OF_SLICE = 1 << 18
 """Windows have hardly more room than a slice takes, since each is made and read for one slice."""
 MOST_OPEN = 2
 """Slices that wait for more of their scans: batches of several threads share slices."""
+TILE_BYTES = 2 * TILE * TILE * 4
+"""What most tiles take in memory; some are 64 bits wide."""
 MOST_PARTS = 64
 """A batch that needs more windows than this lies far apart: it is halved until it fits or one scan
 is left."""
@@ -120,13 +122,13 @@ class GridEngine:
     def _empty(self, window: Window) -> None:
         tiles = window.read()
         with self._lock:
-            self.grid.add(tiles, window.bound)
+            self.grid.add(tiles, window.observations * self.spec.tables.largest)
             self.grid.refuse_outgrown(self._max_cells)
 
     @property
     def bytes_held(self) -> int:
-        """What is held in memory, without scans that windows or open slices still hold."""
-        return self.grid.nbytes
+        """About what is held in memory, without scans that windows or open slices still hold."""
+        return len(self.grid.tiles) * TILE_BYTES
 
     def finish(self) -> TileGrid:
         """Empty all windows and give the evidence; more may be added later."""

@@ -96,11 +96,6 @@ class TileGrid:
         made.tiles.update(tiles)
         return made
 
-    @property
-    def nbytes(self) -> int:
-        """What the tiles take in memory, where none is 64 bits wide."""
-        return len(self.tiles) * 2 * TILE * TILE * 4
-
     def refuse_outgrown(self, max_cells: int) -> None:
         """Refuse evidence that makes too large a map already, before more is added to it.
 

@@ -13,7 +13,7 @@ from occmap.grid.kernels.beams import note_beams
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
 from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
-from occmap.grid.kernels.sums import Changes, Packing, read_tiles
+from occmap.grid.kernels.sums import Changes, read_tiles
 from occmap.grid.kernels.units import CELL_SHIFT, PAD, TILE, UNITS_PER_CELL
 from occmap.grid.kernels.visits import Tiles, trace_tiles, trace_window
 from occmap.grid.lattice import CellBox
@@ -21,15 +21,12 @@ from occmap.grid.spec import GridSpec
 from occmap.grid.tiles import Key, Tile, view_tiles
 from occmap.types import Kind, Rays, Update
 
-ALL_BITS = -1
-"""The mask of numbers of which all bits are evidence."""
-
 
 def count_observations(rays: Rays, spec: GridSpec) -> tuple[int, int]:
     """How much rays may add to the observations of one cell, and how many it has room for."""
     if spec.update is Update.POLYGON and spec.radial is None:
         return len(rays.kind), MOST_SCANS
-    return rays.kind.size * spec.unit, spec.tables.most_observations
+    return rays.kind.size * spec.unit, (1 << spec.tables.bits) - 1
 
 
 class Window(ABC):
@@ -69,11 +66,6 @@ class Window(ABC):
     def read(self) -> dict[Key, Tile]:
         """The tiles in which something was observed; the window is of no use afterwards."""
 
-    @property
-    def bound(self) -> int:
-        """No value of `read` is larger, either way."""
-        return self.observations * self.spec.tables.largest
-
     def name_tiles(self, places: Int64, tiles: Int32 | Int64) -> dict[Key, Tile]:
         """Tiles (N, 2, TILE, TILE) by the keys of their places (N, 2) in the window."""
         return view_tiles(places + np.array(self.box.shrink(TILE)[:2]), tiles)
@@ -93,9 +85,10 @@ class DenseWindow(Window):
         self.changes = Changes(np.zeros(rows * across, np.int32), *more)
 
     @property
-    def packing(self) -> Packing:
-        """How `cells` hold the numbers of a cell."""
-        return Packing(self.spec.tables.bits, ALL_BITS, int(self.spec.tables.free[0]))
+    def packing(self) -> tuple[int, int, int]:
+        """How `cells` hold the numbers of a cell, as `read_tiles` takes it."""
+        all_bits = -1
+        return self.spec.tables.bits, all_bits, int(self.spec.tables.free[0])
 
     def read(self) -> dict[Key, Tile]:
         if self.touched is None:
@@ -126,8 +119,8 @@ class PolygonWindow(DenseWindow):
     """Hits and misses, scan by scan."""
 
     @property
-    def packing(self) -> Packing:
-        return Packing(BORDER_BITS, COUNTED, 1)
+    def packing(self) -> tuple[int, int, int]:
+        return BORDER_BITS, COUNTED, 1
 
     def trace(self, beams: Beams, corner: Int64) -> None:
         trace_polygons(

@@ -195,10 +195,6 @@ def _note_spans(touched: tuple[int, int], spans: Spans, stride: int, runs: Int32
     starts, counts, limits = spans.starts, spans.counts, spans.limits
     for row in range(touched[0], touched[1]):
         begin, size, place = starts[np.uint64(row)], counts[np.uint64(row)], row * stride
-        if size == 2:  # nearly always
-            runs[np.uint64(place + limits[np.uint64(begin)])] += 1
-            runs[np.uint64(place + limits[np.uint64(begin + 1)])] -= 1
-            continue
         for i in range(begin, begin + size, 2):
             runs[np.uint64(place + limits[np.uint64(i)])] += 1
             runs[np.uint64(place + limits[np.uint64(i + 1)])] -= 1

@@ -37,10 +37,8 @@ MANY = 4096
 class View(NamedTuple):
     """One scan: which of its beams covers which bearing, and what that says about a cell."""
 
-    at_x: int
-    """Of the sensor, from the window's corner (lattice units)"""
-    at_y: int
-    """Likewise"""
+    at: tuple[int, int]
+    """x and y of the sensor, from the window's corner (lattice units)"""
     covering: Int32
     """(BEARINGS + 1,) the beam that covers each step of a turn"""
     limits: Float64
@@ -112,7 +110,7 @@ def trace_radial_polygons(
             stay_inside(within, sign, sectors)
             corners = outline_sectors(at_x, at_y, sectors, outline)
             inner = fill_outline(outline, corners, touched, cols, inner)
-        view = View(at_x, at_y, covering, limits, depth, entries)
+        view = View((at_x, at_y), covering, limits, depth, entries)
         _observe_spans(view, touched, outer, inner, listed, cells, runs)
 
 
@@ -157,7 +155,7 @@ def _observe_spans(
 @kernel
 def _observe_cells(view: View, listed: Listed, size: int, cells: Int64) -> None:
     """Add to each of the listed cells what the beam that covers its bearing says about it."""
-    at_x, at_y, covering, entries = view.at_x, view.at_y, view.covering, view.entries
+    (at_x, at_y), covering, entries = view.at, view.covering, view.entries
     rows, cols, places, limits = listed.rows, listed.cols, listed.places, listed.limits
     stride, flat = cells.shape[1], cells.reshape(-1)
     steps = float(entries.size // 2 - 1)

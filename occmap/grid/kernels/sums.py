@@ -25,22 +25,11 @@ class Changes(NamedTuple):
     """(W + 1) x (H + PAD)"""
 
 
-class Packing(NamedTuple):
-    """How an integer of a cell holds both of its numbers."""
-
-    bits: int
-    """The second number is in the lowest bits, and the first above them"""
-    kept: int
-    """Mask of the bits that are evidence; the others are a kernel's own notes"""
-    plain: int
-    """What a plain cell gets each time"""
-
-
 @kernel
 def read_tiles(
     cells: Int64,
     changes: Changes,
-    packing: Packing,
+    packing: tuple[int, int, int],
     touched: tuple[int, int, int, int],
     keys: Int64,
     tiles: Int32 | Int64,
@@ -51,12 +40,16 @@ def read_tiles(
     ----------
     cells
         (H, W + PAD) of whole tiles: packed sums of what visited cells got.
+    packing
+        How a cell's integer holds both of its numbers: how many of the lowest bits hold the second,
+        with the first above them; the mask of bits that are evidence and no notes of a kernel; and
+        what a plain cell gets each time.
     touched
         First row and column of tiles, and those after the last: nothing was written elsewhere.
     keys, tiles
         (N, 2) row and column of each tile in the window, and (N, 2, TILE, TILE), written here.
     """
-    bits, kept, low = packing.bits, packing.kept, (1 << packing.bits) - 1
+    (bits, kept, entry), low = packing, (1 << packing[0]) - 1
     across, up = cells.shape[1], cells.shape[0] + PAD
     row_counts, col_counts = np.zeros(TILE, np.int32), np.zeros(across, np.int32)
     plain, upright = np.empty((TILE, TILE), np.int32), np.empty((TILE, TILE), np.int32)
@@ -77,7 +70,7 @@ def read_tiles(
                 # Slices: numba cannot know that `col + c` is never negative.
                 visited, first, second = cells[row + r, col : col + TILE], tile[0, r], tile[1, r]
                 for c in range(TILE):
-                    packed = (visited[c] & kept) + plain[r, c] * packing.plain
+                    packed = (visited[c] & kept) + plain[r, c] * entry
                     first[c] = packed >> bits
                     second[c] = packed & low
                     seen |= packed

@@ -58,8 +58,4 @@ class Tables(NamedTuple):
     largest: int
     """The largest number, either way, that an entry adds"""
     bits: int
-
-    @property
-    def most_observations(self) -> int:
-        """How many observations a cell has room for."""
-        return (1 << self.bits) - 1
+    """A cell has room for fewer than 2^bits observations"""
