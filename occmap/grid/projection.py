@@ -74,7 +74,7 @@ def project(rays: Rays, spec: GridSpec) -> Beams:
         origins - anchor,
         ends_x=np.empty(shape, np.int32),
         ends_y=np.empty(shape, np.int32),
-        ranges=np.empty(shape),
+        ranges=np.empty(shape if spec.radial else (0, 0)),
         weights=weights,
         between=between,
         box=CellBox(0, 0, 0, 0),  # known once it is known where they end

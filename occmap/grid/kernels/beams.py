@@ -23,7 +23,6 @@ from occmap.grid.kernels.units import (
     CELL_SHIFT,
     HIT,
     MOST_BETWEEN,
-    NO_LENGTH,
     PAD,
     SKIP,
     UNITS_PER_CELL,
@@ -175,9 +174,7 @@ def list_lines(
             plain = line.n + (kinds[s, b] != HIT)
             if radial:
                 reach = tables.plain * max(r - depth, 0.0) - begun
-                nearer = reach / UNITS_PER_CELL - FARTHEST_CENTRE  # the last cell never is
-                length = max(np.sqrt(float(line.n * line.n + line.m * line.m)), NO_LENGTH)
-                plain = min(max(int(nearer * line.n / length), 0), line.n)
+                plain = count_nearer(line.n, line.m, reach / UNITS_PER_CELL - FARTHEST_CENTRE)
             if first < end:
                 at = np.uint64(size)
                 lines.cells[at, 0], lines.cells[at, 1] = col, row
@@ -195,6 +192,12 @@ def list_lines(
                     span = np.hypot(float(to_x - at_x), float(to_y - at_y))
                     r, begun = max(span - depth, 0.0), BEGIN_EIGHTHS / 8 * span
     return size
+
+
+@step
+def count_nearer(n: int, m: int, reach: float) -> int:
+    """How many of a line's first cells are nearer than `reach` (cells); the last never is."""
+    return min(max(int(reach * n / np.sqrt(float(n * n + m * m))), 0), n) if n else 0
 
 
 @kernel

@@ -52,19 +52,19 @@ def read_tiles(
     (bits, kept, entry), low = packing, (1 << packing[0]) - 1
     across, up = cells.shape[1], cells.shape[0] + PAD
     row_counts, col_counts = np.zeros(TILE, np.int32), np.zeros(across, np.int32)
-    plain, upright = np.empty((TILE, TILE), np.int32), np.empty((TILE, TILE), np.int32)
+    plain = np.empty((TILE, TILE), np.int32)
     size = 0
     for tile_row in range(touched[0], touched[2]):
         row_counts[:] = 0
         for tile_col in range(touched[1], touched[3]):
             row, col, tile = tile_row * TILE, tile_col * TILE, tiles[size]
+            plain[:] = 0
             sum_changes(
                 changes.row_runs, changes.row_steps, row * across + col, across, row_counts, plain
             )
             if changes.col_runs.size:
                 below = col_counts[col : col + TILE]
-                sum_changes(changes.col_runs, changes.col_steps, col * up + row, up, below, upright)
-                plain += upright.T
+                sum_changes(changes.col_runs, changes.col_steps, col * up + row, up, below, plain.T)
             seen = 0
             for r in range(TILE):
                 # Slices: numba cannot know that `col + c` is never negative.
@@ -84,7 +84,7 @@ def read_tiles(
 def sum_changes(
     runs: Int32, steps: Int32, place: int, stride: int, counts: Int32, plain: Int32
 ) -> None:
-    """Write how often each cell of a tile was plain, by the changes along rows, or along columns.
+    """Add how often each cell of a tile was plain, by the changes along rows, or along columns.
 
     The tile begins at `place`, and its next row `stride` further on; `counts` (TILE,) go on from
     the tile before it.
@@ -99,5 +99,5 @@ def sum_changes(
         count = counts[r]
         for c in range(TILE):
             count += line[c]
-            plain[r, c] = count
+            plain[r, c] += count
         counts[r] = count
