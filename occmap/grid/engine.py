@@ -26,8 +26,6 @@ ROOMY_CELLS_OF_SLICE = 1 << 18
 """Windows have hardly more room than a slice takes, since each is made and read for one slice."""
 MOST_OPEN = 2
 """Slices that wait for more of their scans: batches of several threads share slices."""
-TILE_BYTES = 2 * TILE * TILE * 4
-"""What most tiles take in memory; some are 64 bits wide."""
 MOST_PARTS = 64
 """A batch that needs more windows than this lies far apart: it is halved until it fits or one scan
 is left."""
@@ -128,7 +126,7 @@ class GridEngine:
     @property
     def bytes_held(self) -> int:
         """About what is held in memory, without scans that windows or open slices still hold."""
-        return len(self.grid.tiles) * TILE_BYTES
+        return len(self.grid.tiles) * 2 * TILE * TILE * 4  # nearly all are 32 bits wide
 
     def finish(self) -> TileGrid:
         """Empty all windows and give the evidence; more may be added later."""

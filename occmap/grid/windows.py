@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from occmap.arrays import Int32, Int64
+from occmap.arrays import Int64
 from occmap.grid.kernels.beams import note_beams
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
 from occmap.grid.kernels.projection import Beams
@@ -66,10 +66,6 @@ class Window(ABC):
     def read(self) -> dict[Key, Tile]:
         """The tiles in which something was observed; the window is of no use afterwards."""
 
-    def name_tiles(self, places: Int64, tiles: Int32 | Int64) -> dict[Key, Tile]:
-        """Tiles (N, 2, TILE, TILE) by the keys of their places (N, 2) in the window."""
-        return view_tiles(places + np.array(self.box.shrink(TILE)[:2]), tiles)
-
 
 class DenseWindow(Window):
     """A window that has a place for each cell, and one for what changes from cell to cell."""
@@ -87,19 +83,17 @@ class DenseWindow(Window):
     @property
     def packing(self) -> tuple[int, int, int]:
         """How `cells` hold the numbers of a cell, as `read_tiles` takes it."""
-        all_bits = -1
-        return self.spec.tables.bits, all_bits, int(self.spec.tables.free[0])
+        every_bit = -1
+        return self.spec.tables.bits, every_bit, int(self.spec.tables.free[0])
 
     def read(self) -> dict[Key, Tile]:
-        if self.touched is None:
-            return {}
-        inside = self.touched.move(-self.box.row, -self.box.col).shrink(TILE)
+        inside = (self.touched or self.box).move(-self.box.row, -self.box.col).shrink(TILE)
         places = np.empty((inside.cells, 2), np.int64)
         numbers = np.int32 if self.spec.radial is None else np.int64
         # The last tile is read into and not kept.
         tiles = np.empty((inside.cells + 1, 2, TILE, TILE), numbers)
         found = read_tiles(self.cells, self.changes, self.packing, inside, places, tiles)
-        return self.name_tiles(places[:found], tiles[:found])
+        return view_tiles(places[:found] + self.box.shrink(TILE)[:2], tiles[:found])
 
 
 class BeamWindow(DenseWindow):
@@ -109,8 +103,7 @@ class BeamWindow(DenseWindow):
 
     def trace(self, beams: Beams, corner: Int64) -> None:
         if self.spec.radial is None:
-            hit = int(self.spec.tables.hit[0])
-            note_beams(beams, hit, corner, self.cells, self.changes)
+            note_beams(beams, int(self.spec.tables.hit[0]), corner, self.cells, self.changes)
         else:
             trace_window(beams, self.spec.tables, corner, self.cells, self.changes)
 
@@ -173,7 +166,7 @@ class SparseBeamWindow(Window):
             places, tiles = places[seen], np.repeat(tiles[seen], 2, axis=1)
             tiles[:, 0] >>= bits
             tiles[:, 1] &= (1 << bits) - 1
-        return self.name_tiles(places, tiles)
+        return view_tiles(places + self.box.shrink(TILE)[:2], tiles)
 
 
 CROSSED_OFTEN = 6

@@ -52,16 +52,14 @@ def read_tiles(
     (bits, kept, entry), low = packing, (1 << packing[0]) - 1
     across, up = cells.shape[1], cells.shape[0] + PAD
     row_counts, col_counts = np.zeros(TILE, np.int32), np.zeros(across, np.int32)
-    plain = np.empty((TILE, TILE), np.int32)
+    plain, runs, steps = np.empty((TILE, TILE), np.int32), changes.row_runs, changes.row_steps
     size = 0
     for tile_row in range(touched[0], touched[2]):
         row_counts[:] = 0
         for tile_col in range(touched[1], touched[3]):
             row, col, tile = tile_row * TILE, tile_col * TILE, tiles[size]
             plain[:] = 0
-            sum_changes(
-                changes.row_runs, changes.row_steps, row * across + col, across, row_counts, plain
-            )
+            sum_changes(runs, steps, row * across + col, across, row_counts, plain)
             if changes.col_runs.size:
                 below = col_counts[col : col + TILE]
                 sum_changes(changes.col_runs, changes.col_steps, col * up + row, up, below, plain.T)
