@@ -12,7 +12,7 @@ from occmap.cells import Evidence, Manifest, OccupancyMap, to_log_odds
 from occmap.errors import MapError, OccmapError
 from occmap.evidence.manifest import describe_profile
 from occmap.grid.lattice import CellBox, Lattice
-from occmap.grid.rendering import SpreadHits, TileSource, count_agreeing, find_bounds, paint
+from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
 from occmap.grid.spec import find_unit
 from occmap.grid.tiles import (
     LOG_ODDS_UNIT,
@@ -57,7 +57,7 @@ def paint_box(grid: TileGrid, model: SensorModel, box: CellBox) -> OccupancyMap:
     return OccupancyMap(*painted, grid.lattice.resolution, (x, y), find_decision(model))
 
 
-def choose_tiles(grid: TileGrid, model: SensorModel) -> TileSource:
+def choose_tiles(grid: TileGrid, model: SensorModel) -> TileGrid:
     """Choose what a model reads: the grid as it is, or with its hits spread."""
     if isinstance(model, Spreading) and model.spread > 0:
         return SpreadHits(grid, model.spread)

@@ -53,18 +53,19 @@ def find_sightings(
     sightings, used
         In the order of the logs; and how many scans of these logs the builds used.
     """
-    from occmap.grid.probe import CellProbe  # noqa: PLC0415  late: it brings numba
+    from occmap.grid.probe import look_at_cell  # noqa: PLC0415  late: it brings numba
 
     opened = [(use, open_log(use.log, use.options.reading)) for use in uses]
     total = sum(count_scans(log, use.options.selection.topics) for use, log in opened)
     sightings: list[Sighting] = []
     used = 0
     for use, log in opened:
-        probe = CellProbe(plan_grid(use.options), history.cell.row, history.cell.column)
+        spec, cell = plan_grid(use.options), (history.cell.row, history.cell.column)
         for posed, read in pose_scans(log, use.options):
             if posed is not None:
                 rays, _ = interpret(posed, use.options.returns)
-                sightings += list_sightings(use, posed, probe.look(rays), history)
+                numbers = look_at_cell(rays, spec, *cell)
+                sightings += list_sightings(use, posed, numbers, history)
                 used += len(posed.batch.stamp_ns)
             progress(read, total)
     return sightings, used

@@ -10,9 +10,10 @@ import numpy as np
 
 from occmap.cells import Slices
 from occmap.errors import MapError
+from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.units import TILE
-from occmap.grid.lattice import MOST_CELLS_OF_BEAM, CellBox, Lattice
-from occmap.grid.projection import Projected, offset_hits, project
+from occmap.grid.lattice import MOST_CELLS_OF_BEAM, CellBox
+from occmap.grid.projection import prepare, project
 from occmap.grid.slices import mark_observed, unite
 from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
@@ -31,8 +32,6 @@ is left."""
 MARGIN = 4
 """The box around rays is larger than what they observe. A single scan is refused before it is
 traced only where its box is this many times too large; otherwise when its tiles are counted."""
-FARTHEST_UNIT = 1 << 52
-"""Beyond this a float cannot tell lattice units apart."""
 
 
 class GridEngine:
@@ -69,14 +68,10 @@ class GridEngine:
             A sensor is too far away or a beam too long for the resolution, or one scan has too
             many beams or makes too large a map.
         """
-        if not rays.kind.size:
-            return
-        refuse_far_sensors(rays, self.spec.lattice)
-        self._add_prepared(offset_hits(rays, self.spec))
+        if rays.kind.size:
+            self._add_prepared(prepare(rays, self.spec))
 
     def _add_prepared(self, rays: Rays) -> None:
-        refuse_long_beams(rays, self.spec.lattice.resolution)
-        refuse_many_beams(rays, self.spec)
         observations, most = count_observations(rays, self.spec)
         # Where sensors are so far apart, one anchor cannot serve the ends of all beams.
         apart = float(np.ptp(rays.origin, axis=(0, 1)).max()) / self.spec.lattice.resolution
@@ -84,19 +79,23 @@ class GridEngine:
         if (observations > most or too_wide) and len(rays.kind) > 1:
             self._add_halves(rays)
             return
-        projected = project(rays, self.spec)
-        window_type = choose_window(self.spec, projected)
+        if observations > most:
+            found = f"a scan of {rays.kind.shape[1]} beams is more than this model can count"
+            fix = "no laser has so many: see what is in the log with `occmap check`"
+            raise MapError(found, fix=fix)
+        beams = project(rays, self.spec)
+        window_type = choose_window(self.spec, beams)
         most_cells = window_type.most_cells_times * self._window_cells
-        if projected.box.cells <= most_cells:
-            self._trace(projected, window_type)
-        elif projected.box.cells > MOST_PARTS * self._window_cells and len(rays.kind) > 1:
+        if beams.box.cells <= most_cells:
+            self._trace(beams, window_type)
+        elif beams.box.cells > MOST_PARTS * self._window_cells and len(rays.kind) > 1:
             self._add_halves(rays)
         else:
-            if len(rays.kind) == 1 and projected.box.cells > MARGIN * self._max_cells:
-                refuse_large(projected.box, self.spec.lattice, self._max_cells)
-            for part in split_box(projected.box.align(TILE), most_cells):
+            if len(rays.kind) == 1 and beams.box.cells > MARGIN * self._max_cells:
+                refuse_large(beams.box, self.spec.lattice, self._max_cells)
+            for part in split_box(beams.box.align(TILE), most_cells):
                 window = window_type(self.spec, part)
-                window.observe(projected)
+                window.observe(beams)
                 self._empty(window)
 
     def _add_halves(self, rays: Rays) -> None:
@@ -104,32 +103,30 @@ class GridEngine:
         self._add_prepared(rays.take(slice(None, middle)))
         self._add_prepared(rays.take(slice(middle, None)))
 
-    def _trace(self, projected: Projected, window_type: type[Window]) -> None:
+    def _trace(self, beams: Beams, window_type: type[Window]) -> None:
         """Trace in a window that nobody else is writing to, with room for the scans to come."""
         with self._lock:
             window = self._idle.pop() if self._idle else None
-        if window is not None and not (
-            isinstance(window, window_type) and window.has_room(projected)
-        ):
+        if window is not None and not (isinstance(window, window_type) and window.has_room(beams)):
             self._empty(window)
             window = None
         if window is None:
             most = window_type.most_cells_times * self._roomy_cells
-            window = window_type(self.spec, add_room(projected.box, most))
-        window.observe(projected)
+            window = window_type(self.spec, add_room(beams.box, most))
+        window.observe(beams)
         with self._lock:
             self._idle.append(window)
 
     def _empty(self, window: Window) -> None:
         tiles = window.read()
         with self._lock:
-            self.grid.add(tiles, window.bound)
+            self.grid.add(tiles, window.observations * self.spec.tables.largest)
             self.grid.refuse_outgrown(self._max_cells)
 
     @property
     def bytes_held(self) -> int:
-        """What is held in memory, without scans that windows or open slices still hold."""
-        return self.grid.nbytes
+        """About what is held in memory, without scans that windows or open slices still hold."""
+        return len(self.grid.tiles) * 2 * TILE * TILE * 4  # nearly all are 32 bits wide
 
     def finish(self) -> TileGrid:
         """Empty all windows and give the evidence; more may be added later."""
@@ -209,21 +206,6 @@ class SlicedEngine(GridEngine):
         return tuple(self._slices)
 
 
-def refuse_many_beams(rays: Rays, spec: GridSpec) -> None:
-    """Refuse scans that could each make the numbers of a cell overflow.
-
-    Raises
-    ------
-    MapError
-        Saying how many beams a scan has.
-    """
-    observations, most = count_observations(rays.take(slice(1)), spec)
-    if observations > most:
-        found = f"a scan of {rays.kind.shape[1]} beams is more than this model can count"
-        fix = "no laser has so many: see what is in the log with `occmap check`"
-        raise MapError(found, fix=fix)
-
-
 def add_room(box: CellBox, most_cells: int) -> CellBox:
     """Grow a box by half its size on each side, as far as the number of cells allows."""
     limit = max(most_cells, box.cells)
@@ -241,35 +223,3 @@ def split_box(box: CellBox, most_cells: int) -> list[CellBox]:
         for row in range(box.row, box.row_end, side)
         for col in range(box.col, box.col_end, side)
     ]
-
-
-def refuse_far_sensors(rays: Rays, lattice: Lattice) -> None:
-    """Refuse places too far away to be counted in lattice units, or not finite.
-
-    Raises
-    ------
-    MapError
-        Saying how far away the farthest is.
-    """
-    farthest = float(np.abs(rays.origin).max(initial=0.0))
-    if not farthest * lattice.units_per_metre < FARTHEST_UNIT:
-        raise MapError(
-            f"a sensor {farthest:.6g} m from the map's zero is too far away for cells of "
-            f"{lattice.resolution} m",
-            fix="if a pose is wrong, leave it out with `start_s` and `end_s`; else use a coarser "
-            "`resolution`",
-        )
-
-
-def refuse_long_beams(rays: Rays, resolution: float) -> None:
-    """Refuse beams of more cells than a kernel's integers can hold.
-
-    Raises
-    ------
-    MapError
-        Saying how long the longest beam is.
-    """
-    longest = float(rays.distance.max(initial=0.0))
-    if longest / resolution > MOST_CELLS_OF_BEAM:
-        found = f"a beam of {longest:.6g} m is too long for cells of {resolution} m"
-        raise MapError(found, fix="limit ranges with `max_range`, or use a coarser `resolution`")

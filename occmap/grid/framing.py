@@ -84,8 +84,7 @@ def choose_box(whole: CellBox, framing: Framing, lattice: Lattice) -> CellBox:
     """
     size = lattice.resolution
     if framing.extent is None:
-        more = math.ceil(framing.margin / size - CELL_SLACK)
-        return whole.grow(more)
+        return whole.grow(math.ceil(framing.margin / size - CELL_SLACK))
     x_min, y_min, x_max, y_max = (edge / size for edge in framing.extent)
     row, col = math.floor(y_min + CELL_SLACK), math.floor(x_min + CELL_SLACK)
     row_end, col_end = math.ceil(y_max - CELL_SLACK), math.ceil(x_max - CELL_SLACK)

@@ -1,41 +1,45 @@
 """Rays on the lattice: where they begin and end, and the box of cells that they may touch."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from occmap.errors import MapError
 from occmap.grid.kernels.projection import Beams, link_neighbours, project_ends
 from occmap.grid.kernels.units import CELL_SHIFT, NO_LENGTH
-from occmap.grid.lattice import CellBox
+from occmap.grid.lattice import MOST_CELLS_OF_BEAM, CellBox
 from occmap.grid.spec import GridSpec
 from occmap.types import Kind, Rays, Update
 
-
-@dataclass(frozen=True)
-class Projected:
-    """Rays on the lattice."""
-
-    beams: Beams
-    box: CellBox
-    """Around all cells that the beams may touch"""
-
-    @property
-    def crossings(self) -> int:
-        """About how often beams cross a cell, from every eighth beam of every eighth scan."""
-        beams = self.beams
-        some = slice(None, None, 8), slice(None, None, 8)
-        across = np.abs(beams.ends_x[some] - beams.origins[*some, 0])
-        up = np.abs(beams.ends_y[some] - beams.origins[*some, 1])
-        cells = (np.maximum(across, up) >> CELL_SHIFT) * (beams.rays.kind[some] != Kind.SKIP)
-        return int(cells.mean() * beams.ends_x.size)
+FARTHEST_UNIT = 1 << 52
+"""Beyond this a float cannot tell lattice units apart."""
 
 
-def offset_hits(rays: Rays, spec: GridSpec) -> Rays:
-    """Move hits behind the measured surfaces; for a polygon, see each scan from one point."""
+def prepare(rays: Rays, spec: GridSpec) -> Rays:
+    """Move hits behind the measured surfaces; for a polygon, see each scan from one point.
+
+    Raises
+    ------
+    MapError
+        A sensor is too far away to be counted in lattice units, or not finite, or a beam has more
+        cells than a kernel's integers can hold.
+    """
+    resolution, farthest = spec.lattice.resolution, float(np.abs(rays.origin).max(initial=0.0))
+    if not farthest * spec.lattice.units_per_metre < FARTHEST_UNIT:
+        raise MapError(
+            f"a sensor {farthest:.6g} m from the map's zero is too far away for cells of "
+            f"{resolution} m",
+            fix="if a pose is wrong, leave it out with `start_s` and `end_s`; else use a coarser "
+            "`resolution`",
+        )
     if spec.hit_offset:
-        offset = np.float32(spec.hit_offset * spec.lattice.resolution)
+        offset = np.float32(spec.hit_offset * resolution)
         rays = rays._replace(distance=rays.distance + (rays.kind == Kind.HIT) * offset)
-    return join_viewpoints(rays) if spec.update is Update.POLYGON else rays
+    if spec.update is Update.POLYGON:
+        rays = join_viewpoints(rays)
+    longest = float(rays.distance.max(initial=0.0))
+    if longest / resolution > MOST_CELLS_OF_BEAM:
+        found = f"a beam of {longest:.6g} m is too long for cells of {resolution} m"
+        raise MapError(found, fix="limit ranges with `max_range`, or use a coarser `resolution`")
+    return rays
 
 
 def join_viewpoints(rays: Rays) -> Rays:
@@ -55,8 +59,8 @@ def join_viewpoints(rays: Rays) -> Rays:
     return Rays.along(middle, direction, distance, rays.kind, rays.stamp_ns, full_circle=circle)
 
 
-def project(rays: Rays, spec: GridSpec) -> Projected:
-    """Round rays, as `offset_hits` gives them, to the lattice, once."""
+def project(rays: Rays, spec: GridSpec) -> Beams:
+    """Round rays, as `prepare` gives them, to the lattice, once."""
     shape = rays.kind.shape
     origins = spec.lattice.to_units(rays.origin)
     anchor = origins[0, 0] >> CELL_SHIFT << CELL_SHIFT
@@ -70,11 +74,12 @@ def project(rays: Rays, spec: GridSpec) -> Projected:
         origins - anchor,
         ends_x=np.empty(shape, np.int32),
         ends_y=np.empty(shape, np.int32),
-        ranges=np.empty(shape),
+        ranges=np.empty(shape if spec.radial else (0, 0)),
         weights=weights,
         between=between,
+        box=CellBox(0, 0, 0, 0),  # known once it is known where they end
     )
-    left, bottom, right, top = project_ends(beams, spec.radial.depth if spec.radial else 0.0)
+    left, bottom, right, top = project_ends(beams, spec.tables.depth)
     if spec.update is Update.SURFACE:
         link_neighbours(beams, spec.jump)
     lowest = np.minimum(beams.origins.min(axis=(0, 1)), (left, bottom))
@@ -82,7 +87,7 @@ def project(rays: Rays, spec: GridSpec) -> Projected:
     edges = np.stack([lowest, highest]) + anchor
     (col, row), (col_end, row_end) = (edges >> CELL_SHIFT).tolist()
     box = CellBox(row, col, row_end + 1, col_end + 1).grow(1 + _reach_beside(rays, spec))
-    return Projected(beams, box)
+    return beams._replace(box=box)
 
 
 def _reach_beside(rays: Rays, spec: GridSpec) -> int:

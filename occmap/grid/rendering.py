@@ -1,9 +1,8 @@
 """Makes one dense grid of sparse tiles, and spreads hits to the cells around them."""
 
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
 from itertools import product
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -20,36 +19,22 @@ RIM = TILE + 2
 """Cells along the side of a tile with those around it."""
 
 
-class TileSource(Protocol):
-    """Tiles of numbers: a grid's own, or what is made of them."""
-
-    @property
-    def keys(self) -> Collection[Key]:
-        """Row and column of each tile."""
-
-    def read(self, key: Key) -> CellNumbers:
-        """The numbers of a tile's cells."""
-
-    def observed(self, first: Float64, second: Float64) -> Bool:
-        """Which cells hold an observation, by their two numbers."""
-
-
-@dataclass(frozen=True)
-class SpreadHits:
+class SpreadHits(TileGrid):
     """A grid of hits and misses in which a hit speaks for the cells around it as well.
 
     Poses and ranges are a cell off at times; so a hit counts a `share` of itself for each of the
     four cells beside it, and the square of that for each of the four at its corners.
     """
 
-    grid: TileGrid
-    share: float
+    def __init__(self, grid: TileGrid, share: float) -> None:
+        super().__init__(grid.lattice, grid.kind, grid.unit)
+        self.tiles, self.share = grid.tiles, share
 
     @property
     def keys(self) -> Collection[Key]:
         """Row and column of each tile that has observations, or lies beside a hit."""
-        reached = set(self.grid.keys)
-        for (row, col), (hits, _) in self.grid.tiles.items():
+        reached = set(self.tiles)
+        for (row, col), (hits, _) in self.tiles.items():
             for (up, rows), (right, cols) in product(ENDS.items(), repeat=2):
                 if hits[rows, cols].any():
                     reached.add((row + up, col + right))
@@ -57,16 +42,12 @@ class SpreadHits:
 
     def read(self, key: Key) -> CellNumbers:
         """The numbers of a tile's cells; the misses are the grid's own."""
-        hits = self._gather(key) / self.grid.unit
+        hits = self._gather(key) / self.unit
         beside = hits[1:-1] + self.share * (hits[:-2] + hits[2:])
         spread = beside[:, 1:-1] + self.share * (beside[:, :-2] + beside[:, 2:])
-        tile = self.grid.tiles.get(key)
-        misses = np.zeros((TILE, TILE)) if tile is None else tile[1] / self.grid.unit
+        tile = self.tiles.get(key)
+        misses = np.zeros((TILE, TILE)) if tile is None else tile[1] / self.unit
         return spread, misses
-
-    def observed(self, first: Float64, second: Float64) -> Bool:
-        """Which cells hold an observation, by their two numbers."""
-        return self.grid.observed(first, second)
 
     def _gather(self, key: Key) -> Float64:
         """(RIM, RIM) hits of a tile and of the cells around it."""
@@ -76,13 +57,13 @@ class SpreadHits:
         places = ((-1, before, last), (0, here, whole), (1, after, first))
         for up, to_row, from_row in places:
             for right, to_col, from_col in places:
-                tile = self.grid.tiles.get((key[0] + up, key[1] + right))
+                tile = self.tiles.get((key[0] + up, key[1] + right))
                 if tile is not None:
                     hits[to_row, to_col] = tile[0, from_row, from_col]
         return hits
 
 
-def find_bounds(tiles: TileSource) -> CellBox:
+def find_bounds(tiles: TileGrid) -> CellBox:
     """The smallest box around all observed cells.
 
     Raises
@@ -95,7 +76,7 @@ def find_bounds(tiles: TileSource) -> CellBox:
     raise MapError("no beam of any scan observed a cell, so there is no map")
 
 
-def measure_bounds(tiles: TileSource) -> CellBox | None:
+def measure_bounds(tiles: TileGrid) -> CellBox | None:
     """The smallest box around all observed cells; None: there are none."""
     if not (keys := tiles.keys):
         return None
@@ -110,7 +91,7 @@ def measure_bounds(tiles: TileSource) -> CellBox | None:
 
 
 def paint(
-    tiles: TileSource, log_odds: Callable[[Float64, Float64], Float64], prior: float, box: CellBox
+    tiles: TileGrid, log_odds: Callable[[Float64, Float64], Float64], prior: float, box: CellBox
 ) -> tuple[Float32, Bool]:
     """Let a model say what the numbers mean, cell by cell.
 
@@ -138,7 +119,7 @@ def paint(
     return grid, observed
 
 
-def read_cells(tiles: TileSource, box: CellBox) -> Float64:
+def read_cells(tiles: TileGrid, box: CellBox) -> Float64:
     """(2, H, W): the two numbers of each cell of a box, in observations."""
     cells = np.zeros((2, box.rows, box.cols))
     for key, inner, outer in _list_overlaps(tiles, box):
@@ -147,7 +128,7 @@ def read_cells(tiles: TileSource, box: CellBox) -> Float64:
     return cells
 
 
-def _list_overlaps(tiles: TileSource, box: CellBox) -> Iterator[tuple[Key, Part, Part]]:
+def _list_overlaps(tiles: TileGrid, box: CellBox) -> Iterator[tuple[Key, Part, Part]]:
     """List the tiles that lie in a box, and where: as part of the tile, and as part of the box."""
     for key in tiles.keys:
         tile = CellBox.at(*key).scale(TILE)

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from occmap.arrays import Float64, Int64
-from occmap.grid.kernels.units import BEAM_WEIGHT
+from occmap.arrays import Float64
+from occmap.grid.kernels.units import BEAM_WEIGHT, Tables
 from occmap.grid.lattice import Lattice
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.types import Update
@@ -17,32 +17,6 @@ SUM_BITS = 20
 """A window is emptied before a cell of it counts 2^20 observations of log-odds."""
 COUNT_BITS = 31
 """A window is emptied before a cell of it counts 2^31 hits or misses."""
-
-
-@dataclass(frozen=True)
-class Tables:
-    """What a beam adds to a cell, tabulated for the kernels: no cell costs a logarithm.
-
-    An entry packs both numbers of a cell: the second in the lowest `bits`, the first above them.
-    So one addition to a cell counts both.
-    """
-
-    depth: float
-    """How far about the range a hit reaches (m)"""
-    free: Int64
-    """(T + 1,) over (d / (r - depth))^2"""
-    hit: Int64
-    """(T + 1,) over |d - r| / depth; T = 0: the end cell alone gets the hit"""
-    plain: float
-    """Share of r - depth up to which all entries of `free` are equal"""
-    largest: int
-    """The largest number, either way, that an entry adds"""
-    bits: int
-
-    @property
-    def most_observations(self) -> int:
-        """How many observations a cell has room for."""
-        return (1 << self.bits) - 1
 
 
 COUNTS = Tables(0.0, np.ones(1, np.int64), np.full(1, 1 << COUNT_BITS), 1.0, 1, COUNT_BITS)

@@ -11,7 +11,7 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.arrays import Bool, Float64, Int64
+from occmap.arrays import Bool, Float64, Int32, Int64
 from occmap.cells import MOST_OBSERVED
 from occmap.errors import MapError
 from occmap.grid.kernels import units
@@ -96,11 +96,6 @@ class TileGrid:
         made.tiles.update(tiles)
         return made
 
-    @property
-    def nbytes(self) -> int:
-        """What the tiles take in memory, where none is 64 bits wide."""
-        return len(self.tiles) * 2 * TILE * TILE * 4
-
     def refuse_outgrown(self, max_cells: int) -> None:
         """Refuse evidence that makes too large a map already, before more is added to it.
 
@@ -147,7 +142,7 @@ def stack_tiles(tiles: Mapping[Key, Tile]) -> tuple[Int64, Int64]:
     return np.array(keys, np.int64).reshape(-1, 2), cells
 
 
-def view_tiles(tiles: Int64, cells: Int64) -> dict[Key, Tile]:
+def view_tiles(tiles: Int64, cells: Int32 | Int64) -> dict[Key, Tile]:
     """Stacked tiles by their places; they share the stack's memory."""
     return {(row, col): tile for (row, col), tile in zip(tiles.tolist(), cells, strict=True)}
 

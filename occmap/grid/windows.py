@@ -8,28 +8,25 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from occmap.arrays import Int32, Int64
-from occmap.grid.kernels.beams import Profile, note_beams
+from occmap.arrays import Int64
+from occmap.grid.kernels.beams import note_beams
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
+from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
-from occmap.grid.kernels.sums import Changes, Packing, read_tiles
-from occmap.grid.kernels.units import PAD, TILE, UNITS_PER_CELL
+from occmap.grid.kernels.sums import Changes, read_tiles
+from occmap.grid.kernels.units import CELL_SHIFT, PAD, TILE, UNITS_PER_CELL
 from occmap.grid.kernels.visits import Tiles, trace_tiles, trace_window
 from occmap.grid.lattice import CellBox
-from occmap.grid.projection import Projected
 from occmap.grid.spec import GridSpec
-from occmap.grid.tiles import Key, Tile
-from occmap.types import Rays, Update
-
-ALL_BITS = -1
-"""The mask of numbers of which all bits are evidence."""
+from occmap.grid.tiles import Key, Tile, view_tiles
+from occmap.types import Kind, Rays, Update
 
 
 def count_observations(rays: Rays, spec: GridSpec) -> tuple[int, int]:
     """How much rays may add to the observations of one cell, and how many it has room for."""
     if spec.update is Update.POLYGON and spec.radial is None:
         return len(rays.kind), MOST_SCANS
-    return rays.kind.size * spec.unit, spec.tables.most_observations
+    return rays.kind.size * spec.unit, (1 << spec.tables.bits) - 1
 
 
 class Window(ABC):
@@ -42,45 +39,32 @@ class Window(ABC):
         self.spec, self.box = spec, box.align(TILE)
         self.touched: CellBox | None = None
         self.observations = 0
-        tables = spec.tables
-        depth = tables.depth * spec.lattice.units_per_metre
-        self.profile = Profile(depth, tables.free, tables.hit, tables.plain)
         self.allocate(*self.box.shape)
 
     @abstractmethod
     def allocate(self, rows: int, cols: int) -> None:
         """Make empty arrays."""
 
-    def has_room(self, projected: Projected) -> bool:
+    def has_room(self, beams: Beams) -> bool:
         """Whether rays lie wholly in the box and cannot make a number overflow."""
-        more, most = count_observations(projected.beams.rays, self.spec)
-        return self.box.contains(projected.box) and self.observations + more <= most
+        more, most = count_observations(beams.rays, self.spec)
+        return self.box.contains(beams.box) and self.observations + more <= most
 
-    def observe(self, projected: Projected) -> None:
+    def observe(self, beams: Beams) -> None:
         """Observe what lies in the box."""
-        corner = np.array([self.box.col, self.box.row]) * UNITS_PER_CELL - projected.beams.anchor
-        self.trace(projected, corner)
-        self.observations += count_observations(projected.beams.rays, self.spec)[0]
-        touched = self.box.clip(projected.box).align(TILE)
+        corner = np.array([self.box.col, self.box.row]) * UNITS_PER_CELL - beams.anchor
+        self.trace(beams, corner)
+        self.observations += count_observations(beams.rays, self.spec)[0]
+        touched = self.box.clip(beams.box).align(TILE)
         self.touched = touched if self.touched is None else self.touched.join(touched)
 
     @abstractmethod
-    def trace(self, projected: Projected, corner: Int64) -> None:
+    def trace(self, beams: Beams, corner: Int64) -> None:
         """Call the kernel; `corner` (2,) is x and y of the lower-left (units from the anchor)."""
 
     @abstractmethod
     def read(self) -> dict[Key, Tile]:
         """The tiles in which something was observed; the window is of no use afterwards."""
-
-    @property
-    def bound(self) -> int:
-        """No value of `read` is larger, either way."""
-        return self.observations * self.spec.tables.largest
-
-    def name_tiles(self, places: Int64, tiles: Int32 | Int64) -> dict[Key, Tile]:
-        """Tiles (N, 2, TILE, TILE) by the keys of their places (N, 2) in the window."""
-        keys = places + np.array(self.box.shrink(TILE)[:2])
-        return {(row, col): tile for (row, col), tile in zip(keys.tolist(), tiles, strict=True)}
 
 
 class DenseWindow(Window):
@@ -97,20 +81,19 @@ class DenseWindow(Window):
         self.changes = Changes(np.zeros(rows * across, np.int32), *more)
 
     @property
-    def packing(self) -> Packing:
-        """How `cells` hold the numbers of a cell."""
-        return Packing(self.spec.tables.bits, ALL_BITS, int(self.profile.free[0]))
+    def packing(self) -> tuple[int, int, int]:
+        """How `cells` hold the numbers of a cell, as `read_tiles` takes it."""
+        every_bit = -1
+        return self.spec.tables.bits, every_bit, int(self.spec.tables.free[0])
 
     def read(self) -> dict[Key, Tile]:
-        if self.touched is None:
-            return {}
-        inside = self.touched.move(-self.box.row, -self.box.col).shrink(TILE)
+        inside = (self.touched or self.box).move(-self.box.row, -self.box.col).shrink(TILE)
         places = np.empty((inside.cells, 2), np.int64)
         numbers = np.int32 if self.spec.radial is None else np.int64
         # The last tile is read into and not kept.
         tiles = np.empty((inside.cells + 1, 2, TILE, TILE), numbers)
         found = read_tiles(self.cells, self.changes, self.packing, inside, places, tiles)
-        return self.name_tiles(places[:found], tiles[:found])
+        return view_tiles(places[:found] + self.box.shrink(TILE)[:2], tiles[:found])
 
 
 class BeamWindow(DenseWindow):
@@ -118,28 +101,27 @@ class BeamWindow(DenseWindow):
 
     along_lines = True
 
-    def trace(self, projected: Projected, corner: Int64) -> None:
+    def trace(self, beams: Beams, corner: Int64) -> None:
         if self.spec.radial is None:
-            hit = int(self.profile.hit[0])
-            note_beams(projected.beams, hit, corner, self.cells, self.changes)
+            note_beams(beams, int(self.spec.tables.hit[0]), corner, self.cells, self.changes)
         else:
-            trace_window(projected.beams, self.profile, corner, self.cells, self.changes)
+            trace_window(beams, self.spec.tables, corner, self.cells, self.changes)
 
 
 class PolygonWindow(DenseWindow):
     """Hits and misses, scan by scan."""
 
     @property
-    def packing(self) -> Packing:
-        return Packing(BORDER_BITS, COUNTED, 1)
+    def packing(self) -> tuple[int, int, int]:
+        return BORDER_BITS, COUNTED, 1
 
-    def trace(self, projected: Projected, corner: Int64) -> None:
+    def trace(self, beams: Beams, corner: Int64) -> None:
         trace_polygons(
-            projected.beams,
+            beams,
             self.spec.jump,
             self.spec.border_gap,
             corner,
-            not self.box.contains(projected.box),
+            not self.box.contains(beams.box),
             self.cells,
             self.changes.row_runs,
             self.observations,
@@ -149,9 +131,9 @@ class PolygonWindow(DenseWindow):
 class RadialPolygonWindow(DenseWindow):
     """A radial model, once for each cell of a scan."""
 
-    def trace(self, projected: Projected, corner: Int64) -> None:
+    def trace(self, beams: Beams, corner: Int64) -> None:
         runs = self.changes.row_runs
-        trace_radial_polygons(projected.beams, corner, self.profile, self.cells, runs)
+        trace_radial_polygons(beams, corner, self.spec.tables, self.cells, runs)
 
 
 class SparseBeamWindow(Window):
@@ -170,8 +152,8 @@ class SparseBeamWindow(Window):
         table = np.full((rows // TILE, cols // TILE), -1, np.int32)
         self.tiles = Tiles(table, np.zeros(1, np.int64), numbers, layers)
 
-    def trace(self, projected: Projected, corner: Int64) -> None:
-        trace_tiles(projected.beams, self.profile, corner, self.tiles)
+    def trace(self, beams: Beams, corner: Int64) -> None:
+        trace_tiles(beams, self.spec.tables, corner, self.tiles)
 
     def read(self) -> dict[Key, Tile]:
         table, used = self.tiles.table, int(self.tiles.used[0])
@@ -184,18 +166,23 @@ class SparseBeamWindow(Window):
             places, tiles = places[seen], np.repeat(tiles[seen], 2, axis=1)
             tiles[:, 0] >>= bits
             tiles[:, 1] &= (1 << bits) - 1
-        return self.name_tiles(places, tiles)
+        return view_tiles(places + self.box.shrink(TILE)[:2], tiles)
 
 
 CROSSED_OFTEN = 6
-"""From so many beams a cell on, changes in a dense window cost less than visits of cells."""
+"""From so many beams a cell on, changes in a dense window cost less than visits of cells. About how
+many there are is seen from every eighth beam of every eighth scan."""
 
 
-def choose_window(spec: GridSpec, projected: Projected) -> type[Window]:
+def choose_window(spec: GridSpec, beams: Beams) -> type[Window]:
     """The kind of window that an update and a model need, and these rays."""
     if spec.update is Update.POLYGON and spec.radial is None:
         return PolygonWindow
-    if spec.update is Update.POLYGON and projected.beams.rays.kind.shape[1] > 1:
+    if spec.update is Update.POLYGON and beams.rays.kind.shape[1] > 1:
         return RadialPolygonWindow  # a single beam has no neighbour to say how wide it is: a line
-    often = projected.crossings >= CROSSED_OFTEN * projected.box.cells
+    some = slice(None, None, 8), slice(None, None, 8)
+    across = np.abs(beams.ends_x[some] - beams.origins[*some, 0])
+    up = np.abs(beams.ends_y[some] - beams.origins[*some, 1])
+    cells = (np.maximum(across, up) >> CELL_SHIFT) * (beams.rays.kind[some] != Kind.SKIP)
+    often = cells.mean() * beams.ends_x.size >= CROSSED_OFTEN * beams.box.cells
     return BeamWindow if often else SparseBeamWindow

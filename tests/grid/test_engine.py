@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from occmap.errors import MapError
-from occmap.grid.engine import GridEngine, refuse_long_beams
+from occmap.grid.engine import GridEngine
 from occmap.grid.lattice import Lattice
-from occmap.grid.projection import join_viewpoints, project
+from occmap.grid.projection import join_viewpoints, prepare, project
 from occmap.grid.spec import WINDOW_CELLS, GridSpec, tabulate
 from occmap.grid.tiles import TILE
 from occmap.grid.windows import Window, choose_window
@@ -292,9 +292,10 @@ def test_a_beam_that_is_too_long_is_refused_with_what_to_do() -> None:
 def test_the_longest_beam_is_what_an_int32_holds() -> None:
     # 2**22 cells of 2**8 units, from a sensor half as far from the anchor: 1.5 x 2**30 units, while
     # the next power of two, 3 x 2**30, is beyond 2**31.
-    refuse_long_beams(one_scan([4_194_304.0], [Kind.HIT]), resolution=1.0)
+    spec = GridSpec(Update.BEAM, Lattice(1.0))
+    prepare(one_scan([4_194_304.0], [Kind.HIT]), spec)
     with pytest.raises(MapError, match="is too long for cells of 1"):
-        refuse_long_beams(one_scan([4_194_305.0], [Kind.HIT]), resolution=1.0)
+        prepare(one_scan([4_194_305.0], [Kind.HIT]), spec)
 
 
 @pytest.mark.parametrize("update", list(Update))

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from occmap.errors import MapError
-from occmap.grid.lattice import Lattice
-from occmap.grid.probe import CellProbe
+from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid.probe import find_near, look_at_cell
 from occmap.grid.spec import GridSpec
 from occmap.types import Kind, Rays, Update
 from tests.grid.scans import FEW, Drive, aim, drives, observe
@@ -24,7 +24,7 @@ def test_scans_add_up_to_what_the_engine_has(drive: Drive, place: float, kind_of
     cells = sorted(whole.first.keys() | whole.second.keys()) or [(0, 0)]
     row, col = cells[round(place * (len(cells) - 1))]
     for cell in ((row, col), (row + 1, col), (row, col - 3)):
-        seen = CellProbe(spec, *cell).look(rays)
+        seen = look_at_cell(rays, spec, *cell)
         assert seen.shape == (len(rays.kind), 2)
         assert seen.sum(axis=0).tolist() == [whole.first[cell], whole.second[cell]]
 
@@ -39,7 +39,7 @@ def test_each_scan_adds_what_it_does_alone(drive: Drive, place: float, kind_of_m
     alone = [observe(spec, [scan]) for scan in scans]
     cells = sorted({cell for each in alone for layer in each for cell in layer}) or [(0, 0)]
     cell = cells[round(place * (len(cells) - 1))]
-    seen = CellProbe(spec, *cell).look(rays)
+    seen = look_at_cell(rays, spec, *cell)
     assert seen.tolist() == [[each.first[cell], each.second[cell]] for each in alone]
 
 
@@ -53,20 +53,20 @@ def fan(origins: list[tuple[float, float]]) -> Rays:
     return Rays.along(origin, direction, reach, kind, stamps, full_circle=False)
 
 
+SPEC = GridSpec(Update.BEAM, Lattice(0.1))
+
+
 def test_scans_far_from_the_cell_are_not_traced() -> None:
-    probe = CellProbe(GridSpec(Update.BEAM, Lattice(0.1)), 0, 9)
     rays = fan([(0.05, 0.05), (0.95, 0.05), (3, 0), (0, 3), (-0.05, 0.05)])
-    assert probe.find_near(rays).tolist() == [True, True, False, False, True]
+    assert find_near(rays, SPEC, CellBox.at(0, 9)).tolist() == [True, True, False, False, True]
     # A miss on the way; both beams begin in it; too far; too far; the end.
-    assert probe.look(rays).tolist() == [[0, 1], [0, 2], [0, 0], [0, 0], [1, 0]]
+    assert look_at_cell(rays, SPEC, 0, 9).tolist() == [[0, 1], [0, 2], [0, 0], [0, 0], [1, 0]]
 
 
 def test_nothing_is_seen_without_scans() -> None:
-    probe = CellProbe(GridSpec(Update.BEAM, Lattice(0.1)), 0, 9)
-    assert probe.look(fan([(0, 0)]).take(slice(0, 0))).shape == (0, 2)
+    assert look_at_cell(fan([(0, 0)]).take(slice(0, 0)), SPEC, 0, 9).shape == (0, 2)
 
 
 def test_a_sensor_too_far_away_is_refused() -> None:
-    probe = CellProbe(GridSpec(Update.BEAM, Lattice(0.1)), 0, 9)
     with pytest.raises(MapError, match="is too far away"):
-        probe.look(fan([(1e16, 0)]))
+        look_at_cell(fan([(1e16, 0)]), SPEC, 0, 9)

@@ -26,6 +26,7 @@ from occmap.grid.kernels.units import (
     PAD,
     SKIP,
     UNITS_PER_CELL,
+    Tables,
 )
 from occmap.jit import kernel, step
 
@@ -34,19 +35,6 @@ FARTHEST_CENTRE = 1.25
 diagonal at the first cell, and half a cell beside the line."""
 BEGIN_EIGHTHS = 5
 """A beam between two others is drawn from so many eighths of its way on."""
-
-
-class Profile(NamedTuple):
-    """What a beam adds to a cell, tabulated: see `occmap.grid.spec.Tables`."""
-
-    depth: float
-    """How far about the range a hit reaches (lattice units)"""
-    free: Int64
-    """(T + 1,) over (d / (r - depth))^2"""
-    hit: Int64
-    """(T + 1,) over |d - r| / depth; T = 0 where only the end cell gets the hit"""
-    plain: float
-    """Share of r - depth up to which all cells get `free[0]`"""
 
 
 class Lines(NamedTuple):
@@ -145,7 +133,7 @@ def make_lines(count: int) -> Lines:
 
 @kernel
 def list_lines(
-    beams: Beams, s: int, profile: Profile, corner: Int64, rows: int, cols: int, lines: Lines
+    beams: Beams, s: int, tables: Tables, corner: Int64, rows: int, cols: int, lines: Lines
 ) -> int:
     """Draw the beams of a scan and those between them; return how many lines cross the window.
 
@@ -158,7 +146,7 @@ def list_lines(
     """
     origins, ends_x, ends_y, kinds = beams.origins, beams.ends_x, beams.ends_y, beams.rays.kind
     ranges, weights, between = beams.ranges, beams.weights, beams.between
-    radial, depth = profile.hit.size > 1, profile.depth
+    radial, depth = tables.hit.size > 1, tables.depth * beams.units_per_metre
     count, viewpoints = kinds.shape[1], origins.shape[1]
     size = 0
     for b in range(count):
@@ -185,7 +173,7 @@ def list_lines(
                 first, end = clip_line(line, rows, cols)
             plain = line.n + (kinds[s, b] != HIT)
             if radial:
-                reach = profile.plain * max(r - depth, 0.0) - begun
+                reach = tables.plain * max(r - depth, 0.0) - begun
                 plain = count_nearer(line.n, line.m, reach / UNITS_PER_CELL - FARTHEST_CENTRE)
             if first < end:
                 at = np.uint64(size)

@@ -75,7 +75,10 @@ def trace_polygons(
         _note_spans(touched, spans, border.shape[1], runs)
         size = _list_border(beams, s, corner, links, listed, cells)
         if clipped:
-            size = _keep_inside(cells, size, rows, cols)
+            row, col = cells[:size, 0], cells[:size, 1]
+            kept = cells[:size][(row >= 0) & (row < rows) & (col >= 0) & (col < cols)]
+            size = len(kept)
+            cells[:size] = kept
         _note_border(cells, size, spans, mark + s + 1, border)
 
 
@@ -192,10 +195,6 @@ def _note_spans(touched: tuple[int, int], spans: Spans, stride: int, runs: Int32
     starts, counts, limits = spans.starts, spans.counts, spans.limits
     for row in range(touched[0], touched[1]):
         begin, size, place = starts[np.uint64(row)], counts[np.uint64(row)], row * stride
-        if size == 2:  # nearly always
-            runs[np.uint64(place + limits[np.uint64(begin)])] += 1
-            runs[np.uint64(place + limits[np.uint64(begin + 1)])] -= 1
-            continue
         for i in range(begin, begin + size, 2):
             runs[np.uint64(place + limits[np.uint64(i)])] += 1
             runs[np.uint64(place + limits[np.uint64(i + 1)])] -= 1
@@ -234,18 +233,6 @@ def _list_border(
             cells[k, 1] = col - to_col - right * steps_x
         size += n - 1
     return size
-
-
-@kernel
-def _keep_inside(cells: Int32, size: int, rows: int, cols: int) -> int:
-    """Keep those of the listed cells that lie in the window; returns how many."""
-    kept = 0
-    for i in range(size):
-        row, col = cells[i, 0], cells[i, 1]
-        if 0 <= row < rows and 0 <= col < cols:
-            cells[kept, 0], cells[kept, 1] = row, col
-            kept += 1
-    return kept
 
 
 @kernel

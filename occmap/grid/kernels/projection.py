@@ -15,6 +15,7 @@ import numpy as np
 
 from occmap.arrays import Float64, Int32, Int64, UInt8
 from occmap.grid.kernels.units import ALONE, CELL_SHIFT, FREE, HIT, MOST_BETWEEN, NO_LENGTH
+from occmap.grid.lattice import CellBox
 from occmap.jit import kernel
 from occmap.types import Rays
 
@@ -45,6 +46,8 @@ class Beams(NamedTuple):
     """(S, B) what each beam counts"""
     between: UInt8
     """(S, B) how many beams are drawn between each and the next"""
+    box: CellBox
+    """Around all cells that the beams may touch"""
 
 
 @kernel
@@ -83,8 +86,9 @@ def project_ends(beams: Beams, depth: float) -> tuple[int, int, int, int]:
             at_x, at_y = origin[s, k, 0], origin[s, k, 1]
             xx, xy, yx, yy = turn[s, t, 0, 0], turn[s, t, 0, 1], turn[s, t, 1, 0], turn[s, t, 1, 1]
             bearing_x, bearing_y = bearing[0, first:end], bearing[1, first:end]
-            far, kind, of = distance[s, first:end], kinds[s, first:end], ranges[s, first:end]
+            far, kind = distance[s, first:end], kinds[s, first:end]
             x, y = ends_x[s, first:end], ends_y[s, first:end]
+            on_map = ranges[s, first:end] if ranges.size else ranges.ravel()
             for b in range(end - first):
                 along_x = xx * bearing_x[b] + xy * bearing_y[b]
                 along_y = yx * bearing_x[b] + yy * bearing_y[b]
@@ -93,7 +97,8 @@ def project_ends(beams: Beams, depth: float) -> tuple[int, int, int, int]:
                 reach = np.float64(far[b]) + (beyond if kind[b] == HIT else 0.0)
                 x[b] = np.int32(np.rint((at_x + reach * along_x) * scale) - anchor_x)
                 y[b] = np.int32(np.rint((at_y + reach * along_y) * scale) - anchor_y)
-                of[b] = far[b] * length * scale
+                if ranges.size:
+                    on_map[b] = far[b] * length * scale
         for b in range(count):  # a loop of its own: many ends are compared at a time
             left, right = min(left, ends_x[s, b]), max(right, ends_x[s, b])
             bottom, top = min(bottom, ends_y[s, b]), max(top, ends_y[s, b])

@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Float64, Int32, Int64, UInt8
-from occmap.grid.kernels.beams import Profile
+from occmap.arrays import Float64, Int32, Int64
 from occmap.grid.kernels.fill import Spans, fill_outline, find_rows, make_outline, make_spans
 from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.sectors import (
@@ -28,7 +27,7 @@ from occmap.grid.kernels.sectors import (
     reach_out,
     stay_inside,
 )
-from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, HALF_CELL, HIT, PAD
+from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, HALF_CELL, HIT, PAD, Tables
 from occmap.jit import kernel
 
 MANY = 4096
@@ -38,14 +37,14 @@ MANY = 4096
 class View(NamedTuple):
     """One scan: which of its beams covers which bearing, and what that says about a cell."""
 
-    at_x: int
-    """Of the sensor, from the window's corner (lattice units)"""
-    at_y: int
-    """Likewise"""
+    at: tuple[int, int]
+    """x and y of the sensor, from the window's corner (lattice units)"""
     covering: Int32
     """(BEARINGS + 1,) the beam that covers each step of a turn"""
     limits: Float64
-    """(2 B + 2,) as `limit_ranges` writes them"""
+    """(2 B + 2,) a pair for each beam, and one for what no beam covers. A squared distance times
+    the first is a place in the table of free cells; the second is where a hit lies, if any, or
+    -inf"""
     depth: float
     """How far about the range a hit reaches (lattice units)"""
     entries: Int64
@@ -60,12 +59,12 @@ class Listed(NamedTuple):
     places: Int32
     """Which of the steps of a turn a cell lies in, and then which of the entries it gets"""
     limits: Float64
-    """(2 N,) of the beam that covers the cell, as `limit_ranges` writes them"""
+    """(2 N,) those of the beam that covers the cell"""
 
 
 @kernel
 def trace_radial_polygons(
-    beams: Beams, corner: Int64, profile: Profile, cells: Int64, runs: Int32
+    beams: Beams, corner: Int64, tables: Tables, cells: Int64, runs: Int32
 ) -> None:
     """Add what every scan says about each cell that it covers, once.
 
@@ -84,13 +83,14 @@ def trace_radial_polygons(
     """
     scans, count = beams.rays.kind.shape
     rows, cols = cells.shape[0], cells.shape[1] - PAD
-    free, depth = profile.free, profile.depth
+    depth, steps = tables.depth * beams.units_per_metre, tables.free.size - 1
     sectors, covering = make_sectors(count), np.empty(BEARINGS + 1, np.int32)
     limits, within = np.empty(2 * count + 2), np.empty(count)
+    limits[2 * count], limits[2 * count + 1] = np.inf, -np.inf
     room = MANY + cells.shape[1] + AT_A_TIME
     places = np.empty((3, room), np.int32)
     listed = Listed(places[0], places[1], places[2], np.empty(2 * room))
-    entries = np.concatenate((free[:-1], np.zeros(1, np.int64), profile.hit))
+    entries = np.concatenate((tables.free[:-1], np.zeros(1, np.int64), tables.hit))
     outline, outer, inner = make_outline(4 * count + 4), make_spans(rows), make_spans(rows)
     for s in range(scans):
         ranges, kinds = beams.ranges[s], beams.rays.kind[s]
@@ -101,30 +101,17 @@ def trace_radial_polygons(
         corners = outline_sectors(at_x, at_y, sectors, outline)
         touched = find_rows(outline.y, corners, rows)
         outer = fill_outline(outline, corners, touched, cols, outer)
+        for b in range(count):
+            limits[2 * b] = steps / max(ranges[b] - depth, 0.0) ** 2
+            limits[2 * b + 1] = ranges[b] if kinds[b] == HIT else -np.inf
+            within[b] = max(tables.plain * (ranges[b] - depth) * (1 - 1e-6) - ROUNDED, 0.0)
         inner.counts[:] = 0
         if side_by_side:
-            for b in range(count):
-                within[b] = max(profile.plain * (ranges[b] - depth) * (1 - 1e-6) - ROUNDED, 0.0)
             stay_inside(within, sign, sectors)
             corners = outline_sectors(at_x, at_y, sectors, outline)
             inner = fill_outline(outline, corners, touched, cols, inner)
-        limit_ranges(ranges, kinds, depth, free.size - 1, limits)
-        view = View(at_x, at_y, covering, limits, depth, entries)
+        view = View((at_x, at_y), covering, limits, depth, entries)
         _observe_spans(view, touched, outer, inner, listed, cells, runs)
-
-
-@kernel
-def limit_ranges(ranges: Float64, kinds: UInt8, depth: float, steps: int, limits: Float64) -> None:
-    """Write, for each beam, where the entries for free cells end and where its hit lies.
-
-    `limits` (2 B + 2,) is a pair for each beam, and one more for what no beam covers. A
-    squared distance times the first is a place in the table of free cells, which has `steps`
-    places; the second is -inf for a beam that hit nothing.
-    """
-    for b in range(kinds.size):
-        limits[2 * b] = steps / max(ranges[b] - depth, 0.0) ** 2
-        limits[2 * b + 1] = ranges[b] if kinds[b] == HIT else -np.inf
-    limits[2 * kinds.size], limits[2 * kinds.size + 1] = np.inf, -np.inf
 
 
 @kernel
@@ -168,7 +155,7 @@ def _observe_spans(
 @kernel
 def _observe_cells(view: View, listed: Listed, size: int, cells: Int64) -> None:
     """Add to each of the listed cells what the beam that covers its bearing says about it."""
-    at_x, at_y, covering, entries = view.at_x, view.at_y, view.covering, view.entries
+    (at_x, at_y), covering, entries = view.at, view.covering, view.entries
     rows, cols, places, limits = listed.rows, listed.cols, listed.places, listed.limits
     stride, flat = cells.shape[1], cells.reshape(-1)
     steps = float(entries.size // 2 - 1)

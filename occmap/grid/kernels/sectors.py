@@ -87,13 +87,10 @@ def find_sectors(beams: Beams, s: int, sectors: Sectors) -> float:
         sides[after, 0], sides[after, 1] = share * x, share * y
     if not beams.rays.full_circle:
         # The first beam and the last cover as much beyond themselves as to their neighbour.
-        last = count - 1
-        cosine = sides[0, 2] * direction[0, 0] + sides[0, 3] * direction[0, 1]
-        sides[0, 0] = 2 * cosine * direction[0, 0] - sides[0, 2]
-        sides[0, 1] = 2 * cosine * direction[0, 1] - sides[0, 3]
-        cosine = sides[last, 0] * direction[last, 0] + sides[last, 1] * direction[last, 1]
-        sides[last, 2] = 2 * cosine * direction[last, 0] - sides[last, 0]
-        sides[last, 3] = 2 * cosine * direction[last, 1] - sides[last, 1]
+        for b, i in ((0, 2), (count - 1, 0)):
+            cosine = sides[b, i] * direction[b, 0] + sides[b, i + 1] * direction[b, 1]
+            sides[b, 2 - i] = 2 * cosine * direction[b, 0] - sides[b, i]
+            sides[b, 3 - i] = 2 * cosine * direction[b, 1] - sides[b, i + 1]
     for b in range(count):
         along_x, along_y = direction[b, 0], direction[b, 1]
         for side in range(0, 4, 2):

@@ -25,22 +25,11 @@ class Changes(NamedTuple):
     """(W + 1) x (H + PAD)"""
 
 
-class Packing(NamedTuple):
-    """How an integer of a cell holds both of its numbers."""
-
-    bits: int
-    """The second number is in the lowest bits, and the first above them"""
-    kept: int
-    """Mask of the bits that are evidence; the others are a kernel's own notes"""
-    plain: int
-    """What a plain cell gets each time"""
-
-
 @kernel
 def read_tiles(
     cells: Int64,
     changes: Changes,
-    packing: Packing,
+    packing: tuple[int, int, int],
     touched: tuple[int, int, int, int],
     keys: Int64,
     tiles: Int32 | Int64,
@@ -51,29 +40,35 @@ def read_tiles(
     ----------
     cells
         (H, W + PAD) of whole tiles: packed sums of what visited cells got.
+    packing
+        How a cell's integer holds both of its numbers: how many of the lowest bits hold the second,
+        with the first above them; the mask of bits that are evidence and no notes of a kernel; and
+        what a plain cell gets each time.
     touched
         First row and column of tiles, and those after the last: nothing was written elsewhere.
     keys, tiles
         (N, 2) row and column of each tile in the window, and (N, 2, TILE, TILE), written here.
     """
-    bits, kept, low = packing.bits, packing.kept, (1 << packing.bits) - 1
-    row_counts = np.zeros(TILE, np.int32)
-    col_counts = np.zeros(cells.shape[1], np.int32)
-    plain = np.empty((TILE, TILE), np.int32)
+    (bits, kept, entry), low = packing, (1 << packing[0]) - 1
+    across, up = cells.shape[1], cells.shape[0] + PAD
+    row_counts, col_counts = np.zeros(TILE, np.int32), np.zeros(across, np.int32)
+    plain, runs, steps = np.empty((TILE, TILE), np.int32), changes.row_runs, changes.row_steps
     size = 0
     for tile_row in range(touched[0], touched[2]):
         row_counts[:] = 0
         for tile_col in range(touched[1], touched[3]):
             row, col, tile = tile_row * TILE, tile_col * TILE, tiles[size]
-            sum_rows(changes, cells.shape[1], row, col, row_counts, plain)
+            plain[:] = 0
+            sum_changes(runs, steps, row * across + col, across, row_counts, plain)
             if changes.col_runs.size:
-                sum_cols(changes, cells.shape[0] + PAD, row, col, col_counts, plain)
+                below = col_counts[col : col + TILE]
+                sum_changes(changes.col_runs, changes.col_steps, col * up + row, up, below, plain.T)
             seen = 0
             for r in range(TILE):
                 # Slices: numba cannot know that `col + c` is never negative.
                 visited, first, second = cells[row + r, col : col + TILE], tile[0, r], tile[1, r]
                 for c in range(TILE):
-                    packed = (visited[c] & kept) + plain[r, c] * packing.plain
+                    packed = (visited[c] & kept) + plain[r, c] * entry
                     first[c] = packed >> bits
                     second[c] = packed & low
                     seen |= packed
@@ -84,44 +79,23 @@ def read_tiles(
 
 
 @kernel
-def sum_rows(
-    changes: Changes, stride: int, row: int, col: int, counts: Int32, plain: Int32
+def sum_changes(
+    runs: Int32, steps: Int32, place: int, stride: int, counts: Int32, plain: Int32
 ) -> None:
-    """Write how often each cell of a tile was plain, by the changes along rows.
+    """Add how often each cell of a tile was plain, by the changes along rows, or along columns.
 
-    `counts` (TILE,) go on from the tile to the left.
-    """
-    runs, steps = changes.row_runs, changes.row_steps
-    for r in range(TILE):
-        count, here = counts[r], np.uint64((row + r) * stride + col)
-        above = here + np.uint64(stride)
-        for c in range(TILE):
-            count += runs[here]
-            if steps.size:
-                count += steps[here] - steps[above]
-            plain[r, c] = count
-            here += np.uint64(1)
-            above += np.uint64(1)
-        counts[r] = count
-
-
-@kernel
-def sum_cols(
-    changes: Changes, stride: int, row: int, col: int, counts: Int32, plain: Int32
-) -> None:
-    """Add how often each cell of a tile was plain, by the changes along columns.
-
-    `counts` (W,) go on from the tile below.
+    The tile begins at `place`, and its next row `stride` further on; `counts` (TILE,) go on from
+    the tile before it.
     """
     line = np.empty(TILE, np.int32)
-    for c in range(col, col + TILE):
-        here = c * stride + row
-        runs, steps = changes.col_runs[here : here + TILE], changes.col_steps[here : here + TILE]
-        right = changes.col_steps[here + stride : here + stride + TILE]
-        for r in range(TILE):  # a loop of its own: many changes are added up at a time
-            line[r] = runs[r] + steps[r] - right[r]
-        count = counts[c]
-        for r in range(TILE):
-            count += line[r]
-            plain[r, c - col] += count
-        counts[c] = count
+    for r in range(TILE):
+        here = place + r * stride
+        begun, stepped = runs[here : here + TILE], steps[here : here + TILE]
+        above = steps[here + stride : here + stride + TILE]
+        for c in range(TILE):  # a loop of its own: many changes are added up at a time
+            line[c] = begun[c] + (stepped[c] - above[c] if steps.size else 0)
+        count = counts[r]
+        for c in range(TILE):
+            count += line[c]
+            plain[r, c] += count
+        counts[r] = count

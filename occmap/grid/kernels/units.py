@@ -1,8 +1,12 @@
-"""What the loops count in: kinds of beams, and lattice units.
+"""What the loops count in: kinds of beams, lattice units, and what a model says.
 
 They stand beside the loops, and not with the types, as machine code is kept under a digest of this
-folder: numba builds their values in.
+folder: numba builds their values in. This module does not load numba.
 """
+
+from typing import NamedTuple
+
+from occmap.arrays import Int64
 
 SKIP, FREE, HIT = 0, 1, 2
 """`occmap.types.Kind` as plain integers."""
@@ -34,3 +38,24 @@ ALONE = BETWEEN = 2
 BEAM_WEIGHT = ALONE + 2 * MOST_BETWEEN
 """The most that a beam weighs: its own 2, and 3 for each of two neighbours on its surface. The
 module `projection` says how."""
+
+
+class Tables(NamedTuple):
+    """What a beam adds to a cell, tabulated for the kernels: no cell costs a logarithm.
+
+    An entry packs both numbers of a cell: the second in the lowest `bits`, the first above them.
+    So one addition to a cell counts both.
+    """
+
+    depth: float
+    """How far about the range a hit reaches (m)"""
+    free: Int64
+    """(T + 1,) over (d / (r - depth))^2"""
+    hit: Int64
+    """(T + 1,) over |d - r| / depth; T = 0: the end cell alone gets the hit"""
+    plain: float
+    """Share of r - depth up to which all cells get `free[0]`"""
+    largest: int
+    """The largest number, either way, that an entry adds"""
+    bits: int
+    """A cell has room for fewer than 2^bits observations"""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.arrays import Float64, Int32, Int64
-from occmap.grid.kernels.beams import Lines, Profile, list_lines, make_lines, note_lines
+from occmap.grid.kernels.beams import Lines, list_lines, make_lines, note_lines
 from occmap.grid.kernels.lines import count_steps, draw_line
 from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.sums import Changes
@@ -25,6 +25,7 @@ from occmap.grid.kernels.units import (
     TILE,
     TILE_BITS,
     UNITS_PER_CELL,
+    Tables,
 )
 from occmap.jit import kernel
 
@@ -56,7 +57,7 @@ class Tiles(NamedTuple):
 
 @kernel
 def trace_window(
-    beams: Beams, profile: Profile, corner: Int64, cells: Int64, changes: Changes
+    beams: Beams, tables: Tables, corner: Int64, cells: Int64, changes: Changes
 ) -> None:
     """Add to the cells of a window what a radial model says of every beam.
 
@@ -68,42 +69,44 @@ def trace_window(
         (H, W + PAD) sums of what visited cells got; all others go to `changes`.
     """
     rows, cols, numbers = cells.shape[0], cells.shape[1] - PAD, cells.ravel()
-    lines, notes, entries = make_room(beams, profile, rows, cols)
+    depth = tables.depth * beams.units_per_metre
+    lines, notes, entries = make_room(beams, tables, rows, cols)
     for s in range(len(beams.rays.kind)):
-        size = list_lines(beams, s, profile, corner, rows, cols, lines)
+        size = list_lines(beams, s, tables, corner, rows, cols, lines)
         note_lines(lines, size, rows, cols, changes)
         k = 0
         while k < size:
-            k, fill = list_slopes(lines, k, size, profile, cols + PAD, notes)
+            k, fill = list_slopes(lines, k, size, tables, depth, cols + PAD, notes)
             add_to_window(notes[:fill], entries, numbers)
 
 
 @kernel
-def trace_tiles(beams: Beams, profile: Profile, corner: Int64, tiles: Tiles) -> None:
+def trace_tiles(beams: Beams, tables: Tables, corner: Int64, tiles: Tiles) -> None:
     """Add to the cells of tiles what a model says of every beam; parameters as `trace_window`."""
     rows, cols = tiles.table.shape[0] * TILE, tiles.table.shape[1] * TILE
-    col_bits, counts = int(np.ceil(np.log2(cols))), profile.hit.size == 1
-    lines, notes, entries = make_room(beams, profile, rows, cols)
+    col_bits, counts = int(np.ceil(np.log2(cols))), tables.hit.size == 1
+    depth = tables.depth * beams.units_per_metre
+    lines, notes, entries = make_room(beams, tables, rows, cols)
     for s in range(len(beams.rays.kind)):
-        size = list_lines(beams, s, profile, corner, rows, cols, lines)
-        visit_lines(lines, size, profile.free[0], counts, tiles)
+        size = list_lines(beams, s, tables, corner, rows, cols, lines)
+        visit_lines(lines, size, tables.free[0], counts, tiles)
         k = size if counts else 0
         while k < size:
-            k, fill = list_slopes(lines, k, size, profile, 1 << col_bits, notes)
+            k, fill = list_slopes(lines, k, size, tables, depth, 1 << col_bits, notes)
             add_to_tiles(notes[:fill], entries, col_bits, tiles)
 
 
 @kernel
-def make_room(beams: Beams, profile: Profile, rows: int, cols: int) -> tuple[Lines, Float64, Int64]:
+def make_room(beams: Beams, tables: Tables, rows: int, cols: int) -> tuple[Lines, Float64, Int64]:
     """Room for the lines of a scan, room for notes, and the entries that notes speak of."""
     lines = make_lines(beams.rays.kind.shape[1])
     notes = np.empty(lines.ranges.size + max(rows, cols) + AT_A_TIME)
-    return lines, notes, np.concatenate((profile.free, profile.hit, np.zeros(1, np.int64)))
+    return lines, notes, np.concatenate((tables.free, tables.hit, np.zeros(1, np.int64)))
 
 
 @kernel
 def list_slopes(
-    lines: Lines, start: int, size: int, profile: Profile, stride: int, notes: Float64
+    lines: Lines, start: int, size: int, tables: Tables, depth: float, stride: int, notes: Float64
 ) -> tuple[int, int]:
     """List, in notes, what a radial model adds to the cells of lines that are not plain.
 
@@ -111,6 +114,8 @@ def list_slopes(
     ----------
     start
         The first line to list.
+    depth
+        How far about the range a hit reaches (lattice units).
     stride
         From row to row of the places in the notes.
     notes
@@ -121,9 +126,9 @@ def list_slopes(
     The first line that is not listed, and how many notes there are.
     """
     cells, parts, weights = lines.cells, lines.parts, lines.weights
-    depth, steps = profile.depth, float(profile.hit.size - 1)
+    steps = float(tables.hit.size - 1)
     hit_scale = steps / max(depth, NO_LENGTH)
-    first_hit, nothing = float(profile.free.size), float(profile.free.size + profile.hit.size)
+    first_hit, nothing = float(tables.free.size), float(tables.free.size + tables.hit.size)
     fill = 0
     for k in range(start, size):
         first, end = parts[k, 1], parts[k, 2]
