@@ -398,5 +398,5 @@ def test_few_scans_and_many_observe_the_same(kind_of_map: int) -> None:
 
 def choose(spec: GridSpec, rays: Rays) -> Window:
     """The window that some rays are traced in."""
-    projected = project(rays, spec)
-    return choose_window(spec, projected)(spec, projected.box)
+    beams = project(rays, spec)
+    return choose_window(spec, beams)(spec, beams.box)

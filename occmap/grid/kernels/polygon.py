@@ -95,16 +95,16 @@ def _link_beams(
     ends_x, ends_y, last = beams.ends_x[s], beams.ends_y[s], kinds.size - 1
     for a, b, size in ((0, 1, last), (last, 0, 1)):  # the first beam comes after the last
         before, after, link = kinds[a : a + size], kinds[b : b + size], links[b : b + size]
-        near, far = distance[a : a + size], distance[b : b + size]
+        range_before, range_after = distance[a : a + size], distance[b : b + size]
         from_x, to_x = ends_x[a : a + size], ends_x[b : b + size]
         from_y, to_y = ends_y[a : a + size], ends_y[b : b + size]
         for i in range(size):
-            one_surface = abs(np.float64(far[i]) - np.float64(near[i])) <= jump
-            solid = (before[i] != 0) & (after[i] != 0)
-            centre, to_centre = from_y[i] + HALF_CELL - 1, to_y[i] + HALF_CELL - 1
-            crosses = (centre >> CELL_SHIFT) != (to_centre >> CELL_SHIFT)
-            ends = (before[i] != 0) != (after[i] != 0)
-            edge = (solid & (crosses | (not one_surface))) | ends
+            one_surface = abs(np.float64(range_after[i]) - np.float64(range_before[i])) <= jump
+            solid, one_is = (before[i] != 0) & (after[i] != 0), (before[i] != 0) != (after[i] != 0)
+            # The next row whose centre line lies above each end.
+            row, to_row = from_y[i] + HALF_CELL - 1, to_y[i] + HALF_CELL - 1
+            crosses = (row >> CELL_SHIFT) != (to_row >> CELL_SHIFT)
+            edge = (solid & (crosses | (not one_surface))) | one_is
             both = (before[i] == HIT) & (after[i] == HIT)
             across = abs((to_x[i] >> CELL_SHIFT) - (from_x[i] >> CELL_SHIFT))
             up = abs((to_y[i] >> CELL_SHIFT) - (from_y[i] >> CELL_SHIFT))
