@@ -7,21 +7,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from occmap.alignment import settle_align
-from occmap.cells import Evidence, Manifest, OccupancyMap
+from occmap.cells import Evidence, OccupancyMap
 from occmap.evidence import to_evidence
 from occmap.evidence.fit import list_misfit
 from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
-from occmap.evidence.merging import open_resumed
+from occmap.evidence.merging import refuse_different
 from occmap.evidence.persistence import render_lasting
-from occmap.evidence.publishing import describe_resumed
+from occmap.evidence.publishing import sum_scans
 from occmap.grid.framing import frame
 from occmap.grid.tiles import TileGrid, add_stack, view_tiles
 from occmap.observing import Keep, Observe, Observed, Progress, ignore_progress
 from occmap.observing import observe as observe_here
 from occmap.options import BuildOptions
 from occmap.remarks import Remarks, list_notes
-from occmap.report import MapFacts, MapSummary, Report, describe_map
+from occmap.report import MapFacts, MapSummary, Report, Resumed, describe_map
 from occmap.sensor.models import SensorModel
+from occmap.store.sources import open_saved, read_all
 from occmap.tally import Tally, refuse_unseen, refuse_unused
 from occmap.writers import Product
 from occmap.writers.atomic import hold_alone
@@ -84,9 +85,10 @@ def build_locked(
     inspect: Callable[[], "Inspection"] | None,
 ) -> Build:
     """Build and write a map while this process holds the lock on its evidence."""
-    saved = open_past(options)
-    options, unaligned = settle_align(paths, adopt_align(options, saved))
-    keeps_times = options.min_passes is not None or want_evidence(outputs)
+    saved, options = open_past(options)
+    options, unaligned = settle_align(paths, options)
+    keeps_evidence = want_evidence(outputs)
+    keeps_times = options.min_passes is not None or keeps_evidence
     keep = Keep(slices=keeps_times, journey=want_journey(outputs))
 
     tiles, slices, tally, remarks = observe(paths, options, keep)
@@ -104,8 +106,11 @@ def build_locked(
         grid = frame(grid, options.framing, options.model.prior, options.max_cells)
 
     manifest = plan_manifest(options)
-    if want_evidence(outputs):  # only then: it takes time to hash the logs
-        manifest = describe_evidence(paths, options, tally, saved)
+    if keeps_evidence:  # only then: it takes time to hash the logs
+        with tally.time("write"):
+            made = describe_build(paths, options, tally.to_json())
+        before = saved.manifest if saved else manifest
+        manifest = replace(manifest, builds=(*before.builds, made), subtracted=before.subtracted)
 
     facts = describe_map(grid, options.writing)
     remarks.notes += [*unaligned, *misfit, *lost, *list_doubts(manifest)]
@@ -122,7 +127,7 @@ def build_locked(
     with tally.time("write"):
         files = write_outputs(outputs, product, options.writing)
     report = replace(report, files=tuple(files), seconds=tally.list_seconds())
-    return Build(grid, report, tiles, product.evidence() if want_evidence(outputs) else None)
+    return Build(grid, report, tiles, product.evidence() if keeps_evidence else None)
 
 
 def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> "Inspection":
@@ -132,11 +137,25 @@ def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> "Inspection":
     return inspect(paths, options)
 
 
-def open_past(options: BuildOptions) -> Evidence | None:
-    """Read the evidence that a build is to be added to, if there is any."""
+def open_past(options: BuildOptions) -> tuple[Evidence | None, BuildOptions]:
+    """Read the evidence that a build is to be added to, if there is any.
+
+    Where the user names no angle, the options turn the map as that evidence is turned.
+
+    Raises
+    ------
+    MapError
+        It cannot be read, or cannot be combined with what the build makes.
+    """
     there = options.resume_if_there
     path = options.resume or (there if there and there.exists() else None)
-    return open_resumed(path, plan_manifest(options)) if path else None
+    if path is None:
+        return None, options
+    saved = read_all(open_saved(path))
+    if options.posing.align is None:
+        options = replace(options, posing=replace(options.posing, align=saved.manifest.align))
+    refuse_different(plan_manifest(options), saved)
+    return saved, options
 
 
 def add_past(tiles: TileGrid, saved: Evidence, model: SensorModel) -> list[str]:
@@ -147,24 +166,6 @@ def add_past(tiles: TileGrid, saved: Evidence, model: SensorModel) -> list[str]:
     return [f"{saved.where}: {text}" for text in misfit]
 
 
-def adopt_align(options: BuildOptions, saved: Evidence | None) -> BuildOptions:
-    """Turn a map that is added to evidence as that is turned, where the user names no angle."""
-    if saved is None or options.posing.align is not None:
-        return options
-    return replace(options, posing=replace(options.posing, align=saved.manifest.align))
-
-
-def describe_evidence(
-    paths: Sequence[Path], options: BuildOptions, tally: Tally, saved: Evidence | None
-) -> Manifest:
-    """Describe what evidence is made of: this build, after those that it is added to."""
-    manifest = plan_manifest(options)
-    past = saved.manifest if saved else manifest
-    with tally.time("write"):
-        made = describe_build(paths, options, tally.to_json())
-    return replace(manifest, builds=(*past.builds, made), subtracted=past.subtracted)
-
-
 def make_report(
     options: BuildOptions,
     tally: Tally,
@@ -173,14 +174,14 @@ def make_report(
     saved: Evidence | None = None,
 ) -> Report:
     """Sum up what was done; `saved` is the evidence that it was added to."""
-    manifest = plan_manifest(options)
+    past = sum_scans(saved.manifest.builds if saved else ())
     return Report(
         logs=tuple(remarks.logs),
         scans=tally.scans,
         builds=1,
-        resumed=describe_resumed(saved) if saved else None,
+        resumed=Resumed(saved.where, past.read, past.used) if saved else None,
         beams=tally.beams,
-        map=MapSummary.describe(facts, options.resolution, manifest, options.min_passes),
+        map=MapSummary.describe(facts, plan_manifest(options), options.min_passes),
         notes=tuple(remarks.notes),
         damage=tuple(remarks.damage),
         seconds=tally.list_seconds(),

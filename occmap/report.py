@@ -1,5 +1,6 @@
 """What a build did: numbers for people and for programs."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Self
 
@@ -29,26 +30,21 @@ class Resumed:
 class MapFacts(NamedTuple):
     """What is measured of a map for its report."""
 
+    resolution: float
+    """Side of a cell, or of a pixel of an overview (m)"""
+    extent: Box
     shape: tuple[int, int]
     """Rows and columns"""
-    extent: Box
-    occupied: float
-    free: float
-    unknown: float
-    """Shares of its cells; the rest was observed and is undecided"""
+    counts: Int64
+    """(4,) as `count_cells` gives them"""
     agreement: float | None
-    has_walls: bool
-    """Whether it calls any cell occupied"""
+    lost: Sequence[str] = ()
+    """What there is to say of cells that do not last"""
 
-    @classmethod
-    def of_counts(
-        cls, extent: Box, shape: tuple[int, int], counts: Int64, agreement: float | None
-    ) -> Self:
-        """Make them of the numbers that `count_cells` gives, added up over the whole map."""
-        cells = shape[0] * shape[1]
-        observed, occupied, free, walls = counts.tolist()
-        shares = occupied / cells, free / cells, (cells - observed) / cells
-        return cls(shape, extent, *shares, agreement, walls > 0)
+    @property
+    def has_walls(self) -> bool:
+        """Whether the model calls any cell occupied."""
+        return bool(self.counts[3])
 
 
 @dataclass(frozen=True)
@@ -95,24 +91,24 @@ class MapSummary:
         return self.cells * (1 - self.unknown) * self.resolution**2
 
     @classmethod
-    def describe(
-        cls, facts: MapFacts, resolution: float, manifest: Manifest, min_passes: int | None
-    ) -> Self:
-        """Sum up a map of evidence; the cells of an overview are coarser than the evidence's."""
+    def describe(cls, facts: MapFacts, manifest: Manifest, min_passes: int | None) -> Self:
+        """Sum up a map of evidence."""
         rows, columns = facts.shape
+        cells = rows * columns
+        observed, occupied, free, _ = facts.counts.tolist()
+        parts = {"occupied": occupied, "free": free, "unknown": cells - observed}
+        shares = {name: count / cells for name, count in parts.items()}
         return cls(
             update=Update(manifest.update),
             model=manifest.model,
             min_passes=min_passes,
-            resolution=resolution,
+            resolution=facts.resolution,
             columns=columns,
             rows=rows,
             extent=facts.extent,
             align=manifest.align or 0.0,
-            occupied=facts.occupied,
-            free=facts.free,
-            unknown=facts.unknown,
-            undecided=max(round(1 - (facts.occupied + facts.free + facts.unknown), 12), 0.0),
+            **shares,
+            undecided=max(round(1 - sum(shares.values()), 12), 0.0),  # 0 if they add up to 1
             agreement=facts.agreement,
         )
 
@@ -159,7 +155,8 @@ class Report(Printed):
 
 def describe_map(grid: OccupancyMap, writing: WriteOptions) -> MapFacts:
     """Measure a map, as it is written."""
-    return MapFacts.of_counts(grid.extent, grid.shape, count_cells(grid, writing), grid.agreement)
+    counts = count_cells(grid, writing)
+    return MapFacts(grid.resolution, grid.extent, grid.shape, counts, grid.agreement)
 
 
 def count_cells(grid: OccupancyMap, writing: WriteOptions) -> Int64:

@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -70,13 +71,17 @@ def describe_files(path: Path) -> Iterator[dict[str, Any]]:
     LogError
         A file cannot be read any more.
     """
-    inner = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
-    for each in inner:
+    for each in list_files(path):
         with refuse_unreadable(each), each.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
             size = file.tell()
         name = each.relative_to(path.parent).as_posix()
         yield {"name": name, "bytes": size, "sha256": digest}
+
+
+def list_files(path: Path) -> list[Path]:
+    """List a file, or all files in a folder."""
+    return sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
 
 
 def find_trajectory(build: BuildRecord) -> dict[str, Any] | None:
@@ -131,17 +136,14 @@ def list_doubts(manifest: Manifest) -> Iterator[str]:
 def list_repeated(builds: Sequence[BuildRecord]) -> Iterator[str]:
     """Say which logs count twice. Parts of one log that share no scan do not."""
     said: dict[str, None] = {}
+    logs = defaultdict(list)
     for build in builds:
-        hashes = [entry["sha256"] for entry in list_inputs(build)]
-        again = (e for i, e in enumerate(list_inputs(build)) if e["sha256"] in hashes[:i])
-        said |= dict.fromkeys(tell_repeated(entry["name"]) for entry in again)
-    for one, other in combinations(builds, 2):
-        mine, its = one["options"]["selection"], other["options"]["selection"]
-        hashes = [entry["sha256"] for entry in list_inputs(one)]
-        again = (entry for entry in list_inputs(other) if entry["sha256"] in hashes)
-        if overlap(mine, its):
-            part = "" if mine == its else ", in part"
-            said |= dict.fromkeys(tell_repeated(entry["name"], part) for entry in again)
+        for entry in list_inputs(build):
+            logs[entry["sha256"]].append((build["options"]["selection"], entry["name"]))
+    for same in logs.values():
+        for (mine, _), (its, name) in combinations(same, 2):
+            if overlap(mine, its):
+                said[tell_repeated(name, "" if mine == its else ", in part")] = None
     yield from said
 
 

@@ -15,21 +15,7 @@ from occmap.evidence.manifest import MEANING
 from occmap.grid.slices import restrict
 from occmap.grid.tiles import EvidenceKind, TileGrid, add_stack, drop_empty, stack_tiles, view_tiles
 from occmap.sensor.models import SensorModel
-from occmap.store.sources import Combined, Saved, as_blocks, open_saved, read_all
-
-
-def open_resumed(path: Path, plan: Manifest) -> Evidence:
-    """Read evidence that a build is to add to.
-
-    Raises
-    ------
-    MapError
-        It cannot be read, or cannot be combined with what the build makes.
-    """
-    saved = read_all(open_saved(path))
-    mine = saved.manifest.align if plan.align is None else plan.align
-    refuse_different(replace(plan, align=mine), saved)
-    return saved
+from occmap.store.sources import Combined, Saved, as_blocks, open_saved
 
 
 def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:

@@ -10,12 +10,12 @@ from typing import NamedTuple
 from occmap.cells import Evidence, Manifest, OccupancyMap
 from occmap.errors import UsageError
 from occmap.evidence import read_model, refuse_other_profile, to_grid
-from occmap.evidence.manifest import list_doubts
+from occmap.evidence.manifest import BuildRecord, list_doubts
 from occmap.evidence.persistence import check_passes, render_lasting
 from occmap.grid.framing import Framing, frame
 from occmap.grid.tiles import MAX_CELLS
 from occmap.remarks import list_disagreement, list_unreached
-from occmap.report import MapFacts, MapSummary, Report, Resumed, describe_map
+from occmap.report import MapFacts, MapSummary, Report, describe_map
 from occmap.sensor.models import SensorModel, describe_model
 from occmap.sensor.returns import ReturnCounts
 from occmap.store import rendering
@@ -51,16 +51,6 @@ class Rendered(NamedTuple):
     evidence: Evidence
 
 
-class Seen(NamedTuple):
-    """What a report says of a map, which may never be in memory as a whole."""
-
-    resolution: float
-    """Side of a cell, or of a pixel of an overview (m)"""
-    facts: MapFacts
-    lost: list[str]
-    """What there is to say of cells that do not last"""
-
-
 def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Report:
     """Render evidence and write it, as a map or as evidence; the report sums up its builds.
 
@@ -80,11 +70,11 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
     in_parts = all(isinstance(writer, ZarrWriter | WindowWriter) for writer in writers)
     grid: OccupancyMap | rendering.BlockMap
     if isinstance(saved, Evidence) or options.overview or not in_parts:
-        grid, seen = paint_saved(saved, model, options)
+        grid, facts = paint_saved(saved, model, options)
     else:
         grid = rendering.open_map(rendering.View(saved, model, options.min_passes), options.framing)
-        seen = Seen(grid.resolution, *rendering.survey_blocks(grid, options.writing))
-    report = summarise(manifest, model, seen, options, outputs)
+        facts = rendering.survey_blocks(grid, options.writing)
+    report = summarise(manifest, model, facts, options, outputs)
     keep = cache(lambda: replace(read_all(saved), manifest=manifest))
     files: list[str] = []
     for path, writer in zip(outputs, writers, strict=True):
@@ -124,8 +114,8 @@ def render_kept(saved: Saved, options: RenderOptions) -> Rendered:
         would be too large.
     """
     model, manifest = choose_model(saved, options)
-    grid, seen = paint_saved(saved, model, options)
-    report = summarise(manifest, model, seen, options, outputs=())
+    grid, facts = paint_saved(saved, model, options)
+    report = summarise(manifest, model, facts, options, outputs=())
     return Rendered(grid, report, replace(read_all(saved), manifest=manifest))
 
 
@@ -145,8 +135,14 @@ def choose_model(saved: Saved, options: RenderOptions) -> tuple[SensorModel, Man
 
 def paint_saved(
     saved: Saved, model: SensorModel, options: RenderOptions
-) -> tuple[OccupancyMap, Seen]:
-    """Paint a map, or the part of it that is wanted; raises MapError."""
+) -> tuple[OccupancyMap, MapFacts]:
+    """Paint a map, or the part of it that is wanted, and measure it.
+
+    Raises
+    ------
+    OccmapError
+        Nothing is left of it, it would be too large, or there is no such overview.
+    """
     framing, most = options.framing, options.max_cells
     if options.overview is not None:
         store = check_overview(saved, options)
@@ -159,7 +155,7 @@ def paint_saved(
     else:
         view = rendering.View(saved, model, options.min_passes)
         shown, lost = rendering.render_blocks(rendering.open_map(view, framing), most)
-    return shown, Seen(shown.resolution, describe_map(shown, options.writing), lost)
+    return shown, describe_map(shown, options.writing)._replace(lost=lost)
 
 
 def check_overview(saved: Saved, options: RenderOptions) -> Store:
@@ -181,7 +177,7 @@ def check_overview(saved: Saved, options: RenderOptions) -> Store:
 def summarise(
     manifest: Manifest,
     model: SensorModel,
-    seen: Seen,
+    facts: MapFacts,
     options: RenderOptions,
     outputs: Sequence[Path],
 ) -> Report:
@@ -189,35 +185,29 @@ def summarise(
     scans = [build["scans"] for build in manifest.builds]
     return Report(
         logs=tuple(entry["name"] for build in manifest.builds for entry in build["inputs"]),
-        scans=sum_scans(manifest),
+        scans=sum_scans(manifest.builds),
         builds=len(scans),
         resumed=None,
         beams=sum((read_counts(each["beams"]) for each in scans), ReturnCounts()),
-        map=MapSummary.describe(seen.facts, seen.resolution, manifest, options.min_passes),
+        map=MapSummary.describe(facts, manifest, options.min_passes),
         notes=(
             *list_doubts(manifest),
             *list_idle(outputs, options.writing),
             *list_unreached(model, options.writing),
-            *seen.lost,
-            *list_disagreement(seen.facts),
+            *facts.lost,
+            *list_disagreement(facts),
         ),
     )
 
 
-def sum_scans(manifest: Manifest) -> ScanCounts:
-    """Add up what became of the scans of all builds of evidence."""
-    scans = [build["scans"] for build in manifest.builds]
+def sum_scans(builds: Sequence[BuildRecord]) -> ScanCounts:
+    """Add up what became of the scans of builds."""
+    scans = [build["scans"] for build in builds]
     read, used = (sum(each[name] for each in scans) for name in ("read", "used"))
     dropped: Counter[str] = Counter()
     for each in scans:
         dropped.update(each["dropped"])
     return ScanCounts(read, used, dict(dropped))
-
-
-def describe_resumed(evidence: Evidence) -> Resumed:
-    """Say what a build was added to."""
-    scans = sum_scans(evidence.manifest)
-    return Resumed(evidence.where, scans.read, scans.used)
 
 
 def read_counts(beams: dict[str, int]) -> ReturnCounts:

@@ -20,7 +20,7 @@ from typing import NamedTuple
 from occmap.cells import Slices
 from occmap.engines import make_grid
 from occmap.errors import OutputError
-from occmap.evidence.manifest import UNRECORDED, write_value
+from occmap.evidence.manifest import UNRECORDED, list_files, write_value
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
 from occmap.fleet.reducing import BlockJob, reduce_block
 from occmap.fleet.runs import Piece, Setting, read_pieces
@@ -164,8 +164,8 @@ def open_scratch(
 
 def describe_state(path: Path) -> list[int]:
     """Sizes and times of change (ns) of the files of an input; nothing of one that is not there."""
-    inner = sorted(path.rglob("*")) if path.is_dir() else [path] if path.exists() else []
-    return [number for each in inner for number in (each.stat().st_size, each.stat().st_mtime_ns)]
+    states = [each.stat() for each in list_files(path)] if path.exists() else []
+    return [number for state in states for number in (state.st_size, state.st_mtime_ns)]
 
 
 def list_surveys(setting: Setting, paths: Sequence[Path]) -> list[SurveyJob]:

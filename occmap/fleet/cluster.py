@@ -153,18 +153,17 @@ def open_cluster(
             fix = f"start some: dask worker {address}"
             raise FleetError("the scheduler has no workers", where=address, fix=fix) from None
         cluster = Cluster(client, describe)
-        refuse_unequal(cluster)
-        refuse_small(cluster)
+        refuse_unfit(cluster)
         yield cluster
 
 
-def refuse_unequal(cluster: Cluster) -> None:
-    """Refuse workers on which the same tasks might make other cells.
+def refuse_unfit(cluster: Cluster) -> None:
+    """Refuse workers that might make other cells, or would wait for memory for ever.
 
     Raises
     ------
     FleetError
-        Saying how many there are, and what they run.
+        Saying how many there are and what they run, or how much memory the smallest has.
     """
     mine, theirs = list_versions(), cluster.ask(list_versions)
     if other := [each for each in theirs if each != mine]:
@@ -175,25 +174,15 @@ def refuse_unequal(cluster: Cluster) -> None:
         workers = f"{len(other)} of {count(len(theirs), 'worker')}"
         found = f"{workers} run {there}, where {here} runs here"
         raise FleetError(found, fix="install the same versions everywhere")
+    if cluster.memory is not None and cluster.memory < LEAST_BYTES:
+        memory, least = cluster.memory >> 20, LEAST_BYTES >> 20
+        found = f"a worker may take {memory} MiB of memory, and {least} MiB are the least"
+        raise FleetError(found, fix="start fewer workers, or give each more memory")
 
 
 def list_versions() -> dict[str, str]:
     """Versions of what decides which cells a scan observes."""
     return {name: version(name) for name in MUST_EQUAL}
-
-
-def refuse_small(cluster: Cluster) -> None:
-    """Refuse workers that would wait for memory for ever.
-
-    Raises
-    ------
-    FleetError
-        Saying how much the smallest has.
-    """
-    if cluster.memory is not None and cluster.memory < LEAST_BYTES:
-        memory, least = cluster.memory >> 20, LEAST_BYTES >> 20
-        found = f"a worker may take {memory} MiB of memory, and {least} MiB are the least"
-        raise FleetError(found, fix="start fewer workers, or give each more memory")
 
 
 def refuse_unseen_files(cluster: Cluster, paths: Sequence[Path]) -> None:

@@ -141,8 +141,8 @@ def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> Map
     box = reduce(CellBox.join, (each.reach for each in measured if each.reach))
     agreeing, hits = (sum(column) for column in zip(*(each.hits for each in measured), strict=True))
     cells = np.sum([each.cells for each in measured], axis=0)
-    extent = Lattice(work.setting.options.resolution).measure(box)
-    return MapFacts.of_counts(extent, box.shape, cells, agreeing / hits if hits else None)
+    resolution, agreement = work.setting.options.resolution, agreeing / hits if hits else None
+    return MapFacts(resolution, Lattice(resolution).measure(box), box.shape, cells, agreement)
 
 
 def measure_block(job: BlockJob) -> Measured:

@@ -14,7 +14,7 @@ from occmap.arrays import Float64, Int64
 from occmap.batching import Seam, Selector
 from occmap.engines import make_engine
 from occmap.errors import LogError
-from occmap.evidence.manifest import describe_files
+from occmap.evidence.manifest import describe_files, list_files
 from occmap.fleet.runs import Job, Piece, once, read_mapped, write_mapped, write_run
 from occmap.grid.tiles import stack_tiles
 from occmap.opening import count_scans
@@ -106,25 +106,17 @@ def survey_log(job: SurveyJob) -> Survey:
     first = next(iter(read_scans(log, drive.topics)), None)
     clock = Selector(options.selection, options.posing.stamps)
     first_ns = None if first is None else clock.stamp(first.first)
-    size, notes = measure_size(job.path), tuple(log.notes)
-    return Survey(job.name, job.path, scans, len(parts) or 1, size, notes, first_ns)
-
-
-def measure_size(path: Path) -> int:
-    """Bytes of a file, or of all in a folder."""
-    inner = path.rglob("*") if path.is_dir() else [path]
-    return sum(each.stat().st_size for each in inner)
+    size = sum(each.stat().st_size for each in list_files(job.path))
+    return Survey(job.name, job.path, scans, len(parts) or 1, size, tuple(log.notes), first_ns)
 
 
 def open_part(job: TraceJob) -> Drive:
     """Open a part of a log as the survey left it, or all of it."""
     setting, options = job.setting, job.setting.options
-    parts: Sequence[Drive] | None = None
-    if job.part is not None:
-        parts = read_mapped(setting.folder / f"{job.survey.name}.parts")
-    if parts is None:
+    parts: Sequence[Drive] | None = read_mapped(setting.folder / f"{job.survey.name}.parts")
+    if job.part is None or parts is None:
         return open_drive(open_log(job.survey.path, options.reading), options)
-    return parts[job.part or 0]._replace(seam=job.seam)
+    return parts[job.part]._replace(seam=job.seam)
 
 
 def count_in_window(job: TraceJob) -> int:

@@ -91,7 +91,14 @@ def open_store(path: Path) -> Store:
     with refuse_damage(path):
         root = zarr.open_group(path, mode="r", zarr_format=3)
         head = root.attrs.get("occmap", {})
-        refuse_other_format(path, head)
+        if head.get("format") != FORMAT:
+            raise MapError("is a Zarr folder, but not evidence of occmap", where=path)
+        if head["version"] > VERSION:
+            found = f"{FORMAT} of version {head['version']}, while this occmap reads {VERSION}"
+            raise MapError(found, where=path, fix="use a newer occmap")
+        if not head.get("complete"):
+            found = "is not complete: what wrote it did not come to its end"
+            raise MapError(found, where=path, fix="build it again")
         if head["checksum"] != compute_checksum(head):
             raise MapError("its attributes were altered", where=path, fix="build it again")
         manifest = Manifest.from_json(head)
@@ -102,21 +109,3 @@ def open_store(path: Path) -> Store:
         blocks = {record.block: record for record in read_table(table)}
         row, col = head["offset"]
     return Store(path, manifest, head["digest"], blocks, (row, col), root)
-
-
-def refuse_other_format(path: Path, head: dict[str, Any]) -> None:
-    """Refuse a folder that holds no evidence, or not as this occmap knows it, or not all of it.
-
-    Raises
-    ------
-    MapError
-        Saying what it is.
-    """
-    if head.get("format") != FORMAT:
-        raise MapError("is a Zarr folder, but not evidence of occmap", where=path)
-    if head["version"] > VERSION:
-        found = f"{FORMAT} of version {head['version']}, while this occmap reads {VERSION}"
-        raise MapError(found, where=path, fix="use a newer occmap")
-    if not head.get("complete"):
-        found = "is not complete: what wrote it did not come to its end"
-        raise MapError(found, where=path, fix="build it again")

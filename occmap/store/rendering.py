@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, reduce
-from typing import NamedTuple
 
 import numpy as np
 
@@ -31,16 +30,6 @@ STRIPE = 3
 
 CLASS_LOG_ODDS = np.array([0, to_log_odds(0.01), to_log_odds(0.99)], np.float32)
 """Of a pixel of each CellClass, of which nothing else is known"""
-
-
-class Piece(NamedTuple):
-    """A part of a map."""
-
-    box: CellBox
-    map: OccupancyMap
-    counts: Int64
-    """(2, 2): hits in cells called occupied, and all hits; cells that were occupied before anything
-    was forgotten, and those of them that are still"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,8 +101,12 @@ class BlockMap:
         """Lowest x and y, highest x and y (m)."""
         return self.lattice.measure(self.box)
 
-    def walk(self) -> Iterator[Piece]:
-        """Paint all pieces; what is in none of them was not observed."""
+    def walk(self) -> Iterator[tuple[CellBox, OccupancyMap, Int64]]:
+        """Paint piece by piece, with the box of each; what is in none of them was not observed.
+
+        With each come counts (2, 2): hits in cells called occupied, and all hits; cells that were
+        occupied before anything was forgotten, and those of them that are still.
+        """
         for place in list_pieces(self.view.source, self.before):
             grid, lasting = self.view.read(place)
             box = self.box.clip(place)
@@ -123,7 +116,7 @@ class BlockMap:
                 before = paint_box(grid, self.view.model, place).occupied
                 still = before[box.within(place)] & made.occupied
                 counts[1] = np.count_nonzero(before), np.count_nonzero(still)
-            yield Piece(box, made, counts)
+            yield box, made, counts
 
 
 def open_map(view: View, framing: Framing) -> BlockMap:
@@ -158,10 +151,10 @@ def render_blocks(made: BlockMap, max_cells: int) -> tuple[OccupancyMap, list[st
     log_odds = np.full(made.shape, to_log_odds(prior), np.float32)
     observed = np.zeros(made.shape, np.bool_)
     counts = np.zeros((2, 2), np.int64)
-    for piece in made.walk():
-        window = piece.box.within(made.box)
-        log_odds[window], observed[window] = piece.map.log_odds, piece.map.observed
-        counts += piece.counts
+    for box, piece, of_piece in made.walk():
+        window = box.within(made.box)
+        log_odds[window], observed[window] = piece.log_odds, piece.observed
+        counts += of_piece
     painted = OccupancyMap(log_odds, observed, made.resolution, (x, y), made.decision)
     agreement, notes = sum_up(made, counts)
     return replace(painted, agreement=agreement), notes
@@ -172,14 +165,13 @@ def classify_blocks(made: BlockMap, writing: WriteOptions, max_cells: int) -> UI
     refuse_large(made.box, made.lattice, max_cells)
     decision = writing.decide(made.decision)
     classes = np.full(made.shape, CellClass.NEITHER, np.uint8)
-    for piece in made.walk():
-        window = piece.box.within(made.box)
-        classes[window] = replace(piece.map, decision=decision).classes
+    for box, piece, _ in made.walk():
+        classes[box.within(made.box)] = replace(piece, decision=decision).classes
     return classes
 
 
-def survey_blocks(made: BlockMap, writing: WriteOptions) -> tuple[MapFacts, list[str]]:
-    """Measure a map that is never there as a whole; notes as above.
+def survey_blocks(made: BlockMap, writing: WriteOptions) -> MapFacts:
+    """Measure a map that is never there as a whole.
 
     Raises
     ------
@@ -187,11 +179,11 @@ def survey_blocks(made: BlockMap, writing: WriteOptions) -> tuple[MapFacts, list
         A block cannot be read.
     """
     cells, counts = np.zeros(4, np.int64), np.zeros((2, 2), np.int64)
-    for piece in made.walk():
-        cells += count_cells(piece.map, writing)
-        counts += piece.counts
-    agreement, notes = sum_up(made, counts)
-    return MapFacts.of_counts(made.extent, made.shape, cells, agreement), notes
+    for _, piece, of_piece in made.walk():
+        cells += count_cells(piece, writing)
+        counts += of_piece
+    agreement, lost = sum_up(made, counts)
+    return MapFacts(made.resolution, made.extent, made.shape, cells, agreement, lost)
 
 
 def sum_up(made: BlockMap, counts: Int64) -> tuple[float | None, list[str]]:

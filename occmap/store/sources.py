@@ -60,7 +60,9 @@ def open_saved(path: Path) -> Evidence | Store:
 
 def as_blocks(saved: Saved) -> Blocks:
     """Cut evidence into blocks, where it is not yet."""
-    return Held(saved) if isinstance(saved, Evidence) else saved
+    if isinstance(saved, Evidence):
+        return Held(saved.manifest, saved.where, dict(split_evidence(saved)))
+    return saved
 
 
 def read_all(saved: Saved) -> Evidence:
@@ -105,22 +107,10 @@ def cut_content(content: BlockContent, box: CellBox) -> BlockContent:
 class Held:
     """Evidence in memory; all logs of a build are said to have observed its blocks."""
 
-    evidence: Evidence
-
-    @property
-    def manifest(self) -> Manifest:
-        """What it is."""
-        return self.evidence.manifest
-
-    @property
-    def where(self) -> str:
-        """What it was read from."""
-        return self.evidence.where
-
-    @cached_property
-    def blocks(self) -> dict[Block, BlockContent]:
-        """All of it."""
-        return dict(split_evidence(self.evidence))
+    manifest: Manifest
+    where: str
+    blocks: dict[Block, BlockContent]
+    """All of it"""
 
     def read_block(self, block: Block) -> BlockContent:
         """What was observed in a block."""

@@ -2,15 +2,15 @@
 
 import os
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 from occmap.cells import Evidence, Manifest
+from occmap.evidence.manifest import list_files
 from occmap.grid.tiles import EvidenceKind
 from occmap.store.blocks import Block, BlockRecord, describe_block
 from occmap.store.layout import LAYERS, find_place, import_zarr
 from occmap.store.reading import Store, open_store
-from occmap.store.sources import Blocks, Held
+from occmap.store.sources import Blocks, as_blocks
 from occmap.store.writing import create_store, finish_store, paint_block, write_block
 from occmap.writers.atomic import make_folder, refuse_unwritable
 
@@ -37,7 +37,7 @@ class ZarrWriter:
         OutputError
             It cannot be written; then nothing is left behind.
         """
-        return self.write_blocks(path, Held(evidence), evidence.manifest)
+        return self.write_blocks(path, as_blocks(evidence), evidence.manifest)
 
     def write_blocks(self, path: Path, source: Blocks, manifest: Manifest) -> tuple[Path, ...]:
         """Write evidence block by block; the manifest may name another model.
@@ -108,11 +108,6 @@ def locate_shard(base: Store, block: Block, offset: tuple[int, int]) -> str:
     rows, cols = find_place(block, offset)
     height, width = base.root[LAYERS[EvidenceKind(base.manifest.kind)][0]].shards
     return f"c/{rows.start // height}/{cols.start // width}"
-
-
-def list_files(folder: Path) -> Iterator[Path]:
-    """All files in a folder."""
-    return (each for each in sorted(folder.rglob("*")) if each.is_file())
 
 
 def link(source: Path, target: Path) -> None:
