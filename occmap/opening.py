@@ -1,6 +1,6 @@
 """What is known of a log before its scans are read: its topics, and where the robot went."""
 
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 
 from occmap.errors import LogError, PoseError, UsageError
 from occmap.posing.attach import Poser
@@ -91,11 +91,8 @@ def refuse_shared_mount(log: Log, first: Sequence[Scan], options: PosingOptions)
 def take_first(log: Log, topics: Sequence[str]) -> list[Scan]:
     """Read the first scan of each topic, and stop reading when all are found."""
     first: dict[str, Scan] = {}
-    scans = log.scans(set(topics))
-    for scan in scans:
+    for scan in log.scans(set(topics)):
         first.setdefault(scan.topic, scan)
         if len(first) == len(topics):
             break
-    if isinstance(scans, Generator):
-        scans.close()
     return list(first.values())

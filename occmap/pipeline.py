@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from occmap.alignment import settle_align
 from occmap.cells import Evidence, OccupancyMap
-from occmap.evidence import to_evidence
 from occmap.evidence.fit import list_misfit
 from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
 from occmap.evidence.merging import refuse_different
 from occmap.evidence.persistence import render_lasting
 from occmap.evidence.publishing import sum_scans
 from occmap.grid.framing import frame
-from occmap.grid.tiles import TileGrid, add_stack, view_tiles
+from occmap.grid.tiles import TileGrid, add_stack, stack_tiles, view_tiles
 from occmap.observing import Keep, Observe, Observed, Progress, ignore_progress
 from occmap.observing import observe as observe_here
 from occmap.options import BuildOptions
@@ -86,10 +85,10 @@ def build_locked(
 ) -> Build:
     """Build and write a map while this process holds the lock on its evidence."""
     saved, options = open_past(options)
+    where = saved.where if saved else ""
     options, unaligned = settle_align(paths, options)
     keeps_evidence = want_evidence(outputs)
-    keeps_times = options.min_passes is not None or keeps_evidence
-    keep = Keep(slices=keeps_times, journey=want_journey(outputs))
+    keep = Keep(options.min_passes is not None or keeps_evidence, want_journey(outputs))
 
     tiles, slices, tally, remarks = observe(paths, options, keep)
     misfit: list[str] = []
@@ -119,7 +118,7 @@ def build_locked(
 
     product = Product(
         grid,
-        cache(partial(to_evidence, tiles, manifest, slices, saved.where if saved else "")),
+        cache(lambda: Evidence(manifest, *stack_tiles(tiles.tiles), slices, where)),
         tally.recorder.finish() if tally.recorder else None,
         report,
         inspect,

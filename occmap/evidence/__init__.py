@@ -8,7 +8,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 
 from occmap.arrays import Float64
-from occmap.cells import Evidence, Manifest, OccupancyMap, Slices, to_log_odds
+from occmap.cells import Evidence, Manifest, OccupancyMap, to_log_odds
 from occmap.errors import MapError, OccmapError
 from occmap.evidence.manifest import describe_profile
 from occmap.grid.lattice import CellBox, Lattice
@@ -20,7 +20,6 @@ from occmap.grid.tiles import (
     TileGrid,
     add_stack,
     refuse_large,
-    stack_tiles,
 )
 from occmap.sensor.models import (
     Clamped,
@@ -107,16 +106,6 @@ def read_model(evidence: Described) -> SensorModel:
         found = f"its model {evidence.manifest.model!r} cannot be made ({error.found})"
         fix = "give another with `model`, or install what has it"
         raise MapError(found, where=evidence.where, fix=fix) from None
-
-
-def to_evidence(
-    grid: TileGrid, manifest: Manifest, slices: tuple[Slices, ...], where: str = ""
-) -> Evidence:
-    """Make evidence of a grid, and of the slices of time in which each build observed its cells.
-
-    `where` is what it goes on from, if anything.
-    """
-    return Evidence(manifest, *stack_tiles(grid.tiles), slices, where)
 
 
 def to_grid(evidence: Evidence) -> TileGrid:

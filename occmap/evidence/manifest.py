@@ -128,7 +128,11 @@ def plan_manifest(options: Any) -> Manifest:
 def list_doubts(manifest: Manifest) -> Iterator[str]:
     """Say what a reader of evidence should know of it."""
     yield from list_repeated(manifest.builds)
-    yield from list_mixed(manifest)
+    names = {Update.BEAM: (), Update.SURFACE: ("jump",), Update.POLYGON: ("jump", "border_gap")}
+    for name in names[Update(manifest.update)]:
+        values = {str(b["options"][name]) for b in manifest.builds if name in b["options"]}
+        if len(values) > 1:
+            yield f"its builds differ in `{name}` ({', '.join(sorted(values))})"
     if manifest.subtracted:
         yield "what was subtracted was not a whole build, so numbers of visits are upper bounds"
 
@@ -165,15 +169,6 @@ def overlap(one: dict[str, Any], other: dict[str, Any]) -> bool:
     topics, others = set(one["topics"]), set(other["topics"])
     apart = begin >= end or (topics and others and not topics & others)
     return not apart and (one == other or 1 in (one["stride"], other["stride"]))
-
-
-def list_mixed(manifest: Manifest) -> Iterator[str]:
-    """Say which options shaped what builds observed, and are not the same in all of them."""
-    names = {Update.BEAM: (), Update.SURFACE: ("jump",), Update.POLYGON: ("jump", "border_gap")}
-    for name in names[Update(manifest.update)]:
-        values = {str(b["options"][name]) for b in manifest.builds if name in b["options"]}
-        if len(values) > 1:
-            yield f"its builds differ in `{name}` ({', '.join(sorted(values))})"
 
 
 def describe_profile(model: SensorModel) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from occmap.cells import Evidence, Manifest
 from occmap.errors import MapError
-from occmap.evidence import Described, read_model, to_evidence, to_grid
+from occmap.evidence import Described, read_model, to_grid
 from occmap.evidence.fit import list_misfit
 from occmap.evidence.manifest import MEANING
 from occmap.grid.slices import restrict
@@ -76,7 +76,7 @@ def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Ev
         builds += other.manifest.builds
         subtracted += other.manifest.subtracted
     manifest = replace(first.manifest, builds=builds, subtracted=subtracted)
-    return replace(to_evidence(grid, manifest, slices), notes=tuple(notes))
+    return Evidence(manifest, *stack_tiles(grid.tiles), slices, notes=tuple(notes))
 
 
 def subtract(evidence: Evidence, other: Evidence) -> Evidence:
@@ -105,7 +105,8 @@ def subtract(evidence: Evidence, other: Evidence) -> Evidence:
         else:
             unknown.append(build)
     manifest = replace(evidence.manifest, builds=tuple(builds), subtracted=tuple(unknown))
-    return to_evidence(grid, manifest, tuple(restrict(each, grid) for each in slices))
+    left = tuple(restrict(each, grid) for each in slices)
+    return Evidence(manifest, *stack_tiles(grid.tiles), left)
 
 
 def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None:

@@ -145,8 +145,14 @@ def paint_saved(
     """
     framing, most = options.framing, options.max_cells
     if options.overview is not None:
-        store = check_overview(saved, options)
-        shown = rendering.read_overview(store, options.overview, framing, most)
+        if not isinstance(saved, Store):
+            raise UsageError("`overview` goes with a store", where=saved.where, fix="leave it out")
+        if options.model or options.min_passes:
+            found = (
+                "the pictures in a store show what its own model decided of all that was observed"
+            )
+            raise UsageError(found, fix="leave out `overview`, or the model and `min_passes`")
+        shown = rendering.read_overview(saved, options.overview, framing, most)
         lost: list[str] = []
     elif isinstance(saved, Evidence):
         grid, lost = render_lasting(to_grid(saved), saved.slices, options.min_passes, model, most)
@@ -158,22 +164,6 @@ def paint_saved(
     return shown, describe_map(shown, options.writing)._replace(lost=lost)
 
 
-def check_overview(saved: Saved, options: RenderOptions) -> Store:
-    """Refuse an overview of what has no pictures, or by another model than theirs.
-
-    Raises
-    ------
-    UsageError
-        Saying what does not go with it.
-    """
-    if not isinstance(saved, Store):
-        raise UsageError("`overview` goes with a store", where=saved.where, fix="leave it out")
-    if options.model or options.min_passes:
-        found = "the pictures in a store show what its own model decided of all that was observed"
-        raise UsageError(found, fix="leave out `overview`, or the model and `min_passes`")
-    return saved
-
-
 def summarise(
     manifest: Manifest,
     model: SensorModel,
@@ -182,13 +172,15 @@ def summarise(
     outputs: Sequence[Path],
 ) -> Report:
     """Sum up all builds of evidence, and the map that was made of it."""
-    scans = [build["scans"] for build in manifest.builds]
+    beams = [build["scans"]["beams"] for build in manifest.builds]
+    # An older occmap may have counted fewer kinds of beams, or others.
+    kinds = {kind: sum(each.get(kind, 0) for each in beams) for kind in ReturnCounts._fields}
     return Report(
         logs=tuple(entry["name"] for build in manifest.builds for entry in build["inputs"]),
         scans=sum_scans(manifest.builds),
-        builds=len(scans),
+        builds=len(beams),
         resumed=None,
-        beams=sum((read_counts(each["beams"]) for each in scans), ReturnCounts()),
+        beams=ReturnCounts(**kinds),
         map=MapSummary.describe(facts, manifest, options.min_passes),
         notes=(
             *list_doubts(manifest),
@@ -208,8 +200,3 @@ def sum_scans(builds: Sequence[BuildRecord]) -> ScanCounts:
     for each in scans:
         dropped.update(each["dropped"])
     return ScanCounts(read, used, dict(dropped))
-
-
-def read_counts(beams: dict[str, int]) -> ReturnCounts:
-    """Read the counts of beams, of which an older occmap may have had fewer kinds, or others."""
-    return ReturnCounts(*(beams.get(name, 0) for name in ReturnCounts._fields))

@@ -89,7 +89,13 @@ class Fleet:
         with self.work(paths, options, keep, progress) as work, work.tally.time("fold"):
             pieces = work.cluster.run("reduce", reduce_block, list_reductions(work))
             work.remarks.notes += work.cluster.list_losses()
-            return gather(work, pieces)
+            grid = make_grid(options)
+            layers: list[Slices] = []
+            for content in read_pieces(work.setting.folder, pieces):
+                grid.tiles |= view_tiles(content.tiles, content.cells)
+                layers += content.slices
+            slices = (unite(layers),) if keep.slices else ()
+            return Observed(grid, slices, work.tally, work.remarks)
 
     @contextmanager
     def work(
@@ -213,15 +219,3 @@ def list_reductions(work: Work) -> list[BlockJob]:
         replace(BlockJob.of(work.setting, block), pieces=tuple(chain.from_iterable(found.values())))
         for block, found in sorted(work.blocks.items())
     ]
-
-
-def gather(work: Work, pieces: Sequence[Piece]) -> Observed:
-    """Put the map together of its blocks."""
-    setting = work.setting
-    grid = make_grid(setting.options)
-    layers: list[Slices] = []
-    for content in read_pieces(setting.folder, pieces):
-        grid.tiles |= view_tiles(content.tiles, content.cells)
-        layers += content.slices
-    slices = (unite(layers),) if setting.keep.slices else ()
-    return Observed(grid, slices, work.tally, work.remarks)

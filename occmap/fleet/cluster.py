@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from occmap.errors import FleetError
-from occmap.fleet.runs import AnyJob, Job, Result
+from occmap.fleet.runs import AnyJob, Result
 from occmap.plugins import need_extra
 from occmap.wording import count
 
@@ -68,7 +68,7 @@ class Cluster:
         OccmapError
             Of the first job that failed, or its workers died.
         """
-        from distributed import as_completed  # noqa: PLC0415  late: an extra
+        from distributed import KilledWorker, as_completed  # noqa: PLC0415  late: an extra
 
         # Not pure: Dask takes equal calls for one, and a log that is given twice counts twice.
         futures = self._client.map(task, jobs, pure=False, retries=0)
@@ -89,8 +89,13 @@ class Cluster:
             workers, link = count(self.workers, "worker"), self._client.dashboard_link
             self._describe(f"{phase} {done}/{len(jobs)}, {workers}{link and f', {link}'}")
         if failed:
-            place = min(failed)
-            raise explain(failed[place], jobs[place], self.memory)
+            error = failed[min(failed)]
+            if isinstance(error, KilledWorker):
+                limit = self.memory and f", which had {self.memory >> 20} MiB of memory"
+                found = f"killed its workers {error.allowed_failures + 1} times{limit or ''}"
+                fix = "give workers more memory, or build with a smaller `slice`"
+                raise FleetError(found, where=jobs[min(failed)].where, fix=fix)
+            raise error
         return [results[place] for place in range(len(jobs))]
 
     def list_losses(self) -> Iterator[str]:
@@ -203,15 +208,3 @@ def refuse_unseen_files(cluster: Cluster, paths: Sequence[Path]) -> None:
 def list_missing(paths: Sequence[Path]) -> list[Path]:
     """List the paths that are not there."""
     return [path for path in paths if not path.exists()]
-
-
-def explain(error: BaseException, job: Job, memory: int | None) -> BaseException:
-    """Say what to do where a task killed its workers; any other error speaks for itself."""
-    from distributed import KilledWorker  # noqa: PLC0415  late: an extra
-
-    if not isinstance(error, KilledWorker):
-        return error
-    limit = "" if memory is None else f", which had {memory >> 20} MiB of memory"
-    found = f"killed its workers {error.allowed_failures + 1} times{limit}"
-    fix = "give workers more memory, or build with a smaller `slice`"
-    return FleetError(found, where=job.where, fix=fix)

@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import reduce
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -30,17 +30,6 @@ from occmap.store.writing import create_store, finish_store, paint_block, write_
 from occmap.tally import refuse_unseen, refuse_unused
 from occmap.writers.atomic import follow_links, publish_folder, refuse_unwritable
 from occmap.writers.outputs import check_outputs
-
-
-class Measured(NamedTuple):
-    """What the report tells of a block."""
-
-    reach: CellBox | None
-    """Around the cells that are observed; None: there is none"""
-    cells: Int64
-    """(4,) as `count_cells` gives them"""
-    hits: tuple[int, int]
-    """Those in cells called occupied, and all"""
 
 
 def build_store(
@@ -138,15 +127,19 @@ def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> Map
         for block in sorted(around)
     ]
     measured = work.cluster.run("paint", measure_block, jobs)
-    box = reduce(CellBox.join, (each.reach for each in measured if each.reach))
-    agreeing, hits = (sum(column) for column in zip(*(each.hits for each in measured), strict=True))
-    cells = np.sum([each.cells for each in measured], axis=0)
-    resolution, agreement = work.setting.options.resolution, agreeing / hits if hits else None
-    return MapFacts(resolution, Lattice(resolution).measure(box), box.shape, cells, agreement)
+    reaches, cells, hits = zip(*measured, strict=True)
+    box = reduce(CellBox.join, filter(None, reaches))
+    agreeing, met = np.sum(hits, axis=0).tolist()
+    lattice = Lattice(work.setting.options.resolution)
+    where = lattice.resolution, lattice.measure(box), box.shape
+    return MapFacts(*where, np.sum(cells, axis=0), agreeing / met if met else None)
 
 
-def measure_block(job: BlockJob) -> Measured:
+def measure_block(job: BlockJob) -> tuple[CellBox | None, Int64, tuple[int, int]]:
     """Paint the pictures of a block, if it is one that was written, and measure it.
+
+    Returns a box around the cells that are observed, if there are any; numbers (4,) as
+    `count_cells` gives them; and the hits in cells called occupied, and all hits.
 
     Raises
     ------
@@ -157,4 +150,4 @@ def measure_block(job: BlockJob) -> Measured:
     grid, made = paint_block(job.store, job.block, keep=bool(job.logs))
     reach = CellBox.around(made.observed, box.row, box.col)
     cells = count_cells(made, job.setting.options.writing)
-    return Measured(reach, cells, count_agreeing(grid, made.occupied, box))
+    return reach, cells, count_agreeing(grid, made.occupied, box)

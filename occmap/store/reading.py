@@ -22,7 +22,7 @@ from occmap.store.blocks import (
     read_table,
     unpack_layers,
 )
-from occmap.store.layout import FORMAT, LAYERS, VERSION, compute_checksum, find_place, import_zarr
+from occmap.store.writing import FORMAT, LAYERS, VERSION, compute_checksum, find_place, import_zarr
 from occmap.writers.soundness import list_faults, list_manifest_faults, refuse_damage, refuse_faults
 
 

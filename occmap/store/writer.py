@@ -8,10 +8,17 @@ from occmap.cells import Evidence, Manifest
 from occmap.evidence.manifest import list_files
 from occmap.grid.tiles import EvidenceKind
 from occmap.store.blocks import Block, BlockRecord, describe_block
-from occmap.store.layout import LAYERS, find_place, import_zarr
 from occmap.store.reading import Store, open_store
 from occmap.store.sources import Blocks, as_blocks
-from occmap.store.writing import create_store, finish_store, paint_block, write_block
+from occmap.store.writing import (
+    LAYERS,
+    create_store,
+    find_place,
+    finish_store,
+    import_zarr,
+    paint_block,
+    write_block,
+)
 from occmap.writers.atomic import make_folder, refuse_unwritable
 
 
@@ -49,7 +56,8 @@ class ZarrWriter:
         OccmapError
             As `write_evidence`, or a block cannot be read.
         """
-        base = open_base(source.where)
+        known = Path(source.where)
+        base = open_store(known) if source.where and (known / "zarr.json").is_file() else None
         with make_folder(path) as folder:
             create_store(folder, manifest, source.blocks)
             records = [self._write_block(folder, base, block, source) for block in source.blocks]
@@ -68,12 +76,6 @@ class ZarrWriter:
             if is_equal and share_block(base, folder, block):
                 return record
         return write_block(folder, block, content)
-
-
-def open_base(where: str) -> Store | None:
-    """Open the store that evidence was read from; None where it was no store."""
-    path = Path(where)
-    return open_store(path) if where and (path / "zarr.json").is_file() else None
 
 
 def share_block(base: Store, path: Path, block: Block) -> bool:

@@ -20,11 +20,16 @@ from occmap.evidence.publishing import RenderOptions, render_kept
 from occmap.grid.slices import pack
 from occmap.grid.tiles import TILE
 from occmap.store.blocks import BLOCK, Block, digest_evidence, split_evidence
-from occmap.store.layout import compute_checksum
 from occmap.store.reading import open_store
 from occmap.store.sources import read_all
 from occmap.store.writer import ZarrWriter
-from occmap.store.writing import create_store, finish_store, paint_block, write_block
+from occmap.store.writing import (
+    compute_checksum,
+    create_store,
+    finish_store,
+    paint_block,
+    write_block,
+)
 from occmap.types import Update
 from tests.evidence.saving import choose, each_combination, save, write_bytes
 
