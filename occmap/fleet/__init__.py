@@ -149,12 +149,14 @@ def open_scratch(
     """
     poses = options.posing.poses
     inputs = [*paths, Path(poses)] if poses else paths
+    states = [file.stat() for path in inputs if path.exists() for file in list_files(path)]
     what = [
         version("occmap"),
         {name: value for name, value in write_value(options).items() if name not in UNRECORDED},
         keep,
         fleet.slice_bytes,
-        [[str(path), *describe_state(path)] for path in inputs],
+        [str(path) for path in inputs],
+        [[state.st_size, state.st_mtime_ns] for state in states],
     ]
     digest = hashlib.sha256(json.dumps(what).encode()).hexdigest()[:16]
     folder = fleet.scratch.absolute() / f"build-{digest}"
@@ -166,12 +168,6 @@ def open_scratch(
     shutil.rmtree(folder, ignore_errors=True)
     with suppress(OSError):  # another build may have something in it
         fleet.scratch.rmdir()
-
-
-def describe_state(path: Path) -> list[int]:
-    """Sizes and times of change (ns) of the files of an input; nothing of one that is not there."""
-    states = [each.stat() for each in list_files(path)] if path.exists() else []
-    return [number for state in states for number in (state.st_size, state.st_mtime_ns)]
 
 
 def list_surveys(setting: Setting, paths: Sequence[Path]) -> list[SurveyJob]:

@@ -49,7 +49,9 @@ def build_store(
         refuse_unused(paths, tally)
         refuse_unseen(paths, tally, work.blocks)
         with tally.time("fold"):
-            known = hash_logs(work, paths)
+            logs = list(dict.fromkeys(paths))
+            hashed = work.cluster.run("hash", hash_log, list_surveys(work.setting, logs))
+            known = dict(zip(logs, hashed, strict=True))
             build = describe_build(paths, options, tally.to_json(), known)
             manifest = replace(plan_manifest(options), builds=(build,))
             store = open_target(work.setting, output, manifest, work.blocks)
@@ -64,13 +66,6 @@ def build_store(
     remarks.notes += [*unaligned, *list_doubts(manifest)]
     remarks.notes += list_notes(paths, options, [output], tally, facts)
     return replace(make_report(options, tally, remarks, facts), files=(str(output),))
-
-
-def hash_logs(work: Work, paths: Sequence[Path]) -> dict[Path, list[dict[str, Any]]]:
-    """Name, size and SHA-256 of the files of each log."""
-    different = list(dict.fromkeys(paths))
-    jobs = list_surveys(work.setting, different)
-    return dict(zip(different, work.cluster.run("hash", hash_log, jobs), strict=True))
 
 
 def open_target(

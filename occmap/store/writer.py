@@ -7,13 +7,12 @@ from pathlib import Path
 from occmap.cells import Evidence, Manifest
 from occmap.evidence.manifest import list_files
 from occmap.grid.tiles import EvidenceKind
-from occmap.store.blocks import Block, BlockRecord, describe_block
+from occmap.store.blocks import BLOCK, Block, BlockRecord, describe_block
 from occmap.store.reading import Store, open_store
 from occmap.store.sources import Blocks, as_blocks
 from occmap.store.writing import (
     LAYERS,
     create_store,
-    find_place,
     finish_store,
     import_zarr,
     paint_block,
@@ -94,8 +93,8 @@ def share_block(base: Store, path: Path, block: Block) -> bool:
     with refuse_unwritable(path):
         for name in names:
             source, target = (
-                folder / name / locate_shard(base, block, start)
-                for folder, start in ((base.path, base.offset), (path, offset))
+                folder / name / f"c/{block.row - row // BLOCK}/{block.col - col // BLOCK}"
+                for folder, (row, col) in ((base.path, base.offset), (path, offset))
             )
             if source.exists():  # a shard of zeros is not kept
                 link(source, target)
@@ -103,13 +102,6 @@ def share_block(base: Store, path: Path, block: Block) -> bool:
         for file in list_files(slices):
             link(file, path / file.relative_to(base.path))
     return True
-
-
-def locate_shard(base: Store, block: Block, offset: tuple[int, int]) -> str:
-    """Name the file of a block in an array that begins at a row and column of the lattice."""
-    rows, cols = find_place(block, offset)
-    height, width = base.root[LAYERS[EvidenceKind(base.manifest.kind)][0]].shards
-    return f"c/{rows.start // height}/{cols.start // width}"
 
 
 def link(source: Path, target: Path) -> None:

@@ -8,11 +8,11 @@
 | `/tf` | `tf2_msgs/msg/TFMessage` | the laser in the map, at the time of each scan |
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from mcap.writer import Writer
@@ -66,44 +66,39 @@ class McapWriter(OneFile):
         OutputError
             It cannot be written; then nothing is left behind.
         """
-        trajectories = product.journey.trajectories if product.journey else ()
-        stamps = np.concatenate([each.stamp_ns for each in trajectories] or [np.zeros(1, np.int64)])
-        header = make_header(trajectories[0].parent if trajectories else MAP_FRAME, min(stamps))
+        latched = {"offered_qos_profiles": dump_qos_v8([LATCHED])}
         with open_atomic(path) as (file,):
-            bag = RosBag(file)
-            bag.write("/map", make_map(product.grid, options, header), header.stamp)
-            for number, trajectory in enumerate(trajectories):
-                suffix = f"_{number + 1}" if number else ""
-                bag.write(f"/trajectory{suffix}", make_path(trajectory), header.stamp)
-            for transform in list_transforms(trajectories):
-                bag.write("/tf", ROS.TFMessage([transform]), transform.header.stamp)
-            bag.finish()
+            bag = Writer(file)
+            bag.start(profile="ros2", library="occmap")
+            channels: dict[str, int] = {}
+            for topic, message, stamp in list_messages(product, options):
+                kind = message.__msgtype__
+                if topic not in channels:
+                    text, _ = STORE.generate_msgdef(kind, ros_version=2)
+                    schema = bag.register_schema(kind, "ros2msg", text.encode())
+                    offered = {} if topic == "/tf" else latched
+                    channels[topic] = bag.register_channel(topic, "cdr", schema, offered)
+                at = stamp.sec * 10**9 + stamp.nanosec
+                bag.add_message(channels[topic], at, bytes(STORE.serialize_cdr(message, kind)), at)
+            bag.finish()  # type: ignore[no-untyped-call]
         return (path,)
 
 
-class RosBag:
-    """An MCAP file that messages of ROS 2 are put into."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = Writer(file)
-        self._file.start(profile="ros2", library="occmap")
-        self._channels: dict[str, int] = {}
-
-    def write(self, topic: str, message: Any, stamp: Any) -> None:
-        """Put a message at a time; all of a topic are of one type."""
-        kind = message.__msgtype__
-        if topic not in self._channels:
-            text, _ = STORE.generate_msgdef(kind, ros_version=2)
-            schema = self._file.register_schema(kind, "ros2msg", text.encode())
-            latched = {} if topic == "/tf" else {"offered_qos_profiles": dump_qos_v8([LATCHED])}
-            self._channels[topic] = self._file.register_channel(topic, "cdr", schema, latched)
-        at = stamp.sec * 10**9 + stamp.nanosec
-        data = bytes(STORE.serialize_cdr(message, kind))
-        self._file.add_message(self._channels[topic], at, data, at)
-
-    def finish(self) -> None:
-        """Write the index; the file stays open."""
-        self._file.finish()  # type: ignore[no-untyped-call]
+def list_messages(product: Product, options: WriteOptions) -> Iterator[tuple[str, Any, Any]]:
+    """Give the topic, the message and the time of all that the file holds."""
+    trajectories = product.journey.trajectories if product.journey else ()
+    stamps = np.concatenate([each.stamp_ns for each in trajectories] or [np.zeros(1, np.int64)])
+    header = make_header(trajectories[0].parent if trajectories else MAP_FRAME, min(stamps))
+    yield "/map", make_map(product.grid, options, header), header.stamp
+    for number, trajectory in enumerate(trajectories):
+        suffix = f"_{number + 1}" if number else ""
+        yield f"/trajectory{suffix}", make_path(trajectory), header.stamp
+    for trajectory in trajectories:
+        for stamp_ns, pose in zip(trajectory.stamp_ns, trajectory.pose, strict=True):
+            at, moved = make_header(trajectory.parent, stamp_ns), make_pose(pose)
+            transform = ROS.Transform(ROS.Vector3(*pose[:3]), moved.orientation)
+            stamped = ROS.TransformStamped(at, trajectory.frame, transform)
+            yield "/tf", ROS.TFMessage([stamped]), at.stamp
 
 
 def make_map(grid: OccupancyMap, options: WriteOptions, header: Any) -> Any:
@@ -137,16 +132,6 @@ def make_path(trajectory: Trajectory) -> Any:
         for stamp_ns, pose in zip(trajectory.stamp_ns, trajectory.pose, strict=True)
     ]
     return ROS.Path(poses[0].header if poses else make_header(trajectory.parent, 0), poses)
-
-
-def list_transforms(trajectories: Sequence[Trajectory]) -> Iterator[Any]:
-    """Give the transform from the map to each laser at each scan."""
-    for trajectory in trajectories:
-        for stamp_ns, pose in zip(trajectory.stamp_ns, trajectory.pose, strict=True):
-            moved = make_pose(pose)
-            transform = ROS.Transform(ROS.Vector3(*pose[:3]), moved.orientation)
-            header = make_header(trajectory.parent, stamp_ns)
-            yield ROS.TransformStamped(header, trajectory.frame, transform)
 
 
 def make_header(frame: str, stamp_ns: Any) -> Any:

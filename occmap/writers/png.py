@@ -35,12 +35,16 @@ class PngWriter(OneFile):
             It cannot be written; then nothing is left behind.
         """
         rows, cols = grid.shape
+        free, occupied = options.decide(grid.decision)
+        negate = int(options.shade is Shade.LIGHT_OCCUPIED)
+        # Named as in a map's YAML, they say how the pixels are decided.
+        texts = {"occupied_thresh": occupied, "free_thresh": free, "negate": negate}
         # Not by pillow: it tries five filters on each row, which takes three times as long, and
         # large maps, which are runs of one grey, get smaller with none of them.
         packer = zlib.compressobj(ZLIB_LEVEL)
         packed = [packer.compress(lines.data) for lines in paint_bands(grid, options)]
         chunks = [(b"IHDR", struct.pack(">II", cols, rows) + GREY_ALPHA)]
-        for name, text in describe(grid, options).items():
+        for name, text in texts.items():
             chunks.append((b"tEXt", f"{name}\0{text}".encode("ascii")))
         chunks += [(b"IDAT", b"".join([*packed, packer.flush()])), (b"IEND", b"")]
         with open_atomic(path) as (file,):
@@ -49,13 +53,6 @@ class PngWriter(OneFile):
                 checksum = zlib.crc32(kind + data)
                 file.write(struct.pack(">I", len(data)) + kind + data + struct.pack(">I", checksum))
         return (path,)
-
-
-def describe(grid: OccupancyMap, options: WriteOptions) -> dict[str, str]:
-    """Say in texts of the image, named as in a map's YAML, how its pixels are decided."""
-    free, occupied = options.decide(grid.decision)
-    negate = int(options.shade is Shade.LIGHT_OCCUPIED)
-    return {"occupied_thresh": str(occupied), "free_thresh": str(free), "negate": str(negate)}
 
 
 def paint_bands(grid: OccupancyMap, options: WriteOptions) -> Iterator[UInt8]:

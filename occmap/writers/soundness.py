@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from occmap.arrays import Int64
-from occmap.cells import MOST_OBSERVED, Evidence, Manifest, Slices
+from occmap.cells import MOST_OBSERVED, Evidence, Manifest
 from occmap.errors import MapError
 from occmap.types import Update
 
@@ -71,8 +71,10 @@ def list_faults(evidence: Evidence) -> Iterator[str]:
         yield "its tiles are not in ascending order, or too far away"
     if not are_observations(evidence.cells, manifest.kind):
         yield "its cells hold what no observation makes"
-    if not all(are_slices(slices) for slices in evidence.slices):
-        yield "its slices of time are not in order"
+    for slices in evidence.slices:
+        keys = slices.tiles, slices.numbers
+        if not (are_near(slices.tiles) and are_ascending(np.column_stack(keys))):
+            yield "its slices of time are not in order"
     told = [map(tuple, slices.tiles.tolist()) for slices in evidence.slices]
     if not set(map(tuple, evidence.tiles.tolist())).issubset(chain(*told)):
         yield "it lacks slices of time of some tiles"
@@ -134,8 +136,3 @@ def are_observations(cells: Int64, kind: str) -> bool:
     if kind == COUNTS:
         return bool(first.min(initial=0) >= 0)
     return not first[second == 0].any()  # log-odds may be negative, but not of nothing
-
-
-def are_slices(slices: Slices) -> bool:
-    """Whether every tile of a slice comes once, and in order."""
-    return are_near(slices.tiles) and are_ascending(np.column_stack([slices.tiles, slices.numbers]))
