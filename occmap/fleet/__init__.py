@@ -22,8 +22,7 @@ from occmap.engines import make_grid
 from occmap.errors import OutputError
 from occmap.evidence.manifest import UNRECORDED, list_files, write_value
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
-from occmap.fleet.reducing import BlockJob, reduce_block
-from occmap.fleet.runs import Piece, Setting, read_pieces
+from occmap.fleet.runs import BlockJob, Piece, Setting, read_pieces, reduce_block
 from occmap.fleet.settling import LogTrace
 from occmap.fleet.tasks import (
     Survey,

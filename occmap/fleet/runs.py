@@ -1,4 +1,4 @@
-"""Run files: what one task observed, block by block, for the tasks that add up blocks.
+"""Run files: what one task observed, block by block, and the tasks that add up blocks of these.
 
 A run file holds the parts of its blocks end to end, and beside it lies a stub that says where. Both
 are renamed into place, the stub last: where it is there, the task is done for good.
@@ -10,11 +10,15 @@ from dataclasses import dataclass
 from functools import wraps
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 import zstandard
 
+from occmap.cells import Slices
+from occmap.engines import make_grid
 from occmap.errors import MapError
+from occmap.grid.slices import unite
+from occmap.grid.tiles import add_stack, stack_tiles
 from occmap.observing import Keep
 from occmap.options import BuildOptions
 from occmap.store.blocks import Block, BlockContent
@@ -172,3 +176,52 @@ def read_stub(path: Path) -> Any:
         return pickle.loads(path.read_bytes())
     except FileNotFoundError:
         return None
+
+
+@dataclass(frozen=True)
+class BlockJob(Job):
+    """A block of the map to be added up, written or painted."""
+
+    block: Block
+    pieces: tuple[Piece, ...] = ()
+    """All that parts of logs observed in it"""
+    logs: tuple[int, ...] = ()
+    """Which files of logs observed something in it; none in a block that lies beside others"""
+
+    store: Path = Path()
+    """Where it is written"""
+
+    @classmethod
+    def of(cls, setting: Setting, block: Block) -> Self:
+        """Make a job of a block of which nothing is known yet."""
+        return cls(setting, f"block{block.row}_{block.col}", f"block {tuple(block)}", block)
+
+
+@once
+def reduce_block(job: BlockJob) -> Piece:
+    """Add up all that was observed in a block, and leave it in a run file of its own.
+
+    Raises
+    ------
+    OccmapError
+        A run file cannot be read, or the scratch folder cannot be written.
+    """
+    parts = [(job.block, add_up(job))]
+    return write_run(job.setting.folder, f"{job.name}.run", parts)[job.block]
+
+
+def add_up(job: BlockJob) -> BlockContent:
+    """Add up all that was observed in a block.
+
+    Raises
+    ------
+    OccmapError
+        A run file cannot be read.
+    """
+    grid = make_grid(job.setting.options)
+    layers: list[Slices] = []
+    for content in read_pieces(job.setting.folder, job.pieces):
+        add_stack(grid, content.tiles, content.cells)
+        layers += content.slices
+    slices = (unite(layers),) if job.setting.keep.slices else ()
+    return BlockContent(*stack_tiles(grid.tiles), slices, job.logs)

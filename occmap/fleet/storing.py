@@ -15,8 +15,7 @@ from occmap.arrays import Int64
 from occmap.cells import Manifest
 from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
 from occmap.fleet import Fleet, Work, list_reductions, list_surveys
-from occmap.fleet.reducing import BlockJob, add_up
-from occmap.fleet.runs import Setting, once, read_stub, write_stub
+from occmap.fleet.runs import BlockJob, Setting, add_up, once, read_stub, write_stub
 from occmap.fleet.tasks import hash_log
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing
