@@ -7,7 +7,7 @@ from typing import Annotated
 
 from occmap.batching import Selection
 from occmap.errors import require
-from occmap.evidence.persistence import check_gap, check_passes
+from occmap.evidence.persistence import check_passes
 from occmap.grid.framing import Framing
 from occmap.grid.tiles import MAX_CELLS
 from occmap.posing.options import PosingOptions
@@ -22,6 +22,7 @@ MOST_OFFSET = 10
 """The largest `hit_offset`: no hit lies deeper in a wall (cells)"""
 MOST_GAP = 1000
 """The largest `border_gap` (cells)"""
+SHORTEST_GAP_S, LONGEST_GAP_S = 1e-3, 1e9
 DEFAULT_UPDATE = Update.SURFACE
 
 
@@ -73,7 +74,9 @@ class BuildOptions:
 
     def __post_init__(self) -> None:
         check_passes(self.min_passes, self.model)
-        check_gap(self.pass_gap_s)
+        found = f"`pass_gap_s={self.pass_gap_s:g}` is not possible"
+        fix = f"give {SHORTEST_GAP_S:g} to {LONGEST_GAP_S:g} seconds"
+        require(SHORTEST_GAP_S <= self.pass_gap_s <= LONGEST_GAP_S, found, fix)
         both = bool(self.resume and self.resume_if_there)
         require(not both, "`resume` and `resume_if_there` are both given", "leave one out")
         require(self.jobs >= 1, f"{self.jobs} jobs are not possible", "give `jobs=1` or more")

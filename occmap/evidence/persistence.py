@@ -12,7 +12,6 @@ from occmap.grid.slices import count_visits, split_tiles, unite
 from occmap.grid.tiles import TileGrid, drop_empty
 from occmap.sensor.models import RadialModel, SensorModel
 
-SHORTEST_GAP_S, LONGEST_GAP_S = 1e-3, 1e9
 MUCH = 0.25
 """A note is given if this share of the occupied cells is lost: people are seldom so many."""
 
@@ -114,16 +113,3 @@ def check_passes(min_passes: int | None, model: SensorModel) -> None:
             "and knows no hits",
             fix="leave it out, or build with `model=simple` or `model=counting`",
         )
-
-
-def check_gap(pass_gap_s: float) -> None:
-    """Refuse slices of time by which visits cannot be told apart.
-
-    Raises
-    ------
-    UsageError
-        They are too short or too long.
-    """
-    fix = f"give {SHORTEST_GAP_S:g} to {LONGEST_GAP_S:g} seconds"
-    is_possible = SHORTEST_GAP_S <= pass_gap_s <= LONGEST_GAP_S
-    require(is_possible, f"`pass_gap_s={pass_gap_s:g}` is not possible", fix)

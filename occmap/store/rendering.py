@@ -65,11 +65,6 @@ class BlockMap:
     """Whether it ends where the user says"""
 
     @property
-    def lattice(self) -> Lattice:
-        """That of its cells."""
-        return Lattice(self.view.source.manifest.resolution)
-
-    @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
         return self.box.rows, self.box.cols
@@ -82,7 +77,7 @@ class BlockMap:
     @property
     def resolution(self) -> float:
         """Side of a cell (m)."""
-        return self.lattice.resolution
+        return self.view.source.manifest.resolution
 
     @property
     def decision(self) -> Decision:
@@ -99,7 +94,7 @@ class BlockMap:
     @property
     def extent(self) -> Box:
         """Lowest x and y, highest x and y (m)."""
-        return self.lattice.measure(self.box)
+        return Lattice(self.resolution).measure(self.box)
 
     def walk(self) -> Iterator[tuple[CellBox, OccupancyMap, Int64]]:
         """Paint piece by piece, with the box of each; what is in none of them was not observed.
@@ -146,7 +141,7 @@ def render_blocks(made: BlockMap, max_cells: int) -> tuple[OccupancyMap, list[st
     MapError
         The map would be too large, or a block cannot be read.
     """
-    refuse_large(made.box, made.lattice, max_cells)
+    refuse_large(made.box, Lattice(made.resolution), max_cells)
     prior, (x, y, _, _) = made.view.model.prior, made.extent
     log_odds = np.full(made.shape, to_log_odds(prior), np.float32)
     observed = np.zeros(made.shape, np.bool_)
@@ -162,7 +157,7 @@ def render_blocks(made: BlockMap, max_cells: int) -> tuple[OccupancyMap, list[st
 
 def classify_blocks(made: BlockMap, writing: WriteOptions, max_cells: int) -> UInt8:
     """(H, W) of CellClass, a byte for each cell; raises MapError as `render_blocks`."""
-    refuse_large(made.box, made.lattice, max_cells)
+    refuse_large(made.box, Lattice(made.resolution), max_cells)
     decision = writing.decide(made.decision)
     classes = np.full(made.shape, CellClass.NEITHER, np.uint8)
     for box, piece, _ in made.walk():
@@ -211,9 +206,9 @@ def find_bounds(view: View) -> CellBox:
         Nothing was observed, or lasts.
     """
     source, found = view.source, None
-    # Only a store says how far its cells reach.
-    stated = source.blocks if isinstance(source, Store) else {}
-    reaches = {block: stated[block].reach if stated else block.box for block in source.blocks}
+    reaches = {block: block.box for block in source.blocks}
+    if isinstance(source, Store):  # which says how far its cells reach
+        reaches = {block: record.reach for block, record in source.blocks.items()}
     known: dict[Block, CellBox | None] = {}
     for side, outward in enumerate((-1, -1, 1, 1)):
         reach = {block: box[side] for block, box in reaches.items()}

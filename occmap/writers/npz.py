@@ -133,31 +133,22 @@ def read_evidence(path: Path) -> Evidence:
         if file.read(len(MAGIC)) != MAGIC:
             fix = "build one with `outputs=map.npz`"
             raise MapError("is not an evidence file", where=path, fix=fix)
-        return unpack(path, *load(path, file.seek(0) or file))
-
-
-def load(path: Path, file: Any) -> tuple[dict[str, Any], Arrays]:
-    """Read the manifest and the arrays of the format that this module knows.
-
-    Raises
-    ------
-    MapError
-        The file is of another kind, or its format is newer or older.
-    """
-    with zipfile.ZipFile(file) as archive:
-        if "manifest.npy" not in archive.namelist():
-            raise MapError("is an .npz, but not evidence of occmap", where=path)
-        head = json.loads(read_array(archive, "manifest").tobytes())
-        if head["format"] != FORMAT:
-            raise MapError(f"holds {head['format']!r}, not evidence of occmap", where=path)
-        if head["version"] > VERSION:
-            found = f"{FORMAT} of version {head['version']}, while this occmap reads {VERSION}"
-            raise MapError(found, where=path, fix="use a newer occmap")
-        if head["version"] < VERSION:
-            found = f"{FORMAT} of an older occmap (version {head['version']}, now {VERSION})"
-            fix = f"build it again from its logs, with `outputs={path.name}`"
-            raise MapError(found, where=path, fix=fix)
-        return head, {name: read_array(archive, name) for name in ARRAYS}
+        file.seek(0)
+        with zipfile.ZipFile(file) as archive:
+            if "manifest.npy" not in archive.namelist():
+                raise MapError("is an .npz, but not evidence of occmap", where=path)
+            head = json.loads(read_array(archive, "manifest").tobytes())
+            if head["format"] != FORMAT:
+                raise MapError(f"holds {head['format']!r}, not evidence of occmap", where=path)
+            if head["version"] > VERSION:
+                found = f"{FORMAT} of version {head['version']}, while this occmap reads {VERSION}"
+                raise MapError(found, where=path, fix="use a newer occmap")
+            if head["version"] < VERSION:
+                found = f"{FORMAT} of an older occmap (version {head['version']}, now {VERSION})"
+                fix = f"build it again from its logs, with `outputs={path.name}`"
+                raise MapError(found, where=path, fix=fix)
+            arrays = {name: read_array(archive, name) for name in ARRAYS}
+        return unpack(path, head, arrays)
 
 
 def read_array(archive: zipfile.ZipFile, name: str) -> Any:
