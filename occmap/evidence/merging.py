@@ -15,6 +15,7 @@ from occmap.evidence.manifest import MEANING
 from occmap.grid.slices import restrict
 from occmap.grid.tiles import EvidenceKind, TileGrid, add_stack, drop_empty, stack_tiles, view_tiles
 from occmap.sensor.models import SensorModel
+from occmap.store.blocks import join_contents
 from occmap.store.sources import Combined, Saved, as_blocks, open_saved
 
 
@@ -40,9 +41,11 @@ def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:
         with suppress(MapError):  # without a model, no note says what does not fit
             model = read_model(held[0])
         return add_up(held, model)
-    made = Combined(tuple(map(as_blocks, parts)), add_up)
-    refuse_different(made.manifest, parts[0])  # of nothing yet: what differs is refused at once
-    return made
+    nothing = [join_contents((), each.manifest, each.where) for each in parts]
+    manifest = add_up(nothing).manifest  # what differs is refused at once
+    cut = tuple(map(as_blocks, parts))
+    blocks = sorted({block for part in cut for block in part.blocks})
+    return Combined(cut, add_up, manifest, dict.fromkeys(blocks))
 
 
 def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Evidence:

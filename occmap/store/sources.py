@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
 from typing import Protocol, TypeAlias
@@ -124,19 +123,10 @@ class Combined:
     parts: tuple[Blocks, ...]
     combine: Callable[[Sequence[Evidence]], Evidence]
     """Makes one evidence of all parts, which may be empty"""
+    manifest: Manifest
+    blocks: Collection[Block]
+    """Those of all parts, in ascending order"""
     where: str = ""
-
-    @cached_property
-    def manifest(self) -> Manifest:
-        """What it is."""
-        nothing = [join_contents((), each.manifest, each.where) for each in self.parts]
-        return self.combine(nothing).manifest
-
-    @cached_property
-    def blocks(self) -> Collection[Block]:
-        """Those of all parts."""
-        known: set[Block] = set().union(*(each.blocks for each in self.parts))
-        return dict.fromkeys(sorted(known))
 
     def read_block(self, block: Block) -> BlockContent:
         """What is in a block of the sum or the difference."""

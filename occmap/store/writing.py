@@ -116,7 +116,7 @@ def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
     zarr = import_zarr()
     if path.exists():
         raise OutputError("exists already", where=path, fix="give another name, or remove it")
-    corners = np.array([Block(0, 0)] if not (known := list(blocks)) else known)
+    corners = np.array(list(blocks) or [Block(0, 0)])
     low, high = corners.min(axis=0) * BLOCK, (corners.max(axis=0) + 1) * BLOCK
     shape = tuple((high - low).tolist())
     unit = find_unit(Update(plan.update))
