@@ -28,7 +28,8 @@ class LogTrace:
         self.survey = survey
         self.jobs = []
         for part, before in enumerate(accumulate(wanted[:-1], initial=0)):
-            seam, name = Seam(survey.first_ns if part else None, before), f"{survey.name}-{part:05}"
+            seam = Seam(survey.first_ns if part else None, before)
+            name = f"{survey.name}-{part:05}"
             self.jobs.append(TraceJob(setting, name, str(survey.path), survey, part, seam))
         self.traced: dict[str, Traced] = {}
         """By the names of jobs"""

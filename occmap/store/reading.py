@@ -22,7 +22,8 @@ from occmap.store.blocks import (
     read_table,
     unpack_layers,
 )
-from occmap.store.writing import FORMAT, LAYERS, VERSION, compute_checksum, find_place, import_zarr
+from occmap.store.writing import FORMAT, LAYERS, VERSION, find_place, import_zarr
+from occmap.writers.npz import compute_checksum
 from occmap.writers.soundness import list_faults, list_manifest_faults, refuse_damage, refuse_faults
 
 
@@ -99,7 +100,7 @@ def open_store(path: Path) -> Store:
         if not head.get("complete"):
             found = "is not complete: what wrote it did not come to its end"
             raise MapError(found, where=path, fix="build it again")
-        if head["checksum"] != compute_checksum(head):
+        if head["checksum"] != compute_checksum(head, {}):
             raise MapError("its attributes were altered", where=path, fix="build it again")
         manifest = Manifest.from_json(head)
         refuse_faults(path, list_manifest_faults(manifest))

@@ -1,6 +1,6 @@
 """How a store is made: created, written block by block by whoever has one, and finished.
 
-Only this module and `reading` know zarr.
+zarr is imported here alone, by `import_zarr`.
 
 | in the folder | holds |
 |---|---|
@@ -16,7 +16,6 @@ import json
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +45,7 @@ from occmap.store.blocks import (
 )
 from occmap.types import Update
 from occmap.writers.atomic import refuse_unwritable
+from occmap.writers.npz import compute_checksum
 
 FORMAT, VERSION = "occmap store", 1
 CHUNK = 256
@@ -81,12 +81,6 @@ def make_head(manifest: Manifest, offset: tuple[int, int]) -> dict[str, Any]:
     head = {"format": FORMAT, "version": VERSION, "block": BLOCK, "offset": list(offset)}
     plain: dict[str, Any] = json.loads(json.dumps({**head, **asdict(manifest)}, allow_nan=False))
     return plain
-
-
-def compute_checksum(head: dict[str, Any]) -> str:
-    """SHA-256 over all that the attributes say, but the checksum itself."""
-    said = {name: value for name, value in head.items() if name != "checksum"}
-    return sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
 
 def find_place(block: Block, offset: tuple[int, int], side: int = 1) -> tuple[slice, slice]:
@@ -271,7 +265,7 @@ def finish_store(path: Path, manifest: Manifest, records: Iterable[BlockRecord])
         digests = {record.block: record.sha256 for record in known}
         head |= {"digest": compute_digest(manifest, digests), "table": hash_table(table)}
         head["complete"] = True
-        root.attrs["occmap"] = {**head, "checksum": compute_checksum(head)}
+        root.attrs["occmap"] = {**head, "checksum": compute_checksum(head, {})}
     return str(head["digest"])
 
 

@@ -95,10 +95,10 @@ def list_messages(product: Product, options: WriteOptions) -> Iterator[tuple[str
         yield f"/trajectory{suffix}", make_path(trajectory), header.stamp
     for trajectory in trajectories:
         for stamp_ns, pose in zip(trajectory.stamp_ns, trajectory.pose, strict=True):
-            at, moved = make_header(trajectory.parent, stamp_ns), make_pose(pose)
-            transform = ROS.Transform(ROS.Vector3(*pose[:3]), moved.orientation)
-            stamped = ROS.TransformStamped(at, trajectory.frame, transform)
-            yield "/tf", ROS.TFMessage([stamped]), at.stamp
+            header = make_header(trajectory.parent, stamp_ns)
+            transform = ROS.Transform(ROS.Vector3(*pose[:3]), make_pose(pose).orientation)
+            stamped = ROS.TransformStamped(header, trajectory.frame, transform)
+            yield "/tf", ROS.TFMessage([stamped]), header.stamp
 
 
 def make_map(grid: OccupancyMap, options: WriteOptions, header: Any) -> Any:

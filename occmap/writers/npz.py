@@ -111,11 +111,10 @@ def pack(evidence: Evidence) -> Arrays:
 
 
 def compute_checksum(head: dict[str, Any], arrays: Arrays) -> str:
-    """SHA-256 over all that the file says, but the checksum itself."""
+    """SHA-256 over all that a file says of itself, but the checksum, and over arrays, in order."""
     said = {name: value for name, value in head.items() if name != "checksum"}
     digest = hashlib.sha256(json.dumps(said, sort_keys=True).encode())
-    for name in ARRAYS:
-        array = arrays[name]
+    for name, array in arrays.items():
         digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
