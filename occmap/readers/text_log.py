@@ -124,7 +124,11 @@ def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
     ValueError
         So many words are written in unusual ways that it is as quick to parse lines one by one.
     """
-    from occmap.readers.kernels.decimals import parse_rows  # noqa: PLC0415  late: it brings numba
+    from occmap.readers.kernels.decimals import (  # noqa: PLC0415  late: it brings numba
+        Filled,
+        Lines,
+        parse_rows,
+    )
 
     words, separator, kinds = pattern
     same = b"".join(words[at] + separator for at in np.flatnonzero(kinds == SAME).tolist())
@@ -133,23 +137,17 @@ def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
     rows = rows[: len(text) // len(kinds)]  # no more lines can have so many words
     ranges = np.empty((len(rows), beams[-1] + 1), np.float32)
     values = np.empty((len(kinds), len(rows)))
+    times = values.view(np.int64)
     alike = np.zeros(len(rows), np.bool_)
     left = np.empty((values.size // 8 + 64, 4), np.int64)
     count = parse_rows(
-        np.frombuffer(text, np.uint8),
-        block.eights,
-        block.starts[rows],
-        ord(separator),
+        Lines(np.frombuffer(text, np.uint8), block.eights, block.starts[rows], ord(separator)),
         kinds,
         np.frombuffer(same + PADDING, np.uint8),
-        ranges,
-        values,
-        alike,
-        left,
+        Filled(ranges, values, times, alike, left),
     )
     if count == len(left):
         raise ValueError("too many words are written as few programs write them")
-    times = values.view(np.int64)
     for row, col, start, end in left[:count].tolist():
         word, kind = bytes(text[start:end]), kinds[col]
         try:
