@@ -47,13 +47,13 @@ def settle_align(paths: Sequence[Path], options: BuildOptions) -> tuple[BuildOpt
     """
     if options.posing.align is not None:
         return options, []
-    chords = [
-        list_chords(interpret(part, options.returns)[0])
-        for path in paths
-        for log, topics, poser, *_ in [open_drive(open_log(path, options.reading), options)]
-        for part in sample_scans(log, topics, poser, options)
-    ]
-    turn, share = find_turn(np.concatenate([np.zeros((0, 2)), *chords]))
+    chords = [np.zeros((0, 2))]
+    for path in paths:
+        log, topics, poser, _ = open_drive(open_log(path, options.reading), options)
+        for part in sample_scans(log, topics, poser, options):
+            rays, _ = interpret(part, options.returns)
+            chords.append(list_chords(rays))
+    turn, share = find_turn(np.concatenate(chords))
     notes = []
     if share < COMMON_SHARE:
         turn = 0.0

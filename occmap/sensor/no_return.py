@@ -200,10 +200,10 @@ class RangeLimits:
                     f"{self._senseless[topic]:g} m as its range limit, which is not a usable one"
                 )
             band = tally.find_band()
-            count = tally.above if band is None else band.count
+            count, where = tally.above, f"are above it, up to {tally.largest:.4g} m"
+            if band is not None:
+                count, where = band.count, f"read {band.values}"
             if count:
-                where = f"are above it, up to {tally.largest:.4g} m"
-                where = where if band is None else f"read {band.values}"
                 found = f"{count:,} of {tally.total:,} ranges ({count / tally.total:.1%}) {where}"
                 yield f"{topic} states {limit}; {found}, taken as no return: `range_max` overrides"
             elif unstated:

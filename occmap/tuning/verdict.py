@@ -82,19 +82,20 @@ def find(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Finding:
     before, earlier = scorer.score(start), set(scorer.tried)
     middle = len(before.predicted) // 2
     best = search(scorer, start, knobs)
-    tried = {start, best} | (scorer.tried.keys() - earlier)
-    gain = Gain.measure(before, scorer.tried[best])
+    tried = {
+        each: trial
+        for each, trial in scorer.tried.items()
+        if each not in earlier or each in (start, best)
+    }
+    gain = Gain.measure(before, tried[best])
     halves = [
-        {
-            each: Gain.measure(before, trial, half)
-            for each, trial in scorer.tried.items()
-            if each in tried
-        }
+        {each: Gain.measure(before, trial, half) for each, trial in tried.items()}
         for half in (slice(middle), slice(middle, None))
     ]
     alike = tuple(Half(best, *gains[best]) for gains in halves)
     if gain.certain and all(half.gain > SMALL for half in alike):
         return Finding(Verdict.FOUND, best, *gain, alike)
+    # What is best for one half alone may certainly lose in the other.
     own = [max(gains, key=lambda each: gains[each].share) for gains in halves]
     opposed = any(
         gains[each].certain and Gain(-rest[each].share, rest[each].error).certain
