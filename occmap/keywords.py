@@ -108,13 +108,15 @@ def read_option(name: str, hint: Any, value: Any) -> Any:
     hint = drop_none(hint)
     if isinstance(hint, EnumType):
         return _read_member(name, cast(type[StrEnum], hint), value)
-    several, (read, form) = hint not in FORMS, find_form(name, hint)
+    has_several = hint not in FORMS
+    read, form = find_form(name, hint)
     try:
-        return tuple(map(read, value)) if several else read(value)
+        return tuple(map(read, value)) if has_several else read(value)
     except UsageError as error:
         raise error.placed(f"{name} = {value!r}") from None
     except (TypeError, ValueError):
-        fix = f"give {'a list of ' * several}{form}{NONE_MEANS.get(name, '')}"
+        several = "a list of " if has_several else ""
+        fix = f"give {several}{form}{NONE_MEANS.get(name, '')}"
         raise UsageError(f"{name} is {value!r}", fix=fix) from None
 
 
@@ -224,5 +226,5 @@ FORMS: dict[Any, tuple[Callable[[Any], Any], str]] = {
     SensorModel: (_read_model, 'text such as "simple:p_hit=0.8", or a model'),
     tuple[str, ...]: (_read_topics, "a topic or a list of topics"),
 }
-"""How a value of each type or option is read, or each of several, and what to give; enums are read
-by the text of a member."""
+"""By type, or by the name of an option that differs from others of its type: what reads a value,
+and what to give. If an option takes several values, the type of one counts. Enums are not in it."""

@@ -101,7 +101,8 @@ class FieldOption(SectionOption):
     @property
     def help(self) -> str:
         """What the option does."""
-        return read_help()[str(self.name)] + " May repeat." * self.multiple
+        text = read_help()[str(self.name)]
+        return f"{text} May repeat." if self.multiple else text
 
     @help.setter  # noqa: A003  the name is click's
     def help(self, _text: str | None) -> None:
@@ -137,8 +138,8 @@ def fields(section: str, *names: str) -> Any:
 
 def paths(section: str, *names: str, metavar: str, text: str) -> Any:
     """Declare an option that names files, and may repeat."""
-    settings = {"metavar": metavar, "help": f"{text} May repeat."}
-    return option(section, *names, type=PATH, multiple=True, **settings)
+    text = f"{text} May repeat."
+    return option(section, *names, type=PATH, multiple=True, metavar=metavar, help=text)
 
 
 output = paths(
@@ -186,10 +187,8 @@ writing = join(
 )
 resume = fields(FILES, "resume", "resume_if_there")
 
-resolution, max_cells = (
-    field(MAP, "resolution"),
-    field(MAP, "max_cells", type=click.IntRange(min=1)),
-)
+resolution = field(MAP, "resolution")
+max_cells = field(MAP, "max_cells", type=click.IntRange(min=1))
 lattice = join(resolution, fields(MAP, "jump", "hit_offset", "border_gap"), max_cells)
 
 

@@ -1,8 +1,8 @@
 """What a page knows of each cell of a map, in layers that the browser unpacks one by one.
 
-Tile by tile of the lattice, so that a map of a thousand million cells needs no more memory than it
-has itself. Where it has more cells than a page can carry, only one of each square block of cells is
-kept: the one that is most likely occupied, with all that is known of it.
+A map is read tile by tile, so that one of a thousand million cells needs little memory beside its
+own. Where it has more cells than a page can carry, only one of each square block of cells is kept:
+the one that is most likely occupied, with all that is known of it.
 """
 
 import zlib
@@ -116,7 +116,8 @@ def make_raster(
                     packed[name] = pack_few(round_counts(layers[name], steps))
             size = sum(len(each.data) for each in packed.values())
             if size <= most_bytes or (step, steps) == (TILE, STEPS[-1]):
-                made = Raster(*origin, grid.resolution * step, step, packed, steps and 0.5 / steps)
+                rounding = 0.5 / steps if steps else 0.0
+                made = Raster(*origin, grid.resolution * step, step, packed, rounding)
                 return made if evidence is None else scale(made, evidence)
         step *= 2
 

@@ -25,7 +25,6 @@ from occmap.writers import WriteOptions
 MOST_SCANS = 12
 """More are cut out of the middle of the list"""
 MOST_BUILDS = 6
-Row = tuple[str, ...]
 
 NUMBER = r"(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?"
 NEGATIVE = re.compile(f"-{NUMBER}")
@@ -148,7 +147,7 @@ def list_around(explanation: Explanation) -> Iterator[tuple[str, str]]:
     yield from label_first("around", [f"{names} of the cells beside it, y upwards", *align(table)])
 
 
-def split_pair(seen: Seen, explanation: Explanation) -> Row:
+def split_pair(seen: Seen, explanation: Explanation) -> tuple[str, str]:
     """Write the two numbers of a cell, in observations."""
     first, second = (each / explanation.unit for each in seen.numbers)
     if seen.kind is EvidenceKind.LOG_ODDS:
