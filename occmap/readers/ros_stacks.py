@@ -21,8 +21,8 @@ from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 Stacked: TypeAlias = tuple[bytes, int]
 """A message of one channel and length, and its record time (ns)."""
 
-MOST_KINDS = 16
-"""Transforms of one length that name other frames are told apart, but not without end."""
+MOST_GROUPS = 16
+"""Messages of one length are grouped by the frames that they name, but not into more groups."""
 _LITTLE_ENDIAN = b"\0\1"
 """What a CDR message begins with that can be read so."""
 _STAMP = 4
@@ -86,19 +86,19 @@ def read_transforms(
     Returns
     -------
     batches, others
-        The samples of each transform, and the messages of kinds beyond `MOST_KINDS`, or all where
+        The samples of each transform, and the messages of groups beyond `MOST_GROUPS`, or all where
         the first is not little-endian.
 
     Raises
     ------
     DamageError
-        The first message of its kind is damaged.
+        The first message of its group is damaged.
     """
     raw = _stack(messages)
     record_ns = np.array([record_ns for _, record_ns in messages], np.int64)
     batches: list[PoseBatch] = []
     left = np.arange(len(messages))
-    for _ in range(MOST_KINDS):
+    for _ in range(MOST_GROUPS):
         if not len(left) or not _is_stackable(first := messages[int(left[0])][0], encoding):
             break
         # Decoded first: that it could be says that all its parts lie within the message.
