@@ -1,4 +1,4 @@
-"""What commands say, as sections of a page."""
+"""The page of `check`, and what commands say and find, as sections of any page."""
 
 import shlex
 from collections.abc import Iterator, Sequence
@@ -16,11 +16,24 @@ MOST_LOGS = 20
 """With all that is found in them; warnings and problems are those of all logs."""
 
 
-def tell_notes(notes: Sequence[str], damage: Sequence[str]) -> Section:
-    """Say what the command said beside its numbers."""
-    plain = drop_damage(notes, damage) if notes else ["Nothing: no damage and no warnings."]
-    blocks = [Block("list", texts=damage, tone="problem"), Block("list", texts=plain)]
-    return Section("What the command said", blocks)
+def write_inspection(path: Path, inspection: Inspection) -> None:
+    """Write the page of an inspection.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written; then nothing is left behind.
+    """
+    logs = [Path(log.path) for log in inspection.logs]
+    names = name_logs(log.name for log in logs)
+    verdict = "can be mapped" if inspection.buildable else "cannot be mapped as it is"
+    sections = list(tell_findings(inspection))
+    if inspection.map is not None:
+        facts = [("size", telling.describe_map(inspection.map))]
+        sections.append(Section("The map that they would make", [Block("facts", facts)]))
+    inputs = [entry for log in logs if log.exists() for entry in describe_files(log)]
+    page = Page(f"Check of {names}", verdict, [*sections, describe_maker(inputs)])
+    write_page(path, page)
 
 
 def tell_findings(found: Inspection) -> Iterator[Section]:
@@ -63,21 +76,8 @@ def list_log(log: LogFindings) -> Iterator[Block]:
     yield Block("list", title="Pose sources", texts=telling.tell_sources(log.coverage))
 
 
-def write_inspection(path: Path, inspection: Inspection) -> None:
-    """Write the page of an inspection.
-
-    Raises
-    ------
-    OutputError
-        It cannot be written; then nothing is left behind.
-    """
-    logs = [Path(log.path) for log in inspection.logs]
-    names = name_logs(log.name for log in logs)
-    verdict = "can be mapped" if inspection.buildable else "cannot be mapped as it is"
-    sections = list(tell_findings(inspection))
-    if inspection.map is not None:
-        facts = [("size", telling.describe_map(inspection.map))]
-        sections.append(Section("The map that they would make", [Block("facts", facts)]))
-    inputs = [entry for log in logs if log.exists() for entry in describe_files(log)]
-    page = Page(f"Check of {names}", verdict, [*sections, describe_maker(inputs)])
-    write_page(path, page)
+def tell_notes(notes: Sequence[str], damage: Sequence[str]) -> Section:
+    """Say what the command said beside its numbers."""
+    plain = drop_damage(notes, damage) if notes else ["Nothing: no damage and no warnings."]
+    blocks = [Block("list", texts=damage, tone="problem"), Block("list", texts=plain)]
+    return Section("What the command said", blocks)
