@@ -73,7 +73,7 @@ def list_entries(path: Path) -> list[Path]:
 
 def is_bag(folder: Path, entries: Sequence[Path]) -> bool:
     """Whether a folder is one bag of ROS 2, and not a folder of several recordings."""
-    from occmap.readers.rosbag import METADATA, list_storage, refuse_mixed  # noqa: PLC0415  heavy
+    from occmap.readers.rosbag import METADATA, list_storage, refuse_mixed  # noqa: PLC0415  late: it brings rosbags
 
     if (folder / METADATA).exists():
         return True

@@ -37,7 +37,7 @@ def compare_logs(
 
         write_comparison(picture, comparison)
     else:
-        from occmap.scoring.picture import write_picture  # noqa: PLC0415  late: it brings PIL
+        from occmap.scoring.picture import write_picture  # noqa: PLC0415  late: it brings pillow
 
         write_picture(picture, comparison.results)
     return replace(comparison, files=(str(picture),))

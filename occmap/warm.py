@@ -1,4 +1,4 @@
-"""Compile all kernels now, to ship them: `python -m occmap.warm` in a container."""
+"""Compile kernels ahead: all, to ship them (`python -m occmap.warm`), or those of one grid."""
 
 from itertools import product
 from pathlib import Path

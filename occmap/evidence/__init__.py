@@ -1,4 +1,4 @@
-"""Saved evidence: from a grid and back, and rendered by another model."""
+"""Evidence: the map that a model makes of it, and a grid made of what was saved of it."""
 
 import math
 from collections.abc import Callable

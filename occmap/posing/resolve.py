@@ -1,7 +1,7 @@
 """Resolution: by which frames and whose poses a scan's frame is found in the map."""
 
 from dataclasses import dataclass, field, replace
-from typing import NoReturn
+from typing import NoReturn, TypeAlias
 
 from occmap.errors import MountError, PoseError
 from occmap.posing.chain import Chain, make_chain
@@ -23,6 +23,8 @@ from occmap.posing.tracks import Track
 from occmap.wording import join_names
 
 GIVE_POSES = "give a trajectory: `poses=FILE`"
+Way: TypeAlias = tuple[str, list[Step]]
+"""A fixed frame, and the steps from it to the sensor."""
 
 
 def resolve(
@@ -67,10 +69,6 @@ def resolve(
         fix = f"join the two: `static_transforms={fixed},{name},X,Y,Z,ROLL,PITCH,YAW`"
         raise PoseError(found, fix=fix)
     return name, make_chain(steps, options.max_pose_gap_s), search.notes
-
-
-Way = tuple[str, list[Step]]
-"""A fixed frame, and the steps from it to the sensor."""
 
 
 @dataclass(slots=True)

@@ -1,4 +1,7 @@
-"""Pose sources: every pose sample of a log, sorted into edges of the tree and trajectories."""
+"""Pose sources: every pose sample of a log, sorted into edges of the tree and trajectories.
+
+Notes say where these contradict each other.
+"""
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence

@@ -231,7 +231,7 @@ def _make_protobuf_parser(channel: Channel) -> _Parser:
 
 def _load_message(channel: Channel) -> Any:
     """Load the message class, giving the pool each file after those that it is made of."""
-    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory  # noqa: PLC0415
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory  # noqa: PLC0415  as above
 
     files = descriptor_pb2.FileDescriptorSet.FromString(channel.descriptors).file
     if len(files) > MAX_FILES:

@@ -1,4 +1,4 @@
-"""Variants of a map that grow from the same scans, and the scans that are kept from them."""
+"""Variants of a map that grow from the same scans, and their scores on scans kept from all."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
