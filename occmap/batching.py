@@ -48,7 +48,7 @@ def count_wanted(read: int, unused: Mapping[str, int]) -> int:
 
 @dataclass(frozen=True)
 class Selection:
-    """Which scans of a log to use: a log that is cut at any time falls into parts that share none.
+    """Which scans of a log to use; two parts that end and start at one time share no scan.
 
     Raises
     ------
@@ -101,7 +101,7 @@ FROM_THE_START = Seam()
 
 
 class Selector:
-    """Says which scans of one log are not used, and why; it is shown one after the other."""
+    """Says which scans of one log are not used, and why; it is shown all of them, in order."""
 
     def __init__(self, selection: Selection, stamps: Stamps, seam: Seam = FROM_THE_START) -> None:
         self.selection = selection

@@ -20,7 +20,7 @@ REASON_ORDER = tuple(map(str, (*DropReason, *LeftOut)))
 """Why scans are not used, in the order in which reports list it"""
 _LOCK = Lock()
 _WITHIN = local()
-"""How long the stages took that are part of the one that runs in a thread (s)"""
+"""How long the stages within the running one took so far, thread by thread (s)"""
 
 
 def ignore_advance(_scans: int) -> None:

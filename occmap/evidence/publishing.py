@@ -94,7 +94,7 @@ def refuse_unknown(path: Path, writer: ProductWriter, options: RenderOptions) ->
     Raises
     ------
     UsageError
-        It holds nothing but where the robot went, or, of an overview, shows what was observed.
+        It shows where the robot went, or it shows single cells and an overview is asked for.
     """
     if writer.needs_journey:
         found = "evidence does not say where the robot went, only the logs do"

@@ -54,7 +54,7 @@ class Poser:
     fixed: str | None = None
     """The frame of the map; known when the first frame is resolved."""
     notes: list[str] = field(default_factory=list)
-    """What was decided or left out and its user should know; grows, each sentence once."""
+    """What a user should know of decisions and of what was left out; grows, each sentence once."""
     chains: dict[str, Chain | None] = field(default_factory=dict)
     """By scan frame; None where no chain leads to it."""
     courses: defaultdict[str, Course] = field(default_factory=lambda: defaultdict(Course))
@@ -107,7 +107,7 @@ class Poser:
         # What mends one laser among others is not what mends a single one.
         alone = len(left) == 1 and not self.chains
         failures: dict[str, PoseError] = {}
-        for _ in range(2):  # again by what was found meanwhile
+        for _ in range(2):  # again by the map frame, which another one's chain may have shown
             failures = {}
             for frame in left:
                 try:

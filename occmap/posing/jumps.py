@@ -175,7 +175,7 @@ def find_breaks(chain: Chain) -> list[Break]:
         stamp_ns = leg.step.edge.track.stamp_ns
         held, strides = np.flatnonzero(leg.holds[:-1]), find_strides(leg.step.edge.track)
         strides = strides[~leg.holds[strides]]
-        # What is held is so until just before the next sample.
+        # A pose that holds does so until just before the next sample.
         for steps, before_ns in ((held, stamp_ns[held + 1] - 1), (strides, stamp_ns[strides])):
             for after, before in zip(stamp_ns[steps + 1].tolist(), before_ns.tolist(), strict=True):
                 found[after] = Break(after, before, leg.step)

@@ -54,8 +54,8 @@ class Concern(NamedTuple):
 
     text: str
     remedy: Mapping[str, str] | None = {}
-    """Options with the values that mend it; empty where the map is of use all the same, None where
-    it is not and no option that is known makes it so"""
+    """Options that mend it, with their values. Empty: the map is of use all the same. None: it is
+    not, and no known option makes it so"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,8 +53,8 @@ def resolve(
     Returns
     -------
     fixed, chain, notes
-        The frame that its scans are mapped in, the way from there, and what was decided on the way
-        and its user should know.
+        The frame that its scans are mapped in, the way from there, and what a user should know of
+        how it was chosen.
 
     Raises
     ------

@@ -38,7 +38,7 @@ OTHER_WORDS = frozenset({
 MAX_WORDS = 100
 """Keywords that are counted one by one; the many of a damaged file must not fill the memory."""
 MOST_LETTERS = 64
-"""What of a line is looked at for its keyword; the rest of a longer word is not told."""
+"""How much of a line is searched for its keyword; a longer word is cut."""
 MAX_KEPT_BYTES = 1 << 26
 """The scans of a log that take no more memory are kept; larger logs are parsed once more."""
 WHOLE_MESSAGE = re.compile(r"\S+\s+\S+\s+\S.*\s(?!\d)\S+\s+[-+.e\d]+\s*")
@@ -229,7 +229,7 @@ def _starts_message(head: list[str]) -> bool:
 
 
 def _is_cut(line: Line) -> bool:
-    """Whether a last line without its end is cut; of a scan its parsing tells."""
+    """Whether a last line without its end is cut; for a scan, parsing it tells."""
     word = _find_word(line.raw)
     if not word or word in FRAMES:
         return False

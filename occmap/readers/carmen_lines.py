@@ -145,7 +145,7 @@ def imply_increment(beams: int) -> float:
 
 
 def split_untimed(text: str) -> _Message:
-    """Split a FLASER or RLASER line behind its poses, whatever stands there in place of a time."""
+    """Split a FLASER or RLASER line after its poses; anything may follow in place of a time."""
     word, *numbers = text.split()
     if word not in PLAIN_FRAMES or not numbers or not numbers[0].isdecimal():
         raise ValueError("it is not a line of a laser with its pose")

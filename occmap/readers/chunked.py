@@ -66,7 +66,7 @@ class Block(NamedTuple):
 
 
 Descriptions: TypeAlias = dict[bytes, int]
-"""Records that describe channels, each with the position of the chunk where it is first."""
+"""Records that describe channels, each with the position of the chunk where it first lies."""
 
 
 class ChunkedSource(ABC):

@@ -132,7 +132,7 @@ class CsvLog(TextLog):
             header = 0 if rows.size else header
 
     def _judge(self) -> None:
-        """Tell damage from a file that is not a log: by all its rows, even where this is a part."""
+        """Tell damage from a file that is not a log, by all its rows, even if this is one part."""
         tally = LineTally()
         for _ in self._parse_rows(ALL, tally):
             pass

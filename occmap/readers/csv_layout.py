@@ -35,7 +35,7 @@ MEASURED = frozenset(("time_increment", *POSE_NAMES))
 NAMES = frozenset((*REQUIRED, *DEFAULTS, *POSE_NAMES))
 """What may stand as a column or in a comment; beams are columns only."""
 ALIASES = {"stamp": ("time", "timestamp", "t"), "yaw": ("theta", "heading")}
-"""What other programs call a column; none is read as it, for its unit may be another."""
+"""What other programs call a column. An error names it; it is not read, as units may differ."""
 ROSTOPIC = "%time"
 """How the header of `rostopic echo -p` starts."""
 _ROSTOPIC_BEAM = re.compile(r"field\.ranges(\d+)")

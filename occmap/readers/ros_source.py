@@ -51,7 +51,7 @@ class Channel:
 
     @property
     def oddity(self) -> str:
-        """Why messages that are not used may have been meant to be; "" where nothing says so.
+        """What suggests that messages that are not used were meant to be; "" if nothing does.
 
         Damage to the name of a type, or of an encoding, leaves a file that is sound otherwise.
         """

@@ -25,7 +25,7 @@ MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 INFO_ENTRY = struct.Struct("<II")
 """An entry of the record about a chunk: a connection, and how many messages it has there."""
 ENTRY_BYTES = {INDEX: 12, CHUNK_INFO: INFO_ENTRY.size}
-"""Bytes of an entry, of which a header has the count; one behind a chunk is a time and an offset"""
+"""Bytes of an entry; the header states how many there are. Behind a chunk: a time and an offset."""
 
 RECORD_ERRORS = (struct.error, LookupError, ValueError)
 
@@ -39,7 +39,7 @@ _MESSAGE_HEAD = re.compile(
 """The header of a message as recorders write it, but for the order of its fields. A bag is read in
 half the time by it, and a polygon build takes an eighth less."""
 _MESSAGE_HEAD_SIZE = 46
-"""Bytes of such a header; only with each field once the pattern has as many."""
+"""Bytes of such a header if it has each field once, which the pattern does not ask for."""
 _FIELDS = {
     MESSAGE: {b"conn", b"time"},
     BAG: set(),
@@ -339,7 +339,7 @@ class Bag1Source(ChunkedSource):
         following = find_header(file, start, self._size, chunk_end=self._size)
         if following is None:
             return stated
-        if start + stated < following:  # what follows is damaged where messages fill the chunk
+        if start + stated < following:  # what follows is the damage if messages fill the chunk
             file.seek(start)
             block, problem = _inflate(header, file.read(stated))
             ends = [end for *_, end in split_messages(Block(0, block), EVERY_ID, {}, [])]

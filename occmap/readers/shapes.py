@@ -2,7 +2,7 @@
 
 JSON holds anything anywhere, and a log's own definitions may give any field any type. So what is
 decoded by them is brought into shape before a converter sees it; a message that does not fit is
-damaged, and every other error of a converter is a fault of its own.
+damaged, and every other error in a converter is a fault of occmap's.
 """
 
 from collections.abc import Callable, Mapping, Sequence

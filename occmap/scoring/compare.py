@@ -68,8 +68,8 @@ class VariantComparison(Scored):
     files: tuple[str, ...] = ()
     """Files that were written"""
     recommended: ScoredVariant = field(metadata=HIDDEN)
-    """The best one; its log-likelihood decides where the default is not as good, as that tells
-    more than a share"""
+    """The best one: the default if it is as good, else that of the best log-likelihood, which
+    tells more than a share"""
     likeliest: ScoredVariant = field(metadata=HIDDEN)
     preference: str = field(metadata=HIDDEN)
     """Which variants are as good, and why one is preferred; "" where there is only one"""

@@ -178,7 +178,7 @@ class CountingModel:
 
     prior: float = 0.5
     strength: float = 0.02
-    """How many observations the prior weighs; less takes the first ones more at their word"""
+    """How many observations the prior weighs; the fewer, the more the first ones are believed"""
     hit_weight: float = 1.0
     """How many misses a hit weighs: above 1 keeps walls that beams graze"""
     cut: float = 0.32

@@ -185,7 +185,7 @@ def find_way(scorer: Scorer, timed: Sequence[Knob], place: Sequence[Knob]) -> Wa
     time = find(scorer, mount.correction, timed)
     if mount.verdict is not Verdict.FOUND or time.verdict is Verdict.DISAGREE:
         return usual
-    # Two corrections fit much, also what changes within the log; one of a mount explains it.
+    # Two corrections fit much, even times that change within the log: the mount alone must do.
     disagree = Verdict.DISAGREE in (usual.time.verdict, usual.mount.verdict)
     if disagree and time.verdict is Verdict.FOUND:
         return usual
