@@ -76,9 +76,12 @@ def drop_damage(notes: Iterable[str], damage: Iterable[str]) -> list[str]:
 
 def list_frames(tally: Tally) -> Iterator[str]:
     """Say that logs are mapped in frames of different names, which may lie anywhere."""
-    first = {frame: log for log, frame in reversed(tally.frames.items()) if frame}
+    first: dict[str, str] = {}
+    for log, frame in tally.frames.items():
+        if frame:
+            first.setdefault(frame, log)
     if len(first) > 1:
-        named = ", ".join(f"{log} in {frame}" for frame, log in reversed(first.items()))
+        named = ", ".join(f"{log} in {frame}" for frame, log in first.items())
         yield (
             f"the logs are mapped in different frames: {named}; where these do not lie on each "
             "other, choose one with `map_frame`, or build each log alone with its own `transform` "
