@@ -215,10 +215,7 @@ FORMS: dict[Any, tuple[Callable[[Any], Any], str]] = {
         "(parent, child, x, y, z, roll, pitch, yaw) in metres and radians",
     ),
     Sector: (_read_sector, "(from, to) in radians, counter-clockwise, such as (2.5, -2.5)"),
-    "transform": (
-        _read_planar,
-        "(x, y, yaw) in metres and radians, such as (12.5, -3, 1.5708)",
-    ),
+    "transform": (_read_planar, "(x, y, yaw) in metres and radians, such as (12.5, -3, 1.5708)"),
     Box: (
         lambda box: _read_numbers(box, 4),
         "(x_min, y_min, x_max, y_max) in metres, such as (-0.4, -0.3, 0.2, 0.3)",

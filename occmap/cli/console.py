@@ -98,8 +98,9 @@ class Console:
 
     def note(self, *texts: str) -> None:
         """Print what is worth knowing, unless the user wants quiet."""
-        for text in texts if self.verbosity > Verbosity.QUIET else ():
-            self.tell(f"note: {text}")
+        if self.verbosity > Verbosity.QUIET:
+            for text in texts:
+                self.tell(f"note: {text}")
 
     def announce(self, *notes: str) -> None:
         """Print what is worth knowing of the command line, and keep it for the result."""

@@ -14,13 +14,7 @@ from occmap.evidence.manifest import describe_profile
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
 from occmap.grid.spec import find_unit
-from occmap.grid.tiles import (
-    LOG_ODDS_UNIT,
-    EvidenceKind,
-    TileGrid,
-    add_stack,
-    refuse_large,
-)
+from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid, add_stack, refuse_large
 from occmap.sensor.models import (
     Clamped,
     RadialModel,

@@ -63,8 +63,10 @@ def measure_fit(grid: TileGrid, others: Mapping[Key, Tile], model: SensorModel) 
         for row, (part, alone) in enumerate(zip(parts, each, strict=True)):
             where = met & (part[key][0] > 0)
             hits = part[key][0][where]
-            agreed = (log_odds(a[where], b[where]) > cut for a, b in (alone, together))
-            sums[row] += hits.sum(), *(hits[kept].sum() for kept in agreed)
+            sums[row, 0] += hits.sum()
+            for column, (first, second) in enumerate((alone, together), start=1):
+                occupied = log_odds(first[where], second[where]) > cut
+                sums[row, column] += hits[occupied].sum()
     if sums[:, 0].min() < FEWEST_HITS * grid.unit:
         return None
     shares = (sums[:, 1:] / sums[:, :1]).mean(axis=0)

@@ -55,9 +55,10 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Sequence[Path]) -
         distinct.setdefault(frozenset(hash_files(log).items()), log)
     for hashes, log in distinct.items():
         counts = [count_uses(hashes, build) for build in evidence.manifest.builds]
-        if not any(counts):
+        used = [index for index, times in enumerate(counts) if times]
+        if not used:
             refuse_stranger(evidence, log)
-        for index in (index for index, times in enumerate(counts) if times):
+        for index in used:
             build = evidence.manifest.builds[index]
             options = recall_options(build["options"], evidence.where)
             if trajectory := find_trajectory(build):

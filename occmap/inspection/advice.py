@@ -89,9 +89,9 @@ def bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
     times = topic.times
     if times.suggested_stamps is not stamps:
         return f"; try `stamps={times.suggested_stamps.value}`"
-    for source in log.coverage if stamps is Stamps.HEADER else ():
+    for source in log.coverage:
         apart = source.end_ns < times.start_ns or times.end_ns < source.start_ns
-        if source.moves and apart:
+        if stamps is Stamps.HEADER and source.moves and apart:
             offset_ms = -((times.start_ns - source.start_ns) // 10**6)  # up: not before the pose
             option = f"`time_offset_s={offset_ms / 1e3:.12g}`"
             return f"; {option} would put the first scan at the first pose"
@@ -124,9 +124,10 @@ def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple
     paths = [log.path for log in logs]
     concerns = [concern for log in logs for concern in log.concerns]
     advised = list_advised(logs, options)
-    for name, value in (pair for each in concerns for pair in (each.remedy or {}).items()):
-        if advised.setdefault(name, value) != value:
-            return ()
+    for concern in concerns:
+        for name, value in (concern.remedy or {}).items():
+            if advised.setdefault(name, value) != value:
+                return ()
     command = compose_build(paths, options, advised)
     hopeless = [concern for concern in concerns if concern.remedy is None]
     if all(ASK_TUNE in concern.text for concern in hopeless):

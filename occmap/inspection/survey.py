@@ -74,7 +74,6 @@ class StampLog:
         steps = np.diff(header) / 1e9
         offset = (header.astype(np.float64) - record) / 1e9
         all_equal = len(header) > 1 and bool((header == header[0]).all())
-        all_zero = bool((header == 0).all())
         duration_s = float(header.max() - header.min()) / 1e9
         simulated = (
             not all_equal and poses_ns is not None and is_simulated(header, record, poses_ns)
@@ -96,7 +95,7 @@ class StampLog:
             duplicates=int(np.count_nonzero(steps == 0)),
             time_increment_s=float(np.median(increments)) if len(increments) else 0.0,
             all_equal=all_equal,
-            all_zero=all_zero,
+            all_zero=bool((header == 0).all()),
             simulated=simulated,
             suggested_stamps=suggested_stamps,
         )

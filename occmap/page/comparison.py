@@ -60,8 +60,7 @@ def tell_scores(comparison: VariantComparison) -> Block:
     """Tabulate the scores of all variants."""
     variant, *numbers = SCORES
     head = [variant, *(f"#{name}" for name in numbers), "as good within the error"]
-    words = {True: "yes", False: ""}
-    rows = [[*list_scores(each), words[each.as_good]] for each in comparison.results]
+    rows = [[*list_scores(each), "yes" if each.as_good else ""] for each in comparison.results]
     rows[comparison.results.index(comparison.recommended)][-1] = "preferred"
     return Block("table", rows, head)
 

@@ -64,8 +64,8 @@ class Poser:
         self._offset_ns = round(self.options.time_offset_s * 1e9)  # to the clock of the poses
         self._leaps = LeapFilter(self.options.max_speed)
         align, transform = self.options.align, self.options.transform
-        moved = [Pose.planar(0.0, 0.0, math.radians(align))] if align else []
-        moved += [transform] if transform else []
+        turned = Pose.planar(0.0, 0.0, math.radians(align)) if align else None
+        moved = [pose for pose in (turned, transform) if pose]
         # Where the log's map frame lies in the map that is made; None where they are one.
         self._above = Transforms.fixed(reduce(Pose.then, moved)) if moved else None
 

@@ -283,12 +283,14 @@ def _find_rows(first: int, stamp_ns: Int64, place: Float64, max_speed: float) ->
     seconds = np.diff(stamp_ns) / 1e9
     pauses = (seconds <= 0) | (seconds > SPARSE_S)
     cuts = np.flatnonzero(pauses | _is_too_far(metres, seconds, max_speed))
-    begin, end = (
-        map(Moment, (first + at).tolist(), stamp_ns[at].tolist(), place[at].tolist())
-        for at in (np.append(0, cuts + 1), np.append(cuts, len(stamp_ns) - 1))
-    )
+
+    def list_moments(at: Int64) -> Iterator[Moment]:
+        return map(Moment, (first + at).tolist(), stamp_ns[at].tolist(), place[at].tolist())
+
+    begins = list_moments(np.append(0, cuts + 1))
+    ends = list_moments(np.append(cuts, len(stamp_ns) - 1))
     paused = pauses[cuts].tolist()
-    return list(map(Row, begin, end, [True, *paused], [*paused, False]))
+    return list(map(Row, begins, ends, [True, *paused], [*paused, False]))
 
 
 def _find_outliers(rows: Sequence[Row], max_speed: float) -> tuple[int, Sequence[Row]]:

@@ -96,6 +96,7 @@ class CarmenForm:
         begin = 2 if is_plain else 9
         end = begin + int(float(words[begin - 1]))
         kinds = np.full(len(words), NUMBER, np.uint8)
+        # The keyword, the angles, the limit and the lengths of lists, by their places in a line.
         kinds[[0, begin - 1] if is_plain else [0, 2, 4, 5, begin - 1, end]] = SAME
         kinds[begin:end] = RANGE
         kinds[-3:] = SECONDS, ANY, SECONDS

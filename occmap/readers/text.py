@@ -128,7 +128,8 @@ def split_lines(path: Path, size: int) -> list[Span]:
         for start in range(max(size, heading), length, size):
             file.seek(start - 1)
             file.readline(MAX_LINE_BYTES)
-            cuts += [file.tell()] if cuts[-1] < file.tell() < length else []
+            if cuts[-1] < file.tell() < length:
+                cuts.append(file.tell())
     return [Span(*ends) for ends in pairwise([*cuts, length])]
 
 

@@ -174,8 +174,9 @@ class Trials:
 
         def observe(rays: Rays) -> None:
             seen = self.hold_out.split(rays)
-            for evidence in self.evidence.values() if len(seen.kind) else ():
-                workers.give((evidence, seen))
+            if len(seen.kind):
+                for evidence in self.evidence.values():
+                    workers.give((evidence, seen))
 
         return observe
 

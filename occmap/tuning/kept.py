@@ -118,7 +118,8 @@ def take_every(batches: Sequence[ScanBatch], n: int, first: int = 0) -> list[Sca
         scans = len(batch.stamp_ns)
         rows = np.arange(first, scans, n)
         first = (first - scans) % n
-        taken += [batch.take(rows)] if len(rows) else []
+        if len(rows):
+            taken.append(batch.take(rows))
     return taken
 
 
