@@ -61,8 +61,10 @@ def place_error(config: Config, command: click.Command, error: UsageError) -> Us
     text = spell(str(error))
     taken = [param for param in command.params if param.name in config.values]
     names_one = any(re.search(rf"{flag}(?![\w-])", text) for param in taken for flag in param.opts)
-    several = (value if isinstance(value, list) else [value] for value in config.values.values())
-    if not names_one and error.where not in (str(each) for some in several for each in some):
+    values: list[Any] = []
+    for value in config.values.values():
+        values += value if isinstance(value, list) else [value]
+    if not names_one and error.where not in map(str, values):
         return error
     where = f"{config.path}: {error.where}" if error.where else config.path
     return UsageError(error.found, where=where, fix=error.fix)

@@ -260,12 +260,14 @@ class McapSource(ChunkedSource):
         start = position + _RECORD.size
         match = None if opcode == Opcode.MESSAGE else _CHUNK.match(file.read(_CHUNK_START))
         measured = match.end() + int.from_bytes(match["length"], "little") if match else None
+        # A head that the body contradicts is damaged if its length leads nowhere, or is right.
         if measured is not None and (opcode, length) != (Opcode.CHUNK, measured):
             is_odd = opcode == Opcode.CHUNK and not _leads_on(file, start + length, self._size)
             if is_odd or length == measured:
                 self._note(position, "has a damaged head")
                 opcode, length = Opcode.CHUNK, measured
         left = self._size - start
+        # The file may be cut within a record of a known kind; one of another kind must lead on.
         if (
             _is_plausible(opcode, length, left)
             or (0 < opcode <= _LAST_OPCODE and left < length)

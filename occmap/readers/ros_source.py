@@ -10,6 +10,10 @@ from occmap.readers import Note, Role
 from occmap.readers.messages import TYPES, normalise_type
 from occmap.readers.shapes import MessageType
 
+SCAN_ROLES = frozenset({Role.SCAN, Role.CLOUD})
+_MOST_LETTERS = 2
+"""The name of a type may differ in this many letters from the one that is meant."""
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Channel:
@@ -67,10 +71,6 @@ class Channel:
                     return f"which may be meant to be {name}"
         return ""
 
-
-SCAN_ROLES = frozenset({Role.SCAN, Role.CLOUD})
-_MOST_LETTERS = 2
-"""The name of a type may differ in this many letters from the one that is meant."""
 
 RawMessage: TypeAlias = tuple[Channel, int, memoryview]
 """A message as it lies in a log: its channel, when it was recorded (ns), and its bytes."""
