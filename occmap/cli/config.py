@@ -135,8 +135,10 @@ def refuse_unknown(path: Path, values: Iterable[str], own: Mapping[str, click.Op
 
 def convert(option: click.Option, value: Any) -> Any:
     """Turn a value of a file into what is typed: numbers in a list become numbers with commas."""
+    if option.is_bool_flag:
+        return bool(value)
     if option.is_flag:
-        return (option.flag_value if value else None) if not option.is_bool_flag else bool(value)
+        return option.flag_value if value else None
     if not option.multiple:
         return write(option, value)
     several = value if isinstance(value, list) else [value]
