@@ -131,9 +131,9 @@ def field(section: str, name: str, **more: Any) -> Any:
     return option(section, *flags, name, multiple=default == (), **settings | more)
 
 
-def fields(section: str, *names: str) -> Any:
-    """Declare options for fields of BuildOptions, in the order of --help."""
-    return join(*(field(section, name) for name in names))
+def fields(section: str, names: str) -> Any:
+    """Declare options for fields of BuildOptions, in the order of --help; blanks part `names`."""
+    return join(*(field(section, name) for name in names.split()))
 
 
 def paths(section: str, *names: str, metavar: str, text: str) -> Any:
@@ -171,7 +171,7 @@ def one_output(name: str, metavar: str, text: str) -> Any:
     return option(*names, type=PATH, multiple=True, callback=take_one, metavar=metavar, help=text)
 
 
-thresholds = fields(FILES, "occupied_thresh", "free_thresh")
+thresholds = fields(FILES, "occupied_thresh free_thresh")
 writing = join(
     output,
     field(FILES, "mode"),
@@ -185,11 +185,11 @@ writing = join(
         help="PNG: light is occupied, as in Elfes' figures.",
     ),
 )
-resume = fields(FILES, "resume", "resume_if_there")
+resume = fields(FILES, "resume resume_if_there")
 
 resolution = field(MAP, "resolution")
 max_cells = field(MAP, "max_cells", type=click.IntRange(min=1))
-lattice = join(resolution, fields(MAP, "jump", "hit_offset", "border_gap"), max_cells)
+lattice = join(resolution, fields(MAP, "jump hit_offset border_gap"), max_cells)
 
 
 def parse_align(text: str) -> float | None:
@@ -216,20 +216,15 @@ align = option(
     help="Turn the map by this many degrees counter-clockwise; without a number, by the smallest "
     "angle that brings its walls along the axes.",
 )
-framing = fields(MAP, "extent", "margin")
+framing = fields(MAP, "extent margin")
 min_passes, pass_gap = field(MAP, "min_passes"), field(MAP, "pass_gap_s")
 
-ranges = fields(
-    RANGES,
-    *("min_range", "max_range", "range_max", "no_return", "ignore_sectors", "footprint"),
-)
-selection = fields(
-    SCANS, "topics", "start_s", "end_s", "stride", "echo", "min_height", "max_height"
-)
+ranges = fields(RANGES, "min_range max_range range_max no_return ignore_sectors footprint")
+selection = fields(SCANS, "topics start_s end_s stride echo min_height max_height")
 posing = fields(
     POSES,
-    *("poses", "sensor_pose", "static_transforms", "map_frame", "transform", "base_frame"),
-    *("max_pose_gap_s", "max_speed", "time_offset_s", "stamps", "deskew"),
+    "poses sensor_pose static_transforms map_frame transform base_frame "
+    "max_pose_gap_s max_speed time_offset_s stamps deskew",
 )
 reading = join(ranges, selection, posing)
 
