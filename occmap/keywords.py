@@ -3,6 +3,7 @@
 import math
 import operator
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import is_dataclass
 from enum import EnumType, StrEnum
@@ -115,8 +116,9 @@ def read_option(name: str, hint: Any, value: Any) -> Any:
     except UsageError as error:
         raise error.placed(f"{name} = {value!r}") from None
     except (TypeError, ValueError):
-        several = "a list of " if has_several else ""
-        fix = f"give {several}{form}{NONE_MEANS.get(name, '')}"
+        if has_several:
+            form = "a list of " + re.sub("such as (.*)", r"such as [\1]", form)
+        fix = f"give {form}{NONE_MEANS.get(name, '')}"
         raise UsageError(f"{name} is {value!r}", fix=fix) from None
 
 

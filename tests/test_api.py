@@ -202,7 +202,7 @@ def test_none_is_the_default_but_where_it_is_a_value() -> None:
         ),
         ({"sensor_pose": (0, 0, 90)}, "90 degrees are 1.5708"),
         ({"sensor_pose": (math.nan, 0, 0)}, "the sensor's pose cannot be (nan, 0.0, 0.0)"),
-        ({"ignore_sectors": (2.5, -2.5)}, "give a list of (from, to) in radians"),
+        ({"ignore_sectors": (2.5, -2.5)}, "counter-clockwise, such as [(2.5, -2.5)]"),
         ({"ignore_sectors": [(0, 90)]}, "an angle of 90 rad is more than a turn"),
         ({"static_transforms": [("a", "b", 1, 2, 3)]}, "give a list of (parent, child, x"),
         ({"static_transforms": [("a", "b", 0, 0, 0, 0, 0, 90)]}, "90 degrees are 1.5708"),
