@@ -191,6 +191,10 @@ def _read_sector(value: Any) -> tuple[float, ...]:
     return sector
 
 
+def _read_box(value: Any) -> tuple[float, ...]:
+    return _read_numbers(value, 4)
+
+
 def _read_topics(value: Any) -> tuple[str, ...]:
     return tuple(map(os.fspath, [value] if isinstance(value, str) else value))
 
@@ -218,8 +222,9 @@ FORMS: dict[Any, tuple[Callable[[Any], Any], str]] = {
     ),
     Sector: (_read_sector, "(from, to) in radians, counter-clockwise, such as (2.5, -2.5)"),
     "transform": (_read_planar, "(x, y, yaw) in metres and radians, such as (12.5, -3, 1.5708)"),
+    "extent": (_read_box, "(x_min, y_min, x_max, y_max) in metres, such as (0, 0, 5, 4)"),
     Box: (
-        lambda box: _read_numbers(box, 4),
+        _read_box,
         "(x_min, y_min, x_max, y_max) in metres, such as (-0.4, -0.3, 0.2, 0.3)",
     ),
     SensorModel: (_read_model, 'text such as "simple:p_hit=0.8", or a model'),

@@ -62,7 +62,12 @@ def test_degrees_are_refused_and_turned_to_radians(name: str, text: str) -> None
         ),
         ("ignore_sectors", "1,one", "--ignore-sector 1,one: 'one' is not a number"),
         ("footprint", "1,2,3", "--footprint 1,2,3: 3 values where 4 belong; write x_min,y_min"),
-        ("extent", "1", "--extent 1: 1 value where 4 belong; write x_min"),
+        (
+            "extent",
+            "1",
+            "--extent 1: 1 value where 4 belong; "
+            "write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4",
+        ),
         ("transform", "1,2", "--transform 1,2: 2 values where 3 belong; write x,y,yaw"),
     ],
 )
