@@ -106,7 +106,9 @@ def read_config(path: Path, command: click.Command, typed: Mapping[str, Any]) ->
     taken = {name: value for name, value in known.items() if own[name].name not in typed}
     nothing = "all of it is typed, too" if known else "no option of this command"
     told = ", ".join(f"{name} = {json.dumps(value, default=str)}" for name, value in taken.items())
-    by_option = {str(own[name].name): convert(own[name], value) for name, value in taken.items()}
+    by_option = {
+        str(own[name].name): convert(path, own[name], value) for name, value in taken.items()
+    }
     return Config(path, by_option, f"{path}: {told or nothing}")
 
 
@@ -133,22 +135,29 @@ def refuse_unknown(path: Path, values: Iterable[str], own: Mapping[str, click.Op
             raise UsageError(f"no option is called {name!r}", where=path, fix=fix)
 
 
-def convert(option: click.Option, value: Any) -> Any:
-    """Turn a value of a file into what is typed: numbers in a list become numbers with commas."""
+def convert(path: Path, option: click.Option, value: Any) -> Any:
+    """Turn a value of a file of options into what is typed.
+
+    Raises
+    ------
+    UsageError
+        A flag is neither true nor false.
+    """
+    if option.is_flag and not isinstance(value, bool):
+        found = f"{option.opts[-1]} is {value!r}"
+        raise UsageError(found, where=path, fix="write true or false")
     if option.is_bool_flag:
-        return bool(value)
+        return value
     if option.is_flag:
         return option.flag_value if value else None
     if not option.multiple:
-        return write(option, value)
+        return write(value)
     several = value if isinstance(value, list) else [value]
     if several and all(isinstance(each, int | float) for each in several):  # one sector, not many
-        return [write(option, several)]
-    return [write(option, each) for each in several]
+        return [write(several)]
+    return [write(each) for each in several]
 
 
-def write(option: click.Option, value: Any) -> Any:
-    """Write a list as it is typed, with commas, and as text what a function of ours reads."""
-    if isinstance(value, list):
-        return ",".join(map(str, value))
-    return str(value) if isinstance(option.type, click.types.FuncParamType) else value
+def write(value: Any) -> str:
+    """Write a value as it is typed, a list with commas."""
+    return ",".join(map(str, value)) if isinstance(value, list) else str(value)
