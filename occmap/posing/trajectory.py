@@ -173,7 +173,7 @@ def _parse_lines(
         try:
             yield parse(text)
         except ValueError as error:
-            whole = "" if repr(text) in str(error) else f": {text[:60]!r}"
+            whole = "" if shorten(text) in str(error) else f": {text[:60]!r}"
             raise LogError(f"{error}{whole}", where=f"{path}:{number}", fix=fix) from None
 
 
