@@ -17,8 +17,8 @@ HIDDEN_GREY = 127
 """Under transparent pixels, for viewers that show no transparency."""
 GREY_ALPHA = bytes([8, 4, 0, 0, 0])
 """How the header of a PNG says 8 bits a sample, grey with alpha, and not interlaced"""
-ZLIB_LEVEL = 1
-"""With 4, files are a sixth smaller, and a large one takes half as long again"""
+ZLIB_LEVEL = 4
+"""With 1, a large map is written in two thirds of the time, and files are up to a fourth larger"""
 
 
 class PngWriter(OneFile):
@@ -39,8 +39,8 @@ class PngWriter(OneFile):
         negate = int(options.shade is Shade.LIGHT_OCCUPIED)
         # Named as in a map's YAML, they say how the pixels are decided.
         texts = {"occupied_thresh": occupied, "free_thresh": free, "negate": negate}
-        # Not by pillow: it tries five filters on each row, which takes three times as long, and
-        # large maps, which are runs of one grey, get smaller with none of them.
+        # Not by pillow: it tries five filters on each row, which takes twice as long, and large
+        # maps, which are runs of one grey, get smaller with none of them.
         packer = zlib.compressobj(ZLIB_LEVEL)
         packed = [packer.compress(lines.data) for lines in paint_bands(grid, options)]
         chunks = [(b"IHDR", struct.pack(">II", cols, rows) + GREY_ALPHA)]
