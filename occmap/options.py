@@ -9,6 +9,7 @@ from occmap.batching import Selection
 from occmap.errors import require
 from occmap.evidence.persistence import check_passes
 from occmap.grid.framing import Framing
+from occmap.grid.lattice import Lattice
 from occmap.grid.tiles import MAX_CELLS
 from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions
@@ -73,6 +74,7 @@ class BuildOptions:
     """As `resume` if the file exists; otherwise start a new map."""
 
     def __post_init__(self) -> None:
+        Lattice(self.resolution)  # refuses one that is not possible
         check_passes(self.min_passes, self.model)
         found = f"`pass_gap_s={self.pass_gap_s:g}` is not possible"
         fix = f"give {SHORTEST_GAP_S:g} to {LONGEST_GAP_S:g} seconds"

@@ -206,3 +206,10 @@ def test_a_log_that_cannot_be_read_through_has_one_problem(tmp_path: Path) -> No
     assert found["warnings"] == []
     (problem,) = found["problems"]
     assert problem.startswith(f"{log}:7: 1 cells where the header has 6")
+
+
+def test_a_resolution_that_is_not_possible_is_refused_before_the_log_is_read(
+    capsys: Capture,
+) -> None:
+    assert run(["check", str(SAMPLE_LOGS / "drive.csv"), "--resolution", "inf"]) == 2
+    assert capsys.readouterr().err.startswith("error: a resolution of inf m is not possible")
