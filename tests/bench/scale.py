@@ -19,6 +19,7 @@ from distributed import Client, LocalCluster
 from occmap.fleet import Fleet
 from occmap.fleet.cluster import ALLOCATOR
 from occmap.fleet.storing import build_store
+from occmap.fleet.tasks import survey_log, trace_part
 from occmap.observing import Keep, ignore_progress
 from occmap.options import BuildOptions
 from occmap.store.writing import import_zarr
@@ -123,8 +124,9 @@ def measure_shuffle(fleet: Fleet, logs: Sequence[Path]) -> tuple[int, int]:
     """Bytes in the run files of logs, and in the stubs, which are what the driver is told."""
     with fleet.work(logs, OPTIONS, Keep(slices=True), ignore_progress) as work:
         files = list(work.setting.folder.iterdir())
+        stubs = [f".{task.__name__}" for task in (survey_log, trace_part)]
         shuffled = sum(each.stat().st_size for each in files if each.suffix == ".run")
-        told = sum(each.stat().st_size for each in files if each.suffix in (".survey", ".trace"))
+        told = sum(each.stat().st_size for each in files if each.suffix in stubs)
         return shuffled, told
 
 
