@@ -23,7 +23,6 @@ from occmap.sensor.models import (
     find_decision,
     parse_model,
 )
-from occmap.types import Update
 
 Weigh: TypeAlias = Callable[[Float64, Float64], Float64]
 """Takes hits and misses, or log-odds and observations; gives log-odds"""
@@ -105,7 +104,7 @@ def read_model(evidence: Described) -> SensorModel:
 def to_grid(evidence: Evidence) -> TileGrid:
     """Make a grid of evidence."""
     manifest = evidence.manifest
-    unit = find_unit(Update(manifest.update))
+    unit = find_unit(manifest.update)
     grid = TileGrid(Lattice(manifest.resolution), EvidenceKind(manifest.kind), unit)
     add_stack(grid, evidence.tiles, evidence.cells)
     return grid

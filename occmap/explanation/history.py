@@ -14,7 +14,6 @@ from occmap.grid.slices import count_visits, take, unite, unpack
 from occmap.grid.spec import find_unit
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
 from occmap.plain import Count
-from occmap.types import Update
 
 FARTHEST_CELL = 1 << 44
 """Beyond this a float cannot tell the parts of a cell apart."""
@@ -120,7 +119,7 @@ def look_at(evidence: Evidence, x: float, y: float) -> CellHistory:
     ]
     return CellHistory(
         Cell(row, col, lattice.measure(CellBox.at(row, col))),
-        unit=find_unit(Update(evidence.manifest.update)),
+        unit=find_unit(evidence.manifest.update),
         around=[
             [read_cell(evidence, row + up, col + right) for right in (-1, 0, 1)]
             for up in (1, 0, -1)

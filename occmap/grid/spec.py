@@ -50,9 +50,9 @@ def tabulate(free: Formula, hit: Formula, depth: float) -> Tables:
     return Tables(depth, free_entries, hit_entries, plain, largest, SUM_BITS)
 
 
-def find_unit(update: Update) -> int:
-    """What one beam, or one scan, weighs in the numbers of a cell."""
-    return BEAM_WEIGHT if update is Update.SURFACE else 1
+def find_unit(update: str) -> int:
+    """What one beam, or one scan, weighs in the numbers of a cell; raises ValueError if unknown."""
+    return BEAM_WEIGHT if Update(update) is Update.SURFACE else 1
 
 
 @dataclass(frozen=True)

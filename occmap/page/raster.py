@@ -20,7 +20,6 @@ from occmap.grid.lattice import CellBox
 from occmap.grid.slices import count_visits, split_tiles, take, unite, unpack
 from occmap.grid.spec import find_unit
 from occmap.grid.tiles import TILE, EvidenceKind
-from occmap.types import Update
 
 MOST_CELLS = 4100 * 4100
 """A page with more of them takes long to open."""
@@ -128,7 +127,7 @@ def scale(raster: Raster, evidence: Evidence) -> Raster:
     firsts = [int(each.numbers.min()) for each in evidence.slices if each.numbers.size]
     return replace(
         raster,
-        unit=find_unit(Update(manifest.update)),
+        unit=find_unit(manifest.update),
         slice_s=manifest.pass_gap_s,
         start_s=min(firsts, default=0) * manifest.pass_gap_s,
     )

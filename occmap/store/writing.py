@@ -43,7 +43,6 @@ from occmap.store.blocks import (
     pack_layers,
     spread_cells,
 )
-from occmap.types import Update
 from occmap.writers.atomic import refuse_unwritable
 from occmap.writers.npz import compute_checksum
 
@@ -113,7 +112,7 @@ def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
     corners = np.array(list(blocks) or [Block(0, 0)])
     low, high = corners.min(axis=0) * BLOCK, (corners.max(axis=0) + 1) * BLOCK
     shape = tuple((high - low).tolist())
-    unit = find_unit(Update(plan.update))
+    unit = find_unit(plan.update)
     with refuse_unwritable(path):
         root = zarr.create_group(path, attributes={"occmap": make_head(plan, low.tolist())})
         for name in LAYERS[EvidenceKind(plan.kind)]:
@@ -226,7 +225,7 @@ def read_around(root: Any, head: dict[str, Any], box: CellBox) -> TileGrid:
     part = whole.clip(box.grow(TILE))
     place = part.within(whole)
     cells: Int64 = np.stack([first[place], second[place]])
-    grid = TileGrid(Lattice(head["resolution"]), kind, find_unit(Update(head["update"])))
+    grid = TileGrid(Lattice(head["resolution"]), kind, find_unit(head["update"]))
     add_stack(grid, *gather_tiles(cells, part.row // TILE, part.col // TILE))
     return grid
 
