@@ -14,7 +14,7 @@ import numpy as np
 
 from occmap.arrays import Bool, Float64, Int64
 from occmap.cells import Box, OccupancyMap
-from occmap.errors import require
+from occmap.errors import MapError, require
 from occmap.grid.kernels.units import CELL_SHIFT, UNITS_PER_CELL
 
 MOST_CELLS_OF_BEAM = 1 << 22
@@ -158,3 +158,16 @@ class Lattice:
         """Lowest x and y, highest x and y of a box of cells (m)."""
         x, y = self.to_metres(box.col), self.to_metres(box.row)
         return x, y, self.to_metres(box.col_end), self.to_metres(box.row_end)
+
+
+def refuse_long(beam: float, resolution: float) -> None:
+    """Refuse a beam (m) of more cells (m) than a kernel's integers can hold.
+
+    Raises
+    ------
+    MapError
+        Saying how long it is, and what to do.
+    """
+    if beam / resolution > MOST_CELLS_OF_BEAM:
+        found = f"a beam of {beam:.6g} m is too long for cells of {resolution} m"
+        raise MapError(found, fix="limit ranges with `max_range`, or use a coarser `resolution`")

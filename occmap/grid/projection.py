@@ -5,7 +5,7 @@ import numpy as np
 from occmap.errors import MapError
 from occmap.grid.kernels.projection import Beams, link_neighbours, project_ends
 from occmap.grid.kernels.units import CELL_SHIFT, NO_LENGTH
-from occmap.grid.lattice import MOST_CELLS_OF_BEAM, CellBox
+from occmap.grid.lattice import CellBox, refuse_long
 from occmap.grid.spec import GridSpec
 from occmap.types import Kind, Rays, Update
 
@@ -35,10 +35,7 @@ def prepare(rays: Rays, spec: GridSpec) -> Rays:
         rays = rays._replace(distance=rays.distance + (rays.kind == Kind.HIT) * offset)
     if spec.update is Update.POLYGON:
         rays = join_viewpoints(rays)
-    longest = float(rays.distance.max(initial=0.0))
-    if longest / resolution > MOST_CELLS_OF_BEAM:
-        found = f"a beam of {longest:.6g} m is too long for cells of {resolution} m"
-        raise MapError(found, fix="limit ranges with `max_range`, or use a coarser `resolution`")
+    refuse_long(float(rays.distance.max(initial=0.0)), resolution)
     return rays
 
 

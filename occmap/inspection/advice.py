@@ -5,7 +5,8 @@ from collections.abc import Iterator, Sequence
 
 from occmap.batching import find_oddity
 from occmap.command import chain_builds, compose_build, spell_flag
-from occmap.grid.lattice import MOST_CELLS_OF_BEAM
+from occmap.errors import MapError
+from occmap.grid.lattice import refuse_long
 from occmap.inspection.findings import (
     Inspection,
     LogFindings,
@@ -107,11 +108,10 @@ def find_size_problem(grid: MapFindings | None, longest: float, options: BuildOp
             f"`max_cells={options.max_cells}`: x from {x:g} to {x_end:g} m, y from "
             f"{y:g} to {y_end:g} m; try a coarser `resolution` or a `max_range`"
         )
-    if longest / options.resolution > MOST_CELLS_OF_BEAM:
-        return (
-            f"a beam of {longest:.6g} m is too long for cells of {options.resolution} m; "
-            "limit ranges with `max_range`, or use a coarser `resolution`"
-        )
+    try:
+        refuse_long(longest, options.resolution)
+    except MapError as error:
+        return str(error)
     return ""
 
 
