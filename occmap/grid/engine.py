@@ -17,7 +17,7 @@ from occmap.grid.projection import prepare, project
 from occmap.grid.slices import mark_observed, unite
 from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
-from occmap.grid.windows import Window, choose_window, count_observations
+from occmap.grid.windows import Window, choose_windows, count_observations
 from occmap.types import Rays
 
 ROOMY_CELLS = 1 << 22
@@ -84,10 +84,11 @@ class GridEngine:
             fix = "no laser has so many: see what is in the log with `occmap check`"
             raise MapError(found, fix=fix)
         beams = project(rays, self.spec)
-        window_type = choose_window(self.spec, beams)
+        window_types = choose_windows(self.spec, beams)
+        window_type = window_types[0]
         most_cells = window_type.most_cells_times * self._window_cells
         if beams.box.cells <= most_cells:
-            self._trace(beams, window_type)
+            self._trace(beams, window_types)
         elif beams.box.cells > MOST_PARTS * self._window_cells and len(rays.kind) > 1:
             self._add_halves(rays)
         else:
@@ -103,16 +104,16 @@ class GridEngine:
         self._add_prepared(rays.take(slice(None, middle)))
         self._add_prepared(rays.take(slice(middle, None)))
 
-    def _trace(self, beams: Beams, window_type: type[Window]) -> None:
+    def _trace(self, beams: Beams, window_types: tuple[type[Window], ...]) -> None:
         """Trace in a window that nobody else is writing to, with room for the scans to come."""
         with self._lock:
             window = self._idle.pop() if self._idle else None
-        if window is not None and not (isinstance(window, window_type) and window.has_room(beams)):
+        if window is not None and not (isinstance(window, window_types) and window.has_room(beams)):
             self._empty(window)
             window = None
         if window is None:
-            most = window_type.most_cells_times * self._roomy_cells
-            window = window_type(self.spec, add_room(beams.box, most))
+            most = window_types[0].most_cells_times * self._roomy_cells
+            window = window_types[0](self.spec, add_room(beams.box, most))
         window.observe(beams)
         with self._lock:
             self._idle.append(window)

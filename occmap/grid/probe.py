@@ -9,7 +9,7 @@ from occmap.grid.kernels.units import TILE
 from occmap.grid.lattice import CellBox
 from occmap.grid.projection import prepare, project
 from occmap.grid.spec import GridSpec
-from occmap.grid.windows import choose_window
+from occmap.grid.windows import choose_windows
 from occmap.types import Rays
 
 
@@ -27,7 +27,7 @@ def look_at_cell(rays: Rays, spec: GridSpec, row: int, col: int) -> Int64:
     rays = prepare(rays, spec)
     for scan in np.flatnonzero(find_near(rays, spec, box)):
         beams = project(rays.take(slice(scan, scan + 1)), spec)
-        window = choose_window(spec, beams)(spec, box)
+        window = choose_windows(spec, beams)[0](spec, box)
         window.observe(beams)
         for tile in window.read().values():  # the window is a single tile
             seen[scan] = tile[:, row % TILE, col % TILE]

@@ -13,8 +13,6 @@ from occmap.types import Update
 
 WINDOW_CELLS = 1 << 24
 """The largest window; scans that need more are traced part by part."""
-SUM_BITS = 20
-"""A window is emptied before a cell of it counts 2^20 observations of log-odds."""
 COUNT_BITS = 31
 """A window is emptied before a cell of it counts 2^31 hits or misses."""
 
@@ -44,10 +42,12 @@ def tabulate(free: Formula, hit: Formula, depth: float) -> Tables:
         p = np.clip(formula(middle), SUREST, 1 - SUREST)
         tables.append(np.rint(np.log(p / (1 - p)) / LOG_ODDS_UNIT).astype(np.int64))
     largest = max(int(np.abs(table).max()) for table in tables)
-    free_entries, hit_entries = ((table << SUM_BITS) + 1 for table in tables)
+    # A cell's sum of log-odds and number of observations, its sign apart, share 63 bits.
+    bits = (63 - largest.bit_length()) // 2
+    free_entries, hit_entries = ((table << bits) + 1 for table in tables)
     constant = int(np.argmax(np.append(free_entries[:-1], 0) != free_entries[0]))
     plain = float(np.sqrt(constant / TABLE_STEPS))
-    return Tables(depth, free_entries, hit_entries, plain, largest, SUM_BITS)
+    return Tables(depth, free_entries, hit_entries, plain, largest, bits)
 
 
 def find_unit(update: str) -> int:

@@ -174,15 +174,17 @@ CROSSED_OFTEN = 6
 many there are is seen from every eighth beam of every eighth scan."""
 
 
-def choose_window(spec: GridSpec, beams: Beams) -> type[Window]:
-    """The kind of window that an update and a model need, and these rays."""
+def choose_windows(spec: GridSpec, beams: Beams) -> tuple[type[Window], ...]:
+    """The kinds of window that serve for an update, a model and these rays, the best one first."""
     if spec.update is Update.POLYGON and spec.radial is None:
-        return PolygonWindow
+        return (PolygonWindow,)
+    # A single beam has no neighbour to say how wide it is: it is a line.
     if spec.update is Update.POLYGON and beams.rays.kind.shape[1] > 1:
-        return RadialPolygonWindow  # a single beam has no neighbour to say how wide it is: a line
+        return (RadialPolygonWindow,)
     some = slice(None, None, 8), slice(None, None, 8)
     across = np.abs(beams.ends_x[some] - beams.origins[*some, 0])
     up = np.abs(beams.ends_y[some] - beams.origins[*some, 1])
     cells = (np.maximum(across, up) >> CELL_SHIFT) * (beams.rays.kind[some] != Kind.SKIP)
     often = cells.mean() * beams.ends_x.size >= CROSSED_OFTEN * beams.box.cells
-    return BeamWindow if often else SparseBeamWindow
+    # Few scans cost less in a window that is there already than one of their own does.
+    return (BeamWindow,) if often else (SparseBeamWindow, BeamWindow)

@@ -220,6 +220,25 @@ def test_no_model_is_so_sure_that_its_sums_overflow() -> None:
     assert tables.largest * LOG_ODDS_UNIT == pytest.approx(53 * math.log(2), rel=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("p", "bits"),
+    [
+        (2.0**-53, 20),  # 53 ln 2 x 65536 has 22 bits: with twice 20, 62 of 63
+        (0.1, 22),  # ln 9 x 65536 = 143996 has 18 bits: with twice 22, 62
+        (0.9, 22),
+        (0.4, 24),  # ln 1.5 x 65536 = 26573 has 15 bits: with twice 24, 63
+        (0.5, 31),  # 0 has none
+    ],
+)
+def test_a_cell_has_room_for_more_observations_of_a_model_that_is_less_sure(
+    p: float, bits: int
+) -> None:
+    tables = tabulate(lambda u: p + 0 * u, lambda w: p + 0 * w, 1.0)
+    assert tables.bits == bits
+    most = (1 << bits) - 1
+    assert abs(int(tables.free[0]) * most) < 2**63
+
+
 def test_windows_change_nothing_in_an_office_of_many_doors() -> None:
     """A span may bridge a gap between two others: its cells are observed once all the same."""
     office = make_office("office", Sensor.spanning(360, 360, 30.0), 200)
