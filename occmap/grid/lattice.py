@@ -161,7 +161,7 @@ class Lattice:
 
 
 def refuse_long(beam: float, resolution: float) -> None:
-    """Refuse a beam (m) of more cells (m) than a kernel's integers can hold.
+    """Refuse a beam (m) that crosses more cells, of `resolution` (m), than kernels can count.
 
     Raises
     ------

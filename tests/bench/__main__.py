@@ -151,7 +151,7 @@ class Bench:
         folder = self._folder / "tenfold"
         folder.mkdir()
         logs = {workload.scans: write_mcap(workload, folder) for workload in (few, many)}
-        self.results.rows += limits.compare_rosbags(logs[many.scans], rounds)
+        self.results.rows += limits.compare_builds(logs[many.scans], rounds)
         self.results.rows += limits.compare_tenfold_time(logs, rounds)
         self.results.rows += process_limits.compare_tenfold_memory(logs, rounds)
         self.results.rows += process_limits.compare_slices(logs[many.scans], rounds)

@@ -33,6 +33,7 @@ SPARSE_LIMITS = {"beam x simple, counting": 1.0}
 """Few scans of a large place: what nothing crosses costs nothing."""
 BEAM, SURFACE = "beam x simple, counting", "surface x simple, counting"
 SURFACE_LIMIT = 1.6
+THREADS_LIMIT = 0.6
 ROSBAGS_LIMITS = {Update.POLYGON: 1.3, Update.BEAM: 1.6, Update.SURFACE: 1.8}
 
 
@@ -99,7 +100,7 @@ def compare_threads(workload: Workload, rounds: int) -> list[Row]:
         runs = {str(jobs): partial(trace, workload, update, COUNTS, jobs) for jobs in (2, 1)}
         times = time_in_turn(runs, rounds)
         what = f"{update.value}: two threads / one, engine only, {workload.scans} scans"
-        row = compare(times, ("2", "1"), what, 0.60)
+        row = compare(times, ("2", "1"), what, THREADS_LIMIT)
         busy = ", ".join(f"{count_busy_cores(run):.2f}" for run in runs.values())
         rows.append(replace(row, detail=f"{row.detail}; cores at work: {busy}"))
     return rows
@@ -112,8 +113,10 @@ def count_busy_cores(run: Callable[[], object]) -> float:
     return (process_time() - processor) / (perf_counter() - wall)
 
 
-def compare_rosbags(log: Path, rounds: int) -> list[Row]:
-    """The whole tool on an MCAP against rosbags reading it: in one process, all loaded before."""
+def compare_builds(log: Path, rounds: int) -> list[Row]:
+    """The whole tool on an MCAP in one process, all loaded before: against rosbags reading it, and
+    with two threads against one.
+    """
     store = get_typestore(Stores.ROS2_HUMBLE)
 
     def read_all() -> None:
@@ -121,14 +124,18 @@ def compare_rosbags(log: Path, rounds: int) -> list[Row]:
             for connection, _, data in reader.messages():
                 store.deserialize_cdr(data, connection.msgtype)
 
-    builds = {update.value: make_build(update, log) for update in Update}
+    builds = {
+        f"{update.value}, {jobs}": make_build(update, log, jobs)
+        for update in Update
+        for jobs in (1, 2)
+    }
     times = time_in_turn({"rosbags": read_all, **builds}, rounds)
-    return [
-        compare(
-            times, (update.value, "rosbags"), f"build {update.value} MCAP / rosbags reads it", limit
-        )
-        for update, limit in ROSBAGS_LIMITS.items()
-    ]
+    rows = []
+    for update, limit in ROSBAGS_LIMITS.items():
+        what, two, one = f"build {update.value} MCAP", f"{update.value}, 2", f"{update.value}, 1"
+        rows.append(compare(times, (two, "rosbags"), f"{what} / rosbags reads it", limit))
+        rows.append(compare(times, (two, one), f"{what}: two threads / one", THREADS_LIMIT))
+    return rows
 
 
 def compare_loadtxt(log: Path, what: str, limit: float, rounds: int) -> Row:
@@ -154,7 +161,7 @@ def compare_tenfold_time(logs: Mapping[int, Path], rounds: int) -> list[Row]:
     few, many = map(str, sorted(logs))
     rows = []
     for update in Update:
-        runs = {str(scans): make_build(update, log) for scans, log in logs.items()}
+        runs = {str(scans): make_build(update, log, 2) for scans, log in logs.items()}
         times = time_in_turn(runs, rounds)
         rows.append(
             compare(times, (many, few), f"build {update.value}: time for 10 x the scans", 10.5)
@@ -162,9 +169,9 @@ def compare_tenfold_time(logs: Mapping[int, Path], rounds: int) -> list[Row]:
     return rows
 
 
-def make_build(update: Update, log: Path) -> Callable[[], object]:
-    """A build in this process, with the default number of threads."""
-    return partial(build, [log], BuildOptions(update=update), [log.with_suffix(".pgm")])
+def make_build(update: Update, log: Path, jobs: int) -> Callable[[], object]:
+    """A build in this process, with so many threads."""
+    return partial(build, [log], BuildOptions(update=update, jobs=jobs), [log.with_suffix(".pgm")])
 
 
 def compare(times: Times, pair: tuple[str, str], what: str, limit: float) -> Row:
