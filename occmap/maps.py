@@ -10,7 +10,6 @@ from occmap.arrays import Float64
 from occmap.cells import Evidence, OccupancyMap
 from occmap.errors import UsageError
 from occmap.grid.lattice import CellBox
-from occmap.grid.rendering import read_cells
 from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
 from occmap.report import Report
 from occmap.writers import Product, WriteOptions
@@ -105,5 +104,4 @@ class Map(OccupancyMap):
             name, _, _ = self.report.map.model.partition(":")
             found = f"the model {name} sums up log-odds: it keeps no hits and misses"
             raise UsageError(found, fix='build with model="counting" or model="simple"')
-        hits, misses = read_cells(self.tiles, CellBox.of(self))
-        return hits, misses
+        return self.tiles.read(CellBox.of(self))

@@ -96,7 +96,7 @@ def build_locked(
         misfit = add_past(tiles, saved, options.model)
         slices = saved.slices + slices
     refuse_unused(paths, tally)
-    refuse_unseen(paths, tally, tiles.keys)
+    refuse_unseen(paths, tally, tiles.tiles)
 
     with tally.time("render"):
         grid, lost = render_lasting(

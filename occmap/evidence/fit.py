@@ -7,7 +7,8 @@ import numpy as np
 
 from occmap.cells import to_log_odds
 from occmap.evidence import choose_tiles, weigh
-from occmap.grid.tiles import EvidenceKind, Key, Tile, TileGrid
+from occmap.grid.lattice import CellBox
+from occmap.grid.tiles import TILE, EvidenceKind, Key, Tile, TileGrid
 from occmap.sensor.models import SensorModel, find_decision
 
 MOST_TILES = 16
@@ -59,7 +60,7 @@ def measure_fit(grid: TileGrid, others: Mapping[Key, Tile], model: SensorModel) 
     sums = np.zeros((2, 3))  # of each part: hits, those that agree alone, and those together
     for key in sample:
         met = np.all([part[key].any(axis=0) for part in parts], axis=0)
-        *each, together = (source.read(key) for source in sources)
+        *each, together = (source.read(CellBox.at(*key).scale(TILE)) for source in sources)
         for row, (part, alone) in enumerate(zip(parts, each, strict=True)):
             where = met & (part[key][0] > 0)
             hits = part[key][0][where]

@@ -1,22 +1,13 @@
 """Makes one dense grid of sparse tiles, and spreads hits to the cells around them."""
 
-from collections.abc import Callable, Collection, Iterator
-from itertools import product
-from typing import TypeAlias
+from collections.abc import Callable
 
 import numpy as np
 
 from occmap.arrays import Bool, Float32, Float64
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox
-from occmap.grid.tiles import TILE, CellNumbers, EvidenceKind, Key, TileGrid
-
-Part: TypeAlias = tuple[slice, slice]
-"""Rows and columns."""
-ENDS: dict[int, int | slice] = {-1: 0, 0: slice(None), 1: -1}
-"""The rows, or columns, of a tile that touch the tile before it (-1) or after it (1); 0: all"""
-RIM = TILE + 2
-"""Cells along the side of a tile with those around it."""
+from occmap.grid.tiles import TILE, CellNumbers, EvidenceKind, TileGrid
 
 
 class SpreadHits(TileGrid):
@@ -30,37 +21,12 @@ class SpreadHits(TileGrid):
         super().__init__(grid.lattice, grid.kind, grid.unit)
         self.tiles, self.share = grid.tiles, share
 
-    @property
-    def keys(self) -> Collection[Key]:
-        """Row and column of each tile that has observations, or lies beside a hit."""
-        reached = set(self.tiles)
-        for (row, col), (hits, _) in self.tiles.items():
-            for (up, rows), (right, cols) in product(ENDS.items(), repeat=2):
-                if hits[rows, cols].any():
-                    reached.add((row + up, col + right))
-        return reached
-
-    def read(self, key: Key) -> CellNumbers:
-        """The numbers of a tile's cells; the misses are the grid's own."""
-        hits = self._gather(key) / self.unit
+    def read(self, box: CellBox) -> CellNumbers:
+        """The numbers of the cells of a box; the misses are the grid's own."""
+        hits, misses = super().read(box.grow(1))
         beside = hits[1:-1] + self.share * (hits[:-2] + hits[2:])
         spread = beside[:, 1:-1] + self.share * (beside[:, :-2] + beside[:, 2:])
-        tile = self.tiles.get(key)
-        misses = np.zeros((TILE, TILE)) if tile is None else tile[1] / self.unit
-        return spread, misses
-
-    def _gather(self, key: Key) -> Float64:
-        """(RIM, RIM) hits of a tile and of the cells around it."""
-        hits = np.zeros((RIM, RIM))
-        here, before, after = slice(1, -1), slice(0, 1), slice(RIM - 1, RIM)
-        whole, last, first = slice(None), slice(-1, None), slice(0, 1)
-        places = ((-1, before, last), (0, here, whole), (1, after, first))
-        for up, to_row, from_row in places:
-            for right, to_col, from_col in places:
-                tile = self.tiles.get((key[0] + up, key[1] + right))
-                if tile is not None:
-                    hits[to_row, to_col] = tile[0, from_row, from_col]
-        return hits
+        return spread, misses[1:-1, 1:-1]
 
 
 def find_bounds(tiles: TileGrid) -> CellBox:
@@ -78,14 +44,15 @@ def find_bounds(tiles: TileGrid) -> CellBox:
 
 def measure_bounds(tiles: TileGrid) -> CellBox | None:
     """The smallest box around all observed cells; None: there are none."""
-    if not (keys := tiles.keys):
+    if not tiles.tiles:
         return None
-    rows, cols = ({min(places), max(places)} for places in zip(*keys, strict=True))
+    rows, cols = ({min(places), max(places)} for places in zip(*tiles.tiles, strict=True))
     box: CellBox | None = None
-    for row, col in keys:
+    for row, col in tiles.tiles:
         if row in rows or col in cols:  # only these can lie on the edge of the map
-            seen = tiles.observed(*tiles.read((row, col)))
-            if part := CellBox.around(seen, row * TILE, col * TILE):
+            around = CellBox.at(row, col).scale(TILE).grow(1)  # as far as a hit speaks
+            seen = tiles.observed(*tiles.read(around))
+            if part := CellBox.around(seen, around.row, around.col):
                 box = part if box is None else box.join(part)
     return box
 
@@ -111,30 +78,12 @@ def paint(
     """
     grid = np.full((box.rows, box.cols), prior, np.float32)
     observed = np.zeros((box.rows, box.cols), np.bool_)
-    for key, inner, outer in _list_overlaps(tiles, box):
-        first, second = (numbers[inner] for numbers in tiles.read(key))
-        seen = tiles.observed(first, second)
-        observed[outer] = seen
-        grid[outer][seen] = log_odds(first[seen], second[seen])
+    for part in tiles.list_parts(box):
+        first, second = tiles.read(part)
+        seen, inside = tiles.observed(first, second), part.within(box)
+        observed[inside] = seen
+        grid[inside][seen] = log_odds(first[seen], second[seen])
     return grid, observed
-
-
-def read_cells(tiles: TileGrid, box: CellBox) -> Float64:
-    """(2, H, W): the two numbers of each cell of a box, in observations."""
-    cells = np.zeros((2, box.rows, box.cols))
-    for key, inner, outer in _list_overlaps(tiles, box):
-        for layer, numbers in zip(cells, tiles.read(key), strict=True):
-            layer[outer] = numbers[inner]
-    return cells
-
-
-def _list_overlaps(tiles: TileGrid, box: CellBox) -> Iterator[tuple[Key, Part, Part]]:
-    """List the tiles that lie in a box, and where: as part of the tile, and as part of the box."""
-    for key in tiles.keys:
-        tile = CellBox.at(*key).scale(TILE)
-        shared = box.clip(tile)
-        if shared.cells:
-            yield key, shared.within(tile), shared.within(box)
 
 
 def count_agreeing(grid: TileGrid, occupied: Bool, box: CellBox) -> tuple[int, int]:
@@ -145,8 +94,8 @@ def count_agreeing(grid: TileGrid, occupied: Bool, box: CellBox) -> tuple[int, i
     if grid.kind is not EvidenceKind.COUNTS:
         return 0, 0
     total = agreed = 0
-    for key, inner, outer in _list_overlaps(grid, box):
-        hits = grid.tiles[key][0]
-        total += int(hits[inner].sum())
-        agreed += int(hits[inner][occupied[outer]].sum())
+    for part in grid.list_parts(box):
+        hits, _ = grid.gather(part)
+        total += int(hits.sum())
+        agreed += int(hits[occupied[part.within(box)]].sum())
     return agreed, total

@@ -4,12 +4,13 @@ A tile exists only where something was observed, so a pose far away costs a tile
 space between. A cell has two numbers; sums of integers do not depend on their order.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Iterator, Mapping
 from enum import StrEnum
+from itertools import product
 from typing import Any, Self, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from occmap.arrays import Bool, Float64, Int32, Int64
 from occmap.cells import MOST_OBSERVED
@@ -19,6 +20,8 @@ from occmap.grid.lattice import CellBox, Lattice
 
 TILE = units.TILE
 """Cells along the side of a tile."""
+PART = 4 * TILE
+"""Cells along the side of what is worked out at a time."""
 MAX_CELLS = 10**9
 """The most cells of a map, unless the user allows more."""
 INT32_LIMIT = 2**31 - 1
@@ -29,7 +32,7 @@ LOG_ODDS_UNIT = 1 / 65536
 Key: TypeAlias = tuple[int, int]
 """Row and column of a tile in the lattice of tiles."""
 CellNumbers: TypeAlias = tuple[Float64, Float64]
-"""(TILE, TILE) of each, in observations: hits and misses, or log-odds and observations."""
+"""(H, W) each, in observations: hits and misses, or log-odds and observations."""
 Tile: TypeAlias = NDArray[np.signedinteger[Any]]
 """(2, TILE, TILE) of int32, or int64 where sums may need it."""
 
@@ -118,15 +121,34 @@ class TileGrid:
             return np.asarray((first != 0) | (second != 0))
         return np.asarray(second != 0)
 
-    @property
-    def keys(self) -> Collection[Key]:
-        """Row and column of each tile in the lattice of tiles."""
-        return self.tiles.keys()
+    def gather(self, box: CellBox, dtype: DTypeLike = np.int64) -> NDArray[Any]:
+        """(2, H, W): what the tiles hold of the cells of a box; 0 where there is no tile."""
+        whole = box.align(TILE)
+        cells = np.zeros((2, *whole.shape), dtype)
+        rows, cols = range(whole.row, whole.row_end, TILE), range(whole.col, whole.col_end, TILE)
+        for row, col in product(rows, cols):
+            if (tile := self.tiles.get((row // TILE, col // TILE))) is not None:
+                up, right = row - whole.row, col - whole.col
+                cells[:, up : up + TILE, right : right + TILE] = tile
+        return cells[:, *box.within(whole)]
 
-    def read(self, key: Key) -> CellNumbers:
-        """The numbers of a tile's cells."""
-        first, second = self.tiles[key] / self.unit
-        return first, second
+    def read(self, box: CellBox) -> CellNumbers:
+        """(H, W) each: the numbers of the cells of a box, in observations."""
+        cells = self.gather(box, np.float64)
+        cells /= self.unit
+        return cells[0], cells[1]
+
+    def list_parts(self, box: CellBox) -> Iterator[CellBox]:
+        """Cut a box into parts of which a processor's cache holds all that is worked out.
+
+        Parts more than a cell away from every tile are left out.
+        """
+        keys = np.array(list(self.tiles), np.int64).reshape(-1, 2)
+        corners = [keys * TILE + beyond for beyond in product((-1, TILE), repeat=2)]
+        for row, col in np.unique(np.concatenate(corners) // PART, axis=0).tolist():
+            part = box.clip(CellBox.at(row, col).scale(PART))
+            if part.cells:
+                yield part
 
 
 def stack_tiles(tiles: Mapping[Key, Tile]) -> tuple[Int64, Int64]:

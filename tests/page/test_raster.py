@@ -7,7 +7,6 @@ import pytest
 from occmap import api
 from occmap.cells import OccupancyMap
 from occmap.grid.lattice import CellBox
-from occmap.grid.rendering import read_cells
 from occmap.maps import Map
 from occmap.page.raster import MOST_CELLS, Raster, classify, make_raster, round_counts
 from tests.page.test_packing import unpack
@@ -73,7 +72,7 @@ def test_a_coarse_cell_is_the_one_most_likely_occupied(
     rows, cols = made.shape
     assert classes.shape == (-(-(row + rows - begin) // step), -(-(col + cols - left) // step))
     box = CellBox(begin, left, begin + step * len(classes), left + step * classes.shape[1])
-    whole = read_cells(made.tiles, box)[0]
+    whole = made.tiles.read(box)[0]
     log_odds = np.full(whole.shape, -np.inf)
     log_odds[row - begin :, col - left :][:rows, :cols] = np.where(
         made.observed, made.log_odds, -np.inf
