@@ -420,8 +420,9 @@ class Rays(NamedTuple):
     @property
     def direction(self) -> Float64:
         """(S, B, 2): of length 1, or less where a tilted beam is projected down."""
-        x, y = self.bearing[..., None]
-        return np.asarray(self.turn[..., 0] * x + self.turn[..., 1] * y)
+        x, y = self.bearing
+        along = [self.turn[..., axis, 0] * x + self.turn[..., axis, 1] * y for axis in (0, 1)]
+        return np.moveaxis(np.stack(along), 0, -1)  # loops over beams are longer than over x and y
 
     @property
     def end(self) -> Float64:
