@@ -17,7 +17,7 @@ from occmap.readers import Log, open_log
 from occmap.scoring import compare as scoring
 from occmap.scoring.variants import combine
 from occmap.sensor.models import SensorModel
-from occmap.store.sources import read_all
+from occmap.store.reading import read_all
 from occmap.writers import WriteOptions
 
 AnyPath = str | Path

@@ -21,7 +21,7 @@ from occmap.options import BuildOptions
 from occmap.remarks import Remarks, list_notes
 from occmap.report import MapFacts, MapSummary, Report, Resumed, describe_map
 from occmap.sensor.models import SensorModel
-from occmap.store.sources import open_saved, read_all
+from occmap.store.reading import open_saved, read_all
 from occmap.tally import Tally, refuse_unseen, refuse_unused
 from occmap.writers import Product
 from occmap.writers.atomic import hold_alone

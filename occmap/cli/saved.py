@@ -14,7 +14,7 @@ from occmap.evidence import Described, read_model
 from occmap.evidence.publishing import RenderOptions, publish
 from occmap.keywords import take
 from occmap.sensor.models import SensorModel
-from occmap.store.sources import Saved
+from occmap.store.reading import Saved
 from occmap.summary import tell_map, tell_scans
 from occmap.writers.outputs import check_outputs
 

@@ -20,10 +20,9 @@ from occmap.errors import MapError, UsageError
 from occmap.evidence import read_model
 from occmap.grid.framing import Framing
 from occmap.grid.tiles import MAX_CELLS
-from occmap.store.blocks import digest_evidence
-from occmap.store.reading import Store
+from occmap.store.layout import digest_evidence
+from occmap.store.reading import Store, as_blocks, open_saved
 from occmap.store.rendering import View, classify_blocks, open_map
-from occmap.store.sources import as_blocks, open_saved
 from occmap.writers import MapMode, WriteOptions
 
 if TYPE_CHECKING:  # it brings pillow
@@ -136,7 +135,7 @@ def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
         It cannot be read, or is damaged.
     """
     saved = open_saved(path)
-    made = open_map(View(as_blocks(saved), read_model(saved)), Framing())
+    made = open_map(View.of(as_blocks(saved), read_model(saved)), Framing())
     x, y, *_ = made.extent
     classes = classify_blocks(made, thresholds, MAX_CELLS)
     digest = saved.digest if isinstance(saved, Store) else digest_evidence(saved)

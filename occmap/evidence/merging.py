@@ -1,8 +1,9 @@
 """Evidence added up and taken apart again, exactly."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,18 @@ from occmap.cells import Evidence, Manifest
 from occmap.errors import MapError
 from occmap.evidence import Described, read_model, to_grid
 from occmap.evidence.fit import list_misfit
-from occmap.evidence.manifest import MEANING
+from occmap.evidence.manifest import MEANING, list_inputs
 from occmap.grid.slices import restrict
 from occmap.grid.tiles import EvidenceKind, TileGrid, add_stack, drop_empty, stack_tiles, view_tiles
 from occmap.sensor.models import SensorModel
-from occmap.store.blocks import join_contents
-from occmap.store.sources import Combined, Saved, as_blocks, open_saved
+from occmap.store.blocks import (
+    NO_CONTENT,
+    Block,
+    BlockContent,
+    join_contents,
+    list_observing_logs,
+)
+from occmap.store.reading import Blocks, Saved, as_blocks, open_saved
 
 
 def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:
@@ -41,11 +48,48 @@ def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:
         with suppress(MapError):  # without a model, no note says what does not fit
             model = read_model(held[0])
         return add_up(held, model)
+    return combine_blocks(list(map(as_blocks, parts)), add_up)
+
+
+def combine_blocks(
+    parts: Sequence[Blocks], add_up: Callable[[Sequence[Evidence]], Evidence]
+) -> Blocks:
+    """Combine evidence block by block, each only when it is read.
+
+    Parameters
+    ----------
+    add_up
+        Makes one evidence of all parts, which may be empty.
+
+    Raises
+    ------
+    MapError
+        The parts do not go together.
+    """
     nothing = [join_contents((), each.manifest, each.where) for each in parts]
     manifest = add_up(nothing).manifest  # what differs is refused at once
-    cut = tuple(map(as_blocks, parts))
-    blocks = sorted({block for part in cut for block in part.blocks})
-    return Combined(cut, add_up, manifest, dict.fromkeys(blocks))
+    counts = [count_logs(each.manifest) for each in parts]
+
+    def read_block(block: Block) -> BlockContent:
+        contents = [
+            each.read_block(block) if block in each.blocks else NO_CONTENT for each in parts
+        ]
+        pairs = zip(contents, parts, strict=True)
+        made = add_up([join_contents([each], part.manifest, part.where) for each, part in pairs])
+        if count_logs(manifest) < sum(counts):  # some builds were taken away, and their logs
+            logs = list_observing_logs(manifest, made.slices)
+        else:
+            starts = zip(accumulate(counts, initial=0), contents, strict=False)
+            logs = tuple(start + log for start, content in starts for log in content.logs)
+        return BlockContent(made.tiles, made.cells, made.slices, logs)
+
+    blocks = sorted({block for part in parts for block in part.blocks})
+    return Blocks(manifest, "", {block: block.box for block in blocks}, read_block)
+
+
+def count_logs(manifest: Manifest) -> int:
+    """How many logs all builds have."""
+    return sum(len(list_inputs(build)) for build in manifest.builds)
 
 
 def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Evidence:

@@ -19,8 +19,7 @@ from occmap.report import MapFacts, MapSummary, Report, describe_map
 from occmap.sensor.models import SensorModel, describe_model
 from occmap.sensor.returns import ReturnCounts
 from occmap.store import rendering
-from occmap.store.reading import Store
-from occmap.store.sources import Saved, as_blocks, read_all
+from occmap.store.reading import Saved, Store, as_blocks, read_all
 from occmap.store.writer import ZarrWriter
 from occmap.tally import ScanCounts
 from occmap.writers import Product, ProductWriter, WindowWriter, WriteOptions
@@ -72,7 +71,9 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
     if isinstance(saved, Evidence) or options.overview or not in_parts:
         grid, facts = paint_saved(saved, model, options)
     else:
-        grid = rendering.open_map(rendering.View(saved, model, options.min_passes), options.framing)
+        grid = rendering.open_map(
+            rendering.View.of(saved, model, options.min_passes), options.framing
+        )
         facts = rendering.survey_blocks(grid, options.writing)
     report = summarise(manifest, model, facts, options, outputs)
     keep = cache(lambda: replace(read_all(saved), manifest=manifest))
@@ -159,7 +160,7 @@ def paint_saved(
         lost = [*saved.notes, *lost]
         shown = frame(grid, framing, model.prior, most)
     else:
-        view = rendering.View(saved, model, options.min_passes)
+        view = rendering.View.of(saved, model, options.min_passes)
         shown, lost = rendering.render_blocks(rendering.open_map(view, framing), most)
     return shown, describe_map(shown, options.writing)._replace(lost=lost)
 

@@ -19,9 +19,8 @@ from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.observing import Progress, ignore_progress
 from occmap.plain import Count, Printed, Share, printed_as
 from occmap.sensor.models import SensorModel, describe_model
-from occmap.store.reading import Store
+from occmap.store.reading import Saved, Store, read_part
 from occmap.store.rendering import View, find_bounds
-from occmap.store.sources import Saved, read_part
 from occmap.wording import count, join_names
 from occmap.writers import WriteOptions
 
@@ -166,7 +165,7 @@ def measure_extent(saved: Saved, model: SensorModel) -> Box | None:
     if isinstance(saved, Evidence):
         box = measure_bounds(choose_tiles(to_grid(saved), model))
     else:
-        box = find_bounds(View(saved, model)) if saved.blocks else None
+        box = find_bounds(View.of(saved, model)) if saved.blocks else None
     return None if box is None else Lattice(saved.manifest.resolution).measure(box)
 
 

@@ -1,28 +1,23 @@
-"""Blocks: the squares that a store is written and read by, each a whole shard of its arrays."""
+"""Blocks: the squares that a store is written and read by; evidence cut into them and joined."""
 
-import hashlib
-import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate, product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Int64, UInt8
+from occmap.arrays import Int64
 from occmap.cells import Evidence, Manifest, Slices
-from occmap.evidence.manifest import MEANING, list_inputs
+from occmap.evidence.manifest import list_inputs
 from occmap.grid.lattice import CellBox
 from occmap.grid.slices import take, unite
 from occmap.grid.tiles import TILE
-from occmap.writers.npz import pack_slices, unpack_slices
 
 BLOCK = 1024
 """Cells along the side of a block"""
 SIDE = BLOCK // TILE
 """Tiles along it"""
-TABLE = ("place", "cells", "reach", "sha256", "logs")
-"""Arrays of the table of blocks"""
 
 
 class Block(NamedTuple):
@@ -60,176 +55,6 @@ class BlockContent:
 NO_CONTENT = BlockContent(np.zeros((0, 2), np.int64), np.zeros((0, 2, TILE, TILE), np.int32))
 
 
-class BlockRecord(NamedTuple):
-    """What the table of a store says of a block."""
-
-    block: Block
-    cells: int
-    """How many were observed"""
-    reach: CellBox
-    """The smallest box around them"""
-    sha256: str
-    """Digest of what was observed, however it is compressed"""
-    logs: tuple[int, ...]
-    """As in `BlockContent`"""
-
-
-def describe_block(block: Block, content: BlockContent) -> BlockRecord:
-    """Say what the table holds of a block."""
-    seen = (spread_cells(block, content) != 0).any(axis=0)
-    row, col = block.box.row, block.box.col
-    # Of a block where nothing was observed, an empty box at its corner.
-    reach = CellBox.around(seen, row, col) or CellBox(row, col, row, col)
-    count = int(np.count_nonzero(seen))
-    return BlockRecord(block, count, reach, hash_content(content), content.logs)
-
-
-def hash_content(content: BlockContent) -> str:
-    """SHA-256 of what was observed and when; who observed it is not a part of it."""
-    seen = (content.cells != 0).any(axis=1)
-    arrays = [
-        content.tiles.astype("<i8"),
-        np.packbits(seen, axis=-1),
-        *(content.cells[:, part][seen].astype("<i8") for part in (0, 1)),
-    ]
-    for build, slices in list_layers(content):
-        arrays += [np.array([build], "<i8"), slices.tiles.astype("<i8")]
-        arrays += [slices.numbers.astype("<i8")]
-        arrays += [slices.rows, slices.parts, slices.changes]
-    digest = hashlib.sha256()
-    for array in arrays:
-        digest.update(f"{array.shape}".encode())
-        digest.update(np.ascontiguousarray(array).data)
-    return digest.hexdigest()
-
-
-def list_layers(content: BlockContent) -> list[tuple[int, Slices]]:
-    """List the builds that observed something: the others do not change what a block is."""
-    return [(place, each) for place, each in enumerate(content.slices) if len(each.numbers)]
-
-
-def pack_layers(content: BlockContent) -> tuple[UInt8, list[dict[str, Any]]]:
-    """Lay the slices of a block end to end as bytes, and say how to take them apart."""
-    layers = list_layers(content)
-    arrays = pack_slices([slices for _, slices in layers])
-    return pack_arrays({"builds": np.array([build for build, _ in layers], "<i8"), **arrays})
-
-
-def unpack_layers(
-    data: UInt8, layout: Iterable[Mapping[str, Any]], builds: int
-) -> tuple[Slices, ...]:
-    """Take the slices of a block apart again: one for each of so many builds."""
-    arrays = unpack_arrays(data, layout)
-    layers = [Slices.join([])] * builds
-    for build, slices in zip(arrays["builds"].tolist(), unpack_slices(arrays), strict=True):
-        layers[build] = slices
-    return tuple(layers)
-
-
-def compute_digest(manifest: Manifest, blocks: Mapping[Block, str]) -> str:
-    """SHA-256 of all that was observed, from those of the blocks: equal for equal evidence.
-
-    It says nothing of how the evidence is cut, compressed or kept, nor of who observed it.
-    """
-    meaning = {name: getattr(manifest, name) for name in MEANING}
-    lines = [json.dumps(meaning), *(f"{key.row} {key.col} {blocks[key]}" for key in sorted(blocks))]
-    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
-
-
-def digest_evidence(evidence: Evidence) -> str:
-    """The digest that a store of this evidence has."""
-    contents = split_evidence(evidence)
-    return compute_digest(evidence.manifest, {key: hash_content(each) for key, each in contents})
-
-
-def make_table(records: Sequence[BlockRecord]) -> dict[str, Any]:
-    """Arrays of what is known of each block, N in all."""
-    count = max((log + 1 for record in records for log in record.logs), default=0)
-    logs = np.zeros((len(records), count), np.bool_)
-    for row, record in zip(logs, records, strict=True):
-        row[list(record.logs)] = True
-    digests = b"".join(bytes.fromhex(record.sha256) for record in records)
-    columns = (
-        np.array([record.block for record in records], np.int64).reshape(-1, 2),
-        np.array([record.cells for record in records], np.int64),
-        np.array([record.reach for record in records], np.int64).reshape(-1, 4),
-        np.frombuffer(digests, np.uint8).reshape(-1, 32),
-        np.packbits(logs, axis=1),
-    )
-    return dict(zip(TABLE, columns, strict=True))
-
-
-def hash_table(table: Mapping[str, Any]) -> str:
-    """SHA-256 of the arrays of a table."""
-    data, layout = pack_arrays({name: table[name] for name in sorted(table)})
-    return hashlib.sha256(json.dumps(layout).encode() + data.tobytes()).hexdigest()
-
-
-def pack_arrays(arrays: Mapping[str, Any]) -> tuple[UInt8, list[dict[str, Any]]]:
-    """Lay arrays end to end as bytes; the list says how to take them apart again."""
-    layout = [
-        {"name": name, "dtype": array.dtype.str, "shape": list(array.shape)}
-        for name, array in arrays.items()
-    ]
-    data = b"".join(np.ascontiguousarray(array).tobytes() for array in arrays.values())
-    return np.frombuffer(data, np.uint8), layout
-
-
-def unpack_arrays(data: UInt8, layout: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """Take arrays apart again."""
-    arrays, start = {}, 0
-    for each in layout:
-        dtype, shape = np.dtype(each["dtype"]), tuple(each["shape"])
-        end = start + dtype.itemsize * int(np.prod(shape, dtype=np.int64))
-        arrays[each["name"]] = data[start:end].view(dtype).reshape(shape)
-        start = end
-    return arrays
-
-
-def read_table(table: Mapping[str, Any]) -> list[BlockRecord]:
-    """Make records of the arrays of a table."""
-    return [
-        BlockRecord(
-            Block(*place.tolist()),
-            int(cells),
-            CellBox(*reach.tolist()),
-            digest.tobytes().hex(),
-            tuple(np.flatnonzero(np.unpackbits(logs)).tolist()),
-        )
-        for place, cells, reach, digest, logs in zip(*(table[name] for name in TABLE), strict=True)
-    ]
-
-
-def spread_cells(block: Block, content: BlockContent) -> Int64:
-    """(2, 1024, 1024): the two numbers of each cell of a block."""
-    cells = np.zeros((2, BLOCK, BLOCK), np.int64)
-    rows, cols = (content.tiles - np.array(block) * SIDE).T
-    cut_tiles(cells)[rows, cols] = content.cells
-    return cells
-
-
-def cut_tiles(cells: Int64) -> Int64:
-    """(R, C, 2, 64, 64): a view of the tiles of whole rows and columns of tiles (2, H, W)."""
-    _, height, width = cells.shape
-    parts = cells.reshape(2, height // TILE, TILE, width // TILE, TILE)
-    return parts.transpose(1, 3, 0, 2, 4)
-
-
-def gather_tiles(cells: Int64, row: int, col: int) -> tuple[Int64, Int64]:
-    """The tiles (T, 2) in which anything was observed, and their cells (T, 2, 64, 64).
-
-    Parameters
-    ----------
-    cells
-        (2, H, W): the two numbers of each cell of some tiles.
-    row, col
-        Row and column of the first of these tiles.
-    """
-    tiles = cut_tiles(cells)
-    places = np.argwhere(tiles.any(axis=(2, 3, 4)))
-    return places + np.array([row, col]), tiles[*places.T]
-
-
 def split_evidence(evidence: Evidence) -> Iterator[tuple[Block, BlockContent]]:
     """Cut evidence into blocks; all logs of a build are said to have observed its blocks."""
     take_cells = evidence.cells.__getitem__
@@ -247,13 +72,25 @@ def split_blocks(
     take_cells
         Gives the cells (N, 2, 64, 64) of some of the tiles by their places (N,).
     """
-    of_tiles, layers = group_by_block(tiles), [group_by_block(layer.tiles) for layer in slices]
+    of_tiles, *of_slices = (group_by_block(each) for each in (tiles, *(s.tiles for s in slices)))
     nothing = np.zeros(0, np.int64)
-    for block in sorted(set(of_tiles).union(*layers)):
+    for block in sorted(set(of_tiles).union(*of_slices)):
         places = of_tiles.get(block, nothing)
-        pairs = zip(slices, layers, strict=True)
-        parts = tuple(take(layer, which.get(block, nothing)) for layer, which in pairs)
+        parts = tuple(
+            take(layer, found.get(block, nothing))
+            for layer, found in zip(slices, of_slices, strict=True)
+        )
         yield block, BlockContent(tiles[places], take_cells(places), parts)
+
+
+def group_by_block(tiles: Int64) -> dict[Block, Int64]:
+    """Which of the tiles (T, 2) lie in each block, in their order."""
+    blocks, which = np.unique(tiles // SIDE, axis=0, return_inverse=True)
+    order = np.argsort(which, kind="stable")
+    ends = np.cumsum(np.bincount(which, minlength=len(blocks)))
+    keys = (Block(row, col) for row, col in blocks.tolist())
+    # Of no tiles at all, `split` makes one empty part.
+    return dict(zip(keys, np.split(order, ends[:-1]), strict=False))
 
 
 def list_observing_logs(manifest: Manifest, slices: Sequence[Slices]) -> tuple[int, ...]:
@@ -268,16 +105,6 @@ def list_observing_logs(manifest: Manifest, slices: Sequence[Slices]) -> tuple[i
     )
 
 
-def group_by_block(tiles: Int64) -> dict[Block, Int64]:
-    """Which of the tiles (T, 2) lie in each block, in their order."""
-    blocks, which = np.unique(tiles // SIDE, axis=0, return_inverse=True)
-    order = np.argsort(which, kind="stable")
-    ends = np.cumsum(np.bincount(which, minlength=len(blocks)))
-    keys = (Block(row, col) for row, col in blocks.tolist())
-    # Of no tiles at all, `split` makes one empty part.
-    return dict(zip(keys, np.split(order, ends[:-1]), strict=False))
-
-
 def join_contents(contents: Iterable[BlockContent], manifest: Manifest, where: str) -> Evidence:
     """Make evidence of some blocks."""
     known = [NO_CONTENT, *contents]
@@ -289,3 +116,33 @@ def join_contents(contents: Iterable[BlockContent], manifest: Manifest, where: s
         for build in range(len(manifest.builds))
     )
     return Evidence(manifest, tiles[order], cells[order], slices, where)
+
+
+def spread_cells(block: Block, content: BlockContent) -> Int64:
+    """(2, 1024, 1024): the two numbers of each cell of a block."""
+    cells = np.zeros((2, BLOCK, BLOCK), np.int64)
+    rows, cols = (content.tiles - np.array(block) * SIDE).T
+    cut_tiles(cells)[rows, cols] = content.cells
+    return cells
+
+
+def gather_tiles(cells: Int64, row: int, col: int) -> tuple[Int64, Int64]:
+    """The tiles (T, 2) in which anything was observed, and their cells (T, 2, 64, 64).
+
+    Parameters
+    ----------
+    cells
+        (2, H, W): the two numbers of each cell of some tiles.
+    row, col
+        Row and column of the first of these tiles.
+    """
+    tiles = cut_tiles(cells)
+    places = np.argwhere(tiles.any(axis=(2, 3, 4)))
+    return places + np.array([row, col]), tiles[*places.T]
+
+
+def cut_tiles(cells: Int64) -> Int64:
+    """(R, C, 2, 64, 64): a view of the tiles of whole rows and columns of tiles (2, H, W)."""
+    _, height, width = cells.shape
+    parts = cells.reshape(2, height // TILE, TILE, width // TILE, TILE)
+    return parts.transpose(1, 3, 0, 2, 4)

@@ -1,76 +1,88 @@
-"""How a store is read: what it is, one block, or all of it."""
+"""Saved evidence that is read: a file at once, a store block by block, or any of it as blocks."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from occmap.arrays import Int64
 from occmap.cells import Evidence, Manifest
 from occmap.errors import MapError
-from occmap.grid.tiles import INT32_LIMIT, EvidenceKind
+from occmap.grid.lattice import CellBox
+from occmap.grid.slices import take
+from occmap.grid.tiles import INT32_LIMIT, TILE, EvidenceKind
 from occmap.store.blocks import (
     SIDE,
-    TABLE,
     Block,
     BlockContent,
-    BlockRecord,
     gather_tiles,
+    join_contents,
+    list_blocks,
+    split_evidence,
+)
+from occmap.store.layout import (
+    FORMAT,
+    LAYERS,
+    TABLE,
+    VERSION,
+    BlockRecord,
+    find_place,
     hash_content,
     hash_table,
+    import_zarr,
     read_table,
     unpack_layers,
 )
-from occmap.store.writing import FORMAT, LAYERS, VERSION, find_place, import_zarr
-from occmap.writers.npz import compute_checksum
+from occmap.writers.npz import compute_checksum, read_evidence
 from occmap.writers.soundness import list_faults, list_manifest_faults, refuse_damage, refuse_faults
 
 
 @dataclass(frozen=True, eq=False)
-class Store:
+class Blocks:
+    """Evidence that is read block by block: a store, evidence in memory, or a sum of these."""
+
+    manifest: Manifest
+    where: str
+    """What it was read from"""
+    blocks: Mapping[Block, CellBox]
+    """Those that anything was observed in, in ascending order, and how far it reaches at most"""
+    read_block: Callable[[Block], BlockContent]
+    """Gives what was observed in one of them; raises MapError where it is damaged"""
+
+
+@dataclass(frozen=True, eq=False)
+class Store(Blocks):
     """A store that is whole, as its attributes and its table say; blocks are checked when read."""
 
     path: Path
-    manifest: Manifest
-    digest: str
-    """SHA-256 of all that was observed"""
-    blocks: dict[Block, BlockRecord]
-    """In ascending order"""
     offset: tuple[int, int]
     """Row and column of the lattice that its arrays begin with"""
     root: Any
     """The group of Zarr"""
+    digest: str
+    """SHA-256 of all that was observed"""
+    records: Mapping[Block, BlockRecord]
+    """What the table says of each block"""
 
-    @property
-    def where(self) -> str:
-        """The folder."""
-        return str(self.path)
 
-    def read_block(self, block: Block) -> BlockContent:
-        """Read what was observed in one of its blocks.
+Saved: TypeAlias = Evidence | Blocks
 
-        Raises
-        ------
-        MapError
-            It is not as it was written, or not what occmap writes.
-        """
-        record, place = self.blocks[block], find_place(block, self.offset)
-        with refuse_damage(self.path):
-            names = LAYERS[EvidenceKind(self.manifest.kind)]
-            whole = np.stack([self.root[name][place] for name in names])
-            tiles, numbers = gather_tiles(whole, block.row * SIDE, block.col * SIDE)
-            array = self.root[f"slices/{block.row}.{block.col}"]
-            builds = len(self.manifest.builds)
-            slices = unpack_layers(array[:], array.attrs["arrays"], builds)
-            fits = numbers.min(initial=0) >= -INT32_LIMIT and numbers.max(initial=0) <= INT32_LIMIT
-            cells: Int64 = numbers.astype(np.int32) if fits else numbers
-            content = BlockContent(tiles, cells, slices, record.logs)
-        if hash_content(content) != record.sha256:
-            found = f"its block ({block.row}, {block.col}) was altered or a file of it is missing"
-            raise MapError(found, where=self.path, fix="build it again")
-        refuse_faults(self.path, list_faults(Evidence(self.manifest, tiles, numbers, slices)))
-        return content
+
+def open_saved(path: Path) -> Evidence | Store:
+    """Read an evidence file, or open a store.
+
+    Raises
+    ------
+    UsageError
+        It is a store, and zarr is not installed.
+    MapError
+        It is missing, damaged, or no evidence.
+    """
+    if path.is_dir() or path.suffix.lower() == ".zarr":
+        return open_store(path)
+    return read_evidence(path)
 
 
 def open_store(path: Path) -> Store:
@@ -92,21 +104,94 @@ def open_store(path: Path) -> Store:
     with refuse_damage(path):
         root = zarr.open_group(path, mode="r", zarr_format=3)
         head = root.attrs.get("occmap", {})
-        if head.get("format") != FORMAT:
-            raise MapError("is a Zarr folder, but not evidence of occmap", where=path)
-        if head["version"] > VERSION:
-            found = f"{FORMAT} of version {head['version']}, while this occmap reads {VERSION}"
-            raise MapError(found, where=path, fix="use a newer occmap")
-        if not head.get("complete"):
-            found = "is not complete: what wrote it did not come to its end"
-            raise MapError(found, where=path, fix="build it again")
-        if head["checksum"] != compute_checksum(head, {}):
-            raise MapError("its attributes were altered", where=path, fix="build it again")
+        refuse_unfinished(path, head)
         manifest = Manifest.from_json(head)
         refuse_faults(path, list_manifest_faults(manifest))
         table = {name: root[f"blocks/{name}"][...] for name in TABLE}
         if head["table"] != hash_table(table):
             raise MapError("its table of blocks was altered", where=path, fix="build it again")
-        blocks = {record.block: record for record in read_table(table)}
+        records = {record.block: record for record in read_table(table)}
         row, col = head["offset"]
-    return Store(path, manifest, head["digest"], blocks, (row, col), root)
+
+    def read_block(block: Block) -> BlockContent:
+        return read_stored(path, root, manifest, records[block])
+
+    reach = {block: record.reach for block, record in records.items()}
+    lies = path, (row, col), root
+    return Store(manifest, str(path), reach, read_block, *lies, head["digest"], records)
+
+
+def refuse_unfinished(path: Path, head: dict[str, Any]) -> None:
+    """Refuse a folder that is no store, or is not complete; raises MapError."""
+    if head.get("format") != FORMAT:
+        raise MapError("is a Zarr folder, but not evidence of occmap", where=path)
+    if head["version"] > VERSION:
+        found = f"{FORMAT} of version {head['version']}, while this occmap reads {VERSION}"
+        raise MapError(found, where=path, fix="use a newer occmap")
+    if not head.get("complete"):
+        found = "is not complete: what wrote it did not come to its end"
+        raise MapError(found, where=path, fix="build it again")
+    if head["checksum"] != compute_checksum(head, {}):
+        raise MapError("its attributes were altered", where=path, fix="build it again")
+
+
+def read_stored(path: Path, root: Any, manifest: Manifest, record: BlockRecord) -> BlockContent:
+    """Read what was observed in a block of a store.
+
+    Raises
+    ------
+    MapError
+        It is not as it was written, or not what occmap writes.
+    """
+    row, col = record.block
+    with refuse_damage(path):
+        place = find_place(record.block, root.attrs["occmap"]["offset"])
+        whole = np.stack([root[name][place] for name in LAYERS[EvidenceKind(manifest.kind)]])
+        tiles, numbers = gather_tiles(whole, row * SIDE, col * SIDE)
+        array = root[f"slices/{row}.{col}"]
+        slices = unpack_layers(array[:], array.attrs["arrays"], len(manifest.builds))
+        fits = numbers.min(initial=0) >= -INT32_LIMIT and numbers.max(initial=0) <= INT32_LIMIT
+        cells: Int64 = numbers.astype(np.int32) if fits else numbers
+        content = BlockContent(tiles, cells, slices, record.logs)
+    if hash_content(content) != record.sha256:
+        found = f"its block ({row}, {col}) was altered or a file of it is missing"
+        raise MapError(found, where=path, fix="build it again")
+    refuse_faults(path, list_faults(Evidence(manifest, tiles, numbers, slices)))
+    return content
+
+
+def as_blocks(saved: Saved) -> Blocks:
+    """Cut evidence into blocks, where it is not yet."""
+    if not isinstance(saved, Evidence):
+        return saved
+    contents = dict(split_evidence(saved))
+    reach = {block: block.box for block in contents}
+    return Blocks(saved.manifest, saved.where, reach, contents.__getitem__)
+
+
+def read_all(saved: Saved) -> Evidence:
+    """Read all blocks at once."""
+    if isinstance(saved, Evidence):
+        return saved
+    return join_contents(map(saved.read_block, saved.blocks), saved.manifest, saved.where)
+
+
+def read_part(saved: Saved, box: CellBox) -> Evidence:
+    """Read the tiles that lie in a box of cells or beside it; of evidence in memory, all."""
+    if isinstance(saved, Evidence):
+        return saved
+    near = box.align(TILE).grow(TILE)
+    contents = (saved.read_block(each) for each in list_blocks(near) if each in saved.blocks)
+    cut = (cut_content(content, near.shrink(TILE)) for content in contents)
+    return join_contents(cut, saved.manifest, saved.where)
+
+
+def cut_content(content: BlockContent, box: CellBox) -> BlockContent:
+    """Keep the tiles in a box, which counts tiles."""
+
+    def find(tiles: Int64) -> Int64:
+        return np.flatnonzero(((tiles >= box[:2]) & (tiles < box[2:])).all(axis=1))
+
+    which = find(content.tiles)
+    slices = tuple(take(layer, find(layer.tiles)) for layer in content.slices)
+    return BlockContent(content.tiles[which], content.cells[which], slices, content.logs)

@@ -1,8 +1,9 @@
 """Maps of evidence that is read block by block: memory is that of the map and of a few blocks."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, reduce
+from functools import lru_cache, reduce
+from typing import Self
 
 import numpy as np
 
@@ -17,9 +18,8 @@ from occmap.grid.rendering import count_agreeing, measure_bounds
 from occmap.grid.tiles import TileGrid, refuse_large
 from occmap.report import MapFacts, count_cells
 from occmap.sensor.models import SensorModel, find_decision
-from occmap.store.blocks import Block, BlockContent, list_blocks
-from occmap.store.reading import Store
-from occmap.store.sources import Blocks, read_part
+from occmap.store.blocks import Block, list_blocks
+from occmap.store.reading import Blocks, Store, read_part
 from occmap.writers import WriteOptions
 from occmap.writers.soundness import refuse_damage
 
@@ -38,16 +38,17 @@ class View:
 
     source: Blocks
     model: SensorModel
-    min_passes: int | None = None
+    min_passes: int | None
 
-    @cached_property
-    def read_block(self) -> Callable[[Block], BlockContent]:
-        """Read a block, unless it is one of those that were read last."""
-        return lru_cache(KEPT_BLOCKS)(self.source.read_block)
+    @classmethod
+    def of(cls, source: Blocks, model: SensorModel, min_passes: int | None = None) -> Self:
+        """Look at evidence, of which the blocks that were read last are kept."""
+        kept = lru_cache(KEPT_BLOCKS)(source.read_block)
+        return cls(replace(source, read_block=kept), model, min_passes)
 
     def read(self, box: CellBox) -> tuple[TileGrid, TileGrid]:
         """What was observed in a box of cells or beside it, and what of that lasts."""
-        evidence = read_part(self.source, box, self.read_block)
+        evidence = read_part(self.source, box)
         grid = to_grid(evidence)
         return grid, keep_lasting(grid, evidence.slices, self.min_passes)
 
@@ -67,12 +68,12 @@ class BlockMap:
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
-        return self.box.rows, self.box.cols
+        return self.box.shape
 
     @property
     def place(self) -> Int64:
         """(2,) row and column of its first cell on the lattice."""
-        return np.array([self.box.row, self.box.col])
+        return np.array(self.box[:2])
 
     @property
     def resolution(self) -> float:
@@ -84,6 +85,11 @@ class BlockMap:
         """How its cells are decided."""
         return find_decision(self.view.model)
 
+    @property
+    def extent(self) -> Box:
+        """Lowest x and y, highest x and y (m)."""
+        return Lattice(self.resolution).measure(self.box)
+
     def take(self, rows: slice, cols: slice) -> OccupancyMap:
         """Paint a part of it."""
         part = CellBox(rows.start, cols.start, rows.stop, cols.stop)
@@ -91,24 +97,24 @@ class BlockMap:
         made, _ = render_blocks(replace(self, box=box, before=box, is_part=True), box.cells)
         return made
 
-    @property
-    def extent(self) -> Box:
-        """Lowest x and y, highest x and y (m)."""
-        return Lattice(self.resolution).measure(self.box)
-
     def walk(self) -> Iterator[tuple[CellBox, OccupancyMap, Int64]]:
         """Paint piece by piece, with the box of each; what is in none of them was not observed.
 
         With each come counts (2, 2): hits in cells called occupied, and all hits; cells that were
         occupied before anything was forgotten, and those of them that are still.
         """
-        for place in list_pieces(self.view.source, self.before):
+        source, model = self.view.source, self.view.model
+        beside = {each for block in source.blocks for each in list_blocks(block.box.grow(1))}
+        for block in sorted(beside, key=lambda each: (each.row // STRIPE, each.col, each.row)):
+            place = self.before.clip(block.box)
+            if not place.cells:
+                continue
             grid, lasting = self.view.read(place)
             box = self.box.clip(place)
-            made = paint_box(lasting, self.view.model, box)
+            made = paint_box(lasting, model, box)
             counts = np.array([count_agreeing(lasting, made.occupied, box), (0, 0)])
             if lasting is not grid:
-                before = paint_box(grid, self.view.model, place).occupied
+                before = paint_box(grid, model, place).occupied
                 still = before[box.within(place)] & made.occupied
                 counts[1] = np.count_nonzero(before), np.count_nonzero(still)
             yield box, made, counts
@@ -128,6 +134,31 @@ def open_map(view: View, framing: Framing) -> BlockMap:
     box = choose_box(box, framing, Lattice(view.source.manifest.resolution))
     is_part = framing.extent is not None
     return BlockMap(view, box, before.clip(box) if is_part else before, is_part)
+
+
+def find_bounds(view: View) -> CellBox:
+    """The smallest box around all cells of a map; only blocks that may reach its edges are read.
+
+    Raises
+    ------
+    MapError
+        Nothing was observed, or lasts.
+    """
+    reach, found = view.source.blocks, None
+    known: dict[Block, CellBox | None] = {}
+    for side, outward in enumerate((-1, -1, 1, 1)):  # of a box: row, col, row_end, col_end
+        for block in sorted(reach, key=lambda each: -outward * reach[each][side]):
+            # A hit speaks for the cell beside it, so a block may reach one cell farther.
+            if found and outward * found[side] >= outward * reach[block][side] + 1:
+                break
+            if block not in known:
+                _, lasting = view.read(block.box)
+                known[block] = measure_bounds(choose_tiles(lasting, view.model))
+            if box := known[block]:
+                found = found.join(box) if found else box
+    if found is None:
+        refuse_nothing_left(view.min_passes if reach else None)
+    return found
 
 
 def render_blocks(made: BlockMap, max_cells: int) -> tuple[OccupancyMap, list[str]]:
@@ -188,44 +219,6 @@ def sum_up(made: BlockMap, counts: Int64) -> tuple[float | None, list[str]]:
     return agreement, list(describe_lost(were, were - still))
 
 
-def list_pieces(source: Blocks, box: CellBox) -> Iterator[CellBox]:
-    """Cut a box where blocks begin; pieces far from all that was observed are left out."""
-    beside = {each for block in source.blocks for each in list_blocks(block.box.grow(1))}
-    for block in sorted(beside, key=lambda each: (each.row // STRIPE, each.col, each.row)):
-        piece = box.clip(block.box)
-        if piece.cells:
-            yield piece
-
-
-def find_bounds(view: View) -> CellBox:
-    """The smallest box around all cells of a map, from the blocks on its edges alone.
-
-    Raises
-    ------
-    MapError
-        Nothing was observed, or lasts.
-    """
-    source, found = view.source, None
-    reaches = {block: block.box for block in source.blocks}
-    if isinstance(source, Store):  # which says how far its cells reach
-        reaches = {block: record.reach for block, record in source.blocks.items()}
-    known: dict[Block, CellBox | None] = {}
-    for side, outward in enumerate((-1, -1, 1, 1)):
-        reach = {block: box[side] for block, box in reaches.items()}
-        for block in sorted(reach, key=lambda each: -outward * reach[each]):
-            # A hit speaks for the cell beside it, so a block may reach one cell farther.
-            if found and outward * found[side] >= outward * reach[block] + 1:
-                break
-            if block not in known:
-                _, lasting = view.read(block.box)
-                known[block] = measure_bounds(choose_tiles(lasting, view.model))
-            if box := known[block]:
-                found = found.join(box) if found else box
-    if found is None:
-        refuse_nothing_left(view.min_passes if view.source.blocks else None)
-    return found
-
-
 def read_overview(store: Store, side: int, framing: Framing, max_cells: int) -> OccupancyMap:
     """Make a coarse map of the pictures in a store, in which a pixel is a square of cells.
 
@@ -246,7 +239,7 @@ def read_overview(store: Store, side: int, framing: Framing, max_cells: int) -> 
         refuse_nothing_left(None)
     fine = Lattice(store.manifest.resolution)
     coarse = Lattice(round(fine.resolution * side, 12))
-    observed = reduce(CellBox.join, (record.reach for record in store.blocks.values()))
+    observed = reduce(CellBox.join, store.blocks.values())
     row, col = store.offset
     box = choose_box(observed, framing, fine).move(-row, -col).align(side).shrink(side)
     refuse_large(box, coarse, max_cells)

@@ -7,17 +7,10 @@ from pathlib import Path
 from occmap.cells import Evidence, Manifest
 from occmap.evidence.manifest import list_files
 from occmap.grid.tiles import EvidenceKind
-from occmap.store.blocks import BLOCK, Block, BlockRecord, describe_block
-from occmap.store.reading import Store, open_store
-from occmap.store.sources import Blocks, as_blocks
-from occmap.store.writing import (
-    LAYERS,
-    create_store,
-    finish_store,
-    import_zarr,
-    paint_block,
-    write_block,
-)
+from occmap.store.blocks import BLOCK, Block
+from occmap.store.layout import LAYERS, BlockRecord, describe_block, import_zarr
+from occmap.store.reading import Blocks, Store, as_blocks, open_store
+from occmap.store.writing import create_store, finish_store, paint_block, write_block
 from occmap.writers.atomic import make_folder, refuse_unwritable
 
 
@@ -71,7 +64,7 @@ class ZarrWriter:
         content = source.read_block(block)
         if base and block in base.blocks:
             record = describe_block(block, content)
-            is_equal = record.sha256 == base.blocks[block].sha256
+            is_equal = record.sha256 == base.records[block].sha256
             if is_equal and share_block(base, folder, block):
                 return record
         return write_block(folder, block, content)

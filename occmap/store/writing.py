@@ -1,16 +1,4 @@
-"""How a store is made: created, written block by block by whoever has one, and finished.
-
-zarr is imported here alone, by `import_zarr`.
-
-| in the folder | holds |
-|---|---|
-| `zarr.json` | the manifest, and what makes the store whole: it is written last |
-| `hits`, `misses` | or `log_odds`, `observations`: (H, W) int64, the two numbers of each cell |
-| `y`, `x` | (H,) and (W,) float64, the middle of each row and column (m) |
-| `slices/R.C` | of block (R, C), when its cells were observed: arrays of bytes end to end |
-| `classes/N` | uint8, 0 unknown, 1 free, 2 occupied, for squares of N x N cells |
-| `blocks` | the table of blocks |
-"""
+"""How a store is made: created, written block by block by whoever has one, and finished."""
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
@@ -28,32 +16,26 @@ from occmap.evidence import paint_box
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.spec import find_unit
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, add_stack
-from occmap.plugins import need_extra
 from occmap.sensor.models import parse_model
-from occmap.store.blocks import (
-    BLOCK,
-    Block,
-    BlockContent,
+from occmap.store.blocks import BLOCK, Block, BlockContent, gather_tiles, spread_cells
+from occmap.store.layout import (
+    FORMAT,
+    LAYERS,
+    VERSION,
     BlockRecord,
     compute_digest,
     describe_block,
-    gather_tiles,
+    find_place,
     hash_table,
+    import_zarr,
     make_table,
     pack_layers,
-    spread_cells,
 )
 from occmap.writers.atomic import refuse_unwritable
 from occmap.writers.npz import compute_checksum
 
-FORMAT, VERSION = "occmap store", 1
 CHUNK = 256
 """Cells along the side of what is read at once; with 64, reading takes seven times as long"""
-LAYERS = {
-    EvidenceKind.COUNTS: ("hits", "misses"),
-    EvidenceKind.LOG_ODDS: ("log_odds", "observations"),
-}
-"""Names of the two arrays of numbers"""
 FINE_LEVELS = (1, 4)
 """Sides of the squares of cells in those pictures of which a block is a whole shard"""
 OVERVIEW = 16
@@ -62,31 +44,10 @@ LEVEL_CELLS = 1024
 """The longest side of the coarsest picture, and the side of a shard of several blocks (pixels)"""
 
 
-def import_zarr() -> Any:
-    """Load zarr, late: it is an extra, and takes 0.4 s.
-
-    Raises
-    ------
-    UsageError
-        It is not installed.
-    """
-    with need_extra("dask", "a store needs zarr"):
-        import zarr  # noqa: PLC0415  as above
-    return zarr
-
-
 def make_head(manifest: Manifest, offset: tuple[int, int]) -> dict[str, Any]:
     """Make what the attributes of a store say of it."""
     head = {"format": FORMAT, "version": VERSION, "block": BLOCK, "offset": list(offset)}
-    plain: dict[str, Any] = json.loads(json.dumps({**head, **asdict(manifest)}, allow_nan=False))
-    return plain
-
-
-def find_place(block: Block, offset: tuple[int, int], side: int = 1) -> tuple[slice, slice]:
-    """Rows and columns of a block in an array, of which an item is a square of so many cells."""
-    starts = [(at * BLOCK - first) // side for at, first in zip(block, offset, strict=True)]
-    row, col = (slice(start, start + BLOCK // side) for start in starts)
-    return row, col
+    return dict(json.loads(json.dumps(head | asdict(manifest), allow_nan=False)))
 
 
 def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
@@ -127,16 +88,19 @@ def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
             add_level(classes, side, shape, BLOCK // side)
 
 
+def make_codec() -> Any:
+    """Make what compresses all arrays."""
+    return import_zarr().codecs.BloscCodec(cname="zstd", clevel=5, shuffle="shuffle")
+
+
 def add_picture(group: Any, name: str, shape: tuple[int, ...], side: int, **others: Any) -> Any:
     """Add an array of squares, each a whole shard, with so many cells along the side."""
-    from zarr.codecs import BloscCodec  # noqa: PLC0415  late: an extra
-
     return group.create_array(
         name,
         shape=shape,
         chunks=(min(CHUNK, side),) * 2,
         shards=(side,) * 2,
-        compressors=BloscCodec(cname="zstd", clevel=5, shuffle="shuffle"),
+        compressors=make_codec(),
         fill_value=0,
         dimension_names=("y", "x"),
         overwrite=True,  # where what wrote it before was killed
@@ -153,14 +117,12 @@ def add_level(classes: Any, side: int, shape: tuple[int, ...], shard: int) -> An
 
 def add_list(group: Any, name: str, values: Any, attributes: dict[str, Any]) -> None:
     """Add an array that is written at once; if it was begun before, by a task that died, go on."""
-    from zarr.codecs import BloscCodec  # noqa: PLC0415  late: an extra
-
     array = group.require_array(
         name,
         shape=values.shape,
         dtype=values.dtype,
         chunks=tuple(max(1, min(length, 1 << 20)) for length in values.shape),
-        compressors=BloscCodec(cname="zstd", clevel=5, shuffle="shuffle"),
+        compressors=make_codec(),
         dimension_names=[name] if name in ("y", "x") else None,
         attributes=attributes,
     )

@@ -22,7 +22,7 @@ from occmap.fleet.storing import build_store
 from occmap.fleet.tasks import survey_log, trace_part
 from occmap.observing import Keep, ignore_progress
 from occmap.options import BuildOptions
-from occmap.store.writing import import_zarr
+from occmap.store.layout import import_zarr
 from tests.bench.limits import Row
 from tests.bench.logs import write_mcap
 from tests.bench.processes import OCCMAP, run

@@ -23,9 +23,8 @@ from occmap.observing import Keep, ignore_progress
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
-from occmap.store.blocks import digest_evidence
-from occmap.store.reading import open_store
-from occmap.store.sources import read_all
+from occmap.store.layout import digest_evidence
+from occmap.store.reading import open_store, read_all
 from tests.samples import DRIVES
 
 resource = pytest.importorskip("resource", reason="Windows has neither SIGKILL nor such limits")

@@ -19,9 +19,9 @@ from occmap.errors import MapError, OutputError
 from occmap.evidence.publishing import RenderOptions, render_kept
 from occmap.grid.slices import pack
 from occmap.grid.tiles import TILE
-from occmap.store.blocks import BLOCK, Block, digest_evidence, split_evidence
-from occmap.store.reading import open_store
-from occmap.store.sources import read_all
+from occmap.store.blocks import BLOCK, Block, split_evidence
+from occmap.store.layout import digest_evidence
+from occmap.store.reading import open_store, read_all
 from occmap.store.writer import ZarrWriter
 from occmap.store.writing import (
     create_store,
@@ -154,7 +154,7 @@ def test_the_table_says_what_is_where_and_who_saw_it(tmp_path: Path, drive: Evid
         for place, (block, content) in enumerate(contents.items())
     ]
     finish_store(path, drive.manifest, given)
-    assert list(open_store(path).blocks.values()) == given
+    assert list(open_store(path).records.values()) == given
     for record in given:
         seen = (contents[record.block].cells != 0).any(axis=1)
         assert record.cells == np.count_nonzero(seen)

@@ -18,7 +18,7 @@ from occmap.explanation.sightings import add_up
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.inputs import keep_stdin
 from occmap.keywords import take
-from occmap.store.sources import open_saved
+from occmap.store.reading import open_saved
 from occmap.wording import count, join_names, write_box, write_time
 from occmap.writers import WriteOptions
 

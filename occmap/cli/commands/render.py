@@ -10,7 +10,7 @@ from occmap.cli.console import Console
 from occmap.cli.saved import put_out
 from occmap.cli.sections import as_command, join, option
 from occmap.gates.measures import SAVED
-from occmap.store.sources import open_saved
+from occmap.store.reading import open_saved
 
 overview = option(
     options.MAP,

@@ -1,0 +1,195 @@
+"""How a store lays out what it holds: the names in its folder, packed arrays, table and digests.
+
+zarr is imported here alone, by `import_zarr`.
+
+| in the folder | holds |
+|---|---|
+| `zarr.json` | the manifest, and what makes the store whole: it is written last |
+| `hits`, `misses` | or `log_odds`, `observations`: (H, W) int64, the two numbers of each cell |
+| `y`, `x` | (H,) and (W,) float64, the middle of each row and column (m) |
+| `slices/R.C` | of block (R, C), when its cells were observed: arrays of bytes end to end |
+| `classes/N` | uint8, 0 unknown, 1 free, 2 occupied, for squares of N x N cells |
+| `blocks` | the table of blocks |
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from occmap.arrays import UInt8
+from occmap.cells import Evidence, Manifest, Slices
+from occmap.evidence.manifest import MEANING
+from occmap.grid.lattice import CellBox
+from occmap.grid.tiles import EvidenceKind
+from occmap.plugins import need_extra
+from occmap.store.blocks import BLOCK, Block, BlockContent, split_evidence, spread_cells
+from occmap.writers.npz import pack_slices, unpack_slices
+
+FORMAT, VERSION = "occmap store", 1
+LAYERS = {
+    EvidenceKind.COUNTS: ("hits", "misses"),
+    EvidenceKind.LOG_ODDS: ("log_odds", "observations"),
+}
+"""Names of the two arrays of numbers"""
+TABLE = ("place", "cells", "reach", "sha256", "logs")
+"""Arrays of the table of blocks"""
+
+
+def import_zarr() -> Any:
+    """Load zarr, late: it is an extra, and takes 0.4 s.
+
+    Raises
+    ------
+    UsageError
+        It is not installed.
+    """
+    with need_extra("dask", "a store needs zarr"):
+        import zarr  # noqa: PLC0415  as above
+    return zarr
+
+
+def find_place(block: Block, offset: tuple[int, int], side: int = 1) -> tuple[slice, slice]:
+    """Rows and columns of a block in an array, of which an item is a square of so many cells."""
+    starts = [(at * BLOCK - first) // side for at, first in zip(block, offset, strict=True)]
+    row, col = (slice(start, start + BLOCK // side) for start in starts)
+    return row, col
+
+
+def pack_layers(content: BlockContent) -> tuple[UInt8, list[dict[str, Any]]]:
+    """Lay the slices of a block end to end as bytes, and say how to take them apart."""
+    layers = dict(list_layers(content))
+    return pack_arrays(
+        {"builds": np.array(list(layers), "<i8"), **pack_slices(list(layers.values()))}
+    )
+
+
+def unpack_layers(
+    data: UInt8, layout: Iterable[Mapping[str, Any]], builds: int
+) -> tuple[Slices, ...]:
+    """Take the slices of a block apart again: one for each of so many builds."""
+    arrays: dict[str, Any] = {}
+    start = 0
+    for each in layout:
+        dtype, shape = np.dtype(each["dtype"]), each["shape"]
+        end = start + dtype.itemsize * math.prod(shape)
+        arrays[each["name"]] = data[start:end].view(dtype).reshape(shape)
+        start = end
+    layers = [Slices.join([])] * builds
+    for build, slices in zip(arrays["builds"].tolist(), unpack_slices(arrays), strict=True):
+        layers[build] = slices
+    return tuple(layers)
+
+
+def pack_arrays(arrays: Mapping[str, Any]) -> tuple[UInt8, list[dict[str, Any]]]:
+    """Lay arrays end to end as bytes; the list says how to take them apart again."""
+    layout = [
+        {"name": name, "dtype": array.dtype.str, "shape": list(array.shape)}
+        for name, array in arrays.items()
+    ]
+    data = b"".join(np.ascontiguousarray(array).tobytes() for array in arrays.values())
+    return np.frombuffer(data, np.uint8), layout
+
+
+def list_layers(content: BlockContent) -> list[tuple[int, Slices]]:
+    """List the builds that observed something: the others do not change what a block is."""
+    return [(build, each) for build, each in enumerate(content.slices) if len(each.numbers)]
+
+
+class BlockRecord(NamedTuple):
+    """What the table of a store says of a block."""
+
+    block: Block
+    cells: int
+    """How many were observed"""
+    reach: CellBox
+    """The smallest box around them"""
+    sha256: str
+    """Digest of what was observed, however it is compressed"""
+    logs: tuple[int, ...]
+    """As in `BlockContent`"""
+
+
+def describe_block(block: Block, content: BlockContent) -> BlockRecord:
+    """Say what the table holds of a block."""
+    seen = (spread_cells(block, content) != 0).any(axis=0)
+    row, col = block.box.row, block.box.col
+    # Of a block where nothing was observed, an empty box at its corner.
+    reach = CellBox.around(seen, row, col) or CellBox(row, col, row, col)
+    count = int(np.count_nonzero(seen))
+    return BlockRecord(block, count, reach, hash_content(content), content.logs)
+
+
+def make_table(records: Sequence[BlockRecord]) -> dict[str, Any]:
+    """Arrays of what is known of each block, N in all."""
+    count = max((log + 1 for record in records for log in record.logs), default=0)
+    logs = np.zeros((len(records), count), np.bool_)
+    for row, record in zip(logs, records, strict=True):
+        row[list(record.logs)] = True
+    digests = b"".join(bytes.fromhex(record.sha256) for record in records)
+    columns = (
+        np.array([record.block for record in records], np.int64).reshape(-1, 2),
+        np.array([record.cells for record in records], np.int64),
+        np.array([record.reach for record in records], np.int64).reshape(-1, 4),
+        np.frombuffer(digests, np.uint8).reshape(-1, 32),
+        np.packbits(logs, axis=1),
+    )
+    return dict(zip(TABLE, columns, strict=True))
+
+
+def read_table(table: Mapping[str, Any]) -> list[BlockRecord]:
+    """Make records of the arrays of a table."""
+    return [
+        BlockRecord(
+            Block(*place.tolist()),
+            int(cells),
+            CellBox(*reach.tolist()),
+            digest.tobytes().hex(),
+            tuple(np.flatnonzero(np.unpackbits(logs)).tolist()),
+        )
+        for place, cells, reach, digest, logs in zip(*(table[name] for name in TABLE), strict=True)
+    ]
+
+
+def hash_table(table: Mapping[str, Any]) -> str:
+    """SHA-256 of the arrays of a table."""
+    data, layout = pack_arrays({name: table[name] for name in sorted(table)})
+    return hashlib.sha256(json.dumps(layout).encode() + data.tobytes()).hexdigest()
+
+
+def hash_content(content: BlockContent) -> str:
+    """SHA-256 of what was observed and when; who observed it is not a part of it."""
+    seen = (content.cells != 0).any(axis=1)
+    arrays = [
+        content.tiles.astype("<i8"),
+        np.packbits(seen, axis=-1),
+        *(content.cells[:, part][seen].astype("<i8") for part in (0, 1)),
+    ]
+    for build, slices in list_layers(content):
+        arrays += [np.array([build], "<i8"), slices.tiles.astype("<i8")]
+        arrays += [slices.numbers.astype("<i8")]
+        arrays += [slices.rows, slices.parts, slices.changes]
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(f"{array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).data)
+    return digest.hexdigest()
+
+
+def compute_digest(manifest: Manifest, blocks: Mapping[Block, str]) -> str:
+    """SHA-256 of all that was observed, from those of the blocks: equal for equal evidence.
+
+    It says nothing of how the evidence is cut, compressed or kept, nor of who observed it.
+    """
+    meaning = {name: getattr(manifest, name) for name in MEANING}
+    lines = [json.dumps(meaning), *(f"{key.row} {key.col} {blocks[key]}" for key in sorted(blocks))]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+def digest_evidence(evidence: Evidence) -> str:
+    """The digest that a store of this evidence has."""
+    contents = split_evidence(evidence)
+    return compute_digest(evidence.manifest, {key: hash_content(each) for key, each in contents})
