@@ -1,13 +1,13 @@
 """The whole tool on one page: logs in, an occupancy map and a report out."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 from occmap.alignment import settle_align
-from occmap.cells import Evidence, OccupancyMap
+from occmap.cells import Evidence, OccupancyMap, Slices
 from occmap.evidence.fit import list_misfit
 from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
 from occmap.evidence.merging import refuse_different
@@ -15,20 +15,16 @@ from occmap.evidence.persistence import render_lasting
 from occmap.evidence.publishing import sum_scans
 from occmap.grid.framing import frame
 from occmap.grid.tiles import TileGrid, add_stack, stack_tiles, view_tiles
-from occmap.observing import Keep, Observe, Observed, Progress, ignore_progress
+from occmap.observing import Keep, Observe, Progress, ignore_progress
 from occmap.observing import observe as observe_here
 from occmap.options import BuildOptions
 from occmap.remarks import Remarks, list_notes
 from occmap.report import MapFacts, MapSummary, Report, Resumed, describe_map
-from occmap.sensor.models import SensorModel
 from occmap.store.reading import open_saved, read_all
 from occmap.tally import Tally, refuse_unseen, refuse_unused
 from occmap.writers import Product
 from occmap.writers.atomic import hold_alone
 from occmap.writers.outputs import check_outputs, want_evidence, want_journey, write_outputs
-
-if TYPE_CHECKING:
-    from occmap.inspection import Inspection
 
 
 class Build(NamedTuple):
@@ -64,9 +60,35 @@ def build(
     """
     check_outputs(outputs, list_inputs(paths, options))
     with hold_alone(options.resume or options.resume_if_there, outputs):
+        past, options = open_past(options)
+        options, unaligned = settle_align(paths, options)
+        wants_evidence = want_evidence(outputs)
+        keep = Keep(options.min_passes is not None or wants_evidence, want_journey(outputs))
+        tiles, slices, tally, remarks = observe(paths, options, keep, progress)
+        slices, misfit = add_past(tiles, slices, past, options)
+        refuse_unused(paths, tally)
+        refuse_unseen(paths, tally, tiles.tiles)
+
+        with tally.time("render"):
+            grid, lost = render_framed(tiles, slices, options)
+        with tally.time("write"):  # to hash the logs takes time
+            made = [describe_build(paths, options, tally.to_json())] if wants_evidence else []
+        manifest = plan_manifest(options, made, past.manifest if past and made else None)
+        facts = describe_map(grid, options.writing)
+        remarks.notes += [*unaligned, *misfit, *lost, *list_doubts(manifest)]
+        remarks.notes += list_notes(paths, options, outputs, tally, facts)
+        report = make_report(options, tally, remarks, facts, past)
+
+        where = past.where if past else ""
+        evidence = cache(lambda: Evidence(manifest, *stack_tiles(tiles.tiles), slices, where))
+        journey = tally.recorder.finish() if tally.recorder else None
         # A fleet's logs are not inspected: this process would have to read them all again.
-        inspect = partial(inspect_logs, paths, options) if observe is observe_here else None
-        return build_locked(paths, options, outputs, partial(observe, progress=progress), inspect)
+        check = partial(inspect_logs, paths, options) if observe is observe_here else None
+        product = Product(grid, evidence, journey, report, check)
+        with tally.time("write"):
+            files = write_outputs(outputs, product, options.writing)
+        report = replace(report, files=tuple(files), seconds=tally.list_seconds())
+        return Build(grid, report, tiles, evidence() if wants_evidence else None)
 
 
 def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
@@ -74,66 +96,6 @@ def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
     bags = [path / "metadata.yaml" for path in paths]  # of a folder that is a bag
     poses = [Path(options.posing.poses)] if options.posing.poses else []
     return [*paths, *bags, *poses]
-
-
-def build_locked(
-    paths: Sequence[Path],
-    options: BuildOptions,
-    outputs: Sequence[Path],
-    observe: Callable[[Sequence[Path], BuildOptions, Keep], Observed],
-    inspect: Callable[[], "Inspection"] | None,
-) -> Build:
-    """Build and write a map while this process holds the lock on its evidence."""
-    saved, options = open_past(options)
-    where = saved.where if saved else ""
-    options, unaligned = settle_align(paths, options)
-    keeps_evidence = want_evidence(outputs)
-    keep = Keep(options.min_passes is not None or keeps_evidence, want_journey(outputs))
-
-    tiles, slices, tally, remarks = observe(paths, options, keep)
-    misfit: list[str] = []
-    if saved:
-        misfit = add_past(tiles, saved, options.model)
-        slices = saved.slices + slices
-    refuse_unused(paths, tally)
-    refuse_unseen(paths, tally, tiles.tiles)
-
-    with tally.time("render"):
-        grid, lost = render_lasting(
-            tiles, slices, options.min_passes, options.model, options.max_cells
-        )
-        grid = frame(grid, options.framing, options.model.prior, options.max_cells)
-
-    manifest = plan_manifest(options)
-    if keeps_evidence:  # only then: it takes time to hash the logs
-        with tally.time("write"):
-            made = describe_build(paths, options, tally.to_json())
-        before = saved.manifest if saved else manifest
-        manifest = replace(manifest, builds=(*before.builds, made), subtracted=before.subtracted)
-
-    facts = describe_map(grid, options.writing)
-    remarks.notes += [*unaligned, *misfit, *lost, *list_doubts(manifest)]
-    remarks.notes += list_notes(paths, options, outputs, tally, facts)
-    report = make_report(options, tally, remarks, facts, saved)
-
-    product = Product(
-        grid,
-        cache(lambda: Evidence(manifest, *stack_tiles(tiles.tiles), slices, where)),
-        tally.recorder.finish() if tally.recorder else None,
-        report,
-        inspect,
-    )
-    with tally.time("write"):
-        files = write_outputs(outputs, product, options.writing)
-    report = replace(report, files=tuple(files), seconds=tally.list_seconds())
-    return Build(grid, report, tiles, product.evidence() if keeps_evidence else None)
-
-
-def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> "Inspection":
-    """Inspect the logs as `occmap check` does."""
-    from occmap.inspection import inspect  # noqa: PLC0415  late: few builds want it
-
-    return inspect(paths, options)
 
 
 def open_past(options: BuildOptions) -> tuple[Evidence | None, BuildOptions]:
@@ -150,19 +112,46 @@ def open_past(options: BuildOptions) -> tuple[Evidence | None, BuildOptions]:
     path = options.resume or (there if there and there.exists() else None)
     if path is None:
         return None, options
-    saved = read_all(open_saved(path))
+    past = read_all(open_saved(path))
     if options.posing.align is None:
-        options = replace(options, posing=replace(options.posing, align=saved.manifest.align))
-    refuse_different(plan_manifest(options), saved)
-    return saved, options
+        options = replace(options, posing=replace(options.posing, align=past.manifest.align))
+    refuse_different(plan_manifest(options), past)
+    return past, options
 
 
-def add_past(tiles: TileGrid, saved: Evidence, model: SensorModel) -> list[str]:
-    """Add the evidence that a build goes on from, and say so where the two do not fit."""
-    past = view_tiles(saved.tiles, saved.cells)
-    misfit = list(list_misfit(tiles, past, model, "the logs that are added to it"))
-    add_stack(tiles, saved.tiles, saved.cells)
-    return [f"{saved.where}: {text}" for text in misfit]
+def add_past(
+    tiles: TileGrid, slices: tuple[Slices, ...], past: Evidence | None, options: BuildOptions
+) -> tuple[tuple[Slices, ...], list[str]]:
+    """Add the evidence that a build goes on from; return all slices, and say what does not fit."""
+    if past is None:
+        return slices, []
+    before = view_tiles(past.tiles, past.cells)
+    misfit = list_misfit(tiles, before, options.model, "the logs that are added to it")
+    notes = [f"{past.where}: {text}" for text in misfit]
+    add_stack(tiles, past.tiles, past.cells)
+    return past.slices + slices, notes
+
+
+def render_framed(
+    tiles: TileGrid, slices: Sequence[Slices], options: BuildOptions
+) -> tuple[OccupancyMap, list[str]]:
+    """Make the map that the options ask for; notes say what of it does not last.
+
+    Raises
+    ------
+    MapError
+        As `render_lasting` and `frame`.
+    """
+    model, most = options.model, options.max_cells
+    grid, lost = render_lasting(tiles, slices, options.min_passes, model, most)
+    return frame(grid, options.framing, model.prior, most), lost
+
+
+def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> Any:
+    """Inspect the logs as `occmap check` does."""
+    from occmap.inspection import inspect  # noqa: PLC0415  late: few builds want it
+
+    return inspect(paths, options)
 
 
 def make_report(
@@ -170,15 +159,15 @@ def make_report(
     tally: Tally,
     remarks: Remarks,
     facts: MapFacts,
-    saved: Evidence | None = None,
+    past: Evidence | None = None,
 ) -> Report:
-    """Sum up what was done; `saved` is the evidence that it was added to."""
-    past = sum_scans(saved.manifest.builds if saved else ())
+    """Sum up what was done; `past` is the evidence that it was added to."""
+    before = sum_scans(past.manifest.builds if past else ())
     return Report(
         logs=tuple(remarks.logs),
         scans=tally.scans,
         builds=1,
-        resumed=Resumed(saved.where, past.read, past.used) if saved else None,
+        resumed=Resumed(past.where, before.read, before.used) if past else None,
         beams=tally.beams,
         map=MapSummary.describe(facts, plan_manifest(options), options.min_passes),
         notes=tuple(remarks.notes),

@@ -108,8 +108,18 @@ def write_value(value: Any) -> Any:
     return value if isinstance(value, int | float | str | None) else str(value)
 
 
-def plan_manifest(options: Any) -> Manifest:
-    """Say what evidence a build will make, before any log is read."""
+def plan_manifest(
+    options: Any, made: Sequence[BuildRecord] = (), past: Manifest | None = None
+) -> Manifest:
+    """Say what evidence a build makes.
+
+    Parameters
+    ----------
+    made
+        What `describe_build` says of it; empty before any log is read.
+    past
+        The manifest of the evidence that it is added to.
+    """
     profile = describe_profile(options.model)
     kind = EvidenceKind.LOG_ODDS if profile else EvidenceKind.COUNTS
     return Manifest(
@@ -120,7 +130,8 @@ def plan_manifest(options: Any) -> Manifest:
         options.pass_gap_s,
         options.hit_offset,
         describe_model(options.model),
-        builds=(),
+        builds=(*past.builds, *made) if past else tuple(made),
+        subtracted=past.subtracted if past else (),
         align=options.posing.align,
     )
 

@@ -53,7 +53,7 @@ def build_store(
             hashed = work.cluster.run("hash", hash_log, list_surveys(work.setting, logs))
             known = dict(zip(logs, hashed, strict=True))
             build = describe_build(paths, options, tally.to_json(), known)
-            manifest = replace(plan_manifest(options), builds=(build,))
+            manifest = plan_manifest(options, [build])
             store = open_target(work.setting, output, manifest, work.blocks)
             records = write_blocks(work, store, known, paths)
         with tally.time("render"):

@@ -7,7 +7,7 @@ from pathlib import Path
 from occmap.cells import Evidence, Manifest
 from occmap.evidence.manifest import list_files
 from occmap.grid.tiles import EvidenceKind
-from occmap.store.blocks import BLOCK, Block
+from occmap.store.blocks import BLOCK, Block, BlockContent
 from occmap.store.layout import LAYERS, BlockRecord, describe_block, import_zarr
 from occmap.store.reading import Blocks, Store, as_blocks, open_store
 from occmap.store.writing import create_store, finish_store, paint_block, write_block
@@ -52,22 +52,28 @@ class ZarrWriter:
         base = open_store(known) if source.where and (known / "zarr.json").is_file() else None
         with make_folder(path) as folder:
             create_store(folder, manifest, source.blocks)
-            records = [self._write_block(folder, base, block, source) for block in source.blocks]
+            records = [
+                put_block(folder, base, block, source.read_block(block)) for block in source.blocks
+            ]
             for block in source.blocks:
                 paint_block(folder, block)
             finish_store(folder, manifest, records)
         return (path,)
 
-    def _write_block(
-        self, folder: Path, base: Store | None, block: Block, source: Blocks
-    ) -> BlockRecord:
-        content = source.read_block(block)
-        if base and block in base.blocks:
-            record = describe_block(block, content)
-            is_equal = record.sha256 == base.records[block].sha256
-            if is_equal and share_block(base, folder, block):
-                return record
-        return write_block(folder, block, content)
+
+def put_block(folder: Path, base: Store | None, block: Block, content: BlockContent) -> BlockRecord:
+    """Write a block, or share the files of the base where that has the same.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    if base and block in base.blocks:
+        record = describe_block(block, content)
+        if record.sha256 == base.records[block].sha256 and share_block(base, folder, block):
+            return record
+    return write_block(folder, block, content)
 
 
 def share_block(base: Store, path: Path, block: Block) -> bool:
@@ -82,18 +88,17 @@ def share_block(base: Store, path: Path, block: Block) -> bool:
     names = LAYERS[EvidenceKind(base.manifest.kind)]
     if any(base.root[name].metadata.codecs != root[name].metadata.codecs for name in names):
         return False
-    offset = root.attrs["occmap"]["offset"]
+    old, new = (
+        f"c/{block.row - row // BLOCK}/{block.col - col // BLOCK}"
+        for row, col in (base.offset, root.attrs["occmap"]["offset"])
+    )
+    shards = [(base.path / name / old, path / name / new) for name in names]
+    slices = list_files(base.path / "slices" / f"{block.row}.{block.col}")
+    shards += [(file, path / file.relative_to(base.path)) for file in slices]
     with refuse_unwritable(path):
-        for name in names:
-            source, target = (
-                folder / name / f"c/{block.row - row // BLOCK}/{block.col - col // BLOCK}"
-                for folder, (row, col) in ((base.path, base.offset), (path, offset))
-            )
+        for source, target in shards:
             if source.exists():  # a shard of zeros is not kept
                 link(source, target)
-        slices = base.path / "slices" / f"{block.row}.{block.col}"
-        for file in list_files(slices):
-            link(file, path / file.relative_to(base.path))
     return True
 
 
