@@ -2,13 +2,13 @@
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager, nullcontext
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from occmap.errors import FleetError
-from occmap.fleet.runs import AnyJob, Result
+from occmap.fleet.runs import AnyJob, Job, Result
 from occmap.plugins import need_extra
 from occmap.wording import count
 
@@ -68,7 +68,7 @@ class Cluster:
         OccmapError
             Of the first job that failed, or its workers died.
         """
-        from distributed import KilledWorker, as_completed  # noqa: PLC0415  late: an extra
+        from distributed import as_completed  # noqa: PLC0415  late: an extra
 
         # Not pure: Dask takes equal calls for one, and a log that is given twice counts twice.
         futures = self._client.map(task, jobs, pure=False, retries=0)
@@ -88,15 +88,20 @@ class Cluster:
             future.release()
             workers, link = count(self.workers, "worker"), self._client.dashboard_link
             self._describe(f"{phase} {done}/{len(jobs)}, {workers}{link and f', {link}'}")
-        if failed:
-            error = failed[min(failed)]
-            if isinstance(error, KilledWorker):
-                limit = self.memory and f", which had {self.memory >> 20} MiB of memory"
-                found = f"killed its workers {error.allowed_failures + 1} times{limit or ''}"
-                fix = "give workers more memory, or build with a smaller `slice`"
-                raise FleetError(found, where=jobs[min(failed)].where, fix=fix)
-            raise error
+        for place in sorted(failed):
+            raise self._explain(failed[place], jobs[place])
         return [results[place] for place in range(len(jobs))]
+
+    def _explain(self, error: BaseException, job: Job) -> BaseException:
+        """Say why a job failed, where that is not the error itself: its workers died."""
+        from distributed import KilledWorker  # noqa: PLC0415  late: an extra
+
+        if not isinstance(error, KilledWorker):
+            return error
+        limit = f", which had {self.memory >> 20} MiB of memory" if self.memory else ""
+        found = f"killed its workers {error.allowed_failures + 1} times{limit}"
+        fix = "give workers more memory, or build with a smaller `slice`"
+        return FleetError(found, where=job.where, fix=fix)
 
     def list_losses(self) -> Iterator[str]:
         """Say how often a worker was lost, and how many tasks ran again for it."""
@@ -130,28 +135,10 @@ def open_cluster(
         Dask is not installed, nobody answers, or the workers are not fit for the work.
     """
     with need_extra("dask", "`dask` needs the library distributed"):
-        import dask  # noqa: PLC0415  late: an extra, and it takes half a second
-        import distributed  # noqa: PLC0415
+        import distributed  # noqa: F401, PLC0415  late: an extra, and it takes half a second
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    with ExitStack() as stack:
-        place: Any = address
-        if address == LOCAL:
-            stack.enter_context(dask.config.set(ALLOCATOR))
-            local = distributed.LocalCluster(
-                n_workers=processes,
-                threads_per_worker=1,
-                dashboard_address=":0",
-                silence_logs=logging.CRITICAL,
-                config={"distributed.worker.profile.enabled": False},  # it takes time
-            )
-            place = stack.enter_context(local)
-        try:
-            client = stack.enter_context(distributed.Client(place, timeout=PATIENCE_S))
-        except (OSError, ValueError) as error:
-            reason = str(error).splitlines()[0] if isinstance(error, ValueError) else ""
-            found = f"no scheduler answers within {PATIENCE_S} s{reason and f' ({reason})'}"
-            fix = "start one with `dask scheduler`, or build with `dask=local`"
-            raise FleetError(found, where=address, fix=fix) from None
+    workers = start_local(processes) if address == LOCAL else nullcontext(address)
+    with workers as place, connect(place, address) as client:
         try:
             client.wait_for_workers(1, timeout=PATIENCE_S)
         except TimeoutError:
@@ -160,6 +147,44 @@ def open_cluster(
         cluster = Cluster(client, describe)
         refuse_unfit(cluster)
         yield cluster
+
+
+@contextmanager
+def start_local(processes: int) -> Iterator[Any]:
+    """Start so many workers on this machine; they end with the block."""
+    import dask  # noqa: PLC0415  late: an extra
+    import distributed  # noqa: PLC0415  likewise
+
+    with (
+        dask.config.set(ALLOCATOR),
+        distributed.LocalCluster(
+            n_workers=processes,
+            threads_per_worker=1,
+            dashboard_address=":0",
+            silence_logs=logging.CRITICAL,
+            config={"distributed.worker.profile.enabled": False},  # it takes time
+        ) as workers,
+    ):
+        yield workers
+
+
+def connect(place: Any, address: str) -> "Client":
+    """Connect to workers on this machine, or to the scheduler at an address.
+
+    Raises
+    ------
+    FleetError
+        Nobody answers.
+    """
+    from distributed import Client  # noqa: PLC0415  late: an extra
+
+    try:
+        return Client(place, timeout=PATIENCE_S)
+    except (OSError, ValueError) as error:
+        reason = f" ({str(error).splitlines()[0]})" if isinstance(error, ValueError) else ""
+        found = f"no scheduler answers within {PATIENCE_S} s{reason}"
+        fix = "start one with `dask scheduler`, or build with `dask=local`"
+        raise FleetError(found, where=address, fix=fix) from None
 
 
 def refuse_unfit(cluster: Cluster) -> None:
@@ -174,14 +199,15 @@ def refuse_unfit(cluster: Cluster) -> None:
     if other := [each for each in theirs if each != mine]:
         runs = other[0] if isinstance(other[0], dict) else {}
         wrong = [name for name in mine if runs.get(name) != mine[name]]
-        there = ", ".join(f"{name} {runs.get(name)}" for name in wrong)
-        here = ", ".join(f"{name} {mine[name]}" for name in wrong)
+        there, here = (", ".join(f"{name} {of.get(name)}" for name in wrong) for of in (runs, mine))
         workers = f"{len(other)} of {count(len(theirs), 'worker')}"
         found = f"{workers} run {there}, where {here} runs here"
         raise FleetError(found, fix="install the same versions everywhere")
     if cluster.memory is not None and cluster.memory < LEAST_BYTES:
-        memory, least = cluster.memory >> 20, LEAST_BYTES >> 20
-        found = f"a worker may take {memory} MiB of memory, and {least} MiB are the least"
+        found = (
+            f"a worker may take {cluster.memory >> 20} MiB of memory, and {LEAST_BYTES >> 20} MiB "
+            "are the least"
+        )
         raise FleetError(found, fix="start fewer workers, or give each more memory")
 
 

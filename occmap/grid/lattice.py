@@ -76,6 +76,10 @@ class CellBox(NamedTuple):
         """Whether `other` lies wholly in this box."""
         return self.clip(other) == other
 
+    def find(self, places: Int64) -> Int64:
+        """Which of the rows and columns (N, 2) lie in this box."""
+        return np.flatnonzero(((places >= self[:2]) & (places < self[2:])).all(axis=1))
+
     def within(self, outer: Self) -> tuple[slice, slice]:
         """Its rows and columns in the array of a box around it."""
         moved = self.move(-outer.row, -outer.col)

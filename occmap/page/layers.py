@@ -49,28 +49,30 @@ class Layer:
 
 def name_layers(rasters: Sequence[Raster]) -> list[Layer]:
     """Say what the layers of maps are, which all have the same ones."""
-    first = rasters[0]
+    first, digits = rasters[0], 1 if rasters[0].unit > 1 else 0
     tops = {name: max(*(each.layers[name].largest for each in rasters), 1) for name in first.layers}
-    percent: dict[str, Any] = {"none": NOT_OBSERVED, "top": 100, "scale": 0.01, "digits": 2}
-    found = [
+    visits, last = (tops.get(name, 1) for name in ("visits", "last"))
+    percent: dict[str, Any] = {"top": 100, "scale": 0.01, "digits": 2, "high": "1"}
+    times: dict[str, Any] = {"scale": first.slice_s, "start": first.start_s}
+    times |= {"low": "early", "high": "late"}
+
+    def of_counts(name: str, palette: Sequence[str]) -> Layer:
+        top = tops.get(name, 1)
+        high = f"{top / first.unit:,.{digits}f}"
+        shown = Layer(name, name, "log", pick(palette[::-1]), none=0, top=top)
+        return replace(shown, scale=1 / first.unit, digits=digits, high=high)
+
+    greys, purples = pick(Greys256[::-1]), pick(Purples256[::-1])
+    layers = (
         Layer("class", "class", "classes", CLASS_COLOURS, CLASS_NAMES),
-        Layer("p", "probability", "ramp", pick(Greys256[::-1]), high="1", **percent),
-    ]
-    digits = 1 if first.unit > 1 else 0
-    counts = {"hits": Oranges256, "misses": Blues256, "looks": Blues256}
-    for name in (name for name in counts if name in tops):
-        high = f"{tops[name] / first.unit:,.{digits}f}"
-        shown = Layer(name, name, "log", pick(counts[name][::-1]), none=0, top=tops[name])
-        found.append(replace(shown, scale=1 / first.unit, digits=digits, high=high))
-    if "visits" in tops:
-        high = f"{tops['visits']:,}"
-        visits = Layer("visits", "visits", "ramp", pick(Purples256[::-1]), none=0, high=high)
-        last = Layer("last", "last seen", "time", pick(Viridis256), none=0, top=tops["last"])
-        found += [
-            replace(visits, top=tops["visits"]),
-            replace(last, scale=first.slice_s, start=first.start_s, low="early", high="late"),
-        ]
-    return found
+        Layer("p", "probability", "ramp", greys, none=NOT_OBSERVED, **percent),
+        of_counts("hits", Oranges256),
+        of_counts("misses", Blues256),
+        of_counts("looks", Blues256),
+        Layer("visits", "visits", "ramp", purples, none=0, top=visits, high=f"{visits:,}"),
+        Layer("last", "last seen", "time", pick(Viridis256), none=0, top=last, **times),
+    )
+    return [layer for layer in layers if layer.key in tops]
 
 
 def pick(colours: Sequence[str]) -> list[str]:

@@ -8,7 +8,7 @@ the one that is most likely occupied, with all that is known of it.
 import zlib
 from base64 import b64encode
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -29,9 +29,11 @@ COUNTS = {"hits", "misses", "looks"}
 UNKNOWN, FREE, UNDECIDED, OCCUPIED = range(4)
 NOT_OBSERVED = 255
 """In the layer of probabilities, which are in per cent."""
-STEPS = (0, 16, 4)
-"""Where a page would be too large, counts are rounded to as many steps for each doubling, which
-makes them compress better: first all are exact. Coarser cells come only after that."""
+STEPS = (1, 2, 4, 8, 16, 32, TILE)
+"""Where a map has too many cells, of each square with so many along its side one is shown."""
+COUNT_STEPS = (16, 4)
+"""Before that, counts are rounded to so many steps for each doubling, which makes them compress
+better."""
 
 Layers: TypeAlias = dict[str, NDArray[Any]]
 """(H, W) unsigned numbers by name; row 0 is the lowest y"""
@@ -103,34 +105,29 @@ def make_raster(
         What the map was made of; it may reach beyond the map. None: only classes and probabilities
         are known.
     """
-    step = 1
-    while grid.log_odds.size > MOST_CELLS * step**2 and step < TILE:
-        step *= 2
-    while True:
-        layers, origin = read_layers(grid, evidence, step)
+    for raster in list_rasters(grid, evidence):
+        if sum(len(each.data) for each in raster.layers.values()) <= most_bytes:
+            break
+    return raster
+
+
+def list_rasters(grid: OccupancyMap, evidence: Evidence | None) -> Iterator[Raster]:
+    """Take the layers of a map more and more roughly, so that they take fewer and fewer bytes."""
+    unit, slice_s, start_s = 1, 0.0, 0.0
+    if evidence:
+        unit, slice_s = find_unit(evidence.manifest.update), evidence.manifest.pass_gap_s
+        firsts = [int(each.numbers.min()) for each in evidence.slices if each.numbers.size]
+        start_s = min(firsts, default=0) * slice_s
+    steps = [each for each in STEPS if grid.log_odds.size <= MOST_CELLS * each**2]
+    for step in steps or STEPS[-1:]:
+        layers, corner = read_layers(grid, evidence, step)
+        place = *corner, grid.resolution * step, step
         packed = {name: pack(layer) for name, layer in layers.items()}
-        for steps in STEPS:
-            if steps:
-                for name in COUNTS & layers.keys():
-                    packed[name] = pack_few(round_counts(layers[name], steps))
-            size = sum(len(each.data) for each in packed.values())
-            if size <= most_bytes or (step, steps) == (TILE, STEPS[-1]):
-                rounding = 0.5 / steps if steps else 0.0
-                made = Raster(*origin, grid.resolution * step, step, packed, rounding)
-                return made if evidence is None else scale(made, evidence)
-        step *= 2
-
-
-def scale(raster: Raster, evidence: Evidence) -> Raster:
-    """Say what the numbers of the layers mean."""
-    manifest = evidence.manifest
-    firsts = [int(each.numbers.min()) for each in evidence.slices if each.numbers.size]
-    return replace(
-        raster,
-        unit=find_unit(manifest.update),
-        slice_s=manifest.pass_gap_s,
-        start_s=min(firsts, default=0) * manifest.pass_gap_s,
-    )
+        yield Raster(*place, packed, 0.0, unit, slice_s, start_s)
+        for parts in COUNT_STEPS:
+            counts = {name: round_counts(layers[name], parts) for name in COUNTS & layers.keys()}
+            packed = packed | {name: pack_few(layer) for name, layer in counts.items()}
+            yield Raster(*place, packed, 0.5 / parts, unit, slice_s, start_s)
 
 
 def read_layers(
@@ -153,11 +150,10 @@ def read_layers(
 def read_bands(grid: OccupancyMap, sights: "Sights | None", box: CellBox) -> Iterator[Layers]:
     """Read all layers of one row of tiles after the other; `box` is the map's."""
     outer = box.align(TILE)
-    inner = slice(box.col - outer.col, box.col_end - outer.col)
-    for tile_row in range(outer.row // TILE, outer.row_end // TILE):
-        begin, end = max(tile_row * TILE, box.row), min((tile_row + 1) * TILE, box.row_end)
-        there = slice(begin - tile_row * TILE, end - tile_row * TILE), inner
-        part = grid.take(slice(begin - box.row, end - box.row), slice(0, box.cols))
+    for row in range(outer.row, outer.row_end, TILE):
+        whole = CellBox(row, outer.col, row + TILE, outer.col_end)
+        own = box.clip(whole)
+        part, there = grid.take(*own.within(box)), own.within(whole)
         band: Layers = {
             "class": np.zeros((TILE, outer.cols), np.uint8),
             "p": np.full((TILE, outer.cols), NOT_OBSERVED, np.uint8),
@@ -167,7 +163,7 @@ def read_bands(grid: OccupancyMap, sights: "Sights | None", box: CellBox) -> Ite
         band["p"][there] = np.where(part.observed, np.rint(100 * part.probability), NOT_OBSERVED)
         band["rank"][there] = np.where(part.observed, part.log_odds, -np.inf)
         if sights:
-            band |= sights.read(tile_row, outer.col // TILE, outer.cols // TILE)
+            band |= sights.read(whole.shrink(TILE))
         yield band
 
 
@@ -190,30 +186,24 @@ class Sights:
         kind = EvidenceKind(evidence.manifest.kind)
         self._names = ("hits", "misses") if kind is EvidenceKind.COUNTS else ("", "looks")
 
-    def read(self, tile_row: int, first: int, tiles: int) -> Layers:
-        """(64, 64 * tiles) of hits, misses, visits and last sights, from tile column `first` on."""
+    def read(self, box: CellBox) -> Layers:
+        """(64, 64 * tiles) of hits, misses, visits and last sights in a row of so many tiles."""
         band = {
-            name: np.zeros((TILE, tiles * TILE), np.uint32)
+            name: np.zeros((TILE, box.cols * TILE), np.uint32)
             for name in (*filter(None, self._names), "visits", "last")
         }
-        where = self._evidence.tiles
-        for at in np.flatnonzero(where[:, 0] == tile_row).tolist():
-            cols = place_tile(int(where[at, 1]) - first, tiles)
+        tiles = self._evidence.tiles
+        for at in box.find(tiles).tolist():
+            start = (int(tiles[at, 1]) - box.col) * TILE
             for name, numbers in zip(self._names, self._evidence.cells[at], strict=True):
-                if name and cols:
-                    band[name][:, cols] = numbers
-        which = np.flatnonzero(self._slices.tiles[:, 0] == tile_row)
-        for (_, tile_col), slices in split_tiles(take(self._slices, which)):
-            cols = place_tile(tile_col - first, tiles)
-            if cols:
-                band["visits"][:, cols] = count_visits(slices)[1]
-                band["last"][:, cols] = find_last(slices, self._first)
+                if name:
+                    band[name][:, start : start + TILE] = numbers
+        there = box.find(self._slices.tiles)
+        for (_, col), slices in split_tiles(take(self._slices, there)):
+            start = (col - box.col) * TILE
+            band["visits"][:, start : start + TILE] = count_visits(slices)[1]
+            band["last"][:, start : start + TILE] = find_last(slices, self._first)
         return band
-
-
-def place_tile(index: int, tiles: int) -> slice | None:
-    """Find the columns of a tile in a band of `tiles` tiles; None where it lies outside."""
-    return slice(index * TILE, (index + 1) * TILE) if 0 <= index < tiles else None
 
 
 def find_last(slices: Slices, first: int) -> Int64:

@@ -188,10 +188,6 @@ def read_part(saved: Saved, box: CellBox) -> Evidence:
 
 def cut_content(content: BlockContent, box: CellBox) -> BlockContent:
     """Keep the tiles in a box, which counts tiles."""
-
-    def find(tiles: Int64) -> Int64:
-        return np.flatnonzero(((tiles >= box[:2]) & (tiles < box[2:])).all(axis=1))
-
-    which = find(content.tiles)
-    slices = tuple(take(layer, find(layer.tiles)) for layer in content.slices)
+    which = box.find(content.tiles)
+    slices = tuple(take(layer, box.find(layer.tiles)) for layer in content.slices)
     return BlockContent(content.tiles[which], content.cells[which], slices, content.logs)
