@@ -92,8 +92,7 @@ def open_atomic(*paths: Path) -> Iterator[Sequence[BinaryIO]]:
     for path in paths:
         check_target(path)
     targets = [follow_links(path) for path in paths]
-    # The name says nothing of the target's: that may be as long as a name can be.
-    temporaries = [each.with_name(f".occmap-{secrets.token_hex(8)}.tmp") for each in targets]
+    temporaries = [name_temporary(each) for each in targets]
     try:
         with refuse_unwritable(paths[0]):
             with ExitStack() as stack:
@@ -114,6 +113,11 @@ def open_atomic(*paths: Path) -> Iterator[Sequence[BinaryIO]]:
             temporary.unlink(missing_ok=True)
 
 
+def name_temporary(target: Path) -> Path:
+    """Name a file beside its target, but not after it: a name may be as long as names can be."""
+    return target.with_name(f".occmap-{secrets.token_hex(8)}.tmp")
+
+
 @contextmanager
 def make_folder(path: Path) -> Iterator[Path]:
     """Make a folder that appears whole, or replaces the one at `path`, when the block ends well.
@@ -126,7 +130,7 @@ def make_folder(path: Path) -> Iterator[Path]:
     OutputError
         It cannot be put there.
     """
-    temporary = follow_links(path).with_name(f".occmap-{secrets.token_hex(8)}.tmp")
+    temporary = name_temporary(follow_links(path))
     try:
         with refuse_unwritable(path):
             yield temporary
@@ -193,22 +197,25 @@ def hold_alone(path: Path | None, outputs: Sequence[Path]) -> Iterator[None]:
         yield
         return
     with ExitStack() as stack:
-        while sys.platform != "win32":
-            import fcntl  # noqa: PLC0415  Windows has none
-
-            try:
-                held = path if path.exists() else path.parent
-                file = os.open(held, os.O_RDONLY)
-                stack.callback(os.close, file)
-                try:
-                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    log.warning("%s: waiting for another occmap that adds to it", path)
-                    fcntl.flock(file, fcntl.LOCK_EX)
-                there = path if path.exists() else path.parent
-                if os.path.samestat(os.fstat(file), there.stat()):
-                    break
-            except OSError:
-                break
-            stack.close()  # the other one has put a new file in its place
+        while not lock(path, stack):
+            stack.close()
         yield
+
+
+def lock(path: Path, stack: ExitStack) -> bool:
+    """Lock a file until the stack closes; False where another occmap has just replaced it."""
+    if sys.platform == "win32":
+        return True
+    import fcntl  # noqa: PLC0415  Windows has none
+
+    with suppress(OSError):
+        file = os.open(path if path.exists() else path.parent, os.O_RDONLY)
+        stack.callback(os.close, file)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            log.warning("%s: waiting for another occmap that adds to it", path)
+            fcntl.flock(file, fcntl.LOCK_EX)
+        there = path if path.exists() else path.parent
+        return os.path.samestat(os.fstat(file), there.stat())
+    return True

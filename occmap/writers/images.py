@@ -101,28 +101,6 @@ class Panel:
     """(H, W, 3), first row on top"""
 
 
-class Layout(NamedTuple):
-    """A table of equal places."""
-
-    columns: int
-    rows: int
-    width: int
-    """Of a place, with the gap beside it (pixels)"""
-    height: int
-    head: int
-    """Of the titles (pixels)"""
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height of the whole (pixels)."""
-        return self.columns * self.width + GAP_PX, self.rows * self.height + GAP_PX
-
-    def place(self, index: int) -> tuple[int, int]:
-        """Left and top of a place (pixels)."""
-        row, column = divmod(index, self.columns)
-        return GAP_PX + column * self.width, GAP_PX + row * self.height
-
-
 def write_panels(path: Path, panels: Sequence[Panel]) -> None:
     """Write panels as one PNG.
 
@@ -132,27 +110,30 @@ def write_panels(path: Path, panels: Sequence[Panel]) -> None:
         It cannot be written; then nothing is left behind.
     """
     font = ImageFont.load_default(TEXT_PX)
-    layout = arrange(panels, max(font.getlength(line) for each in panels for line in each.title))
-    picture = Image.new("RGB", layout.size, PAPER)
+    text_px = max(font.getlength(line) for each in panels for line in each.title)
+    heights, widths = zip(*(panel.pixels.shape[:2] for panel in panels), strict=True)
+    head = LINE_PX * max(len(panel.title) for panel in panels)
+    width = max(*widths, math.ceil(text_px)) + GAP_PX
+    height = max(heights) + head + GAP_PX
+    columns, rows = arrange(len(panels), width, height)
+    picture = Image.new("RGB", (columns * width + GAP_PX, rows * height + GAP_PX), PAPER)
     draw = ImageDraw.Draw(picture)
     for index, panel in enumerate(panels):
-        left, top = layout.place(index)
+        row, column = divmod(index, columns)
+        left, top = GAP_PX + column * width, GAP_PX + row * height
         for number, line in enumerate(panel.title):
             draw.text((left, top + number * LINE_PX), line, INK, font)
-        picture.paste(Image.fromarray(panel.pixels), (left, top + layout.head))
+        picture.paste(Image.fromarray(panel.pixels), (left, top + head))
     with open_atomic(path) as (file,):
         picture.save(file, format="PNG")
 
 
-def arrange(panels: Sequence[Panel], text_width: float) -> Layout:
-    """Choose how many panels stand in a row."""
-    heights, widths = zip(*(panel.pixels.shape[:2] for panel in panels), strict=True)
-    head = LINE_PX * max(len(panel.title) for panel in panels)
-    width = max(*widths, math.ceil(text_width)) + GAP_PX
-    height = max(heights) + head + GAP_PX
+def arrange(count: int, width: int, height: int) -> tuple[int, int]:
+    """Choose in how many columns and rows places of one size stand, by the shape of the whole."""
 
-    def lay_out(columns: int) -> Layout:
-        return Layout(columns, -(-len(panels) // columns), width, height, head)
+    def measure(columns: int) -> float:
+        across, up = columns * width + GAP_PX, -(-count // columns) * height + GAP_PX
+        return abs(math.log(across / up / ASPECT))
 
-    layouts = map(lay_out, range(1, len(panels) + 1))
-    return min(layouts, key=lambda each: abs(math.log(each.size[0] / each.size[1] / ASPECT)))
+    columns = min(range(1, count + 1), key=measure)
+    return columns, -(-count // columns)

@@ -23,7 +23,6 @@ from rosbags.typesys import Stores, get_typestore
 
 from occmap.arrays import Float64
 from occmap.cells import OccupancyMap
-from occmap.types import Trajectory
 from occmap.writers import MapMode, OneFile, Product, WriteOptions
 from occmap.writers.atomic import open_atomic
 
@@ -89,24 +88,26 @@ def list_messages(product: Product, options: WriteOptions) -> Iterator[tuple[str
     trajectories = product.journey.trajectories if product.journey else ()
     stamps = np.concatenate([each.stamp_ns for each in trajectories] or [np.zeros(1, np.int64)])
     header = make_header(trajectories[0].parent if trajectories else MAP_FRAME, min(stamps))
-    yield "/map", make_map(product.grid, options, header), header.stamp
+    grid = product.grid
+    corner = make_pose(np.array([*grid.origin, 0, 0, 0, 0, 1], np.float64))
+    info = ROS.MapMetaData(header.stamp, grid.resolution, *grid.shape[::-1], corner)
+    # Its rows begin at the lowest y, as those of a map do.
+    cells = fill_cells(grid, options).ravel()
+    yield "/map", ROS.OccupancyGrid(header, info, cells), header.stamp
     for number, trajectory in enumerate(trajectories):
         suffix = f"_{number + 1}" if number else ""
-        yield f"/trajectory{suffix}", make_path(trajectory), header.stamp
+        poses = [
+            ROS.PoseStamped(make_header(trajectory.parent, stamp_ns), make_pose(pose))
+            for stamp_ns, pose in zip(trajectory.stamp_ns, trajectory.pose, strict=True)
+        ]
+        first = poses[0].header if poses else make_header(trajectory.parent, 0)
+        yield f"/trajectory{suffix}", ROS.Path(first, poses), header.stamp
     for trajectory in trajectories:
         for stamp_ns, pose in zip(trajectory.stamp_ns, trajectory.pose, strict=True):
             header = make_header(trajectory.parent, stamp_ns)
             transform = ROS.Transform(ROS.Vector3(*pose[:3]), make_pose(pose).orientation)
             stamped = ROS.TransformStamped(header, trajectory.frame, transform)
             yield "/tf", ROS.TFMessage([stamped]), header.stamp
-
-
-def make_map(grid: OccupancyMap, options: WriteOptions, header: Any) -> Any:
-    """Make an OccupancyGrid; its rows begin at the lowest y, as those of a map do."""
-    rows, cols = grid.shape
-    corner = make_pose(np.array([*grid.origin, 0, 0, 0, 0, 1], np.float64))
-    info = ROS.MapMetaData(header.stamp, grid.resolution, cols, rows, corner)
-    return ROS.OccupancyGrid(header, info, fill_cells(grid, options).ravel())
 
 
 def fill_cells(grid: OccupancyMap, options: WriteOptions) -> NDArray[np.int8]:
@@ -123,15 +124,6 @@ def fill_cells(grid: OccupancyMap, options: WriteOptions) -> NDArray[np.int8]:
     else:
         cells[grid.observed] = np.rint(100 * grid.probability[grid.observed])
     return cells
-
-
-def make_path(trajectory: Trajectory) -> Any:
-    """Make a Path of all poses."""
-    poses = [
-        ROS.PoseStamped(make_header(trajectory.parent, stamp_ns), make_pose(pose))
-        for stamp_ns, pose in zip(trajectory.stamp_ns, trajectory.pose, strict=True)
-    ]
-    return ROS.Path(poses[0].header if poses else make_header(trajectory.parent, 0), poses)
 
 
 def make_header(frame: str, stamp_ns: Any) -> Any:

@@ -58,11 +58,9 @@ SIDE = 64
 """Cells along the side of a tile."""
 MAGIC = b"PK\x03\x04"
 WIDTHS = ("<i1", "<i2", "<i4", "<i8")
-SLICE_ARRAYS = (
-    *("layers", "slice_tiles", "slices"),
-    *("slice_rows", "slice_parts", "slice_changes"),
-)
-ARRAYS = ("tiles", "observed", "first", "second", *SLICE_ARRAYS)
+SLICES = ("slice_tiles", "slices", "slice_rows", "slice_parts", "slice_changes")
+"""The arrays of `Slices`, in its order"""
+ARRAYS = ("tiles", "observed", "first", "second", "layers", *SLICES)
 Arrays = dict[str, Any]
 
 
@@ -137,17 +135,23 @@ def read_evidence(path: Path) -> Evidence:
             if "manifest.npy" not in archive.namelist():
                 raise MapError("is an .npz, but not evidence of occmap", where=path)
             head = json.loads(read_array(archive, "manifest").tobytes())
-            if head["format"] != FORMAT:
-                raise MapError(f"holds {head['format']!r}, not evidence of occmap", where=path)
-            if head["version"] > VERSION:
-                found = f"{FORMAT} of version {head['version']}, while this occmap reads {VERSION}"
-                raise MapError(found, where=path, fix="use a newer occmap")
-            if head["version"] < VERSION:
-                found = f"{FORMAT} of an older occmap (version {head['version']}, now {VERSION})"
-                fix = f"build it again from its logs, with `outputs={path.name}`"
-                raise MapError(found, where=path, fix=fix)
+            refuse_other_version(path, head)
             arrays = {name: read_array(archive, name) for name in ARRAYS}
         return unpack(path, head, arrays)
+
+
+def refuse_other_version(path: Path, head: dict[str, Any]) -> None:
+    """Refuse a file of another format or version; raises MapError."""
+    version = head["version"]
+    if head["format"] != FORMAT:
+        raise MapError(f"holds {head['format']!r}, not evidence of occmap", where=path)
+    if version > VERSION:
+        found = f"{FORMAT} of version {version}, while this occmap reads {VERSION}"
+        raise MapError(found, where=path, fix="use a newer occmap")
+    if version < VERSION:
+        found = f"{FORMAT} of an older occmap (version {version}, now {VERSION})"
+        fix = f"build it again from its logs, with `outputs={path.name}`"
+        raise MapError(found, where=path, fix=fix)
 
 
 def read_array(archive: zipfile.ZipFile, name: str) -> Any:
@@ -200,11 +204,10 @@ def narrow(values: Int64) -> Any:
 def pack_slices(layers: Sequence[Slices]) -> Arrays:
     """Lay the arrays of each build end to end."""
     sizes = [(len(each.numbers), len(each.parts), len(each.changes)) for each in layers]
-    layout = np.array(sizes, "<i8").reshape(-1, 3)
     whole = Slices.join(layers)
-    columns = (layout, narrow(whole.tiles), narrow(whole.numbers))
-    bits = (whole.rows, whole.parts, whole.changes)
-    return dict(zip(SLICE_ARRAYS, (*columns, *bits), strict=True))
+    keys, bits = (whole.tiles, whole.numbers), (whole.rows, whole.parts, whole.changes)
+    arrays = dict(zip(SLICES, (*map(narrow, keys), *bits), strict=True))
+    return {"layers": np.array(sizes, "<i8").reshape(-1, 3), **arrays}
 
 
 def unpack_slices(arrays: Arrays) -> tuple[Slices, ...]:
@@ -216,13 +219,9 @@ def unpack_slices(arrays: Arrays) -> tuple[Slices, ...]:
         The arrays do not fit each other.
     """
     tiles, parts, changes = np.cumsum(arrays["layers"], axis=0).T  # where each layer ends
-    columns = (
-        np.split(arrays["slice_tiles"].astype(np.int64), tiles),
-        np.split(arrays["slices"].astype(np.int64), tiles),
-        np.split(arrays["slice_rows"], tiles),
-        np.split(arrays["slice_parts"], parts),
-        np.split(arrays["slice_changes"], changes),
-    )
+    keys, bits = ([arrays[name] for name in names] for names in (SLICES[:2], SLICES[2:]))
+    whole = (*(each.astype(np.int64) for each in keys), *bits)
+    columns = map(np.split, whole, (tiles, tiles, tiles, parts, changes))
     *layers, rest = (Slices(*layer) for layer in zip(*columns, strict=True))
     if not all(map(is_whole, (*layers, rest))) or len(rest.tiles):
         raise ValueError("layers")

@@ -16,7 +16,7 @@ from occmap.grid.slices import pack
 from occmap.grid.tiles import TILE
 from occmap.writers.npz import (
     SIDE,
-    SLICE_ARRAYS,
+    SLICES,
     NpzWriter,
     add_array,
     narrow,
@@ -231,7 +231,7 @@ def test_what_was_altered_on_purpose_is_refused(tmp_path: Path) -> None:
     content = rewrite(path, first=np.array([4, 0, 1, 1], np.int8))
     altered = "the checksum does not fit: the file was altered; build it again"
     assert altered in damage(path, content)
-    for name in SLICE_ARRAYS:
+    for name in ("layers", *SLICES):
         write(path)
         with np.load(path) as file:
             array = file[name]
