@@ -13,8 +13,9 @@ if TYPE_CHECKING:
     from occmap.errors import OccmapError
     from occmap.maps import Map
     from occmap.options import BuildOptions
-    from occmap.pipeline import Build, build
+    from occmap.pipeline import build
     from occmap.readers import Log
+    from occmap.report import Build
 
     __version__: str
 
@@ -37,7 +38,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Build": "occmap.pipeline",
+    "Build": "occmap.report",
     "BuildOptions": "occmap.options",
     "Log": "occmap.readers",
     "Map": "occmap.maps",

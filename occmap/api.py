@@ -7,7 +7,7 @@ from typing import Any
 
 from occmap import difference, inspection, pictures, tuning
 from occmap.errors import UsageError
-from occmap.evidence import merging, publishing, to_grid
+from occmap.evidence import merging, publishing
 from occmap.inputs import find_inputs
 from occmap.keywords import list_options, read_option, read_options
 from occmap.maps import Map
@@ -116,14 +116,8 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
     others = [*files, Path(chosen.posing.poses or "")]
     paths, notes = find_inputs(list_logs(logs, "build_map"), chosen.reading, others)
     made = build(paths, chosen, files)
-    return Map.wrap(
-        made.map,
-        report=replace(made.report, notes=(*notes, *made.report.notes)),
-        writing=chosen.writing,
-        inputs=tuple(list_inputs(paths, chosen)),
-        tiles=made.observed,
-        evidence=made.evidence,
-    )
+    report = replace(made.report, notes=(*notes, *made.report.notes))
+    return Map.of(made._replace(report=report), chosen.writing, list_inputs(paths, chosen))
 
 
 def check(*logs: AnyPath, **options: Any) -> inspection.Inspection:
@@ -232,16 +226,8 @@ def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> 
         raise UsageError("no evidence is given", fix='try merge("a.npz", "b.npz")')
     added, taken = list_paths(paths), list_paths(subtract)
     chosen = read_options(publishing.RenderOptions, options, "merge")
-    total = read_all(merging.combine(added, taken))
-    made = publishing.render_kept(total, chosen)
-    return Map.wrap(
-        made.map,
-        report=made.report,
-        writing=chosen.writing,
-        inputs=(*added, *taken),
-        tiles=to_grid(total),
-        evidence=made.evidence,
-    )
+    made = publishing.render_kept(read_all(merging.combine(added, taken)), chosen)
+    return Map.of(made, chosen.writing, [*added, *taken])
 
 
 def diff(

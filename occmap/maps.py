@@ -1,6 +1,7 @@
 """The map that a notebook gets: an occupancy map that knows how it came about and can be saved."""
 
 from base64 import b64encode
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from html import escape
 from pathlib import Path
@@ -11,7 +12,7 @@ from occmap.cells import Evidence, OccupancyMap
 from occmap.errors import UsageError
 from occmap.grid.lattice import CellBox
 from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
-from occmap.report import Report
+from occmap.report import Build, Report
 from occmap.writers import Product, WriteOptions
 from occmap.writers.outputs import check_outputs, write_outputs
 
@@ -32,9 +33,13 @@ class Map(OccupancyMap):
     """What an .npz of it holds; None where the build was not asked for one"""
 
     @classmethod
-    def wrap(cls, grid: OccupancyMap, **others: Any) -> Self:
-        """Add the fields that an occupancy map lacks."""
-        return cls(**{each.name: getattr(grid, each.name) for each in fields(grid)}, **others)
+    def of(cls, made: Build, writing: WriteOptions, inputs: Sequence[Path]) -> Self:
+        """Add to a map what was found beside it, and how and over what it may be saved."""
+        found: dict[str, Any] = {
+            each.name: getattr(made.map, each.name) for each in fields(OccupancyMap)
+        }
+        found |= {"report": made.report, "tiles": made.observed, "evidence": made.evidence}
+        return cls(**found, writing=writing, inputs=tuple(inputs))
 
     @property
     def hits(self) -> Float64:

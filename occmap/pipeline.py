@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from occmap.alignment import settle_align
 from occmap.cells import Evidence, OccupancyMap, Slices
@@ -19,23 +19,12 @@ from occmap.observing import Keep, Observe, Progress, ignore_progress
 from occmap.observing import observe as observe_here
 from occmap.options import BuildOptions
 from occmap.remarks import Remarks, list_notes
-from occmap.report import MapFacts, MapSummary, Report, Resumed, describe_map
+from occmap.report import Build, MapFacts, MapSummary, Report, Resumed, describe_map
 from occmap.store.reading import open_saved, read_all
 from occmap.tally import Tally, refuse_unseen, refuse_unused
 from occmap.writers import Product
 from occmap.writers.atomic import hold_alone
 from occmap.writers.outputs import check_outputs, want_evidence, want_journey, write_outputs
-
-
-class Build(NamedTuple):
-    """A map and how it came about."""
-
-    map: OccupancyMap
-    report: Report
-    observed: TileGrid
-    """What the map was made of, before `min_passes` forgets anything"""
-    evidence: Evidence | None
-    """The same with its slices of time, to write and to merge; None where no output needs it"""
 
 
 def build(

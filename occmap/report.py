@@ -7,7 +7,8 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from occmap.arrays import Int64
-from occmap.cells import Box, Manifest, OccupancyMap
+from occmap.cells import Box, Evidence, Manifest, OccupancyMap
+from occmap.grid.tiles import TileGrid
 from occmap.plain import Count, Printed, Share
 from occmap.sensor.returns import ReturnCounts
 from occmap.tally import ScanCounts
@@ -151,6 +152,17 @@ class Report(Printed):
     def no_return_share(self) -> float:
         """The share of beams that nothing came back to; 0 of nothing."""
         return self.beams.no_return / max(sum(self.beams), 1)
+
+
+class Build(NamedTuple):
+    """A map and how it came about."""
+
+    map: OccupancyMap
+    report: Report
+    observed: TileGrid
+    """What the map was made of, before `min_passes` forgets anything"""
+    evidence: Evidence | None
+    """The same with its slices of time, to write and to merge; None where no output needs it"""
 
 
 def describe_map(grid: OccupancyMap, writing: WriteOptions) -> MapFacts:

@@ -16,8 +16,8 @@ from occmap.batching import Selection
 from occmap.cells import OccupancyMap
 from occmap.errors import LogError, MapError, OccmapError, OutputError, PoseError, UsageError
 from occmap.options import BuildOptions
-from occmap.pipeline import Build, build
-from occmap.report import Report
+from occmap.pipeline import build
+from occmap.report import Build, Report
 from occmap.types import Update
 from tests.readers.ros import ROS2, Written, drive, write_mcap
 from tests.samples import DRIVES, PLAIN, write_csv

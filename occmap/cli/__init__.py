@@ -63,22 +63,18 @@ class CommandTable(click.Group):
         """Find the command of the first word; a mistyped one is answered with what was meant."""
         word = args[0]
         if word not in COMMANDS and not word.startswith("-"):
-            raise UsageError(f"no command is called {word!r}", fix=suggest_command(word))
+            from occmap.plugins import suggest  # noqa: PLC0415  late: --help needs no plugins
+
+            fix = suggest(word, list(COMMANDS), "occmap --help")
+            if os.path.exists(word):  # noqa: PTH110  pathlib takes as long to import as all else here
+                fix = f"to map a log: occmap build {word} -o map.pgm"
+            raise UsageError(f"no command is called {word!r}", fix=fix)
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         """List the commands from the table."""
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
-
-
-def suggest_command(word: str) -> str:
-    """Say what to type instead of a word that is not a command."""
-    from occmap.plugins import suggest  # noqa: PLC0415  late: --help needs no plugins
-
-    if os.path.exists(word):  # noqa: PTH110  pathlib takes as long to import as all else here
-        return f"to map a log: occmap build {word} -o map.pgm"
-    return suggest(word, list(COMMANDS), "occmap --help")
 
 
 @click.group(

@@ -123,12 +123,16 @@ class Console:
 
     def fail_unexpectedly(self, error: BaseException) -> int:
         """Print a fault of occmap itself: one line, and the traceback where it is wanted."""
-        if self.verbosity is Verbosity.VERBOSE:
-            import traceback  # noqa: PLC0415  late: rarely wanted
+        import traceback  # noqa: PLC0415  late: rarely needed
 
+        if self.verbosity is Verbosity.VERBOSE:
             for text in "".join(traceback.format_exception(error)).splitlines():
                 self.tell(text)
-        found = f"{type(error).__name__}: {error} (at {find_place(error)})"
+        home, place = os.path.dirname(os.path.dirname(__file__)), "?"  # noqa: PTH120  as in cli
+        for frame, line in traceback.walk_tb(error.__traceback__):
+            if frame.f_code.co_filename.startswith(home):  # the innermost line of occmap counts
+                place = f"occmap{frame.f_code.co_filename.removeprefix(home)}:{line}"
+        found = f"{type(error).__name__}: {error} (at {place})"
         advice = "this is a fault in occmap: please report it, with what the same command prints"
         return self.fail(OccmapError(found, fix=f"{advice} with -v"), 1)
 
@@ -151,19 +155,6 @@ def align(table: Sequence[Sequence[str]], labels: int = 0) -> Iterator[str]:
     for row in table:
         cells = zip(row, sides, widths, strict=False)
         yield "  ".join(f"{text:{side}{width}}" for text, side, width in cells)
-
-
-def find_place(error: BaseException) -> str:
-    """Name the innermost line of occmap that an error passed through."""
-    from traceback import walk_tb  # noqa: PLC0415  late: rarely needed
-
-    home = os.path.dirname(os.path.dirname(__file__))  # noqa: PTH120  as in cli
-    place = "?"
-    for frame, line in walk_tb(error.__traceback__):
-        path = frame.f_code.co_filename
-        if path.startswith(home):
-            place = f"occmap{path.removeprefix(home)}:{line}"
-    return place
 
 
 def put_line(text: str) -> None:

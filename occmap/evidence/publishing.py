@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 from occmap.cells import Evidence, Manifest, OccupancyMap
 from occmap.errors import UsageError
@@ -15,7 +14,7 @@ from occmap.evidence.persistence import check_passes, render_lasting
 from occmap.grid.framing import Framing, frame
 from occmap.grid.tiles import MAX_CELLS
 from occmap.remarks import list_disagreement, list_unreached
-from occmap.report import MapFacts, MapSummary, Report, describe_map
+from occmap.report import Build, MapFacts, MapSummary, Report, describe_map
 from occmap.sensor.models import SensorModel, describe_model
 from occmap.sensor.returns import ReturnCounts
 from occmap.store import rendering
@@ -40,14 +39,6 @@ class RenderOptions:
     """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
     overview: int | None = None
     """Make each pixel a square of so many cells, from the pictures in a store; None: a cell"""
-
-
-class Rendered(NamedTuple):
-    """A map of saved evidence, what there is to say of it, and the evidence to save again."""
-
-    map: OccupancyMap
-    report: Report
-    evidence: Evidence
 
 
 def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Report:
@@ -105,7 +96,7 @@ def refuse_unknown(path: Path, writer: ProductWriter, options: RenderOptions) ->
         raise UsageError(found, where=path, fix="leave out `overview`, or write a .png")
 
 
-def render_kept(saved: Saved, options: RenderOptions) -> Rendered:
+def render_kept(saved: Saved, options: RenderOptions) -> Build:
     """Render evidence, and write nothing.
 
     Raises
@@ -117,7 +108,8 @@ def render_kept(saved: Saved, options: RenderOptions) -> Rendered:
     model, manifest = choose_model(saved, options)
     grid, facts = paint_saved(saved, model, options)
     report = summarise(manifest, model, facts, options, outputs=())
-    return Rendered(grid, report, replace(read_all(saved), manifest=manifest))
+    evidence = replace(read_all(saved), manifest=manifest)
+    return Build(grid, report, to_grid(evidence), evidence)
 
 
 def choose_model(saved: Saved, options: RenderOptions) -> tuple[SensorModel, Manifest]:

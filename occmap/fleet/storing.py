@@ -24,8 +24,7 @@ from occmap.options import BuildOptions
 from occmap.pipeline import list_inputs, make_report
 from occmap.remarks import list_notes
 from occmap.report import MapFacts, Report, count_cells
-from occmap.store.blocks import Block, list_blocks
-from occmap.store.layout import BlockRecord
+from occmap.store.blocks import Block, BlockRecord, list_blocks
 from occmap.store.writing import create_store, finish_store, paint_block, write_block
 from occmap.tally import refuse_unseen, refuse_unused
 from occmap.writers.atomic import follow_links, publish_folder, refuse_unwritable

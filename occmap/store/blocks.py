@@ -52,6 +52,20 @@ class BlockContent:
     """Which logs observed something: places among the logs of all builds, one after the other"""
 
 
+class BlockRecord(NamedTuple):
+    """What the table of a store says of a block."""
+
+    block: Block
+    cells: int
+    """How many were observed"""
+    reach: CellBox
+    """The smallest box around them"""
+    sha256: str
+    """Digest of what was observed, however it is compressed"""
+    logs: tuple[int, ...]
+    """As in `BlockContent`"""
+
+
 NO_CONTENT = BlockContent(np.zeros((0, 2), np.int64), np.zeros((0, 2, TILE, TILE), np.int32))
 
 

@@ -16,25 +16,34 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from occmap.arrays import UInt8
 from occmap.cells import Evidence, Manifest, Slices
+from occmap.errors import MapError
 from occmap.evidence.manifest import MEANING
 from occmap.grid.lattice import CellBox
-from occmap.grid.tiles import EvidenceKind
 from occmap.plugins import need_extra
-from occmap.store.blocks import BLOCK, Block, BlockContent, split_evidence, spread_cells
-from occmap.writers.npz import pack_slices, unpack_slices
+from occmap.store.blocks import (
+    BLOCK,
+    Block,
+    BlockContent,
+    BlockRecord,
+    split_evidence,
+    spread_cells,
+)
+from occmap.writers.npz import compute_checksum, pack_slices, unpack_slices
 
 FORMAT, VERSION = "occmap store", 1
 LAYERS = {
-    EvidenceKind.COUNTS: ("hits", "misses"),
-    EvidenceKind.LOG_ODDS: ("log_odds", "observations"),
+    "counts": ("hits", "misses"),
+    "log_odds": ("log_odds", "observations"),
 }
-"""Names of the two arrays of numbers"""
+"""Names of the two arrays of numbers, by the kind of evidence"""
 TABLE = ("place", "cells", "reach", "sha256", "logs")
 """Arrays of the table of blocks"""
 
@@ -57,6 +66,26 @@ def find_place(block: Block, offset: tuple[int, int], side: int = 1) -> tuple[sl
     starts = [(at * BLOCK - first) // side for at, first in zip(block, offset, strict=True)]
     row, col = (slice(start, start + BLOCK // side) for start in starts)
     return row, col
+
+
+def make_head(manifest: Manifest, offset: tuple[int, int]) -> dict[str, Any]:
+    """Make what the attributes of a store say of it."""
+    head = {"format": FORMAT, "version": VERSION, "block": BLOCK, "offset": list(offset)}
+    return dict(json.loads(json.dumps(head | asdict(manifest), allow_nan=False)))
+
+
+def refuse_unfinished(path: Path, head: dict[str, Any]) -> None:
+    """Refuse a folder of which the attributes are not those of a whole store; raises MapError."""
+    if head.get("format") != FORMAT:
+        raise MapError("is a Zarr folder, but not evidence of occmap", where=path)
+    if head["version"] > VERSION:
+        found = f"{FORMAT} of version {head['version']}, while this occmap reads {VERSION}"
+        raise MapError(found, where=path, fix="use a newer occmap")
+    if not head.get("complete"):
+        found = "is not complete: what wrote it did not come to its end"
+        raise MapError(found, where=path, fix="build it again")
+    if head["checksum"] != compute_checksum(head, {}):
+        raise MapError("its attributes were altered", where=path, fix="build it again")
 
 
 def pack_layers(content: BlockContent) -> tuple[UInt8, list[dict[str, Any]]]:
@@ -97,20 +126,6 @@ def pack_arrays(arrays: Mapping[str, Any]) -> tuple[UInt8, list[dict[str, Any]]]
 def list_layers(content: BlockContent) -> list[tuple[int, Slices]]:
     """List the builds that observed something: the others do not change what a block is."""
     return [(build, each) for build, each in enumerate(content.slices) if len(each.numbers)]
-
-
-class BlockRecord(NamedTuple):
-    """What the table of a store says of a block."""
-
-    block: Block
-    cells: int
-    """How many were observed"""
-    reach: CellBox
-    """The smallest box around them"""
-    sha256: str
-    """Digest of what was observed, however it is compressed"""
-    logs: tuple[int, ...]
-    """As in `BlockContent`"""
 
 
 def describe_block(block: Block, content: BlockContent) -> BlockRecord:

@@ -12,30 +12,19 @@ from occmap.cells import Evidence, Manifest
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox
 from occmap.grid.slices import take
-from occmap.grid.tiles import INT32_LIMIT, TILE, EvidenceKind
+from occmap.grid.tiles import INT32_LIMIT, TILE
+from occmap.store import layout
 from occmap.store.blocks import (
     SIDE,
     Block,
     BlockContent,
+    BlockRecord,
     gather_tiles,
     join_contents,
     list_blocks,
     split_evidence,
 )
-from occmap.store.layout import (
-    FORMAT,
-    LAYERS,
-    TABLE,
-    VERSION,
-    BlockRecord,
-    find_place,
-    hash_content,
-    hash_table,
-    import_zarr,
-    read_table,
-    unpack_layers,
-)
-from occmap.writers.npz import compute_checksum, read_evidence
+from occmap.writers.npz import read_evidence
 from occmap.writers.soundness import list_faults, list_manifest_faults, refuse_damage, refuse_faults
 
 
@@ -100,17 +89,17 @@ def open_store(path: Path) -> Store:
     if not (path / "zarr.json").is_file():
         fix = "build one with `outputs=map.zarr`"
         raise MapError("is not a store of evidence", where=path, fix=fix)
-    zarr = import_zarr()
+    zarr = layout.import_zarr()
     with refuse_damage(path):
         root = zarr.open_group(path, mode="r", zarr_format=3)
         head = root.attrs.get("occmap", {})
-        refuse_unfinished(path, head)
+        layout.refuse_unfinished(path, head)
         manifest = Manifest.from_json(head)
         refuse_faults(path, list_manifest_faults(manifest))
-        table = {name: root[f"blocks/{name}"][...] for name in TABLE}
-        if head["table"] != hash_table(table):
+        table = {name: root[f"blocks/{name}"][...] for name in layout.TABLE}
+        if head["table"] != layout.hash_table(table):
             raise MapError("its table of blocks was altered", where=path, fix="build it again")
-        records = {record.block: record for record in read_table(table)}
+        records = {record.block: record for record in layout.read_table(table)}
         row, col = head["offset"]
 
     def read_block(block: Block) -> BlockContent:
@@ -119,20 +108,6 @@ def open_store(path: Path) -> Store:
     reach = {block: record.reach for block, record in records.items()}
     lies = path, (row, col), root
     return Store(manifest, str(path), reach, read_block, *lies, head["digest"], records)
-
-
-def refuse_unfinished(path: Path, head: dict[str, Any]) -> None:
-    """Refuse a folder that is no store, or is not complete; raises MapError."""
-    if head.get("format") != FORMAT:
-        raise MapError("is a Zarr folder, but not evidence of occmap", where=path)
-    if head["version"] > VERSION:
-        found = f"{FORMAT} of version {head['version']}, while this occmap reads {VERSION}"
-        raise MapError(found, where=path, fix="use a newer occmap")
-    if not head.get("complete"):
-        found = "is not complete: what wrote it did not come to its end"
-        raise MapError(found, where=path, fix="build it again")
-    if head["checksum"] != compute_checksum(head, {}):
-        raise MapError("its attributes were altered", where=path, fix="build it again")
 
 
 def read_stored(path: Path, root: Any, manifest: Manifest, record: BlockRecord) -> BlockContent:
@@ -145,15 +120,15 @@ def read_stored(path: Path, root: Any, manifest: Manifest, record: BlockRecord) 
     """
     row, col = record.block
     with refuse_damage(path):
-        place = find_place(record.block, root.attrs["occmap"]["offset"])
-        whole = np.stack([root[name][place] for name in LAYERS[EvidenceKind(manifest.kind)]])
+        place = layout.find_place(record.block, root.attrs["occmap"]["offset"])
+        whole = np.stack([root[name][place] for name in layout.LAYERS[manifest.kind]])
         tiles, numbers = gather_tiles(whole, row * SIDE, col * SIDE)
         array = root[f"slices/{row}.{col}"]
-        slices = unpack_layers(array[:], array.attrs["arrays"], len(manifest.builds))
+        slices = layout.unpack_layers(array[:], array.attrs["arrays"], len(manifest.builds))
         fits = numbers.min(initial=0) >= -INT32_LIMIT and numbers.max(initial=0) <= INT32_LIMIT
         cells: Int64 = numbers.astype(np.int32) if fits else numbers
         content = BlockContent(tiles, cells, slices, record.logs)
-    if hash_content(content) != record.sha256:
+    if layout.hash_content(content) != record.sha256:
         found = f"its block ({row}, {col}) was altered or a file of it is missing"
         raise MapError(found, where=path, fix="build it again")
     refuse_faults(path, list_faults(Evidence(manifest, tiles, numbers, slices)))

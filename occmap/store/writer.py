@@ -6,9 +6,8 @@ from pathlib import Path
 
 from occmap.cells import Evidence, Manifest
 from occmap.evidence.manifest import list_files
-from occmap.grid.tiles import EvidenceKind
-from occmap.store.blocks import BLOCK, Block, BlockContent
-from occmap.store.layout import LAYERS, BlockRecord, describe_block, import_zarr
+from occmap.store import layout
+from occmap.store.blocks import BLOCK, Block, BlockContent, BlockRecord
 from occmap.store.reading import Blocks, Store, as_blocks, open_store
 from occmap.store.writing import create_store, finish_store, paint_block, write_block
 from occmap.writers.atomic import make_folder, refuse_unwritable
@@ -21,7 +20,7 @@ class ZarrWriter:
 
     def targets(self, path: Path) -> tuple[Path, ...]:
         """Return the folder."""
-        import_zarr()
+        layout.import_zarr()
         return (path,)
 
     def owns(self, path: Path) -> bool:
@@ -70,7 +69,7 @@ def put_block(folder: Path, base: Store | None, block: Block, content: BlockCont
         It cannot be written.
     """
     if base and block in base.blocks:
-        record = describe_block(block, content)
+        record = layout.describe_block(block, content)
         if record.sha256 == base.records[block].sha256 and share_block(base, folder, block):
             return record
     return write_block(folder, block, content)
@@ -84,8 +83,8 @@ def share_block(base: Store, path: Path, block: Block) -> bool:
     OutputError
         It cannot be written.
     """
-    root = import_zarr().open_group(path, mode="r")
-    names = LAYERS[EvidenceKind(base.manifest.kind)]
+    root = layout.import_zarr().open_group(path, mode="r")
+    names = layout.LAYERS[base.manifest.kind]
     if any(base.root[name].metadata.codecs != root[name].metadata.codecs for name in names):
         return False
     old, new = (

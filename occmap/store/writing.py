@@ -1,36 +1,22 @@
 """How a store is made: created, written block by block by whoever has one, and finished."""
 
-import json
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from occmap.arrays import Int64, UInt8
-from occmap.cells import Manifest, OccupancyMap
+from occmap.cells import Evidence, Manifest, OccupancyMap
 from occmap.errors import OutputError
-from occmap.evidence import paint_box
-from occmap.grid.lattice import CellBox, Lattice
+from occmap.evidence import paint_box, to_grid
+from occmap.grid.lattice import CellBox
 from occmap.grid.spec import find_unit
-from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, add_stack
+from occmap.grid.tiles import TILE, TileGrid
 from occmap.sensor.models import parse_model
-from occmap.store.blocks import BLOCK, Block, BlockContent, gather_tiles, spread_cells
-from occmap.store.layout import (
-    FORMAT,
-    LAYERS,
-    VERSION,
-    BlockRecord,
-    compute_digest,
-    describe_block,
-    find_place,
-    hash_table,
-    import_zarr,
-    make_table,
-    pack_layers,
-)
+from occmap.store import layout
+from occmap.store.blocks import BLOCK, Block, BlockContent, BlockRecord, gather_tiles, spread_cells
 from occmap.writers.atomic import refuse_unwritable
 from occmap.writers.npz import compute_checksum
 
@@ -42,12 +28,6 @@ OVERVIEW = 16
 """There is always a picture of squares with this side, as that of a city is read at once"""
 LEVEL_CELLS = 1024
 """The longest side of the coarsest picture, and the side of a shard of several blocks (pixels)"""
-
-
-def make_head(manifest: Manifest, offset: tuple[int, int]) -> dict[str, Any]:
-    """Make what the attributes of a store say of it."""
-    head = {"format": FORMAT, "version": VERSION, "block": BLOCK, "offset": list(offset)}
-    return dict(json.loads(json.dumps(head | asdict(manifest), allow_nan=False)))
 
 
 def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
@@ -67,7 +47,7 @@ def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
     OutputError
         The folder exists, or it cannot be written.
     """
-    zarr = import_zarr()
+    zarr = layout.import_zarr()
     if path.exists():
         raise OutputError("exists already", where=path, fix="give another name, or remove it")
     corners = np.array(list(blocks) or [Block(0, 0)])
@@ -75,8 +55,8 @@ def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
     shape = tuple((high - low).tolist())
     unit = find_unit(plan.update)
     with refuse_unwritable(path):
-        root = zarr.create_group(path, attributes={"occmap": make_head(plan, low.tolist())})
-        for name in LAYERS[EvidenceKind(plan.kind)]:
+        root = zarr.create_group(path, attributes={"occmap": layout.make_head(plan, low.tolist())})
+        for name in layout.LAYERS[plan.kind]:
             meaning = {"of_one_observation": unit}
             add_picture(root, name, shape, BLOCK, dtype=np.int64, attributes=meaning)
         for name, first, size in zip("yx", low.tolist(), shape, strict=True):
@@ -90,7 +70,7 @@ def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
 
 def make_codec() -> Any:
     """Make what compresses all arrays."""
-    return import_zarr().codecs.BloscCodec(cname="zstd", clevel=5, shuffle="shuffle")
+    return layout.import_zarr().codecs.BloscCodec(cname="zstd", clevel=5, shuffle="shuffle")
 
 
 def add_picture(group: Any, name: str, shape: tuple[int, ...], side: int, **others: Any) -> Any:
@@ -132,7 +112,7 @@ def add_list(group: Any, name: str, values: Any, attributes: dict[str, Any]) -> 
 @contextmanager
 def edit_store(path: Path) -> Iterator[Any]:
     """Open the group of a store to write to it; raises OutputError where that fails."""
-    zarr = import_zarr()
+    zarr = layout.import_zarr()
     with refuse_unwritable(path):
         yield zarr.open_group(path, mode="r+")
 
@@ -145,15 +125,15 @@ def write_block(path: Path, block: Block, content: BlockContent) -> BlockRecord:
     OutputError
         It cannot be written.
     """
-    data, layout = pack_layers(content)
+    data, arrays = layout.pack_layers(content)
     with edit_store(path) as root:
         head = root.attrs["occmap"]
-        place = find_place(block, head["offset"])
-        names = LAYERS[EvidenceKind(head["kind"])]
+        place = layout.find_place(block, head["offset"])
+        names = layout.LAYERS[head["kind"]]
         for name, numbers in zip(names, spread_cells(block, content), strict=True):
             root[name][place] = numbers
-        add_list(root["slices"], f"{block.row}.{block.col}", data, {"arrays": layout})
-    return describe_block(block, content)
+        add_list(root["slices"], f"{block.row}.{block.col}", data, {"arrays": arrays})
+    return layout.describe_block(block, content)
 
 
 def paint_block(path: Path, block: Block, keep: bool = True) -> tuple[TileGrid, OccupancyMap]:
@@ -174,22 +154,21 @@ def paint_block(path: Path, block: Block, keep: bool = True) -> tuple[TileGrid, 
         grid = read_around(root, head, block.box)
         made = paint_box(grid, parse_model(head["model"]), block.box)
         for side in FINE_LEVELS if keep else ():
-            place = find_place(block, head["offset"], side)
+            place = layout.find_place(block, head["offset"], side)
             root["classes"][str(side)][place] = reduce_classes(made.classes, side)
     return grid, made
 
 
 def read_around(root: Any, head: dict[str, Any], box: CellBox) -> TileGrid:
     """Read the tiles of a box, which begins and ends with tiles, and those beside it."""
-    kind, (row, col) = EvidenceKind(head["kind"]), head["offset"]
-    first, second = (root[name] for name in LAYERS[kind])
+    row, col = head["offset"]
+    first, second = (root[name] for name in layout.LAYERS[head["kind"]])
     whole = CellBox(row, col, row + first.shape[0], col + first.shape[1])
     part = whole.clip(box.grow(TILE))
     place = part.within(whole)
     cells: Int64 = np.stack([first[place], second[place]])
-    grid = TileGrid(Lattice(head["resolution"]), kind, find_unit(head["update"]))
-    add_stack(grid, *gather_tiles(cells, part.row // TILE, part.col // TILE))
-    return grid
+    tiles = gather_tiles(cells, part.row // TILE, part.col // TILE)
+    return to_grid(Evidence(Manifest.from_json(head), *tiles))
 
 
 def reduce_classes(classes: UInt8, side: int) -> UInt8:
@@ -216,15 +195,20 @@ def finish_store(path: Path, manifest: Manifest, records: Iterable[BlockRecord])
         It cannot be written.
     """
     known = sorted(records)
-    table = make_table(known)
+    table = layout.make_table(known)
     with edit_store(path) as root:
-        head = make_head(manifest, root.attrs["occmap"]["offset"])
-        add_coarse_levels(root, [find_place(record.block, head["offset"]) for record in known])
+        head = layout.make_head(manifest, root.attrs["occmap"]["offset"])
+        add_coarse_levels(
+            root, [layout.find_place(record.block, head["offset"]) for record in known]
+        )
         blocks = root.require_group("blocks")
         for name, values in table.items():
             add_list(blocks, name, values, {})
         digests = {record.block: record.sha256 for record in known}
-        head |= {"digest": compute_digest(manifest, digests), "table": hash_table(table)}
+        head |= {
+            "digest": layout.compute_digest(manifest, digests),
+            "table": layout.hash_table(table),
+        }
         head["complete"] = True
         root.attrs["occmap"] = {**head, "checksum": compute_checksum(head, {})}
     return str(head["digest"])

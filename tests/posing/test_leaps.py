@@ -14,9 +14,10 @@ from occmap import batching
 from occmap.batching import Batcher, Selection
 from occmap.inspection import inspect
 from occmap.options import BuildOptions
-from occmap.pipeline import Build, build
+from occmap.pipeline import build
 from occmap.posing.leaps import LONG_ROW_STEPS, MOST_SCANS
 from occmap.posing.options import PosingOptions
+from occmap.report import Build
 from occmap.types import Pose, Scan, ScanBatch
 from tests.posing.scenes import at, attach, batch_at, bolted, drive
 from tests.posing.scenes import build as make_poser

@@ -103,16 +103,22 @@ def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
     with show_progress(console) as progress:
         report = hide_caught(run_build(logs, chosen, values, progress))
     console.note(*report.notes)
+    seconds = perf_counter() - start
+    rate = report.scans.used / max(seconds, 1e-9)
+    # What took long; the stages of several threads add up.
+    stages = ", ".join(f"{name} {spent:.2f}" for name, spent in report.seconds.items())
     rows = [
         *tell_map(report.map),
         *tell_scans(report),
         tell_beams(report),
-        ("time", describe_time(report, perf_counter() - start)),
+        ("time", f"{seconds:.2f} s, {rate:,.0f} scans/s ({stages})"),
         *label_first("files", report.files),
     ]
     failed = limits.answer(console, "build", report, write_rows(rows), values)
-    if values["strict"]:
-        refuse_damage(report)
+    if values["strict"] and report.damage:
+        first, *others = report.damage
+        more = f"; {len(others)} more" if others else ""
+        raise LogError(f"{first} (--strict{more})", fix="the map was written")
     limits.leave(failed)
 
 
@@ -171,24 +177,3 @@ def run_build(
     from occmap.fleet.storing import build_store  # noqa: PLC0415  late: it brings zarr
 
     return build_store(fleet, logs, chosen, outputs[0], progress)
-
-
-def describe_time(report: Report, seconds: float) -> str:
-    """Say how long it took, and what took long; the stages of several threads add up."""
-    rate = report.scans.used / max(seconds, 1e-9)
-    stages = ", ".join(f"{name} {spent:.2f}" for name, spent in report.seconds.items())
-    return f"{seconds:.2f} s, {rate:,.0f} scans/s ({stages})"
-
-
-def refuse_damage(report: Report) -> None:
-    """Fail where a log is damaged.
-
-    Raises
-    ------
-    LogError
-        Naming the first note of it.
-    """
-    if report.damage:
-        first, *others = report.damage
-        more = f"; {len(others)} more" if others else ""
-        raise LogError(f"{first} (--strict{more})", fix="the map was written")

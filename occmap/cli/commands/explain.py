@@ -78,18 +78,13 @@ def command(console: Console, /, path: Path, **values: Any) -> None:
     console.note(*explanation.notes)
     if values["as_json"]:
         console.put_json("explain", explanation.to_json())
-    else:
-        console.put(format_explanation(explanation, with_scans=bool(values["logs"])))
-
-
-def format_explanation(explanation: Explanation, with_scans: bool) -> Iterator[str]:
-    """Write all that was found; the scans only where logs were looked through for them."""
+        return
     rows = [*list_cell(explanation)]
     if explanation.digest:
         rows.append(("digest", explanation.digest))
-    if with_scans:
+    if values["logs"]:
         rows += list_scans(explanation)
-    return write_rows(rows)
+    console.put(write_rows(rows))
 
 
 def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
@@ -114,7 +109,13 @@ def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
     else:
         yield "", "nor any other: the evidence is empty"
     if any(each.observations for row in explanation.around for each in row):
-        yield from list_around(explanation)
+        names = "hits/misses" if seen.kind is EvidenceKind.COUNTS else "log-odds/observations"
+        table = [
+            ["/".join(split_pair(each, explanation)) if any(each.numbers) else "-" for each in row]
+            for row in explanation.around
+        ]
+        lines = [f"{names} of the cells beside it, y upwards", *align(table)]
+        yield from label_first("around", lines)
 
 
 def list_builds(explanation: Explanation) -> Iterator[tuple[str, str]]:
@@ -134,17 +135,6 @@ def describe_visits(visits: Visits) -> str:
     if visits.hit_visits is not None:
         found = f"hit on {visits.hit_visits:,} of {found}"
     return f"{found}, between {write_time(visits.since_ns)} and {write_time(visits.until_ns)}"
-
-
-def list_around(explanation: Explanation) -> Iterator[tuple[str, str]]:
-    """Write the cell and its eight neighbours as they lie on a map, y upwards."""
-    counts = explanation.seen.kind is EvidenceKind.COUNTS
-    names = "hits/misses" if counts else "log-odds/observations"
-    table = [
-        tuple("/".join(split_pair(each, explanation)) if any(each.numbers) else "-" for each in row)
-        for row in explanation.around
-    ]
-    yield from label_first("around", [f"{names} of the cells beside it, y upwards", *align(table)])
 
 
 def split_pair(seen: Seen, explanation: Explanation) -> tuple[str, str]:
