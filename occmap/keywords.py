@@ -108,7 +108,11 @@ def read_option(name: str, hint: Any, value: Any) -> Any:
         return None
     hint = drop_none(hint)
     if isinstance(hint, EnumType):
-        return _read_member(name, cast(type[StrEnum], hint), value)
+        kind = cast(type[StrEnum], hint)
+        if value not in (known := [member.value for member in kind]):
+            fix = suggest(str(value), known, "help(occmap.build_map)")
+            raise UsageError(f"{name} is {value!r}", fix=fix)
+        return kind(value)
     has_several = hint not in FORMS
     read, form = find_form(name, hint)
     try:
@@ -125,14 +129,6 @@ def read_option(name: str, hint: Any, value: Any) -> Any:
 def find_form(name: str, hint: Any) -> tuple[Callable[[Any], Any], str]:
     """Find how the value of an option, or each of several, is read, and what to give."""
     return FORMS.get(name) or FORMS[hint if hint in FORMS else get_args(hint)[0]]
-
-
-def _read_member(name: str, kind: type[StrEnum], value: Any) -> StrEnum:
-    known = [member.value for member in kind]
-    if value not in known:
-        fix = suggest(str(value), known, "help(occmap.build_map)")
-        raise UsageError(f"{name} is {value!r}", fix=fix)
-    return kind(value)
 
 
 def _refuse_degrees(angles: Iterable[float]) -> None:

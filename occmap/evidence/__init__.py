@@ -15,14 +15,8 @@ from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
 from occmap.grid.spec import find_unit
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid, add_stack, refuse_large
-from occmap.sensor.models import (
-    Clamped,
-    RadialModel,
-    SensorModel,
-    Spreading,
-    find_decision,
-    parse_model,
-)
+from occmap.sensor import models
+from occmap.sensor.models import SensorModel, find_decision, parse_model
 
 Weigh: TypeAlias = Callable[[Float64, Float64], Float64]
 """Takes hits and misses, or log-odds and observations; gives log-odds"""
@@ -52,25 +46,24 @@ def paint_box(grid: TileGrid, model: SensorModel, box: CellBox) -> OccupancyMap:
 
 def choose_tiles(grid: TileGrid, model: SensorModel) -> TileGrid:
     """Choose what a model reads: the grid as it is, or with its hits spread."""
-    if isinstance(model, Spreading) and model.spread > 0:
+    if isinstance(model, models.Spreading) and model.spread > 0:
         return SpreadHits(grid, model.spread)
     return grid
 
 
 def weigh(model: SensorModel) -> Weigh:
     """Make the function that turns the two numbers of observed cells (N,) into log-odds."""
-    add_up = add_radial(model.prior) if isinstance(model, RadialModel) else model.log_odds
-    if not isinstance(model, Clamped):
+    start = to_log_odds(model.prior)
+
+    def add_radial(log_odds: Float64, observations: Float64) -> Float64:
+        return start + log_odds * LOG_ODDS_UNIT - observations * start
+
+    add_up = add_radial if isinstance(model, models.RadialModel) else model.log_odds
+    if not isinstance(model, models.Clamped):
         return add_up
     low = to_log_odds(model.clamp_min) if model.clamp_min > 0 else -math.inf
     high = to_log_odds(model.clamp_max) if model.clamp_max < 1 else math.inf
     return lambda first, second: np.clip(add_up(first, second), low, high)
-
-
-def add_radial(prior: float) -> Weigh:
-    """Make the function that adds the prior to evidence in log-odds."""
-    start = to_log_odds(prior)
-    return lambda log_odds, observations: start + log_odds * LOG_ODDS_UNIT - observations * start
 
 
 class Described(Protocol):

@@ -16,13 +16,7 @@ from occmap.evidence.manifest import MEANING, list_inputs
 from occmap.grid.slices import restrict
 from occmap.grid.tiles import EvidenceKind, TileGrid, add_stack, drop_empty, stack_tiles, view_tiles
 from occmap.sensor.models import SensorModel
-from occmap.store.blocks import (
-    NO_CONTENT,
-    Block,
-    BlockContent,
-    join_contents,
-    list_observing_logs,
-)
+from occmap.store.blocks import NO_CONTENT, Block, BlockContent, join_contents, list_observing_logs
 from occmap.store.reading import Blocks, Saved, as_blocks, open_saved
 
 

@@ -15,10 +15,10 @@ from occmap.grid.framing import Framing, frame
 from occmap.grid.tiles import MAX_CELLS
 from occmap.remarks import list_disagreement, list_unreached
 from occmap.report import Build, MapFacts, MapSummary, Report, describe_map
-from occmap.sensor.models import SensorModel, describe_model
+from occmap.sensor.models import SensorModel, describe_model, parse_model
 from occmap.sensor.returns import ReturnCounts
 from occmap.store import rendering
-from occmap.store.reading import Saved, Store, as_blocks, read_all
+from occmap.store.reading import Blocks, Saved, Store, as_blocks, read_all
 from occmap.store.writer import ZarrWriter
 from occmap.tally import ScanCounts
 from occmap.writers import Product, ProductWriter, WindowWriter, WriteOptions
@@ -52,32 +52,30 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
         As `render_kept`, or an output cannot be written.
     """
     check_outputs(outputs)
-    writers = list(map(find_writer, outputs))
-    for path, writer in zip(outputs, writers, strict=True):
+    writers = [(path, find_writer(path)) for path in outputs]
+    for path, writer in writers:
         if isinstance(writer, ProductWriter):
             refuse_unknown(path, writer, options)
     model, manifest = choose_model(saved, options)
-    in_parts = all(isinstance(writer, ZarrWriter | WindowWriter) for writer in writers)
     grid: OccupancyMap | rendering.BlockMap
-    if isinstance(saved, Evidence) or options.overview or not in_parts:
+    is_whole = not all(isinstance(writer, ZarrWriter | WindowWriter) for _, writer in writers)
+    if isinstance(saved, Evidence) or options.overview or is_whole:
         grid, facts = paint_saved(saved, model, options)
     else:
-        grid = rendering.open_map(
-            rendering.View.of(saved, model, options.min_passes), options.framing
-        )
+        grid = open_blocks(saved, model, options)
         facts = rendering.survey_blocks(grid, options.writing)
-    report = summarise(manifest, model, facts, options, outputs)
+    report = summarise(manifest, facts, options, outputs)
     keep = cache(lambda: replace(read_all(saved), manifest=manifest))
-    files: list[str] = []
-    for path, writer in zip(outputs, writers, strict=True):
+    files: list[Path] = []
+    for path, writer in writers:
         if isinstance(writer, ZarrWriter):
-            files += map(str, writer.write_blocks(path, as_blocks(saved), manifest))
+            files += writer.write_blocks(path, as_blocks(saved), manifest)
         elif isinstance(writer, WindowWriter):
-            files += map(str, writer.write(path, grid, options.writing))
+            files += writer.write(path, grid, options.writing)
         elif isinstance(grid, OccupancyMap):
             product = Product(grid, keep, report=report)
-            files += write_outputs([path], product, options.writing)
-    return replace(report, files=tuple(files))
+            files += map(Path, write_outputs([path], product, options.writing))
+    return replace(report, files=tuple(map(str, files)))
 
 
 def refuse_unknown(path: Path, writer: ProductWriter, options: RenderOptions) -> None:
@@ -107,9 +105,8 @@ def render_kept(saved: Saved, options: RenderOptions) -> Build:
     """
     model, manifest = choose_model(saved, options)
     grid, facts = paint_saved(saved, model, options)
-    report = summarise(manifest, model, facts, options, outputs=())
     evidence = replace(read_all(saved), manifest=manifest)
-    return Build(grid, report, to_grid(evidence), evidence)
+    return Build(grid, summarise(manifest, facts, options), to_grid(evidence), evidence)
 
 
 def choose_model(saved: Saved, options: RenderOptions) -> tuple[SensorModel, Manifest]:
@@ -137,6 +134,7 @@ def paint_saved(
         Nothing is left of it, it would be too large, or there is no such overview.
     """
     framing, most = options.framing, options.max_cells
+    lost: Sequence[str] = ()
     if options.overview is not None:
         if not isinstance(saved, Store):
             raise UsageError("`overview` goes with a store", where=saved.where, fix="leave it out")
@@ -146,25 +144,26 @@ def paint_saved(
             )
             raise UsageError(found, fix="leave out `overview`, or the model and `min_passes`")
         shown = rendering.read_overview(saved, options.overview, framing, most)
-        lost: list[str] = []
     elif isinstance(saved, Evidence):
         grid, lost = render_lasting(to_grid(saved), saved.slices, options.min_passes, model, most)
         lost = [*saved.notes, *lost]
         shown = frame(grid, framing, model.prior, most)
     else:
-        view = rendering.View.of(saved, model, options.min_passes)
-        shown, lost = rendering.render_blocks(rendering.open_map(view, framing), most)
+        shown, lost = rendering.render_blocks(open_blocks(saved, model, options), most)
     return shown, describe_map(shown, options.writing)._replace(lost=lost)
 
 
+def open_blocks(saved: Blocks, model: SensorModel, options: RenderOptions) -> rendering.BlockMap:
+    """Find out what cells a map of blocks covers; raises MapError where there is none."""
+    view = rendering.View.of(saved, model, options.min_passes)
+    return rendering.open_map(view, options.framing)
+
+
 def summarise(
-    manifest: Manifest,
-    model: SensorModel,
-    facts: MapFacts,
-    options: RenderOptions,
-    outputs: Sequence[Path],
+    manifest: Manifest, facts: MapFacts, options: RenderOptions, outputs: Sequence[Path] = ()
 ) -> Report:
-    """Sum up all builds of evidence, and the map that was made of it."""
+    """Sum up all builds of evidence, and the map that was made of it by the manifest's model."""
+    model = options.model or parse_model(manifest.model)
     beams = [build["scans"]["beams"] for build in manifest.builds]
     # An older occmap may have counted fewer kinds of beams, or others.
     kinds = {kind: sum(each.get(kind, 0) for each in beams) for kind in ReturnCounts._fields}
@@ -188,8 +187,8 @@ def summarise(
 def sum_scans(builds: Sequence[BuildRecord]) -> ScanCounts:
     """Add up what became of the scans of builds."""
     scans = [build["scans"] for build in builds]
-    read, used = (sum(each[name] for each in scans) for name in ("read", "used"))
     dropped: Counter[str] = Counter()
     for each in scans:
         dropped.update(each["dropped"])
+    read, used = (sum(each[name] for each in scans) for name in ("read", "used"))
     return ScanCounts(read, used, dict(dropped))

@@ -24,14 +24,7 @@ from occmap.evidence.manifest import UNRECORDED, list_files, write_value
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
 from occmap.fleet.runs import BlockJob, Piece, Setting, read_pieces, reduce_block
 from occmap.fleet.settling import LogTrace
-from occmap.fleet.tasks import (
-    Survey,
-    SurveyJob,
-    Traced,
-    count_in_window,
-    survey_log,
-    trace_part,
-)
+from occmap.fleet.tasks import Survey, SurveyJob, Traced, count_in_window, survey_log, trace_part
 from occmap.grid.slices import unite
 from occmap.grid.tiles import view_tiles
 from occmap.observing import Keep, Observed, Progress
@@ -128,7 +121,6 @@ class Fleet:
                     tally.add(part.tally)
                     for block, pieces in part.pieces.items():
                         blocks[block][place] += pieces
-                remarks.notes += log.list_uncut()
             yield Work(cluster, setting, tally, remarks, blocks)
 
 

@@ -42,18 +42,15 @@ class LogTrace:
         return [self.traced[job.name] for job in self.jobs]
 
     def list_findings(self) -> list[str]:
-        """List what there is to say of its poses, scans and ranges."""
-        ranges = self.limits.list_notes() if self.limits else ()
-        first = self.parts[0]
-        return [*(first.notes if len(self.parts) == 1 else list_lasting(first)), *ranges]
-
-    def list_uncut(self) -> Iterator[str]:
-        """Say that the log is one task, though much larger than asked for."""
+        """List what there is to say of its poses, scans and ranges, and of how it was traced."""
+        first, ranges = self.parts[0], self.limits.list_notes() if self.limits else ()
+        found = [*(first.notes if len(self.parts) == 1 else list_lasting(first)), *ranges]
         if self.survey.parts == 1 and self.survey.bytes > 2 * self.jobs[0].setting.slice_bytes:
-            yield (
-                f"{self.survey.path}: is traced by one worker, since it cannot be cut: it is "
-                "packed, its index is missing, or another's reader reads it"
+            found.append(
+                "is traced by one worker, since it cannot be cut: it is packed, its index is "
+                "missing, or another's reader reads it"
             )
+        return found
 
     def list_open(self) -> Iterator[TraceJob]:
         """List what is to be traced next; nothing where the log is done."""

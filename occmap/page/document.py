@@ -11,7 +11,6 @@ from platform import python_version
 from typing import Any, Literal
 
 from occmap.command import spell_flags
-from occmap.plugins import need_extra
 from occmap.wording import join_names, name_stdin
 from occmap.writers.atomic import open_atomic
 
@@ -70,19 +69,6 @@ class Page:
     subtitle: str
     sections: Sequence[Section]
     stage: Stage | None = None
-
-
-def require_bokeh(path: Path) -> None:
-    """Find out before the work starts whether a page can be made.
-
-    Raises
-    ------
-    UsageError
-        Bokeh is not installed.
-    """
-    with need_extra("report", "a page is drawn by Bokeh", where=path):
-        import bokeh  # noqa: F401, PLC0415  an extra
-        import jinja2  # noqa: F401, PLC0415  likewise
 
 
 def write_page(path: Path, page: Page) -> None:

@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from occmap.page.document import require_bokeh, write_page
+from occmap.page.document import write_page
+from occmap.plugins import need_extra
 from occmap.writers import OneFile, Product, WriteOptions
 
 
@@ -20,7 +21,9 @@ class HtmlWriter(OneFile):
         UsageError
             Bokeh, which is an extra, is not installed.
         """
-        require_bokeh(path)
+        with need_extra("report", "a page is drawn by Bokeh", where=path):
+            import bokeh  # noqa: F401, PLC0415  an extra
+            import jinja2  # noqa: F401, PLC0415  likewise
         return super().targets(path)
 
     def write_product(

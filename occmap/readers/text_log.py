@@ -124,11 +124,7 @@ def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
     ValueError
         So many words are written in unusual ways that it is as quick to parse lines one by one.
     """
-    from occmap.readers.kernels.decimals import (  # noqa: PLC0415  late: it brings numba
-        Filled,
-        Lines,
-        parse_rows,
-    )
+    from occmap.readers.kernels.decimals import Filled, Lines, parse_rows  # noqa: PLC0415  late: it brings numba
 
     words, separator, kinds = pattern
     same = b"".join(words[at] + separator for at in np.flatnonzero(kinds == SAME).tolist())

@@ -153,19 +153,6 @@ class Product:
     inspect: Callable[[], Any] | None = None
     """Finds what `occmap check` does, as an `Inspection`; it reads the logs once more"""
 
-    def take_journey(self, path: Path) -> Journey:
-        """Where the robot went, for a file of that.
-
-        Raises
-        ------
-        UsageError
-            It is not known.
-        """
-        if self.journey is None:
-            found = "the map does not say where the robot went, only its logs do"
-            raise UsageError(found, where=path, fix="name this file among the outputs of the build")
-        return self.journey
-
 
 @runtime_checkable
 class ProductWriter(Format, Protocol):

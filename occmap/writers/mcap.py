@@ -22,12 +22,13 @@ from rosbags.rosbag2.metadata import dump_qos_v8
 from rosbags.typesys import Stores, get_typestore
 
 from occmap.arrays import Float64
-from occmap.cells import OccupancyMap
+from occmap.cells import CellClass, OccupancyMap
 from occmap.writers import MapMode, OneFile, Product, WriteOptions
 from occmap.writers.atomic import open_atomic
 
 MAP_FRAME = "map"
-UNKNOWN = -1
+CELLS = np.array([-1, 0, 100], np.int8)
+"""Of each CellClass"""
 LAST_NS = (2**31 - 1) * 10**9
 """A ROS time has 32 bits for its seconds."""
 EVER = interfaces.QosTime(2147483647, 4294967295)
@@ -116,14 +117,10 @@ def fill_cells(grid: OccupancyMap, options: WriteOptions) -> NDArray[np.int8]:
     In raw mode, and in scale mode, which nav2 stretches between the thresholds, it is the
     probability in per cent.
     """
-    cells = np.full(grid.shape, UNKNOWN, np.int8)
     if options.mode is MapMode.TRINARY:
-        decided = replace(grid, decision=options.decide(grid.decision))
-        cells[decided.free] = 0
-        cells[decided.occupied] = 100
-    else:
-        cells[grid.observed] = np.rint(100 * grid.probability[grid.observed])
-    return cells
+        return CELLS[replace(grid, decision=options.decide(grid.decision)).classes]
+    percent = np.rint(100 * grid.probability)
+    return np.where(grid.observed, percent, CELLS[CellClass.NEITHER]).astype(np.int8)
 
 
 def make_header(frame: str, stamp_ns: Any) -> Any:

@@ -18,7 +18,9 @@ from occmap.cells import Decision, OccupancyMap
 from occmap.writers import MapMode, WriteOptions, bands_from_top
 from occmap.writers.atomic import open_atomic
 
-OCCUPIED, UNKNOWN, FREE = 0, 205, 254
+UNKNOWN, FREE, OCCUPIED = 205, 254, 0
+GREYS = np.array([UNKNOWN, FREE, OCCUPIED], np.uint8)
+"""Of each CellClass"""
 SCALE_UNKNOWN = 127
 """nav2's grey for unknown in scale mode. PGM has no transparency to tell it from a measured 0.5."""
 RAW_UNKNOWN = 255
@@ -46,8 +48,8 @@ class PgmWriter:
             One of them cannot be written; then neither is left behind.
         """
         image_path, yaml_path = self.targets(path)
-        painters = {MapMode.TRINARY: _trinary, MapMode.SCALE: _scale, MapMode.RAW: to_raw}
-        to_pixels = painters[options.mode]
+        painters = {MapMode.SCALE: _scale, MapMode.RAW: to_raw}
+        to_pixels = painters.get(options.mode, lambda band: GREYS[band.classes])
         # The image is renamed first: a YAML never names an image that is not there.
         with open_atomic(image_path, yaml_path) as (image, yaml):
             rows, cols = grid.shape
@@ -83,13 +85,6 @@ def written_thresholds(options: WriteOptions) -> tuple[float, float]:
     if options.mode is not MapMode.TRINARY:
         return occupied, free
     return min(max(occupied, 0.2), 0.99), min(max(free, 0.01), 0.196)
-
-
-def _trinary(grid: OccupancyMap) -> UInt8:
-    pixels = np.full(grid.shape, UNKNOWN, np.uint8)
-    pixels[grid.free] = FREE
-    pixels[grid.occupied] = OCCUPIED
-    return pixels
 
 
 def _scale(grid: OccupancyMap) -> UInt8:

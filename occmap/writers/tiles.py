@@ -17,13 +17,10 @@ from occmap.arrays import UInt8
 from occmap.cells import CellClass
 from occmap.writers import OneFile, Windows, WriteOptions
 from occmap.writers.atomic import make_folder
-from occmap.writers.pgm import FREE, OCCUPIED, UNKNOWN, describe_map, write_yaml
+from occmap.writers.pgm import GREYS, describe_map, write_yaml
 
 TILE_PIXELS = 1024
 """Along the side of a tile, which begins at a multiple of as many cells"""
-GREYS = np.array([UNKNOWN, FREE, OCCUPIED], np.uint8)
-"""Of CellClass, as in a PGM"""
-
 TRINARY = WriteOptions()
 """For the thresholds of the YAML: the greys are classes"""
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from occmap.errors import UsageError
 from occmap.types import Journey, Trajectory
 from occmap.writers import OneFile, Product, WriteOptions
 from occmap.writers.atomic import open_atomic
@@ -29,8 +30,11 @@ class TumWriter(OneFile):
         UsageError, OutputError
             Nobody kept them, or the file cannot be written.
         """
+        if product.journey is None:
+            found = "the map does not say where the robot went, only its logs do"
+            raise UsageError(found, where=path, fix="name this file among the outputs of the build")
         with open_atomic(path) as (file,):
-            for line in self.list_lines(product.take_journey(path)):
+            for line in self.list_lines(product.journey):
                 file.write(f"{line}\n".encode())
         return (path,)
 
