@@ -13,7 +13,7 @@ from io import TextIOWrapper
 
 import click
 
-from occmap.cli.console import Console, discard_stdout
+from occmap.cli.console import Console, discard
 from occmap.cli.signals import Interrupted, Signals
 from occmap.errors import OccmapError, UsageError
 
@@ -111,7 +111,7 @@ def run(args: Sequence[str], signals: Signals | None = None) -> int:
 def answer(error: BaseException, console: Console) -> int:
     """Say in one line what went wrong; return the exit code."""
     if isinstance(error, BrokenPipeError):  # who reads the output has seen enough
-        discard_stdout()
+        discard(sys.stdout)
         return 0
     if isinstance(error, click.ClickException):
         return console.fail(console.place(describe_misuse(error)), error.exit_code)

@@ -83,7 +83,7 @@ class Console:
         try:
             click.echo(clean(spell(text)), err=True)
         except OSError:
-            discard(sys.stderr.fileno())
+            discard(sys.stderr)
 
     def put_json(self, kind: str, value: dict[str, Any]) -> None:
         """Print a result as one JSON object that names its schema."""
@@ -168,9 +168,9 @@ def put_line(text: str) -> None:
     try:
         click.echo(text)
     except BrokenPipeError:
-        discard_stdout()
+        discard(sys.stdout)
     except OSError as error:
-        discard_stdout()
+        discard(sys.stdout)
         raise OutputError(f"cannot be written ({error.strerror})", where="stdout") from None
 
 
@@ -214,13 +214,8 @@ def clean(line: str) -> str:
     return ORDER.sub(lambda found: f"{found[1] or ''}\\x{ord(found[0][-1]):x}", line)
 
 
-def discard_stdout() -> None:
-    """Let what is still in the buffer of stdout vanish, or Python would complain at its exit."""
-    discard(sys.stdout.fileno())
-
-
-def discard(stream: int) -> None:
-    """Point a file descriptor at nothing."""
+def discard(stream: Any) -> None:
+    """Let what is still in the buffer of a stream vanish, or Python would complain at its exit."""
     nothing = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nothing, stream)
+    os.dup2(nothing, stream.fileno())
     os.close(nothing)

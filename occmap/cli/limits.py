@@ -1,6 +1,6 @@
 """Limits as options, and what becomes of them: one line on stderr each, and exit code 3."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import click
@@ -32,11 +32,12 @@ def fail_if(measures: Measures, example: str) -> Callable[[Command], Command]:
 
 
 def answer(
-    console: Console, command: str, result: Printed, lines: Iterable[str], values: dict[str, Any]
+    console: Console, result: Printed, lines: Iterable[str], values: Mapping[str, Any]
 ) -> list[Failed]:
     """Print a result as JSON or as text, and a line for each limit that it does not keep to."""
     failed = judge(values["limits"], result)
     if values["as_json"]:
+        command = str(click.get_current_context().info_name)
         console.put_json(command, result.to_json() | {"failed": to_plain(failed)})
     else:
         console.put(lines)

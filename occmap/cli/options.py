@@ -38,7 +38,8 @@ Values = Mapping[str, Any]
 """What click has read, by the names of the options."""
 
 HINTS, DEFAULTS = list_options(BuildOptions, include_extras=True), list_values(BuildOptions())
-TYPES: dict[Any, Any] = {float: float, int: int, Path: PATH}
+TYPES = {float: float, int: int, Path: PATH, str: None, tuple[str, ...]: None}
+"""What click reads as what; any other value is several numbers in one word, or of an enum"""
 SHORT = {"resolution": ("-r",)}
 USUAL = {
     "extent": "what was observed",
@@ -116,19 +117,28 @@ def field(section: str, name: str, **more: Any) -> Any:
     """
     hint, default = drop_none(HINTS[name]), DEFAULTS[name]
     kind, metavar = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
-    settings: dict[str, Any] = {"cls": FieldOption, "metavar": metavar, "type": TYPES.get(kind)}
-    if isinstance(default, StrEnum):
-        settings["type"] = click.Choice([member.value for member in kind])
-        settings["callback"] = lambda _ctx, _param, value: kind(value)
-        settings |= {"default": default.value, "show_default": True}
-    elif metavar and "," in metavar:  # several numbers in one word
-        settings["type"] = lambda text: parse_numbers(name, text)
-    elif isinstance(default, int | float):
-        settings |= {"default": default, "show_default": math.isfinite(default)}
+    settings = {"cls": FieldOption, "metavar": metavar, "multiple": default == ()}
+    settings |= describe_values(name, kind, default)
     if name in USUAL:
         settings["show_default"] = USUAL[name]
-    flags = *SHORT.get(name, ()), spell_flag(name)
-    return option(section, *flags, name, multiple=default == (), **settings | more)
+    return option(section, *SHORT.get(name, ()), spell_flag(name), name, **settings | more)
+
+
+def describe_values(name: str, kind: Any, default: Any) -> dict[str, Any]:
+    """Say how click reads the values of an option, and which default --help shows."""
+    if isinstance(default, StrEnum):
+        return {
+            "type": click.Choice([member.value for member in kind]),
+            "callback": lambda _ctx, _param, value: kind(value),
+            "default": default.value,
+            "show_default": True,
+        }
+    if kind not in TYPES:
+        return {"type": lambda text: parse_numbers(name, text)}
+    if isinstance(default, int | float):
+        shown = math.isfinite(default)
+        return {"type": TYPES[kind], "default": default, "show_default": shown}
+    return {"type": TYPES[kind]}
 
 
 def fields(section: str, names: str) -> Any:

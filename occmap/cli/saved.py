@@ -4,6 +4,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import click
+
 from occmap.cli import limits
 from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.options import Values, collect_model
@@ -20,11 +22,7 @@ from occmap.writers.outputs import check_outputs
 
 
 def put_out(
-    console: Console,
-    command: str,
-    inputs: Sequence[Path],
-    read: Callable[[], Saved],
-    values: dict[str, Any],
+    console: Console, inputs: Sequence[Path], read: Callable[[], Saved], values: dict[str, Any]
 ) -> None:
     """Render evidence, write it as the user wants, sum it up, and hold the limits.
 
@@ -35,6 +33,7 @@ def put_out(
         or the evidence cannot be rendered.
     """
     if not values["outputs"]:
+        command = click.get_current_context().info_name
         example = "merged.npz" if command == "merge" else "map.pgm"
         raise UsageError("where to write is not given", fix=f"add -o {example}")
     outputs = place_outputs(console, values["outputs"], inputs[0])
@@ -44,7 +43,7 @@ def put_out(
     report = hide_caught(publish(evidence, options, outputs))
     console.note(*report.notes)
     rows = [*tell_map(report.map), *tell_scans(report), *label_first("files", report.files)]
-    limits.leave(limits.answer(console, command, report, write_rows(rows), values))
+    limits.leave(limits.answer(console, report, write_rows(rows), values))
 
 
 def choose_saved_model(evidence: Described, values: Values) -> SensorModel | None:

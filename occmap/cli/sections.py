@@ -60,7 +60,10 @@ class SectionCommand(click.Command):
         UsageError
             The file is wrong, or a short option is typed as a long one is.
         """
-        refuse_equals(args)
+        for word in args:
+            if SHORT_EQUALS.match(word):  # it would be a file called `=map.pgm`
+                fix = f"write {word[:2]} {word[3:]}"
+                raise UsageError("a short option takes no =", where=word, fix=fix)
         for param in self.get_params(ctx):
             if isinstance(param, BareOption):
                 args = param.fill_in(args)
@@ -107,20 +110,6 @@ def as_command(
 def option(section: str, *names: str, **settings: Any) -> Callable[[Command], Command]:
     """Declare an option under a heading."""
     return click.option(*names, **{"cls": SectionOption} | settings, section=section)
-
-
-def refuse_equals(words: Sequence[str]) -> None:
-    """Refuse `-o=map.pgm`, which would be a file called `=map.pgm`.
-
-    Raises
-    ------
-    UsageError
-        Saying what to write instead.
-    """
-    for word in words:
-        if SHORT_EQUALS.match(word):
-            fix = f"write {word[:2]} {word[3:]}"
-            raise UsageError("a short option takes no =", where=word, fix=fix)
 
 
 def is_number(word: str) -> bool:

@@ -117,7 +117,7 @@ def test_a_fault_of_occmap_is_one_line_and_with_v_a_traceback(
 def test_no_error_leaves_run(monkeypatch: pytest.MonkeyPatch) -> None:
     fail_with(BrokenPipeError(), monkeypatch)
     silenced: list[bool] = []
-    monkeypatch.setattr(cli, "discard_stdout", lambda: silenced.append(True))
+    monkeypatch.setattr(cli, "discard", lambda _stream: silenced.append(True))
     assert occmap("readers") == (0, "", "")
     assert silenced == [True]
 

@@ -114,7 +114,7 @@ def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
         ("time", f"{seconds:.2f} s, {rate:,.0f} scans/s ({stages})"),
         *label_first("files", report.files),
     ]
-    failed = limits.answer(console, "build", report, write_rows(rows), values)
+    failed = limits.answer(console, report, write_rows(rows), values)
     if values["strict"] and report.damage:
         first, *others = report.damage
         more = f"; {len(others)} more" if others else ""

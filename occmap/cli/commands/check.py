@@ -52,7 +52,7 @@ def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> Non
     if console.verbosity is Verbosity.QUIET:
         for problem in inspection.problems:
             console.tell(f"error: {problem}")
-    failed = limits.answer(console, "check", inspection, format_inspection(inspection), values)
+    failed = limits.answer(console, inspection, format_inspection(inspection), values)
     if not inspection.buildable:
         ctx.exit(1)
     limits.leave(failed)

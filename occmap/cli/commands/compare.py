@@ -79,7 +79,7 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
         comparison = compare_logs(found, chosen, common, values["picture"], progress)
     console.note(*comparison.notes)
     lines = format_comparison(comparison)
-    limits.leave(limits.answer(console, "compare", comparison, lines, values))
+    limits.leave(limits.answer(console, comparison, lines, values))
 
 
 def format_comparison(comparison: VariantComparison) -> list[str]:

@@ -64,7 +64,7 @@ def command(console: Console, /, before: Path, after: Path, **values: Any) -> No
     if values["fail_above"]:
         values["limits"] = (values["fail_above"], *values["limits"])
     lines = write_rows(list_changes(difference))
-    limits.leave(limits.answer(console, "diff", difference, lines, values))
+    limits.leave(limits.answer(console, difference, lines, values))
 
 
 def list_changes(difference: MapDifference) -> Iterator[tuple[str, str]]:

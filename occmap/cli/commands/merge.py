@@ -33,4 +33,4 @@ def command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> None
       occmap merge both.npz --subtract monday.npz -o tuesday.npz -o tuesday.pgm
     """
     taken = values["subtract"]
-    put_out(console, "merge", [*paths, *taken], lambda: combine(paths, taken), values)
+    put_out(console, [*paths, *taken], lambda: combine(paths, taken), values)

@@ -39,4 +39,4 @@ def command(console: Console, /, path: Path, **values: Any) -> None:
       occmap render map.npz -o room.png --extent 0,0,5,4
       occmap render city.zarr -o city.png --overview 16
     """
-    put_out(console, "render", [path], lambda: open_saved(path), values)
+    put_out(console, [path], lambda: open_saved(path), values)

@@ -47,7 +47,7 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     with show_progress(console) as progress:
         tuning = tune(found, common, progress)
     console.note(*tuning.notes)
-    limits.leave(limits.answer(console, "tune", tuning, format_tuning(tuning), values))
+    limits.leave(limits.answer(console, tuning, format_tuning(tuning), values))
 
 
 def format_tuning(tuning: Tuning) -> Iterator[str]:
