@@ -82,7 +82,10 @@ def compose_build(
         if value != usual[name] and name not in NOT_WRITTEN
     }
     for name, text in changes.items():
-        given[name] = [*list_beside(name, given.get(name, []), text), text]
+        # Only transforms to other frames stay beside a new one.
+        others = given.get(name, []) if name == "static_transforms" else []
+        given[name] = [each for each in others if each.split(",")[1] != text.split(",")[1]]
+        given[name].append(text)
     words = [w for name, texts in given.items() for text in texts for w in (spell_flag(name), text)]
     start = ("occmap", "build", update) if update else ("occmap", "build")
     return (*start, *logs, *words, "-o", f"{name_map(logs[0])}.pgm")
@@ -95,13 +98,6 @@ def chain_builds(lines: Sequence[tuple[str, ...]]) -> Iterator[tuple[str, ...]]:
     for line in lines:
         yield (*line[:-2], *kept, "-o", saved, *line[-2:])
         kept = (spell_flag("resume"), saved)
-
-
-def list_beside(name: str, texts: Sequence[str], text: str) -> list[str]:
-    """List the values of an option that stay beside a new one: transforms to other frames."""
-    if name != "static_transforms":
-        return []
-    return [each for each in texts if each.split(",")[1] != text.split(",")[1]]
 
 
 def name_map(path: str) -> str:

@@ -28,10 +28,10 @@ def compare_logs(
     OccmapError
         As `occmap.scoring.compare.compare`, or the picture cannot be written.
     """
-    if picture is None:
-        return compare(paths, variants, options, progress)
     check_picture(picture, paths)
     comparison = compare(paths, variants, options, progress)
+    if picture is None:
+        return comparison
     if is_page(picture):
         from occmap.page.comparison import write_comparison  # noqa: PLC0415  late: it brings Bokeh
 
@@ -58,8 +58,7 @@ def compare_files(
     OccmapError
         A map cannot be read, they do not lie on one lattice, or the picture cannot be written.
     """
-    if picture is not None:
-        check_picture(picture, [before, after])
+    check_picture(picture, [before, after])
     maps = [load_map(path, thresholds) for path in (before, after)]
     difference = compare_maps(*maps)
     if picture is None:

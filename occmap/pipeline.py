@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from occmap.alignment import settle_align
-from occmap.cells import Evidence, OccupancyMap, Slices
+from occmap.cells import Evidence, Slices
 from occmap.evidence.fit import list_misfit
 from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
 from occmap.evidence.merging import refuse_different
 from occmap.evidence.persistence import render_lasting
 from occmap.evidence.publishing import sum_scans
-from occmap.grid.framing import frame
 from occmap.grid.tiles import TileGrid, add_stack, stack_tiles, view_tiles
 from occmap.observing import Keep, Observe, Progress, ignore_progress
 from occmap.observing import observe as observe_here
@@ -59,14 +58,14 @@ def build(
         refuse_unseen(paths, tally, tiles.tiles)
 
         with tally.time("render"):
-            grid, lost = render_framed(tiles, slices, options)
+            grid, lost = render_lasting(tiles, slices, options.model, options)
         with tally.time("write"):  # to hash the logs takes time
             made = [describe_build(paths, options, tally.to_json())] if wants_evidence else []
         manifest = plan_manifest(options, made, past.manifest if past and made else None)
         facts = describe_map(grid, options.writing)
         remarks.notes += [*unaligned, *misfit, *lost, *list_doubts(manifest)]
         remarks.notes += list_notes(paths, options, outputs, tally, facts)
-        report = make_report(options, tally, remarks, facts, past)
+        report = replace(make_report(options, tally, remarks, facts), resumed=tell_resumed(past))
 
         where = past.where if past else ""
         evidence = cache(lambda: Evidence(manifest, *stack_tiles(tiles.tiles), slices, where))
@@ -121,19 +120,10 @@ def add_past(
     return past.slices + slices, notes
 
 
-def render_framed(
-    tiles: TileGrid, slices: Sequence[Slices], options: BuildOptions
-) -> tuple[OccupancyMap, list[str]]:
-    """Make the map that the options ask for; notes say what of it does not last.
-
-    Raises
-    ------
-    MapError
-        As `render_lasting` and `frame`.
-    """
-    model, most = options.model, options.max_cells
-    grid, lost = render_lasting(tiles, slices, options.min_passes, model, most)
-    return frame(grid, options.framing, model.prior, most), lost
+def tell_resumed(past: Evidence | None) -> Resumed | None:
+    """Say what a build was added to."""
+    scans = sum_scans(past.manifest.builds if past else ())
+    return Resumed(past.where, scans.read, scans.used) if past else None
 
 
 def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> Any:
@@ -143,20 +133,13 @@ def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> Any:
     return inspect(paths, options)
 
 
-def make_report(
-    options: BuildOptions,
-    tally: Tally,
-    remarks: Remarks,
-    facts: MapFacts,
-    past: Evidence | None = None,
-) -> Report:
-    """Sum up what was done; `past` is the evidence that it was added to."""
-    before = sum_scans(past.manifest.builds if past else ())
+def make_report(options: BuildOptions, tally: Tally, remarks: Remarks, facts: MapFacts) -> Report:
+    """Sum up what was done."""
     return Report(
         logs=tuple(remarks.logs),
         scans=tally.scans,
         builds=1,
-        resumed=Resumed(past.where, before.read, before.used) if past else None,
+        resumed=None,
         beams=tally.beams,
         map=MapSummary.describe(facts, plan_manifest(options), options.min_passes),
         notes=tuple(remarks.notes),

@@ -1,13 +1,14 @@
 """What lasts: hits that came on several visits stay, people who walked through once do not."""
 
 from collections.abc import Iterator, Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
 from occmap.cells import OccupancyMap, Slices
 from occmap.errors import MapError, UsageError, require
 from occmap.evidence import render
+from occmap.grid.framing import frame
 from occmap.grid.slices import count_visits, split_tiles, unite
 from occmap.grid.tiles import TileGrid, drop_empty
 from occmap.sensor.models import RadialModel, SensorModel
@@ -55,26 +56,27 @@ def refuse_nothing_left(min_passes: int | None) -> NoReturn:
 
 
 def render_lasting(
-    grid: TileGrid,
-    slices: Sequence[Slices],
-    min_passes: int | None,
-    model: SensorModel,
-    max_cells: int,
+    grid: TileGrid, slices: Sequence[Slices], model: SensorModel, options: Any
 ) -> tuple[OccupancyMap, list[str]]:
-    """Make a map of what lasts; a note says where much of the map does not.
+    """Make the map of what lasts, as it is to be framed; a note says where much does not last.
+
+    Parameters
+    ----------
+    options
+        Those of a build or of a map of saved evidence: `min_passes`, `max_cells` and `framing`.
 
     Raises
     ------
     MapError
-        Nothing is left, or as `render`.
+        Nothing is left, or as `render` and `frame`.
     """
-    lasting = keep_lasting(grid, slices, min_passes)
+    lasting = keep_lasting(grid, slices, options.min_passes)
     if grid.tiles and not lasting.tiles:
-        refuse_nothing_left(min_passes)
-    made = render(lasting, model, max_cells)
-    if lasting is grid:
-        return made, []
-    return made, list(list_lost(render(grid, model, max_cells), made))
+        refuse_nothing_left(options.min_passes)
+    made, lost = render(lasting, model, options.max_cells), []
+    if lasting is not grid:
+        lost = list(list_lost(render(grid, model, options.max_cells), made))
+    return frame(made, options.framing, model.prior, options.max_cells), lost
 
 
 def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:

@@ -11,7 +11,7 @@ from occmap.errors import UsageError
 from occmap.evidence import read_model, refuse_other_profile, to_grid
 from occmap.evidence.manifest import BuildRecord, list_doubts
 from occmap.evidence.persistence import check_passes, render_lasting
-from occmap.grid.framing import Framing, frame
+from occmap.grid.framing import Framing
 from occmap.grid.tiles import MAX_CELLS
 from occmap.remarks import list_disagreement, list_unreached
 from occmap.report import Build, MapFacts, MapSummary, Report, describe_map
@@ -133,7 +133,6 @@ def paint_saved(
     OccmapError
         Nothing is left of it, it would be too large, or there is no such overview.
     """
-    framing, most = options.framing, options.max_cells
     lost: Sequence[str] = ()
     if options.overview is not None:
         if not isinstance(saved, Store):
@@ -143,13 +142,14 @@ def paint_saved(
                 "the pictures in a store show what its own model decided of all that was observed"
             )
             raise UsageError(found, fix="leave out `overview`, or the model and `min_passes`")
-        shown = rendering.read_overview(saved, options.overview, framing, most)
+        side, most = options.overview, options.max_cells
+        shown = rendering.read_overview(saved, side, options.framing, most)
     elif isinstance(saved, Evidence):
-        grid, lost = render_lasting(to_grid(saved), saved.slices, options.min_passes, model, most)
+        shown, lost = render_lasting(to_grid(saved), saved.slices, model, options)
         lost = [*saved.notes, *lost]
-        shown = frame(grid, framing, model.prior, most)
     else:
-        shown, lost = rendering.render_blocks(open_blocks(saved, model, options), most)
+        made = open_blocks(saved, model, options)
+        shown, lost = rendering.render_blocks(made, options.max_cells)
     return shown, describe_map(shown, options.writing)._replace(lost=lost)
 
 

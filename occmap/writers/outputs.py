@@ -78,15 +78,17 @@ def check_folder(path: Path, writer: FolderWriter) -> None:
 
 
 def check_picture(
-    path: Path, inputs: Sequence[Path] = (), suffixes: Sequence[str] = (".png", ".html")
+    path: Path | None, inputs: Sequence[Path], suffixes: Sequence[str] = (".png", ".html")
 ) -> None:
-    """Find out before the work starts whether a picture or a page of it could not be written.
+    """Find out before the work starts whether a picture, if there is one, cannot be written.
 
     Raises
     ------
     UsageError, OutputError
         It is to be something else, cannot be made, or is an input.
     """
+    if path is None:
+        return
     if path.suffix.lower() not in suffixes:
         names = " or ".join(suffixes)
         raise UsageError("is not a picture", where=path, fix=f"give it a name that ends in {names}")

@@ -14,6 +14,7 @@ from occmap.cells import Slices
 from occmap.errors import MapError, UsageError
 from occmap.evidence import render, to_grid
 from occmap.evidence.persistence import keep_lasting, list_lost, render_lasting
+from occmap.evidence.publishing import RenderOptions
 from occmap.grid.lattice import Lattice
 from occmap.grid.slices import pack
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
@@ -206,7 +207,7 @@ def test_slices_of_all_builds_count_once() -> None:
 def test_nothing_left_is_no_map() -> None:
     grid, slices = observe([(9, 0, 1, 1)])
     with pytest.raises(MapError, match=r"no cell was hit on 2 visits, .*; give a smaller `min_p"):
-        render_lasting(grid, [slices], 2, parse_model("simple"), 10**9)
+        render_lasting(grid, [slices], parse_model("simple"), RenderOptions(min_passes=2))
 
 
 @pytest.mark.parametrize(

@@ -208,3 +208,10 @@ def test_without_bokeh_one_line_says_what_to_type(
         assert told.count("\n") == 1
         found = "a page is drawn by Bokeh, which is not installed"
         assert f"{found}; install it: pip install '.[report]'" in told
+
+
+def test_the_line_on_the_page_of_a_map_that_its_scans_turned_can_be_typed(tmp_path: Path) -> None:
+    path = tmp_path / "m.html"
+    api.build_map(DRIVE, align=None, outputs=path)
+    (line,) = [text for text in read(path).texts if text.startswith("occmap build")]
+    assert "None" not in line

@@ -40,8 +40,7 @@ def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> Non
       occmap check room.bag --sensor-pose 0,0,3.14159 --resolution 0.02
       occmap check intel.log.gz --json
     """
-    if values["output"]:
-        check_picture(values["output"], logs, [".html"])
+    check_picture(values["output"], logs, [".html"])
     console = ctx.ensure_object(Console)
     chosen = take(BuildOptions, values)
     inspection = inspect(gather_logs(console, logs, chosen), chosen)
