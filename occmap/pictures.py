@@ -11,7 +11,7 @@ from occmap.options import BuildOptions
 from occmap.scoring.compare import VariantComparison, compare
 from occmap.scoring.variants import Variant
 from occmap.writers import WriteOptions
-from occmap.writers.outputs import check_picture, is_page, refuse_input
+from occmap.writers.outputs import check_picture, refuse_input
 
 
 def compare_logs(
@@ -32,7 +32,7 @@ def compare_logs(
     comparison = compare(paths, variants, options, progress)
     if picture is None:
         return comparison
-    if is_page(picture):
+    if picture.suffix.lower() == ".html":
         from occmap.page.comparison import write_comparison  # noqa: PLC0415  late: it brings Bokeh
 
         write_comparison(picture, comparison)
@@ -64,7 +64,7 @@ def compare_files(
     if picture is None:
         return difference
     refuse_input(picture, [each.image for each in maps if each.image])
-    if is_page(picture):
+    if picture.suffix.lower() == ".html":
         from occmap.page.difference import write_difference  # noqa: PLC0415  late: it brings Bokeh
 
         write_difference(picture, difference, (before, after))

@@ -150,7 +150,7 @@ def list_doubts(manifest: Manifest) -> Iterator[str]:
 
 def list_repeated(builds: Sequence[BuildRecord]) -> Iterator[str]:
     """Say which logs count twice. Parts of one log that share no scan do not."""
-    said: dict[str, None] = {}
+    said: dict[tuple[str, str], None] = {}
     logs = defaultdict(list)
     for build in builds:
         for entry in list_inputs(build):
@@ -158,16 +158,12 @@ def list_repeated(builds: Sequence[BuildRecord]) -> Iterator[str]:
     for same in logs.values():
         for (mine, _), (its, name) in combinations(same, 2):
             if overlap(mine, its):
-                said[tell_repeated(name, "" if mine == its else ", in part")] = None
-    yield from said
-
-
-def tell_repeated(name: str, part: str = "") -> str:
-    """Say that a log counts twice, and how to take it out."""
-    return (
-        f"{name} is in it twice{part}, and what it observed counts as often; to take it out once, "
-        "build it again alone, and let `occmap merge` subtract that"
-    )
+                said[name, "" if mine == its else ", in part"] = None
+    for name, part in said:
+        yield (
+            f"{name} is in it twice{part}, and what it observed counts as often; to take it out "
+            "once, build it again alone, and let `occmap merge` subtract that"
+        )
 
 
 def overlap(one: dict[str, Any], other: dict[str, Any]) -> bool:

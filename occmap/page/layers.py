@@ -1,5 +1,6 @@
 """What a page's script must know of layers: how numbers are coloured, and what they mean."""
 
+import zlib
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -99,7 +100,8 @@ def describe_rasters(
 
 def draw_poster(classes: Packed, colours: Sequence[str]) -> str:
     """Draw a small PNG, in base 64: of the cells that share a pixel the largest, y upwards."""
-    cells = classes.unpack_bytes()
+    shape = classes.rows, classes.columns
+    cells = np.frombuffer(zlib.decompress(classes.data), np.uint8).reshape(shape)
     small = to_blocks(cells, -(-max(cells.shape) // POSTER_PX)).max(axis=2)
     table = np.array([list(bytes.fromhex(each[1:])) for each in colours], np.uint8)
     return b64encode(encode_png(table[small[::-1]])).decode()

@@ -21,25 +21,15 @@ HIT_UNIT_M = 0.02
 
 
 def describe_product(product: Product, options: WriteOptions) -> Page:
-    """Lay out all that there is to show of a map."""
-    evidence = product.evidence()
-    manifest = evidence.manifest
-    inputs = [entry for build in manifest.builds for entry in build["inputs"]]
-    logs = [entry["name"] for build in manifest.builds for entry in list_inputs(build)]
+    """Lay out all that there is to show of a map, and all that is known beside it."""
+    evidence, report = product.evidence(), product.report
+    builds = evidence.manifest.builds
+    logs = [entry["name"] for build in builds for entry in list_inputs(build)]
     rows, cols = product.grid.shape
     size = product.grid.resolution
     spread = f"{cols * size:.4g} x {rows * size:.4g} m"
-    used = sum(build["scans"]["used"] for build in manifest.builds)
+    used = sum(build["scans"]["used"] for build in builds)
     subtitle = f"{spread}, {cols:,} x {rows:,} cells of {size:g} m, {used:,} scans"
-    sections = list_sections(product, inputs)
-    return Page(
-        f"Map of {name_logs(logs)}", subtitle, sections, stage_map(product, evidence, options)
-    )
-
-
-def list_sections(product: Product, inputs: list[dict[str, Any]]) -> list[Section]:
-    """Say what is known beside the map."""
-    report = product.report
     sections = []
     if report is not None:
         scans = [*tell_scans(report), tell_beams(report)]
@@ -50,7 +40,9 @@ def list_sections(product: Product, inputs: list[dict[str, Any]]) -> list[Sectio
         ]
     if product.inspect:
         sections += tell_findings(product.inspect())
-    return [*sections, describe_maker(inputs)]
+    sections.append(describe_maker(entry for build in builds for entry in build["inputs"]))
+    stage = stage_map(product, evidence, options)
+    return Page(f"Map of {name_logs(logs)}", subtitle, sections, stage)
 
 
 def stage_map(product: Product, evidence: Evidence, options: WriteOptions) -> Stage:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.arrays import Bool, Int64, UInt8
+from occmap.arrays import Bool, Int64
 from occmap.cells import Evidence, OccupancyMap, Slices
 from occmap.grid.lattice import CellBox
 from occmap.grid.slices import count_visits, split_tiles, take, unite, unpack
@@ -60,10 +60,6 @@ class Packed(NamedTuple):
     def text(self) -> str:
         """The data as text, in base 64."""
         return b64encode(self.data).decode()
-
-    def unpack_bytes(self) -> UInt8:
-        """(H, W) the numbers, where none is above 255 and no table stands between."""
-        return np.frombuffer(zlib.decompress(self.data), np.uint8).reshape(self.rows, self.columns)
 
     def to_json(self) -> dict[str, Any]:
         """What the page's script must know to unpack the text."""

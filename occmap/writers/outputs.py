@@ -52,29 +52,17 @@ def check_outputs(outputs: Sequence[Path], inputs: Sequence[Path] = ()) -> None:
     targets = [(target, writer) for path, writer in writers for target in writer.targets(path)]
     files = [follow_links(target) for target, _ in targets]
     for (target, writer), file in zip(targets, files, strict=True):
-        if isinstance(writer, FolderWriter):
-            check_folder(target, writer)
-        else:
+        if not isinstance(writer, FolderWriter):
             check_target(target)
+        elif file.exists() and not (file.is_dir() and writer.owns(file)):
+            found = "is there already, and not as occmap writes it"
+            raise OutputError(found, where=target, fix="give another name")
+        else:
+            check_parent(target, file.parent)
         refuse_input(target, inputs)
         if files.count(file) > 1:
             found = "would be written twice"
             raise UsageError(found, where=target, fix="give each output its own name")
-
-
-def check_folder(path: Path, writer: FolderWriter) -> None:
-    """Check that a folder can be made, or replaced, by the writer that made it.
-
-    Raises
-    ------
-    OutputError
-        Something else is there, or the folder that it lies in is missing or cannot be written.
-    """
-    target = follow_links(path)
-    if target.exists() and not (target.is_dir() and writer.owns(target)):
-        found = "is there already, and not as occmap writes it"
-        raise OutputError(found, where=path, fix="give another name")
-    check_parent(path, target.parent)
 
 
 def check_picture(
@@ -93,11 +81,6 @@ def check_picture(
         names = " or ".join(suffixes)
         raise UsageError("is not a picture", where=path, fix=f"give it a name that ends in {names}")
     check_outputs([path], inputs)
-
-
-def is_page(path: Path) -> bool:
-    """Whether a picture is to be a page."""
-    return path.suffix.lower() == ".html"
 
 
 def refuse_input(target: Path, inputs: Sequence[Path]) -> None:
