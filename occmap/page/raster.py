@@ -114,33 +114,24 @@ def list_rasters(grid: OccupancyMap, evidence: Evidence | None) -> Iterator[Rast
         unit, slice_s = find_unit(evidence.manifest.update), evidence.manifest.pass_gap_s
         firsts = [int(each.numbers.min()) for each in evidence.slices if each.numbers.size]
         start_s = min(firsts, default=0) * slice_s
-    steps = [each for each in STEPS if grid.log_odds.size <= MOST_CELLS * each**2]
+    box, sights = CellBox.of(grid), Sights(evidence) if evidence else None
+    steps = [each for each in STEPS if box.cells <= MOST_CELLS * each**2]
     for step in steps or STEPS[-1:]:
-        layers, corner = read_layers(grid, evidence, step)
-        place = *corner, grid.resolution * step, step
+        bands = [thin(band, step) for band in read_bands(grid, sights, box)]
+        shown, size = box.align(step).shrink(step), grid.resolution * step
+        window = shown.within(box.align(TILE).shrink(step))
+        layers = {
+            name: np.concatenate([band[name] for band in bands])[window]
+            for name in bands[0]
+            if name != "rank"
+        }
+        place = round(shown.col * size, 9), round(shown.row * size, 9), size, step
         packed = {name: pack(layer) for name, layer in layers.items()}
         yield Raster(*place, packed, 0.0, unit, slice_s, start_s)
         for parts in COUNT_STEPS:
             counts = {name: round_counts(layers[name], parts) for name in COUNTS & layers.keys()}
             packed = packed | {name: pack_few(layer) for name, layer in counts.items()}
             yield Raster(*place, packed, 0.5 / parts, unit, slice_s, start_s)
-
-
-def read_layers(
-    grid: OccupancyMap, evidence: Evidence | None, step: int
-) -> tuple[Layers, tuple[float, float]]:
-    """Read the layers of a map, one cell of each block of `step` x `step`, and their corner (m)."""
-    box, sights = CellBox.of(grid), Sights(evidence) if evidence else None
-    bands = [thin(band, step) for band in read_bands(grid, sights, box)]
-    shown = box.align(step).shrink(step)
-    window = shown.within(box.align(TILE).shrink(step))
-    layers = {
-        name: np.concatenate([band[name] for band in bands])[window]
-        for name in bands[0]
-        if name != "rank"
-    }
-    size = grid.resolution * step
-    return layers, (round(shown.col * size, 9), round(shown.row * size, 9))
 
 
 def read_bands(grid: OccupancyMap, sights: "Sights | None", box: CellBox) -> Iterator[Layers]:

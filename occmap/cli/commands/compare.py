@@ -84,29 +84,26 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
 
 def format_comparison(comparison: VariantComparison) -> list[str]:
     """Write the table, on what it rests, and the command line of the best."""
-    best = comparison.recommended
-    preference = comparison.preference
-    held = count(comparison.scans.held_out, "held-out scan")
-    rest = f"scored by {count(best.score.beams, 'beam')} of {held}"
+    best, scans = comparison.recommended, comparison.scans
+    beams, held = count(best.score.beams, "beam"), count(scans.held_out, "held-out scan")
+    bins = best.score.reliability
     reliability = [
-        ("predicted occupied", "found occupied", "looks"),
-        *(
-            (f"{each.predicted:.3f}", f"{each.observed:.3f}", f"{each.looks:,}")
-            for each in best.score.reliability
-        ),
+        ("predicted occupied", *(f"{each.predicted:.3f}" for each in bins)),
+        ("found occupied", *(f"{each.observed:.3f}" for each in bins)),
+        ("looks", *(f"{each.looks:,}" for each in bins)),
     ]
     lines = [
         *align([SCORES, *map(list_scores, comparison.results)], labels=1),
         "",
         f"cells of {best.name}, as held-out beams look at them",
-        *align([*zip(*reliability, strict=True)], labels=1),
+        *align(reliability, labels=1),
         "",
-        f"{rest}; {comparison.scans.used:,} of {comparison.scans.read:,} used",
+        f"scored by {beams} of {held}; {scans.used:,} of {scans.read:,} used",
         *(f"picture: {file}" for file in comparison.files),
-        *([f"as good within the error: {preference}"] if preference else []),
-        f"best: {best.name}",
-        write_command(comparison.command),
     ]
+    if comparison.preference:
+        lines.append(f"as good within the error: {comparison.preference}")
+    lines += [f"best: {best.name}", write_command(comparison.command)]
     if comparison.likeliest is not best:
         lines.append(f"where probabilities matter: {comparison.likeliest_name}")
         lines.append(write_command(comparison.likeliest_command))
