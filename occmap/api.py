@@ -177,9 +177,8 @@ def compare(
         [read_option("update", hints["update"], each) for each in updates],
         [read_option("model", hints["model"], each) for each in models],
     )
-    return pictures.compare_logs(
-        paths, variants, common, None if picture is None else Path(picture)
-    )
+    drawn = read_option("picture", Path | None, picture)
+    return pictures.compare_logs(paths, variants, common, drawn)
 
 
 def tune(*logs: AnyPath, **options: Any) -> tuning.Tuning:
@@ -257,7 +256,8 @@ def diff(
     """
     one, other = list_paths([before, after])
     chosen = read_options(WriteOptions, thresholds, "diff")
-    return pictures.compare_files(one, other, chosen, None if picture is None else Path(picture))
+    drawn = read_option("picture", Path | None, picture)
+    return pictures.compare_files(one, other, chosen, drawn)
 
 
 def read_log(path: AnyPath) -> Log:
