@@ -13,13 +13,12 @@ import numpy as np
 
 from occmap.arrays import Float64, Int64
 from occmap.batching import NOT_ASKED_FOR, Batcher, Selection, Selector
-from occmap.errors import PoseError
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.inspection.findings import MapFindings, Shape, TimeFindings
 from occmap.inspection.ranges import RangeCensus
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
-from occmap.posing.options import DropReason, Stamps
+from occmap.posing.options import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.sampling import Sample, expect_scans
 from occmap.sensor.no_return import RangeLimits
@@ -227,17 +226,11 @@ class Survey:
                 self.extent.add(rays)
 
     def _stack(self, scans: Iterable[Scan | ScanRun]) -> Iterator[ScanBatch]:
-        """Stack the scans that a build would use; those without a way to the map are counted."""
+        """Stack the scans that a build would use, and count their ranges."""
         batcher = Batcher(Selection(), self.poser.options.stamps)
-        for stacked in batcher.stack(self._select(scans)):
-            survey, batch = self.topics[stacked.topic], self.limits.apply(stacked)
-            survey.census.add(batch)
-            try:
-                self.poser.prepare(batch)
-            except PoseError:  # no scan so far has a way to the map
-                survey.dropped[DropReason.NO_TRANSFORM] += len(batch.stamp_ns)
-            else:
-                yield batch
+        for batch in map(self.limits.apply, batcher.stack(self._select(scans))):
+            self.topics[batch.topic].census.add(batch)
+            yield batch
 
     def _select(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
         """Give the scans that a build would use; scans that nobody asked for are only counted."""

@@ -87,10 +87,11 @@ def test_stamps_that_are_damage_harm_nothing(stamp_ns: int) -> None:
     assert sum(dropped.values()) == 1
 
 
-def test_a_laser_without_transform_is_refused_alone_and_counted_beside_another() -> None:
+def test_scans_without_transform_are_counted_alone_and_beside_others() -> None:
     poser = build(*drive("odom", "base_link"), MOUNT)
     with pytest.raises(PoseError, match="'bumper'"):
-        attach(poser, batch_at([1], "bumper"))
+        poser.resolve(["bumper"])
+    assert attach(poser, batch_at([1], "bumper")) == ([], {DropReason.NO_TRANSFORM: 1})
     assert len(attach(poser, batch_at([1]))[0]) == 1
     assert attach(poser, batch_at([1, 2], "bumper")) == ([], {DropReason.NO_TRANSFORM: 2})
 
