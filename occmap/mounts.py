@@ -14,7 +14,7 @@ from occmap.errors import MountError, PoseError
 from occmap.opening import choose_topics, make_poser
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
-from occmap.posing.frames import BASE_NAMES, Step, list_bases
+from occmap.posing.frames import BASE_NAMES, Step
 from occmap.posing.options import Concern
 from occmap.posing.rotations import rotate_by
 from occmap.readers import Log, open_log, read_poses
@@ -101,7 +101,7 @@ def guess_place(poser: Poser, parts: Sequence[PosedScans], options: BuildOptions
 def list_leaves(poser: Poser, frame: str) -> dict[str, Pose]:
     """List the frames that are mounted on the body of a sensor and have none below, and where."""
     tree, base = poser.sources.tree, poser.options.base_frame or ""
-    base = base or next(iter(list_bases(tree, frame)), "")
+    base = base or next(iter(tree.list_bases(frame)), "")
     uppers = {base, *(edge.parent for edge in tree.edges)}
     ways = {leaf: tree.find_path(base, leaf) for leaf in tree.frames if leaf not in uppers}
     places = {leaf: place_on(steps) for leaf, steps in ways.items() if steps}
@@ -171,7 +171,7 @@ def correct_mount(poser: Poser, frame: str, turn: Pose) -> str:
     if given or chain is None:  # None: the poses stand beside the scans
         return f"sensor_pose={format_mount((given or UNTURNED).then(turn))}"
     tree, base = poser.sources.tree, poser.options.base_frame
-    bases = [base] if base else list_bases(tree, frame)
+    bases = [base] if base else tree.list_bases(frame)
     if frame not in tree:  # the poses were taken as the sensor's own
         if len(poser.chains) == 1:
             return f"sensor_pose={format_mount(turn)}"

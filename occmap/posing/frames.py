@@ -153,6 +153,37 @@ class FrameTree:
             lower = path[-1].upper
         return path[::-1]
 
+    def choose_fixed(self, frame: str) -> str:
+        """Choose the frame to map in: `map`, else `odom`, else the root above a scan's frame.
+
+        The plain names may be anywhere in the scan's tree; with a namespace (`robot1/map`) only
+        above the scan, for another robot's map may hang in the same tree.
+        """
+        above = self.list_ancestors(frame)
+        plain = (name for name in FIXED_NAMES if self.find_path(name, frame) is not None)
+        named = (each for name in FIXED_NAMES for each in above if last_part(each) == name)
+        return next(chain(plain, named, [self.find_root(frame)]))
+
+    def list_bases(self, frame: str) -> list[str]:
+        """List the frames that a sensor may be mounted on; only one where that is clear."""
+        for name in BASE_NAMES:
+            if name in self:
+                return [name]
+        for name in BASE_NAMES:
+            if namesakes := self.namesakes.get(name, []):
+                space = frame.rpartition("/")[0]
+                return [each for each in namesakes if each.rpartition("/")[0] == space] or namesakes
+        return self.bodies
+
+    def find_body(self, frame: str) -> str:
+        """Find the body that carries a frame: the lowest above it that moves, or the root.
+
+        A trajectory that does not name its body is taken to be of this one.
+        """
+        root = self.find_root(frame)
+        moving = find_moving(self.find_path(root, frame) or [])
+        return moving[-1].lower if moving else root
+
     def _measure(self, upper: str) -> dict[str, int]:
         """Count the steps from a frame to each that is connected with it."""
         if upper not in self:
@@ -195,43 +226,3 @@ def find_moving(steps: Sequence[Step]) -> list[Step]:
     if moving or not sampled:
         return moving
     return [max(sampled, key=lambda step: len(step.edge.track))]
-
-
-def choose_fixed(tree: FrameTree, frame: str) -> str:
-    """Choose the frame to map in: `map`, else `odom`, else the root above a scan's frame.
-
-    The plain names may be anywhere in the scan's tree; with a namespace (`robot1/map`) only
-    above the scan, for another robot's map may hang in the same tree.
-    """
-    for name in FIXED_NAMES:
-        if tree.find_path(name, frame) is not None:
-            return name
-    above = tree.list_ancestors(frame)
-    for name in FIXED_NAMES:
-        for ancestor in above:
-            if last_part(ancestor) == name:
-                return ancestor
-    return tree.find_root(frame)
-
-
-def list_bases(tree: FrameTree, frame: str) -> list[str]:
-    """List the frames that a sensor may be mounted on; only one where that is clear."""
-    for name in BASE_NAMES:
-        if name in tree:
-            return [name]
-    for name in BASE_NAMES:
-        namesakes = tree.namesakes.get(name, [])
-        kin = [other for other in namesakes if other.rpartition("/")[0] == frame.rpartition("/")[0]]
-        if namesakes:
-            return kin or namesakes
-    return tree.bodies
-
-
-def find_body(tree: FrameTree, frame: str) -> str:
-    """Find the body that carries a frame of the tree: the lowest above it that moves, or the root.
-
-    A trajectory that does not name its body is taken to be of this one.
-    """
-    root = tree.find_root(frame)
-    moving = find_moving(tree.find_path(root, frame) or [])
-    return moving[-1].lower if moving else root
