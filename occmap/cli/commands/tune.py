@@ -16,8 +16,7 @@ from occmap.gates.measures import TUNE
 from occmap.keywords import take
 from occmap.options import BuildOptions
 from occmap.tuning import Tuning, tune
-from occmap.tuning.search import Correction
-from occmap.tuning.verdict import Finding, Verdict
+from occmap.tuning.search import Correction, Finding, Verdict
 from occmap.wording import count
 
 
