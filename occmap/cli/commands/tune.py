@@ -12,7 +12,7 @@ from occmap.cli.console import Console, write_command
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import as_command, join
 from occmap.cli.streams import gather_logs
-from occmap.gates.measures import TUNE
+from occmap.gates import TUNE
 from occmap.keywords import take
 from occmap.options import BuildOptions
 from occmap.tuning import Tuning, tune
