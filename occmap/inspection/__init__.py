@@ -45,7 +45,7 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
     """
     extent = Extent()
     logs = [inspect_path(path, options, extent) for path in paths]
-    return judge(logs, extent.sum_up(options.resolution), extent.longest, options)
+    return judge(logs, extent, options)
 
 
 def inspect_path(path: Path, options: BuildOptions, extent: Extent) -> LogFindings:

@@ -14,7 +14,7 @@ import numpy as np
 from occmap.arrays import Float64, Int64
 from occmap.batching import NOT_ASKED_FOR, Batcher, Selection, Selector
 from occmap.grid.lattice import CellBox, Lattice
-from occmap.inspection.findings import MapFindings, Shape, TimeFindings
+from occmap.inspection.findings import Shape, TimeFindings
 from occmap.inspection.ranges import RangeCensus
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
@@ -33,8 +33,6 @@ LONGEST_RUN_NS = 10**16
 """A simulation lasts no longer than this: 115 days."""
 EARLIEST_DATE_NS = 631_152_000 * 10**9
 """A log with the date of its recording is of 1990 or later."""
-BYTES_PER_CELL = 4 + 1 + 8
-"""In memory: log-odds, observed, and two counts of four bytes as evidence."""
 
 
 class StampLog:
@@ -149,24 +147,14 @@ class Extent:
         self.low, self.high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
         self.longest = max(self.longest, other.longest)
 
-    def sum_up(self, resolution: float) -> MapFindings | None:
-        """Sum up at a resolution (m); None where nothing was seen."""
+    def find_box(self, lattice: Lattice) -> CellBox | None:
+        """Find the box of cells; None where nothing was seen."""
         if not np.isfinite([*self.low, *self.high]).all():
             return None
-        lattice = Lattice(resolution)
         (row, col), (last_row, last_col) = (
             lattice.to_cell(float(x), float(y)) for x, y in (self.low, self.high)
         )
-        box = CellBox(row, col, last_row + 1, last_col + 1)
-        x, y, x_end, y_end = (round(edge, 9) for edge in lattice.measure(box))
-        return MapFindings(
-            resolution=resolution,
-            extent=(x, y, x_end, y_end),
-            columns=box.cols,
-            rows=box.rows,
-            file_bytes=box.cells,
-            memory_bytes=box.cells * BYTES_PER_CELL,
-        )
+        return CellBox(row, col, last_row + 1, last_col + 1)
 
 
 @dataclass
