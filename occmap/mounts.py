@@ -14,7 +14,7 @@ from occmap.errors import MountError, PoseError
 from occmap.opening import choose_topics, make_poser
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
-from occmap.posing.frames import BASE_NAMES, Step
+from occmap.posing.frames import BASE_NAMES, Edge
 from occmap.posing.options import Concern
 from occmap.posing.rotations import rotate_by
 from occmap.readers import Log, open_log, read_poses
@@ -183,14 +183,14 @@ def correct_mount(poser: Poser, frame: str, turn: Pose) -> str:
     last = chain.steps[-1]
     if (mount := place_on([last])) is None:
         return ""
-    return f"static_transforms={format_static(last.upper, frame, mount.then(turn))}"
+    return f"static_transforms={format_static(last.parent, frame, mount.then(turn))}"
 
 
-def place_on(steps: Sequence[Step]) -> Pose | None:
+def place_on(steps: Sequence[Edge]) -> Pose | None:
     """Find where the last frame of some steps sits in the first; None where one of them moves."""
     place = UNTURNED
     for step in steps:
-        track = step.edge.track
+        track = step.track
         if track.moves:
             return None
         pose = Pose(*track.position[0].tolist(), *track.quaternion[0].tolist())

@@ -8,7 +8,7 @@ import numpy as np
 
 from occmap.arrays import Float64, Int64
 from occmap.posing.chain import Chain, make_chain
-from occmap.posing.frames import Edge, Source, Step
+from occmap.posing.frames import Edge, Source
 from occmap.posing.jumps import Jump, find_jumps
 from occmap.posing.options import Concern, Stamps
 from occmap.posing.rotations import measure_turn
@@ -87,7 +87,7 @@ class Course:
         """Find when it was elsewhere at once; poses beside scans show it once all are there."""
         chain = self._chain
         if chain is None and (track := self._stated.build()) is not None:
-            chain = make_chain([Step(Edge("", "", track, Source.ODOMETRY))], None)
+            chain = make_chain([Edge("", "", track, Source.ODOMETRY)], None)
         return find_jumps(chain) if chain else []
 
     @property

@@ -5,10 +5,11 @@ Which frame is the map and which the robot is told by the names that REP 105 giv
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 from itertools import chain
+from typing import Self
 
 from occmap.errors import PoseError
 from occmap.posing.tracks import Track
@@ -34,31 +35,19 @@ class Source(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """Where `child` was in `parent`, from one source."""
+    """Where `child` was in `parent`, from one source; a step on the way from frame to frame."""
 
     parent: str
     child: str
     track: Track
     source: Source
     topic: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """An edge on the way from an upper frame to a lower one."""
-
-    edge: Edge
     inverted: bool = False
+    """The track is of the parent in the child: somebody recorded it the other way round"""
 
-    @property
-    def upper(self) -> str:
-        """The frame that the step starts from."""
-        return self.edge.child if self.inverted else self.edge.parent
-
-    @property
-    def lower(self) -> str:
-        """The frame that the step leads to."""
-        return self.edge.parent if self.inverted else self.edge.child
+    def invert(self) -> Self:
+        """Make the way back, from the child to the parent."""
+        return replace(self, parent=self.child, child=self.parent, inverted=not self.inverted)
 
 
 class FrameTree:
@@ -123,7 +112,7 @@ class FrameTree:
         above = self.list_ancestors(frame)
         return next((name for name in above if not self._up.get(name)), above[-1])
 
-    def find_path(self, upper: str, lower: str) -> list[Step] | None:
+    def find_path(self, upper: str, lower: str) -> list[Edge] | None:
         """Find the shortest way down from one frame to another; None where there is none.
 
         Of equally short ways the one that climbs from `lower` is preferred, then names decide.
@@ -142,15 +131,12 @@ class FrameTree:
                 f"where {MOST_STEPS} are the most that is followed",
                 fix="see the transforms in `occmap check`",
             )
-        path: list[Step] = []
+        path: list[Edge] = []
         while lower != upper:
             near = distances[lower] - 1
-            steps = chain(
-                (Step(edge) for edge in self._up.get(lower, ())),
-                (Step(edge, inverted=True) for edge in self._down.get(lower, ())),
-            )
-            path.append(next(step for step in steps if distances[step.upper] == near))
-            lower = path[-1].upper
+            steps = (*self._up.get(lower, ()), *map(Edge.invert, self._down.get(lower, ())))
+            path.append(next(step for step in steps if distances[step.parent] == near))
+            lower = path[-1].parent
         return path[::-1]
 
     def choose_fixed(self, frame: str) -> str:
@@ -182,7 +168,7 @@ class FrameTree:
         """
         root = self.find_root(frame)
         moving = find_moving(self.find_path(root, frame) or [])
-        return moving[-1].lower if moving else root
+        return moving[-1].child if moving else root
 
     def _measure(self, upper: str) -> dict[str, int]:
         """Count the steps from a frame to each that is connected with it."""
@@ -219,10 +205,10 @@ def _choose_edges(edges: Iterable[Edge]) -> list[Edge]:
     return sorted(chosen.values(), key=lambda edge: (edge.parent, edge.child))
 
 
-def find_moving(steps: Sequence[Step]) -> list[Step]:
+def find_moving(steps: Sequence[Edge]) -> list[Edge]:
     """Find the steps that move; where none does, the one that was sent again and again, if any."""
-    moving = [step for step in steps if step.edge.track.moves]
-    sampled = [step for step in steps if not step.edge.track.static]
+    moving = [step for step in steps if step.track.moves]
+    sampled = [step for step in steps if not step.track.static]
     if moving or not sampled:
         return moving
-    return [max(sampled, key=lambda step: len(step.edge.track))]
+    return [max(sampled, key=lambda step: len(step.track))]

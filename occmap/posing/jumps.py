@@ -13,7 +13,7 @@ import numpy as np
 
 from occmap.arrays import Float64, Int64
 from occmap.posing.chain import Chain, Moving, Status
-from occmap.posing.frames import Step
+from occmap.posing.frames import Edge
 from occmap.posing.options import Concern
 from occmap.posing.rotations import measure_turn
 from occmap.posing.tracks import Track
@@ -145,7 +145,7 @@ class Break(NamedTuple):
 
     after_ns: int
     before_ns: int
-    step: Step
+    step: Edge
 
 
 def find_jumps(chain: Chain) -> list[Jump]:
@@ -159,7 +159,7 @@ def find_jumps(chain: Chain) -> list[Jump]:
         rotation = after.rotation[at] @ before.rotation[at].T
         place = before.position[at], after.position[at]
         step = breaks[at].step
-        name = f"{step.upper} -> {step.lower}" if step.lower else "the pose beside the scans"
+        name = f"{step.parent} -> {step.child}" if step.child else "the pose beside the scans"
         jumps.append(Jump(breaks[at].after_ns, *place, rotation, name))
     return [jump for jump in jumps if jump.metres > JUMP_M or jump.radians > JUMP_RAD]
 
@@ -172,8 +172,8 @@ def find_breaks(chain: Chain) -> list[Break]:
     """
     found: dict[int, Break] = {}
     for leg in (leg for leg in chain.legs if isinstance(leg, Moving)):
-        stamp_ns = leg.step.edge.track.stamp_ns
-        held, strides = np.flatnonzero(leg.holds[:-1]), find_strides(leg.step.edge.track)
+        stamp_ns = leg.step.track.stamp_ns
+        held, strides = np.flatnonzero(leg.holds[:-1]), find_strides(leg.step.track)
         strides = strides[~leg.holds[strides]]
         # A pose that holds does so until just before the next sample.
         for steps, before_ns in ((held, stamp_ns[held + 1] - 1), (strides, stamp_ns[strides])):

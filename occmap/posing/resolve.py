@@ -5,23 +5,14 @@ from typing import NoReturn, TypeAlias
 
 from occmap.errors import MountError, PoseError
 from occmap.posing.chain import Chain, make_chain
-from occmap.posing.frames import (
-    BASE_NAMES,
-    FIXED_NAMES,
-    Edge,
-    FrameTree,
-    Source,
-    Step,
-    find_moving,
-    last_part,
-)
+from occmap.posing.frames import FIXED_NAMES, Edge, FrameTree, Source, find_moving, last_part
 from occmap.posing.options import PosingOptions
 from occmap.posing.sources import Sources
 from occmap.posing.tracks import Track
 from occmap.wording import join_names
 
 GIVE_POSES = "give a trajectory: `poses=FILE`"
-Way: TypeAlias = tuple[str, list[Step]]
+Way: TypeAlias = tuple[str, list[Edge]]
 """A fixed frame, and the steps from it to the sensor."""
 
 
@@ -115,9 +106,9 @@ class _Search:
             if not (self.options.map_frame or fixed or last_part(usual) in FIXED_NAMES):
                 self._fail_without_motion(usual)
         steps = self._find_path(name, anchor)
-        for edge in (step.edge for step in steps if step.edge.source is Source.ODOMETRY):
-            given = f"{edge.parent} -> {edge.child}"
-            self.notes.append(f"tf does not give {given}: taken from {edge.topic}")
+        for step in (step for step in steps if step.source is Source.ODOMETRY):
+            given = f"{step.parent} -> {step.child}"
+            self.notes.append(f"tf does not give {given}: taken from {step.topic}")
         return name, [*steps, *self._mount_on(anchor)]
 
     def go_by_poses(self, trajectory: Edge) -> Way:
@@ -137,7 +128,7 @@ class _Search:
             mount = f"`sensor_pose=({MountError.UNKNOWN})`"
             note += f", the laser itself: give {mount} if they are the robot's"
         self.notes.append(note)
-        carried = Step(replace(trajectory, child=body))
+        carried = replace(trajectory, child=body)
         return fixed, [*above, carried, *below, *self._mount_on(anchor)]
 
     def _guess_body(self) -> str:
@@ -147,7 +138,7 @@ class _Search:
         if not self.options.sensor_pose:
             return self.frame
         bases = self.tree.list_bases(self.frame)
-        return bases[0] if len(bases) == 1 else BASE_NAMES[0]
+        return bases[0] if len(bases) == 1 else "base_link"
 
     def _find_base(self) -> str:
         """Find the frame that the given sensor pose is measured from."""
@@ -161,16 +152,16 @@ class _Search:
         found = f"which frame the laser is mounted on is not clear ({self.known})"
         raise PoseError(found, fix=f"name it: `base_frame={bases[0] if bases else 'FRAME'}`")
 
-    def _mount_on(self, anchor: str) -> list[Step]:
+    def _mount_on(self, anchor: str) -> list[Edge]:
         """Make the step from the body to a sensor whose pose the user gave."""
         if self.options.sensor_pose is None:
             return []
         if self.frame in self.tree:
             self.notes.append(f"the given sensor pose replaces the log's of {self.frame!r}")
         track = Track.fixed(self.options.sensor_pose)
-        return [Step(Edge(anchor, self.frame, track, Source.GIVEN))]
+        return [Edge(anchor, self.frame, track, Source.GIVEN)]
 
-    def _find_path(self, upper: str, lower: str) -> list[Step]:
+    def _find_path(self, upper: str, lower: str) -> list[Edge]:
         if upper == lower:
             return []
         steps = self.tree.find_path(upper, lower)
