@@ -146,7 +146,7 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
         scans=tuple(sorted(sightings, key=lambda each: each.stamp_ns)),
         notes=(
             *list_doubts(evidence.manifest),
-            *(list_unexplained(evidence, history, uses, sightings) if uses else ()),
+            *list_unexplained(evidence, history, uses, sightings),
         ),
     )
 
@@ -175,7 +175,7 @@ def list_unexplained(
 ) -> Iterator[str]:
     """Say what is not explained by the scans that were found."""
     found, held = add_up(sightings), history.seen.numbers
-    if found == held:
+    if not uses or found == held:
         return
     kind, unit = history.seen.kind, history.unit
     sums = f"{describe_numbers(found, kind, unit)} of {describe_numbers(held, kind, unit)}"

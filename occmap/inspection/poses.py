@@ -89,8 +89,8 @@ def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> Stamps:
         poser.resolve(topic.frames)
     except PoseError:
         return chosen
-    stamp_ns = topic.stamps.record_ns if other is Stamps.RECORD else topic.stamps.header_ns
-    stamp_ns = stamp_ns + round(poser.options.time_offset_s * 1e9)
+    stamps = topic.stamps.record_ns if other is Stamps.RECORD else topic.stamps.header_ns
+    stamp_ns = np.array(stamps) + round(poser.options.time_offset_s * 1e9)
     chain = poser.chains[next(iter(topic.frames))]
     found = 0 if chain is None else np.count_nonzero(chain.at(stamp_ns).status == Status.POSED)
     return other if found > topic.posed / WELL_POSED else chosen
@@ -98,9 +98,7 @@ def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> Stamps:
 
 def list_coverage(sources: Sources) -> list[Coverage]:
     """Describe the edges of the tree, by name, and then the poses of bodies that are in no edge."""
-    edges = list(sources.tree.edges)
     chosen = [sources.trajectory] if sources.trajectory else []
-    others = [edge for edge in (*chosen, *sources.pose_topics) if edge not in edges]
     return [
         Coverage(
             parent=edge.parent,
@@ -116,7 +114,7 @@ def list_coverage(sources: Sources) -> list[Coverage]:
             largest_step_m=float(edge.track.step_m.max(initial=0)),
             largest_step_rad=float(edge.track.step_rad.max(initial=0)),
         )
-        for edge in dict.fromkeys([*edges, *others])
+        for edge in dict.fromkeys([*sources.tree.edges, *chosen, *sources.pose_topics])
     ]
 
 

@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from occmap.arrays import Float64, Int64
+from occmap.arrays import Float64
 from occmap.batching import NOT_ASKED_FOR, Batcher, Selection, Selector
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.inspection.findings import Shape, TimeFindings
@@ -39,25 +39,17 @@ class StampLog:
     """The times of every scan of a topic, 24 bytes each."""
 
     def __init__(self) -> None:
-        self._header = array("q")
-        self._record = array("q")
+        self.header_ns = array("q")
+        """What the driver wrote"""
+        self.record_ns = array("q")
+        """When the recorder stored it"""
         self._increment = array("d")
 
     def add(self, some: Scan | ScanRun) -> None:
         """Take the times of one scan, or of all scans of a run."""
-        for times, own in ((self._header, some.stamp_ns), (self._record, some.record_ns)):
+        for times, own in ((self.header_ns, some.stamp_ns), (self.record_ns, some.record_ns)):
             times.frombytes(np.clip(own, -MAX_STAMP_NS, MAX_STAMP_NS, dtype=np.int64).tobytes())
         self._increment.frombytes(np.asarray(some.time_increment, np.float64).tobytes())
-
-    @property
-    def header_ns(self) -> Int64:
-        """(N,) what the driver wrote."""
-        return np.array(self._header, np.int64)
-
-    @property
-    def record_ns(self) -> Int64:
-        """(N,) when the recorder stored it."""
-        return np.array(self._record, np.int64)
 
     def sum_up(self, suggested_stamps: Stamps, poses_ns: int | None = None) -> TimeFindings:
         """Sum up the times of at least one scan.
@@ -67,14 +59,15 @@ class StampLog:
         poses_ns
             The stamp of some pose that is not stated beside a scan, if there is one.
         """
-        header, record = self.header_ns, self.record_ns
+        header, record = np.array(self.header_ns), np.array(self.record_ns)
         steps = np.diff(header) / 1e9
         offset = (header.astype(np.float64) - record) / 1e9
         all_equal = len(header) > 1 and bool((header == header[0]).all())
         duration_s = float(header.max() - header.min()) / 1e9
-        simulated = (
-            not all_equal and poses_ns is not None and is_simulated(header, record, poses_ns)
-        )
+        # A simulation's clock begins at 0. That of a laser may, too, but then the poses have dates.
+        latest = max(int(header.max()), LONGEST_RUN_NS if poses_ns is None else poses_ns)
+        is_dated = int(header.min()) < 0 or int(record.min()) < EARLIEST_DATE_NS
+        simulated = latest < LONGEST_RUN_NS and not is_dated and not all_equal
         tenth = max(len(offset) // 10, 1)
         drift_s = float(np.median(offset[-tenth:]) - np.median(offset[:tenth]))
         increments = np.array(self._increment)
@@ -96,15 +89,6 @@ class StampLog:
             simulated=simulated,
             suggested_stamps=suggested_stamps,
         )
-
-
-def is_simulated(header: Int64, record: Int64, poses_ns: int) -> bool:
-    """Whether scans and poses have stamps of a simulation's clock, which begins at 0.
-
-    The clock of a laser may begin at 0 as well, but then the poses have dates.
-    """
-    began = max(int(header.max()), poses_ns) < LONGEST_RUN_NS
-    return began and int(header.min()) >= 0 and int(record.min()) >= EARLIEST_DATE_NS
 
 
 class Extent:

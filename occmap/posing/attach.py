@@ -72,9 +72,7 @@ class Poser:
         self._above = Transforms.fixed(reduce(Pose.then, moved)) if moved else None
 
     @classmethod
-    def build(
-        cls, samples: Iterable[PoseSample | PoseBatch], options: PosingOptions | None = None
-    ) -> Self:
+    def build(cls, samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) -> Self:
         """Read all samples of a log once, in any order.
 
         Raises
@@ -84,7 +82,6 @@ class Poser:
         LogError
             The trajectory file cannot be read.
         """
-        options = options or PosingOptions()
         sources = gather(samples, options)
         return cls(sources, options, notes=list(sources.notes))
 

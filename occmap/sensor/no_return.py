@@ -6,7 +6,7 @@ ranges, far more of them than of the ranges just below.
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -211,9 +211,3 @@ class RangeLimits:
                     f'{topic} states {limit}; no value stands for "no return", so every range is '
                     "used as measured: `range_max` sets a limit"
                 )
-
-
-def settle(limits: Iterable[RangeLimits]) -> bool:
-    """Settle the limits of several logs; say whether all were applied right."""
-    right = [each.settle() for each in limits]
-    return all(right)
