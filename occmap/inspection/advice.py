@@ -8,13 +8,7 @@ from occmap.command import chain_builds, compose_build, spell_flag
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox, Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
-from occmap.inspection.findings import (
-    Inspection,
-    LogFindings,
-    MapFindings,
-    ScanFindings,
-    TimeFindings,
-)
+from occmap.inspection.findings import Inspection, LogFindings, MapFindings, ScanFindings
 from occmap.inspection.survey import Extent
 from occmap.mounts import warn_of_misfit
 from occmap.options import BuildOptions
@@ -212,8 +206,7 @@ def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
     lost = topic.poses.dropped
     if has_poses and sum(lost.values()) > SHARE_OF_NOTE * topic.kept:
         yield Concern(f"scans without a pose: {write_counts(lost)}")
-    if not topic.poses.stated:  # else stamps do not matter
-        yield from map(Concern, list_clock_faults(topic.times))
+    yield from map(Concern, list_clock_faults(topic))
     for item in topic.ranges.repeated:
         if not item.is_no_return:
             share = f"{item.value:g} m is {item.share:.0%} of the ranges"
@@ -222,8 +215,11 @@ def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
         yield Concern("no range value is a measurement")
 
 
-def list_clock_faults(times: TimeFindings) -> Iterator[str]:
-    """Say what is wrong with stamps."""
+def list_clock_faults(topic: ScanFindings) -> Iterator[str]:
+    """Say what is wrong with the stamps of a topic; those of stated poses do not matter."""
+    times = topic.times
+    if topic.poses.stated:
+        return
     if times.all_equal:
         yield "all stamps are equal"
     if times.jumps_back:

@@ -66,8 +66,8 @@ class StampLog:
         duration_s = float(header.max() - header.min()) / 1e9
         # A simulation's clock begins at 0. That of a laser may, too, but then the poses have dates.
         latest = max(int(header.max()), LONGEST_RUN_NS if poses_ns is None else poses_ns)
-        is_dated = int(header.min()) < 0 or int(record.min()) < EARLIEST_DATE_NS
-        simulated = latest < LONGEST_RUN_NS and not is_dated and not all_equal
+        began_at_zero = header.min() >= 0 and latest < LONGEST_RUN_NS and not all_equal
+        simulated = bool(began_at_zero and record.min() >= EARLIEST_DATE_NS)
         tenth = max(len(offset) // 10, 1)
         drift_s = float(np.median(offset[-tenth:]) - np.median(offset[:tenth]))
         increments = np.array(self._increment)

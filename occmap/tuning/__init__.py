@@ -16,21 +16,9 @@ from occmap.readers import open_log
 from occmap.remarks import LEAST_AGREEMENT, Remarks
 from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored
 from occmap.tally import Tally
+from occmap.tuning import search
 from occmap.tuning.kept import MOST_SCANS, KeptLog, find_mount, keep_logs
-from occmap.tuning.search import (
-    TIME,
-    TOGETHER,
-    YAW,
-    Correction,
-    Finding,
-    Gain,
-    Scorer,
-    Verdict,
-    X,
-    Y,
-    find,
-    find_way,
-)
+from occmap.tuning.search import Correction, Finding, Gain, Scorer, Verdict, find, find_way
 from occmap.types import Pose, Rays
 from occmap.wording import count
 
@@ -126,12 +114,13 @@ def tune(
     scorer = Scorer(logs, options, mount, lambda: tally.advance(kept))
     before = scorer.score(Correction())
     motion = Motion.measure(scorer.trace(Correction()))
-    timed = [TIME] if motion.shows_time and not all(log.stated for log in logs) else []
-    place = [*([YAW] if motion.shows_yaw else []), *([X, Y] if motion.shows_place else [])]
+    timed = [search.TIME] if motion.shows_time and not all(log.stated for log in logs) else []
+    place = [search.YAW] if motion.shows_yaw else []
+    place += [search.X, search.Y] if motion.shows_place else []
     way = find_way(scorer, timed, [] if mount is None else place)
     # Once more, as one may have hidden part of the other.
     again = bool(timed) and way.mount.verdict is Verdict.FOUND
-    together = find(scorer, way.correction, TOGETHER if again else [])
+    together = find(scorer, way.correction, search.TOGETHER if again else [])
     best = together.correction
     after = scorer.score(best)
     gain, gain_error = Gain.measure(before, after)
@@ -216,6 +205,6 @@ def list_doubts(tuning: Tuning, time_offset_s: float) -> Iterator[str]:
     half = tuning.scans.held_out // 2
     if half < FEW_SCANS:
         yield f"{count(half, 'held-out scan')} in each half: too few to tell; give a longer log"
-    if abs(tuning.correction.time_s) > TIME.reach - TIME.steps[-1]:
+    if abs(tuning.correction.time_s) > search.TIME.reach - search.TIME.steps[-1]:
         offset = time_offset_s + tuning.correction.time_s
         yield f"no larger time offset is tried: tune again with `time_offset_s={offset:g}`"
