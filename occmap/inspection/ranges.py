@@ -192,26 +192,25 @@ def measure_crossing(parts: Sequence[PosedScans], options: ReturnOptions) -> flo
         call space free.
     """
     options = replace(options, no_return=NoReturn.CLEAR)
-    hits, origins, directions, reaches = [], [], [], []
+    hits, beams = [np.zeros((0, 2))], [np.zeros((0, 5))]
     for part in parts:
         rays, _ = interpret(part, options)
         limit = part.batch.range_max if options.range_max is None else options.range_max
         lost = (rays.kind == Kind.FREE) & (part.batch.ranges >= as_float32(limit))
         hits.append(rays.end[rays.kind == Kind.HIT])
-        origins.append(np.broadcast_to(rays.origin, rays.direction.shape)[lost])
-        directions.append(rays.direction[lost])
-        reaches.append(rays.distance[lost])
-    reach = np.concatenate(reaches or [np.zeros(0)])
-    if len(reach) < MIN_CROSSING_BEAMS:
+        origin, direction = np.broadcast_arrays(rays.origin, rays.direction)
+        beams.append(np.column_stack([origin[lost], direction[lost], rays.distance[lost]]))
+    hit, every = np.concatenate(hits), np.concatenate(beams)
+    if len(every) < MIN_CROSSING_BEAMS:
         return None
-    some = np.linspace(0, len(reach) - 1, min(len(reach), MAX_CROSSING_BEAMS)).astype(np.int64)
-    origin, direction = np.concatenate(origins)[some], np.concatenate(directions)[some]
-    reach, hit = np.minimum(reach[some], MAX_REACH_M), np.concatenate(hits)
+    some = np.linspace(0, len(every) - 1, min(len(every), MAX_CROSSING_BEAMS)).astype(np.int64)
+    origin, direction, reach = np.split(every[some], [2, 4], axis=1)
+    reach = np.minimum(reach.astype(np.float32), MAX_REACH_M)
     # A beam leaves all that was hit where it ends outside of the octagon around it.
     sides = np.stack([np.cos(SIDES), np.sin(SIDES)])
     far = (hit @ sides).max(axis=0) if len(hit) else np.inf  # no hit, no building
-    leaves = ((origin + reach[:, None] * direction) @ sides > far).any(axis=1)
-    return float((leaves | find_crossing(origin, direction, reach, hit)).mean())
+    leaves = ((origin + reach * direction) @ sides > far).any(axis=1)
+    return float((leaves | find_crossing(origin, direction, reach[:, 0], hit)).mean())
 
 
 def find_crossing(origin: Float64, direction: Float64, reach: Float64, hit: Float64) -> Bool:
