@@ -211,7 +211,7 @@ def over_topics(
 
 
 def divide_sums(pairs: Sequence[tuple[int, int]]) -> float:
-    """The sum of the first numbers of pairs, as a share of that of the second ones; 0 of none."""
+    """Divide the sum of the first numbers of pairs by that of the second ones; 0 of nothing."""
     whole = sum(whole for _, whole in pairs)
     return sum(part for part, _ in pairs) / whole if whole else 0.0
 

@@ -48,7 +48,7 @@ little; those are read again at once. Of 280 pieces of logs none was suspected w
 def name_mount(
     log: Log, topics: Sequence[str], options: BuildOptions, error: MountError
 ) -> PoseError:
-    """Complete the error that a mount is missing by the mount that suits the scans, if one does."""
+    """Add to the error that a mount is missing which mount suits the scans, if one does."""
     trial = replace(options, posing=replace(options.posing, sensor_pose=UNTURNED))
     poser = Poser.build(read_poses(log), trial.posing)
     try:
@@ -99,7 +99,7 @@ def guess_place(poser: Poser, parts: Sequence[PosedScans], options: BuildOptions
 
 
 def list_leaves(poser: Poser, frame: str) -> dict[str, Pose]:
-    """List the frames that are mounted on the body of a sensor and have none below, and where."""
+    """List where frames are mounted on the body of a sensor, if no other frame is below them."""
     tree, base = poser.sources.tree, poser.options.base_frame or ""
     base = base or next(iter(tree.list_bases(frame)), "")
     uppers = {base, *(edge.parent for edge in tree.edges)}

@@ -17,7 +17,7 @@ from occmap.types import Rays
 from occmap.workers import Workers
 
 HANDED_BEAMS = 1 << 12
-"""Fewer are traced sooner than handed to another thread, which waits for Python's lock: with two
+"""Fewer beams are traced sooner than handed to a thread, which waits for Python's lock: with two
 threads, a log of 20,000 laser frames with one scan each took six times as long."""
 
 AddRays = Callable[[Rays], None]

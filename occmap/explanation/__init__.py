@@ -162,7 +162,7 @@ def name_class(made: OccupancyMap, writing: WriteOptions) -> Verdict:
 
 
 def measure_extent(saved: Saved, model: SensorModel) -> Box | None:
-    """Lowest x and y, highest x and y of the map that a model makes (m); None: of nothing."""
+    """Lowest x and y, highest x and y of the map that a model makes (m); None if it is empty."""
     if isinstance(saved, Evidence):
         box = measure_bounds(choose_tiles(to_grid(saved), model))
     else:

@@ -1,7 +1,7 @@
 """Which builds of evidence a log went into, and with what options.
 
-A log is found by its hash, not its name. Options are read back from what evidence keeps of them:
-`write_value` undone.
+A log is known by its hash, not by its name. Options are read back from the JSON that
+`write_value` made of them.
 """
 
 from collections import Counter
@@ -50,7 +50,7 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Sequence[Path]) -
     builds = evidence.manifest.builds
     given = {digest: path for path in poses for digest in hash_files(path)}
     distinct: dict[frozenset[tuple[str, int]], Path] = {}
-    for log in logs:  # of equal ones only the first: a build used them alike
+    for log in logs:  # of equal logs the first will do: a build cannot tell them apart
         distinct.setdefault(frozenset(hash_files(log).items()), log)
     uses: list[Use] = []
     for hashes, log in distinct.items():

@@ -35,7 +35,7 @@ def judge(logs: Sequence[LogFindings], extent: Extent, options: BuildOptions) ->
     problems = [*(log.problem for log in logs if log.problem), *others]
     command, differing = ((), ()) if too_large else recommend(logs, options)
     if unseen and spell_flag("no_return") not in command:
-        command = ()  # nothing that is known makes anything of these logs
+        command = ()  # no known option makes a map of these logs
     damage = (f"{log.path}: {text}" for log in logs for text in log.damage)
     concerns = (concern.text for log in logs for concern in log.concerns)
     return Inspection(
@@ -115,7 +115,7 @@ def recommend(
         lines it takes.
     """
     stamps = options.posing.stamps
-    mapped = [  # scans that have no poses may have some by the other of their two times
+    mapped = [  # with poses, or with a hint that the other of the two times gives some
         log
         for log in logs
         if any(it.poses.posed or it.times.suggested_stamps != stamps for it in log.scans)
@@ -131,8 +131,8 @@ def recommend(
 def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple[str, ...]:
     """Compose the command line for logs that can be mapped: the options given, then the advice.
 
-    Where the poses do not fit the scans, it is the one that looks for the reason; there is none
-    where nothing helps, or where logs need different options.
+    Where the poses do not fit the scans, it is the line of `occmap tune`, which looks for the
+    reason. It is empty where nothing helps, or where logs need different options.
     """
     paths = [log.path for log in logs]
     concerns = [concern for log in logs for concern in log.concerns]

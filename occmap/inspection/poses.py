@@ -21,7 +21,7 @@ from occmap.sampling import sample_scans
 from occmap.types import Pose
 
 WELL_POSED = 0.9
-"""Where fewer scans than this share have poses, the other of the two times is tried."""
+"""If a smaller share of the scans has poses, the other of the two times is tried."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def assume_mount(
     posing = replace(unturned.poser.options, sensor_pose=guess.mount if guess else UNTURNED)
     poser = Poser(unturned.poser.sources, posing, notes=list(unturned.poser.sources.notes))
     faults = unturned.faults
-    if guess is not None:  # the error that the mount is missing names the one that was found
+    if guess is not None:  # the error says that the mount is missing, and names the likely one
         found = format_mount(guess.mount), guess.why
         faults = {
             frame: fault.named(*found) if isinstance(fault, MountError) else fault
@@ -78,7 +78,7 @@ def assume_mount(
 
 
 def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> Stamps:
-    """Say which of the two times of messages gives more scans a pose."""
+    """Find out by which of the two times of a message more scans have a pose."""
     chosen = posing.poser.options.stamps
     scans = topic.left_out.total() + topic.posed + topic.dropped.total()
     if topic.stated or not posing.poser.chains or topic.posed >= WELL_POSED * scans:

@@ -26,9 +26,9 @@ from occmap.sensor.returns import interpret, read_limits
 from occmap.types import Kind, Rays, Scan, ScanBatch, ScanRun
 
 MAX_SHAPES = 1000
-"""Shapes that are counted: a log in which every scan has another must not fill the memory."""
+"""How many shapes are counted: each scan of a log may have its own, and memory is bounded."""
 SAMPLED_TOPICS = 100
-"""Topics whose scans are sampled: no robot has more lasers, and a map of each takes its time."""
+"""How many topics are sampled: no robot has more lasers, and the map of each takes time."""
 LONGEST_RUN_NS = 10**16
 """A simulation lasts no longer than this: 115 days."""
 EARLIEST_DATE_NS = 631_152_000 * 10**9
@@ -226,7 +226,7 @@ class Survey:
         return self.topics[topic]
 
     def list_notes(self) -> Iterator[str]:
-        """Say that scans are sampled of only some of very many topics."""
+        """Say where there are so many topics that only some are sampled."""
         if len(self.topics) > SAMPLED_TOPICS:
             yield (
                 f"the mount and the agreement are estimated for {SAMPLED_TOPICS} of "

@@ -98,16 +98,16 @@ class Poser:
             raise next(iter(failures.values()))
 
     def find_chains(self, frames: Iterable[str]) -> dict[str, PoseError]:
-        """Find the chains to these scan frames; say of those that have none why.
+        """Find the chains to these scan frames; the errors say why some have none.
 
-        Where none at all has one so far, nothing is decided, and they may be asked for again.
+        While no frame has a chain, nothing is decided, and the same frames may be asked for again.
         """
         left = sorted(set(frames) - self.chains.keys())
-        # What mends one laser among others is not what mends a single one.
+        # A single laser is mended by other options than one among several.
         failures = self._try_frames(left, alone=len(left) == 1 and not self.chains)
         if self.fixed is None:
             return failures
-        # The map frame, which the chain of another one may have shown, may help.
+        # By now the chain of another frame may have shown which frame the map is in.
         failures = self._try_frames(failures, alone=False)
         self.chains.update(dict.fromkeys(failures))
         self._note(*map(str, failures.values()))
@@ -133,8 +133,8 @@ class Poser:
 
         A pose that the log states beside the scan is used as it is, unless the user named a
         trajectory; where the user gave the sensor's pose, it is taken to be the body's. Where only
-        some scans of a batch are de-skewed, it comes in two parts. Scans to whose frame no chain
-        leads are counted, even where there is no chain at all.
+        some scans of a batch are de-skewed, it comes in two parts. Scans in a frame that no chain
+        leads to are dropped and counted.
         """
         looked_up = (part for batch in batches for part in self._look_up(batch))
         for attached in self._leaps.sift(looked_up):
@@ -184,16 +184,16 @@ class Poser:
         return Attached(batch, place_beams(batch, posed, placed), dropped)
 
     def _watch(self, posed: PosedScans) -> None:
-        """Keep where the sensor of some scans was."""
+        """Note where the sensor of some scans was, for what there is to say of its course."""
         batch = posed.batch
         is_stated = batch.pose is not None and self._trusts_stated
         chain = None if is_stated else self.chains[batch.frame]
         self.courses[batch.topic].see(posed, batch.stamp_ns + self._offset_ns, chain)
 
     def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
-        """Say what of the poses that were given so far spoils a map, and of which topic.
+        """List what spoils a map in the poses that were given so far, each with its topic.
 
-        That a sensor never moved is a note: it may have stood.
+        A sensor that never moved is only noted: the robot may have stood still.
 
         Parameters
         ----------
@@ -214,7 +214,7 @@ class Poser:
                     yield topic, jumped
 
     def find_ends(self) -> dict[Laser, Ends]:
-        """Where the posed scans so far begin and end, by their laser."""
+        """Find where the posed scans of each laser begin and end so far."""
         return self._leaps.find_ends()
 
     def _note(self, *sentences: str) -> None:
@@ -222,7 +222,7 @@ class Poser:
 
 
 def _list_idle(options: PosingOptions) -> Iterator[str]:
-    """Say whose the poses beside the scans are, and which options do nothing to them."""
+    """Say whose poses stand beside the scans, and which options change nothing about them."""
     if options.sensor_pose is not None:
         yield POSES_OF_BODY
     given = {

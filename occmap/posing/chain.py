@@ -32,7 +32,7 @@ DENSE_S = 0.1
 class Status(IntEnum):
     """Whether there is a pose at a stamp, and if not, why; the names are those of `DropReason`.
 
-    Of the legs of a chain, the one with the highest number counts.
+    Where the legs of a chain differ, the highest number counts.
     """
 
     POSED = 0
@@ -73,7 +73,7 @@ class Transforms(NamedTuple):
         return found
 
     def then(self, below: Self) -> Self:
-        """Go on to a frame that was found in this one."""
+        """Compose with a transform that is given in the lower frame of this one."""
         return type(self)(
             self.position + turn(self.rotation, below.position),
             self.rotation @ below.rotation,
@@ -81,7 +81,7 @@ class Transforms(NamedTuple):
         )
 
     def invert(self) -> Self:
-        """Where the upper frame was in the lower one."""
+        """Make the inverse: where the upper frame was in the lower one."""
         back = self.rotation.swapaxes(1, 2)
         return type(self)(-turn(back, self.position), back, self.status)
 

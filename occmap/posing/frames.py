@@ -1,6 +1,6 @@
-"""The transform tree: which frames a log knows, the ways between them, and what they are.
+"""The transform tree: the frames of a log, and the ways between them.
 
-Which frame is the map and which the robot is told by the names that REP 105 gives.
+The names that REP 105 gives tell which frame is the map and which is the robot.
 """
 
 from collections import defaultdict
@@ -18,7 +18,7 @@ FIXED_NAMES = ("map", "odom")
 BASE_NAMES = ("base_link", "base_footprint")
 """The names that REP 105 gives to the map and to the robot"""
 MOST_STEPS = 100
-"""A robot's frames hang ten deep; where a way is longer, the frames of a log are damage."""
+"""The frames of a robot are some ten deep. A way of more steps than this is damage."""
 MOST_TARGETS = 4
 """Frames whose distances to all others are kept; few are asked for again."""
 
@@ -80,8 +80,8 @@ class FrameTree:
     def bodies(self) -> list[str]:
         """The frames that drive: they move, and above them only `odom` does.
 
-        So neither the correction of odometry counts nor a turning wheel. Where nothing moves, what
-        was sent again and again counts.
+        So neither the correction of odometry nor a turning wheel counts. Where nothing moves, a
+        frame that was sent again and again counts.
         """
         edges = [edge for edge in self.edges if "odom" not in last_part(edge.child).lower()]
         moving = [edge for edge in edges if edge.track.moves]
@@ -99,7 +99,7 @@ class FrameTree:
         return dict(found)
 
     def list_ancestors(self, frame: str) -> list[str]:
-        """List a frame and those above it, nearest first, as many as a way may have steps."""
+        """List a frame and those above it, nearest first; no more than a way may have steps."""
         found = [frame]
         for below in found:  # it grows meanwhile
             if len(found) > MOST_STEPS:
@@ -195,7 +195,7 @@ def last_part(frame: str) -> str:
 
 
 def _choose_edges(edges: Iterable[Edge]) -> list[Edge]:
-    """Keep the believed edges, in an order that does not depend on the log's."""
+    """Keep the edges that are believed, in an order that does not depend on that in the log."""
     chosen: dict[tuple[str, str], Edge] = {}
     believed: dict[str, Source] = {}
     for edge in sorted(edges, key=lambda e: (e.source, e.track.static, -len(e.track), e.topic)):

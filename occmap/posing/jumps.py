@@ -1,4 +1,4 @@
-"""Jumps: poses that take the robot elsewhere at once.
+"""Jumps: poses that suddenly take the robot elsewhere.
 
 REP 105 allows them in the correction of odometry (`map -> odom`), and live navigation recovers. A
 map does not: what was traced before such a jump and what is traced after it belong to different
@@ -19,7 +19,7 @@ from occmap.posing.rotations import measure_turn
 from occmap.posing.tracks import Track
 
 JUMP_M, JUMP_RAD = 1.0, math.radians(20)
-"""A correction that moves and turns the sensor by less mends drift, and doubles walls at most."""
+"""A correction that moves and turns the sensor by less mends drift; at most it doubles walls."""
 UNDONE_SHARE = 0.1
 """A jump undoes another where it leads back to within this share of the other's way, or JUMP_M."""
 STRIDE_M = 1.0
@@ -41,7 +41,7 @@ MS_NS = 10**6
 
 
 class Jump(NamedTuple):
-    """A moment from which on the sensor is elsewhere."""
+    """A moment at which the sensor is suddenly elsewhere."""
 
     stamp_ns: int
     """By the clock of the poses"""
@@ -125,7 +125,7 @@ def _part(found: Sequence[Jump], stamp_ns: Int64) -> tuple[list[Jump], list[int]
 
 
 def _describe_largest(jumps: Sequence[Jump], first_ns: int) -> str:
-    """Say what jumps, how far and when, of the largest jump, and whether the next undoes it."""
+    """Say of the largest jump what jumps, how far and when, and whether the next undoes it."""
     worst = max(range(len(jumps)), key=lambda at: jumps[at].metres + jumps[at].radians)
     if worst and jumps[worst - 1].is_undone_by(jumps[worst]):
         worst -= 1
@@ -141,7 +141,7 @@ def _describe_largest(jumps: Sequence[Jump], first_ns: int) -> str:
 
 
 class Break(NamedTuple):
-    """Two moments that a jump lies between, by the clock of the poses."""
+    """The moments just after a jump and just before it, by the clock of the poses."""
 
     after_ns: int
     before_ns: int
@@ -165,7 +165,7 @@ def find_jumps(chain: Chain) -> list[Jump]:
 
 
 def find_breaks(chain: Chain) -> list[Break]:
-    """Find where a leg of a chain jumps, in ascending order and each moment once.
+    """Find when any leg of a chain jumps, in the order of time and each moment once.
 
     A correction jumps where its pose holds until then, any other leg where a body moves faster
     than a robot can.

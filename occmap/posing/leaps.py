@@ -148,7 +148,7 @@ class LeapFilter:
             yield from path.finish()
 
     def list_notes(self) -> Iterator[str]:
-        """Say of each topic with outliers where the first one lies."""
+        """Say where the first outlier of each topic lies, and how many there are."""
         topics: defaultdict[str, list[tuple[int, str, int]]] = defaultdict(list)
         for (topic, *_), path in self._paths.items():
             if path.outliers:
@@ -182,14 +182,17 @@ class _Held(NamedTuple):
 
 
 class _Path:
-    """The way of one laser. Its scans are put in order, cut into rows, judged and given on."""
+    """The way of one laser: its scans are put in order, cut into rows, judged and passed on.
+
+    Rows are judged from the first one on, each as soon as no scan to come can change the verdict.
+    """
 
     def __init__(self, max_speed: float) -> None:
         self._max_speed = max_speed
         self._unordered: list[tuple[Attached, PosedScans]] = []
-        """Scans that came; others from between them may still come"""
+        """Scans that others may still come between"""
         self._held: list[_Held] = []
-        """Scans in order that are not given on"""
+        """Scans in order that are not passed on yet"""
         self._rows: list[Row] = []
         """From the row that is judged next to the last one, which still grows"""
         self._first: Moment | None = None
@@ -222,20 +225,20 @@ class _Path:
             self._put_in_order()
 
     def finish(self) -> Iterator[Attached]:
-        """Give all scans that are still held back, since no others follow."""
+        """Pass on all scans that are still held back, since no others follow."""
         self._put_in_order()
         self._rows[-1].before_pause = True
         yield from self.release()
 
     def release(self) -> Iterator[Attached]:
-        """Judge all rows of which that can be done, and give the batches that are then known."""
+        """Judge the rows that can be judged by now, and pass on the scans that are known."""
         judged = 1
         while judged and len(self._rows) > 1:
             judged, outliers = _find_outliers(self._rows, self._max_speed)
             if outliers:
                 self._mark(outliers[0].first, outliers[-1].last)
             del self._rows[:judged]
-        if not self._rows:  # all that came may still be out of order
+        if not self._rows:  # all scans so far may still be out of order
             return
         row = self._rows[0]
         is_open = row.after_pause and row.is_single and not row.before_pause
@@ -298,7 +301,7 @@ def _cut_rows(growing: Row | None, stamp_ns: Int64, place: Float64, max_speed: f
 
 
 def _find_outliers(rows: Sequence[Row], max_speed: float) -> tuple[int, Sequence[Row]]:
-    """Find the outliers beside the leap that follows the first of some rows.
+    """Find the outliers on either side of the leap that ends the first of some rows.
 
     Returns
     -------
@@ -321,7 +324,7 @@ def _find_outliers(rows: Sequence[Row], max_speed: float) -> tuple[int, Sequence
 
 
 def _find_continuation(rows: Sequence[Row], max_speed: float) -> int | None:
-    """Find the index of the row that continues the first one; 0: none does, None: not known yet."""
+    """Find the index of the row that continues the first one. 0: none; None: not known yet."""
     row, *others = rows
     for at, later in enumerate(others, start=1):
         if not row.last.is_soon(later.first):

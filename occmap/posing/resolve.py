@@ -1,4 +1,4 @@
-"""Resolution: by which frames and whose poses a scan's frame is found in the map."""
+"""Resolution: the way from the map to the frame of a scan, and whose poses it follows."""
 
 from dataclasses import dataclass, field, replace
 from typing import NoReturn, TypeAlias
@@ -132,7 +132,7 @@ class _Search:
         return fixed, [*above, carried, *below, *self._mount_on(anchor)]
 
     def _guess_body(self) -> str:
-        """Say whose poses a trajectory without a name holds; unknown to tf: the laser's own."""
+        """Guess whose poses a trajectory holds: the laser's own if tf does not know its frame."""
         if self.frame in self.tree:
             return self.tree.find_body(self.frame)
         if not self.options.sensor_pose:

@@ -1,4 +1,4 @@
-"""Variants of a map that grow from the same scans, and their scores on scans kept from all."""
+"""Variants of a map, made of the same scans, and their scores on scans kept from all of them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -145,7 +145,7 @@ class Trials:
         return Workers(lambda task: task[0].add(task[1]), self._options.jobs)
 
     def begin(self, workers: Workers[Task]) -> Callable[[Rays], None]:
-        """Start anew; return what holds some scans out and has the others traced."""
+        """Start anew; return a function that holds some scans out and has the others traced."""
         self.hold_out, self.evidence = HoldOut(), {}
         for variant in self.variants:
             if variant.evidence not in self.evidence:

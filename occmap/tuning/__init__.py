@@ -118,7 +118,7 @@ def tune(
     place = [search.YAW] if motion.shows_yaw else []
     place += [search.X, search.Y] if motion.shows_place else []
     way = find_way(scorer, timed, [] if mount is None else place)
-    # Once more, as one may have hidden part of the other.
+    # Both once more, since one may have hidden part of the other.
     again = bool(timed) and way.mount.verdict is Verdict.FOUND
     together = find(scorer, way.correction, search.TOGETHER if again else [])
     best = together.correction
@@ -151,7 +151,7 @@ def tune(
 
 
 class Motion(NamedTuple):
-    """What the way of the sensors shows of a wrong time or mount."""
+    """Whether the sensors moved so that a wrong time or mount would show in a map."""
 
     shows_yaw: bool
     """Whether a wrong yaw of the mount blurs the map, rather than turning all of it"""
@@ -160,7 +160,7 @@ class Motion(NamedTuple):
 
     @classmethod
     def measure(cls, scans: Sequence[Rays]) -> "Motion":
-        """Measure how far scans get and turn from the first one, also those of other logs."""
+        """Measure how far the scans of all logs lie from the first one, and how far they turn."""
         place = np.concatenate([rays.origin[:, 0] for rays in scans])
         ahead = np.concatenate([rays.turn[:, 0, :, 0] for rays in scans])
         cosine = ahead @ ahead[0] / np.maximum(np.linalg.norm(ahead, axis=1), 1e-9)

@@ -20,7 +20,7 @@ from occmap.tracing import open_drive
 from occmap.types import Pose, PosedScans, Scan, ScanBatch, ScanRun
 
 MOST_SCANS = 1000
-"""Spread over the logs: more tell little more, and they are traced more than thirty times."""
+"""Scans of all logs together: more tell little more, and each is traced over thirty times."""
 MOST_OFFSET_S = 0.5
 """No larger time offset is tried, either way."""
 ALIKE = 1e-3
@@ -106,7 +106,7 @@ def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: 
     tally.scans_used += seen
     tally.scans_read += batcher.read
     tally.drop(dict(batcher.left_out))
-    limits.settle()  # so that what the whole log shows is applied to all of it
+    limits.settle()  # only the whole log shows the limit, which then holds for all of it
     remarks.note(log.path, log.notes, [*poser.notes, *batcher.notes, *limits.list_notes()])
     return KeptLog(str(log.path), poser, tuple(limits.apply(each) for each in kept))
 

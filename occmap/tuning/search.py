@@ -1,6 +1,6 @@
-"""The search for a correction, from coarse to fine, one number after the other; and its worth.
+"""The search for a correction, from coarse to fine and one number after the other.
 
-What is found must gain more than noise, and in both halves of the log.
+A verdict says what came of it: a gain must be more than noise, and both halves of a log show it.
 """
 
 import math
