@@ -6,7 +6,7 @@ ranges, far more of them than of the ranges just below.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -159,6 +159,12 @@ class RangeLimits:
             tally.add(some.ranges, range_max)
             if range_max != first.range_max:
                 self._senseless.setdefault(first.topic, first.range_max)
+
+    def watch(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
+        """Pass scans on, and count their ranges."""
+        for some in scans:
+            self.see(some)
+            yield some
 
     def apply(self, batch: ScanBatch) -> ScanBatch:
         """State the limit in a batch of scans."""
