@@ -140,37 +140,29 @@ def _describe_largest(jumps: Sequence[Jump], first_ns: int) -> str:
     return f"{text}, the largest of {len(jumps)} jumps" if len(jumps) > 2 else text
 
 
-class Break(NamedTuple):
-    """The moments just after a jump and just before it, by the clock of the poses."""
-
-    after_ns: int
-    before_ns: int
-    step: Edge
-
-
 def find_jumps(chain: Chain) -> list[Jump]:
     """Find the jumps that the sensor at the end of a chain makes."""
     breaks = find_breaks(chain)
-    before = chain.at(np.array([each.before_ns for each in breaks], np.int64))
-    after = chain.at(np.array([each.after_ns for each in breaks], np.int64))
+    after_ns, before_ns = np.array([each[:2] for each in breaks], np.int64).reshape(-1, 2).T
+    after, before = chain.at(after_ns), chain.at(before_ns)
     known = (before.status == Status.POSED) & (after.status == Status.POSED)
     jumps = []
     for at in np.flatnonzero(known).tolist():
+        stamp_ns, _, step = breaks[at]
         rotation = after.rotation[at] @ before.rotation[at].T
-        place = before.position[at], after.position[at]
-        step = breaks[at].step
         name = f"{step.parent} -> {step.child}" if step.child else "the pose beside the scans"
-        jumps.append(Jump(breaks[at].after_ns, *place, rotation, name))
+        jumps.append(Jump(stamp_ns, before.position[at], after.position[at], rotation, name))
     return [jump for jump in jumps if jump.metres > JUMP_M or jump.radians > JUMP_RAD]
 
 
-def find_breaks(chain: Chain) -> list[Break]:
+def find_breaks(chain: Chain) -> list[tuple[int, int, Edge]]:
     """Find when any leg of a chain jumps, in the order of time and each moment once.
 
     A correction jumps where its pose holds until then, any other leg where a body moves faster
-    than a robot can.
+    than a robot can. Of each jump it gives the moments just after and just before (ns, by the clock
+    of the poses), and the step that jumps.
     """
-    found: dict[int, Break] = {}
+    found: dict[int, tuple[int, int, Edge]] = {}
     for leg in (leg for leg in chain.legs if isinstance(leg, Moving)):
         stamp_ns = leg.step.track.stamp_ns
         held, strides = np.flatnonzero(leg.holds[:-1]), find_strides(leg.step.track)
@@ -178,7 +170,7 @@ def find_breaks(chain: Chain) -> list[Break]:
         # A pose that holds does so until just before the next sample.
         for steps, before_ns in ((held, stamp_ns[held + 1] - 1), (strides, stamp_ns[strides])):
             for after, before in zip(stamp_ns[steps + 1].tolist(), before_ns.tolist(), strict=True):
-                found[after] = Break(after, before, leg.step)
+                found[after] = after, before, leg.step
     return [found[after] for after in sorted(found)]
 
 
