@@ -78,8 +78,6 @@ class JourneyRecorder:
         """Keep the hits of every n-th scan."""
         which = np.arange(-self._seen % self._every, len(scans.batch.stamp_ns), self._every)
         self._seen += len(scans.batch.stamp_ns)
-        if not which.size:
-            return
         rays, _ = interpret(scans.take(which), self._returns)
         columns = rays.stamp_ns.tolist(), rays.origin[:, 0].tolist(), rays.end, rays.kind
         for stamp_ns, (x, y), end, kind in zip(*columns, strict=True):

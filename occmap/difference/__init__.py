@@ -136,8 +136,6 @@ def align(before: ClassMap, after: ClassMap) -> tuple[Place, tuple[int, int]]:
 
 def place_in(both: CellBox, box: CellBox, classes: UInt8) -> UInt8:
     """Put a map, which covers a box, into a larger one; its other cells are neither."""
-    if box == both:
-        return classes
     larger = np.full(both.shape, NEITHER, np.uint8)
     larger[box.within(both)] = classes
     return larger

@@ -80,7 +80,7 @@ EUROC_COLUMNS = ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")
 EUROC = _Layout(EUROC_COLUMNS, ",", parse_nanoseconds, has_more=True)
 
 
-def read_trajectory(path: Path, notes: list[str] | None = None) -> Iterator[PoseSample]:
+def read_trajectory(path: Path, notes: list[str]) -> Iterator[PoseSample]:
     """Read the poses of a body in the map, in file order.
 
     The samples' `child` is "", for such files do not name the body. Empty lines and lines that
@@ -98,7 +98,7 @@ def read_trajectory(path: Path, notes: list[str] | None = None) -> Iterator[Pose
         The file cannot be read or holds no poses, or a line is not a pose.
     """
     found = False
-    for stamp_ns, pose in _read_poses(path, [] if notes is None else notes):
+    for stamp_ns, pose in _read_poses(path, notes):
         yield PoseSample(stamp_ns, TRAJECTORY_FRAME, "", pose, record_ns=stamp_ns)
         found = True
     if not found:
