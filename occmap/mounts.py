@@ -51,10 +51,7 @@ def name_mount(
     """Add to the error that a mount is missing which mount suits the scans, if one does."""
     trial = replace(options, posing=replace(options.posing, sensor_pose=UNTURNED))
     poser = Poser.build(read_poses(log), trial.posing)
-    try:
-        guess = guess_place(poser, sample_scans(log, topics, poser, trial), options)
-    except PoseError:
-        return error
+    guess = guess_place(poser, sample_scans(log, topics, poser, trial), options)
     return error.named(format_mount(guess.mount), guess.why) if guess else error
 
 

@@ -85,13 +85,10 @@ def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> Stamps:
         return chosen
     other = Stamps.HEADER if chosen is Stamps.RECORD else Stamps.RECORD
     poser = Poser.build(read_poses(log), replace(posing.poser.options, stamps=other))
-    try:
-        poser.resolve(topic.frames)
-    except PoseError:
-        return chosen
+    poser.find_chains(topic.frames)
     stamps = topic.stamps.record_ns if other is Stamps.RECORD else topic.stamps.header_ns
     stamp_ns = np.array(stamps) + round(poser.options.time_offset_s * 1e9)
-    chain = poser.chains[next(iter(topic.frames))]
+    chain = poser.chains.get(next(iter(topic.frames)))
     found = 0 if chain is None else np.count_nonzero(chain.at(stamp_ns).status == Status.POSED)
     return other if found > topic.posed / WELL_POSED else chosen
 
