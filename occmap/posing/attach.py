@@ -85,22 +85,15 @@ class Poser:
         sources = gather(samples, options)
         return cls(sources, options, notes=list(sources.notes))
 
-    def resolve(self, frames: Iterable[str]) -> None:
+    def find_chains(self, frames: Iterable[str]) -> dict[str, PoseError]:
         """Find the chains to these scan frames, all from the same fixed frame.
 
-        Raises
-        ------
-        PoseError
-            No frame, of these and earlier ones, has a chain.
-        """
-        failures = self.find_chains(frames)
-        if failures and self.fixed is None:
-            raise next(iter(failures.values()))
-
-    def find_chains(self, frames: Iterable[str]) -> dict[str, PoseError]:
-        """Find the chains to these scan frames; the errors say why some have none.
-
         While no frame has a chain, nothing is decided, and the same frames may be asked for again.
+
+        Returns
+        -------
+        dict
+            By frame, the error that says why it has none.
         """
         left = sorted(set(frames) - self.chains.keys())
         # A single laser is mended by other options than one among several.
@@ -151,7 +144,8 @@ class Poser:
         if batch.pose is not None and self._trusts_stated:
             yield self._keep(batch, self._read_stated(batch.pose))
             return
-        self.find_chains([batch.frame])
+        if batch.frame not in self.chains:
+            self.find_chains([batch.frame])
         chain = self.chains.get(batch.frame)
         if chain is None:
             yield Attached(batch, None, {DropReason.NO_TRANSFORM: scans})

@@ -134,7 +134,8 @@ class FrameTree:
         path: list[Edge] = []
         while lower != upper:
             near = distances[lower] - 1
-            steps = (*self._up.get(lower, ()), *map(Edge.invert, self._down.get(lower, ())))
+            # One after the other, as a body may have thousands of frames below it.
+            steps = chain(self._up.get(lower, ()), map(Edge.invert, self._down.get(lower, ())))
             path.append(next(step for step in steps if distances[step.parent] == near))
             lower = path[-1].parent
         return path[::-1]
