@@ -12,7 +12,7 @@ from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Journey, Kind, PosedScans, ScanHits, Trajectory
 
 SHOWN_SCANS = 400
-"""How many scans of all logs are shown: nobody can set a slider to more steps."""
+"""How many scans of all logs are shown: a slider with more steps cannot be set by hand."""
 SHOWN_HITS = 400
 """How many hits of a scan are shown: enough to draw its walls, however many beams it has."""
 STATED_FRAME, STATED_LASER = "map", "laser"
@@ -71,15 +71,13 @@ class JourneyRecorder:
         if reasons:
             kept = () if posed is None else posed.batch.stamp_ns
             lost = np.setdiff1d(batch.stamp_ns, kept)
-            why = ", or ".join(map(str, reasons))  # which scan has which is not kept
+            why = ", or ".join(map(str, reasons))  # it is not known which reason is whose
             way.dropped += [(stamp_ns, why) for stamp_ns in lost.tolist()]
 
     def _sample(self, scans: PosedScans) -> None:
         """Keep the hits of every n-th scan."""
         which = np.arange(-self._seen % self._every, len(scans.batch.stamp_ns), self._every)
         self._seen += len(scans.batch.stamp_ns)
-        if not which.size:
-            return
         rays, _ = interpret(scans.take(which), self._returns)
         columns = rays.stamp_ns.tolist(), rays.origin[:, 0].tolist(), rays.end, rays.kind
         for stamp_ns, (x, y), end, kind in zip(*columns, strict=True):

@@ -14,7 +14,7 @@ from occmap.errors import MountError, PoseError
 from occmap.opening import choose_topics, make_poser
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
-from occmap.posing.frames import BASE_NAMES, Step, list_bases
+from occmap.posing.frames import BASE_NAMES, Edge
 from occmap.posing.options import Concern
 from occmap.posing.rotations import rotate_by
 from occmap.readers import Log, open_log, read_poses
@@ -48,13 +48,10 @@ little; those are read again at once. Of 280 pieces of logs none was suspected w
 def name_mount(
     log: Log, topics: Sequence[str], options: BuildOptions, error: MountError
 ) -> PoseError:
-    """Complete the error that a mount is missing by the mount that suits the scans, if one does."""
+    """Add to the error that a mount is missing which mount suits the scans, if one does."""
     trial = replace(options, posing=replace(options.posing, sensor_pose=UNTURNED))
     poser = Poser.build(read_poses(log), trial.posing)
-    try:
-        guess = guess_place(poser, sample_scans(log, topics, poser, trial), options)
-    except PoseError:
-        return error
+    guess = guess_place(poser, sample_scans(log, topics, poser, trial), options)
     return error.named(format_mount(guess.mount), guess.why) if guess else error
 
 
@@ -99,9 +96,9 @@ def guess_place(poser: Poser, parts: Sequence[PosedScans], options: BuildOptions
 
 
 def list_leaves(poser: Poser, frame: str) -> dict[str, Pose]:
-    """List the frames that are mounted on the body of a sensor and have none below, and where."""
+    """List where frames are mounted on the body of a sensor, if no other frame is below them."""
     tree, base = poser.sources.tree, poser.options.base_frame or ""
-    base = base or next(iter(list_bases(tree, frame)), "")
+    base = base or next(iter(tree.list_bases(frame)), "")
     uppers = {base, *(edge.parent for edge in tree.edges)}
     ways = {leaf: tree.find_path(base, leaf) for leaf in tree.frames if leaf not in uppers}
     places = {leaf: place_on(steps) for leaf, steps in ways.items() if steps}
@@ -171,7 +168,7 @@ def correct_mount(poser: Poser, frame: str, turn: Pose) -> str:
     if given or chain is None:  # None: the poses stand beside the scans
         return f"sensor_pose={format_mount((given or UNTURNED).then(turn))}"
     tree, base = poser.sources.tree, poser.options.base_frame
-    bases = [base] if base else list_bases(tree, frame)
+    bases = [base] if base else tree.list_bases(frame)
     if frame not in tree:  # the poses were taken as the sensor's own
         if len(poser.chains) == 1:
             return f"sensor_pose={format_mount(turn)}"
@@ -183,14 +180,14 @@ def correct_mount(poser: Poser, frame: str, turn: Pose) -> str:
     last = chain.steps[-1]
     if (mount := place_on([last])) is None:
         return ""
-    return f"static_transforms={format_static(last.upper, frame, mount.then(turn))}"
+    return f"static_transforms={format_static(last.parent, frame, mount.then(turn))}"
 
 
-def place_on(steps: Sequence[Step]) -> Pose | None:
+def place_on(steps: Sequence[Edge]) -> Pose | None:
     """Find where the last frame of some steps sits in the first; None where one of them moves."""
     place = UNTURNED
     for step in steps:
-        track = step.edge.track
+        track = step.track
         if track.moves:
             return None
         pose = Pose(*track.position[0].tolist(), *track.quaternion[0].tolist())

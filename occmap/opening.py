@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from occmap.errors import LogError, PoseError, UsageError
+from occmap.errors import LogError, UsageError
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
 from occmap.readers import Log, Role, read_poses
@@ -63,10 +63,9 @@ def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser
     stated = options.poses is None and all(scan.pose is not None for scan in first)
     poser = Poser.build([] if stated else read_poses(log), options)
     if not stated:
-        try:
-            poser.resolve({scan.frame for scan in first})
-        except PoseError as error:
-            raise error.placed(log.path) from None
+        failures = poser.find_chains({scan.frame for scan in first})
+        if failures and poser.fixed is None:
+            raise next(iter(failures.values())).placed(log.path)
     return poser
 
 

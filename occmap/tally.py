@@ -120,7 +120,7 @@ class Tally:
 
     @contextmanager
     def time(self, stage: str) -> Iterator[None]:
-        """Add the time of a block, without stages within it, to a stage; threads add up."""
+        """Add the time of a block to a stage, without that of stages within it. Threads add up."""
         start, outer = perf_counter(), getattr(_WITHIN, "seconds", 0.0)
         _WITHIN.seconds = 0.0
         try:

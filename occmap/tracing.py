@@ -10,14 +10,14 @@ from occmap.opening import choose_topics, make_poser
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.readers import Log, read_scans
-from occmap.sensor.no_return import RangeLimits, settle
+from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret
 from occmap.tally import Tally
 from occmap.types import Rays
 from occmap.workers import Workers
 
 HANDED_BEAMS = 1 << 12
-"""Fewer are traced sooner than handed to another thread, which waits for Python's lock: with two
+"""Fewer beams are traced sooner than handed to a thread, which waits for Python's lock: with two
 threads, a log of 20,000 laser frames with one scan each took six times as long."""
 
 AddRays = Callable[[Rays], None]
@@ -73,7 +73,8 @@ def trace_logs(
                 drive = open_drive(log, options)
             odd = trace(drive, options, add_rays, limit, counts)
             notes.append([*drive.poser.notes, *odd, *limit.list_notes()])
-        if settle(limits):
+        right = [limit.settle() for limit in limits]
+        if all(right):
             break
         counts.advance(-counts.advanced)  # the same scans are read once more
     tally.add(counts)

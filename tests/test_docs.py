@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 from ruamel.yaml import YAML
 
-from occmap.gates.measures import BUILD, CHECK, COMPARE, DIFF, SAVED, TUNE, Measures
+from occmap.gates import BUILD, CHECK, COMPARE, DIFF, SAVED, TUNE, Measures
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.readers import Probe, Role, open_log

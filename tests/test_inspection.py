@@ -597,7 +597,7 @@ def test_of_two_lasers_the_one_that_is_off_gets_a_transform_of_its_own(tmp_path:
     poser.chains = {"laser": None, "other": None}
     assert correct_mount(poser, "laser", Pose.planar(0, 0, 1.0)) == "sensor_pose=0,0,1"
     poser.chains = {}
-    poser.resolve(["laser"])
+    assert not poser.find_chains(["laser"])
     poser.chains["other"] = None
     better = correct_mount(poser, "laser", Pose.planar(0, 0, -1.5))
     assert better == "static_transforms=base_link,laser,0,0,0,0,0,0"

@@ -8,8 +8,7 @@ import click
 from occmap.cli.console import Console
 from occmap.cli.sections import Command, option
 from occmap.errors import OccmapError
-from occmap.gates import Failed, judge, parse_limit
-from occmap.gates.measures import Measures
+from occmap.gates import Failed, Measures, judge, parse_limit
 from occmap.plain import Printed, to_plain
 
 LIMITS = "Limits"

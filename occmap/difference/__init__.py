@@ -89,8 +89,8 @@ def compare_maps(before: ClassMap, after: ClassMap) -> MapDifference:
         found = f"both maps together take {both.cols} x {both.rows} cells, too many to compare"
         raise MapError(found, where=after.path, fix="check that both are in one map frame")
     one, other = place_in(both, first, before.classes), place_in(both, second, after.classes)
-    size = place.resolution
-    corner = Place(size, place.x + both.col * size, place.y + both.row * size)
+    corner = Place(place.resolution, *place.measure(both)[:2])
+    blob = find_largest_blob(one != other)
     changed, known = count_changes(one, other), int(np.count_nonzero(one | other))
     changed_cells = sum(changed.values())
     return MapDifference(
@@ -98,7 +98,7 @@ def compare_maps(before: ClassMap, after: ClassMap) -> MapDifference:
         known=known,
         changed_cells=changed_cells,
         changed=changed,
-        largest=measure_largest(one, other, corner),
+        largest=blob and ChangedBlob(blob.cells, corner.measure(blob.box)),
         columns=both.cols,
         rows=both.rows,
         digests=(before.digest, after.digest),
@@ -136,8 +136,6 @@ def align(before: ClassMap, after: ClassMap) -> tuple[Place, tuple[int, int]]:
 
 def place_in(both: CellBox, box: CellBox, classes: UInt8) -> UInt8:
     """Put a map, which covers a box, into a larger one; its other cells are neither."""
-    if box == both:
-        return classes
     larger = np.full(both.shape, NEITHER, np.uint8)
     larger[box.within(both)] = classes
     return larger
@@ -150,17 +148,6 @@ def count_changes(before: UInt8, after: UInt8) -> dict[str, int]:
         f"{was.name.lower()} to {now.name.lower()}": int(counts[3 * was + now])
         for was, now in permutations(CellClass, 2)
     }
-
-
-def measure_largest(before: UInt8, after: UInt8, place: Place) -> ChangedBlob | None:
-    """Find the largest connected change and where it lies."""
-    blob = find_largest_blob(before != after)
-    if blob is None:
-        return None
-    size = place.resolution
-    row, col, row_end, col_end = (edge * size for edge in blob.box)
-    x, y = place.x, place.y
-    return ChangedBlob(blob.cells, (x + col, y + row, x + col_end, y + row_end))
 
 
 def paint(difference: MapDifference) -> UInt8:

@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from occmap.arrays import UInt8
-from occmap.cells import CellClass, Decision
+from occmap.cells import Box, CellClass, Decision
 from occmap.errors import MapError, UsageError
 from occmap.evidence import read_model
 from occmap.grid.framing import Framing
+from occmap.grid.lattice import CellBox
 from occmap.grid.tiles import MAX_CELLS
 from occmap.store.layout import digest_evidence
 from occmap.store.reading import Store, as_blocks, open_saved
@@ -46,6 +47,11 @@ class Place(NamedTuple):
     x: float
     y: float
     """Lower-left corner of cell (0, 0) (m)"""
+
+    def measure(self, box: CellBox) -> Box:
+        """Lowest x and y, highest x and y of a box of cells (m)."""
+        row, col, row_end, col_end = (edge * self.resolution for edge in box)
+        return self.x + col, self.y + row, self.x + col_end, self.y + row_end
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -145,7 +145,7 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
         scans=tuple(sorted(sightings, key=lambda each: each.stamp_ns)),
         notes=(
             *list_doubts(evidence.manifest),
-            *(list_unexplained(evidence, history, uses, sightings) if uses else ()),
+            *list_unexplained(evidence, history, uses, sightings),
         ),
     )
 
@@ -161,7 +161,7 @@ def name_class(made: OccupancyMap, writing: WriteOptions) -> Verdict:
 
 
 def measure_extent(saved: Saved, model: SensorModel) -> Box | None:
-    """Lowest x and y, highest x and y of the map that a model makes (m); None: of nothing."""
+    """Lowest x and y, highest x and y of the map that a model makes (m); None if it is empty."""
     if isinstance(saved, Evidence):
         box = measure_bounds(choose_tiles(to_grid(saved), model))
     else:
@@ -174,7 +174,7 @@ def list_unexplained(
 ) -> Iterator[str]:
     """Say what is not explained by the scans that were found."""
     found, held = add_up(sightings), history.seen.numbers
-    if found == held:
+    if not uses or found == held:
         return
     kind, unit = history.seen.kind, history.unit
     sums = f"{describe_numbers(found, kind, unit)} of {describe_numbers(held, kind, unit)}"

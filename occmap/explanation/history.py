@@ -146,7 +146,7 @@ def find_cell(lattice: Lattice, x: float, y: float) -> tuple[int, int]:
 
 
 def read_visits(slices: Slices, cell: tuple[int, int], manifest: Manifest) -> Visits | None:
-    """Read when slices of its tile observed a cell (row, col); None where none of them did."""
+    """Read from the slices of its tile when a cell (row, col) was observed; None: never."""
     row, col = cell[0] % TILE, cell[1] % TILE
     seen = np.unpackbits(unpack(slices)[:, 1, row], axis=1)[:, col].astype(np.bool_)
     if not seen.any():
@@ -159,7 +159,7 @@ def read_visits(slices: Slices, cell: tuple[int, int], manifest: Manifest) -> Vi
 
 
 def read_cell(evidence: Evidence, row: int, col: int) -> Seen:
-    """Read what observed a cell; nothing did where it is in no tile."""
+    """Read what observed a cell; a cell that is in no tile has zeros."""
     at = np.flatnonzero((evidence.tiles == (row // TILE, col // TILE)).all(axis=1))
     numbers = evidence.cells[at, :, row % TILE, col % TILE].astype(np.int64).sum(axis=0).tolist()
     return Seen.read(numbers, EvidenceKind(evidence.manifest.kind))

@@ -1,14 +1,14 @@
 """Which builds of evidence a log went into, and with what options.
 
-A log is found by its hash, not its name. Options are read back from what evidence keeps of them:
-`write_value` undone.
+A log is known by its hash, not by its name. Options are read back from the JSON that
+`write_value` made of them.
 """
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from types import NoneType
+from types import GenericAlias, NoneType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from occmap.cells import Evidence
@@ -47,25 +47,23 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Sequence[Path]) -
     PoseError
         A trajectory is missing, or none of these builds had it.
     """
+    builds = evidence.manifest.builds
     given = {digest: path for path in poses for digest in hash_files(path)}
-    uses: list[Use] = []
-    wanted: set[str] = set()
     distinct: dict[frozenset[tuple[str, int]], Path] = {}
-    for log in logs:  # of equal ones only the first: a build used them alike
+    for log in logs:  # of equal logs the first will do: a build cannot tell them apart
         distinct.setdefault(frozenset(hash_files(log).items()), log)
+    uses: list[Use] = []
     for hashes, log in distinct.items():
-        counts = [count_uses(hashes, build) for build in evidence.manifest.builds]
-        used = [index for index, times in enumerate(counts) if times]
+        times = [count_uses(hashes, build) for build in builds]
+        used = [index for index in range(len(builds)) if times[index]]
         if not used:
             refuse_stranger(evidence, log)
         for index in used:
-            build = evidence.manifest.builds[index]
-            options = recall_options(build["options"], evidence.where)
-            if trajectory := find_trajectory(build):
-                wanted.add(trajectory["sha256"])
-                options = follow(options, log, trajectory, given)
-            uses += [Use(log, index, options)] * counts[index]
-    if idle := [path for digest, path in given.items() if digest not in wanted]:
+            options = recall_build(builds[index], evidence.where, log, given)
+            uses += [Use(log, index, options)] * times[index]
+    trajectories = [find_trajectory(builds[use.build]) for use in uses]
+    had = {trajectory["sha256"] for trajectory in trajectories if trajectory}
+    if idle := [path for digest, path in given.items() if digest not in had]:
         found = "is not a trajectory that these logs were built with"
         raise PoseError(found, where=idle[0], fix="leave it out")
     return uses
@@ -104,16 +102,29 @@ def list_missing(evidence: Evidence, uses: Sequence[Use]) -> list[str]:
     return list(dict.fromkeys(name for index, digest, name in held if (index, digest) not in read))
 
 
-def follow(
-    options: BuildOptions, log: Path, trajectory: dict[str, Any], given: dict[str, Path]
-) -> BuildOptions:
-    """Take the poses from the trajectory that the build had.
+def recall_build(build: BuildRecord, where: str, log: Path, given: dict[str, Path]) -> BuildOptions:
+    """Recall the options of a build, with the trajectory that it had.
+
+    Parameters
+    ----------
+    where
+        The evidence file, for errors.
+    log
+        The log that needs the trajectory, for errors.
+    given
+        The trajectory files that the user gives, by their hashes.
 
     Raises
     ------
     PoseError
-        It is not among those given.
+        The trajectory is not among those given.
+    MapError
+        As `recall_options`.
     """
+    options = recall_options(build["options"], where)
+    trajectory = find_trajectory(build)
+    if trajectory is None:
+        return options
     path = given.get(trajectory["sha256"])
     if path is None:
         others = ", ".join(map(str, given.values()))
@@ -195,9 +206,10 @@ def make_value(kind: Any, plain: Any) -> Any:
     if plain is None and NoneType in get_args(kind):
         return None
     kind = drop_none(kind)
-    if issubclass(get_origin(kind) or kind, tuple):
-        kinds = get_args(kind) or tuple(get_type_hints(kind).values())  # else of a NamedTuple
+    if get_origin(kind) is tuple:
+        kinds = get_args(kind)
         kinds = kinds[:1] * len(list(plain)) if kinds[1:] == (Ellipsis,) else kinds
-        values = [make_value(each, value) for each, value in zip(kinds, plain, strict=True)]
-        return tuple(values) if get_origin(kind) else kind(*values)
+        return tuple(make_value(each, value) for each, value in zip(kinds, plain, strict=True))
+    if issubclass(kind, tuple):  # a NamedTuple: the tuple of what its fields are
+        return kind(*make_value(GenericAlias(tuple, tuple(get_type_hints(kind).values())), plain))
     return kind(plain)

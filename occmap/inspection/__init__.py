@@ -21,6 +21,7 @@ from occmap.inspection.survey import Extent, Survey, TopicSurvey
 from occmap.mounts import find_better
 from occmap.opening import choose_topics, count_messages
 from occmap.options import BuildOptions
+from occmap.posing.attach import Poser
 from occmap.posing.course import Course
 from occmap.readers import Log, open_log, read_scans
 from occmap.sampling import estimate_agreement
@@ -45,7 +46,7 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
     """
     extent = Extent()
     logs = [inspect_path(path, options, extent) for path in paths]
-    return judge(logs, extent.sum_up(options.resolution), extent.longest, options)
+    return judge(logs, extent, options)
 
 
 def inspect_path(path: Path, options: BuildOptions, extent: Extent) -> LogFindings:
@@ -61,26 +62,13 @@ def inspect_path(path: Path, options: BuildOptions, extent: Extent) -> LogFindin
 
 
 def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent) -> LogFindings:
-    """Read the scans of an opened log once, and sum up."""
-    topics = choose_topics(log, options.selection.topics)
-    expected = count_messages(log, topics)
-    limits = RangeLimits(options.returns)
-    model, problem = options.model, ""
-    around = options.resolution if isinstance(model, Spreading) and model.spread > 0 else 0.0
-    for _ in range(2):  # again where the first scans did not show what stands for "no return"
-        unseen = replace(posing.poser, courses=defaultdict(Course))
-        posing = replace(posing, poser=unseen)  # as it was before it saw a scan
-        reach = Extent(options.hit_offset * options.resolution, around)
-        survey = Survey(posing.poser, options, expected, limits, reach)
-        try:
-            survey.read(read_scans(log, topics))
-        except LogError as error:
-            problem = str(error.placed(log.path))
-        if limits.settle():
-            break
-    extent.join(reach)
-    seen = [survey.topics[topic] for topic in topics if topic in survey.topics]
+    """Read the scans of an opened log, and sum up."""
+    survey, problem = read_log(log, posing.poser, options)
+    posing = replace(posing, poser=survey.poser)
+    extent.join(survey.extent)
     types = {stream.topic: stream.type for stream in reversed(log.streams)}
+    topics = choose_topics(log, options.selection.topics)
+    seen = [survey.topics[topic] for topic in topics if topic in survey.topics]
     scans = tuple(
         sum_up(log, types[topic.topic], topic, posing, options) for topic in seen if topic.shapes
     )
@@ -90,14 +78,39 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
         found = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
         problem = f"{log.path}: {found}"
     known = describe_log(log)
+    notes = *posing.poser.notes, *survey.limits.list_notes(), *survey.list_notes()
     findings = replace(
         known,
         scans=() if problem else scans,  # a part that was read says nothing of a damaged log
         coverage=tuple(list_coverage(posing.poser.sources)),
-        notes=(*known.notes, *posing.poser.notes, *limits.list_notes(), *survey.list_notes()),
+        notes=known.notes + notes,
         problem=problem,
     )
     return replace(findings, concerns=tuple(list_concerns(findings, spoilers)))
+
+
+def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str]:
+    """Read the scans of a log, once more if the first ones hid what stands for "no return".
+
+    Returns
+    -------
+    survey, problem
+        With a poser of its own; and why the log cannot be read to its end, "" where it can.
+    """
+    topics = choose_topics(log, options.selection.topics)
+    expected, limits, problem = count_messages(log, topics), RangeLimits(options.returns), ""
+    model, behind = options.model, options.hit_offset * options.resolution
+    around = options.resolution if isinstance(model, Spreading) and model.spread > 0 else 0.0
+    for _ in range(2):
+        unseen = replace(poser, courses=defaultdict(Course))  # as before it saw a scan
+        survey = Survey(unseen, options, expected, limits, Extent(behind, around))
+        try:
+            survey.read(read_scans(log, topics))
+        except LogError as error:
+            problem = str(error.placed(log.path))
+        if limits.settle():
+            break
+    return survey, problem
 
 
 def describe_log(log: Log) -> LogFindings:

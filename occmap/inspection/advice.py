@@ -6,14 +6,10 @@ from collections.abc import Iterator, Sequence
 from occmap.batching import find_oddity
 from occmap.command import chain_builds, compose_build, spell_flag
 from occmap.errors import MapError
-from occmap.grid.lattice import refuse_long
-from occmap.inspection.findings import (
-    Inspection,
-    LogFindings,
-    MapFindings,
-    ScanFindings,
-    TimeFindings,
-)
+from occmap.grid.lattice import CellBox, Lattice, refuse_long
+from occmap.grid.tiles import refuse_large
+from occmap.inspection.findings import Inspection, LogFindings, MapFindings, ScanFindings
+from occmap.inspection.survey import Extent
 from occmap.mounts import warn_of_misfit
 from occmap.options import BuildOptions
 from occmap.posing.options import Concern, DropReason, Stamps
@@ -22,49 +18,45 @@ from occmap.wording import count, write_counts, write_unused
 
 SHARE_OF_NOTE = 0.05
 DRIFT_S = 0.1
+BYTES_PER_CELL = 4 + 1 + 8
+"""In memory: log-odds, observed, and two counts of four bytes as evidence."""
 ASK_TUNE = "try `occmap tune`"
 
 
-def judge(
-    logs: Sequence[LogFindings], grid: MapFindings | None, longest: float, options: BuildOptions
-) -> Inspection:
-    """Judge logs by what was found in them, and the map that they would make.
-
-    Parameters
-    ----------
-    grid
-        None where no beam observes a cell.
-    longest
-        Of all beams (m).
-    """
-    stamps = options.posing.stamps
-    problems = [log.problem for log in logs if log.problem]
-    too_large = find_size_problem(grid, longest, options)
-    is_unseen = grid is None and any(topic.poses.posed for log in logs for topic in log.scans)
+def judge(logs: Sequence[LogFindings], extent: Extent, options: BuildOptions) -> Inspection:
+    """Judge logs by what was found in them, and by the extent of the map that they would make."""
+    stamps, lattice = options.posing.stamps, Lattice(options.resolution)
+    box = extent.find_box(lattice)
+    too_large = find_size_problem(box, extent.longest, options)
+    is_unseen = box is None and any(topic.poses.posed for log in logs for topic in log.scans)
     unseen = "no beam of any scan observes a cell: see the ranges" if is_unseen else ""
-    others = [text for text in (too_large, unseen) if text][:1]
-    problems += list_pose_problems(logs, stamps) or others
-    mapped = [  # scans that have no poses may have some by the other of their two times
-        log
-        for log in logs
-        if any(it.poses.posed or it.times.suggested_stamps != stamps for it in log.scans)
-    ]
-    apart = () if too_large else tuple(list_apart(mapped, options))
-    command = compose_command(mapped, options) if mapped and not too_large and not apart else ()
-    left = [log.path for log in logs if log not in mapped]
-    if left and (command or apart):
-        apart += (f"the line leaves out what cannot be mapped: {', '.join(left)}",)
+    # One problem of the map is enough, and where scans lack poses, that is why.
+    others = list_pose_problems(logs, stamps) or list(filter(None, (too_large, unseen)))[:1]
+    problems = [*(log.problem for log in logs if log.problem), *others]
+    command, differing = ((), ()) if too_large else recommend(logs, options)
     if unseen and spell_flag("no_return") not in command:
-        command = ()  # nothing that is known makes anything of these logs
+        command = ()  # no known option makes a map of these logs
     damage = (f"{log.path}: {text}" for log in logs for text in log.damage)
     concerns = (concern.text for log in logs for concern in log.concerns)
     return Inspection(
         logs=tuple(logs),
-        map=grid,
+        map=box and sum_up_map(box, lattice),
         problems=tuple(problems),
-        warnings=(*damage, *concerns, *apart),
+        warnings=(*damage, *concerns, *differing),
         command=command,
         buildable=not problems,
+    )
+
+
+def sum_up_map(box: CellBox, lattice: Lattice) -> MapFindings:
+    """Sum up the map of a box of cells."""
+    return MapFindings(
+        resolution=lattice.resolution,
+        extent=lattice.measure(box),
+        columns=box.cols,
+        rows=box.rows,
+        file_bytes=box.cells,
+        memory_bytes=box.cells * BYTES_PER_CELL,
     )
 
 
@@ -99,27 +91,48 @@ def bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
     return "; compare stamps and sources: `time_offset_s=S` or `stamps=record`"
 
 
-def find_size_problem(grid: MapFindings | None, longest: float, options: BuildOptions) -> str:
+def find_size_problem(box: CellBox | None, longest: float, options: BuildOptions) -> str:
     """Say why no map can be made for its size, or that of its longest beam (m); "" where it can."""
-    if grid is not None and grid.columns * grid.rows > options.max_cells:
-        x, y, x_end, y_end = grid.extent
-        return (
-            f"the map would have {grid.columns} x {grid.rows} cells, more than "
-            f"`max_cells={options.max_cells}`: x from {x:g} to {x_end:g} m, y from "
-            f"{y:g} to {y_end:g} m; try a coarser `resolution` or a `max_range`"
-        )
+    lattice = Lattice(options.resolution)
     try:
+        if box is not None:
+            refuse_large(box, lattice, options.max_cells)
         refuse_long(longest, options.resolution)
     except MapError as error:
         return str(error)
     return ""
 
 
+def recommend(
+    logs: Sequence[LogFindings], options: BuildOptions
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Recommend a command line for the logs that can be mapped.
+
+    Returns
+    -------
+    command, differing
+        The words of the line, none where it takes more than one; and what it leaves out, or which
+        lines it takes.
+    """
+    stamps = options.posing.stamps
+    mapped = [  # with poses, or with a hint that the other of the two times gives some
+        log
+        for log in logs
+        if any(it.poses.posed or it.times.suggested_stamps != stamps for it in log.scans)
+    ]
+    differing = tuple(list_apart(mapped, options))
+    command = compose_command(mapped, options) if mapped and not differing else ()
+    left = [log.path for log in logs if log not in mapped]
+    if left and (command or differing):
+        differing += (f"the line leaves out what cannot be mapped: {', '.join(left)}",)
+    return command, differing
+
+
 def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple[str, ...]:
     """Compose the command line for logs that can be mapped: the options given, then the advice.
 
-    Where the poses do not fit the scans, it is the one that looks for the reason; there is none
-    where nothing helps, or where logs need different options.
+    Where the poses do not fit the scans, it is the line of `occmap tune`, which looks for the
+    reason. It is empty where nothing helps, or where logs need different options.
     """
     paths = [log.path for log in logs]
     concerns = [concern for log in logs for concern in log.concerns]
@@ -193,8 +206,7 @@ def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
     lost = topic.poses.dropped
     if has_poses and sum(lost.values()) > SHARE_OF_NOTE * topic.kept:
         yield Concern(f"scans without a pose: {write_counts(lost)}")
-    if not topic.poses.stated:  # else stamps do not matter
-        yield from map(Concern, list_clock_faults(topic.times))
+    yield from map(Concern, list_clock_faults(topic))
     for item in topic.ranges.repeated:
         if not item.is_no_return:
             share = f"{item.value:g} m is {item.share:.0%} of the ranges"
@@ -203,8 +215,11 @@ def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
         yield Concern("no range value is a measurement")
 
 
-def list_clock_faults(times: TimeFindings) -> Iterator[str]:
-    """Say what is wrong with stamps."""
+def list_clock_faults(topic: ScanFindings) -> Iterator[str]:
+    """Say what is wrong with the stamps of a topic; those of stated poses do not matter."""
+    times = topic.times
+    if topic.poses.stated:
+        return
     if times.all_equal:
         yield "all stamps are equal"
     if times.jumps_back:

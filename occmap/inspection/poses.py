@@ -21,7 +21,7 @@ from occmap.sampling import sample_scans
 from occmap.types import Pose
 
 WELL_POSED = 0.9
-"""Where fewer scans than this share have poses, the other of the two times is tried."""
+"""If a smaller share of the scans has poses, the other of the two times is tried."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def assume_mount(
     posing = replace(unturned.poser.options, sensor_pose=guess.mount if guess else UNTURNED)
     poser = Poser(unturned.poser.sources, posing, notes=list(unturned.poser.sources.notes))
     faults = unturned.faults
-    if guess is not None:  # the error that the mount is missing names the one that was found
+    if guess is not None:  # the error says that the mount is missing, and names the likely one
         found = format_mount(guess.mount), guess.why
         faults = {
             frame: fault.named(*found) if isinstance(fault, MountError) else fault
@@ -78,29 +78,24 @@ def assume_mount(
 
 
 def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> Stamps:
-    """Say which of the two times of messages gives more scans a pose."""
+    """Find out by which of the two times of a message more scans have a pose."""
     chosen = posing.poser.options.stamps
     scans = topic.left_out.total() + topic.posed + topic.dropped.total()
     if topic.stated or not posing.poser.chains or topic.posed >= WELL_POSED * scans:
         return chosen
     other = Stamps.HEADER if chosen is Stamps.RECORD else Stamps.RECORD
     poser = Poser.build(read_poses(log), replace(posing.poser.options, stamps=other))
-    try:
-        poser.resolve(topic.frames)
-    except PoseError:
-        return chosen
-    stamp_ns = topic.stamps.record_ns if other is Stamps.RECORD else topic.stamps.header_ns
-    stamp_ns = stamp_ns + round(poser.options.time_offset_s * 1e9)
-    chain = poser.chains[next(iter(topic.frames))]
+    poser.find_chains(topic.frames)
+    stamps = topic.stamps.record_ns if other is Stamps.RECORD else topic.stamps.header_ns
+    stamp_ns = np.array(stamps) + round(poser.options.time_offset_s * 1e9)
+    chain = poser.chains.get(next(iter(topic.frames)))
     found = 0 if chain is None else np.count_nonzero(chain.at(stamp_ns).status == Status.POSED)
     return other if found > topic.posed / WELL_POSED else chosen
 
 
 def list_coverage(sources: Sources) -> list[Coverage]:
     """Describe the edges of the tree, by name, and then the poses of bodies that are in no edge."""
-    edges = list(sources.tree.edges)
     chosen = [sources.trajectory] if sources.trajectory else []
-    others = [edge for edge in (*chosen, *sources.pose_topics) if edge not in edges]
     return [
         Coverage(
             parent=edge.parent,
@@ -116,7 +111,7 @@ def list_coverage(sources: Sources) -> list[Coverage]:
             largest_step_m=float(edge.track.step_m.max(initial=0)),
             largest_step_rad=float(edge.track.step_rad.max(initial=0)),
         )
-        for edge in dict.fromkeys([*edges, *others])
+        for edge in dict.fromkeys([*sources.tree.edges, *chosen, *sources.pose_topics])
     ]
 
 

@@ -1,6 +1,6 @@
-"""Range values: which are no plain measurements, which repeat too often, and what no return means.
+"""Range values: which are not measurements, which repeat too often, and what no return means.
 
-Whether beams without return lead through walls is seen in a sample of posed scans.
+A sample of posed scans shows whether beams without return lead through walls.
 """
 
 import math
@@ -20,15 +20,15 @@ from occmap.types import Kind, PosedScans, ScanBatch
 from occmap.values import as_float32
 
 BLOCK_RANGES = 1 << 17
-"""Ranges that are sorted at once to find repeated ones: memory is bounded, sorting pays."""
+"""How many ranges are sorted together to find repeated ones: this bounds the memory."""
 
 REPEATED_SHARE = 0.01
 DOMINANCE = 10
 NEIGHBOURHOOD_M = 0.1
-"""A value is suspicious if one finite range in a hundred has it, ten times as many as any other
-within this distance: walls, even seen by a robot that stands still, spread by their noise."""
+"""A value is suspicious if one finite range in a hundred has it, and ten times as many as have any
+other value within this distance. Ranges to a wall spread by their noise, even if nothing moves."""
 COMMON_SHARE = REPEATED_SHARE / 10
-"""A value that is rarer than this among the ranges sorted at once is not counted there."""
+"""A value with a smaller share of the ranges that are sorted together is not counted there."""
 MIN_VALUES = 16
 """Fewer different ranges tell nothing: a room drawn by hand may be all of 5 m."""
 MAX_REPEATED = 8
@@ -112,7 +112,7 @@ class RangeCensus:
             self._fold()
 
     def _fold(self) -> None:
-        """Look for repeated values among the ranges gathered, and forget the others."""
+        """Look for repeated values in the block of ranges that is full, and begin another block."""
         if not self._block:
             return
         values, counts = np.unique(np.concatenate(self._block), return_counts=True)
@@ -153,9 +153,8 @@ class RangeCensus:
     def _suggest_no_return(self, repeated: Sequence[Repeated], crossed: float | None) -> str:
         """Suggest whether beams without return are to clear space.
 
-        Such beams are to clear space only where the log states a limit up to which, where their
-        value is not an error code, and where hardly one of them leads through a wall, or out of all
-        that was hit, as through glass.
+        They are if the log states the limit up to which, if their value is not an error code, and
+        if hardly one of them leads through a wall or, as through glass, out of all that was hit.
         """
         low, high = SICK_CODES
         is_code = any(low <= item.value <= high for item in repeated)
@@ -164,7 +163,7 @@ class RangeCensus:
 
 
 def find_repeated(values: Float32, counts: NDArray[np.intp]) -> Float32:
-    """Find those of some values (N,), in ascending order, that occur suspiciously often."""
+    """Find the values (N,), which are in ascending order, that occur suspiciously often."""
     total = counts.sum()
     if len(values) < MIN_VALUES:
         return values[:0]
@@ -192,26 +191,25 @@ def measure_crossing(parts: Sequence[PosedScans], options: ReturnOptions) -> flo
         call space free.
     """
     options = replace(options, no_return=NoReturn.CLEAR)
-    hits, origins, directions, reaches = [], [], [], []
+    hits, beams = [np.zeros((0, 2))], [np.zeros((0, 5))]
     for part in parts:
         rays, _ = interpret(part, options)
         limit = part.batch.range_max if options.range_max is None else options.range_max
         lost = (rays.kind == Kind.FREE) & (part.batch.ranges >= as_float32(limit))
         hits.append(rays.end[rays.kind == Kind.HIT])
-        origins.append(np.broadcast_to(rays.origin, rays.direction.shape)[lost])
-        directions.append(rays.direction[lost])
-        reaches.append(rays.distance[lost])
-    reach = np.concatenate(reaches or [np.zeros(0)])
-    if len(reach) < MIN_CROSSING_BEAMS:
+        origin, direction = np.broadcast_arrays(rays.origin, rays.direction)
+        beams.append(np.column_stack([origin[lost], direction[lost], rays.distance[lost]]))
+    hit, every = np.concatenate(hits), np.concatenate(beams)
+    if len(every) < MIN_CROSSING_BEAMS:
         return None
-    some = np.linspace(0, len(reach) - 1, min(len(reach), MAX_CROSSING_BEAMS)).astype(np.int64)
-    origin, direction = np.concatenate(origins)[some], np.concatenate(directions)[some]
-    reach, hit = np.minimum(reach[some], MAX_REACH_M), np.concatenate(hits)
+    some = np.linspace(0, len(every) - 1, min(len(every), MAX_CROSSING_BEAMS)).astype(np.int64)
+    origin, direction, reach = np.split(every[some], [2, 4], axis=1)
+    reach = np.minimum(reach.astype(np.float32), MAX_REACH_M)
     # A beam leaves all that was hit where it ends outside of the octagon around it.
     sides = np.stack([np.cos(SIDES), np.sin(SIDES)])
     far = (hit @ sides).max(axis=0) if len(hit) else np.inf  # no hit, no building
-    leaves = ((origin + reach[:, None] * direction) @ sides > far).any(axis=1)
-    return float((leaves | find_crossing(origin, direction, reach, hit)).mean())
+    leaves = ((origin + reach * direction) @ sides > far).any(axis=1)
+    return float((leaves | find_crossing(origin, direction, reach[:, 0], hit)).mean())
 
 
 def find_crossing(origin: Float64, direction: Float64, reach: Float64, hit: Float64) -> Bool:
@@ -230,7 +228,7 @@ def find_crossing(origin: Float64, direction: Float64, reach: Float64, hit: Floa
 
 
 def look_around(steps: Bool) -> Bool:
-    """(N, K) whether any of the steps (N, K) of a beam around each is true."""
+    """(N, K) whether a step (N, K) of a beam, or one of those around it, is true."""
     ends = np.pad(steps, ((0, 0), (STEPS_AROUND, STEPS_AROUND)))
     around: Bool = sliding_window_view(ends, 2 * STEPS_AROUND + 1, axis=1).max(axis=2)
     return around

@@ -11,15 +11,14 @@ from typing import Self
 
 import numpy as np
 
-from occmap.arrays import Float64, Int64
+from occmap.arrays import Float64
 from occmap.batching import NOT_ASKED_FOR, Batcher, Selection, Selector
-from occmap.errors import PoseError
 from occmap.grid.lattice import CellBox, Lattice
-from occmap.inspection.findings import MapFindings, Shape, TimeFindings
+from occmap.inspection.findings import Shape, TimeFindings
 from occmap.inspection.ranges import RangeCensus
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
-from occmap.posing.options import DropReason, Stamps
+from occmap.posing.options import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.sampling import Sample, expect_scans
 from occmap.sensor.no_return import RangeLimits
@@ -27,40 +26,30 @@ from occmap.sensor.returns import interpret, read_limits
 from occmap.types import Kind, Rays, Scan, ScanBatch, ScanRun
 
 MAX_SHAPES = 1000
-"""Shapes that are counted: a log in which every scan has another must not fill the memory."""
+"""How many shapes are counted: each scan of a log may have its own, and memory is bounded."""
 SAMPLED_TOPICS = 100
-"""Topics whose scans are sampled: no robot has more lasers, and a map of each takes its time."""
+"""How many topics are sampled: no robot has more lasers, and the map of each takes time."""
 LONGEST_RUN_NS = 10**16
 """A simulation lasts no longer than this: 115 days."""
 EARLIEST_DATE_NS = 631_152_000 * 10**9
 """A log with the date of its recording is of 1990 or later."""
-BYTES_PER_CELL = 4 + 1 + 8
-"""In memory: log-odds, observed, and two counts of four bytes as evidence."""
 
 
 class StampLog:
     """The times of every scan of a topic, 24 bytes each."""
 
     def __init__(self) -> None:
-        self._header = array("q")
-        self._record = array("q")
+        self.header_ns = array("q")
+        """What the driver wrote"""
+        self.record_ns = array("q")
+        """When the recorder stored it"""
         self._increment = array("d")
 
     def add(self, some: Scan | ScanRun) -> None:
         """Take the times of one scan, or of all scans of a run."""
-        for times, own in ((self._header, some.stamp_ns), (self._record, some.record_ns)):
+        for times, own in ((self.header_ns, some.stamp_ns), (self.record_ns, some.record_ns)):
             times.frombytes(np.clip(own, -MAX_STAMP_NS, MAX_STAMP_NS, dtype=np.int64).tobytes())
         self._increment.frombytes(np.asarray(some.time_increment, np.float64).tobytes())
-
-    @property
-    def header_ns(self) -> Int64:
-        """(N,) what the driver wrote."""
-        return np.array(self._header, np.int64)
-
-    @property
-    def record_ns(self) -> Int64:
-        """(N,) when the recorder stored it."""
-        return np.array(self._record, np.int64)
 
     def sum_up(self, suggested_stamps: Stamps, poses_ns: int | None = None) -> TimeFindings:
         """Sum up the times of at least one scan.
@@ -70,14 +59,15 @@ class StampLog:
         poses_ns
             The stamp of some pose that is not stated beside a scan, if there is one.
         """
-        header, record = self.header_ns, self.record_ns
+        header, record = np.array(self.header_ns), np.array(self.record_ns)
         steps = np.diff(header) / 1e9
         offset = (header.astype(np.float64) - record) / 1e9
         all_equal = len(header) > 1 and bool((header == header[0]).all())
         duration_s = float(header.max() - header.min()) / 1e9
-        simulated = (
-            not all_equal and poses_ns is not None and is_simulated(header, record, poses_ns)
-        )
+        # A simulation's clock begins at 0. That of a laser may, too, but then the poses have dates.
+        latest = max(int(header.max()), LONGEST_RUN_NS if poses_ns is None else poses_ns)
+        began_at_zero = header.min() >= 0 and latest < LONGEST_RUN_NS and not all_equal
+        simulated = bool(began_at_zero and record.min() >= EARLIEST_DATE_NS)
         tenth = max(len(offset) // 10, 1)
         drift_s = float(np.median(offset[-tenth:]) - np.median(offset[:tenth]))
         increments = np.array(self._increment)
@@ -99,15 +89,6 @@ class StampLog:
             simulated=simulated,
             suggested_stamps=suggested_stamps,
         )
-
-
-def is_simulated(header: Int64, record: Int64, poses_ns: int) -> bool:
-    """Whether scans and poses have stamps of a simulation's clock, which begins at 0.
-
-    The clock of a laser may begin at 0 as well, but then the poses have dates.
-    """
-    began = max(int(header.max()), poses_ns) < LONGEST_RUN_NS
-    return began and int(header.min()) >= 0 and int(record.min()) >= EARLIEST_DATE_NS
 
 
 class Extent:
@@ -150,24 +131,14 @@ class Extent:
         self.low, self.high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
         self.longest = max(self.longest, other.longest)
 
-    def sum_up(self, resolution: float) -> MapFindings | None:
-        """Sum up at a resolution (m); None where nothing was seen."""
+    def find_box(self, lattice: Lattice) -> CellBox | None:
+        """Find the box of cells; None where nothing was seen."""
         if not np.isfinite([*self.low, *self.high]).all():
             return None
-        lattice = Lattice(resolution)
         (row, col), (last_row, last_col) = (
             lattice.to_cell(float(x), float(y)) for x, y in (self.low, self.high)
         )
-        box = CellBox(row, col, last_row + 1, last_col + 1)
-        x, y, x_end, y_end = (round(edge, 9) for edge in lattice.measure(box))
-        return MapFindings(
-            resolution=resolution,
-            extent=(x, y, x_end, y_end),
-            columns=box.cols,
-            rows=box.rows,
-            file_bytes=box.cells,
-            memory_bytes=box.cells * BYTES_PER_CELL,
-        )
+        return CellBox(row, col, last_row + 1, last_col + 1)
 
 
 @dataclass
@@ -227,17 +198,11 @@ class Survey:
                 self.extent.add(rays)
 
     def _stack(self, scans: Iterable[Scan | ScanRun]) -> Iterator[ScanBatch]:
-        """Stack the scans that a build would use; those without a way to the map are counted."""
+        """Stack the scans that a build would use, and count their ranges."""
         batcher = Batcher(Selection(), self.poser.options.stamps)
-        for stacked in batcher.stack(self._select(scans)):
-            survey, batch = self.topics[stacked.topic], self.limits.apply(stacked)
-            survey.census.add(batch)
-            try:
-                self.poser.prepare(batch)
-            except PoseError:  # no scan so far has a way to the map
-                survey.dropped[DropReason.NO_TRANSFORM] += len(batch.stamp_ns)
-            else:
-                yield batch
+        for batch in map(self.limits.apply, batcher.stack(self._select(scans))):
+            self.topics[batch.topic].census.add(batch)
+            yield batch
 
     def _select(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
         """Give the scans that a build would use; scans that nobody asked for are only counted."""
@@ -261,7 +226,7 @@ class Survey:
         return self.topics[topic]
 
     def list_notes(self) -> Iterator[str]:
-        """Say that scans are sampled of only some of very many topics."""
+        """Say where there are so many topics that only some are sampled."""
         if len(self.topics) > SAMPLED_TOPICS:
             yield (
                 f"the mount and the agreement are estimated for {SAMPLED_TOPICS} of "

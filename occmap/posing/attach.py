@@ -1,8 +1,9 @@
 """Attachment: scans and poses become posed scans; each scan without a pose is counted.
 
-A batch goes one way: the chain of frames to its sensor is found (`resolve`), the moments of its
-scans are chosen, the chain is looked up at these (`chain`), and scans without a pose are dropped.
-So are scans whose poses leap away and back (`leaps`). `course` then watches where the sensor was.
+A batch goes one way, through `Poser.attach`: the chain of frames to its sensor is found
+(`resolve`), the moments of its scans are chosen, the chain is looked up at these (`chain`), and
+scans without a pose are dropped. So are scans whose poses leap away and back (`leaps`). `course`
+then watches where the sensor was.
 
 A scan has one moment, its stamp, unless it is de-skewed: then each of its beams gets the pose of
 the moment at which it was measured.
@@ -10,14 +11,14 @@ the moment at which it was measured.
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import reduce
 from typing import Self
 
 import numpy as np
 
-from occmap.arrays import Bool
+from occmap.arrays import Bool, Float64, Int64
 from occmap.errors import PoseError
 from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.course import STANDS, Course, list_tilts
@@ -62,6 +63,7 @@ class Poser:
 
     def __post_init__(self) -> None:
         self._offset_ns = round(self.options.time_offset_s * 1e9)  # to the clock of the poses
+        self._trusts_stated = self.sources.trajectory is None
         self._leaps = LeapFilter(self.options.max_speed)
         align, transform = self.options.align, self.options.transform
         turned = Pose.planar(0.0, 0.0, math.radians(align)) if align else None
@@ -70,9 +72,7 @@ class Poser:
         self._above = Transforms.fixed(reduce(Pose.then, moved)) if moved else None
 
     @classmethod
-    def build(
-        cls, samples: Iterable[PoseSample | PoseBatch], options: PosingOptions | None = None
-    ) -> Self:
+    def build(cls, samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) -> Self:
         """Read all samples of a log once, in any order.
 
         Raises
@@ -82,111 +82,89 @@ class Poser:
         LogError
             The trajectory file cannot be read.
         """
-        options = options or PosingOptions()
         sources = gather(samples, options)
         return cls(sources, options, notes=list(sources.notes))
 
-    def resolve(self, frames: Collection[str]) -> None:
+    def find_chains(self, frames: Iterable[str]) -> dict[str, PoseError]:
         """Find the chains to these scan frames, all from the same fixed frame.
 
-        Raises
-        ------
-        PoseError
-            No frame, of these and earlier ones, has a chain.
-        """
-        failures = self.find_chains(frames)
-        if failures and self.fixed is None:
-            raise next(iter(failures.values()))
+        While no frame has a chain, nothing is decided, and the same frames may be asked for again.
 
-    def find_chains(self, frames: Collection[str]) -> dict[str, PoseError]:
-        """Find the chains to these scan frames; say of those that have none why.
-
-        Where none at all has one so far, nothing is decided, and they may be asked for again.
+        Returns
+        -------
+        dict
+            By frame, the error that says why it has none.
         """
-        left = sorted(frame for frame in set(frames) if frame not in self.chains)
-        # What mends one laser among others is not what mends a single one.
-        alone = len(left) == 1 and not self.chains
-        failures: dict[str, PoseError] = {}
-        for _ in range(2):  # again by the map frame, which another one's chain may have shown
-            failures = {}
-            for frame in left:
-                try:
-                    found = resolve(self.sources, self.options, frame, self.fixed, alone)
-                except PoseError as error:
-                    failures[frame] = error
-                    continue
-                self.fixed, chain, notes = found
-                self.chains[frame] = chain
-                self._note(*notes)
-                if not chain.interval_s and self.sources.tree.moves:
-                    self._note(f"{frame!r} never moves in {self.fixed!r}, though other frames do")
-            if self.fixed is None:
-                return failures
-            left, alone = list(failures), False
+        left = sorted(set(frames) - self.chains.keys())
+        # A single laser is mended by other options than one among several.
+        failures = self._try_frames(left, alone=len(left) == 1 and not self.chains)
+        if self.fixed is None:
+            return failures
+        # By now the chain of another frame may have shown which frame the map is in.
+        failures = self._try_frames(failures, alone=False)
         self.chains.update(dict.fromkeys(failures))
         self._note(*map(str, failures.values()))
         return failures
 
-    def is_stated(self, batch: ScanBatch) -> bool:
-        """Whether the poses that the log states beside these scans are theirs."""
-        return batch.pose is not None and self.sources.trajectory is None
-
-    def prepare(self, batch: ScanBatch) -> None:
-        """Find the way to the sensor of some scans, unless its poses stand beside them.
-
-        Raises
-        ------
-        PoseError
-            No scan frame so far has a chain to the map frame.
-        """
-        if not self.is_stated(batch) and batch.frame not in self.chains:
-            self.resolve([batch.frame])
+    def _try_frames(self, frames: Iterable[str], alone: bool) -> dict[str, PoseError]:
+        failures = {}
+        for frame in frames:
+            try:
+                found = resolve(self.sources, self.options, frame, self.fixed, alone)
+            except PoseError as error:
+                failures[frame] = error
+                continue
+            self.fixed, chain, notes = found
+            self.chains[frame] = chain
+            self._note(*notes)
+            if not chain.interval_s and self.sources.tree.moves:
+                self._note(f"{frame!r} never moves in {self.fixed!r}, though other frames do")
+        return failures
 
     def attach(self, batches: Iterable[ScanBatch]) -> Iterator[Attached]:
         """Give each scan the pose of its sensor, or each beam where the scan is de-skewed.
 
         A pose that the log states beside the scan is used as it is, unless the user named a
         trajectory; where the user gave the sensor's pose, it is taken to be the body's. Where only
-        some scans of a batch are de-skewed, it comes in two parts.
-
-        Raises
-        ------
-        PoseError
-            As `prepare`.
+        some scans of a batch are de-skewed, it comes in two parts. Scans in a frame that no chain
+        leads to are dropped and counted.
         """
-        some = (batch for batch in batches if len(batch.stamp_ns))
-        for attached in self._leaps.sift(part for batch in some for part in self._look_up(batch)):
-            if (posed := attached.posed) is not None:
-                chain = None if self.is_stated(posed.batch) else self.chains[posed.batch.frame]
-                stamp_ns = posed.batch.stamp_ns + self._offset_ns
-                self.courses[posed.batch.topic].see(posed, stamp_ns, chain)
+        looked_up = (part for batch in batches for part in self._look_up(batch))
+        for attached in self._leaps.sift(looked_up):
+            if attached.posed is not None:
+                self._watch(attached.posed)
             yield attached
         self._note(*self._leaps.list_notes())
 
     def _look_up(self, batch: ScanBatch) -> Iterator[Attached]:
-        """Look up where the sensor was, and keep the scans that have a pose."""
-        self.prepare(batch)
-        if batch.pose is not None and self.is_stated(batch):
-            self._note(*_list_idle(self.options))
-            sensor = self.options.sensor_pose
-            found = Transforms.read(batch.pose)
-            yield self._keep(batch, found.then(Transforms.fixed(sensor)) if sensor else found)
+        """Look up where the sensor was at the moments of some scans, by stated poses or a chain."""
+        scans = len(batch.stamp_ns)
+        if not scans:
             return
-        chain = self.chains[batch.frame]
+        if batch.pose is not None and self._trusts_stated:
+            yield self._keep(batch, self._read_stated(batch.pose))
+            return
+        if batch.frame not in self.chains:
+            self.find_chains([batch.frame])
+        chain = self.chains.get(batch.frame)
         if chain is None:
-            yield Attached(batch, None, {DropReason.NO_TRANSFORM: len(batch.stamp_ns)})
+            yield Attached(batch, None, {DropReason.NO_TRANSFORM: scans})
             return
         deskewed, notes = choose_deskewed(batch, self.options.deskew, chain)
         self._note(*notes)
         stamp_ns = np.clip(batch.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS) + self._offset_ns
         if deskewed.any():
             part = batch.take(deskewed)
-            beams = part.ranges.shape[1]
-            moments = np.linspace(0, (beams - 1) * part.time_increment, min(beams, MOMENTS), axis=1)
-            moment_ns = stamp_ns[deskewed, None] + np.round(moments * 1e9).astype(np.int64)
+            moment_ns = stamp_ns[deskewed, None] + list_moments(part)
             yield self._keep(part, chain.at(moment_ns.ravel()))
         if not deskewed.all():
             yield self._keep(batch.take(~deskewed), chain.at(stamp_ns[~deskewed]))
+
+    def _read_stated(self, poses: Float64) -> Transforms:
+        """Read the poses (S, 7) that stand beside scans, as the sensor's or as its body's."""
+        found, sensor = Transforms.read(poses), self.options.sensor_pose
+        self._note(*_list_idle(self.options))
+        return found.then(Transforms.fixed(sensor)) if sensor else found
 
     def _keep(self, batch: ScanBatch, found: Transforms) -> Attached:
         """Keep the scans (S) that have a pose at all of their K moments, and count the others."""
@@ -199,10 +177,17 @@ class Poser:
         placed = self._above.then(found) if self._above else found
         return Attached(batch, place_beams(batch, posed, placed), dropped)
 
-    def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
-        """Say what of the poses that were given so far spoils a map, and of which topic.
+    def _watch(self, posed: PosedScans) -> None:
+        """Note where the sensor of some scans was, for what there is to say of its course."""
+        batch = posed.batch
+        is_stated = batch.pose is not None and self._trusts_stated
+        chain = None if is_stated else self.chains[batch.frame]
+        self.courses[batch.topic].see(posed, batch.stamp_ns + self._offset_ns, chain)
 
-        That a sensor never moved is a note: it may have stood.
+    def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
+        """List what spoils a map in the poses that were given so far, each with its topic.
+
+        A sensor that never moved is only noted: the robot may have stood still.
 
         Parameters
         ----------
@@ -223,7 +208,7 @@ class Poser:
                     yield topic, jumped
 
     def find_ends(self) -> dict[Laser, Ends]:
-        """Where the posed scans so far begin and end, by their laser."""
+        """Find where the posed scans of each laser begin and end so far."""
         return self._leaps.find_ends()
 
     def _note(self, *sentences: str) -> None:
@@ -231,7 +216,7 @@ class Poser:
 
 
 def _list_idle(options: PosingOptions) -> Iterator[str]:
-    """Say whose the poses beside the scans are, and which options do nothing to them."""
+    """Say whose poses stand beside the scans, and which options change nothing about them."""
     if options.sensor_pose is not None:
         yield POSES_OF_BODY
     given = {
@@ -268,6 +253,13 @@ def choose_deskewed(batch: ScanBatch, deskew: Deskew, chain: Chain) -> tuple[Boo
     if chosen.any():
         notes.append(f"de-skewed: each beam of {batch.frame!r} has a pose of its own")
     return chosen, notes
+
+
+def list_moments(batch: ScanBatch) -> Int64:
+    """List the moments (S, K) of scans at which poses are looked up, from their stamps on (ns)."""
+    beams = batch.ranges.shape[1]
+    seconds = np.linspace(0, (beams - 1) * batch.time_increment, min(beams, MOMENTS), axis=1)
+    return np.round(seconds * 1e9).astype(np.int64)
 
 
 def place_beams(batch: ScanBatch, posed: Bool, found: Transforms) -> PosedScans:

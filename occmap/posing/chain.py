@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from occmap.arrays import Bool, Float64, Int64, UInt8
-from occmap.posing.frames import Step, find_moving, last_part
+from occmap.posing.frames import Edge, find_moving, last_part
 from occmap.posing.rotations import rotate_by, slerp
 from occmap.posing.tracks import Track, find_usable
 from occmap.types import Pose
@@ -32,7 +32,7 @@ DENSE_S = 0.1
 class Status(IntEnum):
     """Whether there is a pose at a stamp, and if not, why; the names are those of `DropReason`.
 
-    Of the legs of a chain, the one with the highest number counts.
+    Where the legs of a chain differ, the highest number counts.
     """
 
     POSED = 0
@@ -73,7 +73,7 @@ class Transforms(NamedTuple):
         return found
 
     def then(self, below: Self) -> Self:
-        """Go on to a frame that was found in this one."""
+        """Compose with a transform that is given in the lower frame of this one."""
         return type(self)(
             self.position + turn(self.rotation, below.position),
             self.rotation @ below.rotation,
@@ -81,7 +81,7 @@ class Transforms(NamedTuple):
         )
 
     def invert(self) -> Self:
-        """Where the upper frame was in the lower one."""
+        """Make the inverse: where the upper frame was in the lower one."""
         back = self.rotation.swapaxes(1, 2)
         return type(self)(-turn(back, self.position), back, self.status)
 
@@ -96,14 +96,14 @@ def turn(rotation: Float64, position: Float64) -> Float64:
 class Moving:
     """A step that is interpolated between the two samples around a stamp."""
 
-    step: Step
+    step: Edge
     holds: Bool
     """(N,) whether the pose jumps after a sample, which holds until then"""
     max_gap_ns: float
 
     def at(self, stamp_ns: Int64) -> Transforms:
         """Interpolate at stamps (N,), in any order."""
-        track = self.step.edge.track
+        track = self.step.track
         stamps = track.stamp_ns
         last = len(stamps) - 1
         earlier = np.clip(np.searchsorted(stamps, stamp_ns, side="right") - 1, 0, last)
@@ -128,7 +128,7 @@ class Moving:
 class Chain:
     """The way from the map frame to a sensor."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[Edge, ...]
     """From the map frame downwards."""
     legs: tuple[Transforms | Moving, ...]
     """The steps ready for look-up; neighbouring ones that never move are multiplied into one"""
@@ -139,7 +139,7 @@ class Chain:
     @property
     def frames(self) -> tuple[str, ...]:
         """The frames from the map to the sensor."""
-        return (self.steps[0].upper, *(step.lower for step in self.steps)) if self.steps else ()
+        return (self.steps[0].parent, *(step.child for step in self.steps)) if self.steps else ()
 
     def is_dense(self, duration_s: Float64) -> Bool:
         """Whether the poses show how the sensor moved within durations (N,)."""
@@ -156,7 +156,7 @@ class Chain:
         return found
 
 
-def make_chain(steps: Sequence[Step], max_gap_s: float | None) -> Chain:
+def make_chain(steps: Sequence[Edge], max_gap_s: float | None) -> Chain:
     """Make the steps from the map frame to a sensor ready for look-up.
 
     A step that never moves in the whole log is rigid and holds at all times, so that a fixed
@@ -166,11 +166,11 @@ def make_chain(steps: Sequence[Step], max_gap_s: float | None) -> Chain:
     moving = find_moving(steps)
     # A correction moves `odom`, and something moves below it. REP 105 lets map -> odom
     # jump at any time, and odom -> base_link never.
-    corrections = [step for step in moving[:-1] if "odom" in last_part(step.edge.child).lower()]
+    corrections = [step for step in moving[:-1] if "odom" in last_part(step.child).lower()]
     max_gap_ns = np.inf if max_gap_s is None else max_gap_s * 1e9
     legs: list[Transforms | Moving] = []
     for step in steps:
-        track = step.edge.track
+        track = step.track
         if step in corrections:  # interpolated or held, however long: the limit is for what moves
             far = track.step_m > DRIFT_M + DRIFT_M_PER_S * track.interval_s
             turned = track.step_rad > DRIFT_RAD + DRIFT_RAD_PER_S * track.interval_s
@@ -183,6 +183,6 @@ def make_chain(steps: Sequence[Step], max_gap_s: float | None) -> Chain:
             # Neighbouring rigid legs are multiplied out once, not for every batch.
             above = legs.pop() if legs and isinstance(legs[-1], Transforms) else None
             legs.append(above.then(rigid) if isinstance(above, Transforms) else rigid)
-    tracks = [step.edge.track for step in moving if step not in corrections]
+    tracks = [step.track for step in moving if step not in corrections]
     intervals = [float(np.median(track.interval_s)) for track in tracks if len(track) > 1]
     return Chain(tuple(steps), tuple(legs), max(intervals, default=0.0))

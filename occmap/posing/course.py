@@ -1,4 +1,4 @@
-"""How a sensor sat and where it went, and what of that spoils a map."""
+"""How a sensor sat, where it went, and what in this spoils a map."""
 
 import math
 from collections.abc import Iterator
@@ -8,7 +8,7 @@ import numpy as np
 
 from occmap.arrays import Float64, Int64
 from occmap.posing.chain import Chain, make_chain
-from occmap.posing.frames import Edge, Source, Step
+from occmap.posing.frames import Edge, Source
 from occmap.posing.jumps import Jump, find_jumps
 from occmap.posing.options import Concern, Stamps
 from occmap.posing.rotations import measure_turn
@@ -16,7 +16,7 @@ from occmap.posing.tracks import TrackBuilder
 from occmap.types import PoseBatch, PosedScans
 
 TILTED_RAD = math.radians(3)
-"""A tilted scan plane meets the floor: at three degrees, 30 cm above it, within six metres."""
+"""A tilted scan plane meets the floor: at 3 degrees and 30 cm above it, within 6 m."""
 STEEP_RAD = math.radians(30)
 """A scan plane tilted by more sees mostly floor or ceiling."""
 LEAST_REACH_M = 1.0
@@ -84,10 +84,10 @@ class Course:
         return np.concatenate(self._stamps)
 
     def find_jumps(self) -> list[Jump]:
-        """Find when it was elsewhere at once; poses beside scans show it once all are there."""
+        """Find when it jumped; poses beside scans show that only when all of them are known."""
         chain = self._chain
         if chain is None and (track := self._stated.build()) is not None:
-            chain = make_chain([Step(Edge("", "", track, Source.ODOMETRY))], None)
+            chain = make_chain([Edge("", "", track, Source.ODOMETRY)], None)
         return find_jumps(chain) if chain else []
 
     @property
@@ -118,7 +118,7 @@ class Course:
 
 
 def list_tilts(stance: Stance, max_range: float) -> Iterator[Concern]:
-    """Say how far the scan plane of a sensor is tilted, and what it looks at.
+    """Say how far the scan plane of a sensor is tilted, and where it meets the floor.
 
     Parameters
     ----------

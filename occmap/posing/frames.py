@@ -1,14 +1,15 @@
-"""The transform tree: which frames a log knows, the ways between them, and what they are.
+"""The transform tree: the frames of a log, and the ways between them.
 
-Which frame is the map and which the robot is told by the names that REP 105 gives.
+The names that REP 105 gives tell which frame is the map and which is the robot.
 """
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 from itertools import chain
+from typing import Self
 
 from occmap.errors import PoseError
 from occmap.posing.tracks import Track
@@ -17,7 +18,7 @@ FIXED_NAMES = ("map", "odom")
 BASE_NAMES = ("base_link", "base_footprint")
 """The names that REP 105 gives to the map and to the robot"""
 MOST_STEPS = 100
-"""A robot's frames hang ten deep; where a way is longer, the frames of a log are damage."""
+"""The frames of a robot are some ten deep. A way of more steps than this is damage."""
 MOST_TARGETS = 4
 """Frames whose distances to all others are kept; few are asked for again."""
 
@@ -34,31 +35,19 @@ class Source(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """Where `child` was in `parent`, from one source."""
+    """Where `child` was in `parent`, from one source; a step on the way from frame to frame."""
 
     parent: str
     child: str
     track: Track
     source: Source
     topic: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """An edge on the way from an upper frame to a lower one."""
-
-    edge: Edge
     inverted: bool = False
+    """The track is of the parent in the child: somebody recorded it the other way round"""
 
-    @property
-    def upper(self) -> str:
-        """The frame that the step starts from."""
-        return self.edge.child if self.inverted else self.edge.parent
-
-    @property
-    def lower(self) -> str:
-        """The frame that the step leads to."""
-        return self.edge.parent if self.inverted else self.edge.child
+    def invert(self) -> Self:
+        """Make the way back, from the child to the parent."""
+        return replace(self, parent=self.child, child=self.parent, inverted=not self.inverted)
 
 
 class FrameTree:
@@ -91,8 +80,8 @@ class FrameTree:
     def bodies(self) -> list[str]:
         """The frames that drive: they move, and above them only `odom` does.
 
-        So neither the correction of odometry counts nor a turning wheel. Where nothing moves, what
-        was sent again and again counts.
+        So neither the correction of odometry nor a turning wheel counts. Where nothing moves, a
+        frame that was sent again and again counts.
         """
         edges = [edge for edge in self.edges if "odom" not in last_part(edge.child).lower()]
         moving = [edge for edge in edges if edge.track.moves]
@@ -110,7 +99,7 @@ class FrameTree:
         return dict(found)
 
     def list_ancestors(self, frame: str) -> list[str]:
-        """List a frame and those above it, nearest first, as many as a way may have steps."""
+        """List a frame and those above it, nearest first; no more than a way may have steps."""
         found = [frame]
         for below in found:  # it grows meanwhile
             if len(found) > MOST_STEPS:
@@ -123,7 +112,7 @@ class FrameTree:
         above = self.list_ancestors(frame)
         return next((name for name in above if not self._up.get(name)), above[-1])
 
-    def find_path(self, upper: str, lower: str) -> list[Step] | None:
+    def find_path(self, upper: str, lower: str) -> list[Edge] | None:
         """Find the shortest way down from one frame to another; None where there is none.
 
         Of equally short ways the one that climbs from `lower` is preferred, then names decide.
@@ -142,16 +131,45 @@ class FrameTree:
                 f"where {MOST_STEPS} are the most that is followed",
                 fix="see the transforms in `occmap check`",
             )
-        path: list[Step] = []
+        path: list[Edge] = []
         while lower != upper:
             near = distances[lower] - 1
-            steps = chain(
-                (Step(edge) for edge in self._up.get(lower, ())),
-                (Step(edge, inverted=True) for edge in self._down.get(lower, ())),
-            )
-            path.append(next(step for step in steps if distances[step.upper] == near))
-            lower = path[-1].upper
+            # One after the other, as a body may have thousands of frames below it.
+            steps = chain(self._up.get(lower, ()), map(Edge.invert, self._down.get(lower, ())))
+            path.append(next(step for step in steps if distances[step.parent] == near))
+            lower = path[-1].parent
         return path[::-1]
+
+    def choose_fixed(self, frame: str) -> str:
+        """Choose the frame to map in: `map`, else `odom`, else the root above a scan's frame.
+
+        The plain names may be anywhere in the scan's tree; with a namespace (`robot1/map`) only
+        above the scan, for another robot's map may hang in the same tree.
+        """
+        above = self.list_ancestors(frame)
+        plain = (name for name in FIXED_NAMES if self.find_path(name, frame) is not None)
+        named = (each for name in FIXED_NAMES for each in above if last_part(each) == name)
+        return next(chain(plain, named, [self.find_root(frame)]))
+
+    def list_bases(self, frame: str) -> list[str]:
+        """List the frames that a sensor may be mounted on; only one where that is clear."""
+        for name in BASE_NAMES:
+            if name in self:
+                return [name]
+        for name in BASE_NAMES:
+            if namesakes := self.namesakes.get(name, []):
+                space = frame.rpartition("/")[0]
+                return [each for each in namesakes if each.rpartition("/")[0] == space] or namesakes
+        return self.bodies
+
+    def find_body(self, frame: str) -> str:
+        """Find the body that carries a frame: the lowest above it that moves, or the root.
+
+        A trajectory that does not name its body is taken to be of this one.
+        """
+        root = self.find_root(frame)
+        moving = find_moving(self.find_path(root, frame) or [])
+        return moving[-1].child if moving else root
 
     def _measure(self, upper: str) -> dict[str, int]:
         """Count the steps from a frame to each that is connected with it."""
@@ -178,7 +196,7 @@ def last_part(frame: str) -> str:
 
 
 def _choose_edges(edges: Iterable[Edge]) -> list[Edge]:
-    """Keep the believed edges, in an order that does not depend on the log's."""
+    """Keep the edges that are believed, in an order that does not depend on that in the log."""
     chosen: dict[tuple[str, str], Edge] = {}
     believed: dict[str, Source] = {}
     for edge in sorted(edges, key=lambda e: (e.source, e.track.static, -len(e.track), e.topic)):
@@ -188,50 +206,10 @@ def _choose_edges(edges: Iterable[Edge]) -> list[Edge]:
     return sorted(chosen.values(), key=lambda edge: (edge.parent, edge.child))
 
 
-def find_moving(steps: Sequence[Step]) -> list[Step]:
+def find_moving(steps: Sequence[Edge]) -> list[Edge]:
     """Find the steps that move; where none does, the one that was sent again and again, if any."""
-    moving = [step for step in steps if step.edge.track.moves]
-    sampled = [step for step in steps if not step.edge.track.static]
+    moving = [step for step in steps if step.track.moves]
+    sampled = [step for step in steps if not step.track.static]
     if moving or not sampled:
         return moving
-    return [max(sampled, key=lambda step: len(step.edge.track))]
-
-
-def choose_fixed(tree: FrameTree, frame: str) -> str:
-    """Choose the frame to map in: `map`, else `odom`, else the root above a scan's frame.
-
-    The plain names may be anywhere in the scan's tree; with a namespace (`robot1/map`) only
-    above the scan, for another robot's map may hang in the same tree.
-    """
-    for name in FIXED_NAMES:
-        if tree.find_path(name, frame) is not None:
-            return name
-    above = tree.list_ancestors(frame)
-    for name in FIXED_NAMES:
-        for ancestor in above:
-            if last_part(ancestor) == name:
-                return ancestor
-    return tree.find_root(frame)
-
-
-def list_bases(tree: FrameTree, frame: str) -> list[str]:
-    """List the frames that a sensor may be mounted on; only one where that is clear."""
-    for name in BASE_NAMES:
-        if name in tree:
-            return [name]
-    for name in BASE_NAMES:
-        namesakes = tree.namesakes.get(name, [])
-        kin = [other for other in namesakes if other.rpartition("/")[0] == frame.rpartition("/")[0]]
-        if namesakes:
-            return kin or namesakes
-    return tree.bodies
-
-
-def find_body(tree: FrameTree, frame: str) -> str:
-    """Find the body that carries a frame of the tree: the lowest above it that moves, or the root.
-
-    A trajectory that does not name its body is taken to be of this one.
-    """
-    root = tree.find_root(frame)
-    moving = find_moving(tree.find_path(root, frame) or [])
-    return moving[-1].lower if moving else root
+    return [max(sampled, key=lambda step: len(step.track))]

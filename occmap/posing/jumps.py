@@ -1,4 +1,4 @@
-"""Jumps: poses that take the robot elsewhere at once.
+"""Jumps: poses that suddenly take the robot elsewhere.
 
 REP 105 allows them in the correction of odometry (`map -> odom`), and live navigation recovers. A
 map does not: what was traced before such a jump and what is traced after it belong to different
@@ -13,13 +13,13 @@ import numpy as np
 
 from occmap.arrays import Float64, Int64
 from occmap.posing.chain import Chain, Moving, Status
-from occmap.posing.frames import Step
+from occmap.posing.frames import Edge
 from occmap.posing.options import Concern
 from occmap.posing.rotations import measure_turn
 from occmap.posing.tracks import Track
 
 JUMP_M, JUMP_RAD = 1.0, math.radians(20)
-"""A correction that moves and turns the sensor by less mends drift, and doubles walls at most."""
+"""A correction that moves and turns the sensor by less mends drift; at most it doubles walls."""
 UNDONE_SHARE = 0.1
 """A jump undoes another where it leads back to within this share of the other's way, or JUMP_M."""
 STRIDE_M = 1.0
@@ -41,7 +41,7 @@ MS_NS = 10**6
 
 
 class Jump(NamedTuple):
-    """A moment from which on the sensor is elsewhere."""
+    """A moment at which the sensor is suddenly elsewhere."""
 
     stamp_ns: int
     """By the clock of the poses"""
@@ -125,7 +125,7 @@ def _part(found: Sequence[Jump], stamp_ns: Int64) -> tuple[list[Jump], list[int]
 
 
 def _describe_largest(jumps: Sequence[Jump], first_ns: int) -> str:
-    """Say what jumps, how far and when, of the largest jump, and whether the next undoes it."""
+    """Say of the largest jump what jumps, how far and when, and whether the next undoes it."""
     worst = max(range(len(jumps)), key=lambda at: jumps[at].metres + jumps[at].radians)
     if worst and jumps[worst - 1].is_undone_by(jumps[worst]):
         worst -= 1
@@ -140,45 +140,37 @@ def _describe_largest(jumps: Sequence[Jump], first_ns: int) -> str:
     return f"{text}, the largest of {len(jumps)} jumps" if len(jumps) > 2 else text
 
 
-class Break(NamedTuple):
-    """Two moments that a jump lies between, by the clock of the poses."""
-
-    after_ns: int
-    before_ns: int
-    step: Step
-
-
 def find_jumps(chain: Chain) -> list[Jump]:
     """Find the jumps that the sensor at the end of a chain makes."""
     breaks = find_breaks(chain)
-    before = chain.at(np.array([each.before_ns for each in breaks], np.int64))
-    after = chain.at(np.array([each.after_ns for each in breaks], np.int64))
+    after_ns, before_ns = np.array([each[:2] for each in breaks], np.int64).reshape(-1, 2).T
+    after, before = chain.at(after_ns), chain.at(before_ns)
     known = (before.status == Status.POSED) & (after.status == Status.POSED)
     jumps = []
     for at in np.flatnonzero(known).tolist():
+        stamp_ns, _, step = breaks[at]
         rotation = after.rotation[at] @ before.rotation[at].T
-        place = before.position[at], after.position[at]
-        step = breaks[at].step
-        name = f"{step.upper} -> {step.lower}" if step.lower else "the pose beside the scans"
-        jumps.append(Jump(breaks[at].after_ns, *place, rotation, name))
+        name = f"{step.parent} -> {step.child}" if step.child else "the pose beside the scans"
+        jumps.append(Jump(stamp_ns, before.position[at], after.position[at], rotation, name))
     return [jump for jump in jumps if jump.metres > JUMP_M or jump.radians > JUMP_RAD]
 
 
-def find_breaks(chain: Chain) -> list[Break]:
-    """Find where a leg of a chain jumps, in ascending order and each moment once.
+def find_breaks(chain: Chain) -> list[tuple[int, int, Edge]]:
+    """Find when any leg of a chain jumps, in the order of time and each moment once.
 
     A correction jumps where its pose holds until then, any other leg where a body moves faster
-    than a robot can.
+    than a robot can. Of each jump it gives the moments just after and just before (ns, by the clock
+    of the poses), and the step that jumps.
     """
-    found: dict[int, Break] = {}
+    found: dict[int, tuple[int, int, Edge]] = {}
     for leg in (leg for leg in chain.legs if isinstance(leg, Moving)):
-        stamp_ns = leg.step.edge.track.stamp_ns
-        held, strides = np.flatnonzero(leg.holds[:-1]), find_strides(leg.step.edge.track)
+        stamp_ns = leg.step.track.stamp_ns
+        held, strides = np.flatnonzero(leg.holds[:-1]), find_strides(leg.step.track)
         strides = strides[~leg.holds[strides]]
         # A pose that holds does so until just before the next sample.
         for steps, before_ns in ((held, stamp_ns[held + 1] - 1), (strides, stamp_ns[strides])):
             for after, before in zip(stamp_ns[steps + 1].tolist(), before_ns.tolist(), strict=True):
-                found[after] = Break(after, before, leg.step)
+                found[after] = after, before, leg.step
     return [found[after] for after in sorted(found)]
 
 

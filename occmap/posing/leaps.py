@@ -148,7 +148,7 @@ class LeapFilter:
             yield from path.finish()
 
     def list_notes(self) -> Iterator[str]:
-        """Say of each topic with outliers where the first one lies."""
+        """Say where the first outlier of each topic lies, and how many there are."""
         topics: defaultdict[str, list[tuple[int, str, int]]] = defaultdict(list)
         for (topic, *_), path in self._paths.items():
             if path.outliers:
@@ -171,18 +171,31 @@ class _Held(NamedTuple):
     is_outlier: Bool
     """(S,) which of them are known to be outliers; filled in as rows are judged"""
 
+    def sift(self, max_speed: float) -> Attached:
+        """Leave out the outliers, unless the user keeps all scans."""
+        leaps = int(np.count_nonzero(self.is_outlier))
+        if not leaps or max_speed == math.inf:
+            return self.attached
+        rest = self.posed.take(~self.is_outlier) if leaps < len(self.is_outlier) else None
+        dropped = {**self.attached.dropped, DropReason.LEAP: leaps}
+        return Attached(self.attached.batch, rest, dropped)
+
 
 class _Path:
-    """The way of one laser, in the order in which its scans were recorded."""
+    """The way of one laser: its scans are put in order, cut into rows, judged and passed on.
+
+    Rows are judged from the first one on, each as soon as no scan to come can change the verdict.
+    """
 
     def __init__(self, max_speed: float) -> None:
         self._max_speed = max_speed
-        self._mixed: list[tuple[Attached, PosedScans]] = []
-        """Scans that came; others from between them may still come"""
+        self._unordered: list[tuple[Attached, PosedScans]] = []
+        """Scans that others may still come between"""
         self._held: list[_Held] = []
+        """Scans in order that are not passed on yet"""
         self._rows: list[Row] = []
         """From the row that is judged next to the last one, which still grows"""
-        self._begin: Moment | None = None
+        self._first: Moment | None = None
         self._leaps = 0
         self.outliers = 0
         """How many scans are known to be outliers"""
@@ -193,7 +206,7 @@ class _Path:
     def ends(self) -> Ends:
         """Where the path begins and ends so far, and how many leaps it has."""
         last = self._rows[-1].last
-        return Ends(self._begin or last, last, self._leaps)
+        return Ends(self._first or last, last, self._leaps)
 
     def take(self, attached: Attached, posed: PosedScans) -> None:
         """Take further scans.
@@ -203,68 +216,55 @@ class _Path:
         came, nothing is missing between these, and they can be put in order.
         """
         number = attached.batch.number
-        numbers = [some.batch.number for some, _ in self._mixed if some.batch.number is not None]
-        if numbers and (number is None or number[0] > max(each[-1] for each in numbers)):
+        numbers = (some.batch.number for some, _ in self._unordered)
+        latest = max((each[-1] for each in numbers if each is not None), default=-1)
+        if number is None or number[0] > latest:
             self._put_in_order()
-        self._mixed.append((attached, posed))
+        self._unordered.append((attached, posed))
         if number is None:
             self._put_in_order()
 
-    def _put_in_order(self) -> None:
-        """Put the scans that came in order, and add them to the path."""
-        batches = [posed.batch for _, posed in self._mixed]
-        numbers = [np.arange(len(b.stamp_ns)) if b.number is None else b.number for b in batches]
-        order = np.argsort(np.concatenate(numbers))
-        stamp_ns = np.concatenate([batch.stamp_ns for batch in batches])[order]
-        place = np.concatenate([posed.at_first_beam[0] for _, posed in self._mixed])[order]
-        begin, at = 0, np.argsort(order)
-        if self._rows:  # the step from the last scan so far may be a leap, too
-            begin, stamp, known = self._rows[-1].last
-            stamp_ns, place = np.append([stamp], stamp_ns), np.concatenate([[known], place])
-            at += begin + 1
-        parts = np.split(at, np.cumsum([len(number) for number in numbers])[:-1])
-        self._held += [
-            _Held(*some, number, np.zeros(len(number), np.bool_))
-            for some, number in zip(self._mixed, parts, strict=True)
-        ]
-        self._mixed = []
-        rows = _find_rows(begin, stamp_ns, place, self._max_speed)
-        self._leaps += sum(not row.before_pause for row in rows[:-1])
-        self._begin = self._begin or rows[0].first
-        if self._rows:  # the first begins with the last scan so far
-            growing = self._rows[-1]
-            rows[0] = replace(rows[0], first=growing.first, after_pause=growing.after_pause)
-        self._rows[-1:] = rows
-
     def finish(self) -> Iterator[Attached]:
-        """Give all scans that are still held back, since no others follow."""
-        if self._mixed:
-            self._put_in_order()
+        """Pass on all scans that are still held back, since no others follow."""
+        self._put_in_order()
         self._rows[-1].before_pause = True
         yield from self.release()
 
     def release(self) -> Iterator[Attached]:
-        """Give the batches that are judged, in the order in which they came."""
-        while len(self._rows) > 1:
+        """Judge the rows that can be judged by now, and pass on the scans that are known."""
+        judged = 1
+        while judged and len(self._rows) > 1:
             judged, outliers = _find_outliers(self._rows, self._max_speed)
-            if not judged:
-                break
             if outliers:
                 self._mark(outliers[0].first, outliers[-1].last)
             del self._rows[:judged]
-        if not self._rows:  # all that came may still be out of order
+        if not self._rows:  # all scans so far may still be out of order
             return
         row = self._rows[0]
         is_open = row.after_pause and row.is_single and not row.before_pause
         known = row.first.number if is_open else row.last.number + 1
         while self._held and self._held[0].number[-1] < known:
-            attached, posed, _, is_outlier = self._held.pop(0)
-            leaps = int(np.count_nonzero(is_outlier))
-            if leaps and self._max_speed < math.inf:  # with inf the user keeps all
-                rest = posed.take(~is_outlier) if leaps < len(is_outlier) else None
-                dropped = {**attached.dropped, DropReason.LEAP: leaps}
-                attached = Attached(attached.batch, rest, dropped)
-            yield attached
+            yield self._held.pop(0).sift(self._max_speed)
+
+    def _put_in_order(self) -> None:
+        """Put the scans that came in order, and cut them into rows."""
+        if not self._unordered:
+            return
+        batches = [posed.batch for _, posed in self._unordered]
+        numbers = [np.arange(len(b.stamp_ns)) if b.number is None else b.number for b in batches]
+        order = np.argsort(np.concatenate(numbers))
+        stamp_ns = np.concatenate([batch.stamp_ns for batch in batches])[order]
+        place = np.concatenate([posed.at_first_beam[0] for _, posed in self._unordered])[order]
+        growing = self._rows.pop() if self._rows else None
+        on_path = np.argsort(order) + (growing.last.number + 1 if growing else 0)
+        parts = np.split(on_path, np.cumsum([len(number) for number in numbers])[:-1])
+        for some, number in zip(self._unordered, parts, strict=True):
+            self._held.append(_Held(*some, number, np.zeros(len(number), np.bool_)))
+        self._unordered = []
+        rows = _cut_rows(growing, stamp_ns, place, self._max_speed)
+        self._rows += rows
+        self._first = self._first or rows[0].first
+        self._leaps += sum(not row.before_pause for row in rows[:-1])
 
     def _mark(self, first: Moment, last: Moment) -> None:
         """Mark the scans from one to another as outliers."""
@@ -277,8 +277,12 @@ class _Path:
             held.is_outlier[(held.number >= first.number) & (held.number <= last.number)] = True
 
 
-def _find_rows(first: int, stamp_ns: Int64, place: Float64, max_speed: float) -> list[Row]:
-    """Cut scans with stamps (S,) and places (S, 3) into rows; `first` is the first one's number."""
+def _cut_rows(growing: Row | None, stamp_ns: Int64, place: Float64, max_speed: float) -> list[Row]:
+    """Cut scans with stamps (S,) and places (S, 3) into rows; the first one may go on growing."""
+    first = 0
+    if growing:  # the step from its last scan may be a leap, too
+        first, stamp, known = growing.last
+        stamp_ns, place = np.append([stamp], stamp_ns), np.concatenate([[known], place])
     metres: Float64 = np.linalg.norm(np.diff(place, axis=0), axis=1)
     seconds = np.diff(stamp_ns) / 1e9
     pauses = (seconds <= 0) | (seconds > SPARSE_S)
@@ -290,11 +294,14 @@ def _find_rows(first: int, stamp_ns: Int64, place: Float64, max_speed: float) ->
     begins = list_moments(np.append(0, cuts + 1))
     ends = list_moments(np.append(cuts, len(stamp_ns) - 1))
     paused = pauses[cuts].tolist()
-    return list(map(Row, begins, ends, [True, *paused], [*paused, False]))
+    rows = list(map(Row, begins, ends, [True, *paused], [*paused, False]))
+    if growing:
+        rows[0] = replace(rows[0], first=growing.first, after_pause=growing.after_pause)
+    return rows
 
 
 def _find_outliers(rows: Sequence[Row], max_speed: float) -> tuple[int, Sequence[Row]]:
-    """Find the outliers beside the leap that follows the first of some rows.
+    """Find the outliers on either side of the leap that ends the first of some rows.
 
     Returns
     -------
@@ -317,7 +324,7 @@ def _find_outliers(rows: Sequence[Row], max_speed: float) -> tuple[int, Sequence
 
 
 def _find_continuation(rows: Sequence[Row], max_speed: float) -> int | None:
-    """Find the index of the row that continues the first one; 0: none does, None: not known yet."""
+    """Find the index of the row that continues the first one. 0: none; None: not known yet."""
     row, *others = rows
     for at, later in enumerate(others, start=1):
         if not row.last.is_soon(later.first):

@@ -1,29 +1,18 @@
-"""Resolution: by which frames and whose poses a scan's frame is found in the map."""
+"""Resolution: the way from the map to the frame of a scan, and whose poses it follows."""
 
 from dataclasses import dataclass, field, replace
 from typing import NoReturn, TypeAlias
 
 from occmap.errors import MountError, PoseError
 from occmap.posing.chain import Chain, make_chain
-from occmap.posing.frames import (
-    FIXED_NAMES,
-    Edge,
-    FrameTree,
-    Source,
-    Step,
-    choose_fixed,
-    find_body,
-    find_moving,
-    last_part,
-    list_bases,
-)
+from occmap.posing.frames import FIXED_NAMES, Edge, FrameTree, Source, find_moving, last_part
 from occmap.posing.options import PosingOptions
 from occmap.posing.sources import Sources
 from occmap.posing.tracks import Track
 from occmap.wording import join_names
 
 GIVE_POSES = "give a trajectory: `poses=FILE`"
-Way: TypeAlias = tuple[str, list[Step]]
+Way: TypeAlias = tuple[str, list[Edge]]
 """A fixed frame, and the steps from it to the sensor."""
 
 
@@ -62,8 +51,10 @@ def resolve(
         There is no way; says what is missing, and which option mends it.
     """
     search = _Search(sources, options, frame.strip("/"), alone)
-    trajectory = sources.trajectory
-    name, steps = search.follow(trajectory) if trajectory else search.climb(fixed)
+    if sources.trajectory:
+        name, steps = search.go_by_poses(sources.trajectory)
+    else:
+        name, steps = search.go_by_tree(fixed)
     if fixed is not None and name != fixed:
         found = f"{frame!r} maps in {name!r} while other scans map in {fixed!r}"
         fix = f"join the two: `static_transforms={fixed},{name},X,Y,Z,ROLL,PITCH,YAW`"
@@ -73,7 +64,11 @@ def resolve(
 
 @dataclass(slots=True)
 class _Search:
-    """The search for one frame's way; gathers notes as it decides."""
+    """The search for one frame's way; gathers notes as it decides.
+
+    A way leads down to the anchor. That is the scan's frame or, where the user gives the sensor's
+    pose, the body that the sensor is on; one more step then leads from there to the sensor.
+    """
 
     sources: Sources
     options: PosingOptions
@@ -92,34 +87,31 @@ class _Search:
         """Their names, for errors."""
         return f"known: {join_names(self.tree.frames)}"
 
-    def climb(self, fixed: str | None) -> Way:
+    def go_by_tree(self, fixed: str | None) -> Way:
         """Go by the tree; where nothing in it moves, by a topic of poses."""
         body_poses = self.sources.unnamed_body
+        if not self.tree.frames and body_poses:
+            return self.go_by_poses(body_poses)
         if not self.tree.frames:
-            if body_poses:
-                return self.follow(body_poses)
-            found = (
-                "the scans have no poses: looked for tf, odometry and topics of poses in the log"
-            )
-            raise PoseError(found, fix=GIVE_POSES)
+            sought = "looked for tf, odometry and topics of poses in the log"
+            raise PoseError(f"the scans have no poses: {sought}", fix=GIVE_POSES)
         anchor = self._find_base() if self.options.sensor_pose else self.frame
         if anchor not in self.tree:
             self._fail_without_mount()
-        usual = choose_fixed(self.tree, anchor)
-        moves = bool(find_moving(self._find_path(usual, anchor)))
-        if not moves and body_poses:
-            return self.follow(body_poses)
-        wanted = self.options.map_frame or fixed
-        if not moves and not wanted and last_part(usual) not in FIXED_NAMES:
-            self._fail_without_motion(usual)
-        name = wanted or usual
+        usual = self.tree.choose_fixed(anchor)
+        name = self.options.map_frame or fixed or usual
+        if not find_moving(self._find_path(usual, anchor)):
+            if body_poses:
+                return self.go_by_poses(body_poses)
+            if not (self.options.map_frame or fixed or last_part(usual) in FIXED_NAMES):
+                self._fail_without_motion(usual)
         steps = self._find_path(name, anchor)
-        for edge in (step.edge for step in steps if step.edge.source is Source.ODOMETRY):
-            given = f"{edge.parent} -> {edge.child}"
-            self.notes.append(f"tf does not give {given}: taken from {edge.topic}")
+        for step in (step for step in steps if step.source is Source.ODOMETRY):
+            given = f"{step.parent} -> {step.child}"
+            self.notes.append(f"tf does not give {given}: taken from {step.topic}")
         return name, [*steps, *self._mount_on(anchor)]
 
-    def follow(self, trajectory: Edge) -> Way:
+    def go_by_poses(self, trajectory: Edge) -> Way:
         """Go by the poses of one body, and from there down to the sensor."""
         base = self.options.base_frame
         body = trajectory.child or base or self._guess_body()
@@ -136,16 +128,16 @@ class _Search:
             mount = f"`sensor_pose=({MountError.UNKNOWN})`"
             note += f", the laser itself: give {mount} if they are the robot's"
         self.notes.append(note)
-        carried = Step(replace(trajectory, child=body))
+        carried = replace(trajectory, child=body)
         return fixed, [*above, carried, *below, *self._mount_on(anchor)]
 
     def _guess_body(self) -> str:
-        """Say whose poses a trajectory without a name holds; unknown to tf: the laser's own."""
+        """Guess whose poses a trajectory holds: the laser's own if tf does not know its frame."""
         if self.frame in self.tree:
-            return find_body(self.tree, self.frame)
+            return self.tree.find_body(self.frame)
         if not self.options.sensor_pose:
             return self.frame
-        bases = list_bases(self.tree, self.frame)
+        bases = self.tree.list_bases(self.frame)
         return bases[0] if len(bases) == 1 else "base_link"
 
     def _find_base(self) -> str:
@@ -154,22 +146,22 @@ class _Search:
         if wanted and wanted not in self.tree:
             fix = f"`base_frame` takes {join_names(self.tree.frames)}"
             raise PoseError(f"no frame {wanted!r} in the log", fix=fix)
-        bases = [wanted] if wanted else list_bases(self.tree, self.frame)
+        bases = [wanted] if wanted else self.tree.list_bases(self.frame)
         if len(bases) == 1:
             return bases[0]
         found = f"which frame the laser is mounted on is not clear ({self.known})"
         raise PoseError(found, fix=f"name it: `base_frame={bases[0] if bases else 'FRAME'}`")
 
-    def _mount_on(self, anchor: str) -> list[Step]:
+    def _mount_on(self, anchor: str) -> list[Edge]:
         """Make the step from the body to a sensor whose pose the user gave."""
         if self.options.sensor_pose is None:
             return []
         if self.frame in self.tree:
             self.notes.append(f"the given sensor pose replaces the log's of {self.frame!r}")
         track = Track.fixed(self.options.sensor_pose)
-        return [Step(Edge(anchor, self.frame, track, Source.GIVEN))]
+        return [Edge(anchor, self.frame, track, Source.GIVEN)]
 
-    def _find_path(self, upper: str, lower: str) -> list[Step]:
+    def _find_path(self, upper: str, lower: str) -> list[Edge]:
         if upper == lower:
             return []
         steps = self.tree.find_path(upper, lower)
@@ -184,7 +176,7 @@ class _Search:
         raise PoseError(found, fix=fix)
 
     def _fail_without_mount(self) -> NoReturn:
-        bases = list_bases(self.tree, self.frame)
+        bases = self.tree.list_bases(self.frame)
         base = bases[0] if len(bases) == 1 else ""
         found = f"no transform to the laser's frame {self.frame!r} ({self.known})"
         if not self.alone:  # a sensor pose would be that of every laser

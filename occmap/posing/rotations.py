@@ -76,7 +76,7 @@ def slerp(start: Float64, end: Float64, fraction: Float64) -> Float64:
 
 
 def _nearer(start: Float64, end: Float64) -> Float64:
-    """Return `end` or -`end`, which are one rotation: whichever is on the side of `start`."""
+    """Choose `end` or -`end`, which are one rotation: the one that is nearer to `start`."""
     side = np.einsum("ij,ij->i", start, end)
     return np.where(side[:, None] < 0, -end, end)
 

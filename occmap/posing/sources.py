@@ -121,7 +121,7 @@ def _is_intention(topic: str) -> bool:
 
 
 def _list_overruled(given: Sequence[Edge], edges: Sequence[Edge], tree: FrameTree) -> Iterator[str]:
-    """Say which transforms of the log the user's replace, or lead back to a frame above them."""
+    """Say which of the user's transforms replace one of the log, or close a loop."""
     known = {edge.child for edge in edges if edge.source is Source.TF}
     for edge in given:
         name = f"the given transform {edge.parent} -> {edge.child}"
@@ -177,7 +177,7 @@ def _list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str
 
 
 def _disagree(same: Sequence[Edge]) -> bool:
-    """Whether edges from one frame to another, of which some are fixed, hold several poses."""
+    """Whether edges between the same two frames, some of them fixed, hold different poses."""
     if len(same) < 2 or not any(edge.track.static for edge in same):
         return False
     positions = np.concatenate([edge.track.position for edge in same])

@@ -107,7 +107,7 @@ class TrackBuilder:
         values = np.frombuffer(self._values, np.float64).reshape(-1, 7)
         usable, norm = find_usable(values)
         unit = values[usable, 3:] / norm[usable, None]
-        return len(values) > 1 and differ(values[usable, :3], unit)
+        return differ(values[usable, :3], unit)
 
     def build(self) -> Track | None:
         """Sort what was gathered; None where nothing is usable.

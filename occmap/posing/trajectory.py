@@ -80,7 +80,7 @@ EUROC_COLUMNS = ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")
 EUROC = _Layout(EUROC_COLUMNS, ",", parse_nanoseconds, has_more=True)
 
 
-def read_trajectory(path: Path, notes: list[str] | None = None) -> Iterator[PoseSample]:
+def read_trajectory(path: Path, notes: list[str]) -> Iterator[PoseSample]:
     """Read the poses of a body in the map, in file order.
 
     The samples' `child` is "", for such files do not name the body. Empty lines and lines that
@@ -90,7 +90,7 @@ def read_trajectory(path: Path, notes: list[str] | None = None) -> Iterator[Pose
     Parameters
     ----------
     notes
-        Grows by how the axes of KITTI poses were understood, since the file does not say it.
+        Grows by a note on the axes of KITTI poses, which the file does not state.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def read_trajectory(path: Path, notes: list[str] | None = None) -> Iterator[Pose
         The file cannot be read or holds no poses, or a line is not a pose.
     """
     found = False
-    for stamp_ns, pose in _read_poses(path, [] if notes is None else notes):
+    for stamp_ns, pose in _read_poses(path, notes):
         yield PoseSample(stamp_ns, TRAJECTORY_FRAME, "", pose, record_ns=stamp_ns)
         found = True
     if not found:
@@ -106,7 +106,7 @@ def read_trajectory(path: Path, notes: list[str] | None = None) -> Iterator[Pose
 
 
 def _read_poses(path: Path, notes: list[str]) -> Iterator[TimedPose]:
-    """Read the poses of a file whose first line tells of which form it is."""
+    """Read the poses of a file; its first line tells which format it has."""
     lines = _read_lines(path)
     first = next(lines, (0, ""))
     whole = chain([first], lines)
@@ -128,7 +128,7 @@ def _read_matrices(
     """Read KITTI's poses, each with its time.
 
     Those of a camera, whose z is ahead and whose y is down, are turned to the axes of a robot. They
-    are told by where they lead: a robot that stays on the ground moves along z only in such axes.
+    are told by where they lead: on the ground only such poses go far along z.
     """
     rows = np.array(list(_parse_lines(path, lines, _parse_row))).reshape(-1, 3, 4)
     beside = path.parent / TIMES

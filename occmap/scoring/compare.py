@@ -22,7 +22,7 @@ from occmap.types import Update
 from occmap.wording import count
 
 FEW_SCANS = 10
-"""Fewer draws do not tell how far the next one may lie from them."""
+"""Fewer scans do not show how far the next one may lie from them."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Variants of a map that grow from the same scans, and their scores on scans kept from all."""
+"""Variants of a map, made of the same scans, and their scores on scans kept from all of them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,7 +14,7 @@ from occmap.evidence import render
 from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions
 from occmap.plain import HIDDEN, IN_PLACE, Count, Finite, Share
-from occmap.scoring.score import Score, Trial, estimate_error, score_map
+from occmap.scoring.score import Score, estimate_error, score_map
 from occmap.scoring.variants import Variant, shorten_model
 from occmap.types import Kind, Rays, Update
 from occmap.workers import Workers
@@ -118,26 +118,6 @@ class ScoredVariant:
     bytes: Count
     """Size of the evidence in memory (bytes)"""
 
-    @classmethod
-    def of(
-        cls, variant: Variant, grid: OccupancyMap, trial: Trial, seconds: float, size: int
-    ) -> Self:
-        """Describe a variant, its map, and what these cost."""
-        rows, columns = grid.shape
-        return cls(
-            variant=variant,
-            map=grid,
-            predicted=trial.predicted,
-            score=trial.score,
-            name=variant.name,
-            update=variant.update,
-            model=shorten_model(variant.model),
-            columns=columns,
-            rows=rows,
-            seconds=round(seconds, 4),
-            bytes=size,
-        )
-
     def compare_with(self, best: Self) -> Self:
         """Measure how far the share is from the best one, scan by scan.
 
@@ -165,7 +145,7 @@ class Trials:
         return Workers(lambda task: task[0].add(task[1]), self._options.jobs)
 
     def begin(self, workers: Workers[Task]) -> Callable[[Rays], None]:
-        """Start anew; return what holds some scans out and has the others traced."""
+        """Start anew; return a function that holds some scans out and has the others traced."""
         self.hold_out, self.evidence = HoldOut(), {}
         for variant in self.variants:
             if variant.evidence not in self.evidence:
@@ -199,5 +179,16 @@ class Trials:
         made = render(grid, variant.model, self._options.max_cells)
         seconds = self.evidence[variant.evidence].seconds + thread_time() - start
         trial = score_map(made, held_out, self._options.jobs)
-        size = sum(tile.nbytes for tile in grid.tiles.values())
-        return ScoredVariant.of(variant, made, trial, seconds, size)
+        return ScoredVariant(
+            variant=variant,
+            map=made,
+            predicted=trial.predicted,
+            score=trial.score,
+            name=variant.name,
+            update=variant.update,
+            model=shorten_model(variant.model),
+            columns=made.shape[1],
+            rows=made.shape[0],
+            seconds=round(seconds, 4),
+            bytes=sum(tile.nbytes for tile in grid.tiles.values()),
+        )

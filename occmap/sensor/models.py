@@ -67,7 +67,7 @@ class Clamped(Protocol):
 
 @runtime_checkable
 class Deciding(Protocol):
-    """A model that says from what probability on a cell is called occupied, and below it free."""
+    """A model that says above what probability a cell is called occupied; below, it is free."""
 
     @property
     def cut(self) -> float:
@@ -247,7 +247,7 @@ class QuadraticModel:
 
 
 def find_decision(model: SensorModel) -> Decision:
-    """From what probability on a model calls a cell occupied, and below which free."""
+    """Find above what probability a model calls a cell occupied, and below what it is free."""
     return Decision(model.cut, model.cut) if isinstance(model, Deciding) else EVEN_ODDS
 
 

@@ -160,6 +160,12 @@ class RangeLimits:
             if range_max != first.range_max:
                 self._senseless.setdefault(first.topic, first.range_max)
 
+    def watch(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
+        """Pass scans on, and count their ranges."""
+        for some in scans:
+            self.see(some)
+            yield some
+
     def apply(self, batch: ScanBatch) -> ScanBatch:
         """State the limit in a batch of scans."""
         if not self._looks:
@@ -211,9 +217,3 @@ class RangeLimits:
                     f'{topic} states {limit}; no value stands for "no return", so every range is '
                     "used as measured: `range_max` sets a limit"
                 )
-
-
-def settle(limits: Iterable[RangeLimits]) -> bool:
-    """Settle the limits of several logs; say whether all were applied right."""
-    right = [each.settle() for each in limits]
-    return all(right)

@@ -148,21 +148,17 @@ def classify(batch: ScanBatch, options: ReturnOptions) -> tuple[UInt8, Float32, 
     kind, reach, counts
         (S, B) of Kind; (S, B) m along the beam, 0 where SKIP; and the tally.
     """
-    ranges, own = batch.ranges, _find_own(batch, options)
+    ranges, own = batch.ranges, find_own(batch, options)
     sensor_limit = batch.range_max if options.range_max is None else options.range_max
     nearest = max(batch.range_min, options.min_range, float(np.finfo(np.float32).tiny))
     free_reach = min(sensor_limit, options.max_range)
     limits = nearest, options.max_range, sensor_limit, free_reach
     nearest, farthest, no_return, free_reach = as_float32(limits)  # rounded as ranges are
-    hit = (ranges >= nearest) & (ranges < no_return)
-    if np.isfinite(farthest):
-        hit &= ranges <= farthest
-    if own is not None:
-        hit &= ~own
+    hit = (ranges >= nearest) & (ranges < no_return) & (ranges <= farthest) & ~own
     # Most beams hit: only the few others are looked at more closely.
     others = np.flatnonzero(~hit)
     few = ranges.ravel()[others]
-    robot = np.zeros(few.shape, np.bool_) if own is None else own.ravel()[others]
+    robot = own.ravel()[others]
     close = (few < nearest) & ~robot
     none = (few >= no_return) & ~close & ~robot
     missing = np.isnan(few) & ~robot
@@ -176,10 +172,8 @@ def classify(batch: ScanBatch, options: ReturnOptions) -> tuple[UInt8, Float32, 
     return kind, reach, ReturnCounts(hit.size - others.size, *counts)
 
 
-def _find_own(batch: ScanBatch, options: ReturnOptions) -> Bool | None:
-    """(S, B): which ranges are the robot's own or blocked by it; None where no option asks."""
-    if not options.ignore_sectors and options.footprint is None:
-        return None
+def find_own(batch: ScanBatch, options: ReturnOptions) -> Bool:
+    """(S, B): which ranges are the robot's own or blocked by it, as the user says."""
     shape = batch.angle_min, batch.angle_increment, batch.ranges.shape[1]
     own = np.broadcast_to(mask_sectors(*shape, options.ignore_sectors), batch.ranges.shape)
     if options.footprint is None:

@@ -1,4 +1,4 @@
-"""The quadratic inverse sensor model, as it is defined: what a beam says about a cell.
+"""The definition of the quadratic inverse sensor model: what a beam says about a cell.
 
 p = (1 + O - V) / 2, where V falls from 1 at the sensor to 0 where the hit begins, and O rises to 1
 at the measured range r and falls again. The depth of a hit is epsilon to either side of r. Where

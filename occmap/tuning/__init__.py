@@ -16,9 +16,9 @@ from occmap.readers import open_log
 from occmap.remarks import LEAST_AGREEMENT, Remarks
 from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored
 from occmap.tally import Tally
+from occmap.tuning import search
 from occmap.tuning.kept import MOST_SCANS, KeptLog, find_mount, keep_logs
-from occmap.tuning.search import TIME, TOGETHER, YAW, Correction, Knob, Scorer, X, Y
-from occmap.tuning.verdict import Finding, Gain, Verdict, find
+from occmap.tuning.search import Correction, Finding, Gain, Scorer, Verdict, find, find_way
 from occmap.types import Pose, Rays
 from occmap.wording import count
 
@@ -114,91 +114,44 @@ def tune(
     scorer = Scorer(logs, options, mount, lambda: tally.advance(kept))
     before = scorer.score(Correction())
     motion = Motion.measure(scorer.trace(Correction()))
-    timed = motion.shows_time and not all(log.stated for log in logs)
-    place = [*([YAW] if motion.shows_yaw else []), *([X, Y] if motion.shows_place else [])]
-    way = find_way(scorer, [TIME] if timed else [], [] if mount is None else place)
-    # One may have hidden part of the other.
-    again = timed and way.mount.verdict is Verdict.FOUND
-    both = find(scorer, way.correction, TOGETHER if again else [])
-    after = scorer.score(both.correction)
-    gain, error = Gain.measure(before, after)
-    scans = KeptScans(**vars(tally.scans), held_out=len(before.predicted), kept=kept)
+    timed = [search.TIME] if motion.shows_time and not all(log.stated for log in logs) else []
+    place = [search.YAW] if motion.shows_yaw else []
+    place += [search.X, search.Y] if motion.shows_place else []
+    way = find_way(scorer, timed, [] if mount is None else place)
+    # Both once more, since one may have hidden part of the other.
+    again = bool(timed) and way.mount.verdict is Verdict.FOUND
+    together = find(scorer, way.correction, search.TOGETHER if again else [])
+    best = together.correction
+    after = scorer.score(best)
+    gain, gain_error = Gain.measure(before, after)
+    better = replace(options, posing=best.apply(options.posing, mount))
     tuning = Tuning(
         **vars(remarks),
-        scans=scans,
+        scans=KeptScans(**vars(tally.scans), held_out=len(before.predicted), kept=kept),
         resolution=options.resolution,
         beams=before.score.beams,
         share_before=before.score.share,
         share=after.score.share,
         gain=gain,
-        gain_error=error,
-        correction=both.correction,
+        gain_error=gain_error,
+        correction=best,
         time=way.time,
         mount=way.mount,
-        together=both,
+        together=together,
         tried=[
             TriedCorrection(**vars(correction), share=trial.score.share)
             for correction, trial in scorer.tried.items()
         ],
-        command=compose_better(remarks.logs, options, both.correction, mount),
-        agreement=scorer.measure_agreement(both.correction),
+        command=() if best == Correction() else compose_build(remarks.logs, better, {}),
+        agreement=scorer.measure_agreement(best),
     )
-    remarks.notes += list_unsearched(logs, mount, motion)
-    remarks.notes += list_doubts(tuning, options.posing.time_offset_s)
-    return tuning
-
-
-def compose_better(
-    logs: Sequence[str], options: BuildOptions, correction: Correction, mount: Pose | None
-) -> tuple[str, ...]:
-    """Compose the command line that builds the better map; empty where there is nothing to gain."""
-    if correction == Correction():
-        return ()
-    posing = correction.apply(options.posing, mount)
-    return compose_build(logs, replace(options, posing=posing), {})
-
-
-class Way(NamedTuple):
-    """What two searches found, one after the other."""
-
-    time: Finding
-    mount: Finding
-    correction: Correction
-    """What both found together"""
-
-
-def find_way(scorer: Scorer, timed: Sequence[Knob], place: Sequence[Knob]) -> Way:
-    """Search for a time offset and then for a mount; where that matters, the other way round too.
-
-    A laser that is late looks as if it sat further back, and the reverse, so whichever is searched
-    first may make up for the other. Of the two ways, the one that finds less to be wrong is right
-    unless the other gains certainly more.
-    """
-    time = find(scorer, Correction(), timed)
-    # Where halves want different times, a mount would only make up for that.
-    disagree = time.verdict is Verdict.DISAGREE
-    mount = find(scorer, time.correction, [] if disagree else place)
-    usual = Way(time, mount, mount.correction)
-    if not disagree and time.verdict is not Verdict.FOUND:
-        return usual
-    mount = find(scorer, Correction(), place)
-    time = find(scorer, mount.correction, timed)
-    if mount.verdict is not Verdict.FOUND or time.verdict is Verdict.DISAGREE:
-        return usual
-    # Two corrections fit much, even times that change within the log: the mount alone must do.
-    disagree = Verdict.DISAGREE in (usual.time.verdict, usual.mount.verdict)
-    if disagree and time.verdict is Verdict.FOUND:
-        return usual
-    found = [usual.time.verdict, usual.mount.verdict].count(Verdict.FOUND)
-    simple, other = usual, Way(time, mount, time.correction)
-    if [time.verdict, mount.verdict].count(Verdict.FOUND) < found:
-        simple, other = other, simple
-    gain = Gain.measure(scorer.score(simple.correction), scorer.score(other.correction))
-    return other if gain.certain else simple
+    unsearched = list_unsearched(logs, mount, motion)
+    doubts = list_doubts(tuning, options.posing.time_offset_s)
+    return replace(tuning, notes=[*remarks.notes, *unsearched, *doubts])
 
 
 class Motion(NamedTuple):
-    """What the way of the sensors shows of a wrong time or mount."""
+    """Whether the sensors moved so that a wrong time or mount would show in a map."""
 
     shows_yaw: bool
     """Whether a wrong yaw of the mount blurs the map, rather than turning all of it"""
@@ -207,7 +160,7 @@ class Motion(NamedTuple):
 
     @classmethod
     def measure(cls, scans: Sequence[Rays]) -> "Motion":
-        """Measure how far scans get and turn from the first one, also those of other logs."""
+        """Measure how far the scans of all logs lie from the first one, and how far they turn."""
         place = np.concatenate([rays.origin[:, 0] for rays in scans])
         ahead = np.concatenate([rays.turn[:, 0, :, 0] for rays in scans])
         cosine = ahead @ ahead[0] / np.maximum(np.linalg.norm(ahead, axis=1), 1e-9)
@@ -252,6 +205,6 @@ def list_doubts(tuning: Tuning, time_offset_s: float) -> Iterator[str]:
     half = tuning.scans.held_out // 2
     if half < FEW_SCANS:
         yield f"{count(half, 'held-out scan')} in each half: too few to tell; give a longer log"
-    if abs(tuning.correction.time_s) > TIME.reach - TIME.steps[-1]:
+    if abs(tuning.correction.time_s) > search.TIME.reach - search.TIME.steps[-1]:
         offset = time_offset_s + tuning.correction.time_s
         yield f"no larger time offset is tried: tune again with `time_offset_s={offset:g}`"

@@ -1,6 +1,6 @@
 """Scans of logs that are read once and posed again and again."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,10 +17,10 @@ from occmap.remarks import Remarks, list_frames
 from occmap.sensor.no_return import RangeLimits
 from occmap.tally import Tally, name_logs, refuse_unused
 from occmap.tracing import open_drive
-from occmap.types import Pose, PosedScans, Scan, ScanBatch, ScanRun
+from occmap.types import Pose, PosedScans, ScanBatch
 
 MOST_SCANS = 1000
-"""Spread over the logs: more tell little more, and they are traced more than thirty times."""
+"""Scans of all logs together: more tell little more, and each is traced over thirty times."""
 MOST_OFFSET_S = 0.5
 """No larger time offset is tried, either way."""
 ALIKE = 1e-3
@@ -86,15 +86,10 @@ def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: 
     _, topics, poser, *_ = open_drive(log, options)
     batcher = Batcher(options.selection, options.posing.stamps)
     limits = RangeLimits(options.returns)
-
-    def show(scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
-        for some in scans:
-            limits.see(some)
-            yield some
-
+    batches = batcher.stack(limits.watch(read_scans(log, topics)))
     kept: list[ScanBatch] = []
     seen, every = 0, 1
-    for batch, posed, dropped in poser.attach(batcher.stack(show(read_scans(log, topics)))):
+    for batch, posed, dropped in poser.attach(batches):
         tally.drop(dropped)
         if posed is not None:
             kept += take_every([posed.batch], every, -seen % every)
@@ -106,7 +101,7 @@ def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: 
     tally.scans_used += seen
     tally.scans_read += batcher.read
     tally.drop(dict(batcher.left_out))
-    limits.settle()  # so that what the whole log shows is applied to all of it
+    limits.settle()  # only the whole log shows the limit, which then holds for all of it
     remarks.note(log.path, log.notes, [*poser.notes, *batcher.notes, *limits.list_notes()])
     return KeptLog(str(log.path), poser, tuple(limits.apply(each) for each in kept))
 

@@ -1,17 +1,23 @@
-"""The search for a correction: from coarse to fine, one number after the other."""
+"""The search for a correction, from coarse to fine and one number after the other.
+
+A verdict says what came of it: a gain must be more than noise, and both halves of a log show it.
+"""
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import NamedTuple
 
 from occmap.command import to_rpy
 from occmap.engines import make_engine
 from occmap.evidence import render
 from occmap.options import BuildOptions
+from occmap.plain import Finite
 from occmap.posing.options import PosingOptions
 from occmap.scoring.compare import refuse_unscored
-from occmap.scoring.score import Trial
-from occmap.scoring.trials import Trials
+from occmap.scoring.score import Trial, estimate_error
+from occmap.scoring.trials import NOISE, SMALL, Trials
 from occmap.scoring.variants import Variant
 from occmap.sensor.returns import interpret
 from occmap.tuning.kept import MOST_OFFSET_S, KeptLog
@@ -65,6 +71,8 @@ YAW = Knob("yaw", tuple(n * QUARTER_DEG for n in (8, 4, 2, 1)), math.radians(20)
 X = Knob("x", (0.04, 0.02, 0.01, 0.005), 0.5)
 Y = replace(X, name="y")
 TOGETHER = [replace(knob, steps=knob.steps[-3:]) for knob in (TIME, YAW, X, Y)]
+
+EVERY_SCAN = slice(None)
 
 
 class Scorer:
@@ -139,3 +147,143 @@ def climb(scorer: Scorer, best: Correction, knob: Knob, step: float) -> Correcti
         if best != start:
             break
     return best
+
+
+class Verdict(StrEnum):
+    """What a search is worth; `Finding.verdict` says what each means."""
+
+    FOUND = "found"
+    NOTHING = "nothing"
+    DISAGREE = "disagree"
+    UNSEEN = "unseen"
+
+
+class Gain(NamedTuple):
+    """How much larger the share of one map is than that of another, by the same scans."""
+
+    share: float = 0.0
+    error: float = 0.0
+    """Standard error, from the differences scan by scan"""
+
+    @property
+    def certain(self) -> bool:
+        """Whether it is more than noise, and so much that it shows in a map."""
+        return self.share > max(NOISE * self.error, SMALL)
+
+    @classmethod
+    def measure(cls, before: Trial, after: Trial, scans: slice = EVERY_SCAN) -> "Gain":
+        """Measure it by the same held-out scans, all or some."""
+        beams, now = after.predicted[scans].T
+        more = now - before.predicted[scans, 1]
+        return cls(math.fsum(more) / max(math.fsum(beams), 1), estimate_error(more, beams))
+
+
+@dataclass(frozen=True)
+class Half:
+    """What half of the held-out scans gain."""
+
+    correction: Correction
+    """By what: by the best for all, or, where halves disagree, by the best for this one"""
+    gain: float
+    """How much larger the share is"""
+    gain_error: Finite
+    """Standard error of the gain, from the differences scan by scan; null where one scan is all
+    there is"""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What came of a search."""
+
+    verdict: Verdict
+    """found: a gain that is more than noise, and that both halves show; nothing: there is none;
+    disagree: what gains in one half does not in the other; unseen: not searched, see the
+    notes"""
+    correction: Correction
+    """What was found, with what was found before; else what the search began with"""
+    gain: float = 0.0
+    """How much larger the share is by the best that was tried"""
+    gain_error: Finite = 0.0
+    """Standard error of the gain, from the differences scan by scan; null where one scan is all
+    there is"""
+    halves: tuple[Half, ...] = ()
+    """The first half of the held-out scans and the second; none where nothing was searched"""
+
+
+def find(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Finding:
+    """Search for a correction better than `start`, and judge it; no knobs: no search."""
+    if not knobs:
+        return Finding(Verdict.UNSEEN, start)
+    before, earlier = scorer.score(start), set(scorer.tried)
+    middle = len(before.predicted) // 2
+    best = search(scorer, start, knobs)
+    tried = {
+        each: trial
+        for each, trial in scorer.tried.items()
+        if each not in earlier or each in (start, best)
+    }
+    gain = Gain.measure(before, tried[best])
+    halves = [
+        {each: Gain.measure(before, trial, half) for each, trial in tried.items()}
+        for half in (slice(middle), slice(middle, None))
+    ]
+    alike = tuple(Half(best, *gains[best]) for gains in halves)
+    if gain.certain and all(half.gain > SMALL for half in alike):
+        return Finding(Verdict.FOUND, best, *gain, alike)
+    # What is best for one half alone may certainly lose in the other.
+    own = [max(gains, key=lambda each: gains[each].share) for gains in halves]
+    opposed = any(
+        gains[each].certain and Gain(-rest[each].share, rest[each].error).certain
+        for each, gains, rest in zip(own, halves, reversed(halves), strict=True)
+    )
+    if opposed or (gain.certain and min(half.gain for half in alike) <= 0):
+        apart = tuple(Half(each, *gains[each]) for each, gains in zip(own, halves, strict=True))
+        return Finding(Verdict.DISAGREE, start, *gain, apart)
+    return Finding(Verdict.NOTHING, start, *gain, alike)
+
+
+class Way(NamedTuple):
+    """What two searches found, one after the other."""
+
+    time: Finding
+    mount: Finding
+    correction: Correction
+    """What both found together"""
+
+    @property
+    def verdicts(self) -> list[Verdict]:
+        """What each of the two searches is worth."""
+        return [self.time.verdict, self.mount.verdict]
+
+
+def find_way(scorer: Scorer, timed: Sequence[Knob], place: Sequence[Knob]) -> Way:
+    """Search for a time offset and then for a mount; where that matters, the other way round too.
+
+    A laser that is late looks as if it sat further back, and the reverse, so whichever is searched
+    first may make up for the other.
+    """
+    time = find(scorer, Correction(), timed)
+    # Where halves want different times, a mount would only make up for that.
+    disagree = time.verdict is Verdict.DISAGREE
+    mount = find(scorer, time.correction, [] if disagree else place)
+    usual = Way(time, mount, mount.correction)
+    if not disagree and time.verdict is not Verdict.FOUND:  # no time has made up for a mount
+        return usual
+    mount = find(scorer, Correction(), place)
+    time = find(scorer, mount.correction, timed)
+    return choose_way(scorer, usual, Way(time, mount, time.correction))
+
+
+def choose_way(scorer: Scorer, usual: Way, other: Way) -> Way:
+    """Choose between the way that begins with the time and the one that begins with the mount.
+
+    The one that finds less to be wrong is right, unless the other gains certainly more.
+    """
+    if other.mount.verdict is not Verdict.FOUND or other.time.verdict is Verdict.DISAGREE:
+        return usual
+    # Two corrections fit much, even times that change within the log: the mount alone must do.
+    if Verdict.DISAGREE in usual.verdicts and other.time.verdict is Verdict.FOUND:
+        return usual
+    less, more = sorted((usual, other), key=lambda way: way.verdicts.count(Verdict.FOUND))
+    gain = Gain.measure(scorer.score(less.correction), scorer.score(more.correction))
+    return more if gain.certain else less

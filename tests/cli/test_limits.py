@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from occmap.gates import COUNT
-from occmap.gates.measures import BUILD, CHECK, COMPARE, DIFF, SAVED, Measures
+from occmap.gates import BUILD, CHECK, COMPARE, COUNT, DIFF, SAVED, Measures
 from tests.cli.runner import occmap, read_error
 from tests.samples import PLAIN_WORDS, write_csv
 

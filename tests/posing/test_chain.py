@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from occmap.arrays import Float64
 from occmap.posing.chain import Chain, Status, make_chain
-from occmap.posing.frames import Edge, Source, Step
+from occmap.posing.frames import Edge, Source
 from occmap.posing.jumps import find_breaks
 from occmap.posing.options import Stamps
 from occmap.posing.tracks import TrackBuilder
@@ -32,7 +32,7 @@ def edge(parent: str, child: str, keyed: Keyed) -> Edge:
 
 
 def chain_of(*edges: Edge, max_gap_s: float | None = None) -> Chain:
-    return make_chain([Step(one) for one in edges], max_gap_s)
+    return make_chain(edges, max_gap_s)
 
 
 def look_up(chain: Chain, *seconds: float) -> tuple[Float64, Float64, list[Status]]:
@@ -87,6 +87,12 @@ def test_a_correction_that_jumps_breaks_at_its_sample() -> None:
     ]
 
 
+def test_a_correction_that_is_recorded_the_other_way_round_holds_too() -> None:
+    upward = edge("odom", "map", [(0, turned(0)), (10, turned(0, x=-5))])
+    position, _, _ = look_up(chain_of(upward.invert(), DRIVE), 5)
+    assert position.tolist() == [[5, 0, 0]]  # and not 7.5, halfway through the jump
+
+
 def test_a_leap_of_what_drives_breaks_between_two_samples() -> None:
     places = [turned(0, x=0.2 * t + 5 * (t > 30)) for t in range(60)]
     (found,) = find_breaks(chain_of(edge("odom", "base", list(enumerate(places)))))
@@ -119,7 +125,7 @@ def test_three_edges_by_hand() -> None:
 
 def test_a_step_recorded_the_other_way_round_is_inverted() -> None:
     upward = edge("base", "map", [(0, turned(90, x=3)), (1, turned(90, x=5))])
-    chain = make_chain([Step(upward, inverted=True)], None)
+    chain = make_chain([upward.invert()], None)
     position, rotation, _ = look_up(chain, 0.5)
     # The map lies at (4, 0) in the base, turned left by 90: in the map the base is at (0, 4).
     np.testing.assert_allclose(position, [[0, 4, 0]], atol=1e-12)

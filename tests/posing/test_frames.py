@@ -19,7 +19,7 @@ def tree_of(*names: str) -> FrameTree:
 
 def path_of(tree: FrameTree, upper: str, lower: str) -> list[str] | None:
     steps = tree.find_path(upper, lower)
-    return steps if steps is None else [f"{step.upper}>{step.lower}" for step in steps]
+    return steps if steps is None else [f"{step.parent}>{step.child}" for step in steps]
 
 
 def test_the_path_goes_from_the_upper_frame_to_the_lower() -> None:
@@ -32,7 +32,7 @@ def test_a_frame_that_hangs_below_the_robot_can_be_the_map() -> None:
     tree = tree_of("base>laser", "base>map")
     steps = tree.find_path("map", "laser")
     assert steps is not None
-    assert [(step.upper, step.lower, step.inverted) for step in steps] == [
+    assert [(step.parent, step.child, step.inverted) for step in steps] == [
         ("map", "base", True),
         ("base", "laser", False),
     ]

@@ -15,7 +15,7 @@ from occmap.options import DEFAULT_UPDATE, BuildOptions
 from occmap.pipeline import build
 from occmap.remarks import Remarks
 from occmap.scoring.compare import HeldOutScans, VariantComparison, choose_best, compare
-from occmap.scoring.score import Score, Trial, estimate_error
+from occmap.scoring.score import Score, estimate_error
 from occmap.scoring.trials import HoldOut, ScoredVariant
 from occmap.scoring.variants import Variant, combine, shorten_model
 from occmap.sensor.models import (
@@ -197,7 +197,20 @@ def make_result(
     share = sum(predicted) / (beams * len(predicted))
     score = Score(beams * len(predicted), share, 0.0, log_likelihood, 0.0, 0.0, 0.0)
     grid = OccupancyMap(np.zeros((1, 1), np.float32), np.ones((1, 1), bool), 0.05, (0.0, 0.0))
-    return ScoredVariant.of(Variant(Update.SURFACE, model), grid, Trial(score, by_scan), 0.0, 0)
+    variant = Variant(Update.SURFACE, model)
+    return ScoredVariant(
+        variant=variant,
+        map=grid,
+        predicted=by_scan,
+        score=score,
+        name=variant.name,
+        update=variant.update,
+        model=model.name,
+        columns=1,
+        rows=1,
+        seconds=0.0,
+        bytes=0,
+    )
 
 
 def rank(*results: ScoredVariant) -> VariantComparison:

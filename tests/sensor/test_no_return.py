@@ -14,7 +14,7 @@ from occmap import batching
 from occmap.inspection import inspect
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.sensor.no_return import Band, RangeLimits, RangeTally, settle
+from occmap.sensor.no_return import Band, RangeLimits, RangeTally
 from occmap.sensor.returns import ReturnOptions
 from occmap.types import Scan, ScanBatch
 from tests.grid.scans import FEW
@@ -234,7 +234,7 @@ def test_limits_that_come_late_are_applied_in_the_second_reading() -> None:
         assert first == (pytest.approx(29.25) if again else math.inf)
         limits.see(scan([30.0] * 50))
         assert limits.apply(batch()).range_max == first  # one limit for all of a reading
-        assert settle([limits]) == again
+        assert limits.settle() == again
     (note,) = limits.list_notes()
     assert "50 of 2,050 ranges (2.4%) read 30 m, taken as no return" in note
 

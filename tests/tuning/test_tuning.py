@@ -19,8 +19,7 @@ from occmap.scoring.variants import Variant
 from occmap.tally import Tally
 from occmap.tuning import tune
 from occmap.tuning.kept import KeptLog, find_mount, keep_logs, take_every
-from occmap.tuning.search import TIME, YAW, Correction, X
-from occmap.tuning.verdict import Gain, Verdict
+from occmap.tuning.search import TIME, YAW, Correction, Gain, Verdict, X
 from occmap.types import Pose, ScanBatch
 from tests.samples import REAL_LOGS, SAMPLE_LOGS, write_csv
 from tests.tuning.simulated import read_drive, write_drive

@@ -16,7 +16,7 @@ from occmap.cli.progress import Bar, show_progress
 from occmap.cli.sections import as_command, join, option
 from occmap.cli.streams import gather_logs, hide_caught, place_outputs
 from occmap.errors import LogError, UsageError
-from occmap.gates.measures import BUILD
+from occmap.gates import BUILD
 from occmap.grid.framing import Framing
 from occmap.keywords import take
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model

@@ -10,7 +10,7 @@ from occmap.cli import limits, options
 from occmap.cli.console import Console, Verbosity, label_first, write_command, write_rows
 from occmap.cli.sections import as_command, join
 from occmap.cli.streams import gather_logs
-from occmap.gates.measures import CHECK
+from occmap.gates import CHECK
 from occmap.inspection import inspect, telling
 from occmap.inspection.findings import Inspection, LogFindings, RangeFindings
 from occmap.keywords import take

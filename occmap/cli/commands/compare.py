@@ -10,7 +10,7 @@ from occmap.cli.console import Console, align, write_command
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import as_command, join, option
 from occmap.cli.streams import gather_logs
-from occmap.gates.measures import COMPARE
+from occmap.gates import COMPARE
 from occmap.keywords import take
 from occmap.options import BuildOptions
 from occmap.pictures import compare_logs

@@ -10,8 +10,7 @@ from occmap.cli import limits, options
 from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.sections import as_command, join, option
 from occmap.difference import MapDifference
-from occmap.gates import Limit, parse_bound
-from occmap.gates.measures import DIFF
+from occmap.gates import DIFF, Limit, parse_bound
 from occmap.keywords import take
 from occmap.pictures import compare_files
 from occmap.wording import count

@@ -10,7 +10,7 @@ from occmap.cli.console import Console
 from occmap.cli.saved import put_out
 from occmap.cli.sections import as_command, join
 from occmap.evidence.merging import combine
-from occmap.gates.measures import SAVED
+from occmap.gates import SAVED
 
 subtracted = options.paths(
     options.FILES, "--subtract", metavar="NPZ", text="Take the evidence in this file away."

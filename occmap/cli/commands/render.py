@@ -9,7 +9,7 @@ from occmap.cli import limits, options
 from occmap.cli.console import Console
 from occmap.cli.saved import put_out
 from occmap.cli.sections import as_command, join, option
-from occmap.gates.measures import SAVED
+from occmap.gates import SAVED
 from occmap.store.reading import open_saved
 
 overview = option(

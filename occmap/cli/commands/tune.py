@@ -12,12 +12,11 @@ from occmap.cli.console import Console, write_command
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import as_command, join
 from occmap.cli.streams import gather_logs
-from occmap.gates.measures import TUNE
+from occmap.gates import TUNE
 from occmap.keywords import take
 from occmap.options import BuildOptions
 from occmap.tuning import Tuning, tune
-from occmap.tuning.search import Correction
-from occmap.tuning.verdict import Finding, Verdict
+from occmap.tuning.search import Correction, Finding, Verdict
 from occmap.wording import count
 
 
