@@ -141,9 +141,14 @@ def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
     alike = np.zeros(len(rows), np.bool_)
     left = np.empty((values.size // 8 + 64, 4), np.int64)
     count = parse_rows(
-        Lines(np.frombuffer(text, np.uint8), block.eights, block.starts[rows], ord(separator)),
-        kinds,
-        np.frombuffer(same + PADDING, np.uint8),
+        Lines(
+            text=np.frombuffer(text, np.uint8),
+            eights=block.eights,
+            starts=block.starts[rows],
+            separator=ord(separator),
+            kinds=kinds,
+            same=np.frombuffer(same + PADDING, np.uint8),
+        ),
         Filled(ranges, values, times, alike, left),
     )
     if count == len(left):
