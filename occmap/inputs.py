@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 from occmap.errors import LogError, OccmapError
 from occmap.opening import choose_topics, take_first
-from occmap.readers import load_readers, open_log, probe_path
+from occmap.readers import load_readers, open_log
 from occmap.readers.options import ReaderOptions
+from occmap.readers.probing import probe_path
 from occmap.wording import STDIN_FOLDER, count, join_names
 
 STDIN = Path("-")
@@ -73,7 +74,7 @@ def list_entries(path: Path) -> list[Path]:
 
 def is_bag(folder: Path, entries: Sequence[Path]) -> bool:
     """Whether a folder is one bag of ROS 2, and not a folder of several recordings."""
-    from occmap.readers.rosbag import METADATA, list_storage, refuse_mixed  # noqa: PLC0415  late: it brings rosbags
+    from occmap.readers.containers.bag2 import METADATA, list_storage, refuse_mixed  # noqa: PLC0415  late: it brings rosbags
 
     if (folder / METADATA).exists():
         return True

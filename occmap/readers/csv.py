@@ -8,8 +8,9 @@ import numpy as np
 
 from occmap.arrays import Int64
 from occmap.errors import LogError
-from occmap.readers import Note, Probe, Role, Span, Stream
-from occmap.readers.csv_layout import (
+from occmap.readers import Role, Span, Stream
+from occmap.readers.containers.text import ALL, Block, Line, is_heading, probe_lines, read_blocks
+from occmap.readers.conversion.csv_rows import (
     NAMES,
     TOPIC,
     Layout,
@@ -18,7 +19,7 @@ from occmap.readers.csv_layout import (
     split_comment,
     split_names,
 )
-from occmap.readers.text import ALL, Block, Line, is_heading, probe_lines, read_blocks
+from occmap.readers.probing import Probe
 from occmap.readers.text_log import LineTally, TextLog
 from occmap.types import PoseSample, Scan, ScanRun
 
@@ -72,7 +73,7 @@ class CsvLog(TextLog):
         unused = [name for name in self.form.header if name and not is_known(name)]
         if unused:
             text = f"columns that are not used: {', '.join(unused[:MAX_NAMES])}"
-            self.notes.append(Note(text))
+            self.notes.add(text)
 
     @property
     def streams(self) -> Sequence[Stream]:
@@ -102,7 +103,7 @@ class CsvLog(TextLog):
             found = "; ".join(["no header row", *(note.text for note in self.notes)])
             raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
         if unused:
-            self.notes.append(Note(f"comments that are not used: {', '.join(unused)}"))
+            self.notes.add(f"comments that are not used: {', '.join(unused)}")
         layout = read_layout(self.path, header, constants)
         if last is not None and not last.ended:
             self._check_last(last, layout)
@@ -114,7 +115,7 @@ class CsvLog(TextLog):
             self._rows -= 1
         else:
             text = f"line {line.number}, the last, has no line end; it is taken as whole"
-            self.notes.append(Note(text))
+            self.notes.add(text)
 
     def _read(self) -> Iterator[Scan | ScanRun]:
         tally = LineTally()

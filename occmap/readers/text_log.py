@@ -26,9 +26,9 @@ import numpy as np
 
 from occmap.arrays import Float32, Float64, Int64, UInt8
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList, make_part
+from occmap.readers import NoteList, make_part
+from occmap.readers.containers.text import ALL, Block, Line, note_cut_line, split_lines
 from occmap.readers.kernels import NUMBER, PADDING, RANGE, SAME, SECONDS
-from occmap.readers.text import ALL, Block, Line, note_cut_line, split_lines
 from occmap.types import Scan, ScanRun
 from occmap.values import as_float32, parse_nanoseconds, parse_seconds, shorten
 
@@ -95,7 +95,7 @@ class LineTally:
             self.malformed += 1
             self._first = self._first or (self.total, line.number, fault)
 
-    def judge(self, path: Path, notes: list[Note], fix: str) -> None:
+    def judge(self, path: Path, notes: NoteList, fix: str) -> None:
         """Note what is damaged.
 
         Raises
@@ -113,7 +113,7 @@ class LineTally:
             found = fault + (count if self.malformed > 1 else "")
             raise LogError(found, where=f"{path}:{number}", fix=fix)
         count = f"{self.malformed} of {self.total} lines are malformed and left out"
-        notes.append(Note(f"{count}, the first is line {number}: {fault}", damage=True))
+        notes.add_damage(f"{count}, the first is line {number}: {fault}")
 
 
 def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
@@ -185,7 +185,7 @@ class TextLog(ABC):
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.notes: list[Note] = NoteList()
+        self.notes = NoteList()
         self._span = ALL
         self._kept: list[Scan | ScanRun] | None = None
         """The scans of a log that were read when it was opened"""

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.readers.chunked import Block
-from occmap.readers.rosbag1 import (
+from occmap.readers.containers.bag1 import (
     CONNECTION,
     MESSAGE,
     split_messages,
 )
+from occmap.readers.containers.chunked import Block
 
 Found = tuple[int, int, int, int]
 

@@ -7,6 +7,7 @@ schemas stand in it, too.
 
 import math
 from collections.abc import Mapping
+from operator import ne
 from typing import Any
 
 import numpy as np
@@ -14,21 +15,20 @@ from numpy.typing import ArrayLike
 
 from occmap.arrays import Float32, Float64
 from occmap.errors import DamageError
-from occmap.readers import Role, foxglove
-from occmap.readers.options import Echo, ReaderOptions
-from occmap.readers.shapes import (
+from occmap.readers import Role
+from occmap.readers.containers.source import Channel
+from occmap.readers.conversion import MessageType, foxglove, read_frame, read_stamp
+from occmap.readers.decoding.shapes import (
     HEADER,
     POSE,
     QUATERNION,
     VECTOR,
-    MessageType,
     Shape,
     as_bytes,
     as_flag,
     as_row,
-    read_frame,
-    read_stamp,
 )
+from occmap.readers.options import Echo, ReaderOptions
 from occmap.types import Pose, PoseSample, Scan
 from occmap.values import as_float32, as_number, as_stamp, as_text
 
@@ -36,14 +36,10 @@ BEARINGS = 720
 """A cloud is flattened to half a degree: finer than most spinning lidars in the plane, and coarse
 enough that one turn leaves few bearings empty."""
 
+_MOST_LETTERS = 2
+"""The name of a type may differ in this many letters from the one that is meant."""
 _FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """NumPy's names of the number types of sensor_msgs/PointField."""
-
-
-def normalise_type(name: str) -> str:
-    """Bring a message type to its ROS 2 form: `tf/tfMessage` becomes `tf/msg/tfMessage`."""
-    package, slash, base = name.rpartition("/")
-    return f"{package}/msg/{base}" if slash and not package.endswith("/msg") else name
 
 
 def convert_laser_scan(_options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Scan:
@@ -236,3 +232,25 @@ TYPES: Mapping[str, MessageType] = {
     "nav_msgs/msg/Path": MessageType(Role.POSE, _PATH, to_poses=convert_path),
     **foxglove.TYPES,
 }
+
+
+def find_type(channel: Channel) -> MessageType | None:
+    """Find how messages are read, if at all: ROS and Foxglove each write them in two ways."""
+    encodings = {"cdr", "ros1"} if "/" in channel.type else {"json", "protobuf"}
+    return TYPES.get(channel.kind) if channel.encoding in encodings else None
+
+
+def find_oddity(channel: Channel) -> str:
+    """Say what suggests that messages of no known type were meant to be used; "" if nothing does.
+
+    Damage to the name of a type, or of an encoding, leaves a file that is sound otherwise.
+    """
+    kind = channel.type
+    if channel.kind in TYPES:
+        return "which are written in a way that occmap does not know"
+    if not (kind.isascii() and kind.isprintable()):
+        return "which is not the name of a type"
+    names = [*TYPES, *(known.replace("/msg/", "/") for known in TYPES)]  # of ROS 2 and of ROS 1
+    alike = (name for name in names if len(name) == len(kind))
+    meant = (name for name in alike if sum(map(ne, name, kind)) <= _MOST_LETTERS)
+    return next((f"which may be meant to be {name}" for name in meant), "")

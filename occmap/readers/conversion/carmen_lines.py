@@ -28,8 +28,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from occmap.arrays import Float64
+from occmap.readers.containers.text import Line, make_planar, round_limit, stack_planar
 from occmap.readers.kernels import ANY, NUMBER, RANGE, SAME, SECONDS
-from occmap.readers.text import Line, make_planar, round_limit, stack_planar
 from occmap.readers.text_log import Pattern, Table
 from occmap.types import UNKNOWN_POSE, Pose, PoseSample, Scan, ScanRun
 from occmap.values import as_float32, parse_seconds, shorten

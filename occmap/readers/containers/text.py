@@ -13,9 +13,10 @@ import numpy as np
 
 from occmap.arrays import Float64, Int64, UInt64
 from occmap.errors import LogError, refuse_unreadable
-from occmap.readers import Note, Probe, Span
-from occmap.readers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
+from occmap.readers import NoteList, Span
+from occmap.readers.containers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
 from occmap.readers.kernels import PADDING
+from occmap.readers.probing import Probe
 from occmap.types import UNKNOWN_POSE, Pose
 from occmap.values import as_float32
 
@@ -133,7 +134,7 @@ def split_lines(path: Path, size: int) -> list[Span]:
     return [Span(*ends) for ends in pairwise([*cuts, length])]
 
 
-def read_blocks(path: Path, notes: list[Note], span: Span = ALL) -> Iterator[Block]:
+def read_blocks(path: Path, notes: NoteList, span: Span = ALL) -> Iterator[Block]:
     """Yield the lines of a UTF-8 text file, plain or gzip, or of a part of it, in blocks.
 
     Where gzip data is cut or corrupt, every complete line before the damage is given, and a note
@@ -166,7 +167,7 @@ def read_blocks(path: Path, notes: list[Note], span: Span = ALL) -> Iterator[Blo
     except GUNZIP_ERRORS as error:
         reason = "cut short" if isinstance(error, EOFError) else f"corrupt: {error}"
         lost = f"the gzip data is {reason}; all after line {number - 1} is lost"
-        notes.append(Note(lost, damage=True))
+        notes.add_damage(lost)
     except OSError as error:
         raise LogError(f"cannot be read ({error.strerror})", where=path) from None
 
@@ -228,7 +229,7 @@ def probe_lines(probe: Probe) -> list[str]:
     return probe.content.decode("utf-8-sig", "replace").splitlines()
 
 
-def note_cut_line(notes: list[Note], line: Line) -> None:
+def note_cut_line(notes: NoteList, line: Line) -> None:
     """Say that the last line is not whole and was not used."""
     text = f"the file ends in the middle of line {line.number}; this line is lost"
-    notes.append(Note(text, damage=True))
+    notes.add_damage(text)

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import BinaryIO, ClassVar, NamedTuple, Self, TypeAlias
 
 from occmap.errors import LogError, refuse_unreadable
-from occmap.readers import Note, NoteList, Span, make_part
-from occmap.readers.inflate import Buffer
-from occmap.readers.ros_source import SCAN_ROLES, Channel, RawMessage, add_note
+from occmap.readers import NoteList, Span, make_part
+from occmap.readers.containers.inflate import Buffer
+from occmap.readers.containers.source import Channel, RawMessage
 from occmap.wording import count
 
 NEVER_NS = 2**64 - 1
@@ -91,7 +91,7 @@ class ChunkedSource(ABC):
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.notes: list[Note] = NoteList()
+        self.notes = NoteList()
         self._has_doubles = False
         """Whether chunks may be there twice"""
         self._chunks: Sequence[int] = ()
@@ -105,7 +105,7 @@ class ChunkedSource(ABC):
         self._by_id = {key: replace(each, count=counts[key]) for key, each in channels.items()}
         self.channels = list(self._by_id.values())
         if lost := sum(messages for key, messages in counts.items() if key not in channels):
-            add_note(self.notes, f"the file names no {self.unit} for {count(lost, 'message')}")
+            self.notes.add_damage(f"the file names no {self.unit} for {count(lost, 'message')}")
         if self.notes and not self.channels:
             found = "; ".join(note.text for note in self.notes[:3])
             raise LogError(f"nothing in it can be read: {found}", where=path)
@@ -122,16 +122,16 @@ class ChunkedSource(ABC):
             known = self._by_id.get(key, other)
             if known.description != other.description:
                 text = f"{self.unit} {key} is described in two ways: {known.topic}"
-                add_note(self.notes, text)
+                self.notes.add_damage(text)
 
-    def split(self, size: int) -> Sequence[Self]:
-        """Cut the file between chunks; a part has about `size` bytes of chunks that hold scans."""
+    def split(self, size: int, wanted: Collection[Channel]) -> Sequence[Self]:
+        """Cut the file between chunks; only those count that may hold what is wanted."""
         if self.notes or not self._chunks:
             return [self]
-        scans = {key for key, channel in self._by_id.items() if channel.role in SCAN_ROLES}
+        keys = {key for key, channel in self._by_id.items() if channel in wanted}
         cuts, gathered = [self._span.start], 0
         for start, end in pairwise(self._chunks):
-            gathered += end - start if self._may_hold(start, scans) else 0
+            gathered += end - start if self._may_hold(start, keys) else 0
             if gathered >= size:
                 cuts.append(end)
                 gathered = 0
@@ -204,7 +204,7 @@ class ChunkedSource(ABC):
                 if found is not None:
                     # A record that reaches beyond what is found behind it states a wrong length.
                     at = position if position < found else behind
-                    add_note(self.notes, f"damaged at byte {at}, read on from byte {found}")
+                    self.notes.add_damage(f"damaged at byte {at}, read on from byte {found}")
                     position, behind = found, found + 1
                     continue
             if record is None or is_cut:
@@ -218,7 +218,7 @@ class ChunkedSource(ABC):
             position, behind = record.end, record.start
             chunk_end = record.end if record.opcode == self.chunk else 0
         if self.last and position == self._size:
-            add_note(self.notes, f"the file breaks off at byte {position}, where more belongs")
+            self.notes.add_damage(f"the file breaks off at byte {position}, where more belongs")
 
     def _take_rest(self, file: BinaryIO, position: int, record: Record | None) -> Iterator[Record]:
         """Note that the last bytes hold no whole record, and give what there is of a chunk."""
@@ -228,7 +228,7 @@ class ChunkedSource(ABC):
             there = f"{left:,} of its {record.end - position:,} bytes are there"
             text = f"the file ends in the middle of the record at byte {position}: {there}"
             self._cut_at = position
-        add_note(self.notes, text)
+        self.notes.add_damage(text)
         if record is not None and record.opcode == self.chunk and record.start < self._size:
             file.seek(record.start)
             yield record._replace(length=self._size - record.start)
@@ -236,4 +236,4 @@ class ChunkedSource(ABC):
     def _note(self, position: int, problem: str) -> None:
         """Note what is wrong with a chunk, unless it is clear since the file ends within it."""
         if position != self._cut_at:
-            add_note(self.notes, f"the chunk at byte {position} {problem}")
+            self.notes.add_damage(f"the chunk at byte {position} {problem}")

@@ -9,17 +9,16 @@ from collections.abc import Mapping
 from typing import Any
 
 from occmap.readers import Role
-from occmap.readers.options import ReaderOptions
-from occmap.readers.shapes import (
+from occmap.readers.conversion import MessageType, read_frame
+from occmap.readers.decoding.shapes import (
     POSE,
     QUATERNION,
     VECTOR,
-    MessageType,
     Shape,
     as_row,
     get_field,
-    read_frame,
 )
+from occmap.readers.options import ReaderOptions
 from occmap.types import Pose, PoseSample, Scan
 from occmap.values import as_number, as_stamp, as_text
 

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from occmap.errors import LogError
-from occmap.readers.chunked import EVERY_ID, Block, ChunkedSource, Descriptions, Record
-from occmap.readers.inflate import Buffer, inflate
-from occmap.readers.ros_source import Channel, add_note
+from occmap.readers.containers.chunked import EVERY_ID, Block, ChunkedSource, Descriptions, Record
+from occmap.readers.containers.inflate import Buffer, inflate
+from occmap.readers.containers.source import Channel
 
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 """The opcodes."""
@@ -302,11 +302,11 @@ class Bag1Source(ChunkedSource):
             self._chunks = index.chunks
             return channels, counts
         if not self.notes:
-            add_note(self.notes, problem)
+            self.notes.add_damage(problem)
         counts, lost = index.count_parts()
         if lost := lost - {self._cut_at}:
             text = f"nothing is left of the index of {len(lost)} of its {chunks} chunks"
-            add_note(self.notes, f"{text}: how many messages they should hold is not known")
+            self.notes.add_damage(f"{text}: how many messages they should hold is not known")
         self._has_doubles = chunks > infos
         found, held = self._survey(file)
         channels = found | channels if is_closed else found
@@ -328,8 +328,7 @@ class Bag1Source(ChunkedSource):
             length = ENTRY_BYTES[header.opcode] * header.number(b"count")
             if length != stated and not self._odd_index:
                 self._odd_index = True
-                add_note(
-                    self.notes,
+                self.notes.add_damage(
                     f"index records state a wrong length, the first at byte {position};"
                     " the messages are all there",
                 )
