@@ -20,7 +20,15 @@ from mcap.records import ChunkIndex, Footer, Schema, Statistics
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
-from occmap.readers.containers.chunked import NEVER_NS, Block, ChunkedSource, Descriptions, Record
+from occmap.readers.containers.chunked import (
+    DESCRIPTION,
+    NEVER_NS,
+    Block,
+    ChunkedSource,
+    Descriptions,
+    Inner,
+    Record,
+)
 from occmap.readers.containers.inflate import inflate
 from occmap.readers.containers.source import Channel
 from occmap.wording import count
@@ -45,21 +53,17 @@ _CHUNK = re.compile(
 """How the body of a chunk starts."""
 _CHUNK_START = 44
 """Bytes of it that say how long the chunk is."""
-_HEAD = re.compile(rb"(?=[\x03-\x0f].{4}\x00{4})", re.DOTALL)
-"""How a record starts, if it is not longer than 2**32 - 1 bytes."""
 _INDEX_ENTRY = 16
 """Bytes of an entry: a time, and where in the chunk the message lies."""
 _MOST_INDEX = 1 << 24
 """Bytes of an index that are read at most: a million messages."""
-_WINDOW = 1 << 20
 _MOST_SUMMARY = 1 << 30
 _MESSAGE_HEAD = struct.Struct("<BQHIQ")
 """Opcode, length, channel, sequence number, record time; a second time follows."""
-_NO_HEAD = (0, 0, 0, 0, 0)
-_LATEST_NS = 2**63 - 1
-"""A time beyond this is damage."""
 _LONGEST_PADDING = 64
 """Bytes that a writer may add after the fields of a chunk."""
+_LATEST_NS = 2**63 - 1
+"""A time beyond this is damage."""
 _DESCRIPTIONS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
 
 
@@ -82,22 +86,10 @@ def _make_channels(
         )
 
 
-def _find_record(file: BinaryIO, start: int, size: int, chunk_end: int = 0) -> int | None:
-    """Find where records go on behind damage; None where they do not.
-
-    Two heads of records, of which the first says where the second lies, are not there by chance.
-    Before the end of a chunk, the records that a chunk holds are passed over.
-    """
-    while start < size:
-        file.seek(start)
-        window = file.read(_WINDOW)
-        for match in _HEAD.finditer(window):
-            at = start + match.start()
-            is_inner = at < chunk_end and window[match.start()] < Opcode.CHUNK
-            if not is_inner and _leads_on(file, at, size):
-                return at
-        start += max(len(window) - _RECORD.size, _RECORD.size)
-    return None
+def _measure_chunk(body: bytes) -> int:
+    """Find how long the body of a chunk is by its first bytes; -1 where it is none of a chunk."""
+    match = _CHUNK.match(body)
+    return match.end() + int.from_bytes(match["length"], "little") if match else -1
 
 
 def _leads_on(file: BinaryIO, position: int, size: int) -> bool:
@@ -194,7 +186,8 @@ class McapSource(ChunkedSource):
     chunk = Opcode.CHUNK
     plain = _DESCRIPTIONS | {Opcode.MESSAGE}
     last = frozenset({Opcode.DATA_END, Opcode.FOOTER})
-    find_record = staticmethod(_find_record)
+    head = re.compile(rb"(?=[\x03-\x0f].{4}\x00{4})", re.DOTALL)
+    """For records that are not longer than 2**32 - 1 bytes"""
 
     def __init__(self, path: Path) -> None:
         self._verified: set[int] = set()
@@ -256,24 +249,25 @@ class McapSource(ChunkedSource):
         file.seek(position)
         opcode, length = _RECORD.unpack(file.read(_RECORD.size).ljust(_RECORD.size, b"\0"))
         start = position + _RECORD.size
-        match = None if opcode == Opcode.MESSAGE else _CHUNK.match(file.read(_CHUNK_START))
-        measured = match.end() + int.from_bytes(match["length"], "little") if match else None
+        measured = -1 if opcode == Opcode.MESSAGE else _measure_chunk(file.read(_CHUNK_START))
         # A head that the body contradicts is damaged if its length leads nowhere, or is right.
-        if measured is not None and (opcode, length) != (Opcode.CHUNK, measured):
-            is_odd = opcode == Opcode.CHUNK and not _leads_on(file, start + length, self._size)
-            if is_odd or length == measured:
-                self._note(position, "has a damaged head")
-                opcode, length = Opcode.CHUNK, measured
+        if opcode != Opcode.CHUNK:
+            is_damaged = length == measured
+        else:
+            is_damaged = length != measured >= 0 and not _leads_on(file, start + length, self._size)
+        if is_damaged:
+            self._note(position, "has a damaged head")
+            opcode, length = Opcode.CHUNK, measured
         left = self._size - start
         # The file may be cut within a record of a known kind; one of another kind must lead on.
-        if (
-            _is_plausible(opcode, length, left)
-            or (0 < opcode <= _LAST_OPCODE and left < length)
-            or (opcode > _LAST_OPCODE and _leads_on(file, start + length, self._size))
-        ):
-            head = _RECORD.pack(opcode, length)
-            return Record(opcode, position, head, length, is_sure=length == measured)
-        return None
+        if opcode > _LAST_OPCODE:
+            is_record = _leads_on(file, start + length, self._size)
+        else:
+            is_record = (opcode > 0 and left < length) or _is_plausible(opcode, length, left)
+        if not is_record:
+            return None
+        head = _RECORD.pack(opcode, length)
+        return Record(opcode, position, head, length, is_sure=length == measured)
 
     def _may_hold(self, position: int, wanted: Container[int]) -> bool:
         held = self._held.get(position)
@@ -302,36 +296,25 @@ class McapSource(ChunkedSource):
             self._note(position, problem)
         return Block(position, block, first_ns, last_ns or NEVER_NS, indexed)
 
-    def _split_block(
-        self, block: Block, wanted: Container[int], descriptions: Descriptions
-    ) -> Iterator[tuple[int, int, memoryview]]:
-        position, records, first_ns, last_ns, indexed = block
-        view, size = memoryview(records), len(records)
-        unpack, before, message = _MESSAGE_HEAD.unpack_from, _RECORD.size, int(Opcode.MESSAGE)
-        start = behind = held = 0
-        is_timely = True
-        last = size - _MESSAGE_HEAD.size
-        while start < size:
-            head = unpack(view, start) if start <= last else _NO_HEAD
-            opcode, length, channel_id, _, record_ns = head
-            end = start + before + length
-            data = start + _MESSAGE_DATA
-            if opcode == message and data <= end <= size:
-                held += 1
-                if channel_id in wanted:
-                    is_timely &= first_ns <= record_ns <= last_ns
-                    yield channel_id, min(record_ns, _LATEST_NS), view[data:end]
-            elif opcode in _DESCRIPTIONS and end <= size:
-                descriptions.setdefault(bytes(view[start:end]), position)
+    def _parse_records(self, block: memoryview, at: int) -> Iterator[Inner]:
+        message, last = int(Opcode.MESSAGE), len(block) - _MESSAGE_HEAD.size
+        while at <= last:
+            opcode, length, key, _, record_ns = _MESSAGE_HEAD.unpack_from(block, at)
+            start, end = at + _MESSAGE_DATA, at + _RECORD.size + length
+            if opcode == message and start <= end:
+                yield key, min(record_ns, _LATEST_NS), start, end
+            elif opcode in _DESCRIPTIONS:
+                yield DESCRIPTION, 0, at, end
             else:
-                self._note(position, f"is damaged {size - start} bytes before its end")
-                end = _find_record(BytesIO(view), behind, size) or size
-                start = end
-            behind, start = start + before, end
-        if not is_timely:
-            self._note(position, "holds messages from outside the times that it states")
-        if indexed not in {0, held}:
-            self._note(position, f"holds {held} messages, its index {indexed}")
+                return
+            at = end
+
+    def _peek(self, file: BinaryIO, position: int, size: int) -> int:
+        """Two heads of records, of which the first says where the second lies, are no chance."""
+        if not _leads_on(file, position, size):
+            return 0
+        file.seek(position)
+        return file.read(1)[0]
 
     def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
         schemas: dict[int, Schema] = {}
