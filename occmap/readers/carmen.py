@@ -10,7 +10,7 @@ import numpy as np
 
 from occmap.arrays import Int64
 from occmap.readers import Role, Stream
-from occmap.readers.containers.text import Block, Line, note_cut_line, probe_lines, read_blocks
+from occmap.readers.containers.text import Block, Line, read_blocks
 from occmap.readers.conversion.carmen_lines import (
     FRAMES,
     PLAIN_FRAMES,
@@ -58,7 +58,7 @@ class CarmenReader:
 
     def recognises(self, probe: Probe) -> bool:
         """Whether the first lines are CARMEN messages; a keyword within a text does not count."""
-        lines = probe_lines(probe)
+        lines = probe.lines
         if any(line.startswith("#") and "message formats defined" in line for line in lines):
             return True
         heads = [line.split(None, 2)[:2] for line in lines if line.strip() and line[0] != "#"]
@@ -130,7 +130,7 @@ class CarmenLog(TextLog):
         tally = LineTally()
         for block in read_blocks(self.path, self.notes):
             if not block.ended and _is_cut(block.get_line(0)):
-                note_cut_line(self.notes, block.get_line(0))
+                self._note_cut(block.get_line(0))
                 continue
             lines = _sort_lines(block)
             self._count_words(lines)

@@ -35,6 +35,12 @@ class Probe:
     content: bytes
     """The first bytes of the content, unpacked where the file is gzip."""
 
+    @property
+    def lines(self) -> list[str]:
+        """The first lines, if it may be text; the probe may end within the last."""
+        is_text = b"\0" not in self.content
+        return self.content.decode("utf-8-sig", "replace").splitlines() if is_text else []
+
 
 def probe_path(path: Path) -> Probe:
     """Read the first bytes of a file, and what gzip makes of them.

@@ -3,14 +3,8 @@
 from contextlib import suppress
 from pathlib import Path
 
+from occmap.readers.containers import bag2
 from occmap.readers.containers.bag1 import Bag1Source
-from occmap.readers.containers.bag2 import (
-    METADATA,
-    OLD_MAGICS,
-    Bag2Source,
-    list_storage,
-    open_file,
-)
 from occmap.readers.containers.source import Source
 from occmap.readers.containers.sqlite import SqliteSource
 from occmap.readers.probing import Probe
@@ -27,10 +21,10 @@ class RosbagReader(RosReader):
         """Say whether a file starts as bags do, or a folder holds storage files."""
         if probe.path.is_dir():
             with suppress(PermissionError):
-                return (probe.path / METADATA).exists() or bool(list_storage(probe.path))
+                return (probe.path / bag2.METADATA).exists() or bool(bag2.list_storage(probe.path))
             return False
-        return probe.raw.startswith((Bag1Source.magic, SqliteSource.magic, *OLD_MAGICS))
+        return probe.raw.startswith((Bag1Source.magic, SqliteSource.magic, *bag2.OLD_MAGICS))
 
     def open_source(self, path: Path) -> Source:
         """Open a folder or a file."""
-        return Bag2Source(path) if path.is_dir() else open_file(path)
+        return bag2.Bag2Source(path) if path.is_dir() else bag2.open_file(path)

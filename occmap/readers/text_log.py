@@ -27,7 +27,7 @@ import numpy as np
 from occmap.arrays import Float32, Float64, Int64, UInt8
 from occmap.errors import LogError
 from occmap.readers import NoteList, make_part
-from occmap.readers.containers.text import ALL, Block, Line, note_cut_line, split_lines
+from occmap.readers.containers.text import ALL, Block, Line, split_lines
 from occmap.readers.kernels import NUMBER, PADDING, RANGE, SAME, SECONDS
 from occmap.types import Scan, ScanRun
 from occmap.values import as_float32, parse_nanoseconds, parse_seconds, shorten
@@ -247,18 +247,22 @@ class TextLog(ABC):
 
     def _parse_together(self, block: Block, rows: Int64) -> tuple[Int64, ScanRun] | None:
         """Parse the lines of one kind that are like the first sound one; say which these are."""
-        first = None
-        for line in block.get_lines(rows):
-            with suppress(ValueError):
-                first = self.form.parse(line.text)
-                break
-        if first is None or len(rows) == 1:
+        sound = self._find_sound(block, rows) if len(rows) > 1 else None
+        if sound is None:
             return None
-        with suppress(ValueError):
+        line, first = sound
+        with suppress(ValueError):  # of lines that state no times, or of which one is malformed
             table = parse_table(block, rows, self.form.find_pattern(line))
             # Else the kernel takes a line that `parse` refuses, or refuses one that it takes.
             if table.rows[:1].tolist() == [line.number - block.number]:
                 return table.rows, self.form.make_run(first, table)
+        return None
+
+    def _find_sound(self, block: Block, rows: Int64) -> tuple[Line, Scan] | None:
+        """Find the first of some lines that can be parsed."""
+        for line in block.get_lines(rows):
+            with suppress(ValueError):
+                return line, self.form.parse(line.text)
         return None
 
     def _parse(self, line: Line, parse: Callable[[str], Parsed], tally: LineTally) -> Parsed | None:
@@ -269,7 +273,12 @@ class TextLog(ABC):
             if line.ended:
                 tally.add(line, str(error))
             else:
-                note_cut_line(self.notes, line)
+                self._note_cut(line)
             return None
         tally.add(line)
         return parsed
+
+    def _note_cut(self, line: Line) -> None:
+        """Say that the last line is not whole and was not used."""
+        text = f"the file ends in the middle of line {line.number}; this line is lost"
+        self.notes.add_damage(text)

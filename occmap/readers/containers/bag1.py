@@ -11,23 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from occmap.errors import LogError
-from occmap.readers.containers.bag1_records import (
-    BAG,
-    CHUNK,
-    CHUNK_INFO,
-    CONNECTION,
-    ENTRY_BYTES,
-    INDEX,
-    INFO_ENTRY,
-    MESSAGE,
-    NO_HEADER,
-    RECORD_ERRORS,
-    Header,
-    parse_fields,
-    parse_header,
-    parse_records,
-    read_header,
-)
+from occmap.readers.containers import bag1_records as records
 from occmap.readers.containers.chunked import (
     Block,
     ChunkedSource,
@@ -42,7 +26,7 @@ from occmap.readers.containers.source import Channel
 class _Index:
     """What the records around the messages of a bag say that it holds."""
 
-    bag: Header = NO_HEADER
+    bag: records.Header = records.NO_HEADER
     descriptions: Descriptions = field(default_factory=dict)
     chunks: list[int] = field(default_factory=list)
     """Where they begin"""
@@ -53,20 +37,20 @@ class _Index:
 
     def add(self, record: Record, file: BinaryIO) -> None:
         """Take in a record, whose data the file is at."""
-        header = parse_header(record.head, 0)
-        if record.opcode == BAG:
+        header = records.parse_header(record.head, 0)
+        if record.opcode == records.BAG:
             self.bag = header
-        elif record.opcode == CHUNK:
+        elif record.opcode == records.CHUNK:
             self.chunks.append(record.position)
-        elif record.opcode == INDEX:
-            messages = record.length // ENTRY_BYTES[INDEX]
+        elif record.opcode == records.INDEX:
+            messages = record.length // records.ENTRY_BYTES[records.INDEX]
             self.behind.append((record.position, header.number(b"conn"), messages))
-        elif record.opcode == CONNECTION:
+        elif record.opcode == records.CONNECTION:
             self.descriptions[record.head + file.read(record.length)] = record.position
-        elif record.opcode == CHUNK_INFO:
+        elif record.opcode == records.CHUNK_INFO:
             counts = self.at_end.setdefault(header.number(b"chunk_pos"), Counter())
             with suppress(struct.error):
-                for key, messages in INFO_ENTRY.iter_unpack(file.read(record.length)):
+                for key, messages in records.INFO_ENTRY.iter_unpack(file.read(record.length)):
                     counts[key] += messages
 
     def count(self) -> tuple[Counter[int], Counter[int]]:
@@ -99,13 +83,13 @@ class Bag1Source(ChunkedSource):
     """The channels and raw messages of a ROS 1 bag."""
 
     magic = b"#ROSBAG V2.0\n"
-    chunk = CHUNK
-    plain = frozenset({MESSAGE, CONNECTION})
+    chunk = records.CHUNK
+    plain = frozenset({records.MESSAGE, records.CONNECTION})
     """The last chunk of a recording that was not closed has no length yet: they lie open."""
     unit = "connection"
     head = re.compile(rb"(?=..\x00{2}..\x00{2}[a-z_]+=)", re.DOTALL)
     """A header starts with its length, and that of its first field."""
-    _parse_records = staticmethod(parse_records)
+    _parse_records = staticmethod(records.parse_records)
 
     def __init__(self, path: Path) -> None:
         self._odd_index = False
@@ -149,20 +133,20 @@ class Bag1Source(ChunkedSource):
         return channels, held | Counter({key: counts[key] for key in counts.keys() & known})
 
     def _read_record(self, file: BinaryIO, position: int) -> Record | None:
-        header = read_header(file, position)
+        header = records.read_header(file, position)
         if header is None:
             return None
-        if header.opcode in ENTRY_BYTES:
+        if header.opcode in records.ENTRY_BYTES:
             length = self._measure_entries(file, header, position)
-        elif header.opcode == CHUNK:
+        elif header.opcode == records.CHUNK:
             length = self._measure_chunk(file, header, position)
         else:
             length = header.length
-        return Record(header.opcode, position, header.raw, length, header.opcode == CHUNK)
+        return Record(header.opcode, position, header.raw, length, header.opcode == records.CHUNK)
 
-    def _measure_entries(self, file: BinaryIO, header: Header, position: int) -> int:
+    def _measure_entries(self, file: BinaryIO, header: records.Header, position: int) -> int:
         """Find how long a record of an index is: the number of its entries is more often right."""
-        length = ENTRY_BYTES[header.opcode] * header.number(b"count")
+        length = records.ENTRY_BYTES[header.opcode] * header.number(b"count")
         if length != header.length and not self._odd_index:
             self._odd_index = True
             text = f"index records state a wrong length, the first at byte {position}"
@@ -170,7 +154,7 @@ class Bag1Source(ChunkedSource):
         following = position + len(header.raw) + length
         return length if self._leads_on(file, following) else header.length
 
-    def _measure_chunk(self, file: BinaryIO, header: Header, position: int) -> int:
+    def _measure_chunk(self, file: BinaryIO, header: records.Header, position: int) -> int:
         """Find how long the data of a chunk is; where it states a wrong length, up to what follows.
 
         The length is right if something follows there, or if it gives a chunk that its records
@@ -192,20 +176,20 @@ class Bag1Source(ChunkedSource):
 
     def _is_filled(self, block: memoryview) -> bool:
         """Say whether records follow one another up to the end of a chunk."""
-        ends = [end for *_, end in parse_records(block, 0)]
+        ends = [end for *_, end in records.parse_records(block, 0)]
         return ends[-1:] == [len(block)]
 
     def _leads_on(self, file: BinaryIO, position: int) -> bool:
         """Say whether a record, or the end of the file, is at a position."""
-        return position == self._size or read_header(file, position) is not None
+        return position == self._size or records.read_header(file, position) is not None
 
     def _peek(self, file: BinaryIO, position: int, size: int) -> int:
-        header = read_header(file, position)
+        header = records.read_header(file, position)
         is_whole = header is not None and position + len(header.raw) + header.length <= size
         return header.opcode if header and is_whole else 0
 
     def _open_chunk(self, record: Record, body: bytes, _file: BinaryIO) -> Block:
-        block, problem = _inflate(parse_header(record.head, 0), body)
+        block, problem = _inflate(records.parse_header(record.head, 0), body)
         if problem:
             self._note(record.position, problem)
         return Block(record.position, block)
@@ -213,9 +197,9 @@ class Bag1Source(ChunkedSource):
     def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
         for record, position in descriptions.items():
             try:
-                header = parse_header(record, 0)
-                fields = Header(b"", parse_fields(record[len(header.raw) :]), 0)
-            except RECORD_ERRORS:
+                header = records.parse_header(record, 0)
+                fields = records.Header(b"", records.parse_fields(record[len(header.raw) :]), 0)
+            except records.RECORD_ERRORS:
                 self._note(position, "holds a connection that cannot be read")
                 continue
             yield (
@@ -229,6 +213,6 @@ class Bag1Source(ChunkedSource):
             )
 
 
-def _inflate(header: Header, body: bytes) -> tuple[Buffer, str]:
+def _inflate(header: records.Header, body: bytes) -> tuple[Buffer, str]:
     """Decompress a chunk, and say what is wrong with it."""
     return inflate(body, header.text(b"compression"), header.number(b"size"))

@@ -18,7 +18,8 @@ import numpy as np
 
 from occmap.arrays import Float32, Float64
 from occmap.errors import LogError
-from occmap.readers.containers.text import Line, make_planar, round_limit, stack_planar
+from occmap.readers.containers.text import Line
+from occmap.readers.conversion.planar import make_planar, stack_planar
 from occmap.readers.kernels import ANY, NANOSECONDS, NUMBER, RANGE, SAME, SECONDS
 from occmap.readers.text_log import Pattern, Table
 from occmap.types import Scan, ScanRun
@@ -85,8 +86,8 @@ class Layout:
             angle_min=read("angle_min"),
             angle_increment=read("angle_increment"),
             ranges=_read_beams([cells[at] for at in self.beams]),
-            range_min=round_limit(read("range_min")),
-            range_max=round_limit(read("range_max")),
+            range_min=float(as_float32(read("range_min"))),
+            range_max=float(as_float32(read("range_max"))),
             time_increment=read("time_increment"),
             pose=make_planar(*place) if "x" in texts else None,
             topic=TOPIC,
