@@ -117,13 +117,7 @@ class LineTally:
 
 
 def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
-    """Parse those of some lines, by their indices (S,), that are of a pattern.
-
-    Raises
-    ------
-    ValueError
-        So many words are written in unusual ways that it is as quick to parse lines one by one.
-    """
+    """Parse those of some lines, by their indices (S,), that are of a pattern."""
     from occmap.readers.kernels.decimals import (  # noqa: PLC0415  late: it brings numba
         Filled,
         Lines,
@@ -139,6 +133,7 @@ def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
     values = np.empty((len(kinds), len(rows)))
     times = values.view(np.int64)
     alike = np.zeros(len(rows), np.bool_)
+    # Lines of which more words than these are written as few programs do are as quick one by one.
     left = np.empty((values.size // 8 + 64, 4), np.int64)
     count = parse_rows(
         Lines(
@@ -151,8 +146,6 @@ def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
         ),
         Filled(ranges, values, times, alike, left),
     )
-    if count == len(left):
-        raise ValueError("too many words are written as few programs write them")
     for row, col, start, end in left[:count].tolist():
         word, kind = bytes(text[start:end]), kinds[col]
         try:

@@ -20,15 +20,8 @@ from mcap.records import ChunkIndex, Footer, Schema, Statistics
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
-from occmap.readers.containers.chunked import (
-    DESCRIPTION,
-    NEVER_NS,
-    Block,
-    ChunkedSource,
-    Descriptions,
-    Inner,
-    Record,
-)
+from occmap.readers.containers import chunked
+from occmap.readers.containers.chunked import Block, Descriptions, Inner, Record
 from occmap.readers.containers.inflate import inflate
 from occmap.readers.containers.source import Channel
 from occmap.wording import count
@@ -179,7 +172,7 @@ def _parse_summary(end: bytes) -> Summary:
     return summary
 
 
-class McapSource(ChunkedSource):
+class McapSource(chunked.ChunkedSource):
     """The channels and raw messages of an MCAP file."""
 
     magic = MAGIC
@@ -294,7 +287,7 @@ class McapSource(ChunkedSource):
                 problem = "has a wrong checksum, and is used as far as it can be read"
         if problem:
             self._note(position, problem)
-        return Block(position, block, first_ns, last_ns or NEVER_NS, indexed)
+        return Block(position, block, first_ns, last_ns or chunked.NEVER_NS, indexed)
 
     def _parse_records(self, block: memoryview, at: int) -> Iterator[Inner]:
         message, last = int(Opcode.MESSAGE), len(block) - _MESSAGE_HEAD.size
@@ -304,7 +297,7 @@ class McapSource(ChunkedSource):
             if opcode == message and start <= end:
                 yield key, min(record_ns, _LATEST_NS), start, end
             elif opcode in _DESCRIPTIONS:
-                yield DESCRIPTION, 0, at, end
+                yield chunked.DESCRIPTION, 0, at, end
             else:
                 return
             at = end

@@ -18,16 +18,8 @@ from occmap.errors import DamageError
 from occmap.readers import Role
 from occmap.readers.containers.source import Channel
 from occmap.readers.conversion import MessageType, foxglove, read_frame, read_stamp
-from occmap.readers.decoding.shapes import (
-    HEADER,
-    POSE,
-    QUATERNION,
-    VECTOR,
-    Shape,
-    as_bytes,
-    as_flag,
-    as_row,
-)
+from occmap.readers.decoding import shapes
+from occmap.readers.decoding.shapes import Shape
 from occmap.readers.options import Echo, ReaderOptions
 from occmap.types import Pose, PoseSample, Scan
 from occmap.values import as_float32, as_number, as_stamp, as_text
@@ -187,35 +179,35 @@ def _read_pose(position: Any, rotation: Any) -> Pose:
 
 
 _LASER: Mapping[str, Shape] = {
-    "header": HEADER,
+    "header": shapes.HEADER,
     "angle_min": as_number,
     "angle_increment": as_number,
     "time_increment": as_number,
     "range_min": as_number,
     "range_max": as_number,
-    "ranges": as_row,
+    "ranges": shapes.as_row,
 }
 _CLOUD: Shape = {
-    "header": HEADER,
+    "header": shapes.HEADER,
     "height": as_stamp,
     "width": as_stamp,
     "fields": [{"name": as_text, "offset": as_stamp, "datatype": as_stamp}],
-    "is_bigendian": as_flag,
+    "is_bigendian": shapes.as_flag,
     "point_step": as_stamp,
     "row_step": as_stamp,
-    "data": as_bytes,
+    "data": shapes.as_bytes,
 }
 _TRANSFORM: Shape = {
-    "header": HEADER,
+    "header": shapes.HEADER,
     "child_frame_id": as_text,
-    "transform": {"translation": VECTOR, "rotation": QUATERNION},
+    "transform": {"translation": shapes.VECTOR, "rotation": shapes.QUATERNION},
 }
-_STAMPED: Shape = {"header": HEADER, "pose": POSE}
-_UNCERTAIN: Mapping[str, Shape] = {"header": HEADER, "pose": {"pose": POSE}}
+_STAMPED: Shape = {"header": shapes.HEADER, "pose": shapes.POSE}
+_UNCERTAIN: Mapping[str, Shape] = {"header": shapes.HEADER, "pose": {"pose": shapes.POSE}}
 
-_ECHOES: Shape = {**_LASER, "ranges": [{"echoes": as_row}]}
+_ECHOES: Shape = {**_LASER, "ranges": [{"echoes": shapes.as_row}]}
 _ODOMETRY: Shape = {**_UNCERTAIN, "child_frame_id": as_text}
-_PATH: Shape = {"header": HEADER, "poses": [_STAMPED]}
+_PATH: Shape = {"header": shapes.HEADER, "poses": [_STAMPED]}
 _TRANSFORMS = MessageType(Role.POSE, {"transforms": [_TRANSFORM]}, to_poses=convert_transforms)
 
 TYPES: Mapping[str, MessageType] = {
