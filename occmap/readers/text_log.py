@@ -20,7 +20,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -31,6 +31,9 @@ from occmap.readers.containers.text import ALL, Block, Line, split_lines
 from occmap.readers.kernels import NUMBER, PADDING, RANGE, SAME, SECONDS
 from occmap.types import Scan, ScanRun
 from occmap.values import as_float32, parse_nanoseconds, parse_seconds, shorten
+
+if TYPE_CHECKING:
+    from occmap.readers.kernels.decimals import Filled
 
 Parsed = TypeVar("Parsed")
 
@@ -118,49 +121,51 @@ class LineTally:
 
 def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
     """Parse those of some lines, by their indices (S,), that are of a pattern."""
-    from occmap.readers.kernels.decimals import (  # noqa: PLC0415  late: it brings numba
-        Filled,
-        Lines,
-        parse_rows,
-    )
+    from occmap.readers.kernels import decimals  # noqa: PLC0415  late: it brings numba
 
     words, separator, kinds = pattern
     same = b"".join(words[at] + separator for at in np.flatnonzero(kinds == SAME).tolist())
-    beams = np.cumsum(kinds == RANGE) - 1
-    text = block.text
-    rows = rows[: len(text) // len(kinds)]  # no more lines can have so many words
-    ranges = np.empty((len(rows), beams[-1] + 1), np.float32)
+    rows = rows[: len(block.text) // len(kinds)]  # no more lines can have so many words
     values = np.empty((len(kinds), len(rows)))
-    times = values.view(np.int64)
-    alike = np.zeros(len(rows), np.bool_)
-    # Lines of which more words than these are written as few programs do are as quick one by one.
-    left = np.empty((values.size // 8 + 64, 4), np.int64)
-    count = parse_rows(
-        Lines(
-            text=np.frombuffer(text, np.uint8),
-            eights=block.eights,
-            starts=block.starts[rows],
-            separator=ord(separator),
-            kinds=kinds,
-            same=np.frombuffer(same + PADDING, np.uint8),
-        ),
-        Filled(ranges, values, times, alike, left),
+    filled = decimals.Filled(
+        ranges=np.empty((len(rows), np.count_nonzero(kinds == RANGE)), np.float32),
+        values=values,
+        times=values.view(np.int64),
+        alike=np.zeros(len(rows), np.bool_),
+        # Lines of which more words are written as few programs do are as quick one by one.
+        left=np.empty((values.size // 8 + 64, 4), np.int64),
     )
-    for row, col, start, end in left[:count].tolist():
-        word, kind = bytes(text[start:end]), kinds[col]
-        try:
-            if kind == RANGE:
-                ranges[row, beams[col]] = as_float32(_parse_number(word))
-            elif kind == NUMBER:
-                values[col, row] = _parse_number(word)
-            else:
-                parse = parse_seconds if kind == SECONDS else parse_nanoseconds
-                times[col, row] = parse(word.decode("utf-8", "replace"))
-        except ValueError:
-            alike[row] = False
+    lines = decimals.Lines(
+        text=np.frombuffer(block.text, np.uint8),
+        eights=block.eights,
+        starts=block.starts[rows],
+        separator=ord(separator),
+        kinds=kinds,
+        same=np.frombuffer(same + PADDING, np.uint8),
+    )
+    lefts = decimals.parse_rows(lines, filled)
+    _parse_left(block.text, kinds, filled, lefts)
+    alike, ranges = filled.alike, filled.ranges
     if not alike.all():
         rows, ranges, values = rows[alike], ranges[alike], values[:, alike]
     return Table(rows, ranges, values, values.view(np.int64))
+
+
+def _parse_left(text: bytearray, kinds: UInt8, filled: "Filled", lefts: int) -> None:
+    """Parse the words that the kernel left; a line of which one is malformed is not alike."""
+    beams = np.cumsum(kinds == RANGE) - 1
+    for row, col, start, end in filled.left[:lefts].tolist():
+        word, kind = bytes(text[start:end]), kinds[col]
+        try:
+            if kind == RANGE:
+                filled.ranges[row, beams[col]] = as_float32(_parse_number(word))
+            elif kind == NUMBER:
+                filled.values[col, row] = _parse_number(word)
+            else:
+                parse = parse_seconds if kind == SECONDS else parse_nanoseconds
+                filled.times[col, row] = parse(word.decode("utf-8", "replace"))
+        except ValueError:
+            filled.alike[row] = False
 
 
 @lru_cache(maxsize=64)

@@ -254,12 +254,12 @@ class ChunkedSource(ABC):
                 yield Block(record.position, record.head + file.read(record.length))
             elif record.opcode == self.chunk and self._may_hold(record.position, wanted):
                 body = file.read(record.length)
-                if self._has_doubles:
-                    if (key := hash(body)) in seen:
-                        self._note(record.position, "is there twice, and is used once")
-                        continue
+                key = hash(body) if self._has_doubles else record.position
+                if key in seen:
+                    self._note(record.position, "is there twice, and is used once")
+                else:
                     seen.add(key)
-                yield self._open_chunk(record, body, file)
+                    yield self._open_chunk(record, body, file)
 
     def _walk(self, file: BinaryIO) -> Iterator[Record]:
         """Give the records of the file one by one, with the file at the record's body."""

@@ -195,11 +195,11 @@ def _read_topics(database: apsw.Connection) -> dict[int, Channel]:
     with suppress(apsw.SQLError):
         rows = _read_texts(database, "message_definitions", columns)
         definitions = {kind: text for kind, form, text in rows if form == "ros2msg"}
-    topics = {}
     fields = ("name", "type", "serialization_format", "ifnull(CAST(id AS INTEGER), -1)")
-    for name, kind, encoding, key in _read_texts(database, "topics", fields):
-        topics[int(key)] = Channel(name, kind, encoding, definitions.get(kind, ""))
-    return topics
+    return {
+        int(key): Channel(name, kind, encoding, definitions.get(kind, ""))
+        for name, kind, encoding, key in _read_texts(database, "topics", fields)
+    }
 
 
 def _read_texts(

@@ -96,10 +96,10 @@ def parse_rows(lines: Lines, filled: Filled) -> int:
                 break
             at = _skip_blanks(text, at + np.uint64(col > 0), separator)
             kind = kinds[col]
+            size = _measure_same(text, at, same, same_at, separator) if kind == SAME else _NONE
+            if kind == SAME and size == _NONE:
+                break
             if kind == SAME:
-                size = _measure_same(text, at, same, same_at, separator)
-                if size == _NONE:
-                    break
                 at += size - _ONE
                 same_at += size
                 continue
