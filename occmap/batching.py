@@ -107,12 +107,8 @@ class Selector:
         self.selection = selection
         self._stamps = stamps
         self._wants_all = replace(selection, topics=()) == Selection()
-        self._first_ns, self._wanted = seam
-
-    @property
-    def seam(self) -> Seam:
-        """The seam between the scans so far and those to come."""
-        return Seam(self._first_ns, self._wanted)
+        self.seam = seam
+        """The seam between the scans so far and those to come"""
 
     def judge(
         self, scans: Iterable[Scan | ScanRun]
@@ -126,16 +122,16 @@ class Selector:
                 yield from ((scan, self._judge_next(scan)) for scan in some.split())
 
     def _judge_next(self, scan: Scan) -> LeftOut | None:
+        first_ns, wanted = self.seam
         stamp_ns = self.stamp(scan)
-        if self._first_ns is None:
-            self._first_ns = stamp_ns
+        first_ns = stamp_ns if first_ns is None else first_ns
+        self.seam = Seam(first_ns, wanted)
         if (flaw := find_flaw(scan)) is not None:
             return flaw
-        seconds = (stamp_ns - self._first_ns) / 1e9
-        if not self.selection.start_s <= seconds < self.selection.end_s:
+        if not self.selection.start_s <= (stamp_ns - first_ns) / 1e9 < self.selection.end_s:
             return LeftOut.TIME
-        self._wanted += 1
-        return LeftOut.STRIDE if (self._wanted - 1) % self.selection.stride else None
+        self.seam = Seam(first_ns, wanted + 1)
+        return LeftOut.STRIDE if wanted % self.selection.stride else None
 
     @overload
     def stamp(self, some: Scan) -> int: ...

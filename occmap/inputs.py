@@ -5,15 +5,16 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
 from occmap.errors import LogError, OccmapError
 from occmap.opening import choose_topics, take_first
-from occmap.readers import load_readers, open_log, probe_path
+from occmap.readers import load_readers, open_log
 from occmap.readers.options import ReaderOptions
+from occmap.readers.probing import probe_path
 from occmap.wording import STDIN_FOLDER, count, join_names
 
 STDIN = Path("-")
@@ -48,7 +49,7 @@ def find_inputs(
         entries = list_entries(path)
         maybe = [each for each in entries if os.path.realpath(each) not in known]
         kept = list(filter(is_recording, maybe))
-        if not kept:
+        if not kept or is_bag(path, kept):
             logs.append(path)
             continue
         kept.sort(key=lambda each: find_start(each, options))
@@ -64,25 +65,22 @@ def list_entries(path: Path) -> list[Path]:
     """List what a folder holds, or what a pattern matches; nothing where a path is a log itself."""
     if path.is_dir():
         with suppress(OSError):
-            entries = sorted(each for each in path.iterdir() if not each.name.startswith("."))
-            return [] if is_bag(path, entries) else entries
+            return sorted(each for each in path.iterdir() if not each.name.startswith("."))
     elif glob.has_magic(str(path)) and not path.exists():
         return sorted(map(Path, glob.glob(str(path), recursive=True)))  # noqa: PTH207  any path
     return []
 
 
-def is_bag(folder: Path, entries: Sequence[Path]) -> bool:
+def is_bag(path: Path, recordings: Collection[Path]) -> bool:
     """Whether a folder is one bag of ROS 2, and not a folder of several recordings."""
-    from occmap.readers.rosbag import METADATA, list_storage, refuse_mixed  # noqa: PLC0415  late: it brings rosbags
+    from occmap.readers.containers import bag2  # noqa: PLC0415  late: it brings rosbags
 
-    if (folder / METADATA).exists():
-        return True
-    files = list_storage(folder)
-    if any(each not in files and is_recording(each) for each in entries):
-        return False
+    if not path.is_dir() or (path / bag2.METADATA).exists():
+        return path.is_dir()
+    files = bag2.list_storage(path)
     with suppress(LogError):
-        refuse_mixed(folder, files)
-        return True
+        bag2.refuse_mixed(path, files)
+        return set(recordings) <= set(files)
     return False
 
 

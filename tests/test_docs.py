@@ -19,7 +19,8 @@ from ruamel.yaml import YAML
 from occmap.gates import BUILD, CHECK, COMPARE, DIFF, SAVED, TUNE, Measures
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.readers import Probe, Role, open_log
+from occmap.readers import Role, open_log
+from occmap.readers.probing import Probe
 from occmap.types import Pose
 from tests.documents import PAGES, Session, list_blocks, list_steps, matches, read_page
 from tests.samples import ROOT

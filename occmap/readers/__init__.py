@@ -1,41 +1,26 @@
-"""Readers: one file per log format, found through entry points and chosen by content.
+"""Readers: one file for each log format, found through entry points and chosen by content.
 
 A reader is a class with a `name`, a one-line `description`, a `recognises(probe)` and an
-`open(path)` that returns a `Log`. Nothing here imports rosbags or mcap: a reader is loaded on use.
+`open(path)` that returns a `Log`. What it does is in three tiers: `containers` take a file apart,
+`decoding` turns the bytes of messages into values, and `conversion` makes scans and poses of these.
+Nothing here imports rosbags or mcap: a reader is loaded on use.
 """
 
-import shlex
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
-from difflib import get_close_matches
 from enum import StrEnum
-from glob import has_magic
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
-from occmap.errors import LogError
 from occmap.plugins import list_plugins, load_plugin
-from occmap.readers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
 from occmap.readers.options import ReaderOptions
+from occmap.readers.probing import Probe, explain_unknown, probe_path
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
 Whole = TypeVar("Whole")
 
-PROBE_BYTES = 4096
-SIMILAR = 0.85
-"""How alike (0 to 1) a file must be named that is suggested for one that is not there."""
-_MAP = "a map, not a log: `occmap diff` compares maps"
-OTHER_FILES = {
-    b"PK\x03\x04": ("an archive; if it is evidence (.npz), `occmap render` reads it", ""),
-    b"P5": (_MAP, ""),
-    b"image:": (_MAP, ""),
-    b"\x89PNG": ("a picture, not a log: `occmap diff` compares maps", ""),
-    b"version https://git-lfs": ("a Git LFS pointer, not the file", "fetch it: git lfs pull"),
-    b"\x28\xb5\x2f\xfd": ("a file that zstd compressed", "decompress it first: unzstd PATH"),
-}
-"""What a file is, by how it begins, and what mends it; "": to give a log that occmap reads."""
+DEFAULT_OPTIONS = ReaderOptions()
 
 
 class Role(StrEnum):
@@ -63,17 +48,6 @@ class Stream:
 
 
 @dataclass(frozen=True)
-class Probe:
-    """What a reader may look at to say whether a path is its own."""
-
-    path: Path
-    raw: bytes
-    """The first bytes of the file; empty for a directory."""
-    content: bytes
-    """The first bytes of the content, unpacked where the file is gzip."""
-
-
-@dataclass(frozen=True)
 class Note:
     """Something about a log that its user should know: lines passed over, a limit found, damage."""
 
@@ -96,6 +70,14 @@ class NoteList(list[Note]):
             super().append(note)
             self._known.add(note)
 
+    def add(self, text: str) -> None:
+        """Add what the user should know, as one sentence."""
+        self.append(Note(text))
+
+    def add_damage(self, text: str) -> None:
+        """Add what is damaged, where, and what is lost."""
+        self.append(Note(text, damage=True))
+
 
 class Span(NamedTuple):
     """The bytes of a log that a part of it has: from the start on, and before the end."""
@@ -115,8 +97,10 @@ class Log(Protocol):
     """An opened log. Both iterators may be called more than once and start at the beginning."""
 
     path: Path
-    notes: list[Note]
-    """Grows while reading; a note appears once, however often the log is read."""
+
+    @property
+    def notes(self) -> Sequence[Note]:
+        """Grows while reading; a note appears once, however often the log is read."""
 
     @property
     def streams(self) -> Sequence[Stream]:
@@ -208,57 +192,6 @@ class TunableReader(Protocol):
         """Open a log; raises what `open` does."""
 
 
-DEFAULT_OPTIONS = ReaderOptions()
-
-
-def probe_path(path: Path) -> Probe:
-    """Read the first bytes of a file, and what gzip makes of them.
-
-    Raises
-    ------
-    LogError
-        The path does not exist or cannot be read.
-    """
-    try:
-        if path.is_dir():
-            return Probe(path, b"", b"")
-        if path.exists() and not path.is_file():
-            raise LogError("neither a file nor a folder", where=path, fix="save it to a file first")
-        with path.open("rb") as file:
-            raw = file.read(PROBE_BYTES)
-    except FileNotFoundError:
-        raise _miss(path) from None
-    except OSError as error:
-        raise LogError(f"cannot be read ({error.strerror})", where=path) from None
-    return Probe(path, raw, _peek_gzip(path) if raw.startswith(MAGIC) else raw)
-
-
-def _miss(path: Path) -> LogError:
-    """Say that there is no such file, and which one may be meant."""
-    if path.is_symlink():
-        found = f"a link to {path.readlink()}, which is not there"
-        return LogError(found, where=path, fix="mend the link, or give the log itself")
-    if has_magic(str(path)):
-        return LogError("no file matches", where=path, fix="check the pattern and its folder")
-    there = []
-    with suppress(OSError):
-        there = [each.name for each in path.parent.iterdir()]
-    close = get_close_matches(path.name, there, n=1, cutoff=SIMILAR)
-    fix = f"did you mean {path.parent / close[0]}?" if close else "check the path"
-    return LogError("no such file or directory", where=path, fix=fix)
-
-
-def _peek_gzip(path: Path) -> bytes:
-    """Decompress the start of a gzip file: as much as there is, where it is damaged."""
-    content = b""
-    with suppress(OSError, *GUNZIP_ERRORS), path.open("rb") as file:
-        for piece in gunzip(file):
-            content += piece
-            if len(content) >= PROBE_BYTES:
-                break
-    return content[:PROBE_BYTES]
-
-
 def load_readers() -> Iterator[tuple[str, Reader | None]]:
     """Load the readers one by one, as the later ones take longest; None: it cannot be loaded."""
     for entry in list_plugins("occmap.readers"):
@@ -284,38 +217,4 @@ def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
                 return reader.open_tuned(path, options)
             return reader.open(path)
     lacking = f" ({', '.join(broken)} cannot be loaded)" if broken else ""
-    raise _explain_unknown(probe, f"occmap reads {', '.join(whole)}{lacking}: see `occmap readers`")
-
-
-def _explain_unknown(probe: Probe, otherwise: str) -> LogError:
-    """Say what a path that no reader knows is, and what mends it; `otherwise` says what is read."""
-    raw, content, fix = probe.raw, probe.content, ""
-    if probe.path.is_dir():
-        found = _describe_folder(probe.path)
-    elif not raw:
-        found = "the file is empty"
-    elif not any(raw):
-        found = f"the first {len(raw):,} bytes are zero, as a power cut leaves a file"
-        fix = "take the log from where it was copied from"
-    elif not content:
-        found = "a gzip file with nothing in it that can be read"
-    elif begins := [start for start in OTHER_FILES if content.startswith(start)]:
-        found, fix = OTHER_FILES[begins[0]]
-    elif content.isascii():
-        first_line = content.decode("ascii").splitlines()[0][:60]
-        found = f"a text file of no known log format: it starts with {first_line!r}"
-    elif content is not raw:
-        found, fix = "a file that gzip compressed", "decompress it first: gunzip PATH"
-    else:
-        found = f"not a known log format: it starts with the bytes {raw[:8].hex(' ')}"
-    fix = fix.replace("PATH", shlex.quote(str(probe.path)))
-    return LogError(found, where=probe.path, fix=fix or otherwise)
-
-
-def _describe_folder(folder: Path) -> str:
-    """Say what a folder that is not a recording holds."""
-    try:
-        names = sorted(entry.name for entry in folder.iterdir())
-    except OSError as error:
-        return f"a folder that cannot be read ({error.strerror})"
-    return f"a folder that is not a recording: it holds {', '.join(names[:5]) or 'nothing'}"
+    raise explain_unknown(probe, f"occmap reads {', '.join(whole)}{lacking}: see `occmap readers`")

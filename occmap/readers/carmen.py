@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from occmap.arrays import Int64
-from occmap.readers import Note, Probe, Role, Stream
-from occmap.readers.carmen_lines import (
+from occmap.readers import Role, Stream
+from occmap.readers.containers.text import Block, Line, read_blocks
+from occmap.readers.conversion.carmen_lines import (
     FRAMES,
     PLAIN_FRAMES,
     POSED_FRAMES,
@@ -21,7 +22,7 @@ from occmap.readers.carmen_lines import (
     parse_front_offset,
     parse_odometry,
 )
-from occmap.readers.text import Block, Line, note_cut_line, probe_lines, read_blocks
+from occmap.readers.probing import Probe
 from occmap.readers.text_log import LineTally, TextLog
 from occmap.types import PoseSample, Scan, ScanRun
 from occmap.values import shorten
@@ -57,7 +58,7 @@ class CarmenReader:
 
     def recognises(self, probe: Probe) -> bool:
         """Whether the first lines are CARMEN messages; a keyword within a text does not count."""
-        lines = probe_lines(probe)
+        lines = probe.lines
         if any(line.startswith("#") and "message formats defined" in line for line in lines):
             return True
         heads = [line.split(None, 2)[:2] for line in lines if line.strip() and line[0] != "#"]
@@ -129,7 +130,7 @@ class CarmenLog(TextLog):
         tally = LineTally()
         for block in read_blocks(self.path, self.notes):
             if not block.ended and _is_cut(block.get_line(0)):
-                note_cut_line(self.notes, block.get_line(0))
+                self._note_cut(block.get_line(0))
                 continue
             lines = _sort_lines(block)
             self._count_words(lines)
@@ -141,7 +142,7 @@ class CarmenLog(TextLog):
         self._words = +self._words  # drops keywords of which no line was a scan
         tally.judge(self.path, self.notes, FIX)
         if len(self._stamps) == 1 and sum(self._words[word] for word in POSED_FRAMES) > 1:
-            self.notes.append(Note("all scans have one time: they are taken in their order"))
+            self.notes.add("all scans have one time: they are taken in their order")
 
     def _count_words(self, lines: Mapping[str, Int64]) -> None:
         """Count lines by their keyword; scans are counted when they have been parsed."""
@@ -168,19 +169,19 @@ class CarmenLog(TextLog):
         if first.topic in PLAIN_FRAMES and beams not in USUAL_BEAMS:
             spacing = f"{math.degrees(imply_increment(beams)):g} deg apart, from -90 deg"
             text = f"{first.topic} states no angles: {beams} beams are read as {spacing}"
-            self.notes.append(Note(text))
+            self.notes.add(text)
 
     def _note_other_lines(self) -> None:
         for word in self._repeated:
             text = f"{word} repeats scans that the log holds with their pose; it is left out"
-            self.notes.append(Note(text))
+            self.notes.add(text)
         used = {*FRAMES, "ODOM"}
         others = Counter({word: n for word, n in self._words.items() if word not in used})
         if others:
             top = ", ".join(_count_lines(word, n) for word, n in others.most_common(5))
             more = ", ..." if len(others) > 5 else ""
             lines = count(others.total(), "line")
-            self.notes.append(Note(f"{lines} without scan or pose passed over: {top}{more}"))
+            self.notes.add(f"{lines} without scan or pose passed over: {top}{more}")
 
 
 def _sort_lines(block: Block) -> dict[str, Int64]:

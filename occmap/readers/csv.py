@@ -8,17 +8,10 @@ import numpy as np
 
 from occmap.arrays import Int64
 from occmap.errors import LogError
-from occmap.readers import Note, Probe, Role, Span, Stream
-from occmap.readers.csv_layout import (
-    NAMES,
-    TOPIC,
-    Layout,
-    is_known,
-    read_layout,
-    split_comment,
-    split_names,
-)
-from occmap.readers.text import ALL, Block, Line, is_heading, probe_lines, read_blocks
+from occmap.readers import Role, Span, Stream
+from occmap.readers.containers.text import ALL, Block, Line, is_heading, read_blocks
+from occmap.readers.conversion import csv_rows
+from occmap.readers.probing import Probe
 from occmap.readers.text_log import LineTally, TextLog
 from occmap.types import PoseSample, Scan, ScanRun
 
@@ -37,16 +30,18 @@ class CsvReader:
 
         A header that lacks a column is recognised, so that the error can name the column.
         """
-        lines = [line.strip() for line in probe_lines(probe)]
+        lines = [line.strip() for line in probe.lines]
         header = next((line for line in lines if line and not line.startswith("#")), None)
-        stated = {split_comment(line)[0] for line in lines if line.startswith("#")} & NAMES
+        stated = {
+            csv_rows.split_comment(line)[0] for line in lines if line.startswith("#")
+        } & csv_rows.NAMES
         if header is None:
             return bool(stated)
         try:
-            names = set(split_names(header))
+            names = set(csv_rows.split_names(header))
         except ValueError:
             return False
-        return bool(names & {"stamp", "r0"}) and sum(map(is_known, names | stated)) >= 3
+        return bool(names & {"stamp", "r0"}) and sum(map(csv_rows.is_known, names | stated)) >= 3
 
     def open(self, path: Path) -> "CsvLog":
         """Open a log: read its header and count its rows.
@@ -62,28 +57,28 @@ class CsvReader:
 class CsvLog(TextLog):
     """An opened CSV log; its scans are the stream `scan`."""
 
-    form: Layout
+    form: csv_rows.Layout
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._rows = 0
         self._is_judged = False
         self.form = self._survey()
-        unused = [name for name in self.form.header if name and not is_known(name)]
+        unused = [name for name in self.form.header if name and not csv_rows.is_known(name)]
         if unused:
             text = f"columns that are not used: {', '.join(unused[:MAX_NAMES])}"
-            self.notes.append(Note(text))
+            self.notes.add(text)
 
     @property
     def streams(self) -> Sequence[Stream]:
         """The one stream of scans."""
-        return [Stream(TOPIC, "csv", self._rows, Role.SCAN)]
+        return [Stream(csv_rows.TOPIC, "csv", self._rows, Role.SCAN)]
 
     def poses(self) -> Iterator[PoseSample]:
         """Give none: where the log has poses, each scan holds its own."""
         return iter(())
 
-    def _survey(self) -> Layout:
+    def _survey(self) -> csv_rows.Layout:
         """Find the header, and the constants wherever they stand, and count the rows."""
         header: Line | None = None
         last: Line | None = None
@@ -102,19 +97,19 @@ class CsvLog(TextLog):
             found = "; ".join(["no header row", *(note.text for note in self.notes)])
             raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
         if unused:
-            self.notes.append(Note(f"comments that are not used: {', '.join(unused)}"))
-        layout = read_layout(self.path, header, constants)
+            self.notes.add(f"comments that are not used: {', '.join(unused)}")
+        layout = csv_rows.read_layout(self.path, header, constants)
         if last is not None and not last.ended:
             self._check_last(last, layout)
         return layout
 
-    def _check_last(self, line: Line, layout: Layout) -> None:
+    def _check_last(self, line: Line, layout: csv_rows.Layout) -> None:
         """See whether a last row is whole that has no line end."""
         if self._parse(line, layout.parse, LineTally()) is None:
             self._rows -= 1
         else:
             text = f"line {line.number}, the last, has no line end; it is taken as whole"
-            self.notes.append(Note(text))
+            self.notes.add(text)
 
     def _read(self) -> Iterator[Scan | ScanRun]:
         tally = LineTally()
@@ -128,7 +123,7 @@ class CsvLog(TextLog):
         header = 1 if span.start == 0 else 0
         for block in read_blocks(self.path, self.notes, span):
             rows, _ = _sort_lines(block)
-            yield self._parse_block(block, {TOPIC: rows[header:]}, tally)
+            yield self._parse_block(block, {csv_rows.TOPIC: rows[header:]}, tally)
             header = 0 if rows.size else header
 
     def _judge(self) -> None:
@@ -153,8 +148,8 @@ def _sort_lines(block: Block) -> tuple[Int64, list[Line]]:
 
 def _keep_comment(line: Line, constants: dict[str, Line], unused: dict[str, None]) -> None:
     """Keep the first comment that states a constant, and the names of some that mean nothing."""
-    name, value = split_comment(line.text)
-    if name in NAMES:
+    name, value = csv_rows.split_comment(line.text)
+    if name in csv_rows.NAMES:
         constants.setdefault(name, line)
     elif name.isidentifier() and len(unused) < MAX_NAMES:
         with suppress(ValueError):

@@ -1,4 +1,13 @@
-"""A log of ROS messages, whatever container they lie in."""
+"""A log of ROS messages: from the container, by way of decoding and conversion, to scans and poses.
+
+The way of a message:
+
+1. A source (`containers`) gives its channel, record time and bytes.
+2. The channel's `_ChannelReader` decodes the bytes (`decoding.messages`) and converts what comes
+   out (`conversion`).
+3. Scans of one laser, and transforms, are laid out alike. So most are not read one by one, but
+   gathered by channel and length (`_stack`) and read many at once (`decoding.stacks`).
+"""
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -6,15 +15,17 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import DEFAULT_OPTIONS, Role, Stream
-from occmap.readers.inflate import Buffer
+from occmap.readers.containers.inflate import Buffer
+from occmap.readers.containers.source import Channel, RawMessage, Source
+from occmap.readers.conversion.ros import find_oddity, find_type
+from occmap.readers.decoding.messages import make_reader
+from occmap.readers.decoding.shapes import Shape
+from occmap.readers.decoding.stacks import Stacked, read_scan_run, read_transforms
 from occmap.readers.options import ReaderOptions
-from occmap.readers.ros_decode import FromBytes, make_reader
-from occmap.readers.ros_source import Channel, RawMessage, Source, add_note
-from occmap.readers.ros_stacks import Stacked, read_scan_run, read_transforms
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
 T = TypeVar("T")
@@ -52,18 +63,20 @@ class RosLog:
 
     def __init__(self, source: Source, options: ReaderOptions = DEFAULT_OPTIONS) -> None:
         self.path = source.path
-        self._options = options
         self.notes = source.notes
+        self._options = options
         self._source = source
         self._is_whole = True
-        for channel in source.channels:
-            if channel.count and (oddity := channel.oddity):
+        self._types = {channel: find_type(channel) for channel in source.channels}
+        for channel, kind in self._types.items():
+            if channel.count and kind is None and (oddity := find_oddity(channel)):
                 found = f"{channel.count} messages on {channel.topic} are of {channel.type!r}"
-                add_note(self.notes, f"{found}, {oddity}: they are not used")
+                self.notes.add_damage(f"{found}, {oddity}: they are not used")
 
     def split(self, size: int) -> Sequence["RosLog"]:
         """Cut the log into parts of about `size` bytes, as `occmap.readers.Splittable` says."""
-        parts = [RosLog(part, self._options) for part in self._source.split(size)]
+        scans = [channel for channel, kind in self._types.items() if kind and kind.to_scan]
+        parts = [RosLog(part, self._options) for part in self._source.split(size, scans)]
         for part in parts:
             part._is_whole = len(parts) == 1
         return parts
@@ -72,8 +85,8 @@ class RosLog:
     def streams(self) -> Sequence[Stream]:
         """Every topic, with the messages of all its publishers."""
         counts: Counter[tuple[str, str, Role]] = Counter()
-        for channel in self._source.channels:
-            counts[channel.topic, channel.type, channel.role] += channel.count
+        for channel, kind in self._types.items():
+            counts[channel.topic, channel.type, kind.role if kind else Role.OTHER] += channel.count
         return [Stream(topic, kind, n, role) for (topic, kind, role), n in counts.items()]
 
     def poses(self) -> Iterator[PoseSample]:
@@ -95,41 +108,41 @@ class RosLog:
         for reader, run in self._stack(self._make_scan_readers(topics), 1):
             yield from _read_run(reader, run)
 
-    def _make_pose_readers(self) -> dict[Channel, "_ChannelReader[list[PoseSample]]"]:
+    def _make_pose_readers(self) -> "_Readers[list[PoseSample]]":
         return self._make_readers(
-            (channel, channel.known.to_poses)
-            for channel in self._source.channels
-            if channel.known and channel.known.to_poses
+            (channel, kind.shape, kind.to_poses)
+            for channel, kind in self._types.items()
+            if kind and kind.to_poses
         )
 
-    def _make_scan_readers(self, topics: Collection[str]) -> dict[Channel, "_ChannelReader[Scan]"]:
+    def _make_scan_readers(self, topics: Collection[str]) -> "_Readers[Scan]":
         return self._make_readers(
-            (channel, partial(channel.known.to_scan, self._options))
-            for channel in self._source.channels
-            if channel.topic in topics and channel.known and channel.known.to_scan
+            (channel, kind.shape, partial(kind.to_scan, self._options))
+            for channel, kind in self._types.items()
+            if kind and kind.to_scan and channel.topic in topics
         )
 
     def _make_readers(
-        self, wanted: Iterable[tuple[Channel, Callable[[Any, str, int], T]]]
-    ) -> dict[Channel, "_ChannelReader[T]"]:
+        self, wanted: Iterable[tuple[Channel, Shape, Callable[[Any, str, int], T]]]
+    ) -> "_Readers[T]":
         """Build a reader for each channel; note and leave out what cannot be understood."""
         readers = {}
-        for channel, convert in wanted:
+        for channel, shape, convert in wanted:
             try:
-                readers[channel] = _ChannelReader(channel, convert)
+                readers[channel] = _ChannelReader(channel, shape, convert)
             except LogError as error:
                 found = error.placed(channel.topic)
-                add_note(self.notes, f"{found}: its {channel.count} messages are not used")
+                self.notes.add_damage(f"{found}: its {channel.count} messages are not used")
         return readers
 
-    def _read(self, readers: Mapping[Channel, "_ChannelReader[T]"]) -> Iterator[T]:
+    def _read(self, readers: "_Readers[T]") -> Iterator[T]:
         """Read messages one by one, passing over those that are damaged."""
         for channel, record_ns, data in self._messages(readers):
             yield from readers[channel].read_all([(data, record_ns)])
         self._note_damage(readers)
 
     def _stack(
-        self, readers: Mapping[Channel, "_ChannelReader[T]"], most_kinds: int
+        self, readers: "_Readers[T]", most_kinds: int
     ) -> Iterator[tuple["_ChannelReader[T]", list[Stacked]]]:
         """Gather messages by channel and length, of at most `most_kinds` kinds at a time."""
         stacks: dict[tuple[Channel, int], list[Stacked]] = {}
@@ -146,7 +159,7 @@ class RosLog:
         yield from ((readers[kind], stack) for (kind, _), stack in stacks.items())
         self._note_damage(readers)
 
-    def _messages(self, readers: Mapping[Channel, "_ChannelReader[T]"]) -> Iterator[RawMessage]:
+    def _messages(self, readers: "_Readers[T]") -> Iterator[RawMessage]:
         """Give raw messages, and count them; a disk that fails is an error with the log's name."""
         if readers:
             with refuse_unreadable(self.path):
@@ -154,19 +167,19 @@ class RosLog:
                     readers[message[0]].messages += 1
                     yield message
 
-    def _note_damage(self, readers: Mapping[Channel, "_ChannelReader[T]"]) -> None:
+    def _note_damage(self, readers: "_Readers[T]") -> None:
         """Say what of the messages was lost or damaged."""
         for channel, reader in readers.items():
             topic, announced = channel.topic, channel.count
             if self._is_whole and reader.messages != announced:
                 text = f"{reader.messages} messages are read on {topic}"
-                add_note(self.notes, f"{text}, where the log announces {announced}")
+                self.notes.add_damage(f"{text}, where the log announces {announced}")
             if reader.uses_standard:
                 text = f"the definition of {channel.type} on {topic} is damaged"
-                add_note(self.notes, f"{text}; the standard one is used")
+                self.notes.add_damage(f"{text}; the standard one is used")
             if reader.failures:
                 text = f"{reader.failures} of {announced} messages on {topic} are damaged"
-                add_note(self.notes, f"{text} and not used")
+                self.notes.add_damage(f"{text} and not used")
 
 
 class _ChannelReader(Generic[T]):
@@ -176,25 +189,21 @@ class _ChannelReader(Generic[T]):
     decides between the two.
     """
 
-    def __init__(self, channel: Channel, convert: Callable[[Any, str, int], T]) -> None:
+    def __init__(
+        self, channel: Channel, shape: Shape, convert: Callable[[Any, str, int], T]
+    ) -> None:
         self.encoding = channel.encoding
         self.messages = self.failures = 0
         self.uses_standard = False
-        standard = replace(channel, definition="")
-        self._make_standard = (
-            partial(make_reader, standard, convert) if channel.definition else None
-        )
-        """Builds what stands in, until one of the two could read a message"""
+        self._is_settled = not channel.definition
+        self._make_standard = partial(make_reader, replace(channel, definition=""), shape, convert)
         try:
-            self.decode, self.is_plain = make_reader(channel, convert)
+            self.decode, self.is_plain = make_reader(channel, shape, convert)
         except LogError:
-            if self._make_standard is None:
+            if self._is_settled:
                 raise
-            self._use(*self._make_standard())
-
-    def _use(self, standard: FromBytes[T], is_plain: bool) -> None:
-        self.decode, self.is_plain = standard, is_plain
-        self._make_standard, self.uses_standard = None, True
+            self.decode, self.is_plain = self._make_standard()
+            self._is_settled = self.uses_standard = True
 
     def read_all(self, messages: Iterable[tuple[Buffer, int]]) -> Iterator[T]:
         """Read messages one by one; those that are damaged are counted and left out."""
@@ -208,16 +217,20 @@ class _ChannelReader(Generic[T]):
         view = memoryview(data)
         with suppress(DamageError):
             item = self.decode(view, record_ns)
-            self._make_standard = None
+            self._is_settled = True
             return item
-        if self._make_standard is not None:
+        if not self._is_settled:
             standard, is_plain = self._make_standard()
             with suppress(DamageError):
                 item = standard(view, record_ns)
-                self._use(standard, is_plain)
+                self.decode, self.is_plain = standard, is_plain
+                self._is_settled = self.uses_standard = True
                 return item
         self.failures += 1
         return None
+
+
+_Readers: TypeAlias = Mapping[Channel, _ChannelReader[T]]
 
 
 def _read_run(reader: _ChannelReader[Scan], run: list[Stacked]) -> Iterator[Scan | ScanRun]:

@@ -20,17 +20,20 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 
 from occmap.arrays import Float32, Float64, Int64, UInt8
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList, make_part
+from occmap.readers import NoteList, make_part
+from occmap.readers.containers.text import ALL, Block, Line, split_lines
 from occmap.readers.kernels import NUMBER, PADDING, RANGE, SAME, SECONDS
-from occmap.readers.text import ALL, Block, Line, note_cut_line, split_lines
 from occmap.types import Scan, ScanRun
 from occmap.values import as_float32, parse_nanoseconds, parse_seconds, shorten
+
+if TYPE_CHECKING:
+    from occmap.readers.kernels.decimals import Filled
 
 Parsed = TypeVar("Parsed")
 
@@ -95,7 +98,7 @@ class LineTally:
             self.malformed += 1
             self._first = self._first or (self.total, line.number, fault)
 
-    def judge(self, path: Path, notes: list[Note], fix: str) -> None:
+    def judge(self, path: Path, notes: NoteList, fix: str) -> None:
         """Note what is damaged.
 
         Raises
@@ -113,52 +116,56 @@ class LineTally:
             found = fault + (count if self.malformed > 1 else "")
             raise LogError(found, where=f"{path}:{number}", fix=fix)
         count = f"{self.malformed} of {self.total} lines are malformed and left out"
-        notes.append(Note(f"{count}, the first is line {number}: {fault}", damage=True))
+        notes.add_damage(f"{count}, the first is line {number}: {fault}")
 
 
 def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
-    """Parse those of some lines, by their indices (S,), that are of a pattern.
-
-    Raises
-    ------
-    ValueError
-        So many words are written in unusual ways that it is as quick to parse lines one by one.
-    """
-    from occmap.readers.kernels.decimals import Filled, Lines, parse_rows  # noqa: PLC0415  late: it brings numba
+    """Parse those of some lines, by their indices (S,), that are of a pattern."""
+    from occmap.readers.kernels import decimals  # noqa: PLC0415  late: it brings numba
 
     words, separator, kinds = pattern
     same = b"".join(words[at] + separator for at in np.flatnonzero(kinds == SAME).tolist())
-    beams = np.cumsum(kinds == RANGE) - 1
-    text = block.text
-    rows = rows[: len(text) // len(kinds)]  # no more lines can have so many words
-    ranges = np.empty((len(rows), beams[-1] + 1), np.float32)
+    rows = rows[: len(block.text) // len(kinds)]  # no more lines can have so many words
     values = np.empty((len(kinds), len(rows)))
-    times = values.view(np.int64)
-    alike = np.zeros(len(rows), np.bool_)
-    left = np.empty((values.size // 8 + 64, 4), np.int64)
-    count = parse_rows(
-        Lines(np.frombuffer(text, np.uint8), block.eights, block.starts[rows], ord(separator)),
-        kinds,
-        np.frombuffer(same + PADDING, np.uint8),
-        Filled(ranges, values, times, alike, left),
+    filled = decimals.Filled(
+        ranges=np.empty((len(rows), np.count_nonzero(kinds == RANGE)), np.float32),
+        values=values,
+        times=values.view(np.int64),
+        alike=np.zeros(len(rows), np.bool_),
+        # Lines of which more words are written as few programs do are as quick one by one.
+        left=np.empty((values.size // 8 + 64, 4), np.int64),
     )
-    if count == len(left):
-        raise ValueError("too many words are written as few programs write them")
-    for row, col, start, end in left[:count].tolist():
-        word, kind = bytes(text[start:end]), kinds[col]
-        try:
-            if kind == RANGE:
-                ranges[row, beams[col]] = as_float32(_parse_number(word))
-            elif kind == NUMBER:
-                values[col, row] = _parse_number(word)
-            else:
-                parse = parse_seconds if kind == SECONDS else parse_nanoseconds
-                times[col, row] = parse(word.decode("utf-8", "replace"))
-        except ValueError:
-            alike[row] = False
+    lines = decimals.Lines(
+        text=np.frombuffer(block.text, np.uint8),
+        eights=block.eights,
+        starts=block.starts[rows],
+        separator=ord(separator),
+        kinds=kinds,
+        same=np.frombuffer(same + PADDING, np.uint8),
+    )
+    lefts = decimals.parse_rows(lines, filled)
+    _parse_left(block.text, kinds, filled, lefts)
+    alike, ranges = filled.alike, filled.ranges
     if not alike.all():
         rows, ranges, values = rows[alike], ranges[alike], values[:, alike]
     return Table(rows, ranges, values, values.view(np.int64))
+
+
+def _parse_left(text: bytearray, kinds: UInt8, filled: "Filled", lefts: int) -> None:
+    """Parse the words that the kernel left; a line of which one is malformed is not alike."""
+    beams = np.cumsum(kinds == RANGE) - 1
+    for row, col, start, end in filled.left[:lefts].tolist():
+        word, kind = bytes(text[start:end]), kinds[col]
+        try:
+            if kind == RANGE:
+                filled.ranges[row, beams[col]] = as_float32(_parse_number(word))
+            elif kind == NUMBER:
+                filled.values[col, row] = _parse_number(word)
+            else:
+                parse = parse_seconds if kind == SECONDS else parse_nanoseconds
+                filled.times[col, row] = parse(word.decode("utf-8", "replace"))
+        except ValueError:
+            filled.alike[row] = False
 
 
 @lru_cache(maxsize=64)
@@ -176,7 +183,7 @@ class TextLog(ABC):
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.notes: list[Note] = NoteList()
+        self.notes = NoteList()
         self._span = ALL
         self._kept: list[Scan | ScanRun] | None = None
         """The scans of a log that were read when it was opened"""
@@ -238,18 +245,22 @@ class TextLog(ABC):
 
     def _parse_together(self, block: Block, rows: Int64) -> tuple[Int64, ScanRun] | None:
         """Parse the lines of one kind that are like the first sound one; say which these are."""
-        first = None
-        for line in block.get_lines(rows):
-            with suppress(ValueError):
-                first = self.form.parse(line.text)
-                break
-        if first is None or len(rows) == 1:
+        sound = self._find_sound(block, rows) if len(rows) > 1 else None
+        if sound is None:
             return None
-        with suppress(ValueError):
+        line, first = sound
+        with suppress(ValueError):  # of lines that state no times, or of which one is malformed
             table = parse_table(block, rows, self.form.find_pattern(line))
             # Else the kernel takes a line that `parse` refuses, or refuses one that it takes.
             if table.rows[:1].tolist() == [line.number - block.number]:
                 return table.rows, self.form.make_run(first, table)
+        return None
+
+    def _find_sound(self, block: Block, rows: Int64) -> tuple[Line, Scan] | None:
+        """Find the first of some lines that can be parsed."""
+        for line in block.get_lines(rows):
+            with suppress(ValueError):
+                return line, self.form.parse(line.text)
         return None
 
     def _parse(self, line: Line, parse: Callable[[str], Parsed], tally: LineTally) -> Parsed | None:
@@ -260,7 +271,12 @@ class TextLog(ABC):
             if line.ended:
                 tally.add(line, str(error))
             else:
-                note_cut_line(self.notes, line)
+                self._note_cut(line)
             return None
         tally.add(line)
         return parsed
+
+    def _note_cut(self, line: Line) -> None:
+        """Say that the last line is not whole and was not used."""
+        text = f"the file ends in the middle of line {line.number}; this line is lost"
+        self.notes.add_damage(text)

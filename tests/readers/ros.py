@@ -14,8 +14,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from occmap.arrays import Float32
-from occmap.readers import Note
-from occmap.readers.ros_source import Channel, RawMessage
+from occmap.readers import NoteList
+from occmap.readers.containers.source import Channel, RawMessage
 
 ROS1: Typestore = get_typestore(Stores.ROS1_NOETIC)
 ROS2: Typestore = get_typestore(Stores.ROS2_HUMBLE)
@@ -45,7 +45,7 @@ class Memory:
     path = Path("memory")
 
     def __init__(self, messages: Iterable[tuple[Channel, int, bytes]]) -> None:
-        self.notes: list[Note] = []
+        self.notes = NoteList()
         self._messages = list(messages)
 
     @property
@@ -57,7 +57,7 @@ class Memory:
             if channel in wanted:
                 yield channel, record_ns, memoryview(data)
 
-    def split(self, _size: int) -> Sequence[Self]:
+    def split(self, _size: int, _wanted: Collection[Channel]) -> Sequence[Self]:
         return [self]
 
 

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.readers.carmen_lines import (
+from occmap.readers.containers.text import Block
+from occmap.readers.conversion.carmen_lines import (
     CarmenForm,
     imply_increment,
     parse_front_offset,
     parse_odometry,
 )
 from occmap.readers.kernels import PADDING
-from occmap.readers.text import Block
 from occmap.readers.text_log import parse_table
 from occmap.types import UNKNOWN_POSE, Pose, PoseSample, Scan, ScanRun
 

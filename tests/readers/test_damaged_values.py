@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from occmap.readers import messages, open_log
-from occmap.readers.messages import convert_cloud
+from occmap.readers import open_log
+from occmap.readers.containers.source import Channel
+from occmap.readers.conversion import ros
+from occmap.readers.conversion.ros import convert_cloud
+from occmap.readers.decoding.shapes import as_row
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_log import RosLog
-from occmap.readers.ros_source import Channel
-from occmap.readers.shapes import as_row
 from tests.readers.foxglove_logs import SECOND, Message, drive, scan, write_json
 from tests.readers.ros import ROS2, SCAN, TF, Memory, Written, transforms, write_mcap
 from tests.readers.ros import scan as ros_scan
@@ -156,8 +157,8 @@ def test_a_fault_of_a_converter_is_no_damage_of_the_log(
     def convert(*given: Any) -> Any:
         return given[-3].anlge_min  # before it the options, behind it topic and record time
 
-    faulty = messages.TYPES[kind]._replace(to_scan=convert, to_poses=convert)
-    monkeypatch.setitem(messages.TYPES, kind, faulty)
+    faulty = ros.TYPES[kind]._replace(to_scan=convert, to_poses=convert)
+    monkeypatch.setitem(ros.TYPES, kind, faulty)
     message = ros_scan(ROS2, 5) if kind == SCAN else transforms(ROS2, 5, [("a", "b", 1.0)])
     channel = Channel("/it", kind, "cdr", count=1)
     log = RosLog(Memory([(channel, 7, bytes(ROS2.serialize_cdr(message, kind)))]))
@@ -174,7 +175,7 @@ def test_a_fault_of_a_foxglove_converter_is_no_damage_of_the_log(
         return message.anlge_min
 
     kind = "foxglove.LaserScan"
-    monkeypatch.setitem(messages.TYPES, kind, messages.TYPES[kind]._replace(to_scan=convert))
+    monkeypatch.setitem(ros.TYPES, kind, ros.TYPES[kind]._replace(to_scan=convert))
     log = open_log(write_json(tmp_path / "log.mcap", SCANS))
 
     with pytest.raises(AttributeError, match="anlge_min"):

@@ -15,10 +15,10 @@ from google.protobuf.descriptor_pb2 import (
 )
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from occmap.readers import ros_decode
-from occmap.readers.ros_decode import make_reader
+from occmap.readers.containers.source import Channel
+from occmap.readers.decoding import messages
+from occmap.readers.decoding.messages import make_reader
 from occmap.readers.ros_log import RosLog
-from occmap.readers.ros_source import Channel
 from tests.fuzz.__main__ import alarm
 from tests.readers.foxglove_logs import encode_protobuf, make_descriptors
 from tests.readers.foxglove_logs import scan as foxglove_scan
@@ -33,7 +33,7 @@ MEMORY = 64_000_000
 
 @contextmanager
 def bounded() -> Iterator[None]:
-    make_reader(Channel("/warm", SCAN, "cdr"), lambda *_: None)  # loads rosbags' own types
+    make_reader(Channel("/warm", SCAN, "cdr"), {}, lambda *_: None)  # loads rosbags' own types
     tracemalloc.start()
     try:
         with alarm(5):
@@ -204,6 +204,6 @@ def test_a_log_that_defines_its_types_as_ros_does_needs_no_other_types(name: str
 
 @pytest.mark.parametrize("encoding", ["cdr", "ros1"])
 def test_plain_types_are_those_of_ros(encoding: str) -> None:
-    store = ros_decode._load_standard(encoding)
-    hashes = {store.hash_rihs01(kind) for kind in ros_decode._PLAIN_TYPES}
-    assert ros_decode._PLAIN_HASHES[encoding] <= hashes
+    store = messages._load_standard(encoding)
+    hashes = {store.hash_rihs01(kind) for kind in messages._PLAIN_TYPES}
+    assert messages._PLAIN_HASHES[encoding] <= hashes

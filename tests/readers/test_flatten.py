@@ -13,7 +13,7 @@ from occmap.errors import LogError, UsageError
 from occmap.opening import choose_topics
 from occmap.options import BuildOptions
 from occmap.readers import Role, open_log
-from occmap.readers.messages import BEARINGS, convert_cloud, convert_multi_echo
+from occmap.readers.conversion.ros import BEARINGS, convert_cloud, convert_multi_echo
 from occmap.readers.options import Echo, ReaderOptions
 from tests.readers.ros import ROS1, ROS2, SECOND, Written, drive, header, scan, write_mcap
 

@@ -16,7 +16,8 @@ from mcap.reader import NonSeekingReader, make_reader
 
 from occmap.errors import LogError
 from occmap.readers import Log, open_log
-from occmap.readers.ros_source import Channel
+from occmap.readers.containers.source import Channel
+from occmap.readers.conversion.ros import find_oddity
 from tests.readers.mcap_variants import (
     ALONE,
     CHUNK,
@@ -359,4 +360,4 @@ def test_a_record_that_became_a_footer_ends_nothing(path: Path) -> None:
 
 @pytest.mark.parametrize("other", ["sensor_msgs/msg/PointCloud", "sensor_msgs/msg/NavSatFix"])
 def test_another_type_of_ros_is_no_damaged_one(other: str) -> None:
-    assert not Channel("/x", other, "cdr", count=5).oddity
+    assert not find_oddity(Channel("/x", other, "cdr", count=5))

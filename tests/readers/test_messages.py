@@ -5,13 +5,9 @@ import pytest
 from rosbags.typesys.store import Typestore
 
 from occmap.readers import Role
-from occmap.readers.messages import (
-    TYPES,
-    convert_laser_scan,
-    normalise_type,
-)
+from occmap.readers.containers.source import Channel, normalise_type
+from occmap.readers.conversion.ros import TYPES, convert_laser_scan, find_type
 from occmap.readers.options import ReaderOptions
-from occmap.readers.ros_source import Channel
 from occmap.types import Pose, PoseSample
 from tests.readers.ros import RANGES, ROS1, ROS2, header, pose, scan, transforms
 
@@ -116,6 +112,11 @@ def test_each_pose_of_a_path_is_a_sample_with_its_own_stamp(store: Typestore) ->
     ]
 
 
+def find_role(kind: str, encoding: str) -> Role:
+    known = find_type(Channel("/x", kind, encoding))
+    return known.role if known else Role.OTHER
+
+
 @pytest.mark.parametrize(
     ("name", "role"),
     [
@@ -131,7 +132,7 @@ def test_each_pose_of_a_path_is_a_sample_with_its_own_stamp(store: Typestore) ->
 )
 def test_the_type_decides_the_role(name: str, role: Role) -> None:
     encodings = ("cdr", "ros1", "json", "protobuf")
-    roles = {Channel("/x", name, encoding).role for encoding in encodings}
+    roles = {find_role(name, encoding) for encoding in encodings}
     assert roles == {role, Role.OTHER}  # no type is written in all of these ways
 
 
@@ -142,7 +143,7 @@ def test_only_foxglove_states_the_pose_of_a_scan_in_it() -> None:
 
 
 def test_a_type_counts_only_as_it_is_written() -> None:
-    assert Channel("/x", "sensor_msgs/LaserScan", "ros1").role is Role.SCAN
-    assert Channel("/x", "sensor_msgs/LaserScan", "json").role is Role.OTHER
-    assert Channel("/x", "foxglove.LaserScan", "json").role is Role.SCAN
-    assert Channel("/x", "foxglove.LaserScan", "cdr").role is Role.OTHER
+    assert find_role("sensor_msgs/LaserScan", "ros1") is Role.SCAN
+    assert find_role("sensor_msgs/LaserScan", "json") is Role.OTHER
+    assert find_role("foxglove.LaserScan", "json") is Role.SCAN
+    assert find_role("foxglove.LaserScan", "cdr") is Role.OTHER

@@ -13,7 +13,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 from occmap.errors import LogError
 from occmap.readers import Log, Note, open_log
-from occmap.readers.sqlite_pages import find_rows
+from occmap.readers.containers.sqlite_pages import find_rows
 from tests.readers.ros import RANGES, ROS2, SCAN, Bag2, Written, scan
 from tests.test_damage import time_limit
 

@@ -7,14 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.readers.chunked import Block
-from occmap.readers.rosbag1 import (
-    CONNECTION,
-    MESSAGE,
-    split_messages,
-)
+from occmap.readers import NoteList
+from occmap.readers.containers.bag1 import Bag1Source
+from occmap.readers.containers.bag1_records import CONNECTION, MESSAGE
+from occmap.readers.containers.chunked import Block
 
-Found = tuple[int, int, int, int]
+Found = tuple[int, int, bytes]
 
 ORDERS = (("conn", "op", "time"), ("op", "conn", "time"), ("time", "extra", "conn", "op"))
 NO_TIME = ("conn", "op")
@@ -30,6 +28,17 @@ RECORDS = st.lists(
     ),
     max_size=8,
 )
+
+
+class Blocks(Bag1Source):
+    """Splits blocks that lie in no file."""
+
+    def __init__(self) -> None:
+        self.notes = NoteList()
+
+    def split_block(self, block: bytes, wanted: Sequence[int]) -> list[Found]:
+        found = self._split_block(Block(0, block), wanted, {})
+        return [(key, time, bytes(data)) for key, time, data in found]
 
 
 def write(
@@ -64,30 +73,27 @@ def test_messages_are_those_that_were_written(
         is_wanted = opcode == MESSAGE and connection in WANTED
         if is_wanted and is_whole and "time" in order:
             time = seconds * 1_000_000_000 + nanoseconds
-            expected.append((connection, time, end - len(data), end))
+            expected.append((connection, time, data))
         elif start < len(block) and (not is_whole or is_wanted):
             damaged.append(start)
-    found: list[int] = []
+    source = Blocks()
 
-    assert list(split_messages(Block(0, block), WANTED, {}, found)) == expected
-    assert found or not damaged
+    assert source.split_block(block, WANTED) == expected
+    assert source.notes or not damaged
 
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_a_message_has_its_connection_time_and_data(order: Sequence[str]) -> None:
     block = b"".join(write(order, MESSAGE, 7 + i, (i, 5), b"data%d" % i) for i in range(3))
 
-    found = list(split_messages(Block(0, block), {7, 8, 9}, {}, []))
-
-    assert [(connection, time) for connection, time, _, _ in found] == [
-        (7, 5),
-        (8, 1_000_000_005),
-        (9, 2_000_000_005),
+    assert Blocks().split_block(block, range(10)) == [
+        (7, 5, b"data0"),
+        (8, 1_000_000_005, b"data1"),
+        (9, 2_000_000_005, b"data2"),
     ]
-    assert [block[start:end] for _, _, start, end in found] == [b"data0", b"data1", b"data2"]
 
 
-def test_a_damaged_time_of_another_connection_is_not_looked_at() -> None:
+def test_a_damaged_time_of_another_connection_ends_nothing() -> None:
     other = write(NO_TIME, MESSAGE, 8, (0, 0), b"")
     block = other + write(ORDERS[0], MESSAGE, 7, (1, 0), b"data")
-    assert [connection for connection, *_ in split_messages(Block(0, block), {7}, {}, [])] == [7]
+    assert [connection for connection, *_ in Blocks().split_block(block, range(8))] == [7]

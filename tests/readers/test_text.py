@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList, text
-from occmap.readers.text import Block, Line, read_blocks
+from occmap.readers import Note, NoteList
+from occmap.readers.containers import text
+from occmap.readers.containers.text import Block, Line, read_blocks
 
 
 def list_lines(block: Block) -> list[Line]:
@@ -15,7 +16,7 @@ def list_lines(block: Block) -> list[Line]:
 
 
 def read(path: Path) -> tuple[list[Line], list[Note]]:
-    notes: list[Note] = []
+    notes = NoteList()
     return [line for block in read_blocks(path, notes) for line in list_lines(block)], notes
 
 
@@ -111,7 +112,7 @@ def test_a_missing_file_is_a_log_error(tmp_path: Path) -> None:
 def test_a_block_of_lines_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(text, "BLOCK_BYTES", 10)
     (tmp_path / "log").write_bytes(b"one\ntwo\nthree\na longer line\nlast")
-    blocks = read_blocks(tmp_path / "log", [])
+    blocks = read_blocks(tmp_path / "log", NoteList())
     assert [(block.number, [line.raw for line in list_lines(block)]) for block in blocks] == [
         (1, [b"one", b"two"]),
         (3, [b"three"]),

@@ -3,6 +3,8 @@
 A number of up to 15 digits is an integer divided by a power of ten. Both are exact in the 53 bits
 of a float and their quotient is rounded once, so it is what Python's `float` gives. Every other
 word is left to the caller.
+
+Offsets are unsigned: numba need not look whether one of them counts from the end of an array.
 """
 
 from typing import NamedTuple
@@ -19,26 +21,13 @@ MOST_TIME_DIGITS = 19
 """Whole nanoseconds of this many digits fit 64 bits where the first is not 9."""
 POWERS: Float64 = np.array([float(10**n) for n in range(MOST_DIGITS + 1)])
 _ZERO, _NINE, _DOT, _MINUS, _BLANK, _QUOTE, _END = map(ord, '09.- "\n')
-
 _INF, _NAN = (np.uint64(int.from_bytes(word, "little")) for word in (b"inf", b"nan"))
 _THREE_BYTES = np.uint64(0xFFFFFF)
-
-# Eight bytes of text as one number, the first byte lowest.
-_DIGIT_BITS = np.uint64(0x1010101010101010)
-"""Every digit has this bit; dots, commas, blanks and line ends have not."""
-_UPPER, _LOWER = np.uint64(0xF0F0F0F0F0F0F0F0), np.uint64(0x0F0F0F0F0F0F0F0F)
-_SIXES = np.uint64(0x0606060606060606)
-"""Added to the lower halves of bytes, it sets a digit bit where they are above nine."""
-_PAIRS, _FIRST_PAIRS, _LAST_PAIRS = (
-    np.uint64(0x000000FF000000FF),
-    np.uint64(100 + (1000000 << 32)),
-    np.uint64(1 + (10000 << 32)),
-)
-_NONE, _ONE, _EIGHT, _TEN, _SIXTEEN, _HALF, _BYTE = map(np.uint64, (0, 1, 8, 10, 16, 32, 0xFF))
+_NONE, _ONE = np.uint64(0), np.uint64(1)
 
 
 class Lines(NamedTuple):
-    """Lines to parse, and how their words are parted."""
+    """Lines to parse, and what their words are."""
 
     text: UInt8
     """(L,) bytes: lines, each with its end, and `PADDING`"""
@@ -48,6 +37,10 @@ class Lines(NamedTuple):
     """(S,) where the lines begin that are parsed"""
     separator: int
     """What stands between two words: one comma, or any number of blanks"""
+    kinds: UInt8
+    """(N,) what each word of a line is"""
+    same: UInt8
+    """Bytes: the words that are the same in every line, each with a separator behind it"""
 
 
 class Filled(NamedTuple):
@@ -82,130 +75,57 @@ class Word(NamedTuple):
     has_quote: bool
 
 
-class Form(NamedTuple):
-    """How short numbers are written, such as 12.34 and a comma, in up to eight bytes."""
-
-    bits: np.uint64
-    """All bits of the dot and of the separator, and those that tell that a byte may be a digit"""
-    usual: np.uint64
-    """What these bits are"""
-    before_dot: np.uint64
-    behind_dot: np.uint64
-    """The lower halves of the digits' bytes; those behind the dot, moved up by one place"""
-    width: np.uint64
-    """Of a word with its separator (bytes)"""
-    power: float
-    """The eight digits, with zeros behind the last, make so many times the number"""
-
-
 @kernel
-def parse_rows(lines: Lines, kinds: UInt8, same: UInt8, filled: Filled) -> int:
-    """Parse the words of lines; those that hold more or fewer words than `kinds` are passed over.
+def parse_rows(lines: Lines, filled: Filled) -> int:
+    """Parse the words of lines; a line that holds more or fewer words than others is unlike them.
 
-    Parameters
-    ----------
-    kinds
-        (N,) what each word of a line is.
-    same
-        Bytes: the words that are the same in every line, each with a separator behind it.
-    filled
-        Where the words go. A line for which `left` has no more room counts as unlike.
+    So is one for whose words `left` has no more room.
 
     Returns
     -------
     int
         How many words are left to the caller.
     """
-    text, eights, starts, separator = lines
+    text, eights, starts, separator, kinds, same = lines
     ranges, values, times, alike, left = filled
-    cols = len(kinds)
     lefts = 0
-    # Most ranges are written in the form of those before them: one comparison tells that a word has
-    # it, and all its digits are taken at once. A form that no word has comes first.
-    form, others = Form(_NONE, _ONE, _NONE, _NONE, _NONE, 1.0), 0
     for row in range(len(starts)):
-        # No index is negative, and numba need not look whether it is.
-        at, same_at, col, beam = np.uint64(starts[row]), _NONE, 0, 0
-        while col < cols:
-            while kinds[col] == RANGE and col < cols - 1:
-                has_form, digits = _match_form(eights[at], form)
-                if not has_form:
-                    break
-                ranges[row, beam] = _join_digits(digits) / form.power
-                at += form.width
-                col += 1
-                beam += 1
-                others = 0
-            at = _skip_blanks(text, at, separator)
+        at, same_at, beam = np.uint64(starts[row]), _NONE, 0
+        for col in range(len(kinds)):
+            if col > 0 and text[at] == _END:
+                break
+            at = _skip_blanks(text, at + np.uint64(col > 0), separator)
             kind = kinds[col]
+            size = _measure_same(text, at, same, same_at, separator) if kind == SAME else _NONE
+            if kind == SAME and size == _NONE:
+                break
             if kind == SAME:
-                size = _measure_same(text, at, same, same_at, separator)
-                if size == _NONE:
-                    break
                 at += size - _ONE
                 same_at += size
-            else:
-                word = _scan_word(text, at, separator)
-                at = word.end
-                if word.has_quote or (at == word.start and separator == _BLANK):
-                    break  # a quote may hold a separator
-                is_read = True
-                if kind >= NUMBER:
-                    is_read, value = _to_float(word, eights[word.first])
-                    if kind == RANGE:
-                        ranges[row, beam] = value
-                        beam += 1
-                        others += 1
-                    else:
-                        values[col, row] = value
-                    is_short = word.first == word.start and 0 < word.digits < 8 - word.dots
-                    if others > 1 and is_short and text[at] == separator:
-                        form, others = _find_form(word, eights[word.start]), 0
-                elif kind != ANY:
-                    is_read, times[col, row] = _to_ns(word, kind, text[word.first])
-                if not is_read:
-                    if lefts == len(left):
-                        break
-                    left[lefts, 0], left[lefts, 1] = row, col
-                    left[lefts, 2], left[lefts, 3] = word.start, at
-                    lefts += 1
-            if col < cols - 1:
-                if text[at] == _END:
-                    break
-                at += _ONE
-            col += 1
+                continue
+            word = _scan_word(text, at, separator)
+            at = word.end
+            # A quote may hold a separator; between blanks no word is empty.
+            if word.has_quote or (at == word.start and separator == _BLANK):
+                break
+            is_read = True
+            if kind == RANGE:
+                is_read, ranges[row, beam] = _to_float(word, eights[word.first])
+                beam += 1
+            elif kind == NUMBER:
+                is_read, values[col, row] = _to_float(word, eights[word.first])
+            elif kind != ANY:
+                is_read, times[col, row] = _to_ns(word, kind, text[word.first])
+            if is_read:
+                continue
+            if lefts == len(left):
+                break
+            left[lefts, 0], left[lefts, 1] = row, col
+            left[lefts, 2], left[lefts, 3] = word.start, at
+            lefts += 1
         else:
             alike[row] = text[_skip_blanks(text, at, separator)] == _END
     return lefts
-
-
-@step
-def _match_form(word: np.uint64, form: Form) -> tuple[bool, np.uint64]:
-    """Whether eight bytes begin with a word of a form, and its digits, each in a byte."""
-    digits = (word & form.before_dot) | ((word >> _EIGHT) & form.behind_dot)
-    is_like = word & form.bits == form.usual and (digits + _SIXES) & _DIGIT_BITS == _NONE
-    return is_like, digits
-
-
-@step
-def _join_digits(digits: np.uint64) -> np.int64:
-    """The number of eight digits, of which the first is the lowest byte."""
-    digits = digits * _TEN + (digits >> _EIGHT)
-    odd_pairs, even_pairs = digits & _PAIRS, (digits >> _SIXTEEN) & _PAIRS
-    return np.int64((odd_pairs * _FIRST_PAIRS + even_pairs * _LAST_PAIRS) >> _HALF)
-
-
-@step
-def _find_form(word: Word, eight: np.uint64) -> Form:
-    """The form of a short word without a sign, given its eight bytes."""
-    whole = word.digits - word.decimals
-    dot_at, end_at = np.uint64(8 * whole), np.uint64(8 * (word.digits + word.dots))
-    word_bits = (_ONE << end_at) - _ONE
-    before_dot = ((_ONE << dot_at) - _ONE) & _LOWER
-    behind_dot = (word_bits >> _EIGHT) & _LOWER & ~before_dot
-    bits = word_bits & _UPPER | np.uint64(255 * word.dots) << dot_at | _BYTE << end_at
-    width = np.uint64(word.digits + word.dots + 1)
-    return Form(bits, eight & bits, before_dot, behind_dot, width, POWERS[8 - whole])
 
 
 @step

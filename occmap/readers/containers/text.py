@@ -1,6 +1,5 @@
-"""What the text formats share: lines of a plain or gzip file in blocks, and notes on damage."""
+"""Text files, plain or gzip: their lines in blocks, or by parts."""
 
-import math
 import sys
 from codecs import BOM_UTF8
 from collections.abc import Iterator
@@ -11,13 +10,11 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.arrays import Float64, Int64, UInt64
+from occmap.arrays import Int64, UInt64
 from occmap.errors import LogError, refuse_unreadable
-from occmap.readers import Note, Probe, Span
-from occmap.readers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
+from occmap.readers import NoteList, Span
+from occmap.readers.containers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
 from occmap.readers.kernels import PADDING
-from occmap.types import UNKNOWN_POSE, Pose
-from occmap.values import as_float32
 
 MAX_LINE_BYTES = 1 << 24
 """A scan of a million beams is shorter; a longer line is not of a text log."""
@@ -133,7 +130,7 @@ def split_lines(path: Path, size: int) -> list[Span]:
     return [Span(*ends) for ends in pairwise([*cuts, length])]
 
 
-def read_blocks(path: Path, notes: list[Note], span: Span = ALL) -> Iterator[Block]:
+def read_blocks(path: Path, notes: NoteList, span: Span = ALL) -> Iterator[Block]:
     """Yield the lines of a UTF-8 text file, plain or gzip, or of a part of it, in blocks.
 
     Where gzip data is cut or corrupt, every complete line before the damage is given, and a note
@@ -145,48 +142,38 @@ def read_blocks(path: Path, notes: list[Note], span: Span = ALL) -> Iterator[Blo
         The file cannot be read, has a line beyond reason, or is a gzip bomb.
     """
     number, total = 1, 0
-    begun = 0  # bytes of a last line whose end is still to come
-    try:
+    text, filled = bytearray(2 * BLOCK_BYTES), 0
+    with refuse_unreadable(path):
         size = path.stat().st_size
-        limit, most_lines = max(FREE_EXPANSION_BYTES, MAX_EXPANSION * size), max(FREE_LINES, size)
-        for text, filled in _gather_text(_read_pieces(path, span)):
-            total += filled - begun
+    limit, most_lines = max(FREE_EXPANSION_BYTES, MAX_EXPANSION * size), max(FREE_LINES, size)
+    try:
+        for piece in _read_pieces(path, span):
+            begun, filled, total = filled, filled + len(piece), total + len(piece)
+            if filled + len(PADDING) > len(text):
+                text = text + bytes(filled + len(PADDING))
+            memoryview(text)[begun:filled] = piece
             if end := text.rfind(b"\n", begun, filled) + 1:
                 block = Block.of(number, text, end)
                 yield block
                 number += len(block)
-            begun = filled - end
-            if begun >= MAX_LINE_BYTES:
-                raise LogError(f"no end of line within {begun} bytes", where=path, fix=NO_LOG)
+                # A last line without its end begins the next block.
+                text[: filled - end] = text[end:filled]
+                filled -= end
+            if filled >= MAX_LINE_BYTES:
+                raise LogError(f"no end of line within {filled} bytes", where=path, fix=NO_LOG)
             if total > limit or number > most_lines:
                 raise LogError(f"grows more than {MAX_EXPANSION}-fold", where=path, fix=NO_LOG)
-        if begun:
-            text[begun] = ord("\n")
-            yield Block.of(number, text, begun + 1, ended=False)
+        if filled:
+            text[filled] = ord("\n")
+            yield Block.of(number, text, filled + 1, ended=False)
     except GUNZIP_ERRORS as error:
         reason = "cut short" if isinstance(error, EOFError) else f"corrupt: {error}"
-        lost = f"the gzip data is {reason}; all after line {number - 1} is lost"
-        notes.append(Note(lost, damage=True))
-    except OSError as error:
-        raise LogError(f"cannot be read ({error.strerror})", where=path) from None
-
-
-def _gather_text(pieces: Iterator[bytes | memoryview]) -> Iterator[tuple[bytearray, int]]:
-    """Yield a buffer and how much of it is filled; a last line without its end begins the next."""
-    text, begun = bytearray(2 * BLOCK_BYTES), 0
-    for piece in pieces:
-        filled = begun + len(piece)
-        if filled + len(PADDING) > len(text):
-            text = text + bytes(filled + len(PADDING))
-        memoryview(text)[begun:filled] = piece
-        yield text, filled
-        begun = filled - (text.rfind(b"\n", begun, filled) + 1)
-        text[:begun] = text[filled - begun : filled]
+        notes.add_damage(f"the gzip data is {reason}; all after line {number - 1} is lost")
 
 
 def _read_pieces(path: Path, span: Span) -> Iterator[bytes | memoryview]:
     """Yield the content of a file, unpacked; a piece is valid until the next one is read."""
-    with path.open("rb", 0) as file:
+    with refuse_unreadable(path), path.open("rb", 0) as file:
         if file.read(len(MAGIC)) == MAGIC:
             file.seek(0)
             yield from gunzip(file)
@@ -195,40 +182,3 @@ def _read_pieces(path: Path, span: Span) -> Iterator[bytes | memoryview]:
         piece = memoryview(bytearray(BLOCK_BYTES))
         while size := file.readinto(piece[: span.end - file.tell()]):
             yield piece[:size]
-
-
-def stack_planar(x: Float64, y: Float64, yaw: Float64) -> Float64:
-    """Build poses (S, 7) from places and headings (S,), as `Pose.planar` does.
-
-    A pose of which one of the three is not finite is unknown.
-    """
-    poses = np.zeros((len(x), 7))
-    is_known = np.isfinite(x + y + yaw)
-    half = (np.where(is_known, yaw, 0.0) / 2).tolist()
-    poses[:, 0], poses[:, 1] = x, y
-    poses[:, 5], poses[:, 6] = list(map(math.sin, half)), list(map(math.cos, half))
-    poses[~is_known] = UNKNOWN_POSE
-    return poses
-
-
-def make_planar(x: float, y: float, yaw: float) -> Pose:
-    """Build one pose likewise."""
-    return Pose.planar(x, y, yaw) if math.isfinite(x + y + yaw) else UNKNOWN_POSE
-
-
-def round_limit(limit: float) -> float:
-    """Round a range limit as the ranges are, so that a range at the limit compares as equal."""
-    return float(as_float32(limit))
-
-
-def probe_lines(probe: Probe) -> list[str]:
-    """Return the first lines of a file that may be text; the probe may end within the last."""
-    if b"\0" in probe.content:
-        return []
-    return probe.content.decode("utf-8-sig", "replace").splitlines()
-
-
-def note_cut_line(notes: list[Note], line: Line) -> None:
-    """Say that the last line is not whole and was not used."""
-    text = f"the file ends in the middle of line {line.number}; this line is lost"
-    notes.append(Note(text, damage=True))

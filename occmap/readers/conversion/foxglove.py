@@ -9,17 +9,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from occmap.readers import Role
+from occmap.readers.conversion import MessageType, read_frame
+from occmap.readers.decoding import shapes
+from occmap.readers.decoding.shapes import Shape
 from occmap.readers.options import ReaderOptions
-from occmap.readers.shapes import (
-    POSE,
-    QUATERNION,
-    VECTOR,
-    MessageType,
-    Shape,
-    as_row,
-    get_field,
-    read_frame,
-)
 from occmap.types import Pose, PoseSample, Scan
 from occmap.values import as_number, as_stamp, as_text
 
@@ -105,24 +98,24 @@ def _read_pose(position: Any, rotation: Any) -> Pose:
 def as_time(value: Any) -> int:
     """Bring a time to ns: JSON calls its parts sec and nsec, protobuf seconds and nanos."""
     names = ("sec", "nsec") if isinstance(value, dict) else ("seconds", "nanos")
-    seconds, nanoseconds = (as_stamp(get_field(value, name)) for name in names)
+    seconds, nanoseconds = (as_stamp(shapes.get_field(value, name)) for name in names)
     return as_stamp(seconds * 1_000_000_000 + nanoseconds)
 
 
 _FRAMED: Mapping[str, Shape] = {"timestamp": as_time, "frame_id": as_text}
 _SCAN: Shape = {
     **_FRAMED,
-    "pose": POSE,
+    "pose": shapes.POSE,
     "start_angle": as_number,
     "end_angle": as_number,
-    "ranges": as_row,
+    "ranges": shapes.as_row,
 }
 _TRANSFORM: Shape = {
     "timestamp": as_time,
     "parent_frame_id": as_text,
     "child_frame_id": as_text,
-    "translation": VECTOR,
-    "rotation": QUATERNION,
+    "translation": shapes.VECTOR,
+    "rotation": shapes.QUATERNION,
 }
 _TRANSFORMS: Shape = {"transforms": [_TRANSFORM]}
 
@@ -131,9 +124,9 @@ TYPES: Mapping[str, MessageType] = {
     "foxglove.FrameTransform": MessageType(Role.POSE, _TRANSFORM, to_poses=convert_transform),
     "foxglove.FrameTransforms": MessageType(Role.POSE, _TRANSFORMS, to_poses=convert_transforms),
     "foxglove.PoseInFrame": MessageType(
-        Role.POSE, {**_FRAMED, "pose": POSE}, to_poses=convert_pose
+        Role.POSE, {**_FRAMED, "pose": shapes.POSE}, to_poses=convert_pose
     ),
     "foxglove.PosesInFrame": MessageType(
-        Role.POSE, {**_FRAMED, "poses": [POSE]}, to_poses=convert_poses
+        Role.POSE, {**_FRAMED, "poses": [shapes.POSE]}, to_poses=convert_poses
     ),
 }

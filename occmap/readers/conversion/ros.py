@@ -7,6 +7,7 @@ schemas stand in it, too.
 
 import math
 from collections.abc import Mapping
+from operator import ne
 from typing import Any
 
 import numpy as np
@@ -14,21 +15,12 @@ from numpy.typing import ArrayLike
 
 from occmap.arrays import Float32, Float64
 from occmap.errors import DamageError
-from occmap.readers import Role, foxglove
+from occmap.readers import Role
+from occmap.readers.containers.source import Channel
+from occmap.readers.conversion import MessageType, foxglove, read_frame, read_stamp
+from occmap.readers.decoding import shapes
+from occmap.readers.decoding.shapes import Shape
 from occmap.readers.options import Echo, ReaderOptions
-from occmap.readers.shapes import (
-    HEADER,
-    POSE,
-    QUATERNION,
-    VECTOR,
-    MessageType,
-    Shape,
-    as_bytes,
-    as_flag,
-    as_row,
-    read_frame,
-    read_stamp,
-)
 from occmap.types import Pose, PoseSample, Scan
 from occmap.values import as_float32, as_number, as_stamp, as_text
 
@@ -36,14 +28,10 @@ BEARINGS = 720
 """A cloud is flattened to half a degree: finer than most spinning lidars in the plane, and coarse
 enough that one turn leaves few bearings empty."""
 
+_MOST_LETTERS = 2
+"""The name of a type may differ in this many letters from the one that is meant."""
 _FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """NumPy's names of the number types of sensor_msgs/PointField."""
-
-
-def normalise_type(name: str) -> str:
-    """Bring a message type to its ROS 2 form: `tf/tfMessage` becomes `tf/msg/tfMessage`."""
-    package, slash, base = name.rpartition("/")
-    return f"{package}/msg/{base}" if slash and not package.endswith("/msg") else name
 
 
 def convert_laser_scan(_options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Scan:
@@ -191,35 +179,35 @@ def _read_pose(position: Any, rotation: Any) -> Pose:
 
 
 _LASER: Mapping[str, Shape] = {
-    "header": HEADER,
+    "header": shapes.HEADER,
     "angle_min": as_number,
     "angle_increment": as_number,
     "time_increment": as_number,
     "range_min": as_number,
     "range_max": as_number,
-    "ranges": as_row,
+    "ranges": shapes.as_row,
 }
 _CLOUD: Shape = {
-    "header": HEADER,
+    "header": shapes.HEADER,
     "height": as_stamp,
     "width": as_stamp,
     "fields": [{"name": as_text, "offset": as_stamp, "datatype": as_stamp}],
-    "is_bigendian": as_flag,
+    "is_bigendian": shapes.as_flag,
     "point_step": as_stamp,
     "row_step": as_stamp,
-    "data": as_bytes,
+    "data": shapes.as_bytes,
 }
 _TRANSFORM: Shape = {
-    "header": HEADER,
+    "header": shapes.HEADER,
     "child_frame_id": as_text,
-    "transform": {"translation": VECTOR, "rotation": QUATERNION},
+    "transform": {"translation": shapes.VECTOR, "rotation": shapes.QUATERNION},
 }
-_STAMPED: Shape = {"header": HEADER, "pose": POSE}
-_UNCERTAIN: Mapping[str, Shape] = {"header": HEADER, "pose": {"pose": POSE}}
+_STAMPED: Shape = {"header": shapes.HEADER, "pose": shapes.POSE}
+_UNCERTAIN: Mapping[str, Shape] = {"header": shapes.HEADER, "pose": {"pose": shapes.POSE}}
 
-_ECHOES: Shape = {**_LASER, "ranges": [{"echoes": as_row}]}
+_ECHOES: Shape = {**_LASER, "ranges": [{"echoes": shapes.as_row}]}
 _ODOMETRY: Shape = {**_UNCERTAIN, "child_frame_id": as_text}
-_PATH: Shape = {"header": HEADER, "poses": [_STAMPED]}
+_PATH: Shape = {"header": shapes.HEADER, "poses": [_STAMPED]}
 _TRANSFORMS = MessageType(Role.POSE, {"transforms": [_TRANSFORM]}, to_poses=convert_transforms)
 
 TYPES: Mapping[str, MessageType] = {
@@ -236,3 +224,25 @@ TYPES: Mapping[str, MessageType] = {
     "nav_msgs/msg/Path": MessageType(Role.POSE, _PATH, to_poses=convert_path),
     **foxglove.TYPES,
 }
+
+
+def find_type(channel: Channel) -> MessageType | None:
+    """Find how messages are read, if at all: ROS and Foxglove each write them in two ways."""
+    encodings = {"cdr", "ros1"} if "/" in channel.type else {"json", "protobuf"}
+    return TYPES.get(channel.kind) if channel.encoding in encodings else None
+
+
+def find_oddity(channel: Channel) -> str:
+    """Say what suggests that messages of no known type were meant to be used; "" if nothing does.
+
+    Damage to the name of a type, or of an encoding, leaves a file that is sound otherwise.
+    """
+    kind = channel.type
+    if channel.kind in TYPES:
+        return "which are written in a way that occmap does not know"
+    if not (kind.isascii() and kind.isprintable()):
+        return "which is not the name of a type"
+    names = [*TYPES, *(known.replace("/msg/", "/") for known in TYPES)]  # of ROS 2 and of ROS 1
+    alike = (name for name in names if len(name) == len(kind))
+    meant = (name for name in alike if sum(map(ne, name, kind)) <= _MOST_LETTERS)
+    return next((f"which may be meant to be {name}" for name in meant), "")

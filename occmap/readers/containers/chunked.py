@@ -6,25 +6,35 @@ records that are sound. The libraries of the two formats do neither: mcap stops 
 and rosbags needs an index, which the bags of robots that lost power do not have.
 """
 
+import re
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Collection, Container, Iterator, Sequence
+from collections.abc import Collection, Container, Iterator, Mapping, Sequence
 from dataclasses import replace
+from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
-from typing import BinaryIO, ClassVar, NamedTuple, Self, TypeAlias
+from typing import BinaryIO, ClassVar, NamedTuple, Self, TypeAlias, TypeVar
 
 from occmap.errors import LogError, refuse_unreadable
-from occmap.readers import Note, NoteList, Span, make_part
-from occmap.readers.inflate import Buffer
-from occmap.readers.ros_source import SCAN_ROLES, Channel, RawMessage, add_note
+from occmap.readers import NoteList, Span, make_part
+from occmap.readers.containers.inflate import Buffer
+from occmap.readers.containers.source import Channel, RawMessage
 from occmap.wording import count
+
+T = TypeVar("T")
 
 NEVER_NS = 2**64 - 1
 """A time later than any: the last of a chunk that states none."""
 LONGEST_RECORD = 2**32 - 1
 """Bytes of a record at most; one that states more is damaged."""
 EVERY_ID = range(1 << 32)
+"""All channels that there can be; each number stands for itself."""
+DESCRIPTION, OTHER = -1, -2
+"""Stand for the channel of a record that describes one, and of any other that is no message."""
+_WINDOW = 1 << 20
+_LONGEST_HEAD = 64
+"""Bytes that tell, at most, that a record may begin with them."""
 
 
 class Record(NamedTuple):
@@ -65,6 +75,13 @@ class Block(NamedTuple):
     """How many messages the indexes after the chunk name; 0 where there are none"""
 
 
+Wanted: TypeAlias = Mapping[int, T] | Sequence[T]
+"""Channels by their numbers"""
+Inner: TypeAlias = tuple[int, int, int, int]
+"""A record of a block: the channel of a message, when it was recorded (ns; both mean nothing of
+other records), and where in the block its own bytes begin and end. A plain tuple, since a log has
+tens of thousands."""
+
 Descriptions: TypeAlias = dict[bytes, int]
 """Records that describe channels, each with the position of the chunk where it first lies."""
 
@@ -82,22 +99,18 @@ class ChunkedSource(ABC):
     """The opcodes of those behind which no messages follow"""
     unit: ClassVar[str] = "channel"
     """What the format calls a channel"""
-    find_record: Callable[[BinaryIO, int, int, int], int | None]
-    """Takes a file, an offset, the file's size and where a chunk ends.
-
-    It finds where records go on from the offset on, None where they do not. Before the end of the
-    chunk it passes over the records that a chunk holds.
-    """
+    _cut_at = -1
+    """Where a record begins in the middle of which the file ends"""
+    head: ClassVar[re.Pattern[bytes]]
+    """How a record may begin; it takes no bytes"""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.notes: list[Note] = NoteList()
+        self.notes = NoteList()
         self._has_doubles = False
         """Whether chunks may be there twice"""
         self._chunks: Sequence[int] = ()
         """Where chunks begin, in a file that can be cut between them"""
-        self._cut_at = -1
-        """Where a record begins in the middle of which the file ends"""
         with refuse_unreadable(path), path.open("rb") as file:
             self._size = file.seek(0, 2)
             self._span = Span(len(self.magic), self._size)
@@ -105,7 +118,7 @@ class ChunkedSource(ABC):
         self._by_id = {key: replace(each, count=counts[key]) for key, each in channels.items()}
         self.channels = list(self._by_id.values())
         if lost := sum(messages for key, messages in counts.items() if key not in channels):
-            add_note(self.notes, f"the file names no {self.unit} for {count(lost, 'message')}")
+            self.notes.add_damage(f"the file names no {self.unit} for {count(lost, 'message')}")
         if self.notes and not self.channels:
             found = "; ".join(note.text for note in self.notes[:3])
             raise LogError(f"nothing in it can be read: {found}", where=path)
@@ -116,22 +129,21 @@ class ChunkedSource(ABC):
         descriptions: Descriptions = {}
         with self.path.open("rb") as file:
             for block in self._iterate_blocks(file, by_id):
-                for key, record_ns, data in self._split_block(block, by_id, descriptions):
-                    yield by_id[key], record_ns, data
+                yield from self._split_block(block, by_id, descriptions)
         for key, other in self._describe(descriptions):
             known = self._by_id.get(key, other)
             if known.description != other.description:
                 text = f"{self.unit} {key} is described in two ways: {known.topic}"
-                add_note(self.notes, text)
+                self.notes.add_damage(text)
 
-    def split(self, size: int) -> Sequence[Self]:
-        """Cut the file between chunks; a part has about `size` bytes of chunks that hold scans."""
+    def split(self, size: int, wanted: Collection[Channel]) -> Sequence[Self]:
+        """Cut the file between chunks; only those count that may hold what is wanted."""
         if self.notes or not self._chunks:
             return [self]
-        scans = {key for key, channel in self._by_id.items() if channel.role in SCAN_ROLES}
+        keys = {key for key, channel in self._by_id.items() if channel in wanted}
         cuts, gathered = [self._span.start], 0
         for start, end in pairwise(self._chunks):
-            gathered += end - start if self._may_hold(start, scans) else 0
+            gathered += end - start if self._may_hold(start, keys) else 0
             if gathered >= size:
                 cuts.append(end)
                 gathered = 0
@@ -150,13 +162,15 @@ class ChunkedSource(ABC):
         """Decompress a chunk. The file stands behind it, at what the indexes say of it."""
 
     @abstractmethod
-    def _split_block(
-        self, block: Block, wanted: Container[int], descriptions: Descriptions
-    ) -> Iterator[tuple[int, int, memoryview]]:
-        """Give channel, record time (ns) and bytes of each message of some channels.
+    def _parse_records(self, block: memoryview, at: int) -> Iterator[Inner]:
+        """Give the records of a block from an offset on, up to the first that is damaged.
 
-        The records that describe channels are added to `descriptions`.
+        The last may end beyond the block.
         """
+
+    @abstractmethod
+    def _peek(self, file: BinaryIO, position: int, size: int) -> int:
+        """Find the opcode of a record that surely begins at a position; 0 where none does."""
 
     @abstractmethod
     def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
@@ -177,6 +191,61 @@ class ChunkedSource(ABC):
             channels.setdefault(key, channel)
         return channels, held
 
+    def _split_block(
+        self, block: Block, wanted: Wanted[T], descriptions: Descriptions
+    ) -> Iterator[tuple[T, int, memoryview]]:
+        """Give channel, record time (ns) and bytes of each message of some channels.
+
+        A damaged record ends nothing: the next is looked for. The records that describe channels
+        are added to `descriptions`.
+        """
+        view, size = memoryview(block.records), len(block.records)
+        damaged: list[int] = []
+        held, is_timely = 0, True
+        at, behind = 0, -1
+        while at < size:
+            for key, record_ns, start, end in self._parse_records(view, at):
+                if end > size:
+                    break
+                if key in wanted:
+                    is_timely &= block.first_ns <= record_ns <= block.last_ns
+                    yield wanted[key], record_ns, view[start:end]
+                elif key == DESCRIPTION:
+                    descriptions.setdefault(bytes(view[at:end]), block.position)
+                held += key >= 0
+                # The record's length is not sure before what follows it is seen.
+                behind = at
+                at = end
+            if at < size:
+                damaged.append(at)
+                at = behind = self._find_record(BytesIO(view), behind + 1, size)
+        if damaged:
+            more = f" and in {len(damaged) - 1} more of its places" if len(damaged) > 1 else ""
+            self._note(block.position, f"is damaged at byte {damaged[0]}{more}")
+        self._check_block(block, held, is_timely)
+
+    def _check_block(self, block: Block, held: int, is_timely: bool) -> None:
+        """Compare the messages of a chunk with what the file states of it."""
+        if not is_timely:
+            self._note(block.position, "holds messages from outside the times that it states")
+        if block.indexed not in {0, held}:
+            self._note(block.position, f"holds {held} messages, its index {block.indexed}")
+
+    def _find_record(self, file: BinaryIO, start: int, size: int, chunk_end: int = 0) -> int:
+        """Find where records go on behind damage; the size of the file where they do not.
+
+        Before the end of a chunk, the records that a chunk holds are passed over.
+        """
+        while start < size:
+            file.seek(start)
+            for match in self.head.finditer(file.read(_WINDOW)):
+                at = start + match.start()
+                opcode = self._peek(file, at, size)
+                if opcode and (at >= chunk_end or opcode not in self.plain):
+                    return at
+            start += _WINDOW - _LONGEST_HEAD
+        return size
+
     def _iterate_blocks(self, file: BinaryIO, wanted: Container[int]) -> Iterator[Block]:
         """Give the records that may hold messages of these channels."""
         seen: set[int] = set()
@@ -185,12 +254,12 @@ class ChunkedSource(ABC):
                 yield Block(record.position, record.head + file.read(record.length))
             elif record.opcode == self.chunk and self._may_hold(record.position, wanted):
                 body = file.read(record.length)
-                if self._has_doubles:
-                    if (key := hash(body)) in seen:
-                        self._note(record.position, "is there twice, and is used once")
-                        continue
+                key = hash(body) if self._has_doubles else record.position
+                if key in seen:
+                    self._note(record.position, "is there twice, and is used once")
+                else:
                     seen.add(key)
-                yield self._open_chunk(record, body, file)
+                    yield self._open_chunk(record, body, file)
 
     def _walk(self, file: BinaryIO) -> Iterator[Record]:
         """Give the records of the file one by one, with the file at the record's body."""
@@ -200,11 +269,11 @@ class ChunkedSource(ABC):
             record = self._read_record(file, position)
             is_cut = record is not None and record.end > self._size
             if record is None or (is_cut and not record.is_sure):
-                found = self.find_record(file, behind, self._size, chunk_end)
-                if found is not None:
+                found = self._find_record(file, behind, self._size, chunk_end)
+                if found < self._size:
                     # A record that reaches beyond what is found behind it states a wrong length.
                     at = position if position < found else behind
-                    add_note(self.notes, f"damaged at byte {at}, read on from byte {found}")
+                    self.notes.add_damage(f"damaged at byte {at}, read on from byte {found}")
                     position, behind = found, found + 1
                     continue
             if record is None or is_cut:
@@ -214,11 +283,10 @@ class ChunkedSource(ABC):
                 return
             file.seek(record.start)
             yield record
-            # The record's length is not sure before what follows it is seen.
             position, behind = record.end, record.start
             chunk_end = record.end if record.opcode == self.chunk else 0
         if self.last and position == self._size:
-            add_note(self.notes, f"the file breaks off at byte {position}, where more belongs")
+            self.notes.add_damage(f"the file breaks off at byte {position}, where more belongs")
 
     def _take_rest(self, file: BinaryIO, position: int, record: Record | None) -> Iterator[Record]:
         """Note that the last bytes hold no whole record, and give what there is of a chunk."""
@@ -228,7 +296,7 @@ class ChunkedSource(ABC):
             there = f"{left:,} of its {record.end - position:,} bytes are there"
             text = f"the file ends in the middle of the record at byte {position}: {there}"
             self._cut_at = position
-        add_note(self.notes, text)
+        self.notes.add_damage(text)
         if record is not None and record.opcode == self.chunk and record.start < self._size:
             file.seek(record.start)
             yield record._replace(length=self._size - record.start)
@@ -236,4 +304,4 @@ class ChunkedSource(ABC):
     def _note(self, position: int, problem: str) -> None:
         """Note what is wrong with a chunk, unless it is clear since the file ends within it."""
         if position != self._cut_at:
-            add_note(self.notes, f"the chunk at byte {position} {problem}")
+            self.notes.add_damage(f"the chunk at byte {position} {problem}")

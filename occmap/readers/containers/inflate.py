@@ -88,12 +88,12 @@ def unzip_file(path: Path, target: Path) -> str:
             size = zstandard.frame_content_size(file.read(_STEP))
             file.seek(0)
             stream = zstandard.ZstdDecompressor().stream_reader(file)
-            while piece := stream.read(_LARGEST_READ):
+            while out.tell() <= limit and (piece := stream.read(_LARGEST_READ)):
                 out.write(piece)
-                if out.tell() > limit:
-                    return f"grows more than {MAX_RATIO}-fold, and is read to byte {out.tell()}"
         except zstandard.ZstdError:
             return f"is damaged: {out.tell()} bytes come out of zstd"
+        if out.tell() > limit:
+            return f"grows more than {MAX_RATIO}-fold, and is read to byte {out.tell()}"
         if size in {out.tell(), _UNKNOWN_SIZE}:
             return ""
         return f"is cut: {out.tell()} of its {size} bytes come out of zstd"

@@ -7,33 +7,16 @@ damaged, and every other error in a converter is a fault of occmap's.
 
 from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from occmap.arrays import Float64, UInt8
 from occmap.errors import DamageError
-from occmap.readers import Role
-from occmap.readers.options import ReaderOptions
-from occmap.types import PoseSample, Scan
 from occmap.values import as_number, as_stamp, as_text, shorten
-
-ToScan: TypeAlias = Callable[[ReaderOptions, Any, str, int], Scan]
-"""From what the user chose, a decoded message, its topic and its record time in ns."""
-ToPoses: TypeAlias = Callable[[Any, str, int], list[PoseSample]]
 
 Shape: TypeAlias = "Mapping[str, Shape] | list[Shape] | Callable[[Any], Any]"
 """The fields of a message, a list of messages, or what brings a value to its type."""
-
-
-class MessageType(NamedTuple):
-    """What messages of a type are for, and what reads them."""
-
-    role: Role
-    shape: Shape
-    """The fields that are read, for logs that define the type in another way than ROS does"""
-    to_scan: ToScan | None = None
-    to_poses: ToPoses | None = None
 
 
 VECTOR: Shape = {"x": as_number, "y": as_number, "z": as_number}
@@ -97,14 +80,3 @@ def as_bytes(values: Any) -> UInt8:
     if not isinstance(values, np.ndarray) or values.dtype.itemsize != 1:
         raise DamageError("holds something else where bytes belong")
     return values.view(np.uint8)
-
-
-def read_stamp(header: Any) -> int:
-    """Read a header's stamp, in ns."""
-    stamp_ns: int = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
-    return stamp_ns
-
-
-def read_frame(name: str) -> str:
-    """Read a frame's name; old logs write `/laser` in one place and `laser` in another."""
-    return name.lstrip("/")

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occmap.arrays import Bool, Int64, UInt8
-from occmap.readers.ros_decode import FromBytes
+from occmap.readers.decoding.messages import FromBytes
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
 Stacked: TypeAlias = tuple[bytes, int]

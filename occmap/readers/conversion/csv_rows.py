@@ -18,8 +18,9 @@ import numpy as np
 
 from occmap.arrays import Float32, Float64
 from occmap.errors import LogError
+from occmap.readers.containers.text import Line
+from occmap.readers.conversion.planar import make_planar, stack_planar
 from occmap.readers.kernels import ANY, NANOSECONDS, NUMBER, RANGE, SAME, SECONDS
-from occmap.readers.text import Line, make_planar, round_limit, stack_planar
 from occmap.readers.text_log import Pattern, Table
 from occmap.types import Scan, ScanRun
 from occmap.values import as_float32, parse_nanoseconds, parse_seconds, shorten
@@ -30,6 +31,7 @@ REQUIRED = ("stamp", "angle_min", "angle_increment")
 DEFAULTS = {"range_min": "0", "range_max": "inf", "time_increment": "0", "frame": "laser"}
 FINITE = ("angle_min", "angle_increment", "time_increment")
 LIMITS = ("range_min", "range_max")
+NUMBERS = (*FINITE, *LIMITS)
 MEASURED = frozenset(("time_increment", *POSE_NAMES))
 """Numbers that differ between the scans of one laser, as stamps and ranges do."""
 NAMES = frozenset((*REQUIRED, *DEFAULTS, *POSE_NAMES))
@@ -42,10 +44,7 @@ _ROSTOPIC_BEAM = re.compile(r"field\.ranges(\d+)")
 _ROSTOPIC_NAMES = {
     "field.header.stamp": "stamp",
     "field.header.frame_id": "frame",
-    **{
-        f"field.{name}": name
-        for name in ("angle_min", "angle_increment", "range_min", "range_max", "time_increment")
-    },
+    **{f"field.{name}": name for name in NUMBERS},
 }
 
 
@@ -74,20 +73,18 @@ class Layout:
             stamp_ns = self.parse_stamp(texts["stamp"])
         except ValueError as error:
             raise ValueError(f"stamp: {error}") from None
-
-        def read(name: str) -> float:
-            return read_number(name, texts[name])
-
+        number = {name: read_number(name, texts[name]) for name in NUMBERS}
         place = (read_number(name, texts[name].strip() or "nan") for name in POSE_NAMES)
         return Scan(
             stamp_ns=stamp_ns,
             frame=texts["frame"].strip().lstrip("/"),
-            angle_min=read("angle_min"),
-            angle_increment=read("angle_increment"),
+            angle_min=number["angle_min"],
+            angle_increment=number["angle_increment"],
             ranges=_read_beams([cells[at] for at in self.beams]),
-            range_min=round_limit(read("range_min")),
-            range_max=round_limit(read("range_max")),
-            time_increment=read("time_increment"),
+            # Rounded as the ranges are, so that a range at the limit compares as equal.
+            range_min=float(as_float32(number["range_min"])),
+            range_max=float(as_float32(number["range_max"])),
+            time_increment=number["time_increment"],
             pose=make_planar(*place) if "x" in texts else None,
             topic=TOPIC,
             record_ns=stamp_ns,

@@ -19,9 +19,8 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from rosbags.typesys.store import Typestore
 
 from occmap.errors import DamageError, LogError
-from occmap.readers.messages import TYPES, normalise_type
-from occmap.readers.ros_source import Channel
-from occmap.readers.shapes import take
+from occmap.readers.containers.source import Channel, normalise_type
+from occmap.readers.decoding.shapes import Shape, take
 
 T = TypeVar("T")
 FromBytes: TypeAlias = Callable[[memoryview, int], T]
@@ -69,7 +68,7 @@ types, which takes a build 5 to 8% of its time, that a log defines one as ROS do
 
 
 def make_reader(
-    channel: Channel, convert: Callable[[Any, str, int], T]
+    channel: Channel, shape: Shape, convert: Callable[[Any, str, int], T]
 ) -> tuple[FromBytes[T], bool]:
     """Build the function that reads a channel's messages: decodes and converts them.
 
@@ -77,6 +76,8 @@ def make_reader(
 
     Parameters
     ----------
+    shape
+        The fields that `convert` reads.
     convert
         Takes a decoded message, its topic and its record time in ns.
 
@@ -103,7 +104,6 @@ def make_reader(
     if is_standard:
         is_plain = kind in _PLAIN_TYPES
         return lambda data, record_ns: convert(decode(data), topic, record_ns), is_plain
-    shape = TYPES[kind].shape
     return lambda data, record_ns: convert(take(decode(data), shape), topic, record_ns), False
 
 

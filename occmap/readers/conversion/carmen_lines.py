@@ -28,8 +28,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from occmap.arrays import Float64
+from occmap.readers.containers.text import Line
+from occmap.readers.conversion.planar import make_planar, stack_planar
 from occmap.readers.kernels import ANY, NUMBER, RANGE, SAME, SECONDS
-from occmap.readers.text import Line, make_planar, round_limit, stack_planar
 from occmap.readers.text_log import Pattern, Table
 from occmap.types import UNKNOWN_POSE, Pose, PoseSample, Scan, ScanRun
 from occmap.values import as_float32, parse_seconds, shorten
@@ -208,7 +209,7 @@ def _make_scan(message: _Message) -> Scan:
         _, angle_min, _, increment, maximum, *_ = values[:7].tolist()
         if not math.isfinite(angle_min + increment):
             raise ValueError("start_angle or resolution is not finite")
-        range_max = round_limit(maximum) if maximum > 0 else math.inf
+        range_max = float(as_float32(maximum)) if maximum > 0 else math.inf
     return Scan(
         stamp_ns=message.stamp_ns,
         frame=FRAMES[word],

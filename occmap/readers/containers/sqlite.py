@@ -14,9 +14,9 @@ from pathlib import Path
 import apsw
 
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList, make_part
-from occmap.readers.ros_source import Channel, RawMessage, add_note
-from occmap.readers.sqlite_pages import Row, find_rows
+from occmap.readers import NoteList, make_part
+from occmap.readers.containers.source import Channel, RawMessage
+from occmap.readers.containers.sqlite_pages import Row, find_rows
 from occmap.wording import count
 
 _ERRORS = (apsw.Error, UnicodeDecodeError)
@@ -38,7 +38,7 @@ class SqliteSource:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.notes: list[Note] = NoteList()
+        self.notes = NoteList()
         self._log = path.with_name(path.name + "-wal")
         # A recorder that died leaves its last rows in a log beside the file.
         self._has_log = self._log.is_file() and self._log.stat().st_size > 0
@@ -58,7 +58,7 @@ class SqliteSource:
         self._by_id = {key: replace(item, count=counts[key]) for key, item in topics.items()}
         self.channels = list(self._by_id.values())
         if lost := counts.total() - sum(channel.count for channel in self.channels):
-            add_note(self.notes, f"the file names no topic for {count(lost, 'message')}")
+            self.notes.add_damage(f"the file names no topic for {count(lost, 'message')}")
 
     def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some topics, in the order in which they were written."""
@@ -68,7 +68,7 @@ class SqliteSource:
                 if topic in by_id and data is not None:
                     yield by_id[topic], record_ns, memoryview(data)
 
-    def split(self, size: int) -> Sequence["SqliteSource"]:
+    def split(self, size: int, _wanted: Collection[Channel]) -> Sequence["SqliteSource"]:
         """Cut the rows into runs of equally many ids, which have about `size` bytes on average."""
         if self.notes or self._has_log:
             return [self]
@@ -96,7 +96,7 @@ class SqliteSource:
                     last = row[0]
                 return
             except _ERRORS as error:
-                add_note(self.notes, f"the storage file is damaged ({error})")
+                self.notes.add_damage(f"the storage file is damaged ({error})")
         yield from find_rows(self.path, last)
 
     def _count_messages(self, database: apsw.Connection, topics: Collection[int]) -> Counter[int]:
@@ -118,7 +118,9 @@ class SqliteSource:
         self._is_sound = self._has_log  # the rows in a log lie on no page of the file
         counts = Counter(topic for _, topic, _, _ in self._read_rows(database, topics))
         share = f"{counts.total()} of {announced}" if announced else f"{counts.total()}"
-        add_note(self.notes, f"the storage file is damaged ({problem}): {share} messages are found")
+        self.notes.add_damage(
+            f"the storage file is damaged ({problem}): {share} messages are found"
+        )
         return counts
 
     def _note_state(self, database: apsw.Connection) -> None:
@@ -129,13 +131,13 @@ class SqliteSource:
             size = file.seek(0, 2)
         if size < page * pages and not self._has_log:
             text = f"the storage file is cut: {size} of its {page * pages} bytes are there"
-            add_note(self.notes, text)
+            self.notes.add_damage(text)
         if self._has_log and (lost := self._count_lost_pages(database, page)):
             text = f"{self._log.name} is cut or damaged: its last {lost} pages are not read"
-            add_note(self.notes, text)
+            self.notes.add_damage(text)
         journal = self.path.with_name(self.path.name + "-journal")
         if journal.is_file() and journal.stat().st_size:
-            add_note(self.notes, f"the recorder died while it wrote: {journal.name} is not used")
+            self.notes.add_damage(f"the recorder died while it wrote: {journal.name} is not used")
 
     def _count_lost_pages(self, database: apsw.Connection, page: int) -> int:
         """Count the pages in the write-ahead log that lie behind its last whole transaction."""
@@ -193,11 +195,11 @@ def _read_topics(database: apsw.Connection) -> dict[int, Channel]:
     with suppress(apsw.SQLError):
         rows = _read_texts(database, "message_definitions", columns)
         definitions = {kind: text for kind, form, text in rows if form == "ros2msg"}
-    topics = {}
     fields = ("name", "type", "serialization_format", "ifnull(CAST(id AS INTEGER), -1)")
-    for name, kind, encoding, key in _read_texts(database, "topics", fields):
-        topics[int(key)] = Channel(name, kind, encoding, definitions.get(kind, ""))
-    return topics
+    return {
+        int(key): Channel(name, kind, encoding, definitions.get(kind, ""))
+        for name, kind, encoding, key in _read_texts(database, "topics", fields)
+    }
 
 
 def _read_texts(

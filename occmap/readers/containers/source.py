@@ -1,0 +1,66 @@
+"""What every container of ROS messages gives: channels, and the raw messages of some of them."""
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, TypeAlias
+
+from occmap.readers import NoteList
+
+
+def normalise_type(name: str) -> str:
+    """Bring a message type to its ROS 2 form: `tf/tfMessage` becomes `tf/msg/tfMessage`."""
+    package, slash, base = name.rpartition("/")
+    return f"{package}/msg/{base}" if slash and not package.endswith("/msg") else name
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Channel:
+    """One publisher's messages on a topic. Compared by identity: two may look alike."""
+
+    topic: str
+    type: str
+    """As recorded, in ROS 1 or ROS 2 form."""
+    encoding: str
+    """How messages are written as bytes; occmap reads cdr, ros1, json and protobuf."""
+    definition: str = ""
+    """The text of the message type and those it is made of, where the log holds it as ROS writes
+    it; one in IDL is made by ROS of its own types, and these are read by what ROS has."""
+    count: int = 0
+    """Messages in the log."""
+    descriptors: bytes = b""
+    """The protobuf FileDescriptorSet of the type, where `encoding` is "protobuf"."""
+
+    @property
+    def description(self) -> tuple[str, str, str, str, bytes]:
+        """The fields that must be equal where a log describes a channel twice."""
+        return self.topic, self.type, self.encoding, self.definition, self.descriptors
+
+    @property
+    def kind(self) -> str:
+        """The type in its ROS 2 form."""
+        return normalise_type(self.type)
+
+
+RawMessage: TypeAlias = tuple[Channel, int, memoryview]
+"""A message as it lies in a log: its channel, when it was recorded (ns), and its bytes."""
+
+
+class Source(Protocol):
+    """A container of ROS messages."""
+
+    path: Path
+    notes: NoteList
+
+    @property
+    def channels(self) -> Sequence[Channel]:
+        """Every channel, also those that no map needs."""
+
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+        """Give the messages of some channels, in file order."""
+
+    def split(self, size: int, wanted: Collection[Channel]) -> Sequence["Source"]:
+        """Cut it into parts of about `size` bytes, as `occmap.readers.Splittable` says.
+
+        Where it is known which bytes hold messages of the channels that are wanted, these count.
+        """

@@ -1,0 +1,1 @@
+"""The bytes of messages as values, by the definition of their type."""
