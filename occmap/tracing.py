@@ -5,6 +5,8 @@ from typing import NamedTuple
 
 from occmap.batching import FROM_THE_START, Batcher, Seam
 from occmap.errors import MapError, MountError
+from occmap.grid.lattice import Lattice
+from occmap.grid.tiles import Reach
 from occmap.mounts import name_mount
 from occmap.opening import choose_topics, make_poser
 from occmap.options import BuildOptions
@@ -92,27 +94,29 @@ def trace(
         Learn from the scans, and count them; the notes of the poser grow as well.
     """
     batcher = Batcher(options.selection, options.posing.stamps, limits, drive.seam)
+    reach = Reach(Lattice(options.resolution), options.max_cells)
 
     def work(rays: Rays) -> None:
         with tally.time("trace"):
-            try:
-                add_rays(rays)
-            except MapError as error:
-                raise error.placed(drive.log.path) from None
+            add_rays(rays)
 
-    with Workers(work, options.jobs) as workers:
-        batches = tally.time_each("read", batcher.stack(read_scans(drive.log, drive.topics)))
-        # Here, not in a worker: each of many short NumPy calls would wait for the GIL.
-        for attached in tally.time_each("pose", drive.poser.attach(batches)):
-            tally.drop(attached.dropped)
-            if tally.recorder:
-                tally.recorder.follow(drive.log.path, drive.poser.fixed, attached)
-            if attached.posed is not None:
-                with tally.time("interpret"):
-                    rays, beams = interpret(attached.posed, options.returns)
-                tally.use(len(rays.kind), beams)
-                (workers.give if rays.kind.size >= HANDED_BEAMS else work)(rays)
-            tally.advance(len(attached.batch.stamp_ns))
+    try:
+        with Workers(work, options.jobs) as workers:
+            batches = tally.time_each("read", batcher.stack(read_scans(drive.log, drive.topics)))
+            # Here, not in a worker: each of many short NumPy calls would wait for the GIL.
+            for attached in tally.time_each("pose", drive.poser.attach(batches)):
+                tally.drop(attached.dropped)
+                if tally.recorder:
+                    tally.recorder.follow(drive.log.path, drive.poser.fixed, attached)
+                if attached.posed is not None:
+                    with tally.time("interpret"):
+                        rays, beams = interpret(attached.posed, options.returns)
+                    tally.use(len(rays.kind), beams)
+                    reach.stretch(rays)
+                    (workers.give if rays.kind.size >= HANDED_BEAMS else work)(rays)
+                tally.advance(len(attached.batch.stamp_ns))
+    except MapError as error:
+        raise error.placed(drive.log.path) from None
     tally.frames[str(drive.log.path)] = drive.poser.fixed
     tally.lasers = max(tally.lasers, len(drive.topics))
     tally.scans_read += batcher.read

@@ -417,6 +417,16 @@ class Rays(NamedTuple):
             stamp_ns=self.stamp_ns[scans],
         )
 
+    def thin(self, every: int) -> Self:
+        """Select every n-th beam of each scan."""
+        return self._replace(
+            origin=self.origin[:, ::every],
+            turn=self.turn[:, ::every],
+            bearing=self.bearing[:, ::every],
+            distance=self.distance[:, ::every],
+            kind=self.kind[:, ::every],
+        )
+
     @property
     def direction(self) -> Float64:
         """(S, B, 2): of length 1, or less where a tilted beam is projected down."""

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import takewhile
 from typing import Generic, Self, TypeVar
 
 Item = TypeVar("Item")
@@ -20,7 +21,7 @@ class Workers(Generic[Item]):
 
     Where two items for each thread are waiting, the giver works on the next one itself. So a fast
     reader does not fill the memory, and never more than `jobs` threads compete for cores and their
-    caches. The first error of any thread is raised where items are given.
+    caches. Of all errors that of the earliest item is raised, whichever thread was faster.
     """
 
     def __init__(self, work: Callable[[Item], None], jobs: int) -> None:
@@ -31,10 +32,11 @@ class Workers(Generic[Item]):
 
     def give(self, item: Item) -> None:
         """Work on an item now or soon."""
-        for future in [future for future in self._given if future.done()]:
-            del self._given[future]
+        for future in takewhile(Future.done, list(self._given)):
             future.result()
-        if self._pool is None or len(self._given) >= self._most_waiting:
+            del self._given[future]
+        waiting = sum(not future.done() for future in self._given)
+        if self._pool is None or waiting >= self._most_waiting:
             self._work(item)
         else:
             self._given[self._pool.submit(self._work, item)] = item
@@ -43,15 +45,19 @@ class Workers(Generic[Item]):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Finish all work, or drop what has not begun if there was an error."""
+        """Finish all work, also after an error: an earlier item may fail, too."""
         if self._pool is None:
             return
         try:
             # What no thread has begun is done here, last things first.
-            for future, item in reversed(self._given.items()) if kind is None else ():
+            for future, item in reversed(list(self._given.items())) if kind is None else ():
                 if future.cancel():
+                    del self._given[future]
                     self._work(item)
-                else:
-                    future.result()
         finally:
-            self._pool.shutdown(cancel_futures=True)
+            try:
+                if kind is None or issubclass(kind, Exception):
+                    for future in self._given:
+                        future.result()
+            finally:
+                self._pool.shutdown(cancel_futures=True)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import occmap
+from occmap import batching
 from occmap.batching import Selection
 from occmap.cells import OccupancyMap
 from occmap.errors import LogError, MapError, OccmapError, OutputError, PoseError, UsageError
@@ -107,6 +108,23 @@ def test_a_wild_range_is_refused_at_once(tmp_path: Path, update: Update) -> None
     log = write_csv(tmp_path / "log.csv", STILL * 3, [1e5, 1e5], 0.1)
     with pytest.raises(MapError, match=r"cells, more than `max_cells=1000000000`; .*`max_range`"):
         build([log], BuildOptions(update=update, jobs=1))
+
+
+def test_a_large_map_is_refused_in_the_same_words_with_any_number_of_threads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(batching, "BATCH_BEAMS", 4096)
+    far = [(10.0 * scan, 10.0 * scan, 0.0) for scan in range(40)]
+    log = write_csv(tmp_path / "log.csv", far, [5.0] * 2048, math.tau / 2048)
+    pairs = choose(Selection(start_s=0))  # so that each batch is made of two scans
+    said = set()
+    for jobs in (1, 2, 4):
+        with pytest.raises(MapError) as caught:
+            build([log], replace(pairs, jobs=jobs, max_cells=10**6))
+        said.add(str(caught.value))
+    (sentence,) = said
+    assert "the map would reach from (-5, -5) to (" in sentence
+    assert "to (395" not in sentence  # it is refused before the last scan, at (390, 390)
 
 
 def test_without_the_wild_scan_the_map_is_made(tmp_path: Path) -> None:

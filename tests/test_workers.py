@@ -71,6 +71,26 @@ def test_an_error_of_any_thread_is_raised(jobs: int) -> None:
         give_all()
 
 
+@pytest.mark.parametrize("failing", [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]])
+def test_the_error_of_the_earliest_item_is_raised(failing: list[int]) -> None:
+    later_failed = Event()
+
+    def work(item: int) -> None:
+        if item == failing[0]:
+            later_failed.wait(0.2)  # in vain where one thread works on both
+        if item in failing:
+            later_failed.set()
+            raise ValueError(item)
+
+    def give_all() -> None:
+        with Workers(work, jobs=2) as workers:
+            for item in range(4):
+                workers.give(item)
+
+    with pytest.raises(ValueError, match=str(failing[0])):
+        give_all()
+
+
 def test_after_an_error_of_the_giver_nothing_more_is_begun(monkeypatch: pytest.MonkeyPatch) -> None:
     free, begun = Event(), Event()
     done: list[int] = []

@@ -20,6 +20,9 @@ from occmap.grid.kernels.units import CELL_SHIFT, UNITS_PER_CELL
 MOST_CELLS_OF_BEAM = 1 << 22
 """The longest beam (cells): an int32 holds its end, with the sensor half as far from the anchor."""
 
+FARTHEST_UNIT = 1 << 52
+"""Beyond this a float cannot tell lattice units apart."""
+
 
 class CellBox(NamedTuple):
     """A rectangle of cells; the ends are not part of it."""

@@ -5,12 +5,9 @@ import numpy as np
 from occmap.errors import MapError
 from occmap.grid.kernels.projection import Beams, link_neighbours, project_ends
 from occmap.grid.kernels.units import CELL_SHIFT, NO_LENGTH
-from occmap.grid.lattice import CellBox, refuse_long
+from occmap.grid.lattice import FARTHEST_UNIT, CellBox, refuse_long
 from occmap.grid.spec import GridSpec
 from occmap.types import Kind, Rays, Update
-
-FARTHEST_UNIT = 1 << 52
-"""Beyond this a float cannot tell lattice units apart."""
 
 
 def prepare(rays: Rays, spec: GridSpec) -> Rays:

@@ -13,11 +13,13 @@ from occmap.grid.tiles import (
     LOG_ODDS_UNIT,
     TILE,
     EvidenceKind,
+    Reach,
     TileGrid,
     add_stack,
     refuse_large,
 )
 from occmap.sensor.models import CountingModel
+from occmap.types import Kind, Rays
 from tests.grid.scans import add_cell, read_cells
 
 HITS, MISSES = 2, 1
@@ -162,3 +164,17 @@ def test_a_map_with_a_wild_pose_is_refused_before_it_takes_memory() -> None:
     add_cell(grid, 2 * 10**8, 2 * 10**8, 1, 0)
     with pytest.raises(MapError, match=r"to \(1e\+07, 1e\+07\) m"):
         render(grid, CountingModel(), 10**9)
+
+
+def test_the_ends_of_hits_say_how_large_a_map_is_at_least() -> None:
+    """Hits in cells (0, 2) and (300, 302): 301 x 301 cells, or some fewer, as hits are rounded."""
+    origin = np.array([[[0.5, 0.5]], [[300.5, 300.5]]])
+    ahead = np.tile([1.0, 0.0], (2, 1, 1))
+    kind = np.full((2, 1), Kind.HIT, np.uint8)
+    distance = np.full((2, 1), 2.0, np.float32)
+    rays = Rays.along(origin, ahead, distance, kind, np.zeros(2, np.int64), full_circle=False)
+    Reach(Lattice(1.0), max_cells=301 * 301 - 1).stretch(rays)
+    reach = Reach(Lattice(1.0), max_cells=160 * 160)
+    reach.stretch(rays.take(slice(0, 1)))
+    with pytest.raises(MapError, match=r"from \(2, 0\) to \(303, 301\) m: 301 x 301 cells"):
+        reach.stretch(rays.take(slice(1, 2)))
