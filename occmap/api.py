@@ -9,7 +9,7 @@ from occmap import difference, inspection, pictures, tuning
 from occmap.errors import UsageError
 from occmap.evidence import merging, publishing
 from occmap.inputs import find_inputs
-from occmap.keywords import list_options, read_option, read_options
+from occmap.keywords import list_options, read_each, read_option, read_options
 from occmap.maps import Map
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.pipeline import build, list_inputs
@@ -112,7 +112,7 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
         the map would be too large, or an output cannot be written.
     """
     chosen = read_build(options)
-    files = list_paths([outputs] if isinstance(outputs, AnyPath) else outputs)
+    files = read_each("outputs", Path, [outputs] if isinstance(outputs, AnyPath) else outputs)
     others = [*files, Path(chosen.posing.poses or "")]
     paths, notes = find_inputs(list_logs(logs, "build_map"), chosen.reading, others)
     made = build(paths, chosen, files)
@@ -174,8 +174,8 @@ def compare(
     paths, common = read_request(logs, options, "compare")
     hints = list_options(BuildOptions)
     variants = combine(
-        [read_option("update", hints["update"], each) for each in updates],
-        [read_option("model", hints["model"], each) for each in models],
+        read_each("updates", hints["update"], updates),
+        read_each("models", hints["model"], models),
     )
     drawn = read_option("picture", Path | None, picture)
     return pictures.compare_logs(paths, variants, common, drawn)
@@ -223,7 +223,7 @@ def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> 
     """
     if not paths:
         raise UsageError("no evidence is given", fix='try merge("a.npz", "b.npz")')
-    added, taken = list_paths(paths), list_paths(subtract)
+    added, taken = list_paths(paths), read_each("subtract", Path, subtract)
     chosen = read_options(publishing.RenderOptions, options, "merge")
     made = publishing.render_kept(read_all(merging.combine(added, taken)), chosen)
     return Map.of(made, chosen.writing, [*added, *taken])
@@ -254,7 +254,7 @@ def diff(
     OccmapError
         A map cannot be read, they do not lie on one lattice, or the picture cannot be written.
     """
-    one, other = list_paths([before, after])
+    one, other = read_option("before", Path, before), read_option("after", Path, after)
     chosen = read_options(WriteOptions, thresholds, "diff")
     drawn = read_option("picture", Path | None, picture)
     return pictures.compare_files(one, other, chosen, drawn)
@@ -265,10 +265,10 @@ def read_log(path: AnyPath) -> Log:
 
     Raises
     ------
-    LogError
-        The path cannot be read, or no reader knows what it is.
+    LogError, UsageError
+        The path cannot be read, or no reader knows what it is; or it is no path.
     """
-    return open_log(Path(path))
+    return open_log(read_option("path", Path, path))
 
 
 def read_build(options: Mapping[str, Any], call: str = "build_map") -> BuildOptions:
@@ -282,8 +282,11 @@ def read_build(options: Mapping[str, Any], call: str = "build_map") -> BuildOpti
     hints = list_options(BuildOptions)
     given = dict(options)
     if given.get("model") is None:
-        update = given.get("update") or DEFAULT_UPDATE
-        given["model"] = choose_model(read_option("update", hints["update"], update))
+        update = given.get("update")
+        wanted = (
+            DEFAULT_UPDATE if update is None else read_option("update", hints["update"], update)
+        )
+        given["model"] = choose_model(wanted)
     return read_options(BuildOptions, given, call)
 
 
@@ -312,11 +315,10 @@ def list_logs(logs: Sequence[AnyPath], call: str) -> list[Path]:
     return list_paths(logs)
 
 
-def list_paths(paths: Iterable[AnyPath]) -> list[Path]:
+def list_paths(paths: Sequence[AnyPath]) -> list[Path]:
     """Make paths of what a caller gave; raises UsageError where one of them is not a path."""
-    found = list(paths)
-    for path in found:
+    for path in paths:
         if not isinstance(path, AnyPath):
             fix = "give text or a Path; the paths of a list are given with a star: build_map(*logs)"
             raise UsageError(f"{path!r} is not a path", fix=fix)
-    return list(map(Path, found))
+    return read_each("path", Path, paths)

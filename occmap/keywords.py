@@ -109,7 +109,8 @@ def read_option(name: str, hint: Any, value: Any) -> Any:
     hint = drop_none(hint)
     if isinstance(hint, EnumType):
         kind = cast(type[StrEnum], hint)
-        if value not in (known := [member.value for member in kind]):
+        known = [member.value for member in kind]
+        if not isinstance(value, str) or value not in known:
             fix = suggest(str(value), known, "help(occmap.build_map)")
             raise UsageError(f"{name} is {value!r}", fix=fix)
         return kind(value)
@@ -119,11 +120,26 @@ def read_option(name: str, hint: Any, value: Any) -> Any:
         return tuple(map(read, value)) if has_several else read(value)
     except UsageError as error:
         raise error.placed(f"{name} = {value!r}") from None
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         if has_several:
             form = "a list of " + re.sub("such as (.*)", r"such as [\1]", form)
         fix = f"give {form}{NONE_MEANS.get(name, '')}"
         raise UsageError(f"{name} is {value!r}", fix=fix) from None
+
+
+def read_each(name: str, hint: Any, values: Any) -> list[Any]:
+    """Convert each value of a list that a caller gave.
+
+    Raises
+    ------
+    UsageError
+        It is no list, or a value is not of that type.
+    """
+    try:
+        listed: Any = None if isinstance(values, str | bytes) else values
+        return [read_option(name, hint, value) for value in listed]
+    except TypeError:
+        raise UsageError(f"{name} is {values!r}", fix="give a list") from None
 
 
 def find_form(name: str, hint: Any) -> tuple[Callable[[Any], Any], str]:
@@ -153,6 +169,14 @@ def _read_numbers(value: Iterable[Any], *sizes: int) -> tuple[float, ...]:
     return numbers
 
 
+def _read_text(value: Any) -> str:
+    """Make text of text or a path; refuse what can be no name of a file, topic or frame."""
+    text = os.fspath(value)
+    if not isinstance(text, str) or b"\0" in os.fsencode(text):
+        raise TypeError
+    return text
+
+
 def _read_pose(value: Any) -> Pose:
     """Make a pose of (x, y, yaw) or (x, y, yaw, roll, pitch), in metres and radians."""
     if isinstance(value, Pose):
@@ -177,7 +201,7 @@ def _read_transform(value: Any) -> PoseSample:
         raise UsageError("a frame has no name")
     _refuse_degrees((roll, pitch, yaw))
     pose = Pose.from_xyzrpy((x, y, z), (roll, pitch, yaw))
-    return PoseSample(0, os.fspath(parent), os.fspath(child), pose, static=True)
+    return PoseSample(0, _read_text(parent), _read_text(child), pose, static=True)
 
 
 def _read_sector(value: Any) -> tuple[float, ...]:
@@ -192,7 +216,7 @@ def _read_box(value: Any) -> tuple[float, ...]:
 
 
 def _read_topics(value: Any) -> tuple[str, ...]:
-    return tuple(map(os.fspath, [value] if isinstance(value, str) else value))
+    return tuple(map(_read_text, [value] if isinstance(value, str) else value))
 
 
 def _read_model(value: Any) -> SensorModel:
@@ -206,8 +230,8 @@ def _read_model(value: Any) -> SensorModel:
 FORMS: dict[Any, tuple[Callable[[Any], Any], str]] = {
     float: (_read_number, "a number"),
     int: (operator.index, "a whole number"),
-    str: (os.fspath, "text"),
-    Path: (Path, "a path"),
+    str: (_read_text, "text"),
+    Path: (lambda value: Path(_read_text(value)), "a path"),
     Pose: (
         _read_pose,
         "(x, y, yaw) or (x, y, yaw, roll, pitch) in metres and radians, such as (0.1, 0, 3.14159)",

@@ -12,6 +12,7 @@ from occmap.cells import Evidence, OccupancyMap
 from occmap.errors import UsageError
 from occmap.grid.lattice import CellBox
 from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
+from occmap.keywords import read_option
 from occmap.report import Build, Report
 from occmap.writers import Product, WriteOptions
 from occmap.writers.outputs import check_outputs, write_outputs
@@ -76,7 +77,7 @@ class Map(OccupancyMap):
             No writer has that suffix, the path is an input of the map, the evidence was not kept
             (.npz), or the file cannot be written.
         """
-        outputs = [Path(path)]
+        outputs = [read_option("path", Path, path)]
         check_outputs(outputs, self.inputs)
         product = Product(self, self._take_evidence, report=self.report)
         return tuple(map(Path, write_outputs(outputs, product, self.writing)))

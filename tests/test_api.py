@@ -9,6 +9,7 @@ import pickle
 import re
 from dataclasses import fields
 from enum import EnumType, StrEnum
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -227,6 +228,36 @@ def test_paths_are_given_one_by_one(call: Any) -> None:
         call()
     with pytest.raises(UsageError, match=r"\['a.bag'\] is not a path; .* build_map\(\*logs\)"):
         call(["a.bag"])
+
+
+@pytest.mark.parametrize(
+    ("call", "name", "value"),
+    [
+        *((occmap.build_map, "outputs", value) for value in (3, None, ["a\0.pgm"])),
+        *((occmap.build_map, name, np.zeros(3)) for name in ("update", "mode", "echo")),
+        (occmap.build_map, "max_range", 10**400),
+        (occmap.build_map, "poses", "a\0"),
+        (occmap.build_map, "map_frame", b"map"),
+        (occmap.compare, "updates", "beam"),
+        (occmap.compare, "models", 3),
+        (occmap.compare, "picture", 3),
+        (occmap.merge, "subtract", "b.npz"),
+        (partial(occmap.diff, "a.pgm"), "picture", b"c.png"),
+    ],
+)
+def test_a_value_of_a_wrong_type_is_named(call: Any, name: str, value: Any) -> None:
+    with pytest.raises(UsageError, match=rf"^{name} is .*; "):
+        call(DRIVE, **{name: value})
+
+
+@pytest.mark.parametrize("path", [3, b"a", "a\0", "\ud800"])
+def test_what_is_no_path_is_refused(path: Any) -> None:
+    with pytest.raises(UsageError, match=r"is not a path|path is .*; give a path"):
+        occmap.check(path)
+    with pytest.raises(UsageError, match=r"^path is .*; give a path"):
+        occmap.read_log(path)
+    with pytest.raises(UsageError, match=r"^before is .*; give a path"):
+        occmap.diff(path, "a.pgm")
 
 
 UNITS = {
@@ -476,9 +507,9 @@ def test_compare_gives_what_the_command_prints(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"updates": ["beem"]}, "update is 'beem'; did you mean 'beam'?"),
-        ({"updates": [None]}, "update is None; there are beam, polygon, surface"),
-        ({"models": [None]}, "model is None; give text such as"),
+        ({"updates": ["beem"]}, "updates is 'beem'; did you mean 'beam'?"),
+        ({"updates": [None]}, "updates is None; there are beam, polygon, surface"),
+        ({"models": [None]}, "models is None; give text such as"),
         ({"models": ["smiple"]}, "no model is called 'smiple'"),
         ({"strid": 2}, "compare has no option 'strid'; did you mean 'stride'?"),
     ],
