@@ -1,6 +1,7 @@
 """How kernels are compiled: once, kept on disk where possible, and run without the GIL."""
 
 import hashlib
+import inspect
 import logging
 import os
 import pickle
@@ -58,7 +59,7 @@ class KeptCode(NullCache):
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}"
-        self._source = Path(function.__code__.co_filename).parent
+        self._source = Path(inspect.getfile(sys.modules[function.__module__])).parent
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Load the code for these types, or None.
@@ -110,9 +111,10 @@ def list_folders(source: Path) -> tuple[Path, ...]:
     """Name the folders for the machine code of the kernels in a folder, the preferred one first.
 
     A kernel's code contains that of the kernels that it calls, and knows the fields of `Rays` by
-    their places. So the name is a digest of all of these, and of what turned them into code.
+    their places. So the name is a digest of all of these, as .py or, in an install without sources,
+    as .pyc, and of what turned them into code.
     """
-    sources = sorted([Path(__file__), Path(types.__file__), *source.glob("*.py")])
+    sources = sorted([Path(__file__), Path(types.__file__), *source.glob("*.py*")])
     digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources))
     settings = sorted(item for item in os.environ.items() if item[0].startswith("NUMBA_"))
     settings = [item for item in settings if item[0] != "NUMBA_CACHE_DIR"]  # says where, not how

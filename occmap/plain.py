@@ -11,7 +11,7 @@ import sys
 import textwrap
 from dataclasses import fields, is_dataclass
 from enum import Enum
-from typing import Annotated, Any, TypeAlias, is_typeddict
+from typing import Annotated, Any, TypeAlias, get_type_hints, is_typeddict
 
 Count: TypeAlias = Annotated[int, ("minimum", 0)]
 Share: TypeAlias = Annotated[float, ("minimum", 0), ("maximum", 1)]
@@ -67,8 +67,14 @@ def to_plain(value: Any) -> Any:
 
 
 def read_texts(kind: Any) -> dict[str, str]:
-    """Read the text below each field of a type and of those that it extends."""
-    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+    """Read the text below each field of a type and of those that it extends.
+
+    An install without sources has no texts: there each is the name of the field.
+    """
+    try:
+        (tree,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+    except OSError:
+        return {name: name for name in get_type_hints(kind)}
     assert isinstance(tree, ast.ClassDef)
     known = vars(sys.modules[kind.__module__])
     texts: dict[str, str] = {}

@@ -1,6 +1,8 @@
 """What only a process of its own shows: signals, closed pipes, full disks, `python -m`."""
 
 import os
+import py_compile
+import re
 import signal
 import subprocess
 import sys
@@ -9,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+import occmap
 from tests.samples import SAMPLE_LOGS, write_csv
 
 OCCMAP = [sys.executable, "-m", "occmap"]
@@ -123,3 +126,16 @@ def test_a_signal_leaves_one_line_and_no_file(
     assert (process.returncode, out) == (code, "")
     assert err == "error: interrupted: nothing more is written\n"
     assert list(tmp_path.iterdir()) == []
+
+
+def test_without_sources_each_option_is_there(tmp_path: Path) -> None:
+    """As where only compiled files are installed: the texts of options stand in the sources."""
+    package = Path(occmap.__file__).parent
+    for source in package.rglob("*.py"):
+        compiled = tmp_path / "occmap" / source.relative_to(package).with_suffix(".pyc")
+        py_compile.compile(str(source), str(compiled))
+    done = subprocess.run(
+        [*OCCMAP, "build", "--help"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert re.search(r"--min-range M +min_range +\[default: 0.0\]", done.stdout)

@@ -168,3 +168,13 @@ def test_a_build_loads_its_kernels_and_mends_them(tmp_path: Path) -> None:
     assert numbers[0] > 3
     assert numbers == [numbers[0]] * 3
     assert maps == [maps[0]] * 3
+
+
+@pytest.mark.parametrize("suffix", [".py", ".pyc"])
+def test_code_is_not_shared_by_kernels_that_differ(tmp_path: Path, suffix: str) -> None:
+    folders = [tmp_path / "old", tmp_path / "new"]
+    for folder in folders:
+        folder.mkdir()
+        (folder / f"lines{suffix}").write_text(folder.name)
+    old, new = (jit.list_folders(folder)[0].name for folder in folders)
+    assert old != new
