@@ -106,6 +106,12 @@ class Fleet:
             open_cluster(self.address, options.jobs, self.describe) as cluster,
             open_scratch(self, paths, options, keep) as folder,
         ):
+            remarks.notes += [
+                f"{other}: of a build with another log, option or version of occmap, which this "
+                "build does not go on from; remove the folder if nobody will"
+                for other in sorted(self.scratch.absolute().glob("build-*"))
+                if other != folder
+            ]
             # A log that is not here either is refused when it is opened.
             refuse_unseen_files(cluster, [folder, *(path for path in paths if path.exists())])
             spare = ((cluster.memory or ROOMY_BYTES) - BASE_BYTES) // 4

@@ -223,3 +223,11 @@ def test_a_build_goes_on_only_where_its_trajectory_is_the_same(tmp_path: Path) -
     assert interrupt(fleet, options) == begun
     poses.write_text("0 5 0 0 0 0 0 1\n9 5 0 0 0 0 0 1\n")
     assert interrupt(fleet, options) != begun
+
+
+def test_what_another_build_left_is_named_and_kept(address: str, tmp_path: Path) -> None:
+    fleet = Fleet(address, tmp_path / "scratch")
+    left = interrupt(fleet, replace(OPTIONS, resolution=0.2))
+    report = build(LOGS, OPTIONS, [tmp_path / "map.pgm"], observe=fleet.observe).report
+    assert [note for note in report.notes if note.startswith(f"{left}: of a build with another")]
+    assert [*fleet.scratch.iterdir()] == [left]
