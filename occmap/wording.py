@@ -35,9 +35,14 @@ def write_unused(scans: int, reasons: Mapping[str, int]) -> str:
     return f"none of {scans:,} scans can be used: {write_counts(reasons)}"
 
 
+def write_metres(places: Iterable[float]) -> list[str]:
+    """Write coordinates (m), with the digits that those of a globe need (UTM)."""
+    return [f"{place:.10g}" for place in places]
+
+
 def write_box(box: Sequence[float]) -> str:
     """Write the edges of a box, given as lowest x and y, highest x and y (m)."""
-    low_x, low_y, high_x, high_y = (f"{edge:.6g}" for edge in box)
+    low_x, low_y, high_x, high_y = write_metres(box)
     return f"x {low_x} to {high_x} m, y {low_y} to {high_y} m"
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from occmap.wording import count, join_names, write_span, write_time
+from occmap.wording import count, join_names, write_box, write_span, write_time
 
 
 @pytest.mark.parametrize(
@@ -50,3 +50,9 @@ def test_a_span_has_the_date_of_its_begin() -> None:
     begin = 1_700_000_000_000_000_000
     text = "1700000000.000 to 1700000000.250 s (2023-11-14 22:13:20 UTC)"
     assert write_span(begin, begin + 250_000_000) == text
+
+
+def test_coordinates_of_a_globe_keep_their_centimetres() -> None:
+    box = (499997.9, 4999997.8, 500002.95, 5000002.05)
+    assert write_box(box) == "x 499997.9 to 500002.95 m, y 4999997.8 to 5000002.05 m"
+    assert write_box((-81 * 0.05, 0.0, 0.1 + 0.2, 7.0)) == "x -4.05 to 0.3 m, y 0 to 7 m"

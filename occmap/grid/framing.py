@@ -11,6 +11,7 @@ from occmap.errors import MapError, require
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.tiles import refuse_large
 from occmap.types import Metres
+from occmap.wording import write_metres
 
 CELL_SLACK = 1e-6
 """In cells: 0.15 m is three cells of 0.05 m, whatever floats say."""
@@ -90,6 +91,6 @@ def choose_box(whole: CellBox, framing: Framing, lattice: Lattice) -> CellBox:
     row_end, col_end = math.ceil(y_max - CELL_SLACK), math.ceil(x_max - CELL_SLACK)
     box = CellBox(row, col, max(row_end, row + 1), max(col_end, col + 1))
     if not whole.clip(box).cells:
-        reach = ", ".join(f"{edge:.6g}" for edge in lattice.measure(whole))
+        reach = ", ".join(write_metres(lattice.measure(whole)))
         raise MapError("no cell of the map lies in `extent`", fix=f"the map's own box is {reach}")
     return box

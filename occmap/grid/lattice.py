@@ -6,7 +6,6 @@ cell; everything after it is integer arithmetic, so no result depends on batch s
 or the order of scans.
 """
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
@@ -20,6 +19,8 @@ from occmap.grid.kernels.units import CELL_SHIFT, UNITS_PER_CELL
 MOST_CELLS_OF_BEAM = 1 << 22
 """The longest beam (cells): an int32 holds its end, with the sensor half as far from the anchor."""
 
+SMALLEST_CELL_M, LARGEST_CELL_M = 1e-9, 1e9
+"""Beyond these, numbers of cells or metres are too large for a float32."""
 FARTHEST_UNIT = 1 << 52
 """Beyond this a float cannot tell lattice units apart."""
 
@@ -141,7 +142,7 @@ class Lattice:
     def __post_init__(self) -> None:
         found = f"a resolution of {self.resolution} m is not possible"
         fix = "give the side of a cell in metres, such as `resolution=0.05`"
-        require(0 < self.resolution < math.inf, found, fix)
+        require(SMALLEST_CELL_M <= self.resolution <= LARGEST_CELL_M, found, fix)
 
     @property
     def units_per_metre(self) -> float:

@@ -18,6 +18,7 @@ from occmap.errors import MapError
 from occmap.grid.kernels import units
 from occmap.grid.lattice import FARTHEST_UNIT, CellBox, Lattice
 from occmap.types import Kind, Rays
+from occmap.wording import write_metres
 
 TILE = units.TILE
 """Cells along the side of a tile."""
@@ -205,7 +206,7 @@ def refuse_large(box: CellBox, lattice: Lattice, max_cells: int) -> None:
         Saying how far it would reach, and what to do.
     """
     if box.cells > max_cells:
-        x, y, right, top = (f"{edge:.6g}" for edge in lattice.measure(box))
+        x, y, right, top = write_metres(lattice.measure(box))
         raise MapError(
             f"the map would reach from ({x}, {y}) to ({right}, {top}) m: {box.cols} x {box.rows} "
             f"cells, more than `max_cells={max_cells}`",

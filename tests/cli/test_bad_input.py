@@ -193,6 +193,7 @@ def test_an_output_that_cannot_be(output: str, found: str) -> None:
         ("log.csv -o m.pgm --resolution 0", "a resolution of 0.0 m is not possible"),
         ("log.csv -o m.pgm --resolution -0.05", "a resolution of -0.05 m is not possible"),
         ("log.csv -o m.pgm --resolution nan", "a resolution of nan m is not possible"),
+        ("log.csv -o m.pgm --resolution 1e300", "a resolution of 1e+300 m is not possible"),
         ("log.csv -o m.pgm --resolution five", "'five' is not a valid float; see `occmap build"),
         ("log.csv -o m.pgm --model smiple", "no model is called 'smiple'; did you mean 'simple'?"),
         ("log.csv -o m.pgm --model simple:p_hot=1", "the model simple has no parameter 'p_hot'"),

@@ -206,6 +206,7 @@ def test_a_constant_that_no_row_can_use_names_its_line(
     ("good", "bad", "complaint"),
     [
         (",1.5,", ",near,", "column r0 is 'near' where a number belongs"),
+        (",1.5,", ",1_5,", "column r0 is '1_5' where a number belongs"),
         (",0.25,", ",wide,", "angle_increment is 'wide' where a number belongs"),
         (",-1.5,", ",,", "angle_min is '' where a number belongs"),
         (",-1.5,", ",inf,", "angle_min is inf, which is not an angle or a time"),

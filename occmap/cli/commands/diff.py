@@ -13,7 +13,7 @@ from occmap.difference import MapDifference
 from occmap.gates import DIFF, Limit, parse_bound
 from occmap.keywords import take
 from occmap.pictures import compare_files
-from occmap.wording import count
+from occmap.wording import count, write_metres
 from occmap.writers import WriteOptions
 
 
@@ -74,7 +74,7 @@ def list_changes(difference: MapDifference) -> Iterator[tuple[str, str]]:
         "changed", [f"{count(difference.changed_cells, 'cell')}, {known}", *by_class]
     )
     if difference.largest:
-        low_x, low_y, high_x, high_y = (f"{value:.6g}" for value in difference.largest.extent)
+        low_x, low_y, high_x, high_y = write_metres(difference.largest.extent)
         blob = count(difference.largest.cells, "connected cell")
         yield "largest", f"{blob}, x {low_x} to {high_x}, y {low_y} to {high_y}"
     before, after = difference.digests

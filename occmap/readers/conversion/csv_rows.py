@@ -216,7 +216,7 @@ def _is_beam(name: str) -> bool:
 def read_number(name: str, text: str) -> float:
     """Read a number of a cell or constant; raises ValueError, naming the column."""
     try:
-        value = float(text)
+        value = _parse(text)
     except ValueError:
         raise ValueError(f"{name} is {shorten(text)} where a number belongs") from None
     if name in FINITE and not math.isfinite(value):
@@ -245,9 +245,16 @@ def _find_fault(names: list[str], given: set[str]) -> tuple[str, str] | None:
     return None
 
 
+def _parse(text: str) -> float:
+    """Parse a number as files hold it; Python's own notation, such as 1_000, is none there."""
+    if "_" in text or not text.isascii():
+        raise ValueError
+    return float(text)
+
+
 def _read_beams(texts: list[str]) -> Float32:
     try:
-        return as_float32([float(text or "nan") for text in texts])
+        return as_float32([_parse(text or "nan") for text in texts])
     except ValueError:
         names = (f"column r{beam}" for beam in range(len(texts)))
         checked = [text.strip() or "nan" for text in texts]
