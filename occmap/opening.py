@@ -24,7 +24,9 @@ def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
     there = scans + clouds if wanted else scans or clouds
     if not there:
         held = ", ".join(f"{s.topic} ({s.type}, {s.count})" for s in log.streams if s.count)
-        raise LogError(f"holds no laser scans; it holds {held or 'nothing'}", where=log.path)
+        damage = next((note.text for note in log.notes if note.damage), "")
+        found = f"holds no laser scans; it holds {held or 'nothing'}"
+        raise LogError(found, where=log.path, fix=damage)
     missing = sorted(set(wanted) - set(there))
     if missing:
         found = f"has no scans on the topic {missing[0]}"

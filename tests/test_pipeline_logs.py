@@ -20,7 +20,7 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.report import Build, Report
 from occmap.types import Update
-from tests.readers.ros import ROS2, Written, drive, write_mcap
+from tests.readers.ros import ROS2, Written, drive, transforms, write_mcap
 from tests.samples import DRIVES, PLAIN, write_csv
 
 QUARTER = math.pi / 2
@@ -318,3 +318,18 @@ def test_a_log_that_is_given_twice_is_noted() -> None:
     assert once.notes == ()
     assert twice.notes == (f"{DRIVES[0]}: given 2 times, and counted as often",)
     assert twice.scans.used == 2 * once.scans.used
+
+
+def test_a_damaged_mount_is_named_where_it_is_missed(tmp_path: Path) -> None:
+    broken = transforms(ROS2, 10**9, [("base", "/laser", math.nan)])
+    log = [Written("/tf_static", 10**9, broken), *drive(ROS2)[1:]]
+    with pytest.raises(PoseError, match=r"1 pose of base -> /laser left out: not finite.*; give"):
+        build([write_mcap(tmp_path / "log.mcap", log)], BEAM)
+
+
+def test_damage_is_named_where_it_leaves_no_scan(tmp_path: Path) -> None:
+    log = write_mcap(tmp_path / "log.mcap", drive(ROS2))
+    content = log.read_bytes()
+    log.write_bytes(content[: content.index(b"sensor_msgs/msg/LaserScan")])
+    with pytest.raises(LogError, match=r"no laser scans; it holds .*; the file ends in the middle"):
+        build([log], BEAM)

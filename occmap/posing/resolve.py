@@ -84,8 +84,8 @@ class _Search:
 
     @property
     def known(self) -> str:
-        """Their names, for errors."""
-        return f"known: {join_names(self.tree.frames)}"
+        """Their names, for errors, and the transforms between them that are damaged."""
+        return "; ".join([f"known: {join_names(self.tree.frames)}", *self.sources.unusable])
 
     def go_by_tree(self, fixed: str | None) -> Way:
         """Go by the tree; where nothing in it moves, by a topic of poses."""

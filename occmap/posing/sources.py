@@ -18,7 +18,7 @@ from occmap.posing.options import PosingOptions, Stamps
 from occmap.posing.tracks import Track, TrackBuilder, differ
 from occmap.posing.trajectory import TRAJECTORY_FRAME, read_trajectory
 from occmap.types import PoseBatch, PoseSample
-from occmap.wording import join_names
+from occmap.wording import count, join_names
 
 TF_TOPICS = frozenset({"", "tf", "tf_static"})
 """Last parts of topics that carry the tree itself; any other states the pose of one body."""
@@ -42,6 +42,8 @@ class Sources:
     trajectory: Edge | None
     """The one that the user chose instead of tf."""
     notes: tuple[str, ...]
+    unusable: tuple[str, ...] = ()
+    """Those of the notes that tell of poses left out"""
 
     @cached_property
     def unnamed_body(self) -> Edge | None:
@@ -60,7 +62,7 @@ def gather(samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) ->
     LogError
         The trajectory file cannot be read.
     """
-    edges, notes = _build_edges(samples, options.stamps)
+    edges, unusable, notes = _build_edges(samples, options.stamps)
     given = [
         Edge(each.parent.strip("/"), each.child.strip("/"), Track.fixed(each.pose), Source.GIVEN)
         for each in options.static_transforms
@@ -71,14 +73,18 @@ def gather(samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) ->
     stated = (edge for edge in edges if edge.source is Source.ODOMETRY)
     poses = sorted(stated, key=lambda edge: (-len(edge.track), edge.topic))
     trajectory = _find_trajectory(options, poses, notes) if options.poses else None
-    notes = [*_list_overruled(given, edges, tree), *notes, *_list_contradictions(edges, tree)]
-    return Sources(tree, tuple(poses), trajectory, tuple(notes))
+    notes = [*unusable, *notes, *_list_contradictions(edges, tree)]
+    notes = [*_list_overruled(given, edges, tree), *notes]
+    return Sources(tree, tuple(poses), trajectory, tuple(notes), tuple(unusable))
 
 
 def _build_edges(
     samples: Iterable[PoseSample | PoseBatch], stamps: Stamps
-) -> tuple[list[Edge], list[str]]:
-    """Make an edge of all samples that share topic and frames; say what could not be used."""
+) -> tuple[list[Edge], list[str], list[str]]:
+    """Make an edge of all samples that share topic and frames.
+
+    Also return a note on each edge with poses that cannot be used, and on fixed ones that change.
+    """
     builders: dict[tuple[str, str, str, bool], TrackBuilder] = defaultdict(TrackBuilder)
     for item in samples:
         builder = builders[item.topic, item.parent, item.child, item.static]
@@ -87,14 +93,14 @@ def _build_edges(
         else:
             builder.add(item, stamps)
     edges: list[Edge] = []
-    notes: list[str] = []
+    unusable: list[str] = []
     changed: dict[str, list[str]] = defaultdict(list)
     for (topic, parent, child, static), builder in sorted(builders.items()):
         track = builder.build()
         if builder.unusable:
-            notes.append(
-                f"{builder.unusable} poses of {parent} -> {child or 'a body'} are left out: not "
-                "finite, without a rotation, or with a damaged stamp"
+            unusable.append(
+                f"{count(builder.unusable, 'pose')} of {parent} -> {child or 'a body'} left out: "
+                "not finite, without a rotation, or with a damaged stamp"
             )
         if static and builder.changes:
             changed[topic].append(f"{parent} -> {child}")
@@ -104,9 +110,11 @@ def _build_edges(
             is_tf = child and (static or last_part(topic) in TF_TOPICS)
             source = Source.TF if is_tf else Source.ODOMETRY
             edges.append(Edge(parent.strip("/"), child.strip("/"), track, source, topic))
-    for topic, names in changed.items():
-        notes.append(f"{topic} changes {join_names(names, MOST_CHANGED)}: the last pose counts")
-    return edges, notes
+    changes = [
+        f"{topic} changes {join_names(names, MOST_CHANGED)}: the last pose counts"
+        for topic, names in changed.items()
+    ]
+    return edges, unusable, changes
 
 
 def _name_body(edge: Edge) -> Edge:
@@ -135,7 +143,7 @@ def _find_trajectory(options: PosingOptions, poses: Sequence[Edge], notes: list[
     """Take the chosen trajectory: from a file where there is one of that name, else by topic."""
     name = options.poses or ""
     if Path(name).is_file():
-        edges, unusable = _build_edges(read_trajectory(Path(name), notes), Stamps.HEADER)
+        edges, unusable, _ = _build_edges(read_trajectory(Path(name), notes), Stamps.HEADER)
         notes.extend(unusable)
         if not edges:
             raise PoseError("holds no usable pose: none is finite", where=name)
