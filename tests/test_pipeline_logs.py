@@ -323,7 +323,7 @@ def test_a_log_that_is_given_twice_is_noted() -> None:
 def test_a_damaged_mount_is_named_where_it_is_missed(tmp_path: Path) -> None:
     broken = transforms(ROS2, 10**9, [("base", "/laser", math.nan)])
     log = [Written("/tf_static", 10**9, broken), *drive(ROS2)[1:]]
-    with pytest.raises(PoseError, match=r"1 pose of base -> /laser left out: not finite.*; give"):
+    with pytest.raises(PoseError, match=r"1 pose of base -> /?laser left out: not finite.*; give"):
         build([write_mcap(tmp_path / "log.mcap", log)], BEAM)
 
 
