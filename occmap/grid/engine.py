@@ -30,8 +30,8 @@ MOST_PARTS = 64
 """A batch that needs more windows than this lies far apart: it is halved until it fits or one scan
 is left."""
 MARGIN = 4
-"""The box around rays is larger than what they observe. So a single scan is refused only where its
-box is this many times too large."""
+"""The box around rays is larger than what they observe. A single scan is refused before it is
+traced only where its box is this many times too large; otherwise when its tiles are counted."""
 
 
 class GridEngine:
@@ -40,7 +40,9 @@ class GridEngine:
     Any number of threads may call `add`: each writes to a window of its own, and integers add up to
     the same sum in any order.
 
-    A single scan that would make a map much larger than `max_cells` is refused.
+    A map of more than `max_cells` is refused as soon as what was observed shows it, and a single
+    scan that would make one much larger before it is traced. Nearly always a `Reach` has refused it
+    before, in words that do not depend on threads.
     """
 
     def __init__(
@@ -121,6 +123,7 @@ class GridEngine:
         tiles = window.read()
         with self._lock:
             self.grid.add(tiles, window.observations * self.spec.tables.largest)
+            self.grid.refuse_outgrown(self._max_cells)
 
     @property
     def bytes_held(self) -> int:
@@ -186,6 +189,7 @@ class SlicedEngine(GridEngine):
         with self._lock:
             self.grid.merge(grid)
             self._slices.append(observed)
+            self.grid.refuse_outgrown(self._max_cells)
 
     @property
     def bytes_held(self) -> int:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from occmap.errors import MapError
+from occmap.errors import MapError, UsageError
 from occmap.grid.engine import GridEngine
 from occmap.grid.lattice import Lattice
 from occmap.grid.projection import join_viewpoints, prepare, project
@@ -317,9 +317,11 @@ def test_a_sensor_that_is_too_far_away_is_refused(update: Update, metres: float)
 
 def test_cells_that_are_too_small_are_refused() -> None:
     rays = one_scan([3.0, 3.0], [Kind.HIT] * 2)
-    for resolution in (1e-9, 1e-300, 5e-324):
-        with pytest.raises(MapError, match="use a coarser `resolution`"):
-            make_engine(resolution=resolution).add(rays)
+    with pytest.raises(MapError, match="use a coarser `resolution`"):
+        make_engine(resolution=1e-9).add(rays)
+    for resolution in (9e-10, 1e-300, 5e-324):
+        with pytest.raises(UsageError, match="is not possible"):
+            make_engine(resolution=resolution)
 
 
 @KINDS_OF_MAP

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from occmap.cells import Slices
+from occmap.errors import MapError
 from occmap.grid.engine import GridEngine, SlicedEngine
 from occmap.grid.slices import count_visits, split_tiles, unpack
 from occmap.grid.spec import WINDOW_CELLS, GridSpec
@@ -171,6 +172,16 @@ def test_threads_give_the_same_slices(kind_of_map: int) -> None:
     engine.finish()
     (slices,) = engine.read_slices()
     assert spread(slices) == look_scan_by_scan(spec, rays)
+
+
+def test_a_map_that_slices_make_too_large_is_refused() -> None:
+    """No slice by itself does: each is of one tile, and they lie ten tiles apart."""
+    engine = SlicedEngine(all_specs(1.0)[0], SLICE, max_cells=1000)
+    far = one_beam([0, 1000, 2000])
+    for s in range(3):
+        engine.add(take(far, [s])._replace(origin=np.full((1, 1, 2), 640.5 * s)))
+    with pytest.raises(MapError, match="more than `max_cells=1000`"):
+        engine.finish()
 
 
 def one_beam(stamps: list[int]) -> Rays:
