@@ -84,10 +84,14 @@ class CellBox(NamedTuple):
         """Which of the rows and columns (N, 2) lie in this box."""
         return np.flatnonzero(((places >= self[:2]) & (places < self[2:])).all(axis=1))
 
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Its rows and columns in an array that begins at cell (0, 0)."""
+        return slice(self.row, self.row_end), slice(self.col, self.col_end)
+
     def within(self, outer: Self) -> tuple[slice, slice]:
         """Its rows and columns in the array of a box around it."""
-        moved = self.move(-outer.row, -outer.col)
-        return slice(moved.row, moved.row_end), slice(moved.col, moved.col_end)
+        return self.move(-outer.row, -outer.col).slices
 
     def clip(self, other: Self) -> Self:
         """The part of `other` that lies in this box."""

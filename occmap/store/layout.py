@@ -63,9 +63,8 @@ def import_zarr() -> Any:
 
 def find_place(block: Block, offset: tuple[int, int], side: int = 1) -> tuple[slice, slice]:
     """Rows and columns of a block in an array, of which an item is a square of so many cells."""
-    starts = [(at * BLOCK - first) // side for at, first in zip(block, offset, strict=True)]
-    row, col = (slice(start, start + BLOCK // side) for start in starts)
-    return row, col
+    row, col = offset
+    return block.box.move(-row, -col).shrink(side).slices
 
 
 def make_head(manifest: Manifest, offset: tuple[int, int]) -> dict[str, Any]:

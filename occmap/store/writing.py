@@ -198,9 +198,8 @@ def finish_store(path: Path, manifest: Manifest, records: Iterable[BlockRecord])
     table = layout.make_table(known)
     with edit_store(path) as root:
         head = layout.make_head(manifest, root.attrs["occmap"]["offset"])
-        add_coarse_levels(
-            root, [layout.find_place(record.block, head["offset"]) for record in known]
-        )
+        row, col = head["offset"]
+        add_coarse_levels(root, [record.block.box.move(-row, -col) for record in known])
         blocks = root.require_group("blocks")
         for name, values in table.items():
             add_list(blocks, name, values, {})
@@ -214,19 +213,20 @@ def finish_store(path: Path, manifest: Manifest, records: Iterable[BlockRecord])
     return str(head["digest"])
 
 
-def add_coarse_levels(root: Any, places: Sequence[tuple[slice, slice]]) -> None:
-    """Paint the pictures that several blocks share, each from the one before."""
+def add_coarse_levels(root: Any, boxes: Sequence[CellBox]) -> None:
+    """Paint the pictures that several blocks share, each from the one before.
+
+    Parameters
+    ----------
+    boxes
+        Where the blocks lie in the arrays of the store.
+    """
     side, classes = FINE_LEVELS[-1], root["classes"]
     shape = classes[str(FINE_LEVELS[0])].shape
     while side < OVERVIEW or max(shape) > side * LEVEL_CELLS:
         finer, side = classes[str(side)], side * 4
         level = add_level(classes, side, shape, LEVEL_CELLS)
         reach = LEVEL_CELLS * side
-        for row, col in sorted({(y.start // reach, x.start // reach) for y, x in places}):
-            pixels = finer[square(row, 4 * LEVEL_CELLS), square(col, 4 * LEVEL_CELLS)]
-            level[square(row, LEVEL_CELLS), square(col, LEVEL_CELLS)] = reduce_classes(pixels, 4)
-
-
-def square(place: int, side: int) -> slice:
-    """Rows, or columns, of one of the squares that an array is cut into."""
-    return slice(place * side, (place + 1) * side)
+        for row, col in sorted({(box.row // reach, box.col // reach) for box in boxes}):
+            shard = CellBox.at(row, col).scale(LEVEL_CELLS)
+            level[shard.slices] = reduce_classes(finer[shard.scale(4).slices], 4)
