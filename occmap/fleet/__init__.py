@@ -22,9 +22,9 @@ from occmap.engines import make_grid
 from occmap.errors import OutputError
 from occmap.evidence.manifest import UNRECORDED, list_files, write_value
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
-from occmap.fleet.runs import BlockJob, Piece, Setting, read_pieces, reduce_block
+from occmap.fleet.runs import BlockJob, Job, Piece, Setting, read_pieces, reduce_block
 from occmap.fleet.settling import LogTrace
-from occmap.fleet.tasks import Survey, SurveyJob, Traced, count_in_window, survey_log, trace_part
+from occmap.fleet.tasks import Survey, Traced, count_in_window, survey_log, trace_part
 from occmap.grid.slices import unite
 from occmap.grid.tiles import view_tiles
 from occmap.observing import Keep, Observed, Progress
@@ -167,11 +167,9 @@ def open_scratch(
         fleet.scratch.rmdir()
 
 
-def list_surveys(setting: Setting, paths: Sequence[Path]) -> list[SurveyJob]:
+def list_surveys(setting: Setting, paths: Sequence[Path]) -> list[Job]:
     """List the logs that are to be opened."""
-    return [
-        SurveyJob(setting, f"log{place:05}", str(path), path) for place, path in enumerate(paths)
-    ]
+    return [Job(setting, f"log{place:05}", str(path)) for place, path in enumerate(paths)]
 
 
 def trace_parts(

@@ -59,7 +59,7 @@ class Job:
     name: str
     """What its files are called"""
     where: str
-    """What an error is about"""
+    """What it is about, as an error names it: the path of a log, or a block"""
 
 
 class Piece(NamedTuple):

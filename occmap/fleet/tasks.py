@@ -28,13 +28,6 @@ from occmap.tracing import Drive, open_drive, trace
 from occmap.types import Rays
 
 
-@dataclass(frozen=True)
-class SurveyJob(Job):
-    """A log to be opened."""
-
-    path: Path
-
-
 class Survey(NamedTuple):
     """What there is to know of a log before its scans are traced."""
 
@@ -85,7 +78,7 @@ class Traced:
 
 
 @once
-def survey_log(job: SurveyJob) -> Survey:
+def survey_log(job: Job) -> Survey:
     """Open a log, read its poses, and cut it into parts.
 
     Raises
@@ -94,7 +87,8 @@ def survey_log(job: SurveyJob) -> Survey:
         It cannot be read, has no scans, or its scans have no poses.
     """
     options = job.setting.options
-    log = open_log(job.path, options.reading)
+    path = Path(job.where)
+    log = open_log(path, options.reading)
     scans = count_scans(log, options.selection.topics)
     drive = open_drive(log, options)
     parts = split_log(log, job.setting.slice_bytes)
@@ -106,8 +100,8 @@ def survey_log(job: SurveyJob) -> Survey:
     first = next(iter(read_scans(log, drive.topics)), None)
     clock = Selector(options.selection, options.posing.stamps)
     first_ns = None if first is None else clock.stamp(first.first)
-    size = sum(each.stat().st_size for each in list_files(job.path))
-    return Survey(job.name, job.path, scans, len(parts) or 1, size, tuple(log.notes), first_ns)
+    size = sum(each.stat().st_size for each in list_files(path))
+    return Survey(job.name, path, scans, len(parts) or 1, size, tuple(log.notes), first_ns)
 
 
 def open_part(job: TraceJob) -> Drive:
@@ -205,7 +199,7 @@ class RunWriter:
         self._begin()
 
 
-def hash_log(job: SurveyJob) -> list[dict[str, Any]]:
+def hash_log(job: Job) -> list[dict[str, Any]]:
     """Name, size and SHA-256 of the files of a log.
 
     Raises
@@ -213,4 +207,4 @@ def hash_log(job: SurveyJob) -> list[dict[str, Any]]:
     LogError
         A file cannot be read.
     """
-    return list(describe_files(job.path))
+    return list(describe_files(Path(job.where)))
