@@ -114,7 +114,7 @@ def open_atomic(*paths: Path) -> Iterator[Sequence[BinaryIO]]:
 
 
 def name_temporary(target: Path) -> Path:
-    """Name a file beside its target, but not after it: a name may be as long as names can be."""
+    """Name a file beside its target, whose own name may be too long to add to."""
     return target.with_name(f".occmap-{secrets.token_hex(8)}.tmp")
 
 

@@ -32,6 +32,8 @@ BOUNDS = (
     *(("hit_offset", 0, 10), ("align", -360, 360)),
 )
 """Numbers of a manifest, each with a range wider than what occmap writes."""
+TEXTS = {"kind": (COUNTS, LOG_ODDS), "update": tuple(Update), "profile": str, "model": str}
+"""Texts of a manifest, of which some are one of a few"""
 
 SECONDS = (float, int, "inf", "-inf")
 SELECTION = {"start_s": SECONDS, "end_s": SECONDS, "stride": int, "topics": list}
@@ -86,12 +88,10 @@ def list_manifest_faults(manifest: Manifest) -> Iterator[str]:
         value = getattr(manifest, name)
         if not isinstance(value, int | float) or not low <= value <= high:
             yield f"its {name} is {brief(value)}"
-    if manifest.kind not in (COUNTS, LOG_ODDS):
-        yield f"its kind is {manifest.kind!r}"
-    if manifest.update not in list(Update):
-        yield f"its update is {manifest.update!r}"
-    if not (isinstance(manifest.profile, str) and isinstance(manifest.model, str)):
-        yield "its model is not text"
+    for name, shape in TEXTS.items():
+        value = getattr(manifest, name)
+        if not fits(value, shape):
+            yield f"its {name} is {brief(value)}"
     if bool(manifest.profile) != (manifest.kind == LOG_ODDS):
         yield f"its profile is {manifest.profile!r}, and its kind {manifest.kind}"
     if not all(fits(build, BUILD) for build in (*manifest.builds, *manifest.subtracted)):

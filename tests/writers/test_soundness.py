@@ -51,7 +51,7 @@ def test_what_occmap_may_write_is_sound(changed: dict[str, Any]) -> None:
         ({"align": None}, "its align is None"),
         ({"align": 400}, "its align is 400"),
         ({"update": "ray"}, "its update is 'ray'"),
-        ({"model": 3}, "its model is not text"),
+        ({"model": 3}, "its model is 3"),
         ({"profile": "quadratic"}, "its profile is 'quadratic', and its kind counts"),
         ({"kind": "log_odds"}, "its profile is '', and its kind log_odds"),
         *(
