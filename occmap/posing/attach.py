@@ -13,7 +13,6 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from functools import reduce
 from typing import Self
 
 import numpy as np
@@ -65,11 +64,10 @@ class Poser:
         self._offset_ns = round(self.options.time_offset_s * 1e9)  # to the clock of the poses
         self._trusts_stated = self.sources.trajectory is None
         self._leaps = LeapFilter(self.options.max_speed)
-        align, transform = self.options.align, self.options.transform
-        turned = Pose.planar(0.0, 0.0, math.radians(align)) if align else None
-        moved = [pose for pose in (turned, transform) if pose]
-        # Where the log's map frame lies in the map that is made; None where they are one.
-        self._above = Transforms.fixed(reduce(Pose.then, moved)) if moved else None
+        # Where the log's map frame lies in the map that is made: mostly, they are one.
+        turned, moved = math.radians(self.options.align or 0.0), self.options.transform
+        align = Pose.planar(0.0, 0.0, turned)
+        self._above = Transforms.fixed(align.then(moved) if moved else align)
 
     @classmethod
     def build(cls, samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) -> Self:
@@ -174,8 +172,7 @@ class Poser:
         posed = status == Status.POSED
         if not posed.any():
             return Attached(batch, None, dropped)
-        placed = self._above.then(found) if self._above else found
-        return Attached(batch, place_beams(batch, posed, placed), dropped)
+        return Attached(batch, place_beams(batch, posed, self._above.then(found)), dropped)
 
     def _watch(self, posed: PosedScans) -> None:
         """Note where the sensor of some scans was, for what there is to say of its course."""

@@ -95,9 +95,18 @@ class Scorer:
 
     def score(self, correction: Correction) -> Trial:
         """Score a map of the scans posed with a correction."""
-        if correction not in self.tried:
-            self.tried[correction] = self._try(correction)
-            self._advance()
+        if correction in self.tried:
+            return self.tried[correction]
+        options = self._options
+        trials = Trials([Variant(options.update, options.model)], options)
+        with trials.tracing() as workers:
+            observe = trials.begin(workers)
+            for rays in self.trace(correction):
+                observe(rays)
+        refuse_unscored([log.path for log in self._logs], trials.hold_out)
+        (result,) = trials.score()
+        self.tried[correction] = Trial(result.score, result.predicted)
+        self._advance()
         return self.tried[correction]
 
     def trace(self, correction: Correction) -> list[Rays]:
@@ -113,17 +122,6 @@ class Scorer:
         for rays in self.trace(correction):
             engine.add(rays)
         return render(engine.finish(), options.model, options.max_cells).agreement
-
-    def _try(self, correction: Correction) -> Trial:
-        options = self._options
-        trials = Trials([Variant(options.update, options.model)], options)
-        with trials.tracing() as workers:
-            observe = trials.begin(workers)
-            for rays in self.trace(correction):
-                observe(rays)
-        refuse_unscored([log.path for log in self._logs], trials.hold_out)
-        (result,) = trials.score()
-        return Trial(result.score, result.predicted)
 
 
 def search(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Correction:
