@@ -97,8 +97,8 @@ def guess_place(poser: Poser, parts: Sequence[PosedScans], options: BuildOptions
 
 def list_leaves(poser: Poser, frame: str) -> dict[str, Pose]:
     """List where frames are mounted on the body of a sensor, if no other frame is below them."""
-    tree, base = poser.sources.tree, poser.options.base_frame or ""
-    base = base or next(iter(tree.list_bases(frame)), "")
+    tree = poser.sources.tree
+    base = poser.options.base_frame or next(iter(tree.list_bases(frame)), "")
     uppers = {base, *(edge.parent for edge in tree.edges)}
     ways = {leaf: tree.find_path(base, leaf) for leaf in tree.frames if leaf not in uppers}
     places = {leaf: place_on(steps) for leaf, steps in ways.items() if steps}
@@ -141,8 +141,6 @@ def find_better(poser: Poser, parts: Sequence[PosedScans], options: ReturnOption
     str
         Such as "sensor_pose=0,0,3.14159"; "" where they fit as they are.
     """
-    if not parts:
-        return ""
     turn = choose_turn([count_marked(parts, turn, options) for turn in TURNS])
     if turn is None or turn == UNTURNED:
         return ""

@@ -151,7 +151,7 @@ def refuse_unused(logs: Sequence[object], tally: Tally) -> None:
     """
     if tally.scans_used:
         return
-    where = name_logs(logs)
+    where = ", ".join(map(str, logs))
     if tally.scans_read:
         found = write_unused(tally.scans_read, tally.dropped)
         raise PoseError(found, where=where, fix="`occmap check` shows the times of scans and poses")
@@ -170,9 +170,5 @@ def refuse_unseen(logs: Sequence[object], tally: Tally, seen: Collection[object]
         return
     clear = ", or try `no_return=clear`" if tally.beams.no_return else ""
     found = f"no beam of any scan observed a cell: {write_counts(tally.beams.by_name)}"
-    raise MapError(found, where=name_logs(logs), fix=f"see the ranges in `occmap check`{clear}")
-
-
-def name_logs(logs: Sequence[object]) -> str:
-    """Name the logs, given as paths, that an error is about."""
-    return ", ".join(map(str, logs))
+    fix = f"see the ranges in `occmap check`{clear}"
+    raise MapError(found, where=", ".join(map(str, logs)), fix=fix)

@@ -170,12 +170,9 @@ def find_repeated(values: Float32, counts: NDArray[np.intp]) -> Float32:
     frequent = np.flatnonzero(counts >= max(REPEATED_SHARE * total, DOMINANCE))
     low = np.searchsorted(values, values[frequent] - np.float32(NEIGHBOURHOOD_M))
     high = np.searchsorted(values, values[frequent] + np.float32(NEIGHBOURHOOD_M), side="right")
-    alone = []
-    for at, first, end in zip(frequent.tolist(), low.tolist(), high.tolist(), strict=True):
-        beside = max(counts[first:at].max(initial=0), counts[at + 1 : end].max(initial=0))
-        if counts[at] >= DOMINANCE * beside:
-            alone.append(at)
-    return values[np.array(alone, np.int64)]
+    places = zip(frequent, low, high, strict=True)  # each value, and those around it
+    beside = [np.delete(counts[a:b], at - a).max(initial=0) for at, a, b in places]
+    return values[frequent[counts[frequent] >= DOMINANCE * np.array(beside, np.int64)]]
 
 
 def measure_crossing(parts: Sequence[PosedScans], options: ReturnOptions) -> float | None:

@@ -15,7 +15,7 @@ from occmap.posing.rotations import to_quaternions
 from occmap.readers import Log, read_scans
 from occmap.remarks import Remarks, list_frames
 from occmap.sensor.no_return import RangeLimits
-from occmap.tally import Tally, name_logs, refuse_unused
+from occmap.tally import Tally, refuse_unused
 from occmap.tracing import open_drive
 from occmap.types import Pose, PosedScans, ScanBatch
 
@@ -75,7 +75,7 @@ def keep_logs(
         raise PoseError(
             f"no scan has a pose both {MOST_OFFSET_S:g} s before its time and {MOST_OFFSET_S:g} s "
             "after it",
-            where=name_logs(remarks.logs),
+            where=", ".join(remarks.logs),
             fix="give a longer log",
         )
     return kept
