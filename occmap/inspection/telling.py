@@ -6,23 +6,14 @@ A row is a label, "" where it is that of the row before, and a text.
 import math
 from collections.abc import Iterator
 
-from occmap.inspection.findings import (
-    Coverage,
-    MapFindings,
-    MountFindings,
-    PoseFindings,
-    RangeFindings,
-    ScanFindings,
-    Shape,
-    TimeFindings,
-)
+from occmap.inspection import findings
 from occmap.remarks import hint_at_tune
 from occmap.wording import DATES_S, count, write_box, write_counts, write_duration, write_span
 
 Row = tuple[str, str]
 
 
-def list_scan_facts(topic: ScanFindings) -> Iterator[Row]:
+def list_scan_facts(topic: findings.ScanFindings) -> Iterator[Row]:
     """Say how many scans a topic has, and what their beams are."""
     duration = f"{topic.times.duration_s:.6g} s, {topic.times.rate_hz:.3g} a second"
     left = f"{topic.kept:,} of " if topic.left_out else ""
@@ -37,7 +28,7 @@ def list_scan_facts(topic: ScanFindings) -> Iterator[Row]:
         yield "", f"and {topic.shape_count - len(topic.shapes)} more"
 
 
-def list_pose_facts(topic: ScanFindings) -> Iterator[Row]:
+def list_pose_facts(topic: findings.ScanFindings) -> Iterator[Row]:
     """Say when and where the scans of a topic were taken, and how well they fit each other."""
     yield "stamps", write_span(topic.times.start_ns, topic.times.end_ns)
     yield "", describe_times(topic.times)
@@ -49,7 +40,7 @@ def list_pose_facts(topic: ScanFindings) -> Iterator[Row]:
         yield "sensor", describe_mount(topic.mount, topic.poses)
 
 
-def describe_shape(shape: Shape) -> str:
+def describe_shape(shape: findings.Shape) -> str:
     """Say where the beams point and how far they reach."""
     start, step = math.degrees(shape.angle_min), math.degrees(shape.angle_increment)
     limit = "without limit" if math.isinf(shape.range_max) else f"to {shape.range_max:.6g} m"
@@ -59,28 +50,28 @@ def describe_shape(shape: Shape) -> str:
     )
 
 
-def list_kinds(ranges: RangeFindings) -> Iterator[tuple[str, str, str, str]]:
+def list_kinds(ranges: findings.RangeFindings) -> Iterator[tuple[str, str, str, str]]:
     """List the kinds of values that are not plain measurements: name, number, share, meaning."""
     for each in ranges.specials:
         advice = f"`no_return={each.no_return}`" if each.no_return else "skipped"
         yield each.name, f"{each.count:,}", f"{each.share:.1%}", f"{each.meaning}: {advice}"
 
 
-def list_repeated(ranges: RangeFindings) -> Iterator[tuple[str, str, str]]:
+def list_repeated(ranges: findings.RangeFindings) -> Iterator[tuple[str, str, str]]:
     """List the ranges that repeat suspiciously often: the range (m), its share, and its meaning."""
     for each in ranges.repeated:
         meaning = "no return, by the limit" if each.is_no_return else "may mean no return"
         yield f"{each.value:.6g}", f"{each.share:.1%} of the ranges", meaning
 
 
-def tell_ranges(ranges: RangeFindings) -> str:
+def tell_ranges(ranges: findings.RangeFindings) -> str:
     """Say how many of the ranges are measured, and between what they lie."""
     text = f"{ranges.total:,}: {ranges.measured / max(ranges.total, 1):.1%} measured"
     span = f", {ranges.smallest:.3g} to {ranges.largest:.4g} m" if ranges.measured else ""
     return text + span
 
 
-def tell_crossed(ranges: RangeFindings) -> str:
+def tell_crossed(ranges: findings.RangeFindings) -> str:
     """Say whether beams without return lead through open space; "" where that is not known."""
     if ranges.crossed is None:
         return ""
@@ -90,7 +81,7 @@ def tell_crossed(ranges: RangeFindings) -> str:
     return text if advised else f"{text}: leave `no_return` as it is"
 
 
-def describe_times(times: TimeFindings) -> str:
+def describe_times(times: findings.TimeFindings) -> str:
     """Say how the stamps run, beside the record times where the log has any of their own.
 
     CSV has none. Those of CARMEN count from the start of the recording, and stamps are dates.
@@ -114,7 +105,7 @@ def describe_times(times: TimeFindings) -> str:
     return ", ".join(parts)
 
 
-def describe_poses(topic: ScanFindings) -> str:
+def describe_poses(topic: findings.ScanFindings) -> str:
     """Say how many scans have a pose, and where it comes from."""
     poses = topic.poses
     way = "stated beside the scans" if poses.stated else " > ".join(poses.chain)
@@ -124,7 +115,7 @@ def describe_poses(topic: ScanFindings) -> str:
     return f"{share}{given}" + (f", {way}" if way else "") + (f"; {lost}" if lost else "")
 
 
-def describe_mount(mount: MountFindings, poses: PoseFindings) -> str:
+def describe_mount(mount: findings.MountFindings, poses: findings.PoseFindings) -> str:
     """Say how the sensor sits."""
     tilt = math.degrees(mount.tilt)
     parts = ["upside down"] if mount.upside_down else []
@@ -136,7 +127,7 @@ def describe_mount(mount: MountFindings, poses: PoseFindings) -> str:
     return ", ".join(parts)
 
 
-def describe_source(source: Coverage) -> str:
+def describe_source(source: findings.Coverage) -> str:
     """Say what a pose source knows."""
     name = f"{source.parent} > {source.child or 'a body'}"
     step = f"{source.largest_step_m:.3g} m, {math.degrees(source.largest_step_rad):.3g} deg"
@@ -147,7 +138,7 @@ def describe_source(source: Coverage) -> str:
     )
 
 
-def tell_sources(sources: tuple[Coverage, ...]) -> list[str]:
+def tell_sources(sources: tuple[findings.Coverage, ...]) -> list[str]:
     """Say what the pose sources that move know, and how many others there are."""
     moving = [describe_source(source) for source in sources if source.moves]
     fixed = len(sources) - len(moving)
@@ -155,7 +146,7 @@ def tell_sources(sources: tuple[Coverage, ...]) -> list[str]:
     return moving + ([f"{count(fixed, 'transform')} that never {changes}"] if fixed else [])
 
 
-def describe_map(grid: MapFindings) -> str:
+def describe_map(grid: findings.MapFindings) -> str:
     """Say how large the map would be."""
     return (
         f"{grid.columns:,} x {grid.rows:,} cells of {grid.resolution:g} m, "
