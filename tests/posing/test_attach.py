@@ -101,6 +101,12 @@ def stated(*poses: Pose) -> ScanBatch:
     return replace(batch_at([0] * len(poses)), pose=np.array(poses, np.float64))
 
 
+def test_scans_that_lack_the_pose_beside_them_are_counted() -> None:
+    posed, dropped = attach(build(), stated(Pose.planar(1, 0, 0)), batch_at([1, 2]))
+    assert [len(each.position) for each in posed] == [1]
+    assert dropped == {DropReason.NO_TRANSFORM: 2}
+
+
 def test_a_stated_pose_is_used_as_it_is() -> None:
     (posed,), dropped = attach(build(), stated(turned(90, x=1, y=2), turned(0)))
     assert not dropped
