@@ -7,7 +7,6 @@ from typing import Any
 
 from occmap import difference, inspection, pictures, tuning
 from occmap.errors import UsageError
-from occmap.evidence import merging, publishing
 from occmap.inputs import find_inputs
 from occmap.keywords import list_options, read_each, read_option, read_options
 from occmap.maps import Map
@@ -17,6 +16,7 @@ from occmap.readers import Log, open_log
 from occmap.scoring import compare as scoring
 from occmap.scoring.variants import combine
 from occmap.sensor.models import SensorModel
+from occmap.store import merging, publishing
 from occmap.store.reading import read_all
 from occmap.writers import WriteOptions
 

@@ -1,19 +1,16 @@
-"""Compile kernels ahead: all, to ship them (`python -m occmap.warm`), or those of one grid."""
+"""Compile all kernels ahead, to ship them: `python -m occmap.warm`."""
 
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
-
-from occmap.grid.engine import GridEngine
-from occmap.grid.spec import GridSpec
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions
 from occmap.scoring.score import score_map
+from occmap.scoring.trials import make_scans
 from occmap.sensor.models import CountingModel, QuadraticModel, SensorModel
-from occmap.types import Kind, Rays, Update
+from occmap.types import Update
 
 HEADER = "# angle_min: 0\n# angle_increment: 1\n# time_increment: 0.0001\nstamp,r0,r1\n"
 
@@ -31,27 +28,6 @@ def compile_kernels() -> None:
             options = BuildOptions(update=update, model=model, posing=posing, jobs=1)
             made = build([log], options, [Path(name) / "map.npz"])
     score_map(made.map, [make_scans(1)], jobs=1)
-
-
-def warm_up(spec: GridSpec) -> None:
-    """Compile or load the kernels of one grid: those for few scans, and those for many."""
-    engine = GridEngine(spec)
-    for scans in (1, 500):
-        engine.add(make_scans(scans))
-    engine.finish()
-
-
-def make_scans(scans: int) -> Rays:
-    """A corner of a room, from one place."""
-    return Rays(
-        origin=np.zeros((scans, 1, 2)),
-        turn=np.tile(np.eye(2), (scans, 1, 1, 1)),
-        bearing=np.array([[1.0, 0.0], [0.0, 1.0]]),
-        distance=np.ones((scans, 2), np.float32),
-        kind=np.full((scans, 2), Kind.HIT, np.uint8),
-        stamp_ns=np.zeros(scans, np.int64),
-        full_circle=False,
-    )
 
 
 if __name__ == "__main__":

@@ -22,7 +22,6 @@ import occmap
 from occmap.batching import Selection
 from occmap.cli.console import spell_all
 from occmap.errors import MapError, OccmapError, OutputError, UsageError
-from occmap.evidence.publishing import RenderOptions
 from occmap.grid.framing import Framing
 from occmap.keywords import list_options, read_options
 from occmap.options import BuildOptions
@@ -31,6 +30,7 @@ from occmap.posing.options import Deskew, PosingOptions, Stamps
 from occmap.readers.options import Echo, ReaderOptions
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel
 from occmap.sensor.returns import NoReturn, ReturnOptions
+from occmap.store.publishing import RenderOptions
 from occmap.types import Pose, PoseSample, Update
 from occmap.writers import MapMode, Shade, WriteOptions
 from tests.cli.runner import occmap as command_line

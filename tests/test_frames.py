@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.evidence.merging import merge
 from occmap.grid.framing import Framing
 from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions
 from occmap.scoring.compare import compare
 from occmap.scoring.variants import combine
+from occmap.store.merging import merge
 from occmap.types import Pose, Update
 from occmap.writers.npz import read_evidence
 from tests.inspection_logs import Drive, write_bag

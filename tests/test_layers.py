@@ -6,7 +6,9 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections import defaultdict
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
@@ -89,6 +91,14 @@ def test_layers_do_not_know_each_other(path: Path) -> None:
 @pytest.mark.parametrize("name", sorted(SHARED))
 def test_what_all_share_knows_only_what_all_share(name: str) -> None:
     assert find_met(PACKAGE / f"{name}.py") <= SHARED
+
+
+def test_no_two_parts_know_each_other_in_a_circle() -> None:
+    known: dict[str, set[str]] = defaultdict(set)
+    for path in MODULES:
+        known[find_layer(name_module(path))] |= find_met(path)
+    known.pop("")  # the package itself hands on names of the API, and all may ask for its version
+    TopologicalSorter(known).prepare()  # raises CycleError with the circle
 
 
 def test_nothing_knows_the_command_line() -> None:

@@ -13,9 +13,9 @@ from occmap.cli.streams import hide_caught, place_outputs
 from occmap.command import MODEL_PARAMETERS
 from occmap.errors import UsageError
 from occmap.evidence import Described, read_model
-from occmap.evidence.publishing import RenderOptions, publish
 from occmap.keywords import take
 from occmap.sensor.models import SensorModel
+from occmap.store.publishing import RenderOptions, publish
 from occmap.store.reading import Saved
 from occmap.summary import tell_map, tell_scans
 from occmap.writers.outputs import check_outputs

@@ -9,7 +9,7 @@ import numpy as np
 
 from occmap.arrays import Float64
 from occmap.cells import OccupancyMap
-from occmap.engines import make_engine, plan_grid
+from occmap.engines import make_engine
 from occmap.evidence import render
 from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions
@@ -54,13 +54,32 @@ class HoldOut:
         return sum(int(np.count_nonzero(rays.kind == Kind.HIT)) for rays in self.held)
 
 
+def warm_up(options: BuildOptions) -> None:
+    """Compile or load the kernels that an engine needs: those for few scans, and those for many."""
+    engine = make_engine(options)
+    for scans in (1, 500):
+        engine.add(make_scans(scans))
+    engine.finish()
+
+
+def make_scans(scans: int) -> Rays:
+    """A corner of a room, from one place."""
+    return Rays(
+        origin=np.zeros((scans, 1, 2)),
+        turn=np.tile(np.eye(2), (scans, 1, 1, 1)),
+        bearing=np.array([[1.0, 0.0], [0.0, 1.0]]),
+        distance=np.ones((scans, 2), np.float32),
+        kind=np.full((scans, 2), Kind.HIT, np.uint8),
+        stamp_ns=np.zeros(scans, np.int64),
+        full_circle=False,
+    )
+
+
 class SharedEvidence:
     """The evidence of one or more variants, and the processor time that it took."""
 
     def __init__(self, options: BuildOptions) -> None:
-        from occmap.warm import warm_up  # noqa: PLC0415  late: it brings numba
-
-        warm_up(plan_grid(options))  # so that no variant is charged for compiling
+        warm_up(options)  # so that no variant is charged for compiling
         self._engine = make_engine(options)
         self._seconds: list[float] = []
 

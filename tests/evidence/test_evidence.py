@@ -11,11 +11,11 @@ import pytest
 from occmap.errors import MapError
 from occmap.evidence import weigh
 from occmap.evidence.manifest import describe_files
-from occmap.evidence.publishing import RenderOptions, publish, render_kept
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
 from occmap.sensor.models import SimpleModel, parse_model
 from occmap.sensor.returns import ReturnCounts
+from occmap.store.publishing import RenderOptions, publish, render_kept
 from occmap.types import Update
 from occmap.writers.npz import read_evidence
 from tests.evidence.saving import DRIVE, choose, each_combination, save

@@ -14,7 +14,6 @@ from occmap.cells import Slices
 from occmap.errors import MapError, UsageError
 from occmap.evidence import render, to_grid
 from occmap.evidence.persistence import keep_lasting, list_lost, render_lasting
-from occmap.evidence.publishing import RenderOptions
 from occmap.grid.lattice import Lattice
 from occmap.grid.slices import pack
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
@@ -22,6 +21,7 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.sensor.models import parse_model
 from occmap.sensor.returns import ReturnOptions
+from occmap.store.publishing import RenderOptions
 from occmap.types import Update
 from occmap.writers import DEFAULT_THRESHOLDS
 from occmap.writers.npz import read_evidence

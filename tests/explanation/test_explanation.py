@@ -12,9 +12,7 @@ from occmap.batching import Selection
 from occmap.cells import Evidence
 from occmap.errors import MapError, UsageError
 from occmap.evidence import render, to_grid
-from occmap.evidence.merging import merge, subtract
 from occmap.evidence.persistence import keep_lasting
-from occmap.evidence.publishing import RenderOptions, render_kept
 from occmap.explanation import Explanation, Question, explain
 from occmap.explanation.sightings import add_up
 from occmap.options import BuildOptions
@@ -27,6 +25,8 @@ from occmap.sensor.models import (
     SimpleModel,
     parse_model,
 )
+from occmap.store.merging import merge, subtract
+from occmap.store.publishing import RenderOptions, render_kept
 from occmap.types import Update
 from occmap.writers import MapMode, WriteOptions
 from occmap.writers.npz import read_evidence

@@ -8,11 +8,11 @@ import pytest
 
 from occmap.cells import Evidence
 from occmap.errors import UsageError
-from occmap.evidence.merging import merge
 from occmap.explanation.history import Visits, look_at
 from occmap.grid.tiles import EvidenceKind
 from occmap.pipeline import build
 from occmap.sensor.models import parse_model
+from occmap.store.merging import merge
 from occmap.writers.npz import read_evidence
 from tests.samples import PLAIN, Planar, write_csv
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from occmap.evidence.merging import merge
+from occmap.store.merging import merge
 from occmap.writers.atomic import hold_alone
 from occmap.writers.npz import NpzWriter, read_evidence
 from tests.cli.runner import occmap, read_error

@@ -9,8 +9,8 @@ from occmap.cli import limits, options
 from occmap.cli.console import Console
 from occmap.cli.saved import put_out
 from occmap.cli.sections import as_command, join
-from occmap.evidence.merging import combine
 from occmap.gates import SAVED
+from occmap.store.merging import combine
 
 subtracted = options.paths(
     options.FILES, "--subtract", metavar="NPZ", text="Take the evidence in this file away."

@@ -10,14 +10,14 @@ import pytest
 from occmap.batching import Selection
 from occmap.cells import Evidence, Manifest, Slices
 from occmap.errors import MapError
-from occmap.evidence.merging import merge, subtract
-from occmap.evidence.publishing import RenderOptions, publish
 from occmap.explanation.history import Visits, look_at
 from occmap.grid.slices import count_visits, split_tiles, unite
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
+from occmap.store.merging import merge, subtract
+from occmap.store.publishing import RenderOptions, publish
 from occmap.types import Update
 from occmap.writers.npz import read_evidence
 from tests.evidence.saving import (
