@@ -200,9 +200,9 @@ class ChunkedSource(ABC):
         are added to `descriptions`.
         """
         view, size = memoryview(block.records), len(block.records)
-        damaged: list[int] = []
+        damaged: set[int] = set()
         held, is_timely = 0, True
-        at, behind = 0, -1
+        at = behind = 0
         while at < size:
             for key, record_ns, start, end in self._parse_records(view, at):
                 if end > size:
@@ -217,11 +217,11 @@ class ChunkedSource(ABC):
                 behind = at
                 at = end
             if at < size:
-                damaged.append(at)
+                damaged.add(at)
                 at = behind = self._find_record(BytesIO(view), behind + 1, size)
         if damaged:
             more = f" and in {len(damaged) - 1} more of its places" if len(damaged) > 1 else ""
-            self._note(block.position, f"is damaged at byte {damaged[0]}{more}")
+            self._note(block.position, f"is damaged at byte {min(damaged)}{more}")
         self._check_block(block, held, is_timely)
 
     def _check_block(self, block: Block, held: int, is_timely: bool) -> None:
