@@ -303,7 +303,7 @@ class McapSource(chunked.ChunkedSource):
             at = end
 
     def _peek(self, file: BinaryIO, position: int, size: int) -> int:
-        """Two heads of records, of which the first says where the second lies, are no chance."""
+        """Say which kind of record is at a position. Two heads in a row are not there by chance."""
         if not _leads_on(file, position, size):
             return 0
         file.seek(position)
