@@ -358,6 +358,20 @@ def test_a_record_that_became_a_footer_ends_nothing(path: Path) -> None:
     assert any(note.damage for note in log.notes)
 
 
+def test_a_chunk_is_read_behind_a_first_record_of_another_kind(path: Path) -> None:
+    data = bytearray(write_variant(LOG, FULL - {"checksums"}))
+    chunk, _ = list_records(data, CHUNK)[1]
+    first = chunk + 9 + 8 + 8 + 8 + 4 + 4 + 8
+    assert data[first] == MESSAGE  # on /tf
+    data[first] = 12  # its length still leads to the next record
+    path.write_bytes(data)
+
+    log, stamps = read(path)
+
+    assert stamps == STAMPS
+    assert f"the chunk at byte {chunk} is damaged at byte 0" in [note.text for note in log.notes]
+
+
 @pytest.mark.parametrize("other", ["sensor_msgs/msg/PointCloud", "sensor_msgs/msg/NavSatFix"])
 def test_another_type_of_ros_is_no_damaged_one(other: str) -> None:
     assert not find_oddity(Channel("/x", other, "cdr", count=5))

@@ -31,10 +31,10 @@ LONGEST_RECORD = 2**32 - 1
 EVERY_ID = range(1 << 32)
 """All channels that there can be; each number stands for itself."""
 DESCRIPTION, OTHER = -1, -2
-"""Stand for the channel of a record that describes one, and of any other that is no message."""
+"""Stand in place of a message's channel for a record that describes one, and for any other."""
 _WINDOW = 1 << 20
 _LONGEST_HEAD = 64
-"""Bytes that tell, at most, that a record may begin with them."""
+"""Bytes that `head` looks at, at most."""
 
 
 class Record(NamedTuple):
@@ -78,9 +78,8 @@ class Block(NamedTuple):
 Wanted: TypeAlias = Mapping[int, T] | Sequence[T]
 """Channels by their numbers"""
 Inner: TypeAlias = tuple[int, int, int, int]
-"""A record of a block: the channel of a message, when it was recorded (ns; both mean nothing of
-other records), and where in the block its own bytes begin and end. A plain tuple, since a log has
-tens of thousands."""
+"""A record of a block: a message's channel, when it was recorded (ns), and where in the block its
+own bytes begin and end. A plain tuple, since a log has tens of thousands."""
 
 Descriptions: TypeAlias = dict[bytes, int]
 """Records that describe channels, each with the position of the chunk where it first lies."""
@@ -99,10 +98,10 @@ class ChunkedSource(ABC):
     """The opcodes of those behind which no messages follow"""
     unit: ClassVar[str] = "channel"
     """What the format calls a channel"""
+    head: ClassVar[re.Pattern[bytes]]
+    """What a record may begin with, as a look-ahead: the matches of damaged bytes may overlap"""
     _cut_at = -1
     """Where a record begins in the middle of which the file ends"""
-    head: ClassVar[re.Pattern[bytes]]
-    """How a record may begin; it takes no bytes"""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -170,7 +169,7 @@ class ChunkedSource(ABC):
 
     @abstractmethod
     def _peek(self, file: BinaryIO, position: int, size: int) -> int:
-        """Find the opcode of a record that surely begins at a position; 0 where none does."""
+        """Say which kind of record begins at a position; 0 where it may be none."""
 
     @abstractmethod
     def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
@@ -200,9 +199,9 @@ class ChunkedSource(ABC):
         are added to `descriptions`.
         """
         view, size = memoryview(block.records), len(block.records)
-        damaged: list[int] = []
+        damaged: set[int] = set()
         held, is_timely = 0, True
-        at, behind = 0, -1
+        at = behind = 0
         while at < size:
             for key, record_ns, start, end in self._parse_records(view, at):
                 if end > size:
@@ -217,11 +216,11 @@ class ChunkedSource(ABC):
                 behind = at
                 at = end
             if at < size:
-                damaged.append(at)
+                damaged.add(at)
                 at = behind = self._find_record(BytesIO(view), behind + 1, size)
         if damaged:
             more = f" and in {len(damaged) - 1} more of its places" if len(damaged) > 1 else ""
-            self._note(block.position, f"is damaged at byte {damaged[0]}{more}")
+            self._note(block.position, f"is damaged at byte {min(damaged)}{more}")
         self._check_block(block, held, is_timely)
 
     def _check_block(self, block: Block, held: int, is_timely: bool) -> None:

@@ -210,13 +210,12 @@ class McapSource(chunked.ChunkedSource):
         else:
             self._has_doubles = True
             found, held = self._survey(file)
-            if statistics is not None and statistics.message_count != held.total():
-                stated = statistics.message_count
+            stated = statistics.message_count if statistics else held.total()
+            if stated != held.total():
                 text = f"{held.total()} messages are in it, its statistics have {stated}"
                 self.notes.add_damage(text)
-            channels = channels | found
-            announced = {key: number for key, number in counts.items() if key in channels}
-            counts = Counter({**held, **announced})
+            channels |= found
+            counts = Counter({**held, **{key: counts[key] for key in counts.keys() & channels}})
         for channel in channels.values():
             if channel.encoding in {"cdr", "ros1"} and not channel.type:
                 self.notes.add_damage(f"the type of the messages on {channel.topic} is not stated")
@@ -303,7 +302,7 @@ class McapSource(chunked.ChunkedSource):
             at = end
 
     def _peek(self, file: BinaryIO, position: int, size: int) -> int:
-        """Two heads of records, of which the first says where the second lies, are no chance."""
+        """Say which kind of record is at a position. Two heads in a row are not there by chance."""
         if not _leads_on(file, position, size):
             return 0
         file.seek(position)

@@ -139,39 +139,38 @@ def read_layout(path: Path, header: Line, comments: Mapping[str, Line]) -> Layou
     LogError
         A column is missing or stands twice, or a constant is not a number.
     """
-
-    def fail(line: Line, found: str, fix: str) -> LogError:
-        return LogError(found, where=f"{path}:{line.number}", fix=fix)
-
+    where = f"{path}:{header.number}"
     try:
         names = split_names(header.text)
     except ValueError as error:
-        raise fail(header, f"malformed header: {error}", "correct it") from None
+        raise LogError(f"malformed header: {error}", where=where, fix="correct it") from None
     if fault := _find_fault(names, {*names, *comments}):
-        raise fail(header, *fault)
-    constants = dict(DEFAULTS)
-    for name, line in comments.items():
-        if name not in names:
-            _, constants[name] = split_comment(line.text)
-            try:
-                _check_constant(name, constants[name])
-            except ValueError as error:
-                raise fail(line, str(error), f"write `# {name}: NUMBER`") from None
+        found, fix = fault
+        raise LogError(found, where=where, fix=fix)
+    stated = {name: line for name, line in comments.items() if name not in names}
+    constants = {name: _read_constant(path, name, line) for name, line in stated.items()}
     places = {name: at for at, name in enumerate(names)}
     return Layout(
         header=tuple(names),
         columns={name: at for name, at in places.items() if name in NAMES},
         beams=tuple(places[f"r{beam}"] for beam in range(sum(map(_is_beam, names)))),
-        constants=constants,
+        constants={**DEFAULTS, **constants},
         parse_stamp=parse_nanoseconds if header.text.startswith(ROSTOPIC) else parse_seconds,
     )
 
 
-def _check_constant(name: str, text: str) -> None:
-    if name == "stamp":
-        parse_seconds(text)
-    elif name != "frame":
-        read_number(name, text)
+def _read_constant(path: Path, name: str, line: Line) -> str:
+    """Read the text that a comment gives for all rows; raises LogError where it is no number."""
+    _, text = split_comment(line.text)
+    try:
+        if name == "stamp":
+            parse_seconds(text)
+        elif name != "frame":
+            read_number(name, text)
+    except ValueError as error:
+        place, fix = f"{path}:{line.number}", f"write `# {name}: NUMBER`"
+        raise LogError(str(error), where=place, fix=fix) from None
+    return text
 
 
 def split_cells(text: str) -> list[str]:
