@@ -18,6 +18,7 @@ from occmap.cells import OccupancyMap
 from occmap.errors import LogError, MapError, OccmapError, OutputError, PoseError, UsageError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
+from occmap.posing.options import PosingOptions
 from occmap.report import Build, Report
 from occmap.types import Update
 from tests.readers.ros import ROS2, Written, drive, transforms, write_mcap
@@ -333,3 +334,9 @@ def test_damage_is_named_where_it_leaves_no_scan(tmp_path: Path) -> None:
     log.write_bytes(content[: content.index(b"sensor_msgs/msg/LaserScan")])
     with pytest.raises(LogError, match=r"no laser scans; it holds .*; the file ends in the middle"):
         build([log], BEAM)
+
+
+def test_a_base_frame_that_nothing_asks_for_is_noted(tmp_path: Path) -> None:
+    log = write_mcap(tmp_path / "log.mcap", drive(ROS2))
+    report = build([log], replace(BEAM, posing=PosingOptions(base_frame="base"))).report
+    assert any("`base_frame` does nothing" in note for note in report.notes)

@@ -106,6 +106,8 @@ def read_config(path: Path, command: click.Command, typed: Mapping[str, Any]) ->
     taken = {name: value for name, value in known.items() if own[name].name not in typed}
     nothing = "all of it is typed, too" if known else "no option of this command"
     told = ", ".join(f"{name} = {json.dumps(value, default=str)}" for name, value in taken.items())
+    if "\\u0000" in told:  # no command line can hold one, so that nothing behind it expects one
+        raise UsageError("a value holds a null character", where=path, fix="take it out")
     by_option = {
         str(own[name].name): convert(path, own[name], value) for name, value in taken.items()
     }

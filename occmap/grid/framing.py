@@ -36,16 +36,18 @@ class Framing:
 
     def __post_init__(self) -> None:
         found = f"a margin of {self.margin} m is not possible"
-        require(0 <= self.margin <= FARTHEST_M, found, "give 0 or more")
+        require(0 <= self.margin <= FARTHEST_M, found, f"give 0 to {FARTHEST_M:g}")
         if self.extent is None:
             return
         found = "`margin` and `extent` exclude each other"
         require(not self.margin, found, "leave out `margin` or `extent`")
         x_min, y_min, x_max, y_max = self.extent
-        is_near = max(map(abs, self.extent)) <= FARTHEST_M
         fix = "write x_min,y_min,x_max,y_max in metres, such as 0,0,5,4"
-        is_box = is_near and x_min < x_max and y_min < y_max
+        is_box = x_min < x_max and y_min < y_max
         require(is_box, f"the extent {self.extent} is not a box", fix)
+        found = f"the extent {self.extent} reaches too far"
+        is_near = max(map(abs, self.extent)) <= FARTHEST_M
+        require(is_near, found, f"give numbers up to {FARTHEST_M:g}, in metres")
 
 
 def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) -> OccupancyMap:

@@ -102,6 +102,13 @@ class PosingOptions:
     brings its walls along the axes, which is for `occmap.alignment` to find."""
 
     def __post_init__(self) -> None:
+        for name in (
+            "map_frame",
+            "base_frame",
+            "poses",
+        ):
+            found = f"`{name}` is empty"
+            require(getattr(self, name) != "", found, "give a name, or leave it out")
         found = f"the time offset is {self.time_offset_s} s"
         fix = f"give at most {MAX_OFFSET_S:g} s either way"
         require(abs(self.time_offset_s) <= MAX_OFFSET_S, found, fix)

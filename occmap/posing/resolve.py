@@ -106,9 +106,13 @@ class _Search:
             if not (self.options.map_frame or fixed or last_part(usual) in FIXED_NAMES):
                 self._fail_without_motion(usual)
         steps = self._find_path(name, anchor)
-        for step in (step for step in steps if step.source is Source.ODOMETRY):
-            given = f"{step.parent} -> {step.child}"
-            self.notes.append(f"tf does not give {given}: taken from {step.topic}")
+        self.notes += [
+            f"tf does not give {step.parent} -> {step.child}: taken from {step.topic}"
+            for step in steps
+            if step.source is Source.ODOMETRY
+        ]
+        if self.options.base_frame and not self.options.sensor_pose:
+            self.notes.append("`base_frame` does nothing: it is for `sensor_pose` and `poses`")
         return name, [*steps, *self._mount_on(anchor)]
 
     def go_by_poses(self, trajectory: Edge) -> Way:

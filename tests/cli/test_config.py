@@ -121,6 +121,7 @@ def test_options_of_other_commands_are_passed_over(log: Path) -> None:
         ("strict = 'no'", "strict is 'no'; write true or false"),
         ("light-occupied = 1", "light-occupied is 1; write true or false"),
         ('deskew = "of"', "'of' is not one of 'auto', 'on', 'off'"),
+        (r'poses = "a\u0000b"', "a value holds a null character; take it out"),
         ("stride = [", "is not TOML ("),
     ],
 )

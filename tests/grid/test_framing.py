@@ -73,13 +73,13 @@ def test_a_frame_of_too_many_cells_is_refused() -> None:
     "box", [(0, 0, 0, 1), (0, 1, 1, 0), (0, math.nan, 1, 1), (math.nan, 0, 1, 1), (0, 0, 1.01e8, 1)]
 )
 def test_what_is_no_box_is_refused(box: Box) -> None:
-    with pytest.raises(UsageError, match="is not a box; write x_min"):
+    with pytest.raises(UsageError, match=r"is not a box; write x_min|too far; give numbers up to"):
         Framing(extent=box)
 
 
 @pytest.mark.parametrize("margin", [-0.1, 1.01e8, math.nan, math.inf])
 def test_what_is_no_margin_is_refused(margin: float) -> None:
-    with pytest.raises(UsageError, match="give 0 or more"):
+    with pytest.raises(UsageError, match="give 0 to 1e"):
         Framing(margin=margin)
 
 
