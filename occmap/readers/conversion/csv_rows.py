@@ -215,7 +215,8 @@ def _is_beam(name: str) -> bool:
 def read_number(name: str, text: str) -> float:
     """Read a number of a cell or constant; raises ValueError, naming the column."""
     try:
-        value = _parse(text)
+        _refuse_notation(text)
+        value = float(text)
     except ValueError:
         raise ValueError(f"{name} is {shorten(text)} where a number belongs") from None
     if name in FINITE and not math.isfinite(value):
@@ -244,16 +245,16 @@ def _find_fault(names: list[str], given: set[str]) -> tuple[str, str] | None:
     return None
 
 
-def _parse(text: str) -> float:
-    """Parse a number as files hold it; Python's own notation, such as 1_000, is none there."""
+def _refuse_notation(text: str) -> None:
+    """Raise ValueError where a number is written as Python alone writes it, such as 1_000."""
     if "_" in text or not text.isascii():
         raise ValueError
-    return float(text)
 
 
 def _read_beams(texts: list[str]) -> Float32:
     try:
-        return as_float32([_parse(text or "nan") for text in texts])
+        _refuse_notation("".join(texts))
+        return as_float32([float(text or "nan") for text in texts])
     except ValueError:
         names = (f"column r{beam}" for beam in range(len(texts)))
         checked = [text.strip() or "nan" for text in texts]
