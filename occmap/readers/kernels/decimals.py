@@ -21,9 +21,21 @@ MOST_TIME_DIGITS = 19
 """Whole nanoseconds of this many digits fit 64 bits where the first is not 9."""
 POWERS: Float64 = np.array([float(10**n) for n in range(MOST_DIGITS + 1)])
 _ZERO, _NINE, _DOT, _MINUS, _BLANK, _QUOTE, _END = map(ord, '09.- "\n')
+
+# Eight bytes of text as one number, the first byte lowest.
 _INF, _NAN = (np.uint64(int.from_bytes(word, "little")) for word in (b"inf", b"nan"))
 _THREE_BYTES = np.uint64(0xFFFFFF)
-_NONE, _ONE = np.uint64(0), np.uint64(1)
+_DIGIT_BITS = np.uint64(0x1010101010101010)
+"""Every digit has this bit; dots, commas, blanks and line ends have not."""
+_UPPER, _LOWER = np.uint64(0xF0F0F0F0F0F0F0F0), np.uint64(0x0F0F0F0F0F0F0F0F)
+_SIXES = np.uint64(0x0606060606060606)
+"""Added to the lower halves of bytes, it sets a digit bit where they are above nine."""
+_PAIRS, _FIRST_PAIRS, _LAST_PAIRS = (
+    np.uint64(0x000000FF000000FF),
+    np.uint64(100 + (1000000 << 32)),
+    np.uint64(1 + (10000 << 32)),
+)
+_NONE, _ONE, _EIGHT, _TEN, _SIXTEEN, _HALF, _BYTE = map(np.uint64, (0, 1, 8, 10, 16, 32, 0xFF))
 
 
 class Lines(NamedTuple):
@@ -75,6 +87,22 @@ class Word(NamedTuple):
     has_quote: bool
 
 
+class Form(NamedTuple):
+    """How short numbers are written, such as 12.34 and a comma, in up to eight bytes."""
+
+    bits: np.uint64
+    """All bits of the dot and of the separator, and those that tell that a byte may be a digit"""
+    usual: np.uint64
+    """What these bits are"""
+    before_dot: np.uint64
+    behind_dot: np.uint64
+    """The lower halves of the digits' bytes; those behind the dot, moved up by one place"""
+    width: np.uint64
+    """Of a word without its separator (bytes)"""
+    power: float
+    """The eight digits, with zeros behind the last, make so many times the number"""
+
+
 @kernel
 def parse_rows(lines: Lines, filled: Filled) -> int:
     """Parse the words of lines; a line that holds more or fewer words than others is unlike them.
@@ -89,6 +117,9 @@ def parse_rows(lines: Lines, filled: Filled) -> int:
     text, eights, starts, separator, kinds, same = lines
     ranges, values, times, alike, left = filled
     lefts = 0
+    # Most ranges are written in the form of those before them: one comparison tells that a word has
+    # it, and all its digits are taken at once. A form that no word has comes first.
+    form, others = Form(_NONE, _ONE, _NONE, _NONE, _NONE, 1.0), 0
     for row in range(len(starts)):
         at, same_at, beam = np.uint64(starts[row]), _NONE, 0
         for col in range(len(kinds)):
@@ -96,6 +127,13 @@ def parse_rows(lines: Lines, filled: Filled) -> int:
                 break
             at = _skip_blanks(text, at + np.uint64(col > 0), separator)
             kind = kinds[col]
+            has_form, digits = _match_form(eights[at], form)
+            if has_form and kind == RANGE:
+                ranges[row, beam] = _join_digits(digits) / form.power
+                at += form.width
+                beam += 1
+                others = 0
+                continue
             size = _measure_same(text, at, same, same_at, separator) if kind == SAME else _NONE
             if kind == SAME and size == _NONE:
                 break
@@ -112,6 +150,10 @@ def parse_rows(lines: Lines, filled: Filled) -> int:
             if kind == RANGE:
                 is_read, ranges[row, beam] = _to_float(word, eights[word.first])
                 beam += 1
+                others += 1
+                is_short = word.first == word.start and 0 < word.digits < 8 - word.dots
+                if others > 1 and is_short and text[at] == separator:
+                    form, others = _find_form(word, eights[word.start]), 0
             elif kind == NUMBER:
                 is_read, values[col, row] = _to_float(word, eights[word.first])
             elif kind != ANY:
@@ -126,6 +168,35 @@ def parse_rows(lines: Lines, filled: Filled) -> int:
         else:
             alike[row] = text[_skip_blanks(text, at, separator)] == _END
     return lefts
+
+
+@step
+def _match_form(word: np.uint64, form: Form) -> tuple[bool, np.uint64]:
+    """Whether eight bytes begin with a word of a form, and its digits, each in a byte."""
+    digits = (word & form.before_dot) | ((word >> _EIGHT) & form.behind_dot)
+    is_like = word & form.bits == form.usual and (digits + _SIXES) & _DIGIT_BITS == _NONE
+    return is_like, digits
+
+
+@step
+def _join_digits(digits: np.uint64) -> np.int64:
+    """The number of eight digits, of which the first is the lowest byte."""
+    digits = digits * _TEN + (digits >> _EIGHT)
+    odd_pairs, even_pairs = digits & _PAIRS, (digits >> _SIXTEEN) & _PAIRS
+    return np.int64((odd_pairs * _FIRST_PAIRS + even_pairs * _LAST_PAIRS) >> _HALF)
+
+
+@step
+def _find_form(word: Word, eight: np.uint64) -> Form:
+    """The form of a short word without a sign, given its eight bytes."""
+    whole = word.digits - word.decimals
+    dot_at, end_at = np.uint64(8 * whole), np.uint64(8 * (word.digits + word.dots))
+    word_bits = (_ONE << end_at) - _ONE
+    before_dot = ((_ONE << dot_at) - _ONE) & _LOWER
+    behind_dot = (word_bits >> _EIGHT) & _LOWER & ~before_dot
+    bits = word_bits & _UPPER | np.uint64(255 * word.dots) << dot_at | _BYTE << end_at
+    width = np.uint64(word.digits + word.dots)
+    return Form(bits, eight & bits, before_dot, behind_dot, width, POWERS[8 - whole])
 
 
 @step
