@@ -73,7 +73,7 @@ def list_entries(path: Path) -> list[Path]:
 
 def is_bag(path: Path, recordings: Collection[Path]) -> bool:
     """Whether a folder is one bag of ROS 2, and not a folder of several recordings."""
-    from occmap.readers.containers import bag2  # noqa: PLC0415  late: it brings rosbags
+    from occmap.readers.containers import bag2  # noqa: PLC0415  late: it brings mcap and apsw
 
     if not path.is_dir() or (path / bag2.METADATA).exists():
         return path.is_dir()

@@ -42,7 +42,7 @@ def open_drive(log: Log, options: BuildOptions) -> Drive:
 
     Raises
     ------
-    LogError, PoseError
+    LogError, PoseError, UsageError
         As `choose_topics` and `make_poser`.
     """
     topics = choose_topics(log, options.selection.topics)

@@ -30,7 +30,7 @@ MIN_VALUES = 16
 SICK_CODES = (81.82, 81.92)
 """Between these the SICK LMS writes its error codes, from 8183 to 8191 cm: one is enough"""
 COARSE = np.uint32(0xFFFFFF00)
-"""The bits of a float32 by which ranges are counted: they tell millimetres apart, 8 near 80 m"""
+"""The bits of a float32 by which ranges are counted, so that near 80 m they are 2 mm apart"""
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,6 @@
-"""How a store lays out what it holds: the names in its folder, packed arrays, table and digests.
+"""How a store lays out what it holds: packed arrays, table and digests.
 
-zarr is imported here alone, by `import_zarr`.
-
-| in the folder | holds |
-|---|---|
-| `zarr.json` | the manifest, and what makes the store whole: it is written last |
-| `hits`, `misses` | or `log_odds`, `observations`: (H, W) int64, the two numbers of each cell |
-| `y`, `x` | (H,) and (W,) float64, the middle of each row and column (m) |
-| `slices/R.C` | of block (R, C), when its cells were observed: arrays of bytes end to end |
-| `classes/N` | uint8, 0 unknown, 1 free, 2 occupied, for squares of N x N cells |
-| `blocks` | the table of blocks |
+docs/formats.md lists the arrays in its folder. zarr is imported here alone, by `import_zarr`.
 """
 
 import hashlib
