@@ -2,12 +2,12 @@
 
 The way of a line from the file to a `Scan`:
 
-1. `text.read_blocks` reads the file in blocks of lines.
+1. `containers.text.read_blocks` reads the file in blocks of lines.
 2. `_read` of the format says which lines of a block are scans, and of which kind.
 3. `_parse_together` lets the format's `parse` make a `Scan` of the first sound line of each kind.
    From that line, `find_pattern` says what each word of lines like it is.
-4. `parse_table` has all lines of that pattern parsed by a kernel, and `make_run` makes a `ScanRun`
-   of the table.
+4. `decoding.tables.parse_table` has all lines of that pattern parsed by a kernel, and `make_run`
+   makes a `ScanRun` of the table.
 5. `_parse_block` gives every line that does not fit the pattern to `parse`, one by one.
 
 Malformed lines are counted. All lines of a log together show whether it is damaged, or a file of
@@ -18,22 +18,15 @@ CSV is judged when the first malformed row turns up: then all its rows are parse
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol, Self, TypeVar
+from typing import Protocol, Self, TypeVar
 
-import numpy as np
-
-from occmap.arrays import Float32, Float64, Int64, UInt8
+from occmap.arrays import Int64
 from occmap.errors import LogError
 from occmap.readers import NoteList, make_part
 from occmap.readers.containers.text import ALL, Block, Line, split_lines
-from occmap.readers.kernels import NUMBER, PADDING, RANGE, SAME, SECONDS
+from occmap.readers.decoding.tables import Pattern, Table, parse_table
 from occmap.types import Scan, ScanRun
-from occmap.values import as_float32, parse_nanoseconds, parse_seconds, shorten
-
-if TYPE_CHECKING:
-    from occmap.readers.kernels.decimals import Filled
 
 Parsed = TypeVar("Parsed")
 
@@ -41,33 +34,6 @@ MALFORMED_SHARE = 0.05
 """A damaged disk spoils a line here and there; a file with more malformed lines is another kind."""
 SOUND_START = 20
 """A file that begins with this many sound lines is a log, whatever follows."""
-
-NUMBER_CHARACTERS = b"+-.0123456789Ee naif"
-"""What programs write numbers with; of others, such as 1_0, Python and NumPy think differently."""
-
-
-class Pattern(NamedTuple):
-    """What lines that are parsed together have in common."""
-
-    words: Sequence[bytes]
-    """The words of one of them, N"""
-    separator: bytes
-    """What stands between two words: one comma, or any number of blanks"""
-    kinds: UInt8
-    """(N,) what each word is, as `occmap.readers.kernels` lists them"""
-
-
-class Table(NamedTuple):
-    """The values of S lines of N words that share a pattern."""
-
-    rows: Int64
-    """(S,) which lines of the block they are"""
-    ranges: Float32
-    """(S, B) in the order in which they stand; NaN where nothing stands between two commas"""
-    values: Float64
-    """(N, S) other numbers, likewise, by word"""
-    times: Int64
-    """(N, S) ns, by word; only the rows of times mean anything, as in `values` only the others"""
 
 
 class LineForm(Protocol):
@@ -117,63 +83,6 @@ class LineTally:
             raise LogError(found, where=f"{path}:{number}", fix=fix)
         count = f"{self.malformed} of {self.total} lines are malformed and left out"
         notes.add_damage(f"{count}, the first is line {number}: {fault}")
-
-
-def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
-    """Parse those of some lines, by their indices (S,), that are of a pattern."""
-    from occmap.readers.kernels import decimals  # noqa: PLC0415  late: it brings numba
-
-    words, separator, kinds = pattern
-    same = b"".join(words[at] + separator for at in np.flatnonzero(kinds == SAME).tolist())
-    rows = rows[: len(block.text) // len(kinds)]  # no more lines can have so many words
-    values = np.empty((len(kinds), len(rows)))
-    filled = decimals.Filled(
-        ranges=np.empty((len(rows), np.count_nonzero(kinds == RANGE)), np.float32),
-        values=values,
-        times=values.view(np.int64),
-        alike=np.zeros(len(rows), np.bool_),
-        # Lines of which more words are written as few programs do are as quick one by one.
-        left=np.empty((values.size // 8 + 64, 4), np.int64),
-    )
-    lines = decimals.Lines(
-        text=np.frombuffer(block.text, np.uint8),
-        eights=block.eights,
-        starts=block.starts[rows],
-        separator=ord(separator),
-        kinds=kinds,
-        same=np.frombuffer(same + PADDING, np.uint8),
-    )
-    lefts = decimals.parse_rows(lines, filled)
-    _parse_left(block.text, kinds, filled, lefts)
-    alike, ranges = filled.alike, filled.ranges
-    if not alike.all():
-        rows, ranges, values = rows[alike], ranges[alike], values[:, alike]
-    return Table(rows, ranges, values, values.view(np.int64))
-
-
-def _parse_left(text: bytearray, kinds: UInt8, filled: "Filled", lefts: int) -> None:
-    """Parse the words that the kernel left; a line of which one is malformed is not alike."""
-    beams = np.cumsum(kinds == RANGE) - 1
-    for row, col, start, end in filled.left[:lefts].tolist():
-        word, kind = bytes(text[start:end]), kinds[col]
-        try:
-            if kind == RANGE:
-                filled.ranges[row, beams[col]] = as_float32(_parse_number(word))
-            elif kind == NUMBER:
-                filled.values[col, row] = _parse_number(word)
-            else:
-                parse = parse_seconds if kind == SECONDS else parse_nanoseconds
-                filled.times[col, row] = parse(word.decode("utf-8", "replace"))
-        except ValueError:
-            filled.alike[row] = False
-
-
-@lru_cache(maxsize=64)
-def _parse_number(word: bytes) -> float:
-    """Parse a number that the kernel leaves; cached, as many logs repeat a few in every line."""
-    if word.translate(None, NUMBER_CHARACTERS):
-        raise ValueError(f"{shorten(word.decode(errors='replace'))} where a number belongs")
-    return float(word.strip() or "nan")
 
 
 class TextLog(ABC):

@@ -15,8 +15,8 @@ from occmap.readers.conversion.carmen_lines import (
     parse_front_offset,
     parse_odometry,
 )
+from occmap.readers.decoding.tables import parse_table
 from occmap.readers.kernels import PADDING
-from occmap.readers.text_log import parse_table
 from occmap.types import UNKNOWN_POSE, Pose, PoseSample, Scan, ScanRun
 
 CONFIG = "0 -1.570796 3.14172 0.008727 50.0 0.01 0"

@@ -1,1 +1,1 @@
-"""The bytes of messages as values, by the definition of their type."""
+"""Raw content as values: messages by the definition of their type, lines by their pattern."""

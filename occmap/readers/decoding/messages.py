@@ -1,4 +1,4 @@
-"""From the bytes of a message to scans and pose samples: decoded by a library, then converted.
+"""Messages as values: decoded by a library, and handed to what converts them.
 
 Only what goes wrong while bytes are decoded, or a value that `Scan` or `PoseSample` refuses, is
 damage of the log. Any other error is a fault of occmap's, and is not caught.
