@@ -21,7 +21,7 @@ from occmap.readers import Log, open_log, read_poses
 from occmap.sampling import encode_cells, estimate_agreement, sample_scans
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.tally import Tally
-from occmap.types import Kind, Pose, PosedScans
+from occmap.types import IDENTITY, Kind, Pose, PosedScans
 
 MOUNT_CELL_M = 0.1
 TURNS = [
@@ -30,7 +30,6 @@ TURNS = [
     for yaw in (0.0, math.pi / 2, math.pi, -math.pi / 2)
 ]
 """The eight ways in which people mount a laser"""
-UNTURNED = Pose.planar(0.0, 0.0, 0.0)
 CLEAR_WIN = 0.9
 """The right mount lays the walls of many scans over each other: it marks fewer cells than this
 share of what any other one marks."""
@@ -49,7 +48,7 @@ def name_mount(
     log: Log, topics: Sequence[str], options: BuildOptions, error: MountError
 ) -> PoseError:
     """Add to the error that a mount is missing which mount suits the scans, if one does."""
-    trial = replace(options, posing=replace(options.posing, sensor_pose=UNTURNED))
+    trial = replace(options, posing=replace(options.posing, sensor_pose=IDENTITY))
     poser = Poser.build(read_poses(log), trial.posing)
     guess = guess_place(poser, sample_scans(log, topics, poser, trial), options)
     return error.named(format_mount(guess.mount), guess.why) if guess else error
@@ -142,7 +141,7 @@ def find_better(poser: Poser, parts: Sequence[PosedScans], options: ReturnOption
         Such as "sensor_pose=0,0,3.14159"; "" where they fit as they are.
     """
     turn = choose_turn([count_marked(parts, turn, options) for turn in TURNS])
-    if turn is None or turn == UNTURNED:
+    if turn is None or turn == IDENTITY:
         return ""
     return correct_mount(poser, parts[0].batch.frame, turn)
 
@@ -164,7 +163,7 @@ def correct_mount(poser: Poser, frame: str, turn: Pose) -> str:
     given = poser.options.sensor_pose
     chain = poser.chains.get(frame)
     if given or chain is None:  # None: the poses stand beside the scans
-        return f"sensor_pose={format_mount((given or UNTURNED).then(turn))}"
+        return f"sensor_pose={format_mount((given or IDENTITY).then(turn))}"
     tree, base = poser.sources.tree, poser.options.base_frame
     bases = [base] if base else tree.list_bases(frame)
     if frame not in tree:  # the poses were taken as the sensor's own
@@ -183,7 +182,7 @@ def correct_mount(poser: Poser, frame: str, turn: Pose) -> str:
 
 def place_on(steps: Sequence[Edge]) -> Pose | None:
     """Find where the last frame of some steps sits in the first; None where one of them moves."""
-    place = UNTURNED
+    place = IDENTITY
     for step in steps:
         track = step.track
         if track.moves:

@@ -77,6 +77,7 @@ class Pose(NamedTuple):
         return back._replace(x=x, y=y, z=z)
 
 
+IDENTITY = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 UNKNOWN_POSE = Pose(*[math.nan] * 7)
 """The pose of a scan that has none, in a log that states poses beside its scans."""
 

@@ -9,7 +9,7 @@ from occmap.command import format_mount
 from occmap.errors import MountError, PoseError
 from occmap.inspection.findings import Coverage, PoseFindings
 from occmap.inspection.survey import TopicSurvey
-from occmap.mounts import UNTURNED, guess_place
+from occmap.mounts import guess_place
 from occmap.opening import refuse_shared_mount, take_first
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
@@ -18,7 +18,7 @@ from occmap.posing.options import Stamps
 from occmap.posing.sources import Sources
 from occmap.readers import Log, read_poses
 from occmap.sampling import sample_scans
-from occmap.types import Pose
+from occmap.types import IDENTITY, Pose
 
 WELL_POSED = 0.9
 """If a smaller share of the scans has poses, the other of the two times is tried."""
@@ -52,7 +52,7 @@ def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:
     poser = Poser.build(read_poses(log), options.posing)
     frames = {scan.frame for scan in first if scan.pose is None or options.posing.poses}
     faults = poser.find_chains(frames)
-    trial = Poser(poser.sources, replace(options.posing, sensor_pose=UNTURNED))
+    trial = Poser(poser.sources, replace(options.posing, sensor_pose=IDENTITY))
     is_unclear = len(frames) > 1 or options.posing.sensor_pose is not None
     if poser.chains or not faults or is_unclear or trial.find_chains(frames):
         return Posing(poser, faults)
@@ -65,7 +65,7 @@ def assume_mount(
     """Read the scans as if the sensor were the body, and find the mount that suits them best."""
     parts = sample_scans(log, topics, unturned.poser, options)
     guess = guess_place(unturned.poser, parts, options)
-    posing = replace(unturned.poser.options, sensor_pose=guess.mount if guess else UNTURNED)
+    posing = replace(unturned.poser.options, sensor_pose=guess.mount if guess else IDENTITY)
     poser = Poser(unturned.poser.sources, posing, notes=list(unturned.poser.sources.notes))
     faults = unturned.faults
     if guess is not None:  # the error says that the mount is missing, and names the likely one

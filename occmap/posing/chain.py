@@ -18,7 +18,7 @@ from occmap.arrays import Bool, Float64, Int64, UInt8
 from occmap.posing.frames import Edge, find_moving, last_part
 from occmap.posing.rotations import rotate_by, slerp
 from occmap.posing.tracks import Track, find_usable
-from occmap.types import Pose
+from occmap.types import IDENTITY, Pose
 
 DRIFT_M, DRIFT_RAD = 0.1, 0.05
 """A correction of odometry that moves or turns by no more never counts as a jump."""
@@ -67,7 +67,7 @@ class Transforms(NamedTuple):
     def read(cls, poses: Float64) -> Self:
         """Make it of poses (N, 7) as they were recorded, of which some may be unusable."""
         usable, norm = find_usable(poses)
-        poses = np.where(usable[:, None], poses, Pose.planar(0.0, 0.0, 0.0))
+        poses = np.where(usable[:, None], poses, IDENTITY)
         found = cls.of(poses[:, :3], poses[:, 3:] / norm[:, None])
         found.status[~usable] = Status.NOT_FINITE
         return found

@@ -17,7 +17,7 @@ from occmap.remarks import Remarks, list_frames
 from occmap.sensor.no_return import RangeLimits
 from occmap.tally import Tally, refuse_unused
 from occmap.tracing import open_drive
-from occmap.types import Pose, PosedScans, ScanBatch
+from occmap.types import IDENTITY, Pose, PosedScans, ScanBatch
 
 MOST_SCANS = 1000
 """Scans of all logs together: more tell little more, and each is traced over thirty times."""
@@ -25,7 +25,6 @@ MOST_OFFSET_S = 0.5
 """No larger time offset is tried, either way."""
 ALIKE = 1e-3
 """Mounts that differ by less (m, rad) count as one: no map shows the difference."""
-ON_BODY = Pose.planar(0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +136,7 @@ def find_mount(logs: Sequence[KeptLog], options: PosingOptions) -> Pose | None:
     """
     if options.sensor_pose is not None:
         return options.sensor_pose
-    on_body = replace(options, sensor_pose=ON_BODY)
+    on_body = replace(options, sensor_pose=IDENTITY)
     mounts = []
     for log in logs:
         sensor, body = log.pose(options), log.pose(on_body)

@@ -13,10 +13,8 @@ from occmap.readers.conversion import MessageType, read_frame
 from occmap.readers.decoding import shapes
 from occmap.readers.decoding.shapes import Shape
 from occmap.readers.options import ReaderOptions
-from occmap.types import Pose, PoseSample, Scan
+from occmap.types import IDENTITY, Pose, PoseSample, Scan
 from occmap.values import as_number, as_stamp, as_text
-
-IDENTITY = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 def convert_scan(_options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Scan:
