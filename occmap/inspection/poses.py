@@ -52,22 +52,20 @@ def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:
     poser = Poser.build(read_poses(log), options.posing)
     frames = {scan.frame for scan in first if scan.pose is None or options.posing.poses}
     faults = poser.find_chains(frames)
-    trial = Poser(poser.sources, replace(options.posing, sensor_pose=IDENTITY))
-    is_unclear = len(frames) > 1 or options.posing.sensor_pose is not None
-    if poser.chains or not faults or is_unclear or trial.find_chains(frames):
-        return Posing(poser, faults)
-    return assume_mount(log, topics, options, Posing(trial, faults))
+    if faults and len(frames) == 1 and options.posing.sensor_pose is None:
+        at_body = Poser(poser.sources, replace(options.posing, sensor_pose=IDENTITY))
+        if not at_body.find_chains(frames):  # nothing but the mount is missing
+            return assume_mount(log, topics, options, Posing(at_body, faults))
+    return Posing(poser, faults)
 
 
-def assume_mount(
-    log: Log, topics: Sequence[str], options: BuildOptions, unturned: Posing
-) -> Posing:
+def assume_mount(log: Log, topics: Sequence[str], options: BuildOptions, at_body: Posing) -> Posing:
     """Read the scans as if the sensor were the body, and find the mount that suits them best."""
-    parts = sample_scans(log, topics, unturned.poser, options)
-    guess = guess_place(unturned.poser, parts, options)
-    posing = replace(unturned.poser.options, sensor_pose=guess.mount if guess else IDENTITY)
-    poser = Poser(unturned.poser.sources, posing, notes=list(unturned.poser.sources.notes))
-    faults = unturned.faults
+    parts = sample_scans(log, topics, at_body.poser, options)
+    guess = guess_place(at_body.poser, parts, options)
+    posing = replace(at_body.poser.options, sensor_pose=guess.mount if guess else IDENTITY)
+    poser = Poser(at_body.poser.sources, posing, notes=list(at_body.poser.sources.notes))
+    faults = at_body.faults
     if guess is not None:  # the error says that the mount is missing, and names the likely one
         found = format_mount(guess.mount), guess.why
         faults = {
