@@ -23,7 +23,7 @@ _ERRORS = (apsw.Error, UnicodeDecodeError)
 """What the library raises on damaged files; texts in them may be anything."""
 _LOCKLESS = "win32-none" if os.name == "nt" else "unix-none"
 """SQLite's way to open files without a lock"""
-_LOG_HEAD, _FRAME_HEAD = 32, 24
+_WAL_HEAD, _FRAME_HEAD = 32, 24
 """Bytes at the start of a write-ahead log, and before each page in it"""
 _MOST_BYTES = 1 << 30
 """The largest value that is read; no message is near it."""
@@ -39,9 +39,9 @@ class SqliteSource:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.notes = NoteList()
-        self._log = path.with_name(path.name + "-wal")
-        # A recorder that died leaves its last rows in a log beside the file.
-        self._has_log = self._log.is_file() and self._log.stat().st_size > 0
+        self._wal = path.with_name(path.name + "-wal")
+        # A recorder that died leaves its last rows in a write-ahead log beside the file.
+        self._has_wal = self._wal.is_file() and self._wal.stat().st_size > 0
         self._is_sound = True
         self._rows = _EVERY_ID
         """Ids of the first row and the last that are read"""
@@ -70,7 +70,7 @@ class SqliteSource:
 
     def split(self, size: int, _wanted: Collection[Channel]) -> Sequence["SqliteSource"]:
         """Cut the rows into runs of equally many ids, which have about `size` bytes on average."""
-        if self.notes or self._has_log:
+        if self.notes or self._has_wal:
             return [self]
         with closing(self._connect()) as database:
             ((first, last),) = database.execute("SELECT min(rowid), max(rowid) FROM messages")
@@ -115,7 +115,7 @@ class SqliteSource:
             problem = "its table and its index differ"
         except _ERRORS as error:
             problem = str(error)
-        self._is_sound = self._has_log  # the rows in a log lie on no page of the file
+        self._is_sound = self._has_wal  # its rows lie on no page of the file
         counts = Counter(topic for _, topic, _, _ in self._read_rows(database, topics))
         share = f"{counts.total()} of {announced}" if announced else f"{counts.total()}"
         self.notes.add_damage(
@@ -129,11 +129,11 @@ class SqliteSource:
             page, pages = struct.unpack(">16xH10xI", file.read(32))
             page = 1 << 16 if page == 1 else page
             size = file.seek(0, 2)
-        if size < page * pages and not self._has_log:
+        if size < page * pages and not self._has_wal:
             text = f"the storage file is cut: {size} of its {page * pages} bytes are there"
             self.notes.add_damage(text)
-        if self._has_log and (lost := self._count_lost_pages(database, page)):
-            text = f"{self._log.name} is cut or damaged: its last {lost} pages are not read"
+        if self._has_wal and (lost := self._count_lost_pages(database, page)):
+            text = f"{self._wal.name} is cut or damaged: its last {lost} pages are not read"
             self.notes.add_damage(text)
         journal = self.path.with_name(self.path.name + "-journal")
         if journal.is_file() and journal.stat().st_size:
@@ -143,12 +143,12 @@ class SqliteSource:
         """Count the pages in the write-ahead log that lie behind its last whole transaction."""
         used: int
         ((_, used, _),) = database.execute("PRAGMA wal_checkpoint(NOOP)")
-        data = self._log.read_bytes()
+        data = self._wal.read_bytes()
         if not used:
-            return -(-(len(data) - _LOG_HEAD) // (page + _FRAME_HEAD)) or len(data) != _LOG_HEAD
+            return -(-(len(data) - _WAL_HEAD) // (page + _FRAME_HEAD)) or len(data) != _WAL_HEAD
         salts = data[16:24]
         present = 0
-        for number, at in enumerate(range(_LOG_HEAD, len(data), page + _FRAME_HEAD), 1):
+        for number, at in enumerate(range(_WAL_HEAD, len(data), page + _FRAME_HEAD), 1):
             # Frames with other salts are left from before the log was last emptied.
             present = number if salts.startswith(data[at + 8 : at + 16]) else present
         return present - used
@@ -156,9 +156,9 @@ class SqliteSource:
     def _connect(self) -> apsw.Connection:
         """Open the file in a way that never writes anything beside it, not even a lock."""
         database = apsw.Connection(
-            self.path.resolve().as_uri() + ("" if self._has_log else "?immutable=1"),
+            self.path.resolve().as_uri() + ("" if self._has_wal else "?immutable=1"),
             flags=apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI,
-            vfs=_LOCKLESS if self._has_log else None,
+            vfs=_LOCKLESS if self._has_wal else None,
         )
         database.config(apsw.SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1)  # of the write-ahead log
         database.limit(apsw.SQLITE_LIMIT_LENGTH, _MOST_BYTES)
