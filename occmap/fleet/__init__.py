@@ -26,6 +26,7 @@ from occmap.fleet.runs import BlockJob, Job, Piece, Setting, read_pieces, reduce
 from occmap.fleet.settling import LogTrace
 from occmap.fleet.tasks import Survey, Traced, count_in_window, survey_log, trace_part
 from occmap.grid.slices import unite
+from occmap.grid.spec import WINDOW_CELLS
 from occmap.grid.tiles import view_tiles
 from occmap.observing import Keep, Observed, Progress
 from occmap.options import BuildOptions
@@ -39,7 +40,6 @@ BASE_BYTES = 300 << 20
 """What a worker takes before it observes anything"""
 WINDOW_CELL_BYTES = 20
 """What a cell takes in a window"""
-LARGEST_WINDOW = 1 << 24
 ROOMY_BYTES = 4 << 30
 """What a worker without a limit is taken to have"""
 
@@ -115,7 +115,7 @@ class Fleet:
             # A log that is not here either is refused when it is opened.
             refuse_unseen_files(cluster, [folder, *(path for path in paths if path.exists())])
             spare = ((cluster.memory or ROOMY_BYTES) - BASE_BYTES) // 4
-            window = min(1 << (spare // WINDOW_CELL_BYTES).bit_length() - 1, LARGEST_WINDOW)
+            window = min(1 << (spare // WINDOW_CELL_BYTES).bit_length() - 1, WINDOW_CELLS)
             sizes = self.slice_bytes, window, spare
             setting = Setting(options, keep, folder, *sizes, logs=len(paths))
             with tally.time("open"):

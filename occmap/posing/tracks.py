@@ -12,8 +12,8 @@ from occmap.posing.options import Stamps
 from occmap.posing.rotations import angle_between
 from occmap.types import Pose, PoseBatch, PoseSample
 
-STILL_M = 1e-4
-STILL_RAD = 1e-4
+FIXED_M = 1e-4
+FIXED_RAD = 1e-4
 """A frame that moves by no more than this in a whole log is taken as mounted."""
 
 MAX_STAMP_NS = 2**62
@@ -133,7 +133,7 @@ def differ(position: Float64, quaternion: Float64) -> bool:
     far = float(np.abs(position - position[:1]).max(initial=0))
     first = np.broadcast_to(quaternion[:1], quaternion.shape)
     turned = float(angle_between(first, quaternion).max(initial=0))
-    return far > STILL_M or turned > STILL_RAD
+    return far > FIXED_M or turned > FIXED_RAD
 
 
 def find_usable(values: Float64) -> tuple[Bool, Float64]:

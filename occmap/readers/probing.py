@@ -13,6 +13,7 @@ from occmap.readers.containers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
 PROBE_BYTES = 4096
 SIMILAR = 0.85
 """How alike (0 to 1) a file must be named that is suggested for one that is not there."""
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _MAP = "a map, not a log: `occmap diff` compares maps"
 OTHER_FILES = {
     b"PK\x03\x04": ("an archive; if it is evidence (.npz), `occmap render` reads it", ""),
@@ -20,7 +21,7 @@ OTHER_FILES = {
     b"image:": (_MAP, ""),
     b"\x89PNG": ("a picture, not a log: `occmap diff` compares maps", ""),
     b"version https://git-lfs": ("a Git LFS pointer, not the file", "fetch it: git lfs pull"),
-    b"\x28\xb5\x2f\xfd": ("a file that zstd compressed", "decompress it first: unzstd PATH"),
+    ZSTD_MAGIC: ("a file that zstd compressed", "decompress it first: unzstd PATH"),
 }
 """What a file is, by how it begins, and what mends it; "": to give a log that occmap reads."""
 

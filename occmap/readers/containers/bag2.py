@@ -23,10 +23,9 @@ from occmap.readers.containers.inflate import inflate_message, unzip_file
 from occmap.readers.containers.mcap import McapSource
 from occmap.readers.containers.source import Channel, RawMessage, Source
 from occmap.readers.containers.sqlite import SqliteSource
-from occmap.readers.probing import probe_path
+from occmap.readers.probing import ZSTD_MAGIC, probe_path
 
 METADATA = "metadata.yaml"
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 OLD_MAGICS = (b"#ROSRECORD V", b"#ROSBAG V1")
 _MOST_METADATA = 1 << 20
 """Characters of metadata.yaml that are read: a hundred times what recorders write."""
