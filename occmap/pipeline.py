@@ -122,8 +122,10 @@ def add_past(
 
 def tell_resumed(past: Evidence | None) -> Resumed | None:
     """Say what a build was added to."""
-    scans = sum_scans(past.manifest.builds if past else ())
-    return Resumed(past.where, scans.read, scans.used) if past else None
+    if past is None:
+        return None
+    scans = sum_scans(past.manifest.builds)
+    return Resumed(past.where, scans.read, scans.used)
 
 
 def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> Any:

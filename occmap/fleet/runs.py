@@ -187,7 +187,6 @@ class BlockJob(Job):
     """All that parts of logs observed in it"""
     logs: tuple[int, ...] = ()
     """Which files of logs observed something in it; none in a block that lies beside others"""
-
     store: Path = Path()
     """Where it is written"""
 

@@ -8,7 +8,6 @@ its parts lie within it.
 """
 
 from collections.abc import Iterable, Sequence
-from struct import Struct
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -33,7 +32,6 @@ _ANGLE_MAX, _TIME_INCREMENT, _RANGE_MIN, _RANGES = 4, 12, 20, 32
 """Bytes from the first of the seven floats on. The largest angle and the scan time are not used."""
 _POSE = 56
 """Bytes of a translation and a rotation."""
-_count = Struct("<I").unpack_from
 
 
 def read_scan_run(messages: Sequence[Stacked], encoding: str, first: Scan) -> ScanRun | None:
@@ -138,8 +136,7 @@ def _pass_name(message: bytes, at: int, encoding: str) -> int:
 
 def _count_at(message: bytes, at: int) -> int:
     """Read the count of what follows, as a sequence and a string begin with one."""
-    count: int = _count(message, at)[0]
-    return count
+    return int.from_bytes(message[at : at + 4], "little")
 
 
 def _align(at: int, size: int, encoding: str) -> int:
