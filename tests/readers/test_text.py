@@ -70,14 +70,16 @@ def test_a_wrong_gzip_checksum_is_damage(tmp_path: Path) -> None:
     assert [note.damage for note in notes] == [True]
 
 
-def test_flipped_bytes_in_gzip_raise_nothing(tmp_path: Path) -> None:
-    packed = gzip.compress("".join(f"line {n * n}\n" for n in range(3000)).encode())
+def test_a_flipped_byte_in_gzip_loses_no_line_without_a_note(tmp_path: Path) -> None:
+    lines = [f"line {n * n}" for n in range(3000)]
+    packed = gzip.compress("".join(f"{line}\n" for line in lines).encode())
     path = tmp_path / "log.gz"
     for at in range(2, len(packed), 211):
         flipped = bytearray(packed)
         flipped[at] ^= 0x40
         path.write_bytes(flipped)
-        read(path)
+        found, notes = read(path)
+        assert notes or [line.text for line in found] == lines
 
 
 def test_a_note_is_given_once_for_two_readings(tmp_path: Path) -> None:
