@@ -39,7 +39,7 @@ Values = Mapping[str, Any]
 
 HINTS, DEFAULTS = list_options(BuildOptions, include_extras=True), list_values(BuildOptions())
 TYPES = {float: float, int: int, Path: PATH, str: None, tuple[str, ...]: None}
-"""What click reads as what; any other value is several numbers in one word, or of an enum"""
+"""How click reads the values of a type; those of any other are several numbers, or an enum's"""
 SHORT = {"resolution": ("-r",)}
 USUAL = {
     "extent": "what was observed",

@@ -20,7 +20,7 @@ MOST_CELLS_OF_BEAM = 1 << 22
 """The longest beam (cells): an int32 holds its end, with the sensor half as far from the anchor."""
 
 SMALLEST_CELL_M, LARGEST_CELL_M = 1e-9, 1e9
-"""Beyond these, numbers of cells or metres are too large for a float32."""
+"""No laser needs smaller cells or larger ones, and far beyond these a float32 overflows."""
 FARTHEST_UNIT = 1 << 52
 """Beyond this a float cannot tell lattice units apart."""
 

@@ -1,12 +1,7 @@
 """Attachment: scans and poses become posed scans; each scan without a pose is counted.
 
-A batch goes one way, through `Poser.attach`: the chain of frames to its sensor is found
-(`resolve`), the moments of its scans are chosen, the chain is looked up at these (`chain`), and
-scans without a pose are dropped. So are scans whose poses leap away and back (`leaps`). `course`
-then watches where the sensor was.
-
-A scan has one moment, its stamp, unless it is de-skewed: then each of its beams gets the pose of
-the moment at which it was measured.
+`Poser.attach` is the way of a batch that `occmap.posing` lists. A scan has one moment, its stamp,
+unless it is de-skewed: then each of its beams gets the pose of the moment at which it was measured.
 """
 
 import math

@@ -23,7 +23,7 @@ OTHER_FILES = {
     b"version https://git-lfs": ("a Git LFS pointer, not the file", "fetch it: git lfs pull"),
     ZSTD_MAGIC: ("a file that zstd compressed", "decompress it first: unzstd PATH"),
 }
-"""What a file is, by how it begins, and what mends it; "": to give a log that occmap reads."""
+"""By how a file begins: what it is, and how to make a log of it; "" where it never becomes one."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from occmap.types import Scan, ScanBatch, ScanRun
 from occmap.values import as_float32
 
 BAND = 0.025
-"""The share of its top that a band is wide, and that the nearly empty part below it is wide"""
+"""How wide a band is, and the nearly empty part below it, as a share of the band's top"""
 MIN_READINGS = 10
 """A band has at least so many readings, and fewer than so many lie above it"""
 DOMINANCE = 10

@@ -63,8 +63,8 @@ class _Index:
     def count_parts(self) -> tuple[Counter[int], set[int]]:
         """Count the messages that a damaged index tells of, and find the chunks that it lost.
 
-        It has each chunk twice, at the end of the bag and behind the chunk. What is left of the
-        records behind it goes first.
+        A bag has two indexes: records behind each chunk, and one at its end, which is believed only
+        where those are lost.
         """
         if self.at_end and max(self.at_end) not in self.chunks:
             # Bytes are lost or added, so that the positions at the end are those of no chunk.

@@ -24,8 +24,8 @@ class Channel:
     encoding: str
     """How messages are written as bytes; occmap reads cdr, ros1, json and protobuf."""
     definition: str = ""
-    """The text of the message type and those it is made of, where the log holds it as ROS writes
-    it; one in IDL is made by ROS of its own types, and these are read by what ROS has."""
+    """The message type and those that it is made of, in the text that ROS writes; empty where the
+    log has none, or has it in IDL, which ROS makes of types of its own: these are known anyway."""
     count: int = 0
     """Messages in the log."""
     descriptors: bytes = b""

@@ -2,9 +2,9 @@
 
 A log holds tens of thousands of both, and in those of one laser, or of one pair of frames, only
 times, ranges and poses differ. Stacked as rows, a field of all messages is one slice of an array.
-Decoded one by one instead, scans make a whole build of 20,000 take 37% longer, transforms 28%. This
-holds for definitions of the standard layout, and where the first message could be decoded: then all
-its parts lie within it.
+Decoded one by one instead, scans make a whole build of 20,000 take 37% longer, transforms 28%. Only
+messages that are defined as ROS defines them are stacked, and only once one could be decoded,
+which shows that all its parts lie within it.
 """
 
 from collections.abc import Iterable, Sequence

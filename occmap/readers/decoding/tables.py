@@ -55,7 +55,7 @@ def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
         values=values,
         times=values.view(np.int64),
         alike=np.zeros(len(rows), np.bool_),
-        # Lines of which more words are written as few programs do are as quick one by one.
+        # With more words than this for the caller, lines are parsed as quickly one by one.
         left=np.empty((values.size // 8 + 64, 4), np.int64),
     )
     lines = decimals.Lines(
@@ -66,18 +66,18 @@ def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
         kinds=kinds,
         same=np.frombuffer(same + PADDING, np.uint8),
     )
-    lefts = decimals.parse_rows(lines, filled)
-    _parse_left(block.text, kinds, filled, lefts)
+    left = decimals.parse_rows(lines, filled)
+    _parse_left(block.text, kinds, filled, left)
     alike, ranges = filled.alike, filled.ranges
     if not alike.all():
         rows, ranges, values = rows[alike], ranges[alike], values[:, alike]
     return Table(rows, ranges, values, values.view(np.int64))
 
 
-def _parse_left(text: bytearray, kinds: UInt8, filled: "Filled", lefts: int) -> None:
-    """Parse the words that the kernel left; a line of which one is malformed is not alike."""
+def _parse_left(text: bytearray, kinds: UInt8, filled: "Filled", left: int) -> None:
+    """Parse the words that the kernel left, so many; a line with a malformed one is not alike."""
     beams = np.cumsum(kinds == RANGE) - 1
-    for row, col, start, end in filled.left[:lefts].tolist():
+    for row, col, start, end in filled.left[:left].tolist():
         word, kind = bytes(text[start:end]), kinds[col]
         try:
             if kind == RANGE:
