@@ -18,7 +18,7 @@ from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored
 from occmap.tally import Tally
 from occmap.tuning import search
 from occmap.tuning.kept import MOST_SCANS, KeptLog, find_mount, keep_logs
-from occmap.tuning.search import Correction, Finding, Gain, Scorer, Verdict, find, find_way
+from occmap.tuning.search import Correction, Finding, Gain, Scorer, Verdict
 from occmap.types import Pose, Rays
 from occmap.wording import count
 
@@ -117,10 +117,10 @@ def tune(
     timed = [search.TIME] if motion.shows_time and not all(log.stated for log in logs) else []
     place = [search.YAW] if motion.shows_yaw else []
     place += [search.X, search.Y] if motion.shows_place else []
-    way = find_way(scorer, timed, [] if mount is None else place)
+    way = search.find_way(scorer, timed, [] if mount is None else place)
     # Both once more, since one may have hidden part of the other.
     again = bool(timed) and way.mount.verdict is Verdict.FOUND
-    together = find(scorer, way.correction, search.TOGETHER if again else [])
+    together = search.find_correction(scorer, way.correction, search.TOGETHER if again else [])
     best = together.correction
     after = scorer.score(best)
     gain, gain_error = Gain.measure(before, after)

@@ -124,7 +124,7 @@ class Scorer:
         return render(engine.finish(), options.model, options.max_cells).agreement
 
 
-def search(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Correction:
+def find_best(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Correction:
     """Search for the correction with the best share: all numbers by coarse steps, then by finer."""
     best = start
     for steps in zip(*(knob.steps for knob in knobs), strict=True):
@@ -208,13 +208,13 @@ class Finding:
     """The first half of the held-out scans and the second; none where nothing was searched"""
 
 
-def find(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Finding:
+def find_correction(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Finding:
     """Search for a correction better than `start`, and judge it; no knobs: no search."""
     if not knobs:
         return Finding(Verdict.UNSEEN, start)
     before, earlier = scorer.score(start), set(scorer.tried)
     middle = len(before.predicted) // 2
-    best = search(scorer, start, knobs)
+    best = find_best(scorer, start, knobs)
     tried = {
         each: trial
         for each, trial in scorer.tried.items()
@@ -260,15 +260,15 @@ def find_way(scorer: Scorer, timed: Sequence[Knob], place: Sequence[Knob]) -> Wa
     A laser that is late looks as if it sat further back, and the reverse, so whichever is searched
     first may make up for the other.
     """
-    time = find(scorer, Correction(), timed)
+    time = find_correction(scorer, Correction(), timed)
     # Where halves want different times, a mount would only make up for that.
     disagree = time.verdict is Verdict.DISAGREE
-    mount = find(scorer, time.correction, [] if disagree else place)
+    mount = find_correction(scorer, time.correction, [] if disagree else place)
     usual = Way(time, mount, mount.correction)
     if not disagree and time.verdict is not Verdict.FOUND:  # no time has made up for a mount
         return usual
-    mount = find(scorer, Correction(), place)
-    time = find(scorer, mount.correction, timed)
+    mount = find_correction(scorer, Correction(), place)
+    time = find_correction(scorer, mount.correction, timed)
     return choose_way(scorer, usual, Way(time, mount, time.correction))
 
 
