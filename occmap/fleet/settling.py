@@ -19,9 +19,9 @@ class LogTrace:
     """The parts of one log, until all of them are traced by what the whole log shows.
 
     A part is traced as if nothing in it depended on the rest of its log. Where something does, the
-    log is traced once more as a whole: where it is damaged, where scans leap, where a frame turns
-    up late, where the map frame jumps. Where only the limit of "no return" was another, parts are
-    traced once more with the one that the whole log shows.
+    log is traced once more as a whole: where it is damaged, scans leap, a frame turns up late, the
+    map frame jumps, a sensor stands still, or the notes on parts differ. Where only the limit of
+    "no return" was another, parts are traced once more with the one that the whole log shows.
     """
 
     def __init__(self, setting: Setting, survey: Survey, wanted: Sequence[int]) -> None:

@@ -105,9 +105,17 @@ def open_store(path: Path) -> Store:
     def read_block(block: Block) -> BlockContent:
         return read_stored(path, root, manifest, records[block])
 
-    reach = {block: record.reach for block, record in records.items()}
-    lies = path, (row, col), root
-    return Store(manifest, str(path), reach, read_block, *lies, head["digest"], records)
+    return Store(
+        manifest=manifest,
+        where=str(path),
+        blocks={block: record.reach for block, record in records.items()},
+        read_block=read_block,
+        path=path,
+        offset=(row, col),
+        root=root,
+        digest=head["digest"],
+        records=records,
+    )
 
 
 def read_stored(path: Path, root: Any, manifest: Manifest, record: BlockRecord) -> BlockContent:
