@@ -122,7 +122,7 @@ def name_logs(names: Iterable[str]) -> str:
     return join_names(distinct, MOST_NAMES)
 
 
-def describe_maker(inputs: Iterable[Mapping[str, Any]] = ()) -> Section:
+def describe_maker(inputs: Iterable[Mapping[str, Any]]) -> Section:
     """Say which command made the page, with which versions, of which files."""
     blocks = []
     program = Path(sys.argv[0])
