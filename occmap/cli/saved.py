@@ -9,7 +9,7 @@ import click
 from occmap.cli import limits
 from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.options import Values, collect_model
-from occmap.cli.streams import hide_caught, place_outputs
+from occmap.cli.streams import hide_sent, place_outputs
 from occmap.command import MODEL_PARAMETERS
 from occmap.errors import UsageError
 from occmap.evidence import Described, read_model
@@ -40,7 +40,7 @@ def put_out(
     check_outputs(outputs, inputs)
     evidence = read()
     options = take(RenderOptions, {**values, "model": choose_saved_model(evidence, values)})
-    report = hide_caught(publish(evidence, options, outputs))
+    report = hide_sent(publish(evidence, options, outputs))
     console.note(*report.notes)
     rows = [*tell_map(report.map), *tell_scans(report), *label_first("files", report.files)]
     limits.leave(limits.answer(console, report, write_rows(rows), values))

@@ -42,7 +42,7 @@ def gather_logs(
 
 
 def place_outputs(console: Console, outputs: Sequence[Path], first: Path) -> tuple[Path, ...]:
-    """Name the maps that are to lie in a folder, and catch those that are meant for stdout.
+    """Name the maps that are to lie in a folder; what is meant for stdout goes to a file first.
 
     Parameters
     ----------
@@ -55,17 +55,17 @@ def place_outputs(console: Console, outputs: Sequence[Path], first: Path) -> tup
     )
     if all(path.stem != STDOUT for path in placed):
         return placed
-    return click.get_current_context().with_resource(catch_stdout(console, placed))
+    return click.get_current_context().with_resource(send_to_stdout(console, placed))
 
 
-def hide_caught(report: Report) -> Report:
-    """Leave out of a report what was written for stdout."""
+def hide_sent(report: Report) -> Report:
+    """Leave out of a report the file that is sent to stdout."""
     files = [file for file in report.files if not Path(file).parent.name.startswith(SCRATCH)]
     return replace(report, files=tuple(files))
 
 
 @contextmanager
-def catch_stdout(console: Console, outputs: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
+def send_to_stdout(console: Console, outputs: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
     """Write an output to a file while the command runs, and then to stdout.
 
     Raises

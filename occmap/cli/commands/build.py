@@ -14,7 +14,7 @@ from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.options import PATH, collect_model
 from occmap.cli.progress import Bar, show_progress
 from occmap.cli.sections import as_command, join, option
-from occmap.cli.streams import gather_logs, hide_caught, place_outputs
+from occmap.cli.streams import gather_logs, hide_sent, place_outputs
 from occmap.errors import LogError, UsageError
 from occmap.gates import BUILD
 from occmap.grid.framing import Framing
@@ -101,7 +101,7 @@ def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
     values["outputs"] = place_outputs(console, values["outputs"], logs[0])
     start = perf_counter()
     with show_progress(console) as progress:
-        report = hide_caught(run_build(logs, chosen, values, progress))
+        report = hide_sent(run_build(logs, chosen, values, progress))
     console.note(*report.notes)
     seconds = perf_counter() - start
     rate = report.scans.used / max(seconds, 1e-9)
