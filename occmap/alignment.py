@@ -49,8 +49,8 @@ def settle_align(paths: Sequence[Path], options: BuildOptions) -> tuple[BuildOpt
         return options, []
     chords = [np.zeros((0, 2))]
     for path in paths:
-        log, topics, poser, _ = open_drive(open_log(path, options.reading), options)
-        for part in sample_scans(log, topics, poser, options):
+        drive = open_drive(open_log(path, options.reading), options)
+        for part in sample_scans(drive.log, drive.topics, drive.poser, options):
             rays, _ = interpret(part, options.returns)
             chords.append(list_chords(rays))
     turn, share = find_turn(np.concatenate(chords))

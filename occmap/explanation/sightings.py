@@ -73,13 +73,13 @@ def find_sightings(
 
 def pose_scans(log: Log, options: BuildOptions) -> Iterator[tuple[PosedScans | None, int]]:
     """Read and pose the scans of a log as a build does; of each batch say how many were read."""
-    _, topics, poser, _ = open_drive(log, options)
+    drive = open_drive(log, options)
     limits = RangeLimits(options.returns)
-    for some in read_scans(log, topics):
+    for some in read_scans(log, drive.topics):
         limits.see(some)
     limits.settle()
     batcher = Batcher(options.selection, options.posing.stamps, limits)
-    for batch, posed, _ in poser.attach(batcher.stack(read_scans(log, topics))):
+    for batch, posed, _ in drive.poser.attach(batcher.stack(read_scans(log, drive.topics))):
         yield posed, len(batch.stamp_ns)
 
 

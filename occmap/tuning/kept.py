@@ -82,13 +82,13 @@ def keep_logs(
 
 def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: Remarks) -> KeptLog:
     """Read a log, and keep at most so many of the scans that have a pose."""
-    _, topics, poser, *_ = open_drive(log, options)
+    drive = open_drive(log, options)
     batcher = Batcher(options.selection, options.posing.stamps)
     limits = RangeLimits(options.returns)
-    batches = batcher.stack(limits.watch(read_scans(log, topics)))
+    batches = batcher.stack(limits.watch(read_scans(log, drive.topics)))
     kept: list[ScanBatch] = []
     seen, every = 0, 1
-    for batch, posed, dropped in poser.attach(batches):
+    for batch, posed, dropped in drive.poser.attach(batches):
         tally.drop(dropped)
         if posed is not None:
             kept += take_every([posed.batch], every, -seen % every)
@@ -96,13 +96,13 @@ def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: 
         while sum(len(part.stamp_ns) for part in kept) > most:
             kept, every = take_every(kept, 2), 2 * every
         tally.advance(len(batch.stamp_ns))
-    tally.frames[str(log.path)] = poser.fixed
+    tally.frames[str(log.path)] = drive.poser.fixed
     tally.scans_used += seen
     tally.scans_read += batcher.read
     tally.drop(dict(batcher.left_out))
     limits.settle()  # only the whole log shows the limit, which then holds for all of it
-    remarks.note(log.path, log.notes, [*poser.notes, *batcher.notes, *limits.list_notes()])
-    return KeptLog(str(log.path), poser, tuple(limits.apply(each) for each in kept))
+    remarks.note(log.path, log.notes, [*drive.poser.notes, *batcher.notes, *limits.list_notes()])
+    return KeptLog(str(log.path), drive.poser, tuple(limits.apply(each) for each in kept))
 
 
 def take_every(batches: Sequence[ScanBatch], n: int, first: int = 0) -> list[ScanBatch]:
