@@ -174,6 +174,6 @@ def run_build(
     past = chosen.resume or chosen.resume_if_there
     if not is_store or past or chosen.min_passes or chosen.framing != Framing():
         return build(logs, chosen, outputs, progress, fleet.observe).report
-    from occmap.fleet.storing import build_store  # noqa: PLC0415  late: it brings zarr
+    from occmap.fleet.storing import build_store  # noqa: PLC0415  late: likewise
 
     return build_store(fleet, logs, chosen, outputs[0], progress)
