@@ -6,8 +6,8 @@ least four. Two kinds of scans are outliers, and are left out:
 
 - Such a row ends with a leap, and at most ten seconds later another row continues where it ended.
   All scans between the two rows are outliers.
-- A leap separates one single scan from such a row, and the scan is the first or the last one before
-  or after a pause. It is an outlier.
+- A leap separates a single scan from such a row, and on the scan's other side there is a pause or
+  an end of the log. The scan is an outlier.
 
 Where no row continues, the robot was carried, or stamps or poses do not mean what they seem to, and
 all scans are kept.

@@ -108,7 +108,7 @@ def group_by_block(tiles: Int64) -> dict[Block, Int64]:
 
 
 def list_observing_logs(manifest: Manifest, slices: Sequence[Slices]) -> tuple[int, ...]:
-    """The logs of all builds that observed something here: a build does not say which log did."""
+    """All logs of the builds that observed something here: a build does not say which did."""
     counts = [len(list_inputs(build)) for build in manifest.builds]
     starts = accumulate(counts, initial=0)
     return tuple(

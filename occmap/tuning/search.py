@@ -60,7 +60,7 @@ class Knob:
 
     name: str
     steps: tuple[float, ...]
-    """From coarse to fine; curves have one peak and are smooth, so each halves the one before"""
+    """From coarse to fine, each half the one before: the share has a single, smooth peak"""
     reach: float
     """No larger correction is tried, either way"""
 

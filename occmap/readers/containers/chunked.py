@@ -270,7 +270,7 @@ class ChunkedSource(ABC):
             if record is None or (is_cut and not record.is_sure):
                 found = self._find_record(file, behind, self._size, chunk_end)
                 if found < self._size:
-                    # A record that reaches beyond what is found behind it states a wrong length.
+                    # If it goes on within the record before, that one states a wrong length.
                     at = position if position < found else behind
                     self.notes.add_damage(f"damaged at byte {at}, read on from byte {found}")
                     position, behind = found, found + 1

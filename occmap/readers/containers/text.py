@@ -24,7 +24,7 @@ FREE_EXPANSION_BYTES = 1 << 30
 """Below this size gzip may expand as it likes: a robot that stands still repeats itself."""
 
 FREE_LINES = 1_000_000
-"""A gzip file with more lines than this and than compressed bytes is a bomb of blank lines."""
+"""A gzip file of more lines than this, and of more lines than bytes, is a bomb of blank lines."""
 BLOCK_BYTES = 1 << 20
 """How much of a file is read at a time, and its lines parsed together."""
 
