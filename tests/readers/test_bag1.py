@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from occmap.readers import NoteList
 from occmap.readers.containers.bag1 import Bag1Source
 from occmap.readers.containers.bag1_records import CONNECTION, MESSAGE
-from occmap.readers.containers.chunked import Block
+from occmap.readers.containers.chunked import RecordBlock
 
 Found = tuple[int, int, bytes]
 
@@ -37,7 +37,7 @@ class Blocks(Bag1Source):
         self.notes = NoteList()
 
     def split_block(self, block: bytes, wanted: Sequence[int]) -> list[Found]:
-        found = self._split_block(Block(0, block), wanted, {})
+        found = self._split_block(RecordBlock(0, block), wanted, {})
         return [(key, time, bytes(data)) for key, time, data in found]
 
 

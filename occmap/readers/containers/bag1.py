@@ -12,12 +12,7 @@ from typing import BinaryIO
 
 from occmap.errors import LogError
 from occmap.readers.containers import bag1_records as records
-from occmap.readers.containers.chunked import (
-    Block,
-    ChunkedSource,
-    Descriptions,
-    Record,
-)
+from occmap.readers.containers.chunked import ChunkedSource, Descriptions, Record, RecordBlock
 from occmap.readers.containers.inflate import Buffer, inflate
 from occmap.readers.containers.source import Channel
 
@@ -188,11 +183,11 @@ class Bag1Source(ChunkedSource):
         is_whole = header is not None and position + len(header.raw) + header.length <= size
         return header.opcode if header and is_whole else 0
 
-    def _open_chunk(self, record: Record, body: bytes, _file: BinaryIO) -> Block:
+    def _open_chunk(self, record: Record, body: bytes, _file: BinaryIO) -> RecordBlock:
         block, problem = _inflate(records.parse_header(record.head, 0), body)
         if problem:
             self._note(record.position, problem)
-        return Block(record.position, block)
+        return RecordBlock(record.position, block)
 
     def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
         for record, position in descriptions.items():

@@ -62,7 +62,7 @@ class Record(NamedTuple):
         return self.start + self.length
 
 
-class Block(NamedTuple):
+class RecordBlock(NamedTuple):
     """Records that lie together: those of a chunk, or one that stands by itself."""
 
     position: int
@@ -157,7 +157,7 @@ class ChunkedSource(ABC):
         """Read the head of a record; None where there is none."""
 
     @abstractmethod
-    def _open_chunk(self, record: Record, body: bytes, file: BinaryIO) -> Block:
+    def _open_chunk(self, record: Record, body: bytes, file: BinaryIO) -> RecordBlock:
         """Decompress a chunk. The file stands behind it, at what the indexes say of it."""
 
     @abstractmethod
@@ -191,7 +191,7 @@ class ChunkedSource(ABC):
         return channels, held
 
     def _split_block(
-        self, block: Block, wanted: Wanted[T], descriptions: Descriptions
+        self, block: RecordBlock, wanted: Wanted[T], descriptions: Descriptions
     ) -> Iterator[tuple[T, int, memoryview]]:
         """Give channel, record time (ns) and bytes of each message of some channels.
 
@@ -223,7 +223,7 @@ class ChunkedSource(ABC):
             self._note(block.position, f"is damaged at byte {min(damaged)}{more}")
         self._check_block(block, held, is_timely)
 
-    def _check_block(self, block: Block, held: int, is_timely: bool) -> None:
+    def _check_block(self, block: RecordBlock, held: int, is_timely: bool) -> None:
         """Compare the messages of a chunk with what the file states of it."""
         if not is_timely:
             self._note(block.position, "holds messages from outside the times that it states")
@@ -245,12 +245,12 @@ class ChunkedSource(ABC):
             start += _WINDOW - _LONGEST_HEAD
         return size
 
-    def _iterate_blocks(self, file: BinaryIO, wanted: Container[int]) -> Iterator[Block]:
+    def _iterate_blocks(self, file: BinaryIO, wanted: Container[int]) -> Iterator[RecordBlock]:
         """Give the records that may hold messages of these channels."""
         seen: set[int] = set()
         for record in self._walk(file):
             if record.opcode in self.plain:
-                yield Block(record.position, record.head + file.read(record.length))
+                yield RecordBlock(record.position, record.head + file.read(record.length))
             elif record.opcode == self.chunk and self._may_hold(record.position, wanted):
                 body = file.read(record.length)
                 key = hash(body) if self._has_doubles else record.position

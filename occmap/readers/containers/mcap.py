@@ -21,7 +21,7 @@ from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
 from occmap.readers.containers import chunked
-from occmap.readers.containers.chunked import Block, Descriptions, Inner, Record
+from occmap.readers.containers.chunked import Descriptions, Inner, Record, RecordBlock
 from occmap.readers.containers.inflate import inflate
 from occmap.readers.containers.source import Channel
 from occmap.wording import count
@@ -265,7 +265,7 @@ class McapSource(chunked.ChunkedSource):
         held = self._held.get(position)
         return not (held and self._is_checked) or any(key in wanted for key in held)
 
-    def _open_chunk(self, record: Record, body: bytes, file: BinaryIO) -> Block:
+    def _open_chunk(self, record: Record, body: bytes, file: BinaryIO) -> RecordBlock:
         """Decompress a chunk, and verify its checksum when it is first read."""
         position = record.position
         indexed = _count_indexed(file)
@@ -275,7 +275,7 @@ class McapSource(chunked.ChunkedSource):
             crc, compression, length = stream.read4(), stream.read_prefixed_string(), stream.read8()
         except _RECORD_ERRORS:
             self._note(position, "has no head that can be read")
-            return Block(position, b"")
+            return RecordBlock(position, b"")
         data = memoryview(body)[stream.count :]
         block, problem = inflate(data[:length], compression, size)
         if (left := len(data) - length) > _LONGEST_PADDING:
@@ -286,7 +286,7 @@ class McapSource(chunked.ChunkedSource):
                 problem = "has a wrong checksum, and is used as far as it can be read"
         if problem:
             self._note(position, problem)
-        return Block(position, block, first_ns, last_ns or chunked.NEVER_NS, indexed)
+        return RecordBlock(position, block, first_ns, last_ns or chunked.NEVER_NS, indexed)
 
     def _parse_records(self, block: memoryview, at: int) -> Iterator[Inner]:
         message, last = int(Opcode.MESSAGE), len(block) - _MESSAGE_HEAD.size
