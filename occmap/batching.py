@@ -23,7 +23,6 @@ seldom wait for Python's lock."""
 MOST_TURNS = 1.5
 """Some lasers overlap a little where a turn closes; none goes round twice."""
 
-
 Geometry: TypeAlias = tuple[tuple[str, str], tuple[float, ...]]
 """What all scans of a batch share: topic and frame, then angles, beams, limits and posed or not."""
 

@@ -18,7 +18,6 @@ Share: TypeAlias = Annotated[float, ("minimum", 0), ("maximum", 1)]
 Finite: TypeAlias = Annotated[float, ("type", ("number", "null"))]
 """A number that becomes null where it is infinite or not a number."""
 
-
 HIDDEN = {"printed": ""}
 """Metadata of a dataclass field that is not part of what is printed"""
 IN_PLACE = {"printed": "*"}

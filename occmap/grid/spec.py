@@ -16,10 +16,8 @@ WINDOW_CELLS = 1 << 24
 COUNT_BITS = 31
 """A window is emptied before a cell of it counts 2^31 hits or misses."""
 
-
 COUNTS = Tables(0.0, np.ones(1, np.int64), np.full(1, 1 << COUNT_BITS), 1.0, 1, COUNT_BITS)
 """Tables of models that count: a cell before the end of a beam gets a miss, the end cell a hit."""
-
 
 Formula = Callable[[Float64], Float64]
 """(T,) shares in [0, 1] to (T,) probabilities of being occupied."""
@@ -27,7 +25,6 @@ Formula = Callable[[Float64], Float64]
 TABLE_STEPS = 2048
 """Steps of a table: a free cell's log-odds is within half a per cent of the formula's where it
 matters."""
-
 
 SUREST = 2.0**-53
 """No probability is tabulated nearer to 0 or 1 than this: a float has none between it and 1, and

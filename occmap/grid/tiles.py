@@ -32,7 +32,6 @@ INT32_LIMIT = 2**31 - 1
 LOG_ODDS_UNIT = 1 / 65536
 """What 1 means in a tile of log-odds."""
 
-
 Key: TypeAlias = tuple[int, int]
 """Row and column of a tile in the lattice of tiles."""
 CellNumbers: TypeAlias = tuple[Float64, Float64]

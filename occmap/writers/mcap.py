@@ -45,7 +45,6 @@ LATCHED = interfaces.Qos(
 )
 """RViz wants a map that late subscribers get, too; `ros2 bag play` offers topics as this says."""
 
-
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 ROS = SimpleNamespace(**{name.rpartition("/")[2]: kind for name, kind in STORE.types.items()})
 """Message classes by their short names"""

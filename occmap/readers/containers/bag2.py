@@ -31,7 +31,6 @@ _MOST_METADATA = 1 << 20
 """Characters of metadata.yaml that are read: a hundred times what recorders write."""
 _STORAGE_NAME = re.compile(r".*\.(db3|mcap)(\.zstd)?")
 
-
 _Metadata: TypeAlias = tuple[Sequence[str], bool, Mapping[tuple[str, str], int]]
 """What only metadata.yaml says: the files, whether each message is compressed on its own, and how
 many messages there are by topic and type"""

@@ -22,7 +22,6 @@ _WIDTHS = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
 _BLOB = 12
 """From this type on, even types are blobs."""
 
-
 Row: TypeAlias = tuple[int, int, int, bytes | None]
 """Id, topic, time (ns) and message; the message is None where one of its pages is damaged."""
 

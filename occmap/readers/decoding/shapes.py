@@ -18,7 +18,6 @@ from occmap.values import as_number, as_stamp, as_text, shorten
 Shape: TypeAlias = "Mapping[str, Shape] | list[Shape] | Callable[[Any], Any]"
 """The fields of a message, a list of messages, or what brings a value to its type."""
 
-
 VECTOR: Shape = {"x": as_number, "y": as_number, "z": as_number}
 QUATERNION: Shape = {"x": as_number, "y": as_number, "z": as_number, "w": as_number}
 POSE: Shape = {"position": VECTOR, "orientation": QUATERNION}
