@@ -207,6 +207,14 @@ def test_a_build_loads_what_it_needs_and_no_more(update: str, tmp_path: Path) ->
     assert {name for name in loaded if name.startswith("occmap.cli.")} <= BUILD_COMMAND
 
 
+def test_evidence_is_rendered_with_little_of_numpy_and_without_numba(tmp_path: Path) -> None:
+    evidence = str(tmp_path / "m.npz")
+    build([PACKAGE.parent / "sample_logs" / "drive.csv"], BuildOptions(), [Path(evidence)])
+    line = ["render", evidence, "-o", str(tmp_path / "m.pgm")]
+    loaded = list_loaded(f"from occmap.cli import run; assert run({line}) == 0")
+    assert loaded.isdisjoint({"numba", "numpy.ma"})  # masked arrays take a tenth of a render
+
+
 def test_every_module_can_be_the_first_that_is_imported() -> None:
     names = sorted(map(name_module, MODULES))
     code = f"""

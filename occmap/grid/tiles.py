@@ -146,9 +146,11 @@ class TileGrid:
 
         Parts more than a cell away from every tile are left out.
         """
-        keys = np.array(list(self.tiles), np.int64).reshape(-1, 2)
-        corners = [keys * TILE + beyond for beyond in product((-1, TILE), repeat=2)]
-        for row, col in np.unique(np.concatenate(corners) // PART, axis=0).tolist():
+        beyond = list(product((-1, TILE), repeat=2))
+        corners = (
+            (row * TILE + up, col * TILE + right) for row, col in self.tiles for up, right in beyond
+        )
+        for row, col in sorted({(row // PART, col // PART) for row, col in corners}):
             part = box.clip(CellBox.at(row, col).scale(PART))
             if part.cells:
                 yield part
