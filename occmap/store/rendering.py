@@ -230,10 +230,11 @@ def read_overview(store: Store, side: int, framing: Framing, max_cells: int) -> 
         Nothing was observed or lies in the extent, the map would be too large, or the picture
         cannot be read.
     """
-    sides = sorted(map(int, store.root["classes"].array_keys()))
-    if side not in sides:
+    with refuse_damage(store.path):
+        arrays = {int(name): array for name, array in store.root["classes"].arrays()}
+    if side not in arrays:
         found = f"`overview={side}`: there is no picture of squares of {side} x {side} cells"
-        fix = f"there are those of {', '.join(map(str, sides))}"
+        fix = f"there are those of {', '.join(map(str, sorted(arrays)))}"
         raise UsageError(found, where=store.path, fix=fix)
     if not store.blocks:
         refuse_nothing_left(None)
@@ -243,12 +244,11 @@ def read_overview(store: Store, side: int, framing: Framing, max_cells: int) -> 
     row, col = store.offset
     box = choose_box(observed, framing, fine).move(-row, -col).align(side).shrink(side)
     refuse_large(box, coarse, max_cells)
-    array = store.root[f"classes/{side}"]
-    whole = CellBox(0, 0, *array.shape)
+    whole = CellBox(0, 0, *arrays[side].shape)
     there = whole.clip(box)
     classes = np.full((box.rows, box.cols), CellClass.NEITHER, np.uint8)
     with refuse_damage(store.path):
-        classes[there.within(box)] = array[there.within(whole)]
+        classes[there.within(box)] = arrays[side][there.within(whole)]
     origin = fine.to_metres(col + box.col * side), fine.to_metres(row + box.row * side)
     is_known = classes != CellClass.NEITHER
     return OccupancyMap(CLASS_LOG_ODDS[classes], is_known, coarse.resolution, origin)

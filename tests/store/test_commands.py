@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -302,6 +303,14 @@ def test_an_overview_is_the_map_made_small(
         if square.size == 16:
             assert small.classes[row, col] == square.max()
     assert abs(whole.classes.size - small.classes.size * 16) <= 64 * sum(whole.classes.shape)
+
+
+def test_an_overview_that_is_cut_says_so(built: Path, tmp_path: Path) -> None:
+    store = tmp_path / "cut.zarr"
+    shutil.copytree(built / "whole.zarr", store)
+    os.truncate(store / "classes" / "4" / "zarr.json", 20)
+    done = occmap("render", store, "-o", tmp_path / "m.pgm", "--overview", "4")
+    assert "cannot be read: it is cut or altered; build it again" in read_error(done, 1)
 
 
 def test_overviews_that_cannot_be(built: Path, tmp_path: Path) -> None:
