@@ -26,7 +26,7 @@ PART = 4 * TILE
 """Cells along the side of what is worked out at a time."""
 MAX_CELLS = 10**9
 """The most cells of a map, unless the user allows more."""
-BOUNDING_BEAMS = 8
+BOUNDING_BEAMS = 4
 """So many beams of each scan show how far a map reaches: a few, as all would cost time."""
 INT32_LIMIT = 2**31 - 1
 LOG_ODDS_UNIT = 1 / 65536
