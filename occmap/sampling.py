@@ -12,8 +12,6 @@ from occmap.batching import Batcher, Selection
 from occmap.engines import make_engine
 from occmap.errors import MapError
 from occmap.evidence import render
-from occmap.grid.lattice import Lattice
-from occmap.grid.tiles import Reach
 from occmap.opening import count_messages
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
@@ -75,12 +73,9 @@ def estimate_agreement(parts: Sequence[PosedScans], options: BuildOptions) -> fl
         None where the sample makes no map, or one too large to be made in passing.
     """
     engine = make_engine(replace(options, model=CountingModel(), max_cells=MOST_CELLS))
-    reach = Reach(Lattice(options.resolution), MOST_CELLS)
     try:
         for part in parts:
-            rays, _ = interpret(part, options.returns)
-            reach.stretch(rays)
-            engine.add(rays)
+            engine.add(interpret(part, options.returns)[0])
         return render(engine.finish(), CountingModel(), MOST_CELLS).agreement
     except MapError:
         return None

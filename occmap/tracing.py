@@ -73,7 +73,10 @@ def trace_logs(
         for log, limit in zip(logs, limits, strict=True):
             with counts.time("poses"):
                 drive = open_drive(log, options)
-            odd = trace(drive, options, add_rays, limit, counts)
+            try:
+                odd = trace(drive, options, add_rays, limit, counts)
+            except MapError as error:
+                raise error.placed(log.path) from None
             notes.append([*drive.poser.notes, *odd, *limit.list_notes()])
         right = [limit.settle() for limit in limits]
         if all(right):
@@ -100,23 +103,20 @@ def trace(
         with tally.time("trace"):
             add_rays(rays)
 
-    try:
-        with Workers(work, options.jobs) as workers:
-            batches = tally.time_each("read", batcher.stack(read_scans(drive.log, drive.topics)))
-            # Here, not in a worker: each of many short NumPy calls would wait for the GIL.
-            for attached in tally.time_each("pose", drive.poser.attach(batches)):
-                tally.drop(attached.dropped)
-                if tally.recorder:
-                    tally.recorder.follow(drive.log.path, drive.poser.fixed, attached)
-                if attached.posed is not None:
-                    with tally.time("interpret"):
-                        rays, beams = interpret(attached.posed, options.returns)
-                    tally.use(len(rays.kind), beams)
-                    reach.stretch(rays)
-                    (workers.give if rays.kind.size >= HANDED_BEAMS else work)(rays)
-                tally.advance(len(attached.batch.stamp_ns))
-    except MapError as error:
-        raise error.placed(drive.log.path) from None
+    with Workers(work, options.jobs) as workers:
+        batches = tally.time_each("read", batcher.stack(read_scans(drive.log, drive.topics)))
+        # Here, not in a worker: each of many short NumPy calls would wait for the GIL.
+        for attached in tally.time_each("pose", drive.poser.attach(batches)):
+            tally.drop(attached.dropped)
+            if tally.recorder:
+                tally.recorder.follow(drive.log.path, drive.poser.fixed, attached)
+            if attached.posed is not None:
+                with tally.time("interpret"):
+                    rays, beams = interpret(attached.posed, options.returns)
+                tally.use(len(rays.kind), beams)
+                reach.stretch(rays)
+                (workers.give if rays.kind.size >= HANDED_BEAMS else work)(rays)
+            tally.advance(len(attached.batch.stamp_ns))
     tally.frames[str(drive.log.path)] = drive.poser.fixed
     tally.lasers = max(tally.lasers, len(drive.topics))
     tally.scans_read += batcher.read

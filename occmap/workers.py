@@ -3,7 +3,6 @@
 import os
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import takewhile
 from typing import Generic, Self, TypeVar
 
 Item = TypeVar("Item")
@@ -32,11 +31,13 @@ class Workers(Generic[Item]):
 
     def give(self, item: Item) -> None:
         """Work on an item now or soon."""
-        for future in takewhile(Future.done, list(self._given)):
-            future.result()
-            del self._given[future]
-        waiting = sum(not future.done() for future in self._given)
-        if self._pool is None or waiting >= self._most_waiting:
+        for future in [future for future in self._given if future.done()]:
+            if future.exception() is None:
+                del self._given[future]
+        earliest = next(iter(self._given), None)
+        if earliest is not None and earliest.done():
+            earliest.result()
+        if self._pool is None or len(self._given) >= self._most_waiting:
             self._work(item)
         else:
             self._given[self._pool.submit(self._work, item)] = item
