@@ -79,6 +79,15 @@ class MapError(OccmapError):
     """A map cannot be made from what was observed: nothing there, or too large."""
 
 
+@contextmanager
+def name_log(path: object) -> Iterator[None]:
+    """Let an error about a map name the log at which it was met; raises MapError."""
+    try:
+        yield
+    except MapError as error:
+        raise error.placed(path) from None
+
+
 class OutputError(OccmapError):
     """A file cannot be written."""
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
 from occmap.cells import Slices
 from occmap.engines import make_engine, make_grid
-from occmap.errors import MapError
+from occmap.errors import name_log
 from occmap.evidence.fit import list_misfit
 from occmap.grid.slices import unite
 from occmap.grid.tiles import TileGrid
@@ -92,10 +92,8 @@ def observe(
             seen = engine.finish()
             notes += list_misfit(tiles, seen.tiles, options.model, "the logs before it")
             tiles.merge(seen)
-            try:
+            with name_log(log.path):
                 tiles.refuse_outgrown(options.max_cells)
-            except MapError as error:
-                raise error.placed(log.path) from None
             slices += engine.read_slices()
         remarks.note(log.path, log.notes, notes)
     with tally.time("fold"):

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from occmap.batching import FROM_THE_START, Batcher, Seam
-from occmap.errors import MapError, MountError
+from occmap.errors import MountError, name_log
 from occmap.grid.lattice import Lattice
 from occmap.grid.tiles import Reach
 from occmap.mounts import name_mount
@@ -73,10 +73,7 @@ def trace_logs(
         for log, limit in zip(logs, limits, strict=True):
             with counts.time("poses"):
                 drive = open_drive(log, options)
-            try:
-                odd = trace(drive, options, add_rays, limit, counts)
-            except MapError as error:
-                raise error.placed(log.path) from None
+            odd = trace(drive, options, add_rays, limit, counts)
             notes.append([*drive.poser.notes, *odd, *limit.list_notes()])
         right = [limit.settle() for limit in limits]
         if all(right):
@@ -103,7 +100,7 @@ def trace(
         with tally.time("trace"):
             add_rays(rays)
 
-    with Workers(work, options.jobs) as workers:
+    with name_log(drive.log.path), Workers(work, options.jobs) as workers:
         batches = tally.time_each("read", batcher.stack(read_scans(drive.log, drive.topics)))
         # Here, not in a worker: each of many short NumPy calls would wait for the GIL.
         for attached in tally.time_each("pose", drive.poser.attach(batches)):

@@ -14,7 +14,7 @@ from threading import Thread
 import pytest
 from distributed import Client
 
-from occmap.errors import FleetError, LogError, UsageError
+from occmap.errors import FleetError, LogError, MapError, UsageError
 from occmap.fleet import Fleet, cluster, open_scratch
 from occmap.fleet.cluster import open_cluster
 from occmap.fleet.runs import Job, Setting
@@ -74,6 +74,13 @@ def test_a_worker_is_killed(address: str, tmp_path: Path, expected: bytes, phase
         observe = Fleet(address, scratch, SLICE).observe
         build(LOGS, OPTIONS, [tmp_path / "map.npz"], observe=observe)
     assert (tmp_path / "map.npz").read_bytes() == expected
+
+
+def test_a_map_that_is_too_large_names_the_log(address: str, tmp_path: Path) -> None:
+    fleet = Fleet(address, tmp_path / "scratch", SLICE)
+    with pytest.raises(MapError) as caught:
+        build(LOGS, replace(OPTIONS, max_cells=1000), observe=fleet.observe)
+    assert caught.value.where == str(LOGS[0])
 
 
 @pytest.mark.parametrize("phase", ["*.store_block", ".occmap-*/classes/1/c/*"])
