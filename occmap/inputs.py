@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from occmap.errors import LogError, OccmapError
-from occmap.opening import choose_topics, take_first
 from occmap.readers import load_readers, open_log
 from occmap.readers.options import ReaderOptions
 from occmap.readers.probing import probe_path
+from occmap.steps.opening import choose_topics, take_first
 from occmap.wording import STDIN_FOLDER, count, join_names
 
 STDIN = Path("-")

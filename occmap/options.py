@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from occmap.batching import Selection
 from occmap.errors import require
 from occmap.evidence.persistence import check_passes
 from occmap.grid.framing import Framing
@@ -13,6 +12,7 @@ from occmap.grid.lattice import Lattice
 from occmap.grid.tiles import MAX_CELLS
 from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions
+from occmap.selection import Selection
 from occmap.sensor.models import CountingModel, SensorModel
 from occmap.sensor.returns import ReturnOptions
 from occmap.types import Metres, Seconds, Update

@@ -6,21 +6,21 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from occmap.alignment import settle_align
 from occmap.cells import Evidence, Slices
 from occmap.evidence.fit import list_misfit
 from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
 from occmap.evidence.persistence import render_lasting
 from occmap.grid.tiles import TileGrid, add_stack, stack_tiles, view_tiles
-from occmap.observing import Keep, Observe, Progress, ignore_progress
-from occmap.observing import observe as observe_here
 from occmap.options import BuildOptions
-from occmap.remarks import Remarks, list_notes
+from occmap.remarks import list_notes
 from occmap.report import Build, MapFacts, MapSummary, Report, Resumed, describe_map
+from occmap.steps.alignment import settle_align
+from occmap.steps.observing import Keep, Observe, Progress, Remarks, ignore_progress
+from occmap.steps.observing import observe as observe_here
+from occmap.steps.tally import Tally, refuse_unseen, refuse_unused
 from occmap.store.merging import refuse_different
 from occmap.store.publishing import sum_scans
 from occmap.store.reading import open_saved, read_all
-from occmap.tally import Tally, refuse_unseen, refuse_unused
 from occmap.writers import Product
 from occmap.writers.atomic import hold_alone
 from occmap.writers.outputs import check_outputs, want_evidence, want_journey, write_outputs

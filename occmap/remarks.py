@@ -1,18 +1,16 @@
-"""What is said of logs and of a map beside numbers."""
+"""What a user should know of a build and its map, beside numbers."""
 
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
-from occmap.batching import LeftOut
-from occmap.mounts import list_misfits
 from occmap.options import BuildOptions
-from occmap.readers import Note
 from occmap.report import MapFacts
+from occmap.selection import LeftOut
 from occmap.sensor.models import Clamped, SensorModel, find_decision
-from occmap.tally import Tally
+from occmap.steps.mounts import list_misfits
+from occmap.steps.tally import Tally
 from occmap.writers import WriteOptions
 from occmap.writers.outputs import list_idle
 
@@ -24,20 +22,6 @@ of the same logs leaves 0.27 to 0.56."""
 DOUBTFUL_AGREEMENT = 0.78
 """Logs with corrected poses reach 0.80 to 0.87 at 5 cm. Those with odometry, below this, have walls
 that are doubled here and there, and `tune` takes a floor from 0.72 to 0.85."""
-
-
-@dataclass
-class Remarks:
-    """What is said of logs beside numbers; it grows while they are read."""
-
-    logs: list[str]
-    notes: list[str] = field(default_factory=list)
-    damage: list[str] = field(default_factory=list)
-
-    def note(self, log: Path, notes: Sequence[Note], others: Iterable[str]) -> None:
-        """Keep the notes of a log's reader, and the notes of others on it."""
-        self.notes += [f"{log}: {text}" for text in (*others, *(note.text for note in notes))]
-        self.damage += [f"{log}: {note.text}" for note in notes if note.damage]
 
 
 def list_notes(

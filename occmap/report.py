@@ -11,7 +11,7 @@ from occmap.cells import Box, Evidence, Manifest, OccupancyMap
 from occmap.grid.tiles import TileGrid
 from occmap.plain import Count, Printed, Share
 from occmap.sensor.returns import ReturnCounts
-from occmap.tally import ScanCounts
+from occmap.steps.tally import ScanCounts
 from occmap.types import Update
 from occmap.writers import WriteOptions
 

@@ -19,7 +19,6 @@ import pytest
 from PIL import Image
 
 import occmap
-from occmap.batching import Selection
 from occmap.cli.console import spell_all
 from occmap.errors import MapError, OccmapError, OutputError, UsageError
 from occmap.grid.framing import Framing
@@ -28,6 +27,7 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions, Stamps
 from occmap.readers.options import Echo, ReaderOptions
+from occmap.selection import Selection
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.store.publishing import RenderOptions

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from occmap.arrays import Float32, Float64
-from occmap.batching import Selection
 from occmap.command import compose_build
 from occmap.errors import MapError, PoseError, UsageError
 from occmap.inspection import Inspection, inspect
@@ -21,13 +20,14 @@ from occmap.inspection.findings import ScanFindings
 from occmap.inspection.poses import prepare
 from occmap.inspection.ranges import BLOCK_RANGES, RangeCensus, find_crossing, find_repeated
 from occmap.inspection.survey import StampLog
-from occmap.mounts import SUSPECT, correct_mount
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.readers import Note, Stream
 from occmap.remarks import LEAST_AGREEMENT
+from occmap.selection import Selection
 from occmap.sensor.returns import NoReturn, ReturnOptions
+from occmap.steps.mounts import SUSPECT, correct_mount
 from occmap.types import Pose, PoseSample, Scan, ScanBatch
 from tests.inspection_logs import BEAMS, SCANS, Drive, measure_room, write_bag, write_csv
 from tests.posing.scenes import bolted, drive

@@ -162,7 +162,7 @@ def test_what_is_imported_is_named_as_a_dependency_and_nothing_else() -> None:
 
 
 def test_the_walk_sees_the_imports() -> None:
-    build = {name for name in ("pipeline", "tracing") for name in find_met(PACKAGE / f"{name}.py")}
+    build = {met for path in list_modules("pipeline", "steps") for met in find_met(path)}
     assert set(LAYERS) <= build
     assert "tqdm.tqdm" in set(list_imports(PACKAGE / "cli" / "progress.py"))
 

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 import occmap
-from occmap import batching
-from occmap.batching import Selection
 from occmap.cells import OccupancyMap
 from occmap.errors import LogError, MapError, OccmapError, OutputError, PoseError, UsageError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
 from occmap.report import Build, Report
+from occmap.selection import Selection
+from occmap.steps import batching
 from occmap.types import Update
 from tests.readers.ros import ROS2, Written, drive, transforms, write_mcap
 from tests.samples import DRIVES, PLAIN, write_csv

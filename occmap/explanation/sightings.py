@@ -6,18 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from occmap.arrays import Int64
-from occmap.batching import Batcher
-from occmap.engines import plan_grid
 from occmap.explanation.history import CellHistory, Numbers, Seen
 from occmap.explanation.provenance import Use
-from occmap.observing import Progress
-from occmap.opening import count_scans
 from occmap.options import BuildOptions
 from occmap.plain import Count
 from occmap.readers import Log, open_log, read_scans
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret
-from occmap.tracing import open_drive
+from occmap.steps.batching import Batcher
+from occmap.steps.engines import plan_grid
+from occmap.steps.observing import Progress
+from occmap.steps.opening import count_scans
+from occmap.steps.tracing import open_drive
 from occmap.types import PosedScans
 
 

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from occmap.cells import Slices
-from occmap.engines import make_grid
 from occmap.errors import OutputError
 from occmap.evidence.manifest import UNRECORDED, list_files, write_value
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
@@ -28,11 +27,11 @@ from occmap.fleet.tasks import Survey, Traced, count_in_window, survey_log, trac
 from occmap.grid.slices import unite
 from occmap.grid.spec import WINDOW_CELLS
 from occmap.grid.tiles import view_tiles
-from occmap.observing import Keep, Observed, Progress
 from occmap.options import BuildOptions
-from occmap.remarks import Remarks
+from occmap.steps.engines import make_grid
+from occmap.steps.observing import Keep, Observed, Progress, Remarks
+from occmap.steps.tally import Tally
 from occmap.store.blocks import Block
-from occmap.tally import Tally
 
 SLICE_BYTES = 256 << 20
 """Small enough for any worker, and large enough that the same tiles are seldom touched again"""
@@ -71,7 +70,7 @@ class Fleet:
     def observe(
         self, paths: Sequence[Path], options: BuildOptions, keep: Keep, progress: Progress
     ) -> Observed:
-        """Trace all usable scans of logs, as `occmap.observing.observe` does, by many workers.
+        """Trace all usable scans of logs by many workers, as `observing.observe` does by one.
 
         Raises
         ------

@@ -15,12 +15,12 @@ from typing import Any, NamedTuple, Self, TypeVar
 import zstandard
 
 from occmap.cells import Slices
-from occmap.engines import make_grid
 from occmap.errors import MapError
 from occmap.grid.slices import unite
 from occmap.grid.tiles import add_stack, stack_tiles
-from occmap.observing import Keep
 from occmap.options import BuildOptions
+from occmap.steps.engines import make_grid
+from occmap.steps.observing import Keep
 from occmap.store.blocks import Block, BlockContent
 from occmap.writers.atomic import open_atomic
 

@@ -7,11 +7,11 @@ from itertools import accumulate
 import numpy as np
 
 from occmap.arrays import Float64
-from occmap.batching import FROM_THE_START, Seam
 from occmap.fleet.runs import Setting
 from occmap.fleet.tasks import Survey, Traced, TraceJob
 from occmap.posing.course import STANDS, STILL_M
 from occmap.posing.leaps import MOST_PATHS, Ends, Laser
+from occmap.selection import FROM_THE_START, Seam
 from occmap.sensor.no_return import RangeLimits
 
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from occmap.alignment import settle_align
 from occmap.arrays import Int64
 from occmap.cells import Manifest
 from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
@@ -19,14 +18,15 @@ from occmap.fleet.runs import BlockJob, Setting, add_up, once, read_stub, write_
 from occmap.fleet.tasks import hash_log
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing
-from occmap.observing import Keep, Progress
 from occmap.options import BuildOptions
 from occmap.pipeline import list_inputs, make_report
 from occmap.remarks import list_notes
 from occmap.report import MapFacts, Report, count_cells
+from occmap.steps.alignment import settle_align
+from occmap.steps.observing import Keep, Progress
+from occmap.steps.tally import refuse_unseen, refuse_unused
 from occmap.store.blocks import Block, BlockRecord, list_blocks
 from occmap.store.writing import create_store, finish_store, paint_block, write_block
-from occmap.tally import refuse_unseen, refuse_unused
 from occmap.writers.atomic import follow_links, publish_folder, refuse_unwritable
 from occmap.writers.outputs import check_outputs
 

@@ -11,20 +11,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from occmap.arrays import Float64, Int64
-from occmap.batching import Seam, Selector
-from occmap.engines import make_engine
 from occmap.errors import LogError
 from occmap.evidence.manifest import describe_files, list_files
 from occmap.fleet.runs import Job, Piece, once, read_mapped, write_mapped, write_run
 from occmap.grid.tiles import stack_tiles
-from occmap.opening import count_scans
 from occmap.posing.jumps import find_breaks
 from occmap.posing.leaps import Ends, Laser
 from occmap.readers import Note, open_log, read_scans, split_log
+from occmap.selection import Seam, Selector
 from occmap.sensor.no_return import RangeLimits
+from occmap.steps.engines import make_engine
+from occmap.steps.opening import count_scans
+from occmap.steps.tally import Tally
+from occmap.steps.tracing import Drive, open_drive, trace
 from occmap.store.blocks import Block, split_blocks
-from occmap.tally import Tally
-from occmap.tracing import Drive, open_drive, trace
 from occmap.types import Rays
 
 

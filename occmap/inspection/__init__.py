@@ -18,15 +18,15 @@ from occmap.inspection.findings import Inspection, LogFindings, MountFindings, S
 from occmap.inspection.poses import Posing, list_coverage, prepare, suggest_stamps, sum_up_poses
 from occmap.inspection.ranges import measure_crossing
 from occmap.inspection.survey import Extent, Survey, TopicSurvey
-from occmap.mounts import find_better
-from occmap.opening import choose_topics, count_messages
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.course import Course
 from occmap.readers import Log, open_log, read_scans
-from occmap.sampling import estimate_agreement
 from occmap.sensor.models import Spreading
 from occmap.sensor.no_return import RangeLimits
+from occmap.steps.mounts import find_better
+from occmap.steps.opening import choose_topics, count_messages
+from occmap.steps.sampling import estimate_agreement
 from occmap.wording import write_unused
 
 __all__ = ["Inspection", "inspect"]

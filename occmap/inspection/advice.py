@@ -3,17 +3,17 @@
 import shlex
 from collections.abc import Iterator, Sequence
 
-from occmap.batching import find_oddity
 from occmap.command import chain_builds, compose_build, spell_flag
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox, Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection.findings import Inspection, LogFindings, MapFindings, ScanFindings
 from occmap.inspection.survey import Extent
-from occmap.mounts import warn_of_misfit
 from occmap.options import BuildOptions
 from occmap.posing.options import Concern, DropReason, Stamps
 from occmap.remarks import LEAST_AGREEMENT
+from occmap.steps.batching import find_oddity
+from occmap.steps.mounts import warn_of_misfit
 from occmap.wording import count, write_counts, write_unused
 
 SHARE_OF_NOTE = 0.05

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass, field
 
-from occmap.batching import count_wanted
 from occmap.cells import Box
 from occmap.plain import HIDDEN, Finite, Printed, Share
 from occmap.posing.frames import Source
 from occmap.posing.options import Concern, Stamps
 from occmap.readers import Stream
+from occmap.selection import count_wanted
 
 
 @dataclass(frozen=True)

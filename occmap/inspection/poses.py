@@ -9,15 +9,15 @@ from occmap.command import format_mount
 from occmap.errors import MountError, PoseError
 from occmap.inspection.findings import Coverage, PoseFindings
 from occmap.inspection.survey import TopicSurvey
-from occmap.mounts import guess_place
-from occmap.opening import refuse_shared_mount, take_first
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.chain import Status
 from occmap.posing.options import Stamps
 from occmap.posing.sources import Sources
 from occmap.readers import Log, read_poses
-from occmap.sampling import sample_scans
+from occmap.steps.mounts import guess_place
+from occmap.steps.opening import refuse_shared_mount, take_first
+from occmap.steps.sampling import sample_scans
 from occmap.types import IDENTITY, Pose
 
 WELL_POSED = 0.9

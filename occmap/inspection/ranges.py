@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from occmap.arrays import Bool, Float32, Float64
 from occmap.inspection.findings import RangeFindings, Repeated, Special
-from occmap.sampling import encode_cells
 from occmap.sensor.returns import NoReturn, ReturnOptions, interpret
+from occmap.steps.sampling import encode_cells
 from occmap.types import Kind, PosedScans, ScanBatch
 from occmap.values import as_float32
 

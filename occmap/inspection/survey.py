@@ -12,7 +12,6 @@ from typing import Self
 import numpy as np
 
 from occmap.arrays import Float64
-from occmap.batching import NOT_ASKED_FOR, Batcher, Selection, Selector
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.inspection.findings import Shape, TimeFindings
 from occmap.inspection.ranges import RangeCensus
@@ -20,9 +19,11 @@ from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.options import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
-from occmap.sampling import Sample, expect_scans
+from occmap.selection import NOT_ASKED_FOR, Selection, Selector
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret, read_limits
+from occmap.steps.batching import Batcher
+from occmap.steps.sampling import Sample, expect_scans
 from occmap.types import Kind, Rays, Scan, ScanBatch, ScanRun
 
 MAX_SHAPES = 1000

@@ -99,7 +99,7 @@ class PosingOptions:
     each."""
     align: float | None = 0.0
     """The map is turned by this angle (degrees, counter-clockwise); None: by the smallest one that
-    brings its walls along the axes, which is for `occmap.alignment` to find."""
+    brings its walls along the axes, which is for `occmap.steps.alignment` to find."""
 
     def __post_init__(self) -> None:
         for name in (

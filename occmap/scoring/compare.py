@@ -8,16 +8,16 @@ from pathlib import Path
 
 from occmap.command import compose_build
 from occmap.errors import LogError
-from occmap.observing import Progress, ignore_progress
-from occmap.opening import count_scans
 from occmap.options import DEFAULT_UPDATE, BuildOptions
 from occmap.plain import HIDDEN, Count, Printed, printed_as
 from occmap.readers import open_log
-from occmap.remarks import Remarks, list_frames
+from occmap.remarks import list_frames
 from occmap.scoring.trials import SMALL, HoldOut, ScoredVariant, Trials
 from occmap.scoring.variants import Variant
-from occmap.tally import ScanCounts, Tally, refuse_unused
-from occmap.tracing import trace_logs
+from occmap.steps.observing import Progress, Remarks, ignore_progress
+from occmap.steps.opening import count_scans
+from occmap.steps.tally import ScanCounts, Tally, refuse_unused
+from occmap.steps.tracing import trace_logs
 from occmap.types import Update
 from occmap.wording import count
 

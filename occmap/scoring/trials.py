@@ -9,13 +9,13 @@ import numpy as np
 
 from occmap.arrays import Float64
 from occmap.cells import OccupancyMap
-from occmap.engines import make_engine
 from occmap.evidence import render
 from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions
 from occmap.plain import HIDDEN, IN_PLACE, Count, Finite, Share
 from occmap.scoring.score import Score, estimate_error, score_map
 from occmap.scoring.variants import Variant, shorten_model
+from occmap.steps.engines import make_engine
 from occmap.types import Kind, Rays, Update
 from occmap.workers import Workers
 

@@ -17,10 +17,10 @@ from occmap.remarks import list_disagreement, list_unreached
 from occmap.report import Build, MapFacts, MapSummary, Report, describe_map
 from occmap.sensor.models import SensorModel, describe_model, parse_model
 from occmap.sensor.returns import ReturnCounts
+from occmap.steps.tally import ScanCounts
 from occmap.store import rendering
 from occmap.store.reading import Blocks, Saved, Store, as_blocks, read_all
 from occmap.store.writer import ZarrWriter
-from occmap.tally import ScanCounts
 from occmap.writers import Product, ProductWriter, WindowWriter, WriteOptions
 from occmap.writers.outputs import check_outputs, find_writer, list_idle, write_outputs
 

@@ -8,14 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.command import compose_build
-from occmap.observing import Progress, ignore_progress
-from occmap.opening import count_scans
 from occmap.options import BuildOptions
 from occmap.plain import HIDDEN, Count, Finite, Share
 from occmap.readers import open_log
-from occmap.remarks import LEAST_AGREEMENT, Remarks
+from occmap.remarks import LEAST_AGREEMENT
 from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored
-from occmap.tally import Tally
+from occmap.steps.observing import Progress, Remarks, ignore_progress
+from occmap.steps.opening import count_scans
+from occmap.steps.tally import Tally
 from occmap.tuning import search
 from occmap.tuning.kept import MOST_SCANS, KeptLog, find_mount, keep_logs
 from occmap.tuning.search import Correction, Finding, Gain, Scorer, Verdict

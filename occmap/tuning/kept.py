@@ -6,17 +6,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from occmap.arrays import Float64
-from occmap.batching import Batcher
 from occmap.errors import PoseError
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
 from occmap.posing.rotations import to_quaternions
 from occmap.readers import Log, read_scans
-from occmap.remarks import Remarks, list_frames
+from occmap.remarks import list_frames
 from occmap.sensor.no_return import RangeLimits
-from occmap.tally import Tally, refuse_unused
-from occmap.tracing import open_drive
+from occmap.steps.batching import Batcher
+from occmap.steps.observing import Remarks
+from occmap.steps.tally import Tally, refuse_unused
+from occmap.steps.tracing import open_drive
 from occmap.types import IDENTITY, Pose, PosedScans, ScanBatch
 
 MOST_SCANS = 1000

@@ -10,7 +10,6 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from occmap.command import to_rpy
-from occmap.engines import make_engine
 from occmap.evidence import render
 from occmap.options import BuildOptions
 from occmap.plain import Finite
@@ -20,6 +19,7 @@ from occmap.scoring.score import Trial, estimate_error
 from occmap.scoring.trials import NOISE, SMALL, Trials
 from occmap.scoring.variants import Variant
 from occmap.sensor.returns import interpret
+from occmap.steps.engines import make_engine
 from occmap.tuning.kept import MOST_OFFSET_S, KeptLog
 from occmap.types import Pose, Rays
 

@@ -32,8 +32,8 @@ from occmap.readers import open_log
 from occmap.scoring.compare import refuse_unscored
 from occmap.scoring.score import Score, estimate_error, score_map
 from occmap.scoring.trials import HoldOut, SharedEvidence
-from occmap.tally import Tally
-from occmap.tracing import trace_logs
+from occmap.steps.tally import Tally
+from occmap.steps.tracing import trace_logs
 from occmap.types import Rays
 from tests.bench.peers import CLASSES_ONLY, map_peers
 from tests.bench.settings import DEFAULT, LOGS, OURS, PLAIN, Recording, list_neighbours, list_steps

@@ -20,8 +20,8 @@ from occmap.fleet import Fleet
 from occmap.fleet.cluster import ALLOCATOR
 from occmap.fleet.storing import build_store
 from occmap.fleet.tasks import survey_log, trace_part
-from occmap.observing import Keep, ignore_progress
 from occmap.options import BuildOptions
+from occmap.steps.observing import Keep, ignore_progress
 from occmap.store.layout import import_zarr
 from tests.bench.limits import Row
 from tests.bench.logs import write_mcap

@@ -7,13 +7,13 @@ from threading import Event
 
 import pytest
 
-from occmap.batching import Selection
 from occmap.cli import progress
 from occmap.cli.commands.build import read_request
 from occmap.cli.console import Console, Verbosity
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
+from occmap.selection import Selection
 from occmap.sensor.models import CountingModel, SimpleModel
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import Pose, PoseSample, Update

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.batching import Selection
 from occmap.cells import Evidence
 from occmap.errors import MapError, UsageError
 from occmap.evidence import render, to_grid
@@ -18,6 +17,7 @@ from occmap.explanation.sightings import add_up
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions
+from occmap.selection import Selection
 from occmap.sensor.models import (
     CountingModel,
     QuadraticModel,

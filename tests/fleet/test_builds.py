@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from occmap.batching import Selection
 from occmap.fleet import Fleet
 from occmap.fleet.settling import leap
 from occmap.options import BuildOptions
@@ -15,6 +14,7 @@ from occmap.pipeline import build
 from occmap.posing.leaps import MOST_PATHS, Ends, Moment
 from occmap.readers import open_log, split_log
 from occmap.report import Report
+from occmap.selection import Selection
 from tests.samples import DRIVES, write_csv
 
 LOGS = [*DRIVES, DRIVES[0]]

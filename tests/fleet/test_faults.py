@@ -19,10 +19,10 @@ from occmap.fleet import Fleet, cluster, open_scratch
 from occmap.fleet.cluster import open_cluster
 from occmap.fleet.runs import Job, Setting
 from occmap.fleet.storing import build_store
-from occmap.observing import Keep, ignore_progress
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
+from occmap.steps.observing import Keep, ignore_progress
 from occmap.store.layout import digest_evidence
 from occmap.store.reading import open_store, read_all
 from tests.samples import DRIVES

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from occmap.batching import Selection
 from occmap.fleet import Fleet
 from occmap.fleet.storing import build_store
-from occmap.observing import ignore_progress
 from occmap.options import BuildOptions
 from occmap.pipeline import build
+from occmap.selection import Selection
 from occmap.sensor.models import parse_model
+from occmap.steps.observing import ignore_progress
 from occmap.store.reading import open_store
 from occmap.types import Update
 from tests.samples import DRIVES

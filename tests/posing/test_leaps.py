@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap import batching
-from occmap.batching import Batcher, Selection
 from occmap.inspection import inspect
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.leaps import LONG_ROW_STEPS, MOST_SCANS
 from occmap.posing.options import PosingOptions
 from occmap.report import Build
+from occmap.selection import Selection
+from occmap.steps import batching
+from occmap.steps.batching import Batcher
 from occmap.types import Pose, Scan, ScanBatch
 from tests.posing.scenes import at, attach, batch_at, bolted, drive
 from tests.posing.scenes import build as make_poser

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import zstandard
 
-from occmap.opening import choose_topics
 from occmap.readers import Log, open_log, split_log
+from occmap.steps.opening import choose_topics
 from occmap.types import Scan
 from tests.samples import DRIVES, SAMPLE_LOGS
 

@@ -8,16 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.batching import Selection
 from occmap.cells import OccupancyMap
 from occmap.errors import LogError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions
 from occmap.pipeline import build
-from occmap.remarks import Remarks
 from occmap.scoring.compare import HeldOutScans, VariantComparison, choose_best, compare
 from occmap.scoring.score import Score, estimate_error
 from occmap.scoring.trials import HoldOut, ScoredVariant
 from occmap.scoring.variants import Variant, combine, shorten_model
+from occmap.selection import Selection
 from occmap.sensor.models import (
     CountingModel,
     QuadraticModel,
@@ -26,6 +25,7 @@ from occmap.sensor.models import (
     parse_model,
 )
 from occmap.sensor.returns import ReturnOptions
+from occmap.steps.observing import Remarks
 from occmap.types import Kind, Rays, Update
 from tests.samples import PLAIN, REAL_LOGS, SAMPLE_LOGS, write_csv
 

@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from occmap import batching
 from occmap.inspection import inspect
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.sensor.no_return import Band, RangeLimits, RangeTally
 from occmap.sensor.returns import ReturnOptions
+from occmap.steps import batching
 from occmap.types import Scan, ScanBatch
 from tests.grid.scans import FEW
 from tests.samples import PLAIN

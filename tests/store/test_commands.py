@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import rasterio
 
-from occmap.batching import Selection
 from occmap.difference.maps import load_map
 from occmap.pipeline import build
+from occmap.selection import Selection
 from occmap.store.reading import open_store
 from occmap.types import Update
 from occmap.writers import WriteOptions

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.batching import Selection
 from occmap.cells import Evidence, Manifest, Slices
 from occmap.errors import MapError
 from occmap.explanation.history import Visits, look_at
@@ -16,6 +15,7 @@ from occmap.grid.tiles import LOG_ODDS_UNIT, TILE
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
+from occmap.selection import Selection
 from occmap.store.merging import merge, subtract
 from occmap.store.publishing import RenderOptions, publish
 from occmap.types import Update

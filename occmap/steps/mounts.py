@@ -11,16 +11,16 @@ import numpy as np
 from occmap.arrays import Float64
 from occmap.command import format_mount, format_static
 from occmap.errors import MountError, PoseError
-from occmap.opening import choose_topics, make_poser
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.frames import BASE_NAMES, Edge
 from occmap.posing.options import Concern
 from occmap.posing.rotations import rotate_by
 from occmap.readers import Log, open_log, read_poses
-from occmap.sampling import encode_cells, estimate_agreement, sample_scans
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.tally import Tally
+from occmap.steps.opening import choose_topics, make_poser
+from occmap.steps.sampling import encode_cells, estimate_agreement, sample_scans
+from occmap.steps.tally import Tally
 from occmap.types import IDENTITY, Kind, Pose, PosedScans
 
 MOUNT_CELL_M = 0.1

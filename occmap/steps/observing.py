@@ -1,23 +1,23 @@
 """Trace all logs of a build on this machine: one after the other, each with several threads."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
 from occmap.cells import Slices
-from occmap.engines import make_engine, make_grid
 from occmap.errors import name_log
 from occmap.evidence.fit import list_misfit
 from occmap.grid.slices import unite
 from occmap.grid.tiles import TileGrid
-from occmap.journey import SHOWN_SCANS, JourneyRecorder
-from occmap.opening import count_scans
 from occmap.options import BuildOptions
-from occmap.readers import Log, open_log
-from occmap.remarks import Remarks
+from occmap.readers import Log, Note, open_log
 from occmap.sensor.returns import ReturnOptions
-from occmap.tally import Tally
-from occmap.tracing import AddRays, trace_logs
+from occmap.steps.engines import make_engine, make_grid
+from occmap.steps.journey import SHOWN_SCANS, JourneyRecorder
+from occmap.steps.opening import count_scans
+from occmap.steps.tally import Tally
+from occmap.steps.tracing import AddRays, trace_logs
 
 if TYPE_CHECKING:  # as in engines
     from occmap.grid.engine import GridEngine
@@ -44,6 +44,20 @@ class Keep(NamedTuple):
         """Make a recorder for a log of `scans` scans, one of `logs`; None where none is wanted."""
         every = max(scans * logs // SHOWN_SCANS, 1)
         return JourneyRecorder(every, returns) if self.journey else None
+
+
+@dataclass
+class Remarks:
+    """What is said of logs beside numbers; it grows while they are read."""
+
+    logs: list[str]
+    notes: list[str] = field(default_factory=list)
+    damage: list[str] = field(default_factory=list)
+
+    def note(self, log: Path, notes: Sequence[Note], others: Iterable[str]) -> None:
+        """Keep the notes of a log's reader, and the notes of others on it."""
+        self.notes += [f"{log}: {text}" for text in (*others, *(note.text for note in notes))]
+        self.damage += [f"{log}: {note.text}" for note in notes if note.damage]
 
 
 class Observed(NamedTuple):

@@ -13,9 +13,9 @@ import numpy as np
 from occmap.arrays import Float64
 from occmap.options import BuildOptions
 from occmap.readers import open_log
-from occmap.sampling import sample_scans
 from occmap.sensor.returns import interpret
-from occmap.tracing import open_drive
+from occmap.steps.sampling import sample_scans
+from occmap.steps.tracing import open_drive
 from occmap.types import Kind, Rays
 
 GAPS = (2, 4, 8, 16, 32)

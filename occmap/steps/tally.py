@@ -7,12 +7,12 @@ from threading import Lock, local
 from time import perf_counter
 from typing import Any, TypeVar
 
-from occmap.batching import LeftOut, count_wanted
 from occmap.errors import LogError, MapError, PoseError
-from occmap.journey import JourneyRecorder
 from occmap.plain import Count
 from occmap.posing.options import DropReason
+from occmap.selection import LeftOut, count_wanted
 from occmap.sensor.returns import ReturnCounts
+from occmap.steps.journey import JourneyRecorder
 from occmap.wording import write_counts, write_unused
 
 Item = TypeVar("Item")

@@ -3,18 +3,19 @@
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from occmap.batching import FROM_THE_START, Batcher, Seam
 from occmap.errors import MountError, name_log
 from occmap.grid.lattice import Lattice
 from occmap.grid.tiles import Reach
-from occmap.mounts import name_mount
-from occmap.opening import choose_topics, make_poser
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.readers import Log, read_scans
+from occmap.selection import FROM_THE_START, Seam
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret
-from occmap.tally import Tally
+from occmap.steps.batching import Batcher
+from occmap.steps.mounts import name_mount
+from occmap.steps.opening import choose_topics, make_poser
+from occmap.steps.tally import Tally
 from occmap.types import Rays
 from occmap.workers import Workers
 

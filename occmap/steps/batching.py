@@ -3,18 +3,16 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from enum import StrEnum
-from typing import Annotated, NamedTuple, TypeAlias, overload
+from typing import TypeAlias
 
 import numpy as np
 
 from occmap.arrays import Int64
-from occmap.errors import require
 from occmap.posing.options import Stamps
+from occmap.selection import FROM_THE_START, LeftOut, Seam, Selection, Selector
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import read_limits
-from occmap.types import Scan, ScanBatch, ScanRun, Seconds
+from occmap.types import Scan, ScanBatch, ScanRun
 
 BATCH_BEAMS = 1 << 18
 """Beams that are gathered before they are handed on: a few megabytes, and enough work that threads
@@ -27,118 +25,11 @@ Geometry: TypeAlias = tuple[tuple[str, str], tuple[float, ...]]
 """What all scans of a batch share: topic and frame, then angles, beams, limits and posed or not."""
 
 
-class LeftOut(StrEnum):
-    """Why a scan is not used, before its pose is looked up."""
-
-    NO_BEAMS = "no beams"
-    BAD_ANGLES = "angles not finite"
-    TIME = "outside `start_s` and `end_s`"
-    STRIDE = "left out by `stride`"
-
-
-NOT_ASKED_FOR = (LeftOut.TIME, LeftOut.STRIDE)
-"""The user's own choice: nothing is wrong with these scans, and none of them is lost."""
-
-
-def count_wanted(read: int, unused: Mapping[str, int]) -> int:
-    """Count the scans that were asked for, of those read; `unused` counts scans by reason."""
-    return read - sum(unused.get(reason, 0) for reason in NOT_ASKED_FOR)
-
-
-@dataclass(frozen=True)
-class Selection:
-    """Which scans of a log to use; two parts that end and start at one time share no scan.
-
-    Raises
-    ------
-    UsageError
-        The values leave no scan to use.
-    """
-
-    topics: Annotated[tuple[str, ...], "TOPIC"] = ()
-    """Use the scans of this topic."""
-    start_s: Seconds = -math.inf
-    """Use scans from this time after the first on."""
-    end_s: Seconds = math.inf
-    """Use scans before this time after the first."""
-    stride: Annotated[int, "N"] = 1
-    """Use every N-th of these scans."""
-
-    def __post_init__(self) -> None:
-        require(self.stride >= 1, f"a stride of {self.stride} is not possible", "give 1 or more")
-        found = f"`start_s={self.start_s}` is not before `end_s={self.end_s}`"
-        fix = "both are in seconds after the log's first scan"
-        require(self.start_s < self.end_s, found, fix)
-
-
 def find_geometry(scan: Scan) -> Geometry:
     """Take from a scan what all scans of a batch share."""
     limits, has_pose = read_limits(scan), scan.pose is not None
     angles = scan.angle_min, scan.angle_increment
     return (scan.topic, scan.frame), (*angles, len(scan.ranges), *limits, has_pose)
-
-
-def find_flaw(scan: Scan) -> LeftOut | None:
-    """Say why nobody can use a scan; None where it can be used."""
-    if not len(scan.ranges):
-        return LeftOut.NO_BEAMS
-    if not (math.isfinite(scan.angle_min) and math.isfinite(scan.angle_increment)):
-        return LeftOut.BAD_ANGLES
-    return None
-
-
-class Seam(NamedTuple):
-    """What a part of a log needs to know of the parts before it to select its scans."""
-
-    first_ns: int | None = None
-    """The stamp of the log's first scan; None: it is in this part"""
-    wanted: int = 0
-    """How many scans of the parts before lie in the time window"""
-
-
-FROM_THE_START = Seam()
-
-
-class Selector:
-    """Says which scans of one log are not used, and why; it is shown all of them, in order."""
-
-    def __init__(self, selection: Selection, stamps: Stamps, seam: Seam = FROM_THE_START) -> None:
-        self.selection = selection
-        self._stamps = stamps
-        self._wants_all = replace(selection, topics=()) == Selection()
-        self.seam = seam
-        """The seam between the scans so far and those to come"""
-
-    def judge(
-        self, scans: Iterable[Scan | ScanRun]
-    ) -> Iterator[tuple[Scan | ScanRun, LeftOut | None]]:
-        """Give each scan and why it is not used, or None; a run stays whole if all is used."""
-        for some in scans:
-            # A run is taken whole where the user wants every scan, and these can be used.
-            if isinstance(some, Scan) or (self._wants_all and find_flaw(some.first) is None):
-                yield some, self._judge_next(some.first)
-            else:
-                yield from ((scan, self._judge_next(scan)) for scan in some.split())
-
-    def _judge_next(self, scan: Scan) -> LeftOut | None:
-        first_ns, wanted = self.seam
-        stamp_ns = self.stamp(scan)
-        first_ns = stamp_ns if first_ns is None else first_ns
-        self.seam = Seam(first_ns, wanted)
-        if (flaw := find_flaw(scan)) is not None:
-            return flaw
-        if not self.selection.start_s <= (stamp_ns - first_ns) / 1e9 < self.selection.end_s:
-            return LeftOut.TIME
-        self.seam = Seam(first_ns, wanted + 1)
-        return LeftOut.STRIDE if wanted % self.selection.stride else None
-
-    @overload
-    def stamp(self, some: Scan) -> int: ...
-    @overload
-    def stamp(self, some: ScanRun) -> Int64: ...
-    def stamp(self, some: Scan | ScanRun) -> int | Int64:
-        """The time that counts (ns): of a scan, or (S,) of those of a run."""
-        return some.record_ns if self._stamps is Stamps.RECORD else some.stamp_ns
 
 
 class Batcher:

@@ -2,10 +2,10 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.journey import JourneyRecorder
 from occmap.posing.leaps import Attached
 from occmap.posing.options import DropReason
 from occmap.sensor.returns import ReturnOptions
+from occmap.steps.journey import JourneyRecorder
 from occmap.types import PosedScans, ScanBatch
 
 LOG = Path("a.bag")

@@ -8,17 +8,18 @@ from dataclasses import replace
 import numpy as np
 
 from occmap.arrays import Float64, Int64
-from occmap.batching import Batcher, Selection
-from occmap.engines import make_engine
 from occmap.errors import MapError
 from occmap.evidence import render
-from occmap.opening import count_messages
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.readers import Log, read_scans
+from occmap.selection import Selection
 from occmap.sensor.models import CountingModel
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret
+from occmap.steps.batching import Batcher
+from occmap.steps.engines import make_engine
+from occmap.steps.opening import count_messages
 from occmap.types import PosedScans
 
 SAMPLE_SCANS = 300

@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.batching import Batcher, LeftOut, Selection
 from occmap.posing.options import Stamps
+from occmap.selection import LeftOut, Selection
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import ReturnOptions
+from occmap.steps.batching import Batcher
 from occmap.types import Scan, ScanBatch, ScanRun
 
 SECOND = 10**9
