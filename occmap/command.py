@@ -40,6 +40,9 @@ NOT_WRITTEN = (
 )
 """Options that do not change how logs are read, or that a caller names itself"""
 
+NONE = {"align": "auto", "max_pose_gap_s": "inf"}
+"""How None is typed, where it is a value of an option and not its default"""
+
 LEVEL_RAD = 5e-6
 """A smaller angle is written as 0."""
 
@@ -77,7 +80,7 @@ def compose_build(
     """
     usual = list_values(BuildOptions())
     given = {
-        name: list_texts(value)
+        name: [NONE[name]] if value is None else list_texts(value)
         for name, value in list_values(options).items()
         if value != usual[name] and name not in NOT_WRITTEN
     }

@@ -607,6 +607,12 @@ def test_of_two_lasers_the_one_that_is_off_gets_a_transform_of_its_own(tmp_path:
     assert words[3:-2] == ("--static-tf", "base_link,laser,0,0,0,0,0,0")
 
 
+def test_no_limit_on_gaps_is_typed_as_inf() -> None:
+    options = BuildOptions(posing=PosingOptions(max_pose_gap_s=None, align=None))
+    words = compose_build(["a.csv"], options, {})
+    assert words[3:-2] == ("--max-pose-gap", "inf", "--align", "auto")
+
+
 def test_where_the_poses_fit_no_mount_the_line_looks_for_the_reason(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "room.bag", Drive(0.3), mount=[(0.0, 0.0)])
     found = look(path, BuildOptions(resolution=0.1))

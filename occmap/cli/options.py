@@ -19,7 +19,7 @@ import click
 
 from occmap.cli.console import Console, Verbosity, spell
 from occmap.cli.sections import BareOption, SectionOption, join, option
-from occmap.command import MODEL_PARAMETERS, spell_flag
+from occmap.command import MODEL_PARAMETERS, NONE, spell_flag
 from occmap.errors import UsageError
 from occmap.keywords import drop_none, find_form, list_options, list_values
 from occmap.options import BuildOptions
@@ -30,8 +30,7 @@ from occmap.writers import Shade
 
 PATH = click.Path(path_type=Path, readable=False)
 """Where click would look whether it can be read, occmap's own error says more."""
-FROM_SCANS = "auto"
-"""The value of --align that leaves the angle to the scans."""
+FROM_SCANS = NONE["align"]
 FORM = re.compile(r"\((.*?)\)")
 """A tuple, as it is written in Python"""
 Values = Mapping[str, Any]

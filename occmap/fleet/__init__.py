@@ -33,7 +33,7 @@ from occmap.steps.observing import Keep, Observed, Progress, Remarks
 from occmap.steps.tally import Tally
 from occmap.store.blocks import Block
 
-SLICE_BYTES = 256 << 20
+SLICE_BYTES = 256_000_000
 """Small enough for any worker, and large enough that the same tiles are seldom touched again"""
 BASE_BYTES = 300 << 20
 """What a worker takes before it observes anything"""

@@ -218,6 +218,15 @@ def test_options_of_the_other_update_are_noted(tmp_path: Path) -> None:
     assert occmap("build", "polygon", *words).err == ""
 
 
+def test_options_of_a_build_by_workers_are_noted_without_workers(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", [(0, 0, 0)], [1.0])
+    words = ["build", log, "-o", tmp_path / "m.pgm", "--slice", "1MB", "--scratch", tmp_path]
+    told = occmap(*words, "--json")
+    notes = ["--scratch does nothing without --dask", "--slice does nothing without --dask"]
+    assert json.loads(told.out)["notes"] == notes
+    assert told.err == "".join(f"note: {note}\n" for note in notes)
+
+
 def test_quiet_prints_nothing(tmp_path: Path) -> None:
     assert occmap("build", write_cut(tmp_path), "-o", tmp_path / "m.pgm", "-q") == (0, "", "")
 

@@ -1,7 +1,7 @@
 """`occmap build`: one map from one or more logs."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from time import perf_counter
@@ -11,7 +11,7 @@ import click
 
 from occmap.cli import limits, options
 from occmap.cli.console import Console, label_first, write_rows
-from occmap.cli.options import PATH, collect_model
+from occmap.cli.options import PATH, Values, collect_model
 from occmap.cli.progress import Bar, show_progress
 from occmap.cli.sections import as_command, join, option
 from occmap.cli.streams import gather_logs, hide_sent, place_outputs
@@ -69,8 +69,7 @@ fleet = join(
         "slice_bytes",
         type=parse_size,
         metavar="SIZE",
-        default="256MB",
-        show_default=True,
+        show_default="256MB",
         help="With --dask: how much of a log is one task.",
     ),
 )
@@ -97,6 +96,7 @@ def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
       occmap build room.bag -o room.pgm --sensor-pose 0,0,3.14159
     """
     given, chosen = read_request(words, values)
+    console.announce(*list_idle(values))
     logs = gather_logs(console, given, chosen, values["outputs"])
     values["outputs"] = place_outputs(console, values["outputs"], logs[0])
     start = perf_counter()
@@ -137,6 +137,14 @@ def read_request(words: Sequence[str], values: dict[str, Any]) -> tuple[list[Pat
     return logs, take(BuildOptions, {**values, "update": update, "model": model})
 
 
+def list_idle(values: Values) -> Iterator[str]:
+    """Say which options do nothing, as they are for a build by many workers."""
+    if values["dask"] is None:
+        for name, flag in (("scratch", "--scratch"), ("slice_bytes", "--slice")):
+            if values[name] is not None:
+                yield f"{flag} does nothing without --dask"
+
+
 def split_words(words: Sequence[str]) -> tuple[Update, list[Path]]:
     """Tell the update, where one is named, from the logs.
 
@@ -166,10 +174,11 @@ def run_build(
     outputs = values["outputs"]
     if values["dask"] is None:
         return build(logs, chosen, outputs, progress).report
-    from occmap.fleet import Fleet  # noqa: PLC0415  late: few builds need it
+    from occmap.fleet import SLICE_BYTES, Fleet  # noqa: PLC0415  late: few builds need it
 
     scratch = values["scratch"] or outputs[0].with_name(f"{outputs[0].name}.scratch")
-    fleet = Fleet(values["dask"], scratch, values["slice_bytes"], progress.describe)
+    size = values["slice_bytes"] or SLICE_BYTES
+    fleet = Fleet(values["dask"], scratch, size, progress.describe)
     is_store = [output.suffix.lower() for output in outputs] == [".zarr"]
     past = chosen.resume or chosen.resume_if_there
     if not is_store or past or chosen.min_passes or chosen.framing != Framing():
