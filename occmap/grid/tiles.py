@@ -209,8 +209,8 @@ def refuse_large(box: CellBox, lattice: Lattice, max_cells: int) -> None:
     if box.cells > max_cells:
         x, y, right, top = write_metres(lattice.measure(box))
         raise MapError(
-            f"the map would reach from ({x}, {y}) to ({right}, {top}) m: {box.cols} x {box.rows} "
-            f"cells, more than `max_cells={max_cells}`",
+            f"the map would reach at least from ({x}, {y}) to ({right}, {top}) m: {box.cols} x "
+            f"{box.rows} cells, more than `max_cells={max_cells}`",
             fix="if a pose is wrong, leave it out with `start_s` and `end_s`; else use a coarser "
             "`resolution`, a shorter `max_range`, or raise `max_cells`",
         )

@@ -132,9 +132,9 @@ def test_a_map_as_large_as_allowed_is_made_and_a_larger_one_refused() -> None:
     with pytest.raises(MapError) as caught:
         refuse_large(box, grid.lattice, 199)
     assert str(caught.value) == (
-        "the map would reach from (-1.25, -0.75) to (3.75, 1.75) m: 20 x 10 cells, more than "
-        "`max_cells=199`; if a pose is wrong, leave it out with `start_s` and `end_s`; else use a "
-        "coarser `resolution`, a shorter `max_range`, or raise `max_cells`"
+        "the map would reach at least from (-1.25, -0.75) to (3.75, 1.75) m: 20 x 10 cells, more "
+        "than `max_cells=199`; if a pose is wrong, leave it out with `start_s` and `end_s`; else "
+        "use a coarser `resolution`, a shorter `max_range`, or raise `max_cells`"
     )
 
 
