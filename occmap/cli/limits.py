@@ -1,6 +1,7 @@
 """Limits as options, and what becomes of them: one line on stderr each, and exit code 3."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import click
@@ -9,10 +10,18 @@ from occmap.cli.console import Console
 from occmap.cli.sections import Command, option
 from occmap.errors import OccmapError
 from occmap.gates import Failed, Measures, judge, parse_limit
-from occmap.plain import Printed, to_plain
+from occmap.plain import Printed
 
 LIMITS = "Limits"
 LIMIT_BROKEN = 3
+
+
+@dataclass(frozen=True)
+class Limited(Printed):
+    """What a command adds to its result that takes limits."""
+
+    failed: list[Failed]
+    """The limits of `limits` that the result does not keep to; any of them makes the exit code 3"""
 
 
 def fail_if(measures: Measures, example: str) -> Callable[[Command], Command]:
@@ -37,7 +46,7 @@ def answer(
     failed = judge(values["limits"], result)
     if values["as_json"]:
         command = str(click.get_current_context().info_name)
-        console.put_json(command, result.to_json() | {"failed": to_plain(failed)})
+        console.put_json(command, result.to_json() | Limited(failed).to_json())
     else:
         console.put(lines)
     for each in failed:

@@ -1,6 +1,6 @@
 """The commands that list what is installed of one kind of plugin."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -8,7 +8,7 @@ import click
 
 from occmap.cli import COMMANDS, options
 from occmap.cli.console import Console
-from occmap.plain import to_plain
+from occmap.plain import Printed
 from occmap.plugins import Broken, Group, load_plugins
 
 
@@ -25,19 +25,41 @@ class Listed:
 
 
 @dataclass(frozen=True)
-class Listing:
-    """What is installed of one kind.
+class Models(Printed):
+    """Sensor models: what occmap models prints."""
 
-    `occmap schema` adds the fields, since one has the name of the command.
-    """
+    models: list[Listed]
+    """Sensor models"""
+    broken: list[Broken]
+    """Plugins that do not load"""
 
 
-KINDS: dict[str, tuple[Group, str]] = {
-    "models": ("occmap.models", "Sensor models"),
-    "readers": ("occmap.readers", "Log formats"),
-    "writers": ("occmap.writers", "Map formats"),
+@dataclass(frozen=True)
+class Readers(Printed):
+    """Log formats: what occmap readers prints."""
+
+    readers: list[Listed]
+    """Log formats"""
+    broken: list[Broken]
+    """Plugins that do not load"""
+
+
+@dataclass(frozen=True)
+class Writers(Printed):
+    """Map formats: what occmap writers prints."""
+
+    writers: list[Listed]
+    """Map formats"""
+    broken: list[Broken]
+    """Plugins that do not load"""
+
+
+KINDS: dict[str, tuple[Group, Callable[[list[Listed], list[Broken]], Printed]]] = {
+    "models": ("occmap.models", Models),
+    "readers": ("occmap.readers", Readers),
+    "writers": ("occmap.writers", Writers),
 }
-"""Which plugins each of these commands lists, and what they are"""
+"""Which plugins each of these commands lists, and what it prints"""
 
 
 def make_command(kind: str) -> click.Command:
@@ -48,14 +70,15 @@ def make_command(kind: str) -> click.Command:
     @click.pass_obj
     def command(console: Console, /, as_json: bool) -> None:
         """List what is installed."""
-        loaded, broken = load_plugins(KINDS[kind][0])
+        group, make_result = KINDS[kind]
+        loaded, broken = load_plugins(group)
         working = []
         for name, plugin in loaded.items():
             parameters: Any = fields(plugin) if kind == "models" else ()
             defaults = {each.name: each.default for each in parameters}
             working.append(Listed(name, plugin.description, defaults))
         if as_json:
-            console.put_json(kind, to_plain({kind: working, "broken": broken}))
+            console.put_json(kind, make_result(working, broken).to_json())
         else:
             console.put(format_plugins(working, broken))
 

@@ -60,6 +60,13 @@ class House(Named):
     """Lowest x and y, highest x and y (m)"""
 
 
+class Sale(TypedDict):
+    """What an agent adds."""
+
+    sold: bool
+    """It is sold"""
+
+
 HOUSE: House = {
     "name": "ours",
     "rooms": [
@@ -105,7 +112,7 @@ ROOM = {
 
 
 def schema() -> dict[str, Any]:
-    return make_schema("a house", House, {"version": {"const": 1}}, {"sold": (bool, "It is sold")})
+    return make_schema("house", House, Sale)
 
 
 def test_values_become_what_json_has() -> None:
@@ -114,12 +121,13 @@ def test_values_become_what_json_has() -> None:
 
 def test_a_schema_is_the_type_with_the_texts_below_its_fields() -> None:
     found = schema()
-    assert found["title"] == "a house"
+    assert found["title"] == "occmap house --json"
     assert found["description"] == "A house."
     assert found["$defs"]["room"] == ROOM
     assert list(found["$defs"]) == ["room", "corner"]
-    names = ["version", "name", "rooms", "people", "lit", "age", "extent", "sold"]
+    names = ["schema", "name", "rooms", "people", "lit", "age", "extent", "sold"]
     assert found["required"] == list(found["properties"]) == names
+    assert found["properties"]["schema"]["const"] == "occmap/house/1"
     assert found["properties"]["name"]["description"] == "What it is called"
     assert found["properties"]["lit"] == {
         "type": "number",
@@ -155,7 +163,7 @@ def test_a_schema_is_the_type_with_the_texts_below_its_fields() -> None:
 def test_what_is_not_of_the_type_is_refused(wrong: dict[str, Any]) -> None:
     strict = {**schema(), "$defs": {**schema()["$defs"], "room": with_lists(ROOM)}}
     validator = Draft202012Validator(strict)
-    right = {"version": 1, **PRINTED, "sold": True}
+    right = {"schema": "occmap/house/1", **PRINTED, "sold": True}
     validator.validate(right)
     assert not validator.is_valid(right | wrong)
 

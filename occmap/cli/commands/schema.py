@@ -16,11 +16,9 @@ import click
 
 from occmap.cli import options
 from occmap.cli.console import RESULT_VERSION, put_line, spell_all
-from occmap.cli.listing import KINDS, Listed
+from occmap.cli.limits import Limited
 from occmap.cli.sections import as_command
-from occmap.gates import Failed
 from occmap.plain import list_printed, read_texts
-from occmap.plugins import Broken
 
 Schema = dict[str, Any]
 
@@ -40,20 +38,16 @@ SCHEMAS = {
     "diff": "occmap.difference:MapDifference",
     "explain": "occmap.explanation:Explanation",
     "merge": "occmap.report:Report",
-    "models": "occmap.cli.listing:Listing",
-    "readers": "occmap.cli.listing:Listing",
+    "models": "occmap.cli.listing:Models",
+    "readers": "occmap.cli.listing:Readers",
     "render": "occmap.report:Report",
     "tune": "occmap.tuning:Tuning",
-    "writers": "occmap.cli.listing:Listing",
+    "writers": "occmap.cli.listing:Writers",
     "error": "occmap.cli.console:PrintedError",
 }
 """The type of what a command prints; `error` is what any of them prints where it fails."""
 
 WITHOUT_LIMITS = ("explain", "models", "readers", "writers", "error")
-
-FAILED = (
-    "The limits of `limits` that the result does not keep to; any of them makes the exit code 3"
-)
 
 
 @as_command("schema", click.Command)
@@ -69,49 +63,32 @@ def command(name: str) -> None:
       occmap schema build
       occmap schema error
     """
-    schema = json.dumps(spell_all(describe_printed(name)), indent=2)
-    put_line(schema)
-
-
-def describe_printed(name: str) -> dict[str, Any]:
-    """Make the schema of what a command prints."""
     module, _, kind = SCHEMAS[name].partition(":")
+    kinds = [getattr(import_module(module), kind), *([] if name in WITHOUT_LIMITS else [Limited])]
+    put_line(json.dumps(spell_all(make_schema(name, *kinds)), indent=2))
+
+
+def make_schema(name: str, *kinds: Any) -> Schema:
+    """Make the schema of what a command prints.
+
+    Parameters
+    ----------
+    kinds
+        Dataclasses, NamedTuples or TypedDicts, whose fields follow each other; the first says what
+        the result is.
+    """
+    defs: dict[str, Schema] = {}
+    whole, *others = (describe_fields(kind, defs) for kind in kinds)
     version = {
         "description": "What this is, and the version of its schema",
         "const": f"occmap/{name}/{RESULT_VERSION}",
     }
-    more: dict[str, Any] = {}
-    if name not in WITHOUT_LIMITS:
-        more["failed"] = list[Failed], FAILED
-    if name in KINDS:
-        more[name] = list[Listed], KINDS[name][1]
-        more["broken"] = list[Broken], "Plugins that do not load"
-    printed = getattr(import_module(module), kind)
-    schema = make_schema(f"occmap {name} --json", printed, {"schema": version}, more)
-    if name in KINDS:
-        schema["description"] = f"{KINDS[name][1]}: what occmap {name} prints."
-    return schema
-
-
-def make_schema(title: str, kind: Any, first: Schema, more: dict[str, Any]) -> Schema:
-    """Make the schema of a result.
-
-    Parameters
-    ----------
-    kind
-        A dataclass, NamedTuple or TypedDict.
-    first
-        Schemas of fields that go before those of the type.
-    more
-        Types and descriptions of fields that follow them.
-    """
-    defs: dict[str, Schema] = {}
-    whole = describe_fields(kind, defs)
-    properties = first | whole["properties"]
-    for name, (hint, text) in more.items():
-        properties[name] = make_part(hint, defs) | {"description": text}
+    properties = {"schema": version, **whole["properties"]}
+    for other in others:
+        properties |= other["properties"]
     whole |= {"properties": properties, "required": list(properties)}
-    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title, **whole}
+    draft = "https://json-schema.org/draft/2020-12/schema"
+    schema = {"$schema": draft, "title": f"occmap {name} --json", **whole}
     return schema | ({"$defs": defs} if defs else {})
 
 
@@ -137,7 +114,7 @@ def refer_to(hint: Any, defs: dict[str, Schema]) -> Schema:
     """Make the schema of an enum, or refer to that of a type with fields."""
     if issubclass(hint, Enum):
         return {"enum": [member.name.lower() for member in hint]}
-    name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", hint.__name__.removeprefix("Printed")).lower()
+    name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", hint.__name__).lower()
     if name not in defs:
         defs[name] = {}  # its place, ahead of what it holds
         defs[name] = describe_fields(hint, defs)
