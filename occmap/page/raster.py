@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from occmap.arrays import Bool, Int64
 from occmap.cells import Evidence, OccupancyMap, Slices
-from occmap.grid.lattice import CellBox
+from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.slices import count_visits, split_tiles, take, unite, unpack
 from occmap.grid.spec import find_unit
-from occmap.grid.tiles import TILE, EvidenceKind
+from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, view_tiles
 
 MOST_CELLS = 4100 * 4100
 """A page with more of them takes long to open."""
@@ -90,6 +90,18 @@ class Raster:
     """When the first of these slices begins (s)"""
 
 
+class Seen(NamedTuple):
+    """What evidence says of cells."""
+
+    grid: TileGrid
+    slices: Slices
+    """Those of all builds, in order"""
+    first: int
+    """The first of them"""
+    slice_s: float
+    """How long each is (s)"""
+
+
 def make_raster(
     grid: OccupancyMap, evidence: Evidence | None, most_bytes: int = MOST_BYTES
 ) -> Raster:
@@ -109,15 +121,11 @@ def make_raster(
 
 def list_rasters(grid: OccupancyMap, evidence: Evidence | None) -> Iterator[Raster]:
     """Take the layers of a map more and more roughly, so that they take fewer and fewer bytes."""
-    unit, slice_s, start_s = 1, 0.0, 0.0
-    if evidence:
-        unit, slice_s = find_unit(evidence.manifest.update), evidence.manifest.pass_gap_s
-        firsts = [int(each.numbers.min()) for each in evidence.slices if each.numbers.size]
-        start_s = min(firsts, default=0) * slice_s
-    box, sights = CellBox.of(grid), Sights(evidence) if evidence else None
+    box, seen = CellBox.of(grid), see(evidence) if evidence else None
+    times = (seen.grid.unit, seen.slice_s, seen.first * seen.slice_s) if seen else (1, 0.0, 0.0)
     steps = [each for each in STEPS if box.cells <= MOST_CELLS * each**2]
     for step in steps or STEPS[-1:]:
-        bands = [thin(band, step) for band in read_bands(grid, sights, box)]
+        bands = [thin(band, step) for band in read_bands(grid, seen, box)]
         shown, size = box.align(step).shrink(step), grid.resolution * step
         window = shown.within(box.align(TILE).shrink(step))
         layers = {
@@ -127,14 +135,14 @@ def list_rasters(grid: OccupancyMap, evidence: Evidence | None) -> Iterator[Rast
         }
         place = round(shown.col * size, 9), round(shown.row * size, 9), size, step
         packed = {name: pack(layer) for name, layer in layers.items()}
-        yield Raster(*place, packed, 0.0, unit, slice_s, start_s)
+        yield Raster(*place, packed, 0.0, *times)
         for parts in COUNT_STEPS:
             counts = {name: round_counts(layers[name], parts) for name in COUNTS & layers.keys()}
             packed = packed | {name: pack_few(layer) for name, layer in counts.items()}
-            yield Raster(*place, packed, 0.5 / parts, unit, slice_s, start_s)
+            yield Raster(*place, packed, 0.5 / parts, *times)
 
 
-def read_bands(grid: OccupancyMap, sights: "Sights | None", box: CellBox) -> Iterator[Layers]:
+def read_bands(grid: OccupancyMap, seen: Seen | None, box: CellBox) -> Iterator[Layers]:
     """Read all layers of one row of tiles after the other; `box` is the map's."""
     outer = box.align(TILE)
     for row in range(outer.row, outer.row_end, TILE):
@@ -149,8 +157,8 @@ def read_bands(grid: OccupancyMap, sights: "Sights | None", box: CellBox) -> Ite
         band["class"][there] = classify(part)
         band["p"][there] = np.where(part.observed, np.rint(100 * part.probability), NOT_OBSERVED)
         band["rank"][there] = np.where(part.observed, part.log_odds, -np.inf)
-        if sights:
-            band |= sights.read(whole.shrink(TILE))
+        if seen:
+            band |= read_seen(seen, whole)
         yield band
 
 
@@ -162,35 +170,29 @@ def classify(grid: OccupancyMap) -> NDArray[np.uint8]:
     return classes
 
 
-class Sights:
-    """What evidence says of the cells of a row of tiles."""
+def see(evidence: Evidence) -> Seen:
+    """Make evidence ready to be read, without a copy of its tiles."""
+    manifest = evidence.manifest
+    kind, unit = EvidenceKind(manifest.kind), find_unit(manifest.update)
+    grid = TileGrid(Lattice(manifest.resolution), kind, unit)
+    grid.tiles.update(view_tiles(evidence.tiles, evidence.cells))
+    slices = unite(evidence.slices)
+    first = int(slices.numbers.min()) if slices.numbers.size else 0
+    return Seen(grid, slices, first, manifest.pass_gap_s)
 
-    def __init__(self, evidence: Evidence) -> None:
-        self._evidence = evidence
-        self._slices = unite(evidence.slices)
-        numbers = self._slices.numbers
-        self._first = int(numbers.min()) if numbers.size else 0
-        kind = EvidenceKind(evidence.manifest.kind)
-        self._names = ("hits", "misses") if kind is EvidenceKind.COUNTS else ("", "looks")
 
-    def read(self, box: CellBox) -> Layers:
-        """(64, 64 * tiles) of hits, misses, visits and last sights in a row of so many tiles."""
-        band = {
-            name: np.zeros((TILE, box.cols * TILE), np.uint32)
-            for name in (*filter(None, self._names), "visits", "last")
-        }
-        tiles = self._evidence.tiles
-        for at in box.find(tiles).tolist():
-            start = (int(tiles[at, 1]) - box.col) * TILE
-            for name, numbers in zip(self._names, self._evidence.cells[at], strict=True):
-                if name:
-                    band[name][:, start : start + TILE] = numbers
-        there = box.find(self._slices.tiles)
-        for (_, col), slices in split_tiles(take(self._slices, there)):
-            start = (col - box.col) * TILE
-            band["visits"][:, start : start + TILE] = count_visits(slices)[1]
-            band["last"][:, start : start + TILE] = find_last(slices, self._first)
-        return band
+def read_seen(seen: Seen, box: CellBox) -> Layers:
+    """(64, W) hits and misses, or looks, and visits and last sights in a row of tiles."""
+    first, second = seen.grid.gather(box, np.uint32)
+    is_counted = seen.grid.kind is EvidenceKind.COUNTS
+    band: Layers = {"hits": first, "misses": second} if is_counted else {"looks": second}
+    band |= {name: np.zeros(box.shape, np.uint32) for name in ("visits", "last")}
+    there = box.shrink(TILE).find(seen.slices.tiles)
+    for (_, col), slices in split_tiles(take(seen.slices, there)):
+        start = col * TILE - box.col
+        band["visits"][:, start : start + TILE] = count_visits(slices)[1]
+        band["last"][:, start : start + TILE] = find_last(slices, seen.first)
+    return band
 
 
 def find_last(slices: Slices, first: int) -> Int64:
