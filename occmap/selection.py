@@ -41,7 +41,7 @@ class Selection:
     """
 
     topics: Annotated[tuple[str, ...], "TOPIC"] = ()
-    """Use the scans of this topic."""
+    """Use the scans of this topic; by default of all."""
     start_s: Seconds = -math.inf
     """Use scans from this time after the first on."""
     end_s: Seconds = math.inf

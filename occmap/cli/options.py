@@ -39,19 +39,6 @@ Values = Mapping[str, Any]
 HINTS, DEFAULTS = list_options(BuildOptions, include_extras=True), list_values(BuildOptions())
 TYPES = {float: float, int: int, Path: PATH, str: None, tuple[str, ...]: None}
 """How click reads the values of a type; those of any other are several numbers, or an enum's"""
-SHORT = {"resolution": ("-r",)}
-USUAL = {
-    "extent": "what was observed",
-    "free_thresh": "the model's --cut; in the YAML 0.196",
-    "jobs": "one for each core",
-    "map_frame": "map, else odom, else the root",
-    "max_range": "no limit",
-    "occupied_thresh": "the model's --cut; in the YAML 0.65",
-    "range_max": "what the log states",
-    "topics": "all",
-}
-"""What --help shows as the default, where that is neither a number nor a word"""
-
 MAP, MODEL, RANGES = "Map", "Sensor model", "What a range means"
 SCANS, POSES, FILES, RUN = "Which scans", "Where the scans were taken", "Files", "Run"
 
@@ -109,18 +96,16 @@ class FieldOption(SectionOption):
         """Take no other text, as click would give it."""
 
 
-def field(section: str, name: str, **more: Any) -> Any:
+def field(section: str, name: str, *short: str, **more: Any) -> Any:
     """Declare the option for a field of BuildOptions: its type, default and text are the field's.
 
-    `more` are settings that replace these.
+    It may have a `short` flag as well, and `more` settings, which replace these.
     """
     hint, default = drop_none(HINTS[name]), DEFAULTS[name]
     kind, metavar = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
     settings = {"cls": FieldOption, "metavar": metavar, "multiple": default == ()}
     settings |= describe_values(name, kind, default)
-    if name in USUAL:
-        settings["show_default"] = USUAL[name]
-    return option(section, *SHORT.get(name, ()), spell_flag(name), name, **settings | more)
+    return option(section, *short, spell_flag(name), name, **settings | more)
 
 
 def describe_values(name: str, kind: Any, default: Any) -> dict[str, Any]:
@@ -196,7 +181,7 @@ writing = join(
 )
 resume = fields(FILES, "resume resume_if_there")
 
-resolution = field(MAP, "resolution")
+resolution = field(MAP, "resolution", "-r")
 max_cells = field(MAP, "max_cells", type=click.IntRange(min=1))
 lattice = join(resolution, fields(MAP, "jump hit_offset border_gap"), max_cells)
 
@@ -294,7 +279,7 @@ def collect_model(values: Values, usual: SensorModel) -> SensorModel:
     return parse_model(f"{name}:{','.join(filter(None, pairs))}")
 
 
-jobs = field(RUN, "jobs")
+jobs = field(RUN, "jobs", show_default="one for each core")
 config = option(
     RUN,
     "--config",

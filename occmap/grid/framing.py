@@ -30,7 +30,8 @@ class Framing:
     """
 
     extent: Annotated[Box, "X_MIN,Y_MIN,X_MAX,Y_MAX"] | None = None
-    """Cover exactly this box (m), to whole cells; an .npz still holds everything."""
+    """Cover exactly this box (m), to whole cells; by default what was observed. An .npz holds
+    everything in any case."""
     margin: Metres = 0.0
     """Add unknown space around what was observed."""
 

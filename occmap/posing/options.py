@@ -69,7 +69,7 @@ class PosingOptions:
     """
 
     map_frame: Annotated[str, "FRAME"] | None = None
-    """Map in this frame."""
+    """Map in this frame; by default map, else odom, else the root of the laser's tree."""
     base_frame: Annotated[str, "FRAME"] | None = None
     """The moving body that `sensor_pose` is on."""
     sensor_pose: Annotated[Pose, "X,Y,YAW[,ROLL,PITCH]"] | None = None

@@ -52,9 +52,9 @@ class ReturnOptions:
     min_range: Metres = 0.0
     """Ignore nearer ranges."""
     max_range: Metres = math.inf
-    """Use beams only up to here; a longer one clears the space up to here."""
+    """Use beams only up to here; a longer one clears the space up to here. No limit by default."""
     range_max: Metres | None = None
-    """Ranges at or beyond this count as no return."""
+    """Ranges at or beyond this count as no return; by default the limit that the log states."""
     no_return: NoReturn = NoReturn.IGNORE
     """A beam without return clears the space up to the limit, or says nothing."""
     ignore_sectors: Annotated[tuple[Sector, ...], "FROM,TO"] = ()

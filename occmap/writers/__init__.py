@@ -60,9 +60,9 @@ class WriteOptions:
     mode: MapMode = MapMode.TRINARY
     """What the pixels of a PGM mean."""
     occupied_thresh: Annotated[float, "P"] | None = None
-    """Occupied above this probability."""
+    """Occupied above this probability; by default the model's cut, and 0.65 in the YAML."""
     free_thresh: Annotated[float, "P"] | None = None
-    """Free below this probability."""
+    """Free below this probability; by default the model's cut, and 0.196 in the YAML."""
     shade: Shade = Shade.DARK_OCCUPIED
 
     def __post_init__(self) -> None:
