@@ -14,34 +14,24 @@
     return element;
   }
 
-  // Arrays: deflated, the lowest bytes of all numbers first; see packing.py.
+  // Arrays: deflated, the lowest bytes of all numbers first; see raster.py.
   const asked_for = new Map(), unpacked = new Map();
   function unpack(name, spec) {
     if (!asked_for.has(name))
       asked_for.set(name, inflate(name, spec).then(array => (unpacked.set(name, array), array)));
     return asked_for.get(name);
   }
-  async function inflate(name, {rows, columns, planes, table}) {
+  async function inflate(name, {rows, columns, planes}) {
     const text = atob(find(name).textContent);
     const bytes = new Uint8Array(text.length);
     for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
     const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
     const plain = new Uint8Array(await new Response(stream).arrayBuffer());
     const size = rows * columns;
-    if (table.length) return lookUp(plain, columns, Uint32Array.from(table));
     if (planes === 1) return plain;
     const numbers = planes === 2 ? new Uint16Array(size) : new Uint32Array(size);
     for (let plane = 0; plane < planes; plane++)
       for (let i = 0, at = plane * size; i < size; i++) numbers[i] |= plain[at + i] << (8 * plane);
-    return numbers;
-  }
-
-  function lookUp(steps, columns, table) {
-    const numbers = new Uint32Array(steps.length);
-    for (let i = 0, place = 0; i < steps.length; i++) {
-      place = (i % columns ? place : 0) + steps[i] & 255;
-      numbers[i] = table[place];
-    }
     return numbers;
   }
 

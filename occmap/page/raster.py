@@ -53,8 +53,6 @@ class Packed(NamedTuple):
     planes: int
     """Bytes of each number: 1 to 4"""
     largest: int
-    table: tuple[int, ...] = ()
-    """If it is not empty, places in it are packed, as differences from the cell to the left"""
 
     @property
     def text(self) -> str:
@@ -63,9 +61,7 @@ class Packed(NamedTuple):
 
     def to_json(self) -> dict[str, Any]:
         """What the page's script must know to unpack the text."""
-        return {
-            name: getattr(self, name) for name in ("rows", "columns", "planes", "largest", "table")
-        }
+        return {name: getattr(self, name) for name in ("rows", "columns", "planes", "largest")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +134,7 @@ def list_rasters(grid: OccupancyMap, evidence: Evidence | None) -> Iterator[Rast
         yield Raster(*place, packed, 0.0, *times)
         for parts in COUNT_STEPS:
             counts = {name: round_counts(layers[name], parts) for name in COUNTS & layers.keys()}
-            packed = packed | {name: pack_few(layer) for name, layer in counts.items()}
+            packed = packed | {name: pack(layer) for name, layer in counts.items()}
             yield Raster(*place, packed, 0.5 / parts, *times)
 
 
@@ -242,13 +238,3 @@ def pack(array: NDArray[Any]) -> Packed:
     )
     rows, columns = array.shape
     return Packed(data + squeeze.flush(), rows, columns, planes, largest)
-
-
-def pack_few(array: NDArray[Any]) -> Packed:
-    """Pack (H, W) numbers of which few differ, as rounded ones do, in two thirds of the bytes."""
-    table = np.unique(array)
-    if len(table) > 256:
-        return pack(array)
-    places = np.searchsorted(table, array).astype(np.uint8)
-    packed = pack(np.diff(places, axis=1, prepend=np.uint8(0)))
-    return packed._replace(largest=int(table[-1]), table=tuple(table.tolist()))
