@@ -47,7 +47,7 @@ HEAVY = {
 BUILD_COMMAND = {
     f"occmap.cli.{name}"
     for name in [
-        *("commands", "commands.build", "config", "console", "limits"),
+        *("answers", "commands", "commands.build", "config", "console"),
         *("options", "progress", "sections", "signals", "streams"),
     ]
 }

@@ -1,12 +1,13 @@
 """The commands that list what is installed of one kind of plugin."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
 import click
 
-from occmap.cli import COMMANDS, options
+from occmap.cli import options
+from occmap.cli.answers import Answer, answering
 from occmap.cli.console import Console
 from occmap.plain import Printed
 from occmap.plugins import Broken, Group, load_plugins
@@ -54,7 +55,7 @@ class Writers(Printed):
     """Plugins that do not load"""
 
 
-KINDS: dict[str, tuple[Group, Callable[[list[Listed], list[Broken]], Printed]]] = {
+KINDS: dict[str, tuple[Group, type[Models | Readers | Writers]]] = {
     "models": ("occmap.models", Models),
     "readers": ("occmap.readers", Readers),
     "writers": ("occmap.writers", Writers),
@@ -64,23 +65,18 @@ KINDS: dict[str, tuple[Group, Callable[[list[Listed], list[Broken]], Printed]]] 
 
 def make_command(kind: str) -> click.Command:
     """Make the command that lists the plugins of a kind."""
+    group, printed = KINDS[kind]
 
-    @click.command(kind, help=COMMANDS[kind])
+    @answering(kind, printed)
     @options.printing
-    @click.pass_obj
-    def command(console: Console, /, as_json: bool) -> None:
-        """List what is installed."""
-        group, make_result = KINDS[kind]
+    def command(_console: Console, /) -> Answer:
         loaded, broken = load_plugins(group)
         working = []
         for name, plugin in loaded.items():
             parameters: Any = fields(plugin) if kind == "models" else ()
             defaults = {each.name: each.default for each in parameters}
             working.append(Listed(name, plugin.description, defaults))
-        if as_json:
-            console.put_json(kind, make_result(working, broken).to_json())
-        else:
-            console.put(format_plugins(working, broken))
+        return Answer(printed(working, broken), format_plugins(working, broken))
 
     return command
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from occmap.cli import limits
+from occmap.cli.answers import Answer
 from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.options import Values, collect_model
 from occmap.cli.streams import hide_sent, place_outputs
@@ -23,8 +23,8 @@ from occmap.writers.outputs import check_outputs
 
 def put_out(
     console: Console, inputs: Sequence[Path], read: Callable[[], Saved], values: dict[str, Any]
-) -> None:
-    """Render evidence, write it as the user wants, sum it up, and hold the limits.
+) -> Answer:
+    """Render evidence, write it as the user wants, and sum it up.
 
     Raises
     ------
@@ -41,9 +41,8 @@ def put_out(
     evidence = read()
     options = take(RenderOptions, {**values, "model": choose_saved_model(evidence, values)})
     report = hide_sent(publish(evidence, options, outputs))
-    console.note(*report.notes)
     rows = [*tell_map(report.map), *tell_scans(report), *label_first("files", report.files)]
-    limits.leave(limits.answer(console, report, write_rows(rows), values))
+    return Answer(report, write_rows(rows))
 
 
 def choose_saved_model(evidence: Described, values: Values) -> SensorModel | None:

@@ -12,8 +12,10 @@ import click
 from occmap.cli import COMMANDS
 from occmap.cli.console import Console
 from occmap.errors import UsageError
+from occmap.plain import Printed
 
 SHORT_EQUALS = re.compile("-[a-z]=")
+AnyCommand = TypeVar("AnyCommand", bound=click.Command)
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
@@ -51,6 +53,8 @@ class SectionCommand(click.Command):
 
     last = "Run"
     """Where --help itself is listed."""
+    printed: type[Printed]
+    """What it prints with --json"""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Take what is not typed from a file of options, where there is one; errors name the file.
@@ -95,13 +99,11 @@ class SectionCommand(click.Command):
                 formatter.write_dl(records)
 
 
-def as_command(
-    name: str, cls: type[click.Command] = SectionCommand
-) -> Callable[[Callable[..., None]], click.Command]:
+def as_command(name: str, cls: type[AnyCommand]) -> Callable[[Callable[..., None]], AnyCommand]:
     """Declare a command whose --help begins with its docstring; indented lines stay as they are."""
 
-    def decorate(function: Callable[..., None]) -> click.Command:
-        text = inspect.cleandoc(function.__doc__ or "").replace("\n\n  ", "\n\n\b\n  ")
+    def decorate(function: Callable[..., None]) -> AnyCommand:
+        text = inspect.cleandoc(function.__doc__ or COMMANDS[name]).replace("\n\n  ", "\n\n\b\n  ")
         return click.command(name, cls=cls, help=text, short_help=COMMANDS[name])(function)
 
     return decorate

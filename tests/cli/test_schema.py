@@ -10,7 +10,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from occmap.cli import COMMANDS
-from occmap.cli.commands.schema import SCHEMAS
+from occmap.cli.commands.schema import NAMES
 from tests.cli.runner import find_command, occmap, read_error
 from tests.inspection_logs import Drive, write_bag
 from tests.samples import DRIVES, SAMPLE_LOGS, write_csv
@@ -71,10 +71,10 @@ def test_every_command_that_has_json_has_a_schema() -> None:
         if any("--json" in option.opts for option in command.params)
     }
     assert having == set(COMMANDS) - {"schema"}  # which prints nothing else
-    assert set(SCHEMAS) == having | {"error"}
+    assert set(NAMES) == having | {"error"}
 
 
-@pytest.mark.parametrize("name", SCHEMAS)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_schema_is_sound_and_strict_and_describes_every_field(name: str) -> None:
     schema = load(name)
     Draft202012Validator.check_schema(schema)
@@ -90,7 +90,7 @@ def test_a_schema_is_sound_and_strict_and_describes_every_field(name: str) -> No
     assert used == set(schema.get("$defs", {}))
 
 
-@pytest.mark.parametrize("name", SCHEMAS)
+@pytest.mark.parametrize("name", NAMES)
 def test_numbers_have_units(name: str) -> None:
     for part in walk(load(name)):
         for field in part.get("properties", {}).values():

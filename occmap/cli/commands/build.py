@@ -9,11 +9,12 @@ from typing import Any
 
 import click
 
-from occmap.cli import limits, options
+from occmap.cli import options
+from occmap.cli.answers import Answer, answering, fail_if
 from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.options import PATH, Values, collect_model
 from occmap.cli.progress import Bar, show_progress
-from occmap.cli.sections import as_command, join, option
+from occmap.cli.sections import join, option
 from occmap.cli.streams import gather_logs, hide_sent, place_outputs
 from occmap.errors import LogError, UsageError
 from occmap.gates import BUILD
@@ -75,15 +76,14 @@ fleet = join(
 )
 
 
-@as_command("build")
+@answering("build", Report)
 @click.argument("words", nargs=-1, metavar="[beam|polygon|surface] LOG...")
 @join(options.writing, options.resume, options.lattice, options.align)
 @join(options.framing, options.min_passes, options.pass_gap)
 @join(options.ranges, options.model, options.selection, options.posing)
-@join(limits.fail_if(BUILD, "agreement < 70%"), options.jobs, fleet, strict, options.config)
+@join(fail_if(BUILD, "agreement < 70%"), options.jobs, fleet, strict, options.config)
 @options.printing
-@click.pass_obj
-def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
+def command(console: Console, /, words: tuple[str, ...], **values: Any) -> Answer:
     """Build one map from one or more logs.
 
     The first word may say how a scan becomes observations of cells: each beam by itself (beam); a
@@ -102,7 +102,6 @@ def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
     start = perf_counter()
     with show_progress(console) as progress:
         report = hide_sent(run_build(logs, chosen, values, progress))
-    console.note(*report.notes)
     seconds = perf_counter() - start
     rate = report.scans.used / max(seconds, 1e-9)
     # What took long; the stages of several threads add up.
@@ -114,12 +113,12 @@ def command(console: Console, /, words: tuple[str, ...], **values: Any) -> None:
         ("time", f"{seconds:.2f} s, {rate:,.0f} scans/s ({stages})"),
         *label_first("files", report.files),
     ]
-    failed = limits.answer(console, report, write_rows(rows), values)
+    failure = None
     if values["strict"] and report.damage:
         first, *others = report.damage
         more = f"; {len(others)} more" if others else ""
-        raise LogError(f"{first} (--strict{more})", fix="the map was written")
-    limits.leave(failed)
+        failure = LogError(f"{first} (--strict{more})", fix="the map was written")
+    return Answer(report, write_rows(rows), failure)
 
 
 def read_request(words: Sequence[str], values: dict[str, Any]) -> tuple[list[Path], BuildOptions]:

@@ -6,9 +6,10 @@ from typing import Any
 
 import click
 
-from occmap.cli import limits, options
+from occmap.cli import options
+from occmap.cli.answers import Answer, answering, fail_if
 from occmap.cli.console import Console, Verbosity, label_first, write_command, write_rows
-from occmap.cli.sections import as_command, join
+from occmap.cli.sections import join
 from occmap.cli.streams import gather_logs
 from occmap.gates import CHECK
 from occmap.inspection import inspect, telling
@@ -25,12 +26,11 @@ LABEL = 10
 page = options.one_output("output", "FILE.html", "Write the findings as a page as well.")
 
 
-@as_command("check")
+@answering("check", Inspection)
 @click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
 @join(page, options.resolution, options.max_cells, options.reading)
-@join(limits.fail_if(CHECK, "dropped_scans > 5%"), options.config, options.printing)
-@click.pass_context
-def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> None:
+@join(fail_if(CHECK, "dropped_scans > 5%"), options.config, options.printing)
+def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> Answer:
     """Say what is in logs, and what will go wrong with them.
 
     It takes the options of `occmap build` that concern scans, poses and ranges, and ends with the
@@ -41,7 +41,6 @@ def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> Non
       occmap check intel.log.gz --json
     """
     check_picture(values["output"], logs, [".html"])
-    console = ctx.ensure_object(Console)
     chosen = take(BuildOptions, values)
     inspection = inspect(gather_logs(console, logs, chosen), chosen)
     if values["output"]:
@@ -51,10 +50,8 @@ def command(ctx: click.Context, /, logs: tuple[Path, ...], **values: Any) -> Non
     if console.verbosity is Verbosity.QUIET:
         for problem in inspection.problems:
             console.tell(f"error: {problem}")
-    failed = limits.answer(console, inspection, format_inspection(inspection), values)
-    if not inspection.buildable:
-        ctx.exit(1)
-    limits.leave(failed)
+    failure = None if inspection.buildable else click.exceptions.Exit(1)
+    return Answer(inspection, format_inspection(inspection), failure)
 
 
 def format_inspection(inspection: Inspection) -> Iterator[str]:

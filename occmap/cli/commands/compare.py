@@ -5,10 +5,11 @@ from typing import Any
 
 import click
 
-from occmap.cli import limits, options
+from occmap.cli import options
+from occmap.cli.answers import Answer, answering, fail_if
 from occmap.cli.console import Console, align, write_command
 from occmap.cli.progress import show_progress
-from occmap.cli.sections import as_command, join, option
+from occmap.cli.sections import join, option
 from occmap.cli.streams import gather_logs
 from occmap.gates import COMPARE
 from occmap.keywords import take
@@ -49,12 +50,11 @@ picture = options.one_output(
 )
 
 
-@as_command("compare")
+@answering("compare", VariantComparison)
 @click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
 @join(variants, picture, options.lattice, options.reading)
-@join(limits.fail_if(COMPARE, "share < 70%"), options.jobs, options.config, options.printing)
-@click.pass_obj
-def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
+@join(fail_if(COMPARE, "share < 70%"), options.jobs, options.config, options.printing)
+def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> Answer:
     """Say which update and sensor model suits logs best.
 
     Every fifth scan is held out, and each map is scored on these scans: by the share of beams whose
@@ -77,9 +77,7 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     found = gather_logs(console, logs, common)
     with show_progress(console) as progress:
         comparison = compare_logs(found, chosen, common, values["picture"], progress)
-    console.note(*comparison.notes)
-    lines = format_comparison(comparison)
-    limits.leave(limits.answer(console, comparison, lines, values))
+    return Answer(comparison, format_comparison(comparison))
 
 
 def format_comparison(comparison: VariantComparison) -> list[str]:

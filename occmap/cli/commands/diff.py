@@ -6,9 +6,10 @@ from typing import Any
 
 import click
 
-from occmap.cli import limits, options
+from occmap.cli import options
+from occmap.cli.answers import LIMITS, Answer, answering, fail_if
 from occmap.cli.console import Console, label_first, write_rows
-from occmap.cli.sections import as_command, join, option
+from occmap.cli.sections import join, option
 from occmap.difference import MapDifference
 from occmap.gates import DIFF, Limit, parse_bound
 from occmap.keywords import take
@@ -27,7 +28,7 @@ picture = options.one_output(
     "output", "FILE", "Write the changes here: .png is a picture, .html a page."
 )
 fail_above = option(
-    limits.LIMITS,
+    LIMITS,
     "--fail-above",
     type=limit_change,
     metavar="SHARE",
@@ -35,13 +36,12 @@ fail_above = option(
 )
 
 
-@as_command("diff")
+@answering("diff", MapDifference)
 @click.argument("before", type=options.PATH, metavar="A")
 @click.argument("after", type=options.PATH, metavar="B")
-@join(picture, options.thresholds, fail_above, limits.fail_if(DIFF, "changed > 1%"))
+@join(picture, options.thresholds, fail_above, fail_if(DIFF, "changed > 1%"))
 @options.printing
-@click.pass_obj
-def command(console: Console, /, before: Path, after: Path, **values: Any) -> None:
+def command(_console: Console, /, before: Path, after: Path, **values: Any) -> Answer:
     """Say what changed between two maps, and fail above a limit.
 
     A and B are maps as PGM with YAML, PNG, or evidence (.npz or .zarr). They may differ in size, as
@@ -60,10 +60,8 @@ def command(console: Console, /, before: Path, after: Path, **values: Any) -> No
       occmap diff golden.yaml build/map.pgm -o diff.png --fail-above 1%
     """
     difference = compare_files(before, after, take(WriteOptions, values), values["output"])
-    if values["fail_above"]:
-        values["limits"] = (values["fail_above"], *values["limits"])
-    lines = write_rows(list_changes(difference))
-    limits.leave(limits.answer(console, difference, lines, values))
+    limits = list(filter(None, [values["fail_above"]]))
+    return Answer(difference, write_rows(list_changes(difference)), limits=limits)
 
 
 def list_changes(difference: MapDifference) -> Iterator[tuple[str, str]]:

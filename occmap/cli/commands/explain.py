@@ -8,10 +8,11 @@ from typing import Any
 import click
 
 from occmap.cli import options
+from occmap.cli.answers import Answer, answering
 from occmap.cli.console import Console, align, label_first, write_rows
 from occmap.cli.progress import show_progress
 from occmap.cli.saved import choose_saved_model
-from occmap.cli.sections import SectionCommand, as_command, join
+from occmap.cli.sections import SectionCommand, join
 from occmap.explanation import Explanation, Question, describe_numbers, explain
 from occmap.explanation.history import Seen, Visits
 from occmap.explanation.sightings import add_up
@@ -52,14 +53,13 @@ poses = options.paths(
 )
 
 
-@as_command("explain", PointCommand)
+@answering("explain", Explanation, PointCommand)
 @click.argument("path", type=options.PATH, metavar="NPZ|ZARR")
 @click.argument("x", type=float)
 @click.argument("y", type=float)
 @join(logs, poses, options.min_passes, options.saved_model, options.thresholds)
 @options.printing
-@click.pass_obj
-def command(console: Console, /, path: Path, **values: Any) -> None:
+def command(console: Console, /, path: Path, **values: Any) -> Answer:
     """Say what was seen at a point of saved evidence, and by which scans.
 
     X and Y are metres in the map frame. Give the logs that the evidence was made of as --log, to
@@ -75,16 +75,12 @@ def command(console: Console, /, path: Path, **values: Any) -> None:
     question = take(Question, values | view)
     with show_progress(console) as progress:
         explanation = explain(evidence, question, progress)
-    console.note(*explanation.notes)
-    if values["as_json"]:
-        console.put_json("explain", explanation.to_json())
-        return
     rows = [*list_cell(explanation)]
     if explanation.digest:
         rows.append(("digest", explanation.digest))
     if values["logs"]:
         rows += list_scans(explanation)
-    console.put(write_rows(rows))
+    return Answer(explanation, write_rows(rows))
 
 
 def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:

@@ -5,11 +5,13 @@ from typing import Any
 
 import click
 
-from occmap.cli import limits, options
+from occmap.cli import options
+from occmap.cli.answers import Answer, answering, fail_if
 from occmap.cli.console import Console
 from occmap.cli.saved import put_out
-from occmap.cli.sections import as_command, join
+from occmap.cli.sections import join
 from occmap.gates import SAVED
+from occmap.report import Report
 from occmap.store.merging import combine
 
 subtracted = options.paths(
@@ -17,12 +19,11 @@ subtracted = options.paths(
 )
 
 
-@as_command("merge")
+@answering("merge", Report)
 @click.argument("paths", nargs=-1, required=True, type=options.PATH, metavar="NPZ|ZARR...")
 @join(options.writing, subtracted, options.min_passes, options.max_cells)
-@join(limits.fail_if(SAVED, "unknown > 60%"), options.printing)
-@click.pass_obj
-def command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> None:
+@join(fail_if(SAVED, "unknown > 60%"), options.printing)
+def command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> Answer:
     """Add saved evidence, or take some of it away, exactly.
 
     The sum has the same cells as one build of all the logs, whatever the order; what is subtracted
@@ -33,4 +34,4 @@ def command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> None
       occmap merge both.npz --subtract monday.npz -o tuesday.npz -o tuesday.pgm
     """
     taken = values["subtract"]
-    put_out(console, [*paths, *taken], lambda: combine(paths, taken), values)
+    return put_out(console, [*paths, *taken], lambda: combine(paths, taken), values)

@@ -5,11 +5,13 @@ from typing import Any
 
 import click
 
-from occmap.cli import limits, options
+from occmap.cli import options
+from occmap.cli.answers import Answer, answering, fail_if
 from occmap.cli.console import Console
 from occmap.cli.saved import put_out
-from occmap.cli.sections import as_command, join, option
+from occmap.cli.sections import join, option
 from occmap.gates import SAVED
+from occmap.report import Report
 from occmap.store.reading import open_saved
 
 overview = option(
@@ -21,13 +23,12 @@ overview = option(
 )
 
 
-@as_command("render")
+@answering("render", Report)
 @click.argument("path", type=options.PATH, metavar="NPZ|ZARR")
 @join(options.writing, options.framing, overview, options.min_passes, options.max_cells)
 @join(options.saved_model)
-@join(limits.fail_if(SAVED, "unknown > 60%"), options.printing)
-@click.pass_obj
-def command(console: Console, /, path: Path, **values: Any) -> None:
+@join(fail_if(SAVED, "unknown > 60%"), options.printing)
+def command(console: Console, /, path: Path, **values: Any) -> Answer:
     """Make a map of saved evidence, without reading the log.
 
     The evidence is what `occmap build -o map.npz` wrote. Hits and misses can be weighed by any
@@ -39,4 +40,4 @@ def command(console: Console, /, path: Path, **values: Any) -> None:
       occmap render map.npz -o room.png --extent 0,0,5,4
       occmap render city.zarr -o city.png --overview 16
     """
-    put_out(console, [path], lambda: open_saved(path), values)
+    return put_out(console, [path], lambda: open_saved(path), values)

@@ -8,16 +8,15 @@ import json
 import re
 from dataclasses import is_dataclass
 from enum import Enum
-from importlib import import_module
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import click
 
-from occmap.cli import options
-from occmap.cli.console import RESULT_VERSION, put_line, spell_all
-from occmap.cli.limits import Limited
-from occmap.cli.sections import as_command
+from occmap.cli import COMMANDS, cli, options
+from occmap.cli.answers import Limited
+from occmap.cli.console import RESULT_VERSION, PrintedError, put_line, spell_all
+from occmap.cli.sections import SectionCommand, as_command
 from occmap.plain import list_printed, read_texts
 
 Schema = dict[str, Any]
@@ -31,27 +30,12 @@ PLAIN: dict[Any, Schema] = {
     Any: {},
 }
 
-SCHEMAS = {
-    "build": "occmap.report:Report",
-    "check": "occmap.inspection.findings:Inspection",
-    "compare": "occmap.scoring.compare:VariantComparison",
-    "diff": "occmap.difference:MapDifference",
-    "explain": "occmap.explanation:Explanation",
-    "merge": "occmap.report:Report",
-    "models": "occmap.cli.listing:Models",
-    "readers": "occmap.cli.listing:Readers",
-    "render": "occmap.report:Report",
-    "tune": "occmap.tuning:Tuning",
-    "writers": "occmap.cli.listing:Writers",
-    "error": "occmap.cli.console:PrintedError",
-}
-"""The type of what a command prints; `error` is what any of them prints where it fails."""
-
-WITHOUT_LIMITS = ("explain", "models", "readers", "writers", "error")
+NAMES = [*(name for name in COMMANDS if name != "schema"), "error"]
+"""Commands that print JSON; `error` is what any of them prints where it fails."""
 
 
 @as_command("schema", click.Command)
-@click.argument("name", type=click.Choice(list(SCHEMAS)), metavar="COMMAND")
+@click.argument("name", type=click.Choice(NAMES), metavar="COMMAND")
 @options.verbosity
 def command(name: str) -> None:
     """Print the JSON Schema of what a command prints with --json.
@@ -63,9 +47,17 @@ def command(name: str) -> None:
       occmap schema build
       occmap schema error
     """
-    module, _, kind = SCHEMAS[name].partition(":")
-    kinds = [getattr(import_module(module), kind), *([] if name in WITHOUT_LIMITS else [Limited])]
-    put_line(json.dumps(spell_all(make_schema(name, *kinds)), indent=2))
+    put_line(json.dumps(spell_all(make_schema(name, *list_printed_types(name))), indent=2))
+
+
+def list_printed_types(name: str) -> list[Any]:
+    """List the types whose fields a command prints, one after the other."""
+    if name == "error":
+        return [PrintedError]
+    made = cli.get_command(click.get_current_context(), name)
+    assert isinstance(made, SectionCommand)
+    has_limits = any(param.name == "limits" for param in made.params)
+    return [made.printed, *([Limited] if has_limits else [])]
 
 
 def make_schema(name: str, *kinds: Any) -> Schema:

@@ -7,10 +7,11 @@ from typing import Any
 
 import click
 
-from occmap.cli import limits, options
+from occmap.cli import options
+from occmap.cli.answers import Answer, answering, fail_if
 from occmap.cli.console import Console, write_command
 from occmap.cli.progress import show_progress
-from occmap.cli.sections import as_command, join
+from occmap.cli.sections import join
 from occmap.cli.streams import gather_logs
 from occmap.gates import TUNE
 from occmap.keywords import take
@@ -20,12 +21,11 @@ from occmap.tuning.search import Correction, Finding, Verdict
 from occmap.wording import count
 
 
-@as_command("tune")
+@answering("tune", Tuning)
 @click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
 @join(options.resolution, options.max_cells, options.reading)
-@join(limits.fail_if(TUNE, "gain > 2%"), options.jobs, options.config, options.printing)
-@click.pass_obj
-def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
+@join(fail_if(TUNE, "gain > 2%"), options.jobs, options.config, options.printing)
+def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> Answer:
     """Find the time offset and the mount that suit logs best.
 
     A map is made of four fifths of the scans, a thousand at most, and asked what the others will
@@ -45,8 +45,7 @@ def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> None:
     found = gather_logs(console, logs, common)
     with show_progress(console) as progress:
         tuning = tune(found, common, progress)
-    console.note(*tuning.notes)
-    limits.leave(limits.answer(console, tuning, format_tuning(tuning), values))
+    return Answer(tuning, format_tuning(tuning))
 
 
 def format_tuning(tuning: Tuning) -> Iterator[str]:
