@@ -3,7 +3,7 @@
 import zlib
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -20,6 +20,8 @@ SHADES = 64
 POSTER_PX = 800
 """The longer side of what a page shows until it has drawn."""
 
+Kind = Literal["classes", "ramp", "log", "time"]
+
 
 @dataclass(frozen=True)
 class Layer:
@@ -29,7 +31,7 @@ class Layer:
     """The name of the layer in a `Raster`"""
     label: str
     """What the switch of the page calls it"""
-    kind: Literal["classes", "ramp", "log", "time"]
+    kind: Kind
     colours: Sequence[str]
     names: Sequence[str] = ()
     """Names of classes; the legend leaves out those that are empty"""
@@ -43,35 +45,28 @@ class Layer:
     """Decimals of what is shown"""
     start: float = 0.0
     """The time at which the first slice begins (s)"""
-    low: str = "0"
-    high: str = ""
-    """What stands at the ends of the ramp"""
 
 
 def name_layers(rasters: Sequence[Raster]) -> list[Layer]:
     """Say what the layers of maps are, which all have the same ones."""
-    first, digits = rasters[0], 1 if rasters[0].unit > 1 else 0
-    tops = {name: max(*(each.layers[name].largest for each in rasters), 1) for name in first.layers}
-    visits, last = (tops.get(name, 1) for name in ("visits", "last"))
-    percent: dict[str, Any] = {"top": 100, "scale": 0.01, "digits": 2, "high": "1"}
-    times: dict[str, Any] = {"scale": first.slice_s, "start": first.start_s}
-    times |= {"low": "early", "high": "late"}
+    first = rasters[0]
+    tops = {key: max(*(each.layers[key].largest for each in rasters), 1) for key in first.layers}
+    counts = {"scale": 1 / first.unit, "digits": 1 if first.unit > 1 else 0}
+    times = {"scale": first.slice_s, "start": first.start_s}
 
-    def of_counts(name: str, palette: Sequence[str]) -> Layer:
-        top = tops.get(name, 1)
-        high = f"{top / first.unit:,.{digits}f}"
-        shown = Layer(name, name, "log", pick(palette[::-1]), none=0, top=top)
-        return replace(shown, scale=1 / first.unit, digits=digits, high=high)
+    def shade(key: str, kind: Kind, palette: Sequence[str], **more: Any) -> Layer:
+        shown: dict[str, Any] = {"label": key, "none": 0, "top": tops.get(key, 1)}
+        return Layer(key=key, kind=kind, colours=pick(palette), **shown | more)
 
-    greys, purples = pick(Greys256[::-1]), pick(Purples256[::-1])
+    percent = {"none": NOT_OBSERVED, "top": 100, "scale": 0.01, "digits": 2}
     layers = (
         Layer("class", "class", "classes", CLASS_COLOURS, CLASS_NAMES),
-        Layer("p", "probability", "ramp", greys, none=NOT_OBSERVED, **percent),
-        of_counts("hits", Oranges256),
-        of_counts("misses", Blues256),
-        of_counts("looks", Blues256),
-        Layer("visits", "visits", "ramp", purples, none=0, top=visits, high=f"{visits:,}"),
-        Layer("last", "last seen", "time", pick(Viridis256), none=0, top=last, **times),
+        shade("p", "ramp", Greys256[::-1], label="probability", **percent),
+        shade("hits", "log", Oranges256[::-1], **counts),
+        shade("misses", "log", Blues256[::-1], **counts),
+        shade("looks", "log", Blues256[::-1], **counts),
+        shade("visits", "ramp", Purples256[::-1]),
+        shade("last", "time", Viridis256, label="last seen", **times),
     )
     return [layer for layer in layers if layer.key in tops]
 

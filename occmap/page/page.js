@@ -150,7 +150,8 @@
     legend.replaceChildren();
     if (layer.kind === "classes")
       layer.names.forEach((name, value) => name && legend.append(makeSwatch(layer.colours[value], name)));
-    else legend.append(...makeRamp(layer.colours, layer.low, layer.high));
+    else if (layer.kind === "time") legend.append(...makeRamp(layer.colours, "early", "late"));
+    else legend.append(...makeRamp(layer.colours, "0", number(layer.top * layer.scale, layer.digits)));
     repaint();
   }
   function makeSwatch(colour, name) {
