@@ -97,8 +97,6 @@ class MapSummary:
         rows, columns = facts.shape
         cells = rows * columns
         observed, occupied, free, _ = facts.counts.tolist()
-        parts = {"occupied": occupied, "free": free, "unknown": cells - observed}
-        shares = {name: count / cells for name, count in parts.items()}
         return cls(
             update=Update(manifest.update),
             model=manifest.model,
@@ -108,8 +106,10 @@ class MapSummary:
             rows=rows,
             extent=facts.extent,
             align=manifest.align or 0.0,
-            **shares,
-            undecided=max(round(1 - sum(shares.values()), 12), 0.0),  # 0 if they add up to 1
+            occupied=occupied / cells,
+            free=free / cells,
+            unknown=(cells - observed) / cells,
+            undecided=(observed - occupied - free) / cells,
             agreement=facts.agreement,
         )
 
