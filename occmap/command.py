@@ -22,11 +22,18 @@ FLAGS = {
 }
 """The flags of options that are not spelt like their names"""
 
-MODEL_PARAMETERS = (
-    *("p_hit", "p_miss", "epsilon", "p_min"),
-    *("prior", "cut", "spread", "clamp_min", "clamp_max"),
-)
-"""Parameters of sensor models that are flags as well"""
+MODEL_PARAMETERS = {
+    "p_hit": ("P", "simple: probability of occupied, given one hit."),
+    "p_miss": ("P", "simple: probability of occupied, given one miss."),
+    "epsilon": ("M", "quadratic: half the depth of a hit."),
+    "p_min": ("P", "quadratic: keep each observation within [P, 1 - P]."),
+    "prior": ("P", "Probability of occupied before any observation."),
+    "cut": ("P", "A cell is occupied above this probability, free below."),
+    "spread": ("SHARE", "How much of a hit counts for each cell beside it."),
+    "clamp_min": ("P", "Lowest probability of an observed cell."),
+    "clamp_max": ("P", "Highest probability of an observed cell."),
+}
+"""Parameters of sensor models that are flags as well: what stands for the value, and the help"""
 
 OPTIONS = {*list_options(BuildOptions), *MODEL_PARAMETERS, *FLAGS, "overview", "dask", "slice"}
 """The names of what can be typed as a flag"""
@@ -85,10 +92,11 @@ def compose_build(
         if value != usual[name] and name not in NOT_WRITTEN
     }
     for name, text in changes.items():
-        # Only transforms to other frames stay beside a new one.
-        others = given.get(name, []) if name == "static_transforms" else []
-        given[name] = [each for each in others if each.split(",")[1] != text.split(",")[1]]
-        given[name].append(text)
+        kept = []
+        if name == "static_transforms":  # the transforms to other frames stay beside a new one
+            child = text.split(",")[1]
+            kept = [each for each in given.get(name, []) if each.split(",")[1] != child]
+        given[name] = [*kept, text]
     words = [w for name, texts in given.items() for text in texts for w in (spell_flag(name), text)]
     start = ("occmap", "build", update) if update else ("occmap", "build")
     return (*start, *logs, *words, "-o", f"{name_map(logs[0])}.pgm")

@@ -108,14 +108,9 @@ def read_option(name: str, hint: Any, value: Any) -> Any:
         return None
     hint = drop_none(hint)
     if isinstance(hint, EnumType):
-        kind = cast(type[StrEnum], hint)
-        known = [member.value for member in kind]
-        if not isinstance(value, str) or value not in known:
-            fix = suggest(str(value), known, "help(occmap.build_map)")
-            raise UsageError(f"{name} is {value!r}", fix=fix)
-        return kind(value)
-    has_several = hint not in FORMS
+        return read_choice(name, cast(type[StrEnum], hint), value)
     read, form = find_form(name, hint)
+    has_several = hint not in FORMS  # a tuple of values that each have a form
     try:
         return tuple(map(read, value)) if has_several else read(value)
     except UsageError as error:
@@ -125,6 +120,15 @@ def read_option(name: str, hint: Any, value: Any) -> Any:
             form = "a list of " + re.sub("such as (.*)", r"such as [\1]", form)
         fix = f"give {form}{NONE_MEANS.get(name, '')}"
         raise UsageError(f"{name} is {value!r}", fix=fix) from None
+
+
+def read_choice(name: str, kind: type[StrEnum], value: Any) -> StrEnum:
+    """Find the member of an enum whose value a caller gave; raises UsageError if there is none."""
+    known = [member.value for member in kind]
+    if not isinstance(value, str) or value not in known:
+        fix = suggest(str(value), known, "help(occmap.build_map)")
+        raise UsageError(f"{name} is {value!r}", fix=fix)
+    return kind(value)
 
 
 def read_each(name: str, hint: Any, values: Any) -> list[Any]:

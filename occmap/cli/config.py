@@ -87,22 +87,11 @@ def read_config(path: Path, command: click.Command, typed: Mapping[str, Any]) ->
     UsageError
         It cannot be read, or no command has such an option.
     """
-    try:
-        with path.open("rb") as file:
-            values = tomllib.load(file)
-    except OSError as error:
-        found = f"cannot be read ({error.strerror})"
-        raise UsageError(found, where=path, fix="check the path of --config") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"is not TOML ({error})", where=path) from None
-    tables = {name: values.pop(name) for name in COMMANDS if isinstance(values.get(name), dict)}
-    for name in (name for name, value in values.items() if isinstance(value, dict)):
-        fix = suggest(name, list(COMMANDS), "occmap --help")
-        raise UsageError(f"no command is called {name!r}", where=f"{path}: [{name}]", fix=fix)
-    values |= tables.pop(command.name or "", {})
+    tables = read_tables(path)
     own = list_options(command)
-    refuse_unknown(path, [*values, *(name for table in tables.values() for name in table)], own)
-    known = {name: value for name, value in values.items() if name in own}
+    refuse_unknown(path, [name for table in tables.values() for name in table], own)
+    stated = tables[""] | tables.get(command.name or "", {})
+    known = {name: value for name, value in stated.items() if name in own}
     taken = {name: value for name, value in known.items() if own[name].name not in typed}
     nothing = "all of it is typed, too" if known else "no option of this command"
     told = ", ".join(f"{name} = {json.dumps(value, default=str)}" for name, value in taken.items())
@@ -112,6 +101,30 @@ def read_config(path: Path, command: click.Command, typed: Mapping[str, Any]) ->
         str(own[name].name): convert(path, own[name], value) for name, value in taken.items()
     }
     return Config(path, by_option, f"{path}: {told or nothing}")
+
+
+def read_tables(path: Path) -> dict[str, dict[str, Any]]:
+    """Read the options in a file: those of each command by its name, those of all commands by "".
+
+    Raises
+    ------
+    UsageError
+        It cannot be read, is not TOML, or has a table for what is no command.
+    """
+    try:
+        with path.open("rb") as file:
+            values = tomllib.load(file)
+    except OSError as error:
+        found = f"cannot be read ({error.strerror})"
+        raise UsageError(found, where=path, fix="check the path of --config") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"is not TOML ({error})", where=path) from None
+    tables = {name: value for name, value in values.items() if isinstance(value, dict)}
+    for name in tables:
+        if name not in COMMANDS:
+            fix = suggest(name, list(COMMANDS), "occmap --help")
+            raise UsageError(f"no command is called {name!r}", where=f"{path}: [{name}]", fix=fix)
+    return {"": {name: value for name, value in values.items() if name not in tables}, **tables}
 
 
 def list_options(command: click.Command) -> dict[str, click.Option]:

@@ -234,21 +234,11 @@ def model_option(usual: str) -> Any:
     )
 
 
-def parameter(name: str, text: str, metavar: str = "P") -> Any:
-    """Declare a shorthand for a parameter of the sensor model."""
-    return option(MODEL, name, type=float, metavar=metavar, help=text)
-
-
 model_parameters = join(
-    parameter("--p-hit", "simple: probability of occupied, given one hit."),
-    parameter("--p-miss", "simple: probability of occupied, given one miss."),
-    parameter("--epsilon", "quadratic: half the depth of a hit.", "M"),
-    parameter("--p-min", "quadratic: keep each observation within [P, 1 - P]."),
-    parameter("--prior", "Probability of occupied before any observation."),
-    parameter("--cut", "A cell is occupied above this probability, free below."),
-    parameter("--spread", "How much of a hit counts for each cell beside it.", "SHARE"),
-    parameter("--clamp-min", "Lowest probability of an observed cell."),
-    parameter("--clamp-max", "Highest probability of an observed cell."),
+    *(
+        option(MODEL, spell_flag(name), type=float, metavar=metavar, help=text)
+        for name, (metavar, text) in MODEL_PARAMETERS.items()
+    )
 )
 model = join(model_option(describe_model(DEFAULTS["model"])), model_parameters)
 saved_model = join(model_option("what it was built with"), model_parameters)

@@ -48,7 +48,11 @@ def find_runs(mask: Bool) -> Runs:
 
 
 def find_contacts(runs: Runs, cols: int) -> tuple[Int64, Int64]:
-    """Pairs of runs in neighbouring rows that share an edge or a corner; (C,) each."""
+    """Pairs of runs in neighbouring rows that share an edge or a corner; (C,) each.
+
+    What a run touches in the row above it begins with the first run that ends where it starts or
+    later, and goes up to the last one that starts where it ends or earlier.
+    """
     stride = cols + 2  # a run that ends with a row touches none that begins the next
     above = (runs.row + 1) * stride
     first = np.searchsorted(runs.row * stride + runs.end, above + runs.start, "left")

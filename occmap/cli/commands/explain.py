@@ -37,7 +37,9 @@ class PointCommand(SectionCommand):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Part X,Y, and put a space before negative numbers: no option begins with one."""
-        words = [w for word in args for w in (word.split(",") if POINT.fullmatch(word) else [word])]
+        words: list[str] = []
+        for word in args:
+            words += word.split(",") if POINT.fullmatch(word) else [word]
         return super().parse_args(ctx, [f" {w}" if NEGATIVE.fullmatch(w) else w for w in words])
 
 
