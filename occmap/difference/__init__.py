@@ -24,15 +24,16 @@ COLOURS = {
     (NEITHER, NEITHER): (205, 205, 205),
     (FREE, FREE): (254, 254, 254),
     (OCCUPIED, OCCUPIED): (0, 0, 0),
-    (FREE, OCCUPIED): (213, 94, 0),
+    (FREE, NEITHER): (204, 121, 167),
+    (OCCUPIED, NEITHER): (136, 34, 85),
+    (NEITHER, FREE): (86, 180, 233),
     (NEITHER, OCCUPIED): (230, 159, 0),
     (OCCUPIED, FREE): (0, 114, 178),
-    (NEITHER, FREE): (86, 180, 233),
-    (OCCUPIED, NEITHER): (136, 34, 85),
-    (FREE, NEITHER): (204, 121, 167),
+    (FREE, OCCUPIED): (213, 94, 0),
 }
 """Of what a cell was and is: warm is new and occupied, blue new and free, wine a lost wall, pink
-lost floor. Colour-blind people tell these apart, too (Okabe and Ito, 2008; wine: Tol, 2021)."""
+lost floor. Colour-blind people tell these apart, too (Okabe and Ito, 2008; wine: Tol, 2021). Where
+cells share a pixel, the latest of these shows."""
 
 
 @dataclass(frozen=True)

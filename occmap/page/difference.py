@@ -4,23 +4,15 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.cells import Box
-from occmap.difference import COLOURS, FREE, NEITHER, OCCUPIED, MapDifference
+from occmap.difference import COLOURS, NEITHER, MapDifference
 from occmap.evidence.manifest import describe_files
+from occmap.grid.lattice import CellBox
 from occmap.page.document import Block, Page, Section, Stage, describe_maker, write_page
 from occmap.page.layers import CLASS_COLOURS, Layer, describe_rasters
 from occmap.page.plots import plot_map
 from occmap.page.raster import MOST_CELLS, Layers, Raster, pack, thin
 from occmap.wording import write_box
 
-CHANGES = (
-    *((NEITHER, NEITHER), (FREE, FREE), (OCCUPIED, OCCUPIED)),
-    *((FREE, NEITHER), (OCCUPIED, NEITHER), (NEITHER, FREE), (NEITHER, OCCUPIED)),
-    *((OCCUPIED, FREE), (FREE, OCCUPIED)),
-)
-"""What a cell was and is. Of cells that share a pixel, the latest in this list shows."""
-UNCHANGED = 3
-"""How many of `CHANGES`, the first ones, are not a change."""
 CLASSES = ("unknown", "free", "occupied")
 
 
@@ -54,7 +46,7 @@ def write_difference(path: Path, difference: MapDifference, maps: tuple[Path, Pa
 def stage(difference: MapDifference) -> Stage:
     """Set out the changes and both maps in one place."""
     table = np.zeros((3, 3), np.uint8)
-    for code, pair in enumerate(CHANGES):
+    for code, pair in enumerate(COLOURS):
         table[pair] = code
     layers: Layers = {
         "change": table[difference.before, difference.after],
@@ -64,13 +56,11 @@ def stage(difference: MapDifference) -> Stage:
     step = 1
     while layers["change"].size > MOST_CELLS * step**2:
         step *= 2
-    rows, cols = difference.before.shape
     place = difference.place
-    size = place.resolution
     shown = thin(layers | {"rank": layers["change"]}, step)  # of each block one that changed
     packed = {name: pack(shown[name]) for name in layers}
-    raster = Raster(place.x, place.y, size * step, step, packed, 0.0)
-    box: Box = (place.x, place.y, place.x + cols * size, place.y + rows * size)
+    raster = Raster(place.x, place.y, place.resolution * step, step, packed, 0.0)
+    box = place.measure(CellBox(0, 0, *difference.before.shape))
     data, arrays = describe_rasters([raster], list_layers(), box)
     note = f"Of each {step} x {step} cells the one that changed most is shown."
     return Stage([plot_map(0)], [""], data, arrays, note=note if step > 1 else "")
@@ -79,14 +69,14 @@ def stage(difference: MapDifference) -> Stage:
 def list_layers() -> list[Layer]:
     """How changes and classes are coloured."""
     names = [
-        CLASSES[now] if index < UNCHANGED else f"{CLASSES[was]} to {CLASSES[now]}"
-        for index, (was, now) in enumerate(CHANGES)
+        CLASSES[now] if was == now else f"{CLASSES[was]} to {CLASSES[now]}" for was, now in COLOURS
     ]
     of_classes = [CLASS_COLOURS[0], CLASS_COLOURS[1], CLASS_COLOURS[3]]
-    changed = ["#{:02x}{:02x}{:02x}".format(*COLOURS[pair]) for pair in CHANGES[UNCHANGED:]]
-    colours = [*of_classes, *changed]
+    changed = [
+        "#{:02x}{:02x}{:02x}".format(*rgb) for (was, now), rgb in COLOURS.items() if was != now
+    ]
     return [
-        Layer("change", "change", "classes", colours, names),
+        Layer("change", "change", "classes", [*of_classes, *changed], names),
         Layer("before", "before", "classes", of_classes, CLASSES),
         Layer("after", "after", "classes", of_classes, CLASSES),
     ]
