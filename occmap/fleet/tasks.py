@@ -28,7 +28,7 @@ from occmap.store.blocks import Block, split_blocks
 from occmap.types import Rays
 
 
-class Survey(NamedTuple):
+class LogSurvey(NamedTuple):
     """What there is to know of a log before its scans are traced."""
 
     name: str
@@ -48,7 +48,7 @@ class Survey(NamedTuple):
 class TraceJob(Job):
     """A part of a log to be traced."""
 
-    survey: Survey
+    survey: LogSurvey
     part: int | None
     """None: all of it"""
     seam: Seam
@@ -78,7 +78,7 @@ class Traced:
 
 
 @once
-def survey_log(job: Job) -> Survey:
+def survey_log(job: Job) -> LogSurvey:
     """Open a log, read its poses, and cut it into parts.
 
     Raises
@@ -101,7 +101,7 @@ def survey_log(job: Job) -> Survey:
     clock = Selector(options.selection, options.posing.stamps)
     first_ns = None if first is None else clock.stamp(first.first)
     size = sum(each.stat().st_size for each in list_files(path))
-    return Survey(job.name, path, scans, len(parts) or 1, size, tuple(log.notes), first_ns)
+    return LogSurvey(job.name, path, scans, len(parts) or 1, size, tuple(log.notes), first_ns)
 
 
 def open_part(job: TraceJob) -> Drive:
