@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from occmap.arrays import Float64, Int64
-from occmap.errors import LogError
+from occmap.errors import LogError, MapError
 from occmap.evidence.manifest import describe_files, list_files
 from occmap.fleet.runs import Job, Piece, once, read_mapped, write_mapped, write_run
 from occmap.grid.tiles import stack_tiles
@@ -145,8 +145,9 @@ def trace_part(job: TraceJob) -> Traced:
     tally = Tally(recorder=recorder)
     try:
         odd = trace(drive, options, sink.add, limits, tally)
-    except LogError:
-        if is_part:  # only the log as a whole shows if it can be read
+    except (LogError, MapError):
+        # Only the log as a whole shows if it can be read, and which ranges are no walls far away.
+        if is_part:
             return Traced(Tally(), limits, depends=True)
         raise
     sink.flush()
