@@ -60,8 +60,6 @@ class BlockMap:
     view: View
     box: CellBox
     """Its cells"""
-    before: CellBox
-    """Those of the map of all that was observed, before any of it is forgotten"""
     is_part: bool
     """Whether it ends where the user says"""
 
@@ -94,7 +92,7 @@ class BlockMap:
         """Paint a part of it."""
         part = CellBox(rows.start, cols.start, rows.stop, cols.stop)
         box = part.move(self.box.row, self.box.col)
-        made, _ = render_blocks(replace(self, box=box, before=box, is_part=True), box.cells)
+        made, _ = render_blocks(replace(self, box=box, is_part=True), box.cells)
         return made
 
     def walk(self) -> Iterator[tuple[CellBox, OccupancyMap, Int64]]:
@@ -103,19 +101,21 @@ class BlockMap:
         With each come counts (2, 2): hits in cells called occupied, and all hits; cells that were
         occupied before anything was forgotten, and those of them that are still.
         """
-        source, model = self.view.source, self.view.model
-        beside = {each for block in source.blocks for each in list_blocks(block.box.grow(1))}
+        blocks, model = self.view.source.blocks, self.view.model
+        beside = {each for block in blocks for each in list_blocks(block.box.grow(1))}
+        # What was forgotten may lie beyond the cells that are left.
+        is_cut = self.is_part or self.view.min_passes is None
         for block in sorted(beside, key=lambda each: (each.row // STRIPE, each.col, each.row)):
-            place = self.before.clip(block.box)
-            if not place.cells:
+            box = self.box.clip(block.box)
+            area = box if is_cut else block.box
+            if not area.cells:
                 continue
-            grid, lasting = self.view.read(place)
-            box = self.box.clip(place)
+            grid, lasting = self.view.read(area)
             made = paint_box(lasting, model, box)
             counts = np.array([count_agreeing(lasting, made.occupied, box), (0, 0)])
             if lasting is not grid:
-                before = paint_box(grid, model, place).occupied
-                still = before[box.within(place)] & made.occupied
+                before = paint_box(grid, model, area).occupied
+                still = before[box.within(area)] & made.occupied
                 counts[1] = np.count_nonzero(before), np.count_nonzero(still)
             yield box, made, counts
 
@@ -128,12 +128,8 @@ def open_map(view: View, framing: Framing) -> BlockMap:
     MapError
         Nothing was observed, or lasts, or lies in the extent; or a block cannot be read.
     """
-    box = before = find_bounds(view)
-    if view.min_passes is not None:
-        before = find_bounds(replace(view, min_passes=None))
-    box = choose_box(box, framing, Lattice(view.source.manifest.resolution))
-    is_part = framing.extent is not None
-    return BlockMap(view, box, before.clip(box) if is_part else before, is_part)
+    box = choose_box(find_bounds(view), framing, Lattice(view.source.manifest.resolution))
+    return BlockMap(view, box, is_part=framing.extent is not None)
 
 
 def find_bounds(view: View) -> CellBox:
