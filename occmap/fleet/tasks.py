@@ -8,13 +8,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from occmap.arrays import Float64, Int64
+from occmap.arrays import Float64
 from occmap.errors import LogError, MapError
 from occmap.evidence.manifest import describe_files, list_files
 from occmap.fleet.runs import Job, Piece, once, read_mapped, write_mapped, write_run
-from occmap.grid.tiles import stack_tiles
 from occmap.posing.jumps import find_breaks
 from occmap.posing.leaps import Ends, Laser
 from occmap.readers import Note, open_log, read_scans, split_log
@@ -186,13 +183,7 @@ class RunWriter:
 
     def flush(self) -> None:
         """Write what memory holds, block by block: a copy of all of it would not fit."""
-        seen = self._engine.finish().tiles
-        keys = np.array(sorted(seen), np.int64).reshape(-1, 2)
-
-        def take_cells(places: Int64) -> Int64:
-            return stack_tiles({(r, c): seen[r, c] for r, c in keys[places].tolist()})[1]
-
-        parts = split_blocks(keys, take_cells, self._engine.read_slices())
+        parts = split_blocks(self._engine.finish().tiles, self._engine.read_slices())
         name = f"{self._job.name}-{self._runs}.run"
         for key, piece in write_run(self._job.setting.folder, name, parts).items():
             self.pieces.setdefault(key, []).append(piece)
