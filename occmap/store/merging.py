@@ -14,10 +14,11 @@ from occmap.evidence import Described, read_model, to_grid
 from occmap.evidence.fit import list_misfit
 from occmap.evidence.manifest import MEANING, list_inputs
 from occmap.grid.slices import restrict
-from occmap.grid.tiles import EvidenceKind, TileGrid, add_stack, drop_empty, stack_tiles, view_tiles
+from occmap.grid.tiles import TileGrid, add_stack, drop_empty, stack_tiles, view_tiles
 from occmap.sensor.models import SensorModel
 from occmap.store.blocks import NO_CONTENT, Block, BlockContent, join_contents, list_observing_logs
 from occmap.store.reading import Blocks, Saved, as_blocks, open_saved
+from occmap.writers.soundness import find_unseen
 
 
 def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:
@@ -159,13 +160,9 @@ def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None
         Saying in how many cells too much was taken away.
     """
     _, cells = stack_tiles(grid.tiles)
-    if grid.kind is EvidenceKind.COUNTS:
-        wrong = (cells < 0).any(axis=1)
-    else:  # log-odds may be negative, but not without an observation
-        wrong = (cells[:, 1] < 0) | ((cells[:, 1] == 0) & (cells[:, 0] != 0))
-    if wrong.any():
+    if wrong := np.count_nonzero(find_unseen(cells, grid.kind)):
         minuend = evidence.where or "the sum"
-        found = f"holds observations of {np.count_nonzero(wrong)} cells that {minuend} lacks"
+        found = f"holds observations of {wrong} cells that {minuend} lacks"
         raise MapError(found, where=other.where, fix="subtract only what was merged before")
 
 
