@@ -130,10 +130,8 @@ def write_mapped(path: Path, value: Any) -> None:
 
 
 def read_mapped(path: Path) -> Any:
-    """A value that `write_mapped` kept, with arrays that cannot be altered; None: there is none."""
-    if (known := read_stub(path)) is None:
-        return None
-    head, spans = known
+    """Read what `write_mapped` wrote; its arrays cannot be altered."""
+    head, spans = read_stub(path)
     with path.with_suffix(".arrays").open("rb") as file:
         data = memoryview(mmap(file.fileno(), 0, access=ACCESS_READ))
     return pickle.loads(head, buffers=[data[start : start + size] for start, size in spans])

@@ -113,13 +113,13 @@ def plan_traces(cluster: Cluster, setting: Setting, surveys: Sequence[LogSurvey]
     """Plan the parts of all logs; for a stride, the wanted scans of each are counted first."""
     logs = []
     for survey in surveys:
-        # The first part has the log's first scan in it; the others are told its stamp.
-        seams = [FROM_THE_START, *[Seam(survey.first_ns)] * (survey.parts - 1)]
-        jobs = [
-            TraceJob(setting, f"{survey.name}-{part:05}", str(survey.path), survey, part, seam)
-            for part, seam in enumerate(seams)
-        ]
-        logs.append(LogTrace(survey, jobs, RangeLimits(setting.options.returns)))
+        limits, jobs = RangeLimits(setting.options.returns), []
+        for part in range(survey.parts):
+            # The log's first scan lies in its first part; the others are told its stamp.
+            seam = Seam(survey.first_ns) if part else FROM_THE_START
+            name, number = f"{survey.name}-{part:05}", part if survey.parts > 1 else None
+            jobs.append(TraceJob(setting, name, str(survey.path), survey, number, seam))
+        logs.append(LogTrace(survey, jobs, limits))
     if setting.options.selection.stride == 1:
         return logs
     cut = [log for log in logs if len(log.jobs) > 1]
@@ -142,11 +142,12 @@ def list_lasting(part: Traced) -> tuple[str, ...]:
 
 def stand(parts: Sequence[dict[str, Float64]]) -> bool:
     """Whether a sensor stays at one place in all parts of a log."""
-    around: dict[str, Float64] = {}
-    for topic, (low, high) in (pair for part in parts for pair in part.items()):
-        known = around.get(topic, np.stack([low, high]))
-        around[topic] = np.stack([np.minimum(known[0], low), np.maximum(known[1], high)])
-    return any(float(np.diff(each, axis=0).max()) < STILL_M for each in around.values())
+    around: dict[str, tuple[Float64, Float64]] = {}
+    for part in parts:
+        for topic, (low, high) in part.items():
+            lowest, highest = around.get(topic, (low, high))
+            around[topic] = np.minimum(lowest, low), np.maximum(highest, high)
+    return any(float((high - low).max()) < STILL_M for low, high in around.values())
 
 
 def leap(parts: Sequence[dict[Laser, Ends]], max_speed: float) -> bool:

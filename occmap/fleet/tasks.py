@@ -103,10 +103,10 @@ def survey_log(job: Job) -> LogSurvey:
 
 def open_part(job: TraceJob) -> Drive:
     """Open a part of a log as the survey left it, or all of it."""
-    setting, options = job.setting, job.setting.options
-    parts: Sequence[Drive] | None = read_mapped(setting.folder / f"{job.survey.name}.parts")
-    if job.part is None or parts is None:
+    if job.part is None:
+        options = job.setting.options
         return open_drive(open_log(job.survey.path, options.reading), options)
+    parts: Sequence[Drive] = read_mapped(job.setting.folder / f"{job.survey.name}.parts")
     return parts[job.part]._replace(seam=job.seam)
 
 
@@ -131,31 +131,29 @@ def trace_part(job: TraceJob) -> Traced:
     OccmapError
         As `trace`, or the scratch folder cannot be written.
     """
+    setting, options = job.setting, replace(job.setting.options, jobs=1)
     drive = open_part(job)
-    options = replace(job.setting.options, jobs=1)
-    is_part = job.part is not None and job.survey.parts > 1
     frames = set(drive.poser.chains)
     limits = job.limits or RangeLimits(options.returns)
-    setting = job.setting
     recorder = setting.keep.make_recorder(job.survey.scans, setting.logs, options.returns)
-    sink = RunWriter(job)
-    tally = Tally(recorder=recorder)
+    tally, sink = Tally(recorder=recorder), RunWriter(job)
     try:
         odd = trace(drive, options, sink.add, limits, tally)
     except (LogError, MapError):
         # Only the log as a whole shows if it can be read, and which ranges are no walls far away.
-        if is_part:
+        if job.part is not None:
             return Traced(Tally(), limits, depends=True)
         raise
     sink.flush()
-    poser, notes = drive.poser, tuple(drive.log.notes)
-    jumped = any(course.find_jumps() for course in poser.courses.values())
+    poser, log_notes = drive.poser, tuple(drive.log.notes)
+    is_damaged, has_new_frames = log_notes != job.survey.notes, set(poser.chains) != frames
+    jumps = any(course.find_jumps() for course in poser.courses.values())
     return Traced(
         tally,
         limits,
         notes=(*poser.notes, *odd),
-        log_notes=notes,
-        depends=notes != job.survey.notes or set(poser.chains) != frames or jumped,
+        log_notes=log_notes,
+        depends=is_damaged or has_new_frames or jumps,
         ends=poser.find_ends(),
         bounds={topic: course.bounds for topic, course in poser.courses.items()},
         pieces={key: tuple(pieces) for key, pieces in sink.pieces.items()},
