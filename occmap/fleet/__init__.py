@@ -17,18 +17,14 @@ from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
-from occmap.cells import Slices
 from occmap.errors import OutputError
 from occmap.evidence.manifest import UNRECORDED, list_files, write_value
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
-from occmap.fleet.runs import BlockJob, Job, Piece, Setting, read_pieces, reduce_block
+from occmap.fleet.runs import BlockJob, Job, Piece, Setting, add_up, reduce_block
 from occmap.fleet.settling import trace_logs
 from occmap.fleet.tasks import survey_log
-from occmap.grid.slices import unite
 from occmap.grid.spec import WINDOW_CELLS
-from occmap.grid.tiles import view_tiles
 from occmap.options import BuildOptions
-from occmap.steps.engines import make_grid
 from occmap.steps.observing import Keep, Observed, Progress, Remarks
 from occmap.steps.tally import Tally
 from occmap.store.blocks import Block
@@ -80,13 +76,7 @@ class Fleet:
         with self.work(paths, options, keep, progress) as work, work.tally.time("fold"):
             pieces = work.cluster.run("reduce", reduce_block, list_reductions(work))
             work.remarks.notes += work.cluster.list_losses()
-            grid = make_grid(options)
-            layers: list[Slices] = []
-            for content in read_pieces(work.setting.folder, pieces):
-                grid.tiles |= view_tiles(content.tiles, content.cells)
-                layers += content.slices
-            slices = (unite(layers),) if keep.slices else ()
-            return Observed(grid, slices, work.tally, work.remarks)
+            return Observed(*add_up(work.setting, pieces), work.tally, work.remarks)
 
     @contextmanager
     def work(
