@@ -18,12 +18,11 @@ from occmap.arrays import UInt8
 from occmap.cells import Box, CellClass, Decision
 from occmap.errors import MapError, UsageError
 from occmap.evidence import read_model
-from occmap.grid.framing import Framing
 from occmap.grid.lattice import CellBox
 from occmap.grid.tiles import MAX_CELLS
 from occmap.store.layout import digest_evidence
 from occmap.store.reading import Store, as_blocks, open_saved
-from occmap.store.rendering import View, classify_blocks, open_map
+from occmap.store.rendering import classify_blocks, open_map
 from occmap.writers import MapMode, WriteOptions
 
 if TYPE_CHECKING:  # it brings pillow
@@ -141,7 +140,7 @@ def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
         It cannot be read, or is damaged.
     """
     saved = open_saved(path)
-    made = open_map(View.of(as_blocks(saved), read_model(saved)), Framing())
+    made = open_map(as_blocks(saved), read_model(saved))
     x, y, *_ = made.extent
     classes = classify_blocks(made, thresholds, MAX_CELLS)
     digest = saved.digest if isinstance(saved, Store) else digest_evidence(saved)

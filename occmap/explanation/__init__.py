@@ -20,7 +20,7 @@ from occmap.plain import Count, Printed, Share, printed_as
 from occmap.sensor.models import SensorModel, describe_model
 from occmap.steps.observing import Progress, ignore_progress
 from occmap.store.reading import Saved, Store, read_part
-from occmap.store.rendering import View, find_bounds
+from occmap.store.rendering import open_map
 from occmap.wording import count, join_names
 from occmap.writers import WriteOptions
 
@@ -162,10 +162,9 @@ def name_class(made: OccupancyMap, writing: WriteOptions) -> Verdict:
 
 def measure_extent(saved: Saved, model: SensorModel) -> Box | None:
     """Lowest x and y, highest x and y of the map that a model makes (m); None if it is empty."""
-    if isinstance(saved, Evidence):
-        box = measure_bounds(choose_tiles(to_grid(saved), model))
-    else:
-        box = find_bounds(View.of(saved, model)) if saved.blocks else None
+    if not isinstance(saved, Evidence):
+        return open_map(saved, model).extent if saved.blocks else None
+    box = measure_bounds(choose_tiles(to_grid(saved), model))
     return None if box is None else Lattice(saved.manifest.resolution).measure(box)
 
 

@@ -13,22 +13,18 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
-from occmap.cells import Slices
 from occmap.errors import OutputError
 from occmap.evidence.manifest import UNRECORDED, list_files, write_value
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
-from occmap.fleet.runs import BlockJob, Job, Piece, Setting, read_pieces, reduce_block
-from occmap.fleet.settling import LogTrace
-from occmap.fleet.tasks import Survey, Traced, count_in_window, survey_log, trace_part
-from occmap.grid.slices import unite
+from occmap.fleet.runs import BlockJob, Job, Piece, Setting, add_up, reduce_block
+from occmap.fleet.settling import trace_logs
+from occmap.fleet.tasks import survey_log
 from occmap.grid.spec import WINDOW_CELLS
-from occmap.grid.tiles import view_tiles
 from occmap.options import BuildOptions
-from occmap.steps.engines import make_grid
 from occmap.steps.observing import Keep, Observed, Progress, Remarks
 from occmap.steps.tally import Tally
 from occmap.store.blocks import Block
@@ -80,13 +76,7 @@ class Fleet:
         with self.work(paths, options, keep, progress) as work, work.tally.time("fold"):
             pieces = work.cluster.run("reduce", reduce_block, list_reductions(work))
             work.remarks.notes += work.cluster.list_losses()
-            grid = make_grid(options)
-            layers: list[Slices] = []
-            for content in read_pieces(work.setting.folder, pieces):
-                grid.tiles |= view_tiles(content.tiles, content.cells)
-                layers += content.slices
-            slices = (unite(layers),) if keep.slices else ()
-            return Observed(grid, slices, work.tally, work.remarks)
+            return Observed(*add_up(work.setting, pieces), work.tally, work.remarks)
 
     @contextmanager
     def work(
@@ -120,7 +110,7 @@ class Fleet:
             with tally.time("open"):
                 surveys = cluster.run("open", survey_log, list_surveys(setting, paths))
             blocks: dict[Block, dict[int, list[Piece]]] = defaultdict(lambda: defaultdict(list))
-            for place, log in enumerate(trace_parts(cluster, setting, surveys, progress)):
+            for place, log in enumerate(trace_logs(cluster, setting, surveys, progress)):
                 remarks.note(log.survey.path, log.parts[0].log_notes, log.list_findings())
                 for part in log.parts:
                     tally.add(part.tally)
@@ -169,38 +159,6 @@ def open_scratch(
 def list_surveys(setting: Setting, paths: Sequence[Path]) -> list[Job]:
     """List the logs that are to be opened."""
     return [Job(setting, f"log{place:05}", str(path)) for place, path in enumerate(paths)]
-
-
-def trace_parts(
-    cluster: Cluster, setting: Setting, surveys: Sequence[Survey], progress: Progress
-) -> list[LogTrace]:
-    """Trace the parts of all logs, until each shows what its whole log shows."""
-    total = sum(survey.scans for survey in surveys)
-
-    def tell(traced: Traced) -> None:
-        progress(traced.tally.scans_read, total)
-
-    logs = plan_traces(cluster, setting, surveys)
-    while pairs := [(log, job) for log in logs for job in log.list_open()]:
-        jobs = [job for _, job in pairs]
-        for (log, job), traced in zip(
-            pairs, cluster.run("trace", trace_part, jobs, tell), strict=True
-        ):
-            log.traced[job.name] = traced
-    return logs
-
-
-def plan_traces(cluster: Cluster, setting: Setting, surveys: Sequence[Survey]) -> list[LogTrace]:
-    """Plan the parts of all logs; for a stride, the wanted scans of each are counted first."""
-    logs = [LogTrace(setting, survey, [0] * survey.parts) for survey in surveys]
-    if setting.options.selection.stride == 1:
-        return logs
-    jobs = [job for log in logs if log.survey.parts > 1 for job in log.jobs]
-    wanted = iter(cluster.run("count", count_in_window, jobs))
-    return [
-        LogTrace(setting, survey, list(islice(wanted, survey.parts))) if survey.parts > 1 else log
-        for survey, log in zip(surveys, logs, strict=True)
-    ]
 
 
 def list_reductions(work: Work) -> list[BlockJob]:

@@ -17,7 +17,7 @@ import zstandard
 from occmap.cells import Slices
 from occmap.errors import MapError
 from occmap.grid.slices import unite
-from occmap.grid.tiles import add_stack, stack_tiles
+from occmap.grid.tiles import TileGrid, stack_tiles, view_tiles
 from occmap.options import BuildOptions
 from occmap.steps.engines import make_grid
 from occmap.steps.observing import Keep
@@ -130,10 +130,8 @@ def write_mapped(path: Path, value: Any) -> None:
 
 
 def read_mapped(path: Path) -> Any:
-    """A value that `write_mapped` kept, with arrays that cannot be altered; None: there is none."""
-    if (known := read_stub(path)) is None:
-        return None
-    head, spans = known
+    """Read what `write_mapped` wrote; its arrays cannot be altered."""
+    head, spans = read_stub(path)
     with path.with_suffix(".arrays").open("rb") as file:
         data = memoryview(mmap(file.fileno(), 0, access=ACCESS_READ))
     return pickle.loads(head, buffers=[data[start : start + size] for start, size in spans])
@@ -205,22 +203,28 @@ def reduce_block(job: BlockJob) -> Piece:
     OccmapError
         A run file cannot be read, or the scratch folder cannot be written.
     """
-    parts = [(job.block, add_up(job))]
+    parts = [(job.block, add_up_block(job))]
     return write_run(job.setting.folder, f"{job.name}.run", parts)[job.block]
 
 
-def add_up(job: BlockJob) -> BlockContent:
-    """Add up all that was observed in a block.
+def add_up_block(job: BlockJob) -> BlockContent:
+    """Add up all that was observed in a block; raises MapError as `add_up`."""
+    grid, slices = add_up(job.setting, job.pieces)
+    return BlockContent(*stack_tiles(grid.tiles), slices, job.logs)
+
+
+def add_up(setting: Setting, pieces: Iterable[Piece]) -> tuple[TileGrid, tuple[Slices, ...]]:
+    """Add up parts of blocks: what was observed, and, where that is kept, when.
 
     Raises
     ------
-    OccmapError
+    MapError
         A run file cannot be read.
     """
-    grid = make_grid(job.setting.options)
+    grid = make_grid(setting.options)
     layers: list[Slices] = []
-    for content in read_pieces(job.setting.folder, job.pieces):
-        add_stack(grid, content.tiles, content.cells)
+    for content in read_pieces(setting.folder, pieces):
+        low, high = content.cells.min(initial=0), content.cells.max(initial=0)
+        grid.add(view_tiles(content.tiles, content.cells), bound=max(-int(low), int(high)))
         layers += content.slices
-    slices = (unite(layers),) if job.setting.keep.slices else ()
-    return BlockContent(*stack_tiles(grid.tiles), slices, job.logs)
+    return grid, (unite(layers),) if setting.keep.slices else ()

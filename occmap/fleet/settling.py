@@ -1,50 +1,75 @@
-"""From the parts of a log to what the whole log shows: exactly what one process would find."""
+"""All logs traced by many workers, so that the parts show exactly what one process would find."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from itertools import accumulate
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import accumulate, islice
 
 import numpy as np
 
 from occmap.arrays import Float64
+from occmap.fleet.cluster import Cluster
 from occmap.fleet.runs import Setting
-from occmap.fleet.tasks import Survey, Traced, TraceJob
+from occmap.fleet.tasks import LogSurvey, Traced, TraceJob, count_in_window, trace_part
 from occmap.posing.course import STANDS, STILL_M
 from occmap.posing.leaps import MOST_PATHS, Ends, Laser
 from occmap.selection import FROM_THE_START, Seam
 from occmap.sensor.no_return import RangeLimits
+from occmap.steps.observing import Progress
 
 
+@dataclass
 class LogTrace:
-    """The parts of one log, until all of them are traced by what the whole log shows.
+    """A log, the tasks that trace it, and what they showed."""
 
-    A part is traced as if nothing in it depended on the rest of its log. Where something does, the
-    log is traced once more as a whole: where it is damaged, scans leap, a frame turns up late, the
-    map frame jumps, a sensor stands still, or the notes on parts differ. Where only the limit of
-    "no return" was another, parts are traced once more with the one that the whole log shows.
-    """
-
-    def __init__(self, setting: Setting, survey: Survey, wanted: Sequence[int]) -> None:
-        self.survey = survey
-        self.jobs = []
-        for part, before in enumerate(accumulate(wanted[:-1], initial=0)):
-            seam = Seam(survey.first_ns if part else None, before)
-            name = f"{survey.name}-{part:05}"
-            self.jobs.append(TraceJob(setting, name, str(survey.path), survey, part, seam))
-        self.traced: dict[str, Traced] = {}
-        """By the names of jobs"""
-        self.limits: RangeLimits | None = None
-        """Those of the whole log, once they are known"""
+    survey: LogSurvey
+    jobs: list[TraceJob]
+    """One for each part, or one for all of the log"""
+    limits: RangeLimits
+    """Those that all of the log shows, once it is traced"""
+    traced: dict[int, Traced] = field(default_factory=dict)
+    """What the jobs showed, by their places"""
 
     @property
     def parts(self) -> list[Traced]:
-        """What the parts showed, in order, once all of them are traced."""
-        return [self.traced[job.name] for job in self.jobs]
+        """What the parts showed, in order."""
+        return [self.traced[place] for place in range(len(self.jobs))]
+
+    def is_sum_of_parts(self) -> bool:
+        """Whether no part depends on the others, so that together they are the log."""
+        parts, max_speed = self.parts, self.jobs[0].setting.options.posing.max_speed
+        return len(parts) == 1 or (
+            sum(part.tally.scans_read for part in parts) == self.survey.scans
+            and len({list_lasting(part) for part in parts}) == 1
+            and not stand([part.bounds for part in parts])
+            and not any(part.depends for part in parts)
+            and not leap([part.ends for part in parts], max_speed)
+        )
+
+    def become_whole(self) -> None:
+        """Plan to trace the log as a single part."""
+        name = f"{self.survey.name}-whole"
+        self.jobs = [replace(self.jobs[0], name=name, part=None, seam=FROM_THE_START)]
+
+    def settle_limits(self) -> list[int]:
+        """Find the limits of the whole log; plan anew, and list, the parts that had others."""
+        for part in self.parts:
+            self.limits.merge(part.limits)
+        self.limits.settle()
+        wrong = [
+            place
+            for place, part in enumerate(self.parts)
+            if not part.limits.agrees_with(self.limits)
+        ]
+        for place in wrong:
+            job = self.jobs[place]
+            self.jobs[place] = replace(job, name=f"{job.name}-again", limits=self.limits)
+        return wrong
 
     def list_findings(self) -> list[str]:
         """List what there is to say of its poses, scans and ranges, and of how it was traced."""
-        first, ranges = self.parts[0], self.limits.list_notes() if self.limits else ()
-        found = [*(first.notes if len(self.parts) == 1 else list_lasting(first)), *ranges]
+        first = self.parts[0]
+        found = [*(first.notes if len(self.parts) == 1 else list_lasting(first))]
+        found += self.limits.list_notes()
         if self.survey.parts == 1 and self.survey.bytes > 2 * self.jobs[0].setting.slice_bytes:
             found.append(
                 "is traced by one worker, since it cannot be cut: it is packed, its index is "
@@ -52,39 +77,62 @@ class LogTrace:
             )
         return found
 
-    def list_open(self) -> Iterator[TraceJob]:
-        """List what is to be traced next; nothing where the log is done."""
-        if self.limits is None and all(job.name in self.traced for job in self.jobs):
-            self._settle()
-        yield from (job for job in self.jobs if job.name not in self.traced)
 
-    def _settle(self) -> None:
-        """Find what the whole log shows, and what has to be traced once more by that."""
-        if len(self.jobs) > 1 and not self._is_sum_of_parts():
-            name = f"{self.survey.name}-whole"
-            self.jobs = [replace(self.jobs[0], name=name, part=None, seam=FROM_THE_START)]
-            return
-        self.limits = RangeLimits(self.jobs[0].setting.options.returns)
-        for part in self.parts:
-            self.limits.merge(part.limits)
-        self.limits.settle()
-        self.jobs = [
-            job
-            if part.limits.agrees_with(self.limits)
-            else replace(job, name=f"{job.name}-again", limits=self.limits)
-            for job, part in zip(self.jobs, self.parts, strict=True)
+def trace_logs(
+    cluster: Cluster, setting: Setting, surveys: Sequence[LogSurvey], progress: Progress
+) -> list[LogTrace]:
+    """Trace all logs part by part, and once more what that does not show right.
+
+    A part is traced as if nothing in it depended on the rest of its log. Where something does, the
+    log is traced once more as a whole: where it is damaged, scans leap, a frame turns up late, the
+    map frame jumps, a sensor stands still, or the notes on parts differ. Where only the limit of
+    "no return" was another, parts are traced once more with the one that the whole log shows.
+    """
+    total = sum(survey.scans for survey in surveys)
+
+    def tell(traced: Traced) -> None:
+        progress(traced.tally.scans_read, total)
+
+    def trace(places: Sequence[tuple[LogTrace, int]]) -> None:
+        jobs = [log.jobs[place] for log, place in places]
+        found = cluster.run("trace", trace_part, jobs, tell)
+        for (log, place), traced in zip(places, found, strict=True):
+            log.traced[place] = traced
+
+    logs = plan_traces(cluster, setting, surveys)
+    trace([(log, place) for log in logs for place in range(len(log.jobs))])
+    dependent = [log for log in logs if not log.is_sum_of_parts()]
+    for log in dependent:
+        log.become_whole()
+    trace([(log, 0) for log in dependent])
+    trace([(log, place) for log in logs for place in log.settle_limits()])
+    return logs
+
+
+def plan_traces(cluster: Cluster, setting: Setting, surveys: Sequence[LogSurvey]) -> list[LogTrace]:
+    """Plan the parts of all logs; for a stride, the wanted scans of each are counted first."""
+    logs = []
+    for survey in surveys:
+        limits, jobs = RangeLimits(setting.options.returns), []
+        for part in range(survey.parts):
+            # The log's first scan lies in its first part; the others are told its stamp.
+            seam = Seam(survey.first_ns) if part else FROM_THE_START
+            name, number = f"{survey.name}-{part:05}", part if survey.parts > 1 else None
+            jobs.append(TraceJob(setting, name, str(survey.path), survey, number, seam))
+        logs.append(LogTrace(survey, jobs, limits))
+    if setting.options.selection.stride == 1:
+        return logs
+    cut = [log for log in logs if len(log.jobs) > 1]
+    jobs = [job for log in cut for job in log.jobs]
+    wanted = iter(cluster.run("count", count_in_window, jobs))
+    for log in cut:
+        *counts, _ = islice(wanted, len(log.jobs))
+        befores = accumulate(counts, initial=0)
+        log.jobs = [
+            replace(job, seam=job.seam._replace(wanted=before))
+            for job, before in zip(log.jobs, befores, strict=True)
         ]
-
-    def _is_sum_of_parts(self) -> bool:
-        """Whether no part depends on the others, so that together they are the log."""
-        parts, max_speed = self.parts, self.jobs[0].setting.options.posing.max_speed
-        return (
-            sum(part.tally.scans_read for part in parts) == self.survey.scans
-            and len({list_lasting(part) for part in parts}) == 1
-            and not stand([part.bounds for part in parts])
-            and not any(part.depends for part in parts)
-            and not leap([part.ends for part in parts], max_speed)
-        )
+    return logs
 
 
 def list_lasting(part: Traced) -> tuple[str, ...]:
@@ -94,11 +142,12 @@ def list_lasting(part: Traced) -> tuple[str, ...]:
 
 def stand(parts: Sequence[dict[str, Float64]]) -> bool:
     """Whether a sensor stays at one place in all parts of a log."""
-    around: dict[str, Float64] = {}
-    for topic, (low, high) in (pair for part in parts for pair in part.items()):
-        known = around.get(topic, np.stack([low, high]))
-        around[topic] = np.stack([np.minimum(known[0], low), np.maximum(known[1], high)])
-    return any(float(np.diff(each, axis=0).max()) < STILL_M for each in around.values())
+    around: dict[str, tuple[Float64, Float64]] = {}
+    for part in parts:
+        for topic, (low, high) in part.items():
+            lowest, highest = around.get(topic, (low, high))
+            around[topic] = np.minimum(lowest, low), np.maximum(highest, high)
+    return any(float((high - low).max()) < STILL_M for low, high in around.values())
 
 
 def leap(parts: Sequence[dict[Laser, Ends]], max_speed: float) -> bool:

@@ -14,7 +14,7 @@ from occmap.arrays import Int64
 from occmap.cells import Manifest
 from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
 from occmap.fleet import Fleet, Work, list_reductions, list_surveys
-from occmap.fleet.runs import BlockJob, Setting, add_up, once, read_stub, write_stub
+from occmap.fleet.runs import BlockJob, Setting, add_up_block, once, read_stub, write_stub
 from occmap.fleet.tasks import hash_log
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing
@@ -106,7 +106,7 @@ def store_block(job: BlockJob) -> BlockRecord:
     OccmapError
         A run file cannot be read, or the store cannot be written.
     """
-    return write_block(job.store, job.block, add_up(job))
+    return write_block(job.store, job.block, add_up_block(job))
 
 
 def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> MapFacts:

@@ -8,13 +8,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from occmap.arrays import Float64, Int64
-from occmap.errors import LogError
+from occmap.arrays import Float64
+from occmap.errors import LogError, MapError
 from occmap.evidence.manifest import describe_files, list_files
 from occmap.fleet.runs import Job, Piece, once, read_mapped, write_mapped, write_run
-from occmap.grid.tiles import stack_tiles
 from occmap.posing.jumps import find_breaks
 from occmap.posing.leaps import Ends, Laser
 from occmap.readers import Note, open_log, read_scans, split_log
@@ -28,7 +25,7 @@ from occmap.store.blocks import Block, split_blocks
 from occmap.types import Rays
 
 
-class Survey(NamedTuple):
+class LogSurvey(NamedTuple):
     """What there is to know of a log before its scans are traced."""
 
     name: str
@@ -48,7 +45,7 @@ class Survey(NamedTuple):
 class TraceJob(Job):
     """A part of a log to be traced."""
 
-    survey: Survey
+    survey: LogSurvey
     part: int | None
     """None: all of it"""
     seam: Seam
@@ -78,7 +75,7 @@ class Traced:
 
 
 @once
-def survey_log(job: Job) -> Survey:
+def survey_log(job: Job) -> LogSurvey:
     """Open a log, read its poses, and cut it into parts.
 
     Raises
@@ -101,15 +98,15 @@ def survey_log(job: Job) -> Survey:
     clock = Selector(options.selection, options.posing.stamps)
     first_ns = None if first is None else clock.stamp(first.first)
     size = sum(each.stat().st_size for each in list_files(path))
-    return Survey(job.name, path, scans, len(parts) or 1, size, tuple(log.notes), first_ns)
+    return LogSurvey(job.name, path, scans, len(parts) or 1, size, tuple(log.notes), first_ns)
 
 
 def open_part(job: TraceJob) -> Drive:
     """Open a part of a log as the survey left it, or all of it."""
-    setting, options = job.setting, job.setting.options
-    parts: Sequence[Drive] | None = read_mapped(setting.folder / f"{job.survey.name}.parts")
-    if job.part is None or parts is None:
+    if job.part is None:
+        options = job.setting.options
         return open_drive(open_log(job.survey.path, options.reading), options)
+    parts: Sequence[Drive] = read_mapped(job.setting.folder / f"{job.survey.name}.parts")
     return parts[job.part]._replace(seam=job.seam)
 
 
@@ -134,30 +131,29 @@ def trace_part(job: TraceJob) -> Traced:
     OccmapError
         As `trace`, or the scratch folder cannot be written.
     """
+    setting, options = job.setting, replace(job.setting.options, jobs=1)
     drive = open_part(job)
-    options = replace(job.setting.options, jobs=1)
-    is_part = job.part is not None and job.survey.parts > 1
     frames = set(drive.poser.chains)
     limits = job.limits or RangeLimits(options.returns)
-    setting = job.setting
     recorder = setting.keep.make_recorder(job.survey.scans, setting.logs, options.returns)
-    sink = RunWriter(job)
-    tally = Tally(recorder=recorder)
+    tally, sink = Tally(recorder=recorder), RunWriter(job)
     try:
         odd = trace(drive, options, sink.add, limits, tally)
-    except LogError:
-        if is_part:  # only the log as a whole shows if it can be read
+    except (LogError, MapError):
+        # Only the log as a whole shows if it can be read, and which ranges are no walls far away.
+        if job.part is not None:
             return Traced(Tally(), limits, depends=True)
         raise
     sink.flush()
-    poser, notes = drive.poser, tuple(drive.log.notes)
-    jumped = any(course.find_jumps() for course in poser.courses.values())
+    poser, log_notes = drive.poser, tuple(drive.log.notes)
+    is_damaged, has_new_frames = log_notes != job.survey.notes, set(poser.chains) != frames
+    jumps = any(course.find_jumps() for course in poser.courses.values())
     return Traced(
         tally,
         limits,
         notes=(*poser.notes, *odd),
-        log_notes=notes,
-        depends=notes != job.survey.notes or set(poser.chains) != frames or jumped,
+        log_notes=log_notes,
+        depends=is_damaged or has_new_frames or jumps,
         ends=poser.find_ends(),
         bounds={topic: course.bounds for topic, course in poser.courses.items()},
         pieces={key: tuple(pieces) for key, pieces in sink.pieces.items()},
@@ -185,13 +181,7 @@ class RunWriter:
 
     def flush(self) -> None:
         """Write what memory holds, block by block: a copy of all of it would not fit."""
-        seen = self._engine.finish().tiles
-        keys = np.array(sorted(seen), np.int64).reshape(-1, 2)
-
-        def take_cells(places: Int64) -> Int64:
-            return stack_tiles({(r, c): seen[r, c] for r, c in keys[places].tolist()})[1]
-
-        parts = split_blocks(keys, take_cells, self._engine.read_slices())
+        parts = split_blocks(self._engine.finish().tiles, self._engine.read_slices())
         name = f"{self._job.name}-{self._runs}.run"
         for key, piece in write_run(self._job.setting.folder, name, parts).items():
             self.pieces.setdefault(key, []).append(piece)

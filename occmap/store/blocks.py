@@ -1,6 +1,6 @@
 """Blocks: the squares that a store is written and read by; evidence cut into them and joined."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate, product
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from occmap.cells import Evidence, Manifest, Slices
 from occmap.evidence.manifest import list_inputs
 from occmap.grid.lattice import CellBox
 from occmap.grid.slices import take, unite
-from occmap.grid.tiles import TILE
+from occmap.grid.tiles import TILE, Key, Tile, stack_tiles, view_tiles
 
 BLOCK = 1024
 """Cells along the side of a block"""
@@ -71,30 +71,26 @@ NO_CONTENT = BlockContent(np.zeros((0, 2), np.int64), np.zeros((0, 2, TILE, TILE
 
 def split_evidence(evidence: Evidence) -> Iterator[tuple[Block, BlockContent]]:
     """Cut evidence into blocks; all logs of a build are said to have observed its blocks."""
-    take_cells = evidence.cells.__getitem__
-    for block, content in split_blocks(evidence.tiles, take_cells, evidence.slices):
+    tiles = view_tiles(evidence.tiles, evidence.cells)
+    for block, content in split_blocks(tiles, evidence.slices):
         yield block, replace(content, logs=list_observing_logs(evidence.manifest, content.slices))
 
 
 def split_blocks(
-    tiles: Int64, take_cells: Callable[[Int64], Int64], slices: Sequence[Slices]
+    tiles: Mapping[Key, Tile], slices: Sequence[Slices]
 ) -> Iterator[tuple[Block, BlockContent]]:
-    """Cut tiles (T, 2) and slices of time into blocks, one after the other, in ascending order.
-
-    Parameters
-    ----------
-    take_cells
-        Gives the cells (N, 2, 64, 64) of some of the tiles by their places (N,).
-    """
-    of_tiles, *of_slices = (group_by_block(each) for each in (tiles, *(s.tiles for s in slices)))
+    """Cut tiles and slices of time into blocks, in ascending order; one is copied at a time."""
+    keys = np.array(sorted(tiles), np.int64).reshape(-1, 2)
+    of_tiles, *of_slices = (group_by_block(each) for each in (keys, *(s.tiles for s in slices)))
     nothing = np.zeros(0, np.int64)
     for block in sorted(set(of_tiles).union(*of_slices)):
         places = of_tiles.get(block, nothing)
+        own = {(row, col): tiles[row, col] for row, col in keys[places].tolist()}
         parts = tuple(
             take(layer, found.get(block, nothing))
             for layer, found in zip(slices, of_slices, strict=True)
         )
-        yield block, BlockContent(tiles[places], take_cells(places), parts)
+        yield block, BlockContent(*stack_tiles(own), parts)
 
 
 def group_by_block(tiles: Int64) -> dict[Block, Int64]:

@@ -28,6 +28,7 @@ from occmap.store.blocks import (
     spread_cells,
 )
 from occmap.writers.npz import compute_checksum, pack_slices, unpack_slices
+from occmap.writers.soundness import refuse_other_version
 
 FORMAT, VERSION = "occmap store", 1
 LAYERS = {
@@ -66,11 +67,9 @@ def make_head(manifest: Manifest, offset: tuple[int, int]) -> dict[str, Any]:
 
 def refuse_unfinished(path: Path, head: dict[str, Any]) -> None:
     """Refuse a folder of which the attributes are not those of a whole store; raises MapError."""
-    if head.get("format") != FORMAT:
+    if not head:
         raise MapError("is a Zarr folder, but not evidence of occmap", where=path)
-    if head["version"] > VERSION:
-        found = f"{FORMAT} of version {head['version']}, while this occmap reads {VERSION}"
-        raise MapError(found, where=path, fix="use a newer occmap")
+    refuse_other_version(path, head, FORMAT, VERSION)
     if not head.get("complete"):
         found = "is not complete: what wrote it did not come to its end"
         raise MapError(found, where=path, fix="build it again")

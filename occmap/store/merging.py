@@ -1,6 +1,6 @@
 """Evidence added up and taken apart again, exactly."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import accumulate
@@ -14,10 +14,11 @@ from occmap.evidence import Described, read_model, to_grid
 from occmap.evidence.fit import list_misfit
 from occmap.evidence.manifest import MEANING, list_inputs
 from occmap.grid.slices import restrict
-from occmap.grid.tiles import EvidenceKind, TileGrid, add_stack, drop_empty, stack_tiles, view_tiles
+from occmap.grid.tiles import TileGrid, add_stack, drop_empty, stack_tiles, view_tiles
 from occmap.sensor.models import SensorModel
 from occmap.store.blocks import NO_CONTENT, Block, BlockContent, join_contents, list_observing_logs
 from occmap.store.reading import Blocks, Saved, as_blocks, open_saved
+from occmap.writers.soundness import find_unseen
 
 
 def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:
@@ -28,32 +29,26 @@ def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:
     MapError
         As `merge` and `subtract`; of blocks, maybe only when they are read.
     """
-
-    def add_up(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Evidence:
-        total = merge(evidences[: len(added)], model)
-        for other in evidences[len(added) :]:
-            total = subtract(total, other)
-        return total
-
-    parts = list(map(open_saved, (*added, *taken)))
+    parts = [open_saved(path) for path in (*added, *taken)]
     held = [each for each in parts if isinstance(each, Evidence)]
-    if len(held) == len(parts):
-        model = None
-        with suppress(MapError):  # without a model, no note says what does not fit
-            model = read_model(held[0])
-        return add_up(held, model)
-    return combine_blocks(list(map(as_blocks, parts)), add_up)
+    if len(held) < len(parts):
+        return combine_blocks([as_blocks(each) for each in parts], len(added))
+    model = None
+    with suppress(MapError):  # without a model, no note says what does not fit
+        model = read_model(held[0])
+    return add_up(held, len(added), model)
 
 
-def combine_blocks(
-    parts: Sequence[Blocks], add_up: Callable[[Sequence[Evidence]], Evidence]
-) -> Blocks:
-    """Combine evidence block by block, each only when it is read.
+def add_up(parts: Sequence[Evidence], added: int, model: SensorModel | None = None) -> Evidence:
+    """Add so many of the parts, the first ones, and take the others away; raises as `combine`."""
+    total = merge(parts[:added], model)
+    for other in parts[added:]:
+        total = subtract(total, other)
+    return total
 
-    Parameters
-    ----------
-    add_up
-        Makes one evidence of all parts, which may be empty.
+
+def combine_blocks(parts: Sequence[Blocks], added: int) -> Blocks:
+    """Combine evidence as `add_up` does, but block by block, each only when it is read.
 
     Raises
     ------
@@ -61,15 +56,18 @@ def combine_blocks(
         The parts do not go together.
     """
     nothing = [join_contents((), each.manifest, each.where) for each in parts]
-    manifest = add_up(nothing).manifest  # what differs is refused at once
+    manifest = add_up(nothing, added).manifest  # what differs is refused at once
     counts = [count_logs(each.manifest) for each in parts]
 
     def read_block(block: Block) -> BlockContent:
         contents = [
             each.read_block(block) if block in each.blocks else NO_CONTENT for each in parts
         ]
-        pairs = zip(contents, parts, strict=True)
-        made = add_up([join_contents([each], part.manifest, part.where) for each, part in pairs])
+        evidences = [
+            join_contents([content], part.manifest, part.where)
+            for content, part in zip(contents, parts, strict=True)
+        ]
+        made = add_up(evidences, added)
         if count_logs(manifest) < sum(counts):  # some builds were taken away, and their logs
             logs = list_observing_logs(manifest, made.slices)
         else:
@@ -159,13 +157,9 @@ def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None
         Saying in how many cells too much was taken away.
     """
     _, cells = stack_tiles(grid.tiles)
-    if grid.kind is EvidenceKind.COUNTS:
-        wrong = (cells < 0).any(axis=1)
-    else:  # log-odds may be negative, but not without an observation
-        wrong = (cells[:, 1] < 0) | ((cells[:, 1] == 0) & (cells[:, 0] != 0))
-    if wrong.any():
+    if wrong := np.count_nonzero(find_unseen(cells, grid.kind)):
         minuend = evidence.where or "the sum"
-        found = f"holds observations of {np.count_nonzero(wrong)} cells that {minuend} lacks"
+        found = f"holds observations of {wrong} cells that {minuend} lacks"
         raise MapError(found, where=other.where, fix="subtract only what was merged before")
 
 

@@ -19,7 +19,7 @@ from occmap.sensor.models import SensorModel, describe_model, parse_model
 from occmap.sensor.returns import ReturnCounts
 from occmap.steps.tally import ScanCounts
 from occmap.store import rendering
-from occmap.store.reading import Blocks, Saved, Store, as_blocks, read_all
+from occmap.store.reading import Saved, Store, as_blocks, read_all
 from occmap.store.writer import ZarrWriter
 from occmap.writers import Product, ProductWriter, WindowWriter, WriteOptions
 from occmap.writers.outputs import check_outputs, find_writer, list_idle, write_outputs
@@ -62,7 +62,7 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
     if isinstance(saved, Evidence) or options.overview or is_whole:
         grid, facts = paint_saved(saved, model, options)
     else:
-        grid = open_blocks(saved, model, options)
+        grid = rendering.open_map(saved, model, options.framing, options.min_passes)
         facts = rendering.survey_blocks(grid, options.writing)
     report = summarise(manifest, facts, options, outputs)
     keep = cache(lambda: replace(read_all(saved), manifest=manifest))
@@ -148,15 +148,9 @@ def paint_saved(
         shown, lost = render_lasting(to_grid(saved), saved.slices, model, options)
         lost = [*saved.notes, *lost]
     else:
-        made = open_blocks(saved, model, options)
+        made = rendering.open_map(saved, model, options.framing, options.min_passes)
         shown, lost = rendering.render_blocks(made, options.max_cells)
     return shown, describe_map(shown, options.writing)._replace(lost=lost)
-
-
-def open_blocks(saved: Blocks, model: SensorModel, options: RenderOptions) -> rendering.BlockMap:
-    """Find out what cells a map of blocks covers; raises MapError where there is none."""
-    view = rendering.View.of(saved, model, options.min_passes)
-    return rendering.open_map(view, options.framing)
 
 
 def summarise(

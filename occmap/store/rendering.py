@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
-from typing import Self
 
 import numpy as np
 
@@ -28,40 +27,22 @@ KEPT_BLOCKS = 18
 STRIPE = 3
 """Blocks are painted in stripes so many rows high, so that few of them are read twice"""
 
+EVERYTHING = Framing()
+
 CLASS_LOG_ODDS = np.array([0, to_log_odds(0.01), to_log_odds(0.99)], np.float32)
 """Of a pixel of each CellClass, of which nothing else is known"""
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """How evidence is looked at."""
-
-    source: Blocks
-    model: SensorModel
-    min_passes: int | None
-
-    @classmethod
-    def of(cls, source: Blocks, model: SensorModel, min_passes: int | None = None) -> Self:
-        """Look at evidence, of which the blocks that were read last are kept."""
-        kept = lru_cache(KEPT_BLOCKS)(source.read_block)
-        return cls(replace(source, read_block=kept), model, min_passes)
-
-    def read(self, box: CellBox) -> tuple[TileGrid, TileGrid]:
-        """What was observed in a box of cells or beside it, and what of that lasts."""
-        evidence = read_part(self.source, box)
-        grid = to_grid(evidence)
-        return grid, keep_lasting(grid, evidence.slices, self.min_passes)
 
 
 @dataclass(frozen=True, eq=False)
 class BlockMap:
     """A map that is painted piece by piece, anew whenever it is asked for."""
 
-    view: View
+    source: Blocks
+    model: SensorModel
+    min_passes: int | None
+    """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
     box: CellBox
     """Its cells"""
-    before: CellBox
-    """Those of the map of all that was observed, before any of it is forgotten"""
     is_part: bool
     """Whether it ends where the user says"""
 
@@ -78,12 +59,12 @@ class BlockMap:
     @property
     def resolution(self) -> float:
         """Side of a cell (m)."""
-        return self.view.source.manifest.resolution
+        return self.source.manifest.resolution
 
     @property
     def decision(self) -> Decision:
         """How its cells are decided."""
-        return find_decision(self.view.model)
+        return find_decision(self.model)
 
     @property
     def extent(self) -> Box:
@@ -94,7 +75,7 @@ class BlockMap:
         """Paint a part of it."""
         part = CellBox(rows.start, cols.start, rows.stop, cols.stop)
         box = part.move(self.box.row, self.box.col)
-        made, _ = render_blocks(replace(self, box=box, before=box, is_part=True), box.cells)
+        made, _ = render_blocks(replace(self, box=box, is_part=True), box.cells)
         return made
 
     def walk(self) -> Iterator[tuple[CellBox, OccupancyMap, Int64]]:
@@ -103,40 +84,45 @@ class BlockMap:
         With each come counts (2, 2): hits in cells called occupied, and all hits; cells that were
         occupied before anything was forgotten, and those of them that are still.
         """
-        source, model = self.view.source, self.view.model
-        beside = {each for block in source.blocks for each in list_blocks(block.box.grow(1))}
+        blocks, model = self.source.blocks, self.model
+        beside = {each for block in blocks for each in list_blocks(block.box.grow(1))}
+        # What was forgotten may lie beyond the cells that are left.
+        is_cut = self.is_part or self.min_passes is None
         for block in sorted(beside, key=lambda each: (each.row // STRIPE, each.col, each.row)):
-            place = self.before.clip(block.box)
-            if not place.cells:
+            box = self.box.clip(block.box)
+            area = box if is_cut else block.box
+            if not area.cells:
                 continue
-            grid, lasting = self.view.read(place)
-            box = self.box.clip(place)
+            grid, lasting = read_lasting(self.source, area, self.min_passes)
             made = paint_box(lasting, model, box)
             counts = np.array([count_agreeing(lasting, made.occupied, box), (0, 0)])
             if lasting is not grid:
-                before = paint_box(grid, model, place).occupied
-                still = before[box.within(place)] & made.occupied
+                before = paint_box(grid, model, area).occupied
+                still = before[box.within(area)] & made.occupied
                 counts[1] = np.count_nonzero(before), np.count_nonzero(still)
             yield box, made, counts
 
 
-def open_map(view: View, framing: Framing) -> BlockMap:
-    """Find out what cells a map covers.
+def open_map(
+    source: Blocks,
+    model: SensorModel,
+    framing: Framing = EVERYTHING,
+    min_passes: int | None = None,
+) -> BlockMap:
+    """Find out what cells a map covers; the blocks that were read last are kept from now on.
 
     Raises
     ------
     MapError
         Nothing was observed, or lasts, or lies in the extent; or a block cannot be read.
     """
-    box = before = find_bounds(view)
-    if view.min_passes is not None:
-        before = find_bounds(replace(view, min_passes=None))
-    box = choose_box(box, framing, Lattice(view.source.manifest.resolution))
-    is_part = framing.extent is not None
-    return BlockMap(view, box, before.clip(box) if is_part else before, is_part)
+    kept = replace(source, read_block=lru_cache(KEPT_BLOCKS)(source.read_block))
+    bounds = find_bounds(kept, model, min_passes)
+    box = choose_box(bounds, framing, Lattice(source.manifest.resolution))
+    return BlockMap(kept, model, min_passes, box, is_part=framing.extent is not None)
 
 
-def find_bounds(view: View) -> CellBox:
+def find_bounds(source: Blocks, model: SensorModel, min_passes: int | None) -> CellBox:
     """The smallest box around all cells of a map; only blocks that may reach its edges are read.
 
     Raises
@@ -144,7 +130,7 @@ def find_bounds(view: View) -> CellBox:
     MapError
         Nothing was observed, or lasts.
     """
-    reach, found = view.source.blocks, None
+    reach, found = source.blocks, None
     known: dict[Block, CellBox | None] = {}
     for side, outward in enumerate((-1, -1, 1, 1)):  # of a box: row, col, row_end, col_end
         for block in sorted(reach, key=lambda each: -outward * reach[each][side]):
@@ -152,13 +138,20 @@ def find_bounds(view: View) -> CellBox:
             if found and outward * found[side] >= outward * reach[block][side] + 1:
                 break
             if block not in known:
-                _, lasting = view.read(block.box)
-                known[block] = measure_bounds(choose_tiles(lasting, view.model))
+                _, lasting = read_lasting(source, block.box, min_passes)
+                known[block] = measure_bounds(choose_tiles(lasting, model))
             if box := known[block]:
                 found = found.join(box) if found else box
     if found is None:
-        refuse_nothing_left(view.min_passes if reach else None)
+        refuse_nothing_left(min_passes if reach else None)
     return found
+
+
+def read_lasting(source: Blocks, box: CellBox, min_passes: int | None) -> tuple[TileGrid, TileGrid]:
+    """What was observed in a box of cells or beside it, and what of that lasts."""
+    evidence = read_part(source, box)
+    grid = to_grid(evidence)
+    return grid, keep_lasting(grid, evidence.slices, min_passes)
 
 
 def render_blocks(made: BlockMap, max_cells: int) -> tuple[OccupancyMap, list[str]]:
@@ -173,7 +166,7 @@ def render_blocks(made: BlockMap, max_cells: int) -> tuple[OccupancyMap, list[st
         The map would be too large, or a block cannot be read.
     """
     refuse_large(made.box, Lattice(made.resolution), max_cells)
-    prior, (x, y, _, _) = made.view.model.prior, made.extent
+    prior, (x, y, _, _) = made.model.prior, made.extent
     log_odds = np.full(made.shape, to_log_odds(prior), np.float32)
     observed = np.zeros(made.shape, np.bool_)
     counts = np.zeros((2, 2), np.int64)

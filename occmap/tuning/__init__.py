@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from occmap.steps.opening import count_scans
 from occmap.steps.tally import Tally
 from occmap.tuning import search
 from occmap.tuning.kept import MOST_SCANS, KeptLog, find_mount, keep_logs
-from occmap.tuning.search import Correction, Finding, Gain, Scorer, Verdict
+from occmap.tuning.search import Correction, Finding, Gain, Knob, Scorer, Verdict
 from occmap.types import Pose, Rays
 from occmap.wording import count
 
@@ -113,14 +112,11 @@ def tune(
     mount = find_mount(logs, options.posing)
     scorer = Scorer(logs, options, mount, lambda: tally.advance(kept))
     before = scorer.score(Correction())
-    motion = Motion.measure(scorer.trace(Correction()))
-    timed = [search.TIME] if motion.shows_time and not all(log.stated for log in logs) else []
-    place = [search.YAW] if motion.shows_yaw else []
-    place += [search.X, search.Y] if motion.shows_place else []
-    way = search.find_way(scorer, timed, [] if mount is None else place)
+    timed, place, unsearched = plan_search(logs, mount, scorer.trace(Correction()))
+    way = search.find_way(scorer, timed, place)
     # Both once more, since one may have hidden part of the other.
-    again = bool(timed) and way.mount.verdict is Verdict.FOUND
-    together = search.find_correction(scorer, way.correction, search.TOGETHER if again else [])
+    again = search.TOGETHER if timed and way.mount.verdict is Verdict.FOUND else []
+    together = search.find_correction(scorer, way.correction, again)
     best = together.correction
     after = scorer.score(best)
     gain, gain_error = Gain.measure(before, after)
@@ -145,51 +141,50 @@ def tune(
         command=() if best == Correction() else compose_build(remarks.logs, better, {}),
         agreement=scorer.measure_agreement(best),
     )
-    unsearched = list_unsearched(logs, mount, motion)
     doubts = list_doubts(tuning, options.posing.time_offset_s)
     return replace(tuning, notes=[*remarks.notes, *unsearched, *doubts])
 
 
-class Motion(NamedTuple):
-    """Whether the sensors moved so that a wrong time or mount would show in a map."""
+def plan_search(
+    logs: Sequence[KeptLog], mount: Pose | None, scans: Sequence[Rays]
+) -> tuple[list[Knob], list[Knob], list[str]]:
+    """Choose what to search: what would blur the map of these scans if it was wrong.
 
-    shows_yaw: bool
-    """Whether a wrong yaw of the mount blurs the map, rather than turning all of it"""
-    shows_place: bool
-    """Whether a wrong place of the mount blurs the map, rather than shifting all of it"""
+    Where the sensors stay near the first scan, or never turn, a wrong mount turns or shifts all of
+    the map, which no scan contradicts.
 
-    @classmethod
-    def measure(cls, scans: Sequence[Rays]) -> "Motion":
-        """Measure how far the scans of all logs lie from the first one, and how far they turn."""
-        place = np.concatenate([rays.origin[:, 0] for rays in scans])
-        ahead = np.concatenate([rays.turn[:, 0, :, 0] for rays in scans])
-        cosine = ahead @ ahead[0] / np.maximum(np.linalg.norm(ahead, axis=1), 1e-9)
-        travel = np.linalg.norm(place - place[0], axis=1).max()
-        turn = np.arccos(np.clip(cosine, -1, 1)).max()
-        return cls(bool(travel > TRAVEL_M), bool(turn > TURN_RAD))
-
-    @property
-    def shows_time(self) -> bool:
-        """Whether a wrong time offset blurs the map."""
-        return self.shows_yaw or self.shows_place
-
-
-def list_unsearched(logs: Sequence[KeptLog], mount: Pose | None, motion: Motion) -> Iterator[str]:
-    """Say what is not searched, and why."""
-    if not motion.shows_time:
-        yield "the sensor hardly moves: neither time nor mount shows in these scans"
-        return
+    Returns
+    -------
+    timed, place, notes
+        By what to find the time offset, and the mount; and what is not searched, and why.
+    """
+    origin = np.concatenate([rays.origin[:, 0] for rays in scans])
+    ahead = np.concatenate([rays.turn[:, 0, :, 0] for rays in scans])
+    cosine = ahead @ ahead[0] / np.maximum(np.linalg.norm(ahead, axis=1), 1e-9)
+    travels = np.linalg.norm(origin - origin[0], axis=1).max() > TRAVEL_M
+    turns = np.arccos(np.clip(cosine, -1, 1)).max() > TURN_RAD
+    if not travels and not turns:
+        return [], [], ["the sensor hardly moves: neither time nor mount shows in these scans"]
+    timed, place, notes = [search.TIME], list[Knob](), list[str]()
     if all(log.stated for log in logs):
-        yield "the poses stand beside the scans: there is no time offset to search"
+        timed = []
+        notes.append("the poses stand beside the scans: there is no time offset to search")
     if mount is None:
-        yield (
+        notes.append(
             "the mount is not searched: no single `sensor_pose` says where the lasers sit; name "
             "one laser by `topics`, or its body by `base_frame`"
         )
-    elif not motion.shows_yaw:
-        yield f"the yaw of the mount is not searched: it takes more than {TRAVEL_M:g} m of travel"
-    elif not motion.shows_place:
-        yield f"x and y of the mount are not searched: it takes a turn of {TURN_RAD:g} rad"
+        return timed, place, notes
+    if travels:
+        place.append(search.YAW)
+    else:
+        needed = f"more than {TRAVEL_M:g} m of travel"
+        notes.append(f"the yaw of the mount is not searched: it takes {needed}")
+    if turns:
+        place += [search.X, search.Y]
+    else:
+        notes.append(f"x and y of the mount are not searched: it takes a turn of {TURN_RAD:g} rad")
+    return timed, place, notes
 
 
 def list_doubts(tuning: Tuning, time_offset_s: float) -> Iterator[str]:

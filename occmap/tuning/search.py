@@ -168,6 +168,10 @@ class Gain(NamedTuple):
         """Whether it is more than noise, and so much that it shows in a map."""
         return self.share > max(NOISE * self.error, SMALL)
 
+    def __neg__(self) -> "Gain":
+        """How much smaller the share is."""
+        return Gain(-self.share, self.error)
+
     @classmethod
     def measure(cls, before: Trial, after: Trial, scans: slice = EVERY_SCAN) -> "Gain":
         """Measure it by the same held-out scans, all or some."""
@@ -209,33 +213,32 @@ class Finding:
 
 
 def find_correction(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Finding:
-    """Search for a correction better than `start`, and judge it; no knobs: no search."""
+    """Search for a correction better than `start`, and judge it; no knobs: no search.
+
+    It must gain certainly by all held-out scans, and each half of them must show it. The halves
+    disagree where what is best for one of them certainly loses in the other.
+    """
     if not knobs:
         return Finding(Verdict.UNSEEN, start)
-    before, earlier = scorer.score(start), set(scorer.tried)
-    middle = len(before.predicted) // 2
+    before, earlier = scorer.score(start), scorer.tried.keys() - {start}
     best = find_best(scorer, start, knobs)
-    tried = {
-        each: trial
-        for each, trial in scorer.tried.items()
-        if each not in earlier or each in (start, best)
-    }
-    gain = Gain.measure(before, tried[best])
-    halves = [
-        {each: Gain.measure(before, trial, half) for each, trial in tried.items()}
+    gain = Gain.measure(before, scorer.tried[best])
+
+    of_this = [each for each in scorer.tried if each not in earlier or each == best]
+    middle = len(before.predicted) // 2
+    first, second = (
+        {each: Gain.measure(before, scorer.tried[each], half) for each in of_this}
         for half in (slice(middle), slice(middle, None))
-    ]
-    alike = tuple(Half(best, *gains[best]) for gains in halves)
+    )
+    alike = Half(best, *first[best]), Half(best, *second[best])
     if gain.certain and all(half.gain > SMALL for half in alike):
         return Finding(Verdict.FOUND, best, *gain, alike)
-    # What is best for one half alone may certainly lose in the other.
-    own = [max(gains, key=lambda each: gains[each].share) for gains in halves]
-    opposed = any(
-        gains[each].certain and Gain(-rest[each].share, rest[each].error).certain
-        for each, gains, rest in zip(own, halves, reversed(halves), strict=True)
+    mine, its = (max(gains, key=lambda each: gains[each].share) for gains in (first, second))
+    opposed = (first[mine].certain and (-second[mine]).certain) or (
+        second[its].certain and (-first[its]).certain
     )
     if opposed or (gain.certain and min(half.gain for half in alike) <= 0):
-        apart = tuple(Half(each, *gains[each]) for each, gains in zip(own, halves, strict=True))
+        apart = Half(mine, *first[mine]), Half(its, *second[its])
         return Finding(Verdict.DISAGREE, start, *gain, apart)
     return Finding(Verdict.NOTHING, start, *gain, alike)
 

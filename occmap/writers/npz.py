@@ -51,7 +51,12 @@ from occmap.cells import Evidence, Manifest, Slices
 from occmap.errors import MapError
 from occmap.writers import OneFile
 from occmap.writers.atomic import open_atomic
-from occmap.writers.soundness import list_faults, refuse_damage, refuse_faults
+from occmap.writers.soundness import (
+    list_faults,
+    refuse_damage,
+    refuse_faults,
+    refuse_other_version,
+)
 
 FORMAT, VERSION = "occmap evidence", 4
 SIDE = 64
@@ -135,23 +140,9 @@ def read_evidence(path: Path) -> Evidence:
             if "manifest.npy" not in archive.namelist():
                 raise MapError("is an .npz, but not evidence of occmap", where=path)
             head = json.loads(read_array(archive, "manifest").tobytes())
-            refuse_other_version(path, head)
+            refuse_other_version(path, head, FORMAT, VERSION)
             arrays = {name: read_array(archive, name) for name in ARRAYS}
         return unpack(path, head, arrays)
-
-
-def refuse_other_version(path: Path, head: dict[str, Any]) -> None:
-    """Refuse a file of another format or version; raises MapError."""
-    version = head["version"]
-    if head["format"] != FORMAT:
-        raise MapError(f"holds {head['format']!r}, not evidence of occmap", where=path)
-    if version > VERSION:
-        found = f"{FORMAT} of version {version}, while this occmap reads {VERSION}"
-        raise MapError(found, where=path, fix="use a newer occmap")
-    if version < VERSION:
-        found = f"{FORMAT} of an older occmap (version {version}, now {VERSION})"
-        fix = f"build it again from its logs, with `outputs={path.name}`"
-        raise MapError(found, where=path, fix=fix)
 
 
 def read_array(archive: zipfile.ZipFile, name: str) -> Any:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from occmap.arrays import Int64
+from occmap.arrays import Bool, Int64
 from occmap.cells import MOST_OBSERVED, Evidence, Manifest
 from occmap.errors import MapError
 from occmap.types import Update
@@ -57,6 +57,26 @@ def refuse_damage(path: Path) -> Iterator[None]:
     except DAMAGE as error:
         reason = getattr(error, "strerror", None) or "it is cut or altered"
         raise MapError(f"cannot be read: {reason}", where=path, fix="build it again") from None
+
+
+def refuse_other_version(path: Path, head: dict[str, Any], name: str, version: int) -> None:
+    """Refuse evidence that is not in this version of the format `name`; raises MapError.
+
+    Parameters
+    ----------
+    head
+        What the evidence says of itself.
+    """
+    if head["format"] != name:
+        raise MapError(f"holds {head['format']!r}, not evidence of occmap", where=path)
+    said = head["version"]
+    if said > version:
+        found = f"{name} of version {said}, while this occmap reads {version}"
+        raise MapError(found, where=path, fix="use a newer occmap")
+    if said < version:
+        found = f"{name} of an older occmap (version {said}, now {version})"
+        fix = f"build it again from its logs, with `outputs={path.name}`"
+        raise MapError(found, where=path, fix=fix)
 
 
 def refuse_faults(path: Path, faults: Iterable[str]) -> None:
@@ -128,11 +148,17 @@ def are_ascending(keys: Int64) -> bool:
 
 def are_observations(cells: Int64, kind: str) -> bool:
     """Whether scans can have made the two numbers of every cell (T, 2, 64, 64)."""
+    low, high = int(cells.min(initial=0)), int(cells.max(initial=0))
+    if not -MOST_OBSERVED <= low <= high <= MOST_OBSERVED:
+        return False
+    # The rule, cell by cell, would take longer than all else that is looked at.
+    return low >= 0 if kind == COUNTS else not find_unseen(cells, kind).any()
+
+
+def find_unseen(cells: Int64, kind: str) -> Bool:
+    """(T, 64, 64): where two numbers (T, 2, 64, 64) are such as no observation makes."""
     first, second = cells[:, 0], cells[:, 1]
-    if cells.min(initial=0) < -MOST_OBSERVED or cells.max(initial=0) > MOST_OBSERVED:
-        return False
-    if second.min(initial=0) < 0:
-        return False
     if kind == COUNTS:
-        return bool(first.min(initial=0) >= 0)
-    return not first[second == 0].any()  # log-odds may be negative, but not of nothing
+        return np.asarray((first | second) < 0)
+    # Log-odds may be negative, but not without an observation.
+    return np.asarray((second < 0) | ((second == 0) & (first != 0)))

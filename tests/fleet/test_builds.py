@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from occmap.fleet import Fleet
@@ -89,6 +90,20 @@ def test_a_log_with_leaps_is_the_same(address: str, tmp_path: Path) -> None:
     many = build([log], options, observe=Fleet(address, tmp_path / "scratch", size).observe).report
     assert replace(many, seconds={}) == replace(alone, seconds={})
     assert sum(many.scans.dropped.values()) == 8
+
+
+def test_parts_too_short_to_show_what_no_return_reads_as_are_no_map_too_large(
+    address: str, tmp_path: Path
+) -> None:
+    """One beam in twenty never came back; five scans are too few to tell that from a wall."""
+    poses = [(second / 2, 0.0, 0.0) for second in range(60)]
+    log = write_csv(tmp_path / "log.csv", poses, [*np.linspace(1, 2, 19), 9e5], step=0.1)
+    size = log.stat().st_size // 12
+    options = BuildOptions(jobs=1)
+    alone = build([log], options).report
+    many = build([log], options, observe=Fleet(address, tmp_path / "scratch", size).observe).report
+    assert alone.beams.no_return == 60
+    assert replace(many, seconds={}) == replace(alone, seconds={})
 
 
 @pytest.mark.parametrize(("lasers", "expected"), [(MOST_PATHS, False), (MOST_PATHS + 1, True)])

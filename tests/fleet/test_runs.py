@@ -20,7 +20,6 @@ def test_large_arrays_lie_beside_the_value_and_are_read_from_there(tmp_path: Pat
         assert (array.shape, array.dtype) == (written.shape, written.dtype)
         assert array.flags.aligned
         assert not array.flags.owndata
-    assert read_mapped(tmp_path / "other.parts") is None
 
 
 def test_a_log_without_poses_of_its_own_keeps_no_arrays(tmp_path: Path) -> None:

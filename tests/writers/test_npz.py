@@ -258,6 +258,7 @@ def test_what_was_altered_on_purpose_is_refused(tmp_path: Path) -> None:
             "with `outputs=m.npz`",
         ),
         ('{"format": "else", "version": 1}', "holds 'else', not evidence of occmap"),
+        ('{"format": "else"}', "holds 'else', not evidence of occmap"),
     ],
 )
 def test_other_manifests_are_refused(tmp_path: Path, manifest: str, found: str) -> None:
