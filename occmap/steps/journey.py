@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from occmap.arrays import Float64, Int64
-from occmap.posing.leaps import Attached
 from occmap.posing.rotations import to_quaternions
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.types import Journey, Kind, PosedScans, ScanHits, Trajectory
+from occmap.types import Attached, Journey, Kind, PosedScans, ScanHits, Trajectory
 
 SHOWN_SCANS = 400
 """How many scans of all logs are shown: a slider with more steps cannot be set by hand."""
