@@ -18,7 +18,7 @@ from occmap.grid.tiles import stack_tiles
 from occmap.posing.jumps import find_breaks
 from occmap.posing.leaps import Ends, Laser
 from occmap.readers import Note, open_log, read_scans, split_log
-from occmap.selection import Seam, Selector
+from occmap.selection import Seam, Selector, find_stamp
 from occmap.sensor.no_return import RangeLimits
 from occmap.steps.engines import make_engine
 from occmap.steps.opening import count_scans
@@ -98,8 +98,7 @@ def survey_log(job: Job) -> Survey:
         drives = [drive._replace(log=part) for part in parts]
         write_mapped(job.setting.folder / f"{job.name}.parts", drives)
     first = next(iter(read_scans(log, drive.topics)), None)
-    clock = Selector(options.selection, options.posing.stamps)
-    first_ns = None if first is None else clock.stamp(first.first)
+    first_ns = None if first is None else find_stamp(first.first, options.posing.stamps)
     size = sum(each.stat().st_size for each in list_files(path))
     return Survey(job.name, path, scans, len(parts) or 1, size, tuple(log.notes), first_ns)
 

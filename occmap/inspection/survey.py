@@ -19,10 +19,10 @@ from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.options import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
-from occmap.selection import NOT_ASKED_FOR, Selection, Selector
+from occmap.selection import NOT_ASKED_FOR, Selector
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret, read_limits
-from occmap.steps.batching import Batcher
+from occmap.steps.batching import stack
 from occmap.steps.sampling import Sample, expect_scans
 from occmap.types import Kind, Rays, Scan, ScanBatch, ScanRun
 
@@ -200,18 +200,17 @@ class Survey:
 
     def _stack(self, scans: Iterable[Scan | ScanRun]) -> Iterator[ScanBatch]:
         """Stack the scans that a build would use, and count their ranges."""
-        batcher = Batcher(Selection(), self.poser.options.stamps)
-        for batch in map(self.limits.apply, batcher.stack(self._select(scans))):
+        batches = stack(self._select(scans), self.poser.options.stamps)
+        for batch in map(self.limits.apply, batches):
             self.topics[batch.topic].census.add(batch)
             yield batch
 
     def _select(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
         """Give the scans that a build would use; scans that nobody asked for are only counted."""
         selector = Selector(self.options.selection, self.poser.options.stamps)
-        for some, reason in selector.judge(scans):
+        for some, reason in selector.judge(self.limits.watch(scans)):
             survey = self._find(some.first.topic)
             survey.read += some.scans
-            self.limits.see(some)
             if reason not in NOT_ASKED_FOR:
                 survey.see(some)
             if reason is None:
