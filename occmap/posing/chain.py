@@ -39,7 +39,7 @@ class Status(IntEnum):
     BEFORE = 1
     AFTER = 2
     GAP = 3
-    NOT_FINITE = 4
+    UNUSABLE = 4
 
 
 class Transforms(NamedTuple):
@@ -69,7 +69,7 @@ class Transforms(NamedTuple):
         usable, norm = find_usable(poses)
         poses = np.where(usable[:, None], poses, IDENTITY)
         found = cls.of(poses[:, :3], poses[:, 3:] / norm[:, None])
-        found.status[~usable] = Status.NOT_FINITE
+        found.status[~usable] = Status.UNUSABLE
         return found
 
     def then(self, below: Self) -> Self:
