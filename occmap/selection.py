@@ -1,6 +1,7 @@
 """Which scans of a log to use: what a user may choose, and what becomes of each scan."""
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -78,14 +79,27 @@ FROM_THE_START = Seam()
 
 
 class Selector:
-    """Says which scans of one log are not used, and why; it is shown all of them, in order."""
+    """Says which scans of one log are used; it is shown all of them, in order."""
 
     def __init__(self, selection: Selection, stamps: Stamps, seam: Seam = FROM_THE_START) -> None:
         self.selection = selection
-        self._stamps = stamps
+        self.stamps = stamps
+        """Which of a scan's two times counts"""
         self._wants_all = replace(selection, topics=()) == Selection()
         self.seam = seam
         """The seam between the scans so far and those to come"""
+        self.read = 0
+        self.left_out: Counter[LeftOut] = Counter()
+        """How many of those read `select` left out, by reason"""
+
+    def select(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
+        """Pass on the scans that are used, and count the others."""
+        for some, reason in self.judge(scans):
+            self.read += some.scans
+            if reason is None:
+                yield some
+            else:
+                self.left_out[reason] += 1
 
     def judge(
         self, scans: Iterable[Scan | ScanRun]
@@ -100,7 +114,7 @@ class Selector:
 
     def _judge_next(self, scan: Scan) -> LeftOut | None:
         first_ns, wanted = self.seam
-        stamp_ns = self.stamp(scan)
+        stamp_ns = find_stamp(scan, self.stamps)
         first_ns = stamp_ns if first_ns is None else first_ns
         self.seam = Seam(first_ns, wanted)
         if (flaw := find_flaw(scan)) is not None:
@@ -110,10 +124,11 @@ class Selector:
         self.seam = Seam(first_ns, wanted + 1)
         return LeftOut.STRIDE if wanted % self.selection.stride else None
 
-    @overload
-    def stamp(self, some: Scan) -> int: ...
-    @overload
-    def stamp(self, some: ScanRun) -> Int64: ...
-    def stamp(self, some: Scan | ScanRun) -> int | Int64:
-        """The time that counts (ns): of a scan, or (S,) of those of a run."""
-        return some.record_ns if self._stamps is Stamps.RECORD else some.stamp_ns
+
+@overload
+def find_stamp(some: Scan, stamps: Stamps) -> int: ...
+@overload
+def find_stamp(some: ScanRun, stamps: Stamps) -> Int64: ...
+def find_stamp(some: Scan | ScanRun, stamps: Stamps) -> int | Int64:
+    """Find the time that counts (ns): of a scan, or (S,) of those of a run."""
+    return some.record_ns if stamps is Stamps.RECORD else some.stamp_ns

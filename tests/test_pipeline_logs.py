@@ -155,12 +155,16 @@ def test_no_usable_scan_says_why(tmp_path: Path) -> None:
         build([log], choose(Selection(start_s=5)))
 
 
+UNUSABLE = "pose not finite or beyond 1e12 m or without a rotation"
+
+
 @pytest.mark.parametrize("unknown", [0, 1, 2])
-def test_a_scan_whose_pose_is_unknown_is_dropped(tmp_path: Path, unknown: int) -> None:
+@pytest.mark.parametrize("x", [math.nan, 1e17])
+def test_a_scan_whose_pose_is_unknown_is_dropped(tmp_path: Path, unknown: int, x: float) -> None:
     poses = [(0.0, 0.0, 0.0)] * 3
-    poses[unknown] = (math.nan, 0.0, 0.0)
+    poses[unknown] = (x, 0.0, 0.0)
     report = build([write_csv(tmp_path / "log.csv", poses, [0.3])], BEAM).report
-    assert (report.scans.used, report.scans.dropped) == (2, {"pose not finite": 1})
+    assert (report.scans.used, report.scans.dropped) == (2, {UNUSABLE: 1})
 
 
 def test_a_carmen_scan_whose_pose_nobody_knew_is_dropped_alone(tmp_path: Path) -> None:
@@ -169,7 +173,7 @@ def test_a_carmen_scan_whose_pose_nobody_knew_is_dropped_alone(tmp_path: Path) -
     lines = [f"FLASER 2 1.5 2 {pose} 1 2 0 {stamp} host 0" for stamp, pose in enumerate(poses)]
     path.write_text("".join(f"{line}\n" for line in lines))
     report = build([path], BuildOptions()).report
-    assert (report.scans.used, report.scans.dropped) == (3, {"pose not finite": 1})
+    assert (report.scans.used, report.scans.dropped) == (3, {UNUSABLE: 1})
 
 
 def test_a_topic_that_is_not_there_names_those_that_are(tmp_path: Path) -> None:

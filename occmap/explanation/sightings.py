@@ -11,9 +11,10 @@ from occmap.explanation.provenance import Use
 from occmap.options import BuildOptions
 from occmap.plain import Count
 from occmap.readers import Log, open_log, read_scans
+from occmap.selection import Selector
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret
-from occmap.steps.batching import Batcher
+from occmap.steps.batching import batch_scans
 from occmap.steps.engines import plan_grid
 from occmap.steps.observing import Progress
 from occmap.steps.opening import count_scans
@@ -78,8 +79,9 @@ def pose_scans(log: Log, options: BuildOptions) -> Iterator[tuple[PosedScans | N
     for some in read_scans(log, drive.topics):
         limits.see(some)
     limits.settle()
-    batcher = Batcher(options.selection, options.posing.stamps, limits)
-    for batch, posed, _ in drive.poser.attach(batcher.stack(read_scans(log, drive.topics))):
+    selector = Selector(options.selection, options.posing.stamps)
+    batches = batch_scans(read_scans(log, drive.topics), selector, limits)
+    for batch, posed, _ in drive.poser.attach(batches):
         yield posed, len(batch.stamp_ns)
 
 

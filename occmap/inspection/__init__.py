@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from occmap.errors import LogError, OccmapError
+from occmap.grid.lattice import Lattice
 from occmap.inspection.advice import judge, list_concerns
 from occmap.inspection.findings import Inspection, LogFindings, MountFindings, ScanFindings
 from occmap.inspection.poses import Posing, list_coverage, prepare, suggest_stamps, sum_up_poses
@@ -44,13 +45,11 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
     options
         Those that the build is to have; resolution, posing, returns, topics and `max_cells` matter.
     """
-    extent = Extent()
-    logs = [inspect_path(path, options, extent) for path in paths]
-    return judge(logs, extent, options)
+    return judge([inspect_path(path, options) for path in paths], options)
 
 
-def inspect_path(path: Path, options: BuildOptions, extent: Extent) -> LogFindings:
-    """Look into one log; `extent` grows by what its map would cover."""
+def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
+    """Look into one log."""
     log = None
     try:
         log = open_log(path, options.reading)
@@ -58,14 +57,13 @@ def inspect_path(path: Path, options: BuildOptions, extent: Extent) -> LogFindin
     except OccmapError as error:
         known = describe_log(log) if log else LogFindings(str(path))
         return replace(known, problem=str(error.placed(path)))
-    return inspect_log(log, posing, options, extent)
+    return inspect_log(log, posing, options)
 
 
-def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent) -> LogFindings:
+def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     """Read the scans of an opened log, and sum up."""
     survey, problem = read_log(log, posing.poser, options)
     posing = replace(posing, poser=survey.poser)
-    extent.join(survey.extent)
     types = {stream.topic: stream.type for stream in reversed(log.streams)}
     topics = choose_topics(log, options.selection.topics)
     seen = [survey.topics[topic] for topic in topics if topic in survey.topics]
@@ -84,6 +82,8 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions, extent: Extent)
         scans=() if problem else scans,  # a part that was read says nothing of a damaged log
         coverage=tuple(list_coverage(posing.poser.sources)),
         notes=known.notes + notes,
+        box=survey.extent.box,
+        longest=survey.extent.longest,
         problem=problem,
     )
     return replace(findings, concerns=tuple(list_concerns(findings, spoilers)))
@@ -99,11 +99,12 @@ def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str
     """
     topics = choose_topics(log, options.selection.topics)
     expected, limits, problem = count_messages(log, topics), RangeLimits(options.returns), ""
-    model, behind = options.model, options.hit_offset * options.resolution
-    around = options.resolution if isinstance(model, Spreading) and model.spread > 0 else 0.0
+    model, lattice = options.model, Lattice(options.resolution)
+    spreads = isinstance(model, Spreading) and model.spread > 0
+    aside = options.hit_offset * options.resolution, options.resolution if spreads else 0.0
     for _ in range(2):
         unseen = replace(poser, courses=defaultdict(Course))  # as before it saw a scan
-        survey = Survey(unseen, options, expected, limits, Extent(behind, around))
+        survey = Survey(unseen, options, expected, limits, Extent(lattice, *aside))
         try:
             survey.read(read_scans(log, topics))
         except LogError as error:

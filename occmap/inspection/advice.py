@@ -2,13 +2,13 @@
 
 import shlex
 from collections.abc import Iterator, Sequence
+from functools import reduce
 
 from occmap.command import chain_builds, compose_build, spell_flag
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox, Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection.findings import Inspection, LogFindings, MapFindings, ScanFindings
-from occmap.inspection.survey import Extent
 from occmap.options import BuildOptions
 from occmap.posing.options import Concern, DropReason, Stamps
 from occmap.remarks import LEAST_AGREEMENT
@@ -23,16 +23,20 @@ BYTES_PER_CELL = 4 + 1 + 8
 ASK_TUNE = "try `occmap tune`"
 
 
-def judge(logs: Sequence[LogFindings], extent: Extent, options: BuildOptions) -> Inspection:
-    """Judge logs by what was found in them, and by the extent of the map that they would make."""
-    stamps, lattice = options.posing.stamps, Lattice(options.resolution)
-    box = extent.find_box(lattice)
-    too_large = find_size_problem(box, extent.longest, options)
-    is_unseen = box is None and any(topic.poses.posed for log in logs for topic in log.scans)
+def judge(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection:
+    """Judge logs by what was found in them, and by the size of the map that they would make."""
+    lattice, boxes = Lattice(options.resolution), [log.box for log in logs if log.box]
+    box = reduce(CellBox.join, boxes) if boxes else None
+    too_large = find_size_problem(box, max((log.longest for log in logs), default=0.0), options)
+    is_unseen = not box and any(topic.poses.posed for log in logs for topic in log.scans)
     unseen = "no beam of any scan observes a cell: see the ranges" if is_unseen else ""
-    # One problem of the map is enough, and where scans lack poses, that is why.
-    others = list_pose_problems(logs, stamps) or list(filter(None, (too_large, unseen)))[:1]
-    problems = [*(log.problem for log in logs if log.problem), *others]
+
+    problems = [log.problem for log in logs if log.problem]
+    if no_poses := list_pose_problems(logs, options.posing.stamps):
+        problems += no_poses  # and that is why nothing is seen
+    elif no_map := too_large or unseen:
+        problems.append(no_map)
+
     command, differing = ((), ()) if too_large else recommend(logs, options)
     if unseen and spell_flag("no_return") not in command:
         command = ()  # no known option makes a map of these logs

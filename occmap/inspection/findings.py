@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from occmap.cells import Box
+from occmap.grid.lattice import CellBox
 from occmap.plain import HIDDEN, Finite, Printed, Share
 from occmap.posing.frames import Source
 from occmap.posing.options import Concern, Stamps
@@ -262,6 +263,10 @@ class LogFindings:
     """What will spoil a map, or surprise its maker"""
     problem: str = ""
     """Why the log gives no scans for a map; empty where it does"""
+    box: CellBox | None = field(default=None, metadata=HIDDEN)
+    """The cells that its scans observe; None: they observe none"""
+    longest: float = field(default=0.0, metadata=HIDDEN)
+    """The longest beam (m)"""
 
 
 @dataclass(frozen=True)

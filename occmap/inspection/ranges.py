@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from occmap.arrays import Bool, Float32, Float64
 from occmap.inspection.findings import RangeFindings, Repeated, Special
+from occmap.sensor.no_return import DOMINANCE, MIN_READINGS, MIN_VALUES, SICK_CODES
 from occmap.sensor.returns import NoReturn, ReturnOptions, interpret
 from occmap.steps.sampling import encode_cells
 from occmap.types import Kind, PosedScans, ScanBatch
@@ -23,18 +24,14 @@ BLOCK_RANGES = 1 << 17
 """How many ranges are sorted together to find repeated ones: this bounds the memory."""
 
 REPEATED_SHARE = 0.01
-DOMINANCE = 10
 NEIGHBOURHOOD_M = 0.1
-"""A value is suspicious if one finite range in a hundred has it, and ten times as many as have any
-other value within this distance. Ranges to a wall spread by their noise, even if nothing moves."""
+"""A value is suspicious if one finite range in a hundred has it, and ten times as many (DOMINANCE)
+as have any other value within this distance. Ranges to a wall spread by their noise, even if
+nothing moves."""
 COMMON_SHARE = REPEATED_SHARE / 10
 """A value with a smaller share of the ranges that are sorted together is not counted there."""
-MIN_VALUES = 16
-"""Fewer different ranges tell nothing: a room drawn by hand may be all of 5 m."""
 MAX_REPEATED = 8
-
-SICK_CODES = (81.8, 81.95)
-"""The SICK LMS writes 8183 to 8191 cm for its error codes; not all mean that space is open."""
+"""How many such values of a topic are told: the most frequent ones"""
 
 MEANINGS = {
     "+inf": "did not come back (REP 117)",
@@ -55,15 +52,21 @@ out of everything that was hit. On most real logs nearly all of them do; in a bu
 larger than the sensor's range none does."""
 
 HIT_CELL_M = 0.1
+"""Side of the cells by which it is looked up whether something was hit (m), and the step along a
+beam"""
 ASIDE_M = 0.15
 """How far to the left and right of a beam hits are looked for (m): a surface that it leads through
 has hits on both sides, a corner or a wall that it grazes on one side only."""
 STEPS_AROUND = 2
 """Steps before and behind that are looked at, too: a surface may be crossed at an angle"""
 SHORT_OF_END_M = 0.2
+"""A beam is looked at up to this far before its end (m), where it may meet a wall after all."""
 MAX_REACH_M = 30.0
+"""A beam is looked at up to here (m), however far it would clear space."""
 MAX_CROSSING_BEAMS = 250
+"""So many beams without return are looked at: enough to tell a share of 5%"""
 MIN_CROSSING_BEAMS = 50
+"""Fewer beams without return tell nothing."""
 SIDES = np.arange(8) * math.pi / 4
 """Directions in which the sides of the octagon around all hits face (rad)"""
 
@@ -153,7 +156,8 @@ class RangeCensus:
     def _suggest_no_return(self, repeated: Sequence[Repeated], crossed: float | None) -> str:
         """Suggest whether beams without return are to clear space.
 
-        They are if the log states the limit up to which, if their value is not an error code, and
+        They are if the log states the limit up to which, if their value is not an error code of the
+        SICK LMS, of which not all mean that space is open, and
         if hardly one of them leads through a wall or, as through glass, out of all that was hit.
         """
         low, high = SICK_CODES
@@ -167,7 +171,7 @@ def find_repeated(values: Float32, counts: NDArray[np.intp]) -> Float32:
     total = counts.sum()
     if len(values) < MIN_VALUES:
         return values[:0]
-    frequent = np.flatnonzero(counts >= max(REPEATED_SHARE * total, DOMINANCE))
+    frequent = np.flatnonzero(counts >= max(REPEATED_SHARE * total, MIN_READINGS))
     low = np.searchsorted(values, values[frequent] - np.float32(NEIGHBOURHOOD_M))
     high = np.searchsorted(values, values[frequent] + np.float32(NEIGHBOURHOOD_M), side="right")
     places = zip(frequent, low, high, strict=True)  # each value, and those around it

@@ -7,7 +7,6 @@ from array import array
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Self
 
 import numpy as np
 
@@ -19,10 +18,10 @@ from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.options import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
-from occmap.selection import NOT_ASKED_FOR, Selection, Selector
+from occmap.selection import NOT_ASKED_FOR, Selector
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret, read_limits
-from occmap.steps.batching import Batcher
+from occmap.steps.batching import stack
 from occmap.steps.sampling import Sample, expect_scans
 from occmap.types import Kind, Rays, Scan, ScanBatch, ScanRun
 
@@ -92,54 +91,39 @@ class StampLog:
         )
 
 
+@dataclass
 class Extent:
-    """The box around all cells that rays observe; it grows with the rays that it is shown.
+    """The cells that a map must hold; grows with the rays that it is shown."""
 
-    Parameters
-    ----------
-    behind
-        How far behind the measured range a hit is placed (m).
-    around
-        How far around a hit cells are taken as observed, too (m).
-    """
-
-    def __init__(self, behind: float = 0.0, around: float = 0.0) -> None:
-        self.low = np.full(2, np.inf)
-        self.high = np.full(2, -np.inf)
-        self.longest = 0.0
-        """Of all beams (m)"""
-        self._behind, self._around = behind, around
+    lattice: Lattice
+    behind: float
+    """How far behind the measured range a hit is placed (m)"""
+    around: float
+    """How far around a hit cells are taken as observed, too (m)"""
+    box: CellBox | None = None
+    """Around all cells that rays observe; None: they observe none"""
+    longest: float = 0.0
+    """The longest beam (m)"""
 
     def add(self, rays: Rays) -> None:
         """Take in the beams that are used, from where they were sent to where they end."""
         hit, used = rays.kind == Kind.HIT, rays.kind != Kind.SKIP
-        ends = rays._replace(distance=rays.distance + hit * np.float32(self._behind)).end
+        end = rays._replace(distance=rays.distance + hit * np.float32(self.behind)).end
         one_viewpoint = rays.origin.shape[1] == 1
         begun = used.any(axis=1, keepdims=True) if one_viewpoint else used
-        for axis in (0, 1):
-            self._take(axis, rays.origin[..., axis][begun])
-            self._take(axis, ends[..., axis][used])
-            self._take(axis, ends[..., axis][hit], self._around)
-        self.longest = max(self.longest, float(rays.distance.max(initial=0.0)) + self._behind)
+        self._take(rays.origin[begun])
+        self._take(end[used])
+        self._take(end[hit], self.around)
+        self.longest = max(self.longest, float(rays.distance.max(initial=0.0)) + self.behind)
 
-    def _take(self, axis: int, places: Float64, around: float = 0.0) -> None:
-        """Take in places (N,) along x or y."""
-        self.low[axis] = min(self.low[axis], places.min(initial=np.inf) - around)
-        self.high[axis] = max(self.high[axis], places.max(initial=-np.inf) + around)
-
-    def join(self, other: Self) -> None:
-        """Take in what another extent covers."""
-        self.low, self.high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
-        self.longest = max(self.longest, other.longest)
-
-    def find_box(self, lattice: Lattice) -> CellBox | None:
-        """Find the box of cells; None where nothing was seen."""
-        if not np.isfinite([*self.low, *self.high]).all():
-            return None
-        (row, col), (last_row, last_col) = (
-            lattice.to_cell(float(x), float(y)) for x, y in (self.low, self.high)
-        )
-        return CellBox(row, col, last_row + 1, last_col + 1)
+    def _take(self, places: Float64, around: float = 0.0) -> None:
+        """Take in places (N, 2)."""
+        if len(places):
+            x, y = places.T  # one by one: NumPy is slow at the minimum of a short axis
+            low = self.lattice.to_cell(float(x.min()) - around, float(y.min()) - around)
+            high = self.lattice.to_cell(float(x.max()) + around, float(y.max()) + around)
+            box = CellBox.at(*low).join(CellBox.at(*high))
+            self.box = box.join(self.box) if self.box else box
 
 
 @dataclass
@@ -181,7 +165,7 @@ class Survey:
     expected: int
     """Scans in the log, as its reader counts them"""
     limits: RangeLimits
-    extent: Extent = field(default_factory=Extent)
+    extent: Extent
     topics: dict[str, TopicSurvey] = field(default_factory=dict)
     first_ns: int = 0
     """The stamp of the log's first scan"""
@@ -200,18 +184,17 @@ class Survey:
 
     def _stack(self, scans: Iterable[Scan | ScanRun]) -> Iterator[ScanBatch]:
         """Stack the scans that a build would use, and count their ranges."""
-        batcher = Batcher(Selection(), self.poser.options.stamps)
-        for batch in map(self.limits.apply, batcher.stack(self._select(scans))):
+        batches = stack(self._select(scans), self.poser.options.stamps)
+        for batch in map(self.limits.apply, batches):
             self.topics[batch.topic].census.add(batch)
             yield batch
 
     def _select(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
         """Give the scans that a build would use; scans that nobody asked for are only counted."""
         selector = Selector(self.options.selection, self.poser.options.stamps)
-        for some, reason in selector.judge(scans):
+        for some, reason in selector.judge(self.limits.watch(scans)):
             survey = self._find(some.first.topic)
             survey.read += some.scans
-            self.limits.see(some)
             if reason not in NOT_ASKED_FOR:
                 survey.see(some)
             if reason is None:

@@ -17,12 +17,12 @@ from occmap.errors import PoseError
 from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.course import STANDS, Course, list_tilts
 from occmap.posing.jumps import warn_of_jumps
-from occmap.posing.leaps import Attached, Ends, Laser, LeapFilter
+from occmap.posing.leaps import Ends, Laser, LeapFilter
 from occmap.posing.options import Concern, Deskew, DropReason, PosingOptions
 from occmap.posing.resolve import resolve
 from occmap.posing.sources import Sources, gather
 from occmap.posing.tracks import MAX_STAMP_NS
-from occmap.types import Pose, PoseBatch, PosedScans, PoseSample, ScanBatch
+from occmap.types import Attached, Pose, PoseBatch, PosedScans, PoseSample, ScanBatch
 
 POSES_OF_BODY = (
     "the poses beside the scans are taken as the robot's, with the laser at `sensor_pose` on it; "
@@ -163,7 +163,9 @@ class Poser:
         """Keep the scans (S) that have a pose at all of their K moments, and count the others."""
         status = found.status.reshape(len(batch.stamp_ns), -1).max(axis=1)
         lost = Counter(status[status != Status.POSED].tolist())
-        dropped = {DropReason[Status(code).name]: lost[code] for code in sorted(lost)}
+        dropped: dict[str, int] = {
+            DropReason[Status(code).name]: lost[code] for code in sorted(lost)
+        }
         posed = status == Status.POSED
         if not posed.any():
             return Attached(batch, None, dropped)

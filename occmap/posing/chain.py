@@ -39,7 +39,7 @@ class Status(IntEnum):
     BEFORE = 1
     AFTER = 2
     GAP = 3
-    NOT_FINITE = 4
+    UNUSABLE = 4
 
 
 class Transforms(NamedTuple):
@@ -69,7 +69,7 @@ class Transforms(NamedTuple):
         usable, norm = find_usable(poses)
         poses = np.where(usable[:, None], poses, IDENTITY)
         found = cls.of(poses[:, :3], poses[:, 3:] / norm[:, None])
-        found.status[~usable] = Status.NOT_FINITE
+        found.status[~usable] = Status.UNUSABLE
         return found
 
     def then(self, below: Self) -> Self:
@@ -171,18 +171,24 @@ def make_chain(steps: Sequence[Edge], max_gap_s: float | None) -> Chain:
     legs: list[Transforms | Moving] = []
     for step in steps:
         track = step.track
-        if step in corrections:  # interpolated or held, however long: the limit is for what moves
-            far = track.step_m > DRIFT_M + DRIFT_M_PER_S * track.interval_s
-            turned = track.step_rad > DRIFT_RAD + DRIFT_RAD_PER_S * track.interval_s
-            legs.append(Moving(step, np.append(far | turned, False), np.inf))
+        if step in corrections:  # the limit on gaps is for what moves
+            legs.append(Moving(step, find_holds(track), np.inf))
         elif step in moving:
             legs.append(Moving(step, np.zeros(len(track), np.bool_), max_gap_ns))
         else:
             rigid = Transforms.of(track.position[:1], track.quaternion[:1])
             rigid = rigid.invert() if step.inverted else rigid
-            # Neighbouring rigid legs are multiplied out once, not for every batch.
-            above = legs.pop() if legs and isinstance(legs[-1], Transforms) else None
-            legs.append(above.then(rigid) if isinstance(above, Transforms) else rigid)
+            if legs and isinstance(legs[-1], Transforms):
+                legs[-1] = legs[-1].then(rigid)  # once, and not for every batch
+            else:
+                legs.append(rigid)
     tracks = [step.track for step in moving if step not in corrections]
     intervals = [float(np.median(track.interval_s)) for track in tracks if len(track) > 1]
     return Chain(tuple(steps), tuple(legs), max(intervals, default=0.0))
+
+
+def find_holds(track: Track) -> Bool:
+    """(N,) after which samples a correction of odometry jumps, so that they hold until the next."""
+    far = track.step_m > DRIFT_M + DRIFT_M_PER_S * track.interval_s
+    turned = track.step_rad > DRIFT_RAD + DRIFT_RAD_PER_S * track.interval_s
+    return np.append(far | turned, False)

@@ -140,11 +140,21 @@ def _describe_largest(jumps: Sequence[Jump], first_ns: int) -> str:
     return f"{text}, the largest of {len(jumps)} jumps" if len(jumps) > 2 else text
 
 
+class Break(NamedTuple):
+    """A sample at which a step of a chain jumps."""
+
+    after_ns: int
+    """Stamp of the sample, by the clock of the poses"""
+    before_ns: int
+    """The last stamp that is clearly before the jump"""
+    step: Edge
+
+
 def find_jumps(chain: Chain) -> list[Jump]:
     """Find the jumps that the sensor at the end of a chain makes."""
     breaks = find_breaks(chain)
-    after_ns, before_ns = np.array([each[:2] for each in breaks], np.int64).reshape(-1, 2).T
-    after, before = chain.at(after_ns), chain.at(before_ns)
+    after = chain.at(np.array([each.after_ns for each in breaks], np.int64))
+    before = chain.at(np.array([each.before_ns for each in breaks], np.int64))
     known = (before.status == Status.POSED) & (after.status == Status.POSED)
     jumps = []
     for at in np.flatnonzero(known).tolist():
@@ -155,23 +165,21 @@ def find_jumps(chain: Chain) -> list[Jump]:
     return [jump for jump in jumps if jump.metres > JUMP_M or jump.radians > JUMP_RAD]
 
 
-def find_breaks(chain: Chain) -> list[tuple[int, int, Edge]]:
-    """Find when any leg of a chain jumps, in the order of time and each moment once.
+def find_breaks(chain: Chain) -> list[Break]:
+    """Find when any step of a chain jumps, in the order of time and each moment once.
 
-    A correction jumps where its pose holds until then, any other leg where a body moves faster
-    than a robot can. Of each jump it gives the moments just after and just before (ns, by the clock
-    of the poses), and the step that jumps.
+    A correction jumps where its pose holds until then, any other step where a body moves faster
+    than a robot can.
     """
-    found: dict[int, tuple[int, int, Edge]] = {}
+    found: dict[int, Break] = {}
     for leg in (leg for leg in chain.legs if isinstance(leg, Moving)):
         stamp_ns = leg.step.track.stamp_ns
-        held, strides = np.flatnonzero(leg.holds[:-1]), find_strides(leg.step.track)
-        strides = strides[~leg.holds[strides]]
-        # A pose that holds does so until just before the next sample.
-        for steps, before_ns in ((held, stamp_ns[held + 1] - 1), (strides, stamp_ns[strides])):
-            for after, before in zip(stamp_ns[steps + 1].tolist(), before_ns.tolist(), strict=True):
-                found[after] = after, before, leg.step
-    return [found[after] for after in sorted(found)]
+        for at in np.union1d(np.flatnonzero(leg.holds[:-1]), find_strides(leg.step.track)):
+            after_ns = int(stamp_ns[at + 1])
+            # A pose that holds does so until just before the next sample.
+            before_ns = after_ns - 1 if leg.holds[at] else int(stamp_ns[at])
+            found[after_ns] = Break(after_ns, before_ns, leg.step)
+    return [found[after_ns] for after_ns in sorted(found)]
 
 
 def find_strides(track: Track) -> Int64:

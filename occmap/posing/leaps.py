@@ -1,13 +1,14 @@
 """Leaps: damaged poses put scans where the robot cannot have been, and spoil the map there.
 
 A leap is a step between two scans of a laser, at most ten seconds apart, that no robot makes in
-that time. A row of scans without a leap between them shows where the robot is, if there are at
-least four. Two kinds of scans are outliers, and are left out:
+that time. Scans are cut into parts where there is a pause, and parts into rows where there is a
+leap. A row of at least four scans is long: it shows where the robot is. Two kinds of scans are
+outliers, and are left out:
 
-- Such a row ends with a leap, and at most ten seconds later another row continues where it ended.
-  All scans between the two rows are outliers.
-- A leap separates a single scan from such a row, and on the scan's other side there is a pause or
-  an end of the log. The scan is an outlier.
+- A long row, or the first one of a part, ends with a leap, and at most ten seconds later a long row
+  continues where it ended. (After a long row, the last row of the part need not be long.) All scans
+  between the two rows are outliers.
+- The first row of a part, or its last one, is a single scan beside a long row. It is an outlier.
 
 Where no row continues, the robot was carried, or stamps or poses do not mean what they seem to, and
 all scans are kept.
@@ -18,20 +19,20 @@ Scans are held back until it is known whether they are outliers.
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple, Self, TypeAlias
 
 import numpy as np
 
 from occmap.arrays import Bool, Float64, Int64
 from occmap.posing.options import DropReason
-from occmap.types import PosedScans, ScanBatch
+from occmap.types import Attached, PosedScans
 from occmap.wording import count
 
 SLACK_M = 1.0
 """A shorter step is not a leap, however short the time: stamps are rounded, odometry corrected."""
 SPARSE_S = 10.0
-"""Between scans that are further apart in time a robot may have been carried."""
+"""A longer step in time is a pause, in which a robot may have been carried; so is one back."""
 FASTEST = 50.0
 """With `max_speed=inf` all scans are kept, and steps above this speed (m/s) are noted as leaps."""
 LONG_ROW_STEPS = 3
@@ -44,16 +45,6 @@ MOST_PATHS = 1000
 
 Laser: TypeAlias = tuple[str, str, bool]
 """Topic, frame, and whether its scans are de-skewed; scans of one laser are compared."""
-
-
-class Attached(NamedTuple):
-    """Some scans, and what became of them."""
-
-    batch: ScanBatch
-    posed: PosedScans | None
-    """Those that have poses; None where none has"""
-    dropped: dict[DropReason, int]
-    """How many have none, by reason"""
 
 
 class Moment(NamedTuple):
@@ -95,10 +86,6 @@ class Row:
 
     first: Moment
     last: Moment
-    after_pause: bool
-    """It begins the log, or a pause comes before it; otherwise a leap does"""
-    before_pause: bool
-    """It ends the log, or a pause follows; otherwise a leap follows, or the row still grows"""
 
     @property
     def is_long(self) -> bool:
@@ -124,7 +111,7 @@ class LeapFilter:
 
     def find_ends(self) -> dict[Laser, Ends]:
         """Where the scans that were seen begin and end, by their laser."""
-        return {laser: path.ends for laser, path in self._paths.items()}
+        return {laser: path.ends for laser, path in self._paths.items() if path.ends}
 
     def sift(self, attached: Iterable[Attached]) -> Iterator[Attached]:
         """Leave out the outliers, and count them among the scans without a usable pose.
@@ -140,8 +127,7 @@ class LeapFilter:
             if laser not in self._paths and len(self._paths) < MOST_PATHS:
                 self._paths[laser] = _Path(self._max_speed)
             if laser in self._paths:
-                self._paths[laser].take(some, posed)
-                yield from self._paths[laser].release()
+                yield from self._paths[laser].take(some, posed)
             else:
                 yield some
         for path in self._paths.values():
@@ -182,34 +168,29 @@ class _Held(NamedTuple):
 
 
 class _Path:
-    """The way of one laser: its scans are put in order, cut into rows, judged and passed on.
-
-    Rows are judged from the first one on, each as soon as no scan to come can change the verdict.
-    """
+    """The way of one laser: its scans are put in order, cut into rows, judged and passed on."""
 
     def __init__(self, max_speed: float) -> None:
         self._max_speed = max_speed
         self._unordered: list[tuple[Attached, PosedScans]] = []
         """Scans that others may still come between"""
+        self._scans = 0
+        """How many are in order"""
         self._held: list[_Held] = []
         """Scans in order that are not passed on yet"""
         self._rows: list[Row] = []
-        """From the row that is judged next to the last one, which still grows"""
-        self._first: Moment | None = None
-        self._leaps = 0
+        """Of the part that goes on: from the row that is judged next to the one that grows"""
+        self._begins_part = True
+        """Whether the first of these is the first row of its part"""
+        self.ends: Ends | None = None
+        """Where the scans in order begin and end; None before there are any"""
         self.outliers = 0
         """How many scans are known to be outliers"""
         self.first_outlier = 0, ""
         """Stamp of the first of them, and where it lies"""
 
-    @property
-    def ends(self) -> Ends:
-        """Where the path begins and ends so far, and how many leaps it has."""
-        last = self._rows[-1].last
-        return Ends(self._first or last, last, self._leaps)
-
-    def take(self, attached: Attached, posed: PosedScans) -> None:
-        """Take further scans.
+    def take(self, attached: Attached, posed: PosedScans) -> Iterator[Attached]:
+        """Take further scans, and pass on those that are judged by then.
 
         Batches come in the order of their first scans. Where a laser's geometry changes, one batch
         may hold scans from between those of another. So once a batch begins after all scans that
@@ -223,48 +204,85 @@ class _Path:
         self._unordered.append((attached, posed))
         if number is None:
             self._put_in_order()
+        yield from self._release()
 
     def finish(self) -> Iterator[Attached]:
         """Pass on all scans that are still held back, since no others follow."""
         self._put_in_order()
-        self._rows[-1].before_pause = True
-        yield from self.release()
+        self._end_part()
+        yield from self._release()
 
-    def release(self) -> Iterator[Attached]:
-        """Judge the rows that can be judged by now, and pass on the scans that are known."""
-        judged = 1
-        while judged and len(self._rows) > 1:
-            judged, outliers = _find_outliers(self._rows, self._max_speed)
-            if outliers:
-                self._mark(outliers[0].first, outliers[-1].last)
-            del self._rows[:judged]
-        if not self._rows:  # all scans so far may still be out of order
-            return
-        row = self._rows[0]
-        is_open = row.after_pause and row.is_single and not row.before_pause
-        known = row.first.number if is_open else row.last.number + 1
+    def _release(self) -> Iterator[Attached]:
+        """Pass on the batches of which all scans are judged."""
+        known = self._scans
+        if self._rows:
+            row = self._rows[0]
+            is_open = self._begins_part and row.is_single
+            known = row.first.number if is_open else row.last.number + 1
         while self._held and self._held[0].number[-1] < known:
             yield self._held.pop(0).sift(self._max_speed)
 
     def _put_in_order(self) -> None:
-        """Put the scans that came in order, and cut them into rows."""
+        """Number the scans that came, hold them, and go on along them."""
         if not self._unordered:
             return
         batches = [posed.batch for _, posed in self._unordered]
-        numbers = [np.arange(len(b.stamp_ns)) if b.number is None else b.number for b in batches]
-        order = np.argsort(np.concatenate(numbers))
-        stamp_ns = np.concatenate([batch.stamp_ns for batch in batches])[order]
-        place = np.concatenate([posed.at_first_beam[0] for _, posed in self._unordered])[order]
-        growing = self._rows.pop() if self._rows else None
-        on_path = np.argsort(order) + (growing.last.number + 1 if growing else 0)
-        parts = np.split(on_path, np.cumsum([len(number) for number in numbers])[:-1])
-        for some, number in zip(self._unordered, parts, strict=True):
+        in_log = [np.arange(len(b.stamp_ns)) if b.number is None else b.number for b in batches]
+        order = np.argsort(np.concatenate(in_log))
+        bounds = np.cumsum([len(number) for number in in_log])[:-1]
+        on_path = np.split(self._scans + np.argsort(order), bounds)
+        self._scans += len(order)
+        for some, number in zip(self._unordered, on_path, strict=True):
             self._held.append(_Held(*some, number, np.zeros(len(number), np.bool_)))
+        stamp_ns = np.concatenate([batch.stamp_ns for batch in batches])
+        place = np.concatenate([posed.at_first_beam[0] for _, posed in self._unordered])
         self._unordered = []
-        rows = _cut_rows(growing, stamp_ns, place, self._max_speed)
-        self._rows += rows
-        self._first = self._first or rows[0].first
-        self._leaps += sum(not row.before_pause for row in rows[:-1])
+        self._go_on(stamp_ns[order], place[order])
+
+    def _go_on(self, stamp_ns: Int64, place: Float64) -> None:
+        """Cut further scans, with stamps (S,) and places (S, 3), into rows, and judge these."""
+        first = 0
+        if self.ends:  # the step from the last scan so far may be a leap, too
+            first, stamp, known = self.ends.last
+            stamp_ns, place = np.append([stamp], stamp_ns), np.concatenate([[known], place])
+        metres: Float64 = np.linalg.norm(np.diff(place, axis=0), axis=1)
+        seconds = np.diff(stamp_ns) / 1e9
+        pauses = (seconds <= 0) | (seconds > SPARSE_S)
+        cuts = np.flatnonzero(pauses | _is_too_far(metres, seconds, self._max_speed))
+
+        def list_moments(at: Int64) -> Iterator[Moment]:
+            return map(Moment, (first + at).tolist(), stamp_ns[at].tolist(), place[at].tolist())
+
+        begins = list_moments(np.append(0, cuts + 1))
+        ends = list_moments(np.append(cuts, len(stamp_ns) - 1))
+        rows = list(map(Row, begins, ends))
+        if self._rows:
+            self._rows[-1].last = rows[0].last
+        else:
+            self._rows.append(rows[0])
+        for row, after_pause in zip(rows[1:], pauses[cuts].tolist(), strict=True):
+            if after_pause:
+                self._end_part()
+            self._rows.append(row)
+        self._judge(is_over=False)
+        start, leaps = (self.ends.first, self.ends.leaps) if self.ends else (rows[0].first, 0)
+        self.ends = Ends(start, rows[-1].last, leaps + int(np.count_nonzero(~pauses[cuts])))
+
+    def _end_part(self) -> None:
+        self._judge(is_over=True)
+        self._rows, self._begins_part = [], True
+
+    def _judge(self, is_over: bool) -> None:
+        """Judge the rows of a part; while it is not over, only those that no scan can change."""
+        while len(self._rows) > 1:
+            verdict = find_outliers(self._rows, self._begins_part, is_over, self._max_speed)
+            if verdict is None:
+                return
+            judged, outliers = verdict
+            if outliers:
+                self._mark(outliers[0].first, outliers[-1].last)
+            del self._rows[:judged]
+            self._begins_part = False
 
     def _mark(self, first: Moment, last: Moment) -> None:
         """Mark the scans from one to another as outliers."""
@@ -277,64 +295,52 @@ class _Path:
             held.is_outlier[(held.number >= first.number) & (held.number <= last.number)] = True
 
 
-def _cut_rows(growing: Row | None, stamp_ns: Int64, place: Float64, max_speed: float) -> list[Row]:
-    """Cut scans with stamps (S,) and places (S, 3) into rows; the first one may go on growing."""
-    first = 0
-    if growing:  # the step from its last scan may be a leap, too
-        first, stamp, known = growing.last
-        stamp_ns, place = np.append([stamp], stamp_ns), np.concatenate([[known], place])
-    metres: Float64 = np.linalg.norm(np.diff(place, axis=0), axis=1)
-    seconds = np.diff(stamp_ns) / 1e9
-    pauses = (seconds <= 0) | (seconds > SPARSE_S)
-    cuts = np.flatnonzero(pauses | _is_too_far(metres, seconds, max_speed))
-
-    def list_moments(at: Int64) -> Iterator[Moment]:
-        return map(Moment, (first + at).tolist(), stamp_ns[at].tolist(), place[at].tolist())
-
-    begins = list_moments(np.append(0, cuts + 1))
-    ends = list_moments(np.append(cuts, len(stamp_ns) - 1))
-    paused = pauses[cuts].tolist()
-    rows = list(map(Row, begins, ends, [True, *paused], [*paused, False]))
-    if growing:
-        rows[0] = replace(rows[0], first=growing.first, after_pause=growing.after_pause)
-    return rows
-
-
-def _find_outliers(rows: Sequence[Row], max_speed: float) -> tuple[int, Sequence[Row]]:
+def find_outliers(
+    rows: Sequence[Row], begins_part: bool, is_over: bool, max_speed: float
+) -> tuple[int, Sequence[Row]] | None:
     """Find the outliers on either side of the leap that ends the first of some rows.
+
+    Parameters
+    ----------
+    rows
+        At least two, of one part.
+    begins_part, is_over
+        Whether the first row is the first of the part, and the last row the last of it; else that
+        one still grows.
 
     Returns
     -------
     judged, outliers
-        How many of the first rows are done with, 0 while that depends on scans still to come; and
-        the rows whose scans are outliers.
+        How many of the first rows are done with, and the rows whose scans are outliers. None while
+        that depends on scans still to come.
     """
     row, following = rows[:2]
-    if row.before_pause or not (row.is_long or row.after_pause):
+    if not (row.is_long or begins_part):
         return 1, ()
-    at = _find_continuation(rows, max_speed)
-    if at is None:
-        return 0, ()
-    if at:
-        return at, rows[1:at]
-    if row.after_pause and row.is_single and following.is_long:
+    back = find_continuation(rows, is_over, max_speed)
+    if back is None:
+        return None
+    if back:
+        return back, rows[1:back]
+    if begins_part and row.is_single and following.is_long:
         return 1, [row]
-    is_end = row.is_long and following.is_single and following.before_pause
-    return 1, [following] if is_end else ()
+    ends_part = is_over and len(rows) == 2
+    return 1, [following] if ends_part and row.is_long and following.is_single else ()
 
 
-def _find_continuation(rows: Sequence[Row], max_speed: float) -> int | None:
+def find_continuation(rows: Sequence[Row], is_over: bool, max_speed: float) -> int | None:
     """Find the index of the row that continues the first one. 0: none; None: not known yet."""
     row, *others = rows
     for at, later in enumerate(others, start=1):
         if not row.last.is_soon(later.first):
             return 0
-        may_continue = later.is_long or (later.before_pause and row.is_long)
-        if may_continue and not row.last.leaps_to(later.first, max_speed):
+        ends_part = is_over and later is rows[-1]
+        shows = later.is_long or (row.is_long and ends_part)
+        if shows and not row.last.leaps_to(later.first, max_speed):
             return at
-        if later.before_pause or (later.is_long and not row.last.is_soon(later.last)):
-            return 0
-    return None
+        if later.is_long and not row.last.is_soon(later.last):
+            return 0  # a row after this one begins too late
+    return 0 if is_over else None
 
 
 def _is_too_far(metres: Float64 | float, seconds: Float64 | float, max_speed: float) -> Bool:

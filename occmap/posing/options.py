@@ -44,7 +44,7 @@ class DropReason(StrEnum):
     BEFORE = "before the first pose"
     AFTER = "after the last pose"
     GAP = "in a pose gap longer than `max_pose_gap_s`"
-    NOT_FINITE = "pose not finite"
+    UNUSABLE = "pose not finite or beyond 1e12 m or without a rotation"
     LEAP = "further from their neighbours than `max_speed` allows"
     NO_TRANSFORM = "no transform to the scan's frame"
 

@@ -1,7 +1,7 @@
 """Resolution: the way from the map to the frame of a scan, and whose poses it follows."""
 
 from dataclasses import dataclass, field, replace
-from typing import NoReturn, TypeAlias
+from typing import TypeAlias
 
 from occmap.errors import MountError, PoseError
 from occmap.posing.chain import Chain, make_chain
@@ -51,10 +51,8 @@ def resolve(
         There is no way; says what is missing, and which option mends it.
     """
     search = _Search(sources, options, frame.strip("/"), alone)
-    if sources.trajectory:
-        name, steps = search.go_by_poses(sources.trajectory)
-    else:
-        name, steps = search.go_by_tree(fixed)
+    poses = sources.trajectory or (None if sources.tree.frames else sources.unnamed_body)
+    name, steps = search.go_by_poses(poses) if poses else search.go_by_tree(fixed)
     if fixed is not None and name != fixed:
         found = f"{frame!r} maps in {name!r} while other scans map in {fixed!r}"
         fix = f"join the two: `static_transforms={fixed},{name},X,Y,Z,ROLL,PITCH,YAW`"
@@ -89,22 +87,19 @@ class _Search:
 
     def go_by_tree(self, fixed: str | None) -> Way:
         """Go by the tree; where nothing in it moves, by a topic of poses."""
-        body_poses = self.sources.unnamed_body
-        if not self.tree.frames and body_poses:
-            return self.go_by_poses(body_poses)
         if not self.tree.frames:
             sought = "looked for tf, odometry and topics of poses in the log"
             raise PoseError(f"the scans have no poses: {sought}", fix=GIVE_POSES)
         anchor = self._find_base() if self.options.sensor_pose else self.frame
         if anchor not in self.tree:
-            self._fail_without_mount()
+            raise self._miss_mount()
         usual = self.tree.choose_fixed(anchor)
-        name = self.options.map_frame or fixed or usual
         if not find_moving(self._find_path(usual, anchor)):
-            if body_poses:
-                return self.go_by_poses(body_poses)
+            if self.sources.unnamed_body:
+                return self.go_by_poses(self.sources.unnamed_body)
             if not (self.options.map_frame or fixed or last_part(usual) in FIXED_NAMES):
-                self._fail_without_motion(usual)
+                raise self._miss_motion(usual)
+        name = self.options.map_frame or fixed or usual
         steps = self._find_path(name, anchor)
         self.notes += [
             f"tf does not give {step.parent} -> {step.child}: taken from {step.topic}"
@@ -121,7 +116,7 @@ class _Search:
         body = trajectory.child or base or self._guess_body()
         anchor = (base or body) if self.options.sensor_pose else self.frame
         if anchor != body and anchor not in self.tree:
-            self._fail_without_mount()
+            raise self._miss_mount()
         if base and self.tree.find_path(body, anchor) is None:
             body = base
         fixed = self.options.map_frame or trajectory.parent
@@ -166,6 +161,7 @@ class _Search:
         return [Edge(anchor, self.frame, track, Source.GIVEN)]
 
     def _find_path(self, upper: str, lower: str) -> list[Edge]:
+        """Find the steps down from one frame to another; raises PoseError where there are none."""
         if upper == lower:
             return []
         steps = self.tree.find_path(upper, lower)
@@ -179,22 +175,24 @@ class _Search:
         fix = f"give it: `static_transforms={upper},{lower},X,Y,Z,ROLL,PITCH,YAW`"
         raise PoseError(found, fix=fix)
 
-    def _fail_without_mount(self) -> NoReturn:
+    def _miss_mount(self) -> PoseError:
+        """Say that nothing tells where the laser sits, and how to give that."""
+        found = f"no transform to the laser's frame {self.frame!r} ({self.known})"
         bases = self.tree.list_bases(self.frame)
         base = bases[0] if len(bases) == 1 else ""
-        found = f"no transform to the laser's frame {self.frame!r} ({self.known})"
+        mount = f"`sensor_pose=({MountError.UNKNOWN})`"
         if not self.alone:  # a sensor pose would be that of every laser
             given = f"{base or 'BASE'},{self.frame},X,Y,Z,ROLL,PITCH,YAW"
-            raise PoseError(found, fix=f"give its mount: `static_transforms={given}`")
-        mount = f"`sensor_pose=({MountError.UNKNOWN})`"
+            return PoseError(found, fix=f"give its mount: `static_transforms={given}`")
         if not base:
-            raise PoseError(found, fix=f"give its mount: {mount} `base_frame=FRAME`")
-        raise MountError(found, fix=f"give its mount on {base}: {mount}")
+            return PoseError(found, fix=f"give its mount: {mount} `base_frame=FRAME`")
+        return MountError(found, fix=f"give its mount on {base}: {mount}")
 
-    def _fail_without_motion(self, root: str) -> NoReturn:
+    def _miss_motion(self, root: str) -> PoseError:
+        """Say that nothing moves on the way from a root to the laser, and how to mend that."""
         if bodies := self.tree.bodies:
             found = f"the laser's frame {self.frame!r} hangs on {root!r}, which is not connected to"
             fix = f"join them: `static_transforms={bodies[0]},{root},0,0,0,0,0,0`"
-            raise PoseError(f"{found} what moves: {join_names(bodies)}", fix=fix)
+            return PoseError(f"{found} what moves: {join_names(bodies)}", fix=fix)
         found = f"the scans have no poses: tf only says where {self.frame!r} sits on {root!r}, and"
-        raise PoseError(f"{found} the log has no odometry and no topic of poses", fix=GIVE_POSES)
+        return PoseError(f"{found} the log has no odometry and no topic of poses", fix=GIVE_POSES)

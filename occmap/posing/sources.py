@@ -100,7 +100,7 @@ def _build_edges(
         if builder.unusable:
             unusable.append(
                 f"{count(builder.unusable, 'pose')} of {parent} -> {child or 'a body'} left out: "
-                "not finite, without a rotation, or with a damaged stamp"
+                "not finite, beyond 1e12 m, without a rotation, or with a damaged stamp"
             )
         if static and builder.changes:
             changed[topic].append(f"{parent} -> {child}")

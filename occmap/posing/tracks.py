@@ -80,7 +80,7 @@ class TrackBuilder:
         self._times = array("q")
         self._values = array("d")
         self.unusable = 0
-        """Samples left out: not finite, a rotation of length zero, or a stamp that is damage."""
+        """Samples left out: not usable (`find_usable`), or with a stamp that is damage."""
 
     def add(self, sample: PoseSample, stamps: Stamps) -> None:
         """Take a sample, dated by one of its two times."""
@@ -137,7 +137,13 @@ def differ(position: Float64, quaternion: Float64) -> bool:
 
 
 def find_usable(values: Float64) -> tuple[Bool, Float64]:
-    """Find which rows (N, 7) are usable poses, and the norms (N,) of their quaternions (else 1)."""
+    """Find which rows (N, 7) are poses: finite, within MAX_VALUE, and with a rotation.
+
+    Returns
+    -------
+    usable, norm
+        (N,) whether each is, and the norm of its quaternion; 1 where it is not.
+    """
     finite: Bool = np.all(np.abs(values) <= MAX_VALUE, axis=1)
     quaternion = np.where(finite[:, None], values[:, 3:], 0)
     norm = np.sqrt(np.einsum("ij,ij->i", quaternion, quaternion))

@@ -22,13 +22,15 @@ BAND = 0.025
 MIN_READINGS = 10
 """A band has at least so many readings, and fewer than so many lie above it"""
 DOMINANCE = 10
-"""How many times more readings a band holds than the part below it"""
+"""How many times more readings than what is around it something must have that stands out: a band
+than the part below it, and in a check one value than any near it"""
 MOST_CODES = 3
 """At least half of a band's readings are of so few values; a far wall has noise, and thus more"""
 MIN_VALUES = 16
 """Fewer different ranges tell nothing: in a log made by hand all may be 5 m"""
 SICK_CODES = (81.82, 81.92)
-"""Between these the SICK LMS writes its error codes, from 8183 to 8191 cm: one is enough"""
+"""Between these the SICK LMS writes its error codes, from 8183 to 8191 cm, which `COARSE` rounds
+down: one is enough"""
 COARSE = np.uint32(0xFFFFFF00)
 """The bits of a float32 by which ranges are counted, so that near 80 m they are 2 mm apart"""
 

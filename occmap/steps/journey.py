@@ -1,15 +1,17 @@
 """What a build keeps of where the robot went, for the outputs that show it."""
 
-from dataclasses import dataclass, field
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
-from occmap.arrays import Float64, Int64
-from occmap.posing.leaps import Attached
+from occmap.arrays import Float64
 from occmap.posing.rotations import to_quaternions
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.types import Journey, Kind, PosedScans, ScanHits, Trajectory
+from occmap.types import Attached, Journey, Kind, PosedScans, ScanHits, Trajectory
 
 SHOWN_SCANS = 400
 """How many scans of all logs are shown: a slider with more steps cannot be set by hand."""
@@ -19,16 +21,6 @@ STATED_FRAME, STATED_LASER = "map", "laser"
 """Names for the frames of logs that state poses beside their scans and name no frame."""
 
 
-@dataclass(eq=False)
-class _Way:
-    """What is known of one laser of one log so far."""
-
-    parent: str
-    stamps: list[Int64] = field(default_factory=list)
-    poses: list[Float64] = field(default_factory=list)
-    dropped: list[tuple[int, str]] = field(default_factory=list)
-
-
 class JourneyRecorder:
     """Takes the poses of all scans, and the hits of some; one thread at a time may call it."""
 
@@ -36,7 +28,8 @@ class JourneyRecorder:
         """Keep the hits of every n-th scan, whose ranges mean what `returns` says."""
         self._every = every
         self._returns = returns
-        self._ways: dict[tuple[str, str, str], _Way] = {}
+        self._pieces: list[Trajectory] = []
+        """Of each batch, in the order in which they were recorded"""
         self._scans: list[ScanHits] = []
         self._seen = 0
 
@@ -46,11 +39,7 @@ class JourneyRecorder:
 
     def add(self, other: "JourneyRecorder") -> None:
         """Add what another recorder took."""
-        for key, theirs in other._ways.items():
-            way = self._ways.setdefault(key, _Way(theirs.parent))
-            way.stamps += theirs.stamps
-            way.poses += theirs.poses
-            way.dropped += theirs.dropped
+        self._pieces += other._pieces
         self._scans += other._scans
 
     def follow(self, log: Path, parent: str | None, attached: Attached) -> None:
@@ -62,17 +51,15 @@ class JourneyRecorder:
             The frame of the map; None where the log states poses and names no frames.
         """
         batch, posed, reasons = attached
-        key = str(log), batch.topic, batch.frame.lstrip("/")
-        way = self._ways.setdefault(key, _Way((parent or STATED_FRAME).lstrip("/")))
+        stamp_ns, pose = np.zeros(0, np.int64), np.zeros((0, 7))
         if posed is not None:
-            way.stamps.append(posed.batch.stamp_ns)
-            way.poses.append(read_poses(posed))
+            stamp_ns, pose = posed.batch.stamp_ns, read_poses(posed)
             self._sample(posed)
-        if reasons:
-            kept = () if posed is None else posed.batch.stamp_ns
-            lost = np.setdiff1d(batch.stamp_ns, kept)
-            why = ", or ".join(map(str, reasons))  # it is not known which reason is whose
-            way.dropped += [(stamp_ns, why) for stamp_ns in lost.tolist()]
+        lost = np.setdiff1d(batch.stamp_ns, stamp_ns).tolist() if reasons else []
+        why = ", or ".join(map(str, reasons))  # it is not known which reason is whose
+        dropped = tuple((each, why) for each in lost)
+        frames = (parent or STATED_FRAME).lstrip("/"), batch.frame.lstrip("/")
+        self._pieces.append(Trajectory(str(log), batch.topic, *frames, stamp_ns, pose, dropped))
 
     def _sample(self, scans: PosedScans) -> None:
         """Keep the hits of every n-th scan."""
@@ -87,13 +74,22 @@ class JourneyRecorder:
 
     def finish(self) -> Journey:
         """Return what was kept, laser by laser, in the order in which it was recorded."""
-        trajectories = []
-        for (log, topic, frame), way in self._ways.items():
-            names = log, topic, way.parent, frame if frame != way.parent else STATED_LASER
-            stamps = np.concatenate([*way.stamps, np.zeros(0, np.int64)])
-            poses = np.concatenate([*way.poses, np.zeros((0, 7))])
-            trajectories.append(Trajectory(*names, stamps, poses, tuple(way.dropped)))
-        return Journey(tuple(trajectories), tuple(self._scans))
+        lasers: defaultdict[tuple[str, str, str], list[Trajectory]] = defaultdict(list)
+        for piece in self._pieces:
+            lasers[piece.log, piece.topic, piece.frame].append(piece)
+        return Journey(tuple(map(join_pieces, lasers.values())), tuple(self._scans))
+
+
+def join_pieces(pieces: Sequence[Trajectory]) -> Trajectory:
+    """Join what is known of one laser; one that is in the frame of the map gets one of its own."""
+    first = pieces[0]
+    return replace(
+        first,
+        frame=STATED_LASER if first.frame == first.parent else first.frame,
+        stamp_ns=np.concatenate([piece.stamp_ns for piece in pieces]),
+        pose=np.concatenate([piece.pose for piece in pieces]),
+        dropped=tuple(chain.from_iterable(piece.dropped for piece in pieces)),
+    )
 
 
 def read_poses(scans: PosedScans) -> Float64:

@@ -13,11 +13,11 @@ from occmap.evidence import render
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.readers import Log, read_scans
-from occmap.selection import Selection
+from occmap.selection import Selection, Selector
 from occmap.sensor.models import CountingModel
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret
-from occmap.steps.batching import Batcher
+from occmap.steps.batching import batch_scans
 from occmap.steps.engines import make_engine
 from occmap.steps.opening import count_messages
 from occmap.types import PosedScans
@@ -58,8 +58,9 @@ def sample_scans(
     """Pose some of the scans that a build uses, spread evenly over a log."""
     expected = expect_scans(count_messages(log, topics) // len(topics), options.selection)
     samples: defaultdict[str, Sample] = defaultdict(lambda: Sample(expected))
-    batcher = Batcher(options.selection, options.posing.stamps, RangeLimits(options.returns))
-    for _, posed, _ in poser.attach(batcher.stack(read_scans(log, topics))):
+    selector = Selector(options.selection, options.posing.stamps)
+    batches = batch_scans(read_scans(log, topics), selector, RangeLimits(options.returns))
+    for _, posed, _ in poser.attach(batches):
         if posed is not None:
             samples[posed.batch.topic].take(posed)
     return [part for sample in samples.values() for part in sample.parts]

@@ -9,10 +9,10 @@ from occmap.grid.tiles import Reach
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.readers import Log, read_scans
-from occmap.selection import FROM_THE_START, Seam
+from occmap.selection import FROM_THE_START, Seam, Selector
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret
-from occmap.steps.batching import Batcher
+from occmap.steps.batching import batch_scans, list_oddities
 from occmap.steps.mounts import name_mount
 from occmap.steps.opening import choose_topics, make_poser
 from occmap.steps.tally import Tally
@@ -94,17 +94,20 @@ def trace(
     limits, tally
         Learn from the scans, and count them; the notes of the poser grow as well.
     """
-    batcher = Batcher(options.selection, options.posing.stamps, limits, drive.seam)
+    selector = Selector(options.selection, options.posing.stamps, drive.seam)
     reach = Reach(Lattice(options.resolution), options.max_cells)
+    odd: dict[str, None] = {}
 
     def work(rays: Rays) -> None:
         with tally.time("trace"):
             add_rays(rays)
 
     with name_log(drive.log.path), Workers(work, options.jobs) as workers:
-        batches = tally.time_each("read", batcher.stack(read_scans(drive.log, drive.topics)))
+        scans = read_scans(drive.log, drive.topics)
+        batches = tally.time_each("read", batch_scans(scans, selector, limits))
         # Here, not in a worker: each of many short NumPy calls would wait for the GIL.
         for attached in tally.time_each("pose", drive.poser.attach(batches)):
+            odd |= dict.fromkeys(list_oddities(attached.batch))
             tally.drop(attached.dropped)
             if tally.recorder:
                 tally.recorder.follow(drive.log.path, drive.poser.fixed, attached)
@@ -117,7 +120,8 @@ def trace(
             tally.advance(len(attached.batch.stamp_ns))
     tally.frames[str(drive.log.path)] = drive.poser.fixed
     tally.lasers = max(tally.lasers, len(drive.topics))
-    tally.scans_read += batcher.read
-    tally.drop(dict(batcher.left_out))
-    concerns = drive.poser.list_concerns(batcher.first_ns, options.returns.max_range)
-    return [*batcher.notes, *(f"{topic}: {concern.text}" for topic, concern in concerns)]
+    tally.scans_read += selector.read
+    tally.drop(dict(selector.left_out))
+    first_ns = selector.seam.first_ns or 0
+    concerns = drive.poser.list_concerns(first_ns, options.returns.max_range)
+    return [*odd, *(f"{topic}: {concern.text}" for topic, concern in concerns)]

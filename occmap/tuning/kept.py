@@ -13,8 +13,9 @@ from occmap.posing.options import PosingOptions
 from occmap.posing.rotations import to_quaternions
 from occmap.readers import Log, read_scans
 from occmap.remarks import list_frames
+from occmap.selection import Selector
 from occmap.sensor.no_return import RangeLimits
-from occmap.steps.batching import Batcher
+from occmap.steps.batching import list_oddities, stack
 from occmap.steps.observing import Remarks
 from occmap.steps.tally import Tally, refuse_unused
 from occmap.steps.tracing import open_drive
@@ -84,12 +85,16 @@ def keep_logs(
 def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: Remarks) -> KeptLog:
     """Read a log, and keep at most so many of the scans that have a pose."""
     drive = open_drive(log, options)
-    batcher = Batcher(options.selection, options.posing.stamps)
-    limits = RangeLimits(options.returns)
-    batches = batcher.stack(limits.watch(read_scans(log, drive.topics)))
+    selector, limits = (
+        Selector(options.selection, options.posing.stamps),
+        RangeLimits(options.returns),
+    )
+    used = selector.select(limits.watch(read_scans(log, drive.topics)))
+    odd: dict[str, None] = {}
     kept: list[ScanBatch] = []
     seen, every = 0, 1
-    for batch, posed, dropped in drive.poser.attach(batches):
+    for batch, posed, dropped in drive.poser.attach(stack(used, selector.stamps)):
+        odd |= dict.fromkeys(list_oddities(batch))
         tally.drop(dropped)
         if posed is not None:
             kept += take_every([posed.batch], every, -seen % every)
@@ -99,10 +104,10 @@ def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: 
         tally.advance(len(batch.stamp_ns))
     tally.frames[str(log.path)] = drive.poser.fixed
     tally.scans_used += seen
-    tally.scans_read += batcher.read
-    tally.drop(dict(batcher.left_out))
+    tally.scans_read += selector.read
+    tally.drop(dict(selector.left_out))
     limits.settle()  # only the whole log shows the limit, which then holds for all of it
-    remarks.note(log.path, log.notes, [*drive.poser.notes, *batcher.notes, *limits.list_notes()])
+    remarks.note(log.path, log.notes, [*drive.poser.notes, *odd, *limits.list_notes()])
     return KeptLog(str(log.path), drive.poser, tuple(limits.apply(each) for each in kept))
 
 

@@ -9,11 +9,11 @@ from typing import Self
 import numpy as np
 
 from occmap.arrays import Float32, Float64
+from occmap.posing.options import Stamps
 from occmap.readers import Role, open_log
-from occmap.selection import Selection
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import ReturnOptions
-from occmap.steps.batching import BATCH_BEAMS, Batcher
+from occmap.steps.batching import BATCH_BEAMS, stack
 from occmap.types import PosedScans, ScanBatch
 from tests.bench.plans import YARD, YARD_WAY, Box, corridor, office, office_way
 from tests.bench.raycast import cast_scans
@@ -136,7 +136,7 @@ def read_workload(path: Path, resolution: float) -> Workload:
     for scan in log.scans(topics):
         limits.see(scan)
     limits.settle()
-    batches = list(Batcher(Selection(), limits=limits).stack(log.scans(topics)))
+    batches = list(map(limits.apply, stack(log.scans(topics), Stamps.HEADER)))
     one, beams = batches[0], batches[0].ranges.shape[1]
     sensor = Sensor(beams, one.angle_min, one.angle_increment, one.range_min, one.range_max)
     pose = np.concatenate([batch.pose for batch in batches if batch.pose is not None])

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from occmap.arrays import Float64
 from occmap.posing.attach import Poser
-from occmap.posing.options import DropReason, PosingOptions
+from occmap.posing.options import PosingOptions
 from occmap.types import Pose, PosedScans, PoseSample, ScanBatch
 
 SECOND = 10**9
@@ -40,10 +40,10 @@ def batch_at(
     return ScanBatch(frame, 0.0, 0.1, 0.0, 10.0, stamps, ranges, increments)
 
 
-def attach(poser: Poser, *batches: ScanBatch) -> tuple[list[PosedScans], dict[DropReason, int]]:
+def attach(poser: Poser, *batches: ScanBatch) -> tuple[list[PosedScans], dict[str, int]]:
     """The scans that get poses, and how many get none, by reason."""
     parts = list(poser.attach(batches))
-    dropped: Counter[DropReason] = Counter()
+    dropped: Counter[str] = Counter()
     for part in parts:
         dropped.update(part.dropped)
     return [part.posed for part in parts if part.posed is not None], dict(dropped)

@@ -117,7 +117,7 @@ def test_a_stated_pose_is_used_as_it_is() -> None:
 def test_a_stated_pose_that_is_not_finite_is_left_out() -> None:
     bad = Pose.planar(math.nan, 0, 0), Pose(0, 0, 0, 0, 0, 0, 0), turned(0, x=math.inf)
     (posed,), dropped = attach(build(), stated(turned(0, x=5), *bad))
-    assert dropped == {DropReason.NOT_FINITE: 3}
+    assert dropped == {DropReason.UNUSABLE: 3}
     assert posed.position.tolist() == [[5, 0, 0]]
     assert posed.batch.pose is not None
     assert len(posed.batch.pose) == 1

@@ -14,11 +14,11 @@ from occmap.inspection import inspect
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.leaps import LONG_ROW_STEPS, MOST_SCANS
-from occmap.posing.options import PosingOptions
+from occmap.posing.options import PosingOptions, Stamps
 from occmap.report import Build
 from occmap.selection import Selection
 from occmap.steps import batching
-from occmap.steps.batching import Batcher
+from occmap.steps.batching import stack
 from occmap.types import Pose, Scan, ScanBatch
 from tests.posing.scenes import at, attach, batch_at, bolted, drive
 from tests.posing.scenes import build as make_poser
@@ -224,7 +224,7 @@ def test_scans_are_judged_by_their_laser_whatever_their_geometry(
     for beams in (1, 10, 40, 150, 1 << 18):
         monkeypatch.setattr(batching, "BATCH_BEAMS", beams)
         poser = make_poser()
-        posed, dropped = attach(poser, *Batcher(Selection()).stack(scans))
+        posed, dropped = attach(poser, *stack(scans, Stamps.HEADER))
         used = {int(number) for each in posed for number in each.batch.ranges[:, 0]}
         assert used == {*range(len(scans))} - outliers
         assert sum(dropped.values()) == len(outliers)

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.posing.options import Stamps
-from occmap.selection import LeftOut, Selection
+from occmap.selection import LeftOut, Selection, Selector
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import ReturnOptions
-from occmap.steps.batching import Batcher
+from occmap.steps.batching import batch_scans, stack
 from occmap.types import Scan, ScanBatch, ScanRun
 
 SECOND = 10**9
@@ -40,9 +40,7 @@ def list_scans(batches: Iterable[ScanBatch]) -> list[tuple[int, float, list[floa
 
 
 def test_a_run_is_a_batch_as_it_is() -> None:
-    batcher = Batcher(Selection())
-
-    (batch,) = batcher.stack([RUN])
+    (batch,) = stack([RUN], Stamps.HEADER)
 
     assert batch.stamp_ns.tolist() == [0, SECOND, 2 * SECOND, 3 * SECOND, 4 * SECOND]
     assert batch.ranges is RUN.ranges
@@ -50,22 +48,21 @@ def test_a_run_is_a_batch_as_it_is() -> None:
     assert (batch.frame, batch.angle_min, batch.angle_increment) == ("laser", -1.0, 0.5)
     assert (batch.range_min, batch.range_max, batch.topic) == (0.1, 30.0, "/scan")
     assert batch.pose is None
-    assert (batcher.read, batcher.left_out) == (5, {})
 
 
 def test_a_run_is_stamped_by_record_time_where_that_counts() -> None:
-    (batch,) = Batcher(Selection(), Stamps.RECORD).stack([RUN])
+    (batch,) = stack([RUN], Stamps.RECORD)
     assert (batch.stamp_ns - RUN.stamp_ns).tolist() == [7] * 5
 
 
 def test_scans_that_differ_in_the_time_between_beams_are_stacked() -> None:
-    (batch,) = Batcher(Selection()).stack(RUN.split())
+    (batch,) = stack(RUN.split(), Stamps.HEADER)
     assert batch.time_increment.tolist() == [0, 0.001, 0.002, 0.003, 0.004]
 
 
 def test_batches_come_in_the_order_of_the_log() -> None:
     singles = [scan._replace(stamp_ns=scan.stamp_ns - 9 * SECOND) for scan in RUN.split()]
-    batches = list(Batcher(Selection()).stack([*singles, RUN]))
+    batches = list(stack([*singles, RUN], Stamps.HEADER))
     assert [batch.stamp_ns[0] for batch in batches] == [-9 * SECOND, 0]
 
 
@@ -79,14 +76,11 @@ def test_batches_come_in_the_order_of_the_log() -> None:
 )
 def test_a_run_that_cannot_be_used_is_counted(change: dict[str, Any], reason: LeftOut) -> None:
     first = RUN.first._replace(**change)
-    batcher = Batcher(Selection())
+    run = RUN._replace(first=first, ranges=RUN.ranges[:, : len(first.ranges)])
+    selector = Selector(Selection(), Stamps.HEADER)
 
-    batches = list(
-        batcher.stack([RUN._replace(first=first, ranges=RUN.ranges[:, : len(first.ranges)])])
-    )
-
-    assert batches == []
-    assert (batcher.read, batcher.left_out) == (5, {reason: 5})
+    assert list(selector.select([run])) == []
+    assert (selector.read, selector.left_out) == (5, {reason: 5})
 
 
 @given(
@@ -111,9 +105,10 @@ def test_runs_are_selected_as_single_scans_are(
     singles = [s for item in items for s in (item.split() if isinstance(item, ScanRun) else [item])]
     selection = Selection((), start_s, end_s, stride)
     clock = Stamps.RECORD if record else Stamps.HEADER
-    some, single = (Batcher(selection, clock) for _ in range(2))
+    some, single = (Selector(selection, clock) for _ in range(2))
+    batches, of_singles = stack(some.select(items), clock), stack(single.select(singles), clock)
 
-    assert list_scans(some.stack(items)) == list_scans(single.stack(singles))
+    assert list_scans(batches) == list_scans(of_singles)
     assert (some.read, some.left_out) == (single.read, single.left_out)
 
 
@@ -127,8 +122,8 @@ def test_a_range_limit_that_none_can_be_is_none_and_told(
 ) -> None:
     run = RUN._replace(first=RUN.first._replace(range_min=math.nan, range_max=range_max))
     limits = RangeLimits(ReturnOptions())
-    batcher = Batcher(Selection(), limits=limits)
-    (batch,) = batcher.stack(run.split() if single else [run])
+    scans = run.split() if single else [run]
+    (batch,) = batch_scans(scans, Selector(Selection(), Stamps.HEADER), limits)
     assert (batch.range_min, batch.range_max) == (0.0, math.inf)
     assert list(limits.list_notes()) == [
         f"/scan states {told} as its range limit, which is not a usable one; no value stands for "
@@ -139,5 +134,5 @@ def test_a_range_limit_that_none_can_be_is_none_and_told(
 def test_a_limit_that_the_user_gives_needs_no_note() -> None:
     limits = RangeLimits(ReturnOptions(range_max=20.0))
     run = RUN._replace(first=RUN.first._replace(range_max=math.nan))
-    list(Batcher(Selection(), limits=limits).stack([run]))
+    list(batch_scans([run], Selector(Selection(), Stamps.HEADER), limits))
     assert list(limits.list_notes()) == []

@@ -2,11 +2,10 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.posing.leaps import Attached
 from occmap.posing.options import DropReason
 from occmap.sensor.returns import ReturnOptions
 from occmap.steps.journey import JourneyRecorder
-from occmap.types import PosedScans, ScanBatch
+from occmap.types import Attached, PosedScans, ScanBatch
 
 LOG = Path("a.bag")
 
@@ -57,7 +56,7 @@ def test_parts_of_a_log_add_up_and_a_second_reading_forgets_the_first() -> None:
     first.follow(LOG, None, Attached(batch_of(1), pose(batch_of(1), 0.0), {}))
     second = first.start_over()
     assert second.finish().trajectories == ()
-    lost = {DropReason.GAP: 1}
+    lost: dict[str, int] = {DropReason.GAP: 1}
     second.follow(LOG, None, Attached(batch_of(2, 3), pose(batch_of(2), 0.0), lost))
     first.add(second)
     (way,) = first.finish().trajectories
