@@ -12,8 +12,9 @@ from typing import BinaryIO
 
 from occmap.errors import LogError
 from occmap.readers.containers import bag1_records as records
-from occmap.readers.containers.chunked import ChunkedSource, Descriptions, Record, RecordBlock
+from occmap.readers.containers.chunked import ChunkedSource
 from occmap.readers.containers.inflate import Buffer, inflate
+from occmap.readers.containers.records import Descriptions, Record, RecordBlock
 from occmap.readers.containers.source import Channel
 
 
@@ -121,7 +122,6 @@ class Bag1Source(ChunkedSource):
         if lost := lost - {self._cut_at}:
             text = f"nothing is left of the index of {len(lost)} of its {chunks} chunks"
             self.notes.add_damage(f"{text}: how many messages they should hold is not known")
-        self._has_doubles = chunks > infos
         found, held = self._survey(file)
         channels = found | channels if is_closed else found
         known = channels.keys() | held.keys()

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from occmap.readers import NoteList
 from occmap.readers.containers.bag1 import Bag1Source
 from occmap.readers.containers.bag1_records import CONNECTION, MESSAGE
-from occmap.readers.containers.chunked import RecordBlock
+from occmap.readers.containers.records import RecordBlock
 
 Found = tuple[int, int, bytes]
 
