@@ -20,6 +20,7 @@ from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import NoteList, Span, make_part
 from occmap.readers.containers.records import (
     DESCRIPTION,
+    OTHER,
     Descriptions,
     Inner,
     Record,
@@ -80,8 +81,12 @@ class ChunkedSource(ABC):
         descriptions: Descriptions = {}
         with self.path.open("rb") as file:
             for block in self._iterate_blocks(file, by_id):
-                for key, record_ns, data in self._split_block(block, by_id, descriptions):
-                    yield by_id[key], record_ns, data
+                view = memoryview(block.records)
+                for key, record_ns, start, end in self._list_records(block):
+                    if key in by_id:
+                        yield by_id[key], record_ns, view[start:end]
+                    elif key == DESCRIPTION:
+                        descriptions.setdefault(bytes(view[start:end]), block.position)
         for key, other in self._describe(descriptions):
             known = self._by_id.get(key, other)
             if known.description != other.description:
@@ -141,51 +146,49 @@ class ChunkedSource(ABC):
         descriptions: Descriptions = {}
         held: Counter[int] = Counter()
         for block in self._iterate_blocks(file, EVERY_ID):
-            held.update(key for key, _, _ in self._split_block(block, EVERY_ID, descriptions))
+            for key, _, start, end in self._list_records(block):
+                if key == DESCRIPTION:
+                    descriptions.setdefault(bytes(block.records[start:end]), block.position)
+                elif key != OTHER:
+                    held[key] += 1
         channels: dict[int, Channel] = {}
         for key, channel in self._describe(descriptions):
             channels.setdefault(key, channel)
         return channels, held
 
-    def _split_block(
-        self, block: RecordBlock, wanted: Container[int], descriptions: Descriptions
-    ) -> Iterator[tuple[int, int, memoryview]]:
-        """Give channel, record time (ns) and bytes of each message of some channels.
-
-        The records that describe channels are added to `descriptions`.
-        """
-        view = memoryview(block.records)
-        held, is_timely = 0, True
-        for key, record_ns, start, end in self._list_records(block.position, view):
-            held += key >= 0
-            if key in wanted:
-                is_timely &= block.first_ns <= record_ns <= block.last_ns
-                yield key, record_ns, view[start:end]
-            elif key == DESCRIPTION:
-                descriptions.setdefault(bytes(view[start:end]), block.position)
-        if not is_timely:
-            self._note(block.position, "holds messages from outside the times that it states")
-        if block.indexed not in {0, held}:
-            self._note(block.position, f"holds {held} messages, its index {block.indexed}")
-
-    def _list_records(self, position: int, block: memoryview) -> Iterator[Inner]:
+    def _list_records(self, block: RecordBlock) -> Iterator[Inner]:
         """Give the records of a block. A damaged one ends nothing: the next is looked for."""
+        view, size = memoryview(block.records), len(block.records)
         damaged: set[int] = set()
+        messages, is_timely = 0, True
         at = before = 0
-        while at < len(block):
-            for record in self._parse_records(block, at):
-                end = record[-1]
-                if end > len(block):
+        while at < size:
+            for record in self._parse_records(view, at):
+                key, record_ns, _, end = record
+                if end > size:
                     break
                 yield record
+                if key >= 0:
+                    messages += 1
+                    is_timely &= block.first_ns <= record_ns <= block.last_ns
                 before, at = at, end
-            if at < len(block):
+            if at < size:
                 damaged.add(at)
                 # The length of the record before may be what is wrong, so it is searched, too.
-                at = before = self._find_record(BytesIO(block), before + 1, len(block))
+                at = before = self._find_record(BytesIO(view), before + 1, size)
+        self._check_block(block, damaged, messages, is_timely)
+
+    def _check_block(
+        self, block: RecordBlock, damaged: Collection[int], messages: int, is_timely: bool
+    ) -> None:
+        """Note where a block is damaged, and in what it is not as the file states."""
         if damaged:
             more = f" and in {len(damaged) - 1} more of its places" if len(damaged) > 1 else ""
-            self._note(position, f"is damaged at byte {min(damaged)}{more}")
+            self._note(block.position, f"is damaged at byte {min(damaged)}{more}")
+        if not is_timely:
+            self._note(block.position, "holds messages from outside the times that it states")
+        if block.indexed not in {0, messages}:
+            self._note(block.position, f"holds {messages} messages, its index {block.indexed}")
 
     def _find_record(self, file: BinaryIO, start: int, size: int, chunk_end: int = 0) -> int:
         """Find where records go on behind damage; the size of the file where they do not.
