@@ -12,10 +12,8 @@ from occmap.arrays import Int64
 from occmap.readers import Role, Stream
 from occmap.readers.containers.text import Block, Line, read_blocks
 from occmap.readers.conversion.carmen_lines import (
-    FRAMES,
-    PLAIN_FRAMES,
-    POSED_FRAMES,
-    RAW_FRAMES,
+    POSED,
+    SCAN_LINES,
     USUAL_BEAMS,
     CarmenForm,
     imply_increment,
@@ -40,6 +38,8 @@ MAX_WORDS = 100
 """Keywords that are counted one by one; the many of a damaged file must not fill the memory."""
 MOST_LETTERS = 64
 """How much of a line is searched for its keyword; a longer word is cut."""
+LONGER = " "
+"""Stands for the keyword of a line that its first eight bytes do not tell."""
 MAX_KEPT_BYTES = 1 << 26
 """The scans of a log that take no more memory are kept; larger logs are parsed once more."""
 WHOLE_MESSAGE = re.compile(r"\S+\s+\S+\s+\S.*\s(?!\d)\S+\s+[-+.e\d]+\s*")
@@ -91,15 +91,16 @@ class CarmenLog(TextLog):
         self._size = 0
         self._kept = []
         self._survey()
-        posed = {POSED_FRAMES[word] for word in POSED_FRAMES if word in self._words}
-        self._repeated = [word for word in self._words if RAW_FRAMES.get(word) in posed]
+        frames = {word: SCAN_LINES[word].frame for word in self._words if word in SCAN_LINES}
+        posed = {frames[word] for word in frames.keys() & POSED}
+        self._repeated = [word for word in frames if word not in POSED and frames[word] in posed]
         """RAWLASER streams whose scans are in the log once more, with their pose"""
         self._note_other_lines()
 
     @property
     def streams(self) -> Sequence[Stream]:
         """One stream for each keyword, in order of first appearance."""
-        roles = {**dict.fromkeys(FRAMES, Role.SCAN), "ODOM": Role.POSE}
+        roles = {**dict.fromkeys(SCAN_LINES, Role.SCAN), "ODOM": Role.POSE}
         roles |= dict.fromkeys(self._repeated, Role.OTHER)
         words = ((word, n) for word, n in self._words.items() if word != "#")
         return [Stream(word, word, n, roles.get(word, Role.OTHER)) for word, n in words]
@@ -141,13 +142,13 @@ class CarmenLog(TextLog):
                 self._survey_scans(some)
         self._words = +self._words  # drops keywords of which no line was a scan
         tally.judge(self.path, self.notes, FIX)
-        if len(self._stamps) == 1 and sum(self._words[word] for word in POSED_FRAMES) > 1:
+        if len(self._stamps) == 1 and sum(self._words[word] for word in POSED) > 1:
             self.notes.add("all scans have one time: they are taken in their order")
 
     def _count_words(self, lines: Mapping[str, Int64]) -> None:
         """Count lines by their keyword; scans are counted when they have been parsed."""
         for word, rows in lines.items():
-            if word in FRAMES:
+            if word in SCAN_LINES:
                 self._words[word] += 0  # streams are listed in the order in which they appear
             elif word:
                 known = word in self._words or len(self._words) < MAX_WORDS
@@ -166,7 +167,7 @@ class CarmenLog(TextLog):
             self._kept = None
         if self._kept is not None:
             self._kept.append(some)
-        if first.topic in PLAIN_FRAMES and beams not in USUAL_BEAMS:
+        if not SCAN_LINES[first.topic].before and beams not in USUAL_BEAMS:
             spacing = f"{math.degrees(imply_increment(beams)):g} deg apart, from -90 deg"
             text = f"{first.topic} states no angles: {beams} beams are read as {spacing}"
             self.notes.add(text)
@@ -175,7 +176,7 @@ class CarmenLog(TextLog):
         for word in self._repeated:
             text = f"{word} repeats scans that the log holds with their pose; it is left out"
             self.notes.add(text)
-        used = {*FRAMES, "ODOM"}
+        used = {*SCAN_LINES, "ODOM"}
         others = Counter({word: n for word, n in self._words.items() if word not in used})
         if others:
             top = ", ".join(_count_lines(word, n) for word, n in others.most_common(5))
@@ -188,22 +189,23 @@ def _sort_lines(block: Block) -> dict[str, Int64]:
     """Find the lines of each keyword: `#` for every comment, "" for a blank line."""
     # The first eight bytes of nearly all lines tell the keyword, and few of them differ.
     heads, which = np.unique(block.eights[block.starts[:-1]], return_inverse=True)
-    numbers = {"": 0}
-    cut, keys = [], []
-    for head in (number.to_bytes(8, "little") for number in heads.tolist()):
-        cut.append(b" " not in head.lstrip() and b"\n" not in head)  # the word may go on
-        word = "" if cut[-1] else _find_word(head.partition(b"\n")[0])
-        keys.append(numbers.setdefault(word, len(numbers)))
-    key = np.array(keys)[which]
-    longer = np.flatnonzero(np.array(cut)[which])
-    starts = block.starts[longer]
-    ends = np.minimum(block.starts[longer + 1], starts + MOST_LETTERS)
-    for at, start, end in np.column_stack([longer, starts, ends]).tolist():
-        key[at] = numbers.setdefault(_find_word(block.text[start:end]), len(numbers))
-    sizes = np.bincount(key, minlength=len(numbers))
-    parts = np.split(np.argsort(key, kind="stable"), np.cumsum(sizes)[:-1])
+    numbers = {LONGER: 0}
+    for_head = [numbers.setdefault(_find_short_word(head), len(numbers)) for head in heads.tolist()]
+    number = np.array(for_head)[which]
+    for row in np.flatnonzero(number == numbers[LONGER]).tolist():
+        start, end = block.starts[row : row + 2].tolist()
+        word = _find_word(block.text[start : min(end, start + MOST_LETTERS)])
+        number[row] = numbers.setdefault(word, len(numbers))
+    ends = np.cumsum(np.bincount(number, minlength=len(numbers)))
+    parts = np.split(np.argsort(number, kind="stable"), ends[:-1])
     lines = [(word, rows) for word, rows in zip(numbers, parts, strict=True) if rows.size]
     return dict(sorted(lines, key=lambda each: int(each[1][0])))  # as they appear
+
+
+def _find_short_word(head: int) -> str:
+    """Find the keyword in the first eight bytes of a line; `LONGER` where it may go on."""
+    start, is_ended, _ = head.to_bytes(8, "little").partition(b"\n")
+    return _find_word(start) if is_ended or b" " in start.lstrip() else LONGER
 
 
 def _find_word(line: bytes | bytearray) -> str:
@@ -212,7 +214,7 @@ def _find_word(line: bytes | bytearray) -> str:
 
 
 def _pick_scans(lines: Mapping[str, Int64]) -> dict[str, Int64]:
-    return {word: rows for word, rows in lines.items() if word in FRAMES}
+    return {word: rows for word, rows in lines.items() if word in SCAN_LINES}
 
 
 def _count_lines(word: str, lines: int) -> str:
@@ -224,7 +226,7 @@ def _count_lines(word: str, lines: int) -> str:
 
 def _starts_message(head: list[str]) -> bool:
     """Whether a line starts as a scan or odometry message does: a keyword and a number."""
-    if len(head) < 2 or head[0] not in {*FRAMES, "ODOM"}:
+    if len(head) < 2 or head[0] not in {*SCAN_LINES, "ODOM"}:
         return False
     return head[1].lstrip("-").replace(".", "", 1)[:1].isdigit()
 
@@ -232,7 +234,7 @@ def _starts_message(head: list[str]) -> bool:
 def _is_cut(line: Line) -> bool:
     """Whether a last line without its end is cut; for a scan, parsing it tells."""
     word = _find_word(line.raw)
-    if not word or word in FRAMES:
+    if not word or word in SCAN_LINES:
         return False
     try:
         if word == "ODOM":

@@ -21,14 +21,23 @@ from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import DEFAULT_OPTIONS, Role, Stream
 from occmap.readers.containers.inflate import Buffer
 from occmap.readers.containers.source import Channel, RawMessage, Source
+from occmap.readers.conversion import ToScan
 from occmap.readers.conversion.ros import find_oddity, find_type
-from occmap.readers.decoding.messages import make_reader
+from occmap.readers.decoding.messages import FromBytes, make_reader
 from occmap.readers.decoding.shapes import Shape
 from occmap.readers.decoding.stacks import Stacked, read_scan_run, read_transforms
 from occmap.readers.options import ReaderOptions
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
 T = TypeVar("T")
+Many = TypeVar("Many")
+Convert: TypeAlias = Callable[[Any, str, int], list[T]]
+"""From a decoded message, its topic and its record time in ns."""
+ReadAlike: TypeAlias = Callable[
+    [Sequence[Stacked], str, FromBytes[list[T]]], tuple[Sequence[Many], Sequence[Stacked]]
+]
+"""Reads messages of one length together: from these, their encoding and what reads a single one, to
+what they hold and the messages that are left to be read one by one."""
 
 MESSAGE_BYTES = 100
 """What a message that is held takes in memory beside its own bytes."""
@@ -36,8 +45,6 @@ STACK_BYTES = 1 << 20
 """Messages of one channel and length are held until they take this much memory."""
 MOST_KINDS = 32
 """Channels and lengths for which transforms are held at once; a log that has more is damaged."""
-SHORTEST_RUN = 64
-"""A run of fewer scans is read one by one, to be stacked with others of their kind."""
 
 
 class RosReader:
@@ -91,13 +98,11 @@ class RosLog:
 
     def poses(self) -> Iterator[PoseSample]:
         """Every sample of every pose topic, in file order."""
-        for samples in self._read(self._make_pose_readers()):
-            yield from samples
+        return self._read(self._make_pose_readers())
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
         """Every sample, as `poses` gives them, but many messages of transforms at once."""
-        for reader, stack in self._stack(self._make_pose_readers(), MOST_KINDS):
-            yield from _read_stack(reader, stack)
+        return self._read_stacked(self._make_pose_readers(), read_transforms, MOST_KINDS)
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """The scans of these topics, in file order."""
@@ -105,10 +110,9 @@ class RosLog:
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The scans, as from `scans`, but many at once where one laser has many in a row."""
-        for reader, run in self._stack(self._make_scan_readers(topics), 1):
-            yield from _read_run(reader, run)
+        return self._read_stacked(self._make_scan_readers(topics), read_scan_run, 1)
 
-    def _make_pose_readers(self) -> "_Readers[list[PoseSample]]":
+    def _make_pose_readers(self) -> "_Readers[PoseSample]":
         return self._make_readers(
             (channel, kind.shape, kind.to_poses)
             for channel, kind in self._types.items()
@@ -117,14 +121,12 @@ class RosLog:
 
     def _make_scan_readers(self, topics: Collection[str]) -> "_Readers[Scan]":
         return self._make_readers(
-            (channel, kind.shape, partial(kind.to_scan, self._options))
+            (channel, kind.shape, partial(_convert_scan, kind.to_scan, self._options))
             for channel, kind in self._types.items()
             if kind and kind.to_scan and channel.topic in topics
         )
 
-    def _make_readers(
-        self, wanted: Iterable[tuple[Channel, Shape, Callable[[Any, str, int], T]]]
-    ) -> "_Readers[T]":
+    def _make_readers(self, wanted: Iterable[tuple[Channel, Shape, Convert[T]]]) -> "_Readers[T]":
         """Build a reader for each channel; note and leave out what cannot be understood."""
         readers = {}
         for channel, shape, convert in wanted:
@@ -138,26 +140,39 @@ class RosLog:
     def _read(self, readers: "_Readers[T]") -> Iterator[T]:
         """Read messages one by one, passing over those that are damaged."""
         for channel, record_ns, data in self._messages(readers):
-            yield from readers[channel].read_all([(data, record_ns)])
+            yield from readers[channel].read(data, record_ns)
+        self._note_damage(readers)
+
+    def _read_stacked(
+        self, readers: "_Readers[T]", read_alike: "ReadAlike[T, Many]", most_kinds: int
+    ) -> Iterator[T | Many]:
+        """Read messages of one channel and length together, of `most_kinds` kinds at a time."""
+        for channel, stack in self._stack(readers, most_kinds):
+            reader, left = readers[channel], stack
+            if reader.is_plain:
+                with suppress(DamageError):  # of the first; one by one it is counted
+                    together, left = read_alike(stack, reader.encoding, reader.decode)
+                    yield from together
+            for data, record_ns in left:
+                yield from reader.read(data, record_ns)
         self._note_damage(readers)
 
     def _stack(
         self, readers: "_Readers[T]", most_kinds: int
-    ) -> Iterator[tuple["_ChannelReader[T]", list[Stacked]]]:
-        """Gather messages by channel and length, of at most `most_kinds` kinds at a time."""
+    ) -> Iterator[tuple[Channel, Sequence[Stacked]]]:
+        """Gather messages by channel and length."""
         stacks: dict[tuple[Channel, int], list[Stacked]] = {}
         for channel, record_ns, data in self._messages(readers):
-            key = channel, len(data)
-            if key not in stacks and len(stacks) == most_kinds:
-                yield from ((readers[kind], stack) for (kind, _), stack in stacks.items())
+            kind = channel, len(data)
+            if kind not in stacks and len(stacks) == most_kinds:
+                yield from ((of, stack) for (of, _), stack in stacks.items())
                 stacks.clear()
-            stack = stacks.setdefault(key, [])
+            stack = stacks.setdefault(kind, [])
             # Copied, so that the chunk of the file that it lies in need not be kept.
             stack.append((bytes(data), record_ns))
             if len(stack) * (len(data) + MESSAGE_BYTES) >= STACK_BYTES:
-                yield readers[channel], stacks.pop(key)
-        yield from ((readers[kind], stack) for (kind, _), stack in stacks.items())
-        self._note_damage(readers)
+                yield channel, stacks.pop(kind)
+        yield from ((of, stack) for (of, _), stack in stacks.items())
 
     def _messages(self, readers: "_Readers[T]") -> Iterator[RawMessage]:
         """Give raw messages, and count them; a disk that fails is an error with the log's name."""
@@ -189,9 +204,7 @@ class _ChannelReader(Generic[T]):
     decides between the two.
     """
 
-    def __init__(
-        self, channel: Channel, shape: Shape, convert: Callable[[Any, str, int], T]
-    ) -> None:
+    def __init__(self, channel: Channel, shape: Shape, convert: Convert[T]) -> None:
         self.encoding = channel.encoding
         self.messages = self.failures = 0
         self.uses_standard = False
@@ -205,54 +218,29 @@ class _ChannelReader(Generic[T]):
             self.decode, self.is_plain = self._make_standard()
             self._is_settled = self.uses_standard = True
 
-    def read_all(self, messages: Iterable[tuple[Buffer, int]]) -> Iterator[T]:
-        """Read messages one by one; those that are damaged are counted and left out."""
-        for data, record_ns in messages:
-            item = self.read(data, record_ns)
-            if item is not None:
-                yield item
-
-    def read(self, data: Buffer, record_ns: int) -> T | None:
-        """Read a message. One that is damaged is counted, and gives None."""
+    def read(self, data: Buffer, record_ns: int) -> Sequence[T]:
+        """Read what a message holds. One that is damaged is counted, and gives nothing."""
         view = memoryview(data)
         with suppress(DamageError):
-            item = self.decode(view, record_ns)
+            items = self.decode(view, record_ns)
             self._is_settled = True
-            return item
+            return items
         if not self._is_settled:
             standard, is_plain = self._make_standard()
             with suppress(DamageError):
-                item = standard(view, record_ns)
+                items = standard(view, record_ns)
                 self.decode, self.is_plain = standard, is_plain
                 self._is_settled = self.uses_standard = True
-                return item
+                return items
         self.failures += 1
-        return None
+        return ()
 
 
 _Readers: TypeAlias = Mapping[Channel, _ChannelReader[T]]
 
 
-def _read_run(reader: _ChannelReader[Scan], run: list[Stacked]) -> Iterator[Scan | ScanRun]:
-    """Read scans all at once; one by one where they are few, or not all alike."""
-    if reader.is_plain and len(run) >= SHORTEST_RUN:
-        first = reader.read(*run[0])
-        if first is not None:
-            if scans := read_scan_run(run, reader.encoding, first):
-                yield scans
-                return
-            yield first
-        run = run[1:]
-    yield from reader.read_all(run)
-
-
-def _read_stack(
-    reader: _ChannelReader[list[PoseSample]], stack: Sequence[Stacked]
-) -> Iterator[PoseSample | PoseBatch]:
-    """Read transforms all at once; one by one those that are damaged or like no other."""
-    if reader.is_plain:
-        with suppress(DamageError):
-            batches, stack = read_transforms(stack, reader.encoding, reader.decode)
-            yield from batches
-    for samples in reader.read_all(stack):
-        yield from samples
+def _convert_scan(
+    to_scan: ToScan, options: ReaderOptions, message: Any, topic: str, record_ns: int
+) -> list[Scan]:
+    """Convert a message to its one scan, as messages of poses are to any number of samples."""
+    return [to_scan(options, message, topic, record_ns)]

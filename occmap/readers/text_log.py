@@ -153,23 +153,27 @@ class TextLog(ABC):
         return [scans[row] for row in sorted(scans)]
 
     def _parse_together(self, block: Block, rows: Int64) -> tuple[Int64, ScanRun] | None:
-        """Parse the lines of one kind that are like the first sound one; say which these are."""
-        sound = self._find_sound(block, rows) if len(rows) > 1 else None
-        if sound is None:
+        """Parse the lines of one kind that are like the first sound one; say which these are.
+
+        None: there is no sound one, or its lines are of no pattern.
+        """
+        if len(rows) < 2 or (sound := self._find_sound(block, rows)) is None:
             return None
-        line, first = sound
+        at, first = sound
+        rows = rows[at:]  # those before it are malformed
         with suppress(ValueError):  # of lines that state no times, or of which one is malformed
-            table = parse_table(block, rows, self.form.find_pattern(line))
-            # Else the kernel takes a line that `parse` refuses, or refuses one that it takes.
-            if table.rows[:1].tolist() == [line.number - block.number]:
+            pattern = self.form.find_pattern(block.get_line(int(rows[0])))
+            table = parse_table(block, rows, pattern)
+            # The kernel leaves out a few lines that `parse` takes; the first must not be one.
+            if table.rows.size and table.rows[0] == rows[0]:
                 return table.rows, self.form.make_run(first, table)
         return None
 
-    def _find_sound(self, block: Block, rows: Int64) -> tuple[Line, Scan] | None:
-        """Find the first of some lines that can be parsed."""
-        for line in block.get_lines(rows):
+    def _find_sound(self, block: Block, rows: Int64) -> tuple[int, Scan] | None:
+        """Find the first of some lines that can be parsed: its index among them, and its scan."""
+        for at, line in enumerate(block.get_lines(rows)):
             with suppress(ValueError):
-                return line, self.form.parse(line.text)
+                return at, self.form.parse(line.text)
         return None
 
     def _parse(self, line: Line, parse: Callable[[str], Parsed], tally: LineTally) -> Parsed | None:

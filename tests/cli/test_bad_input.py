@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from occmap.readers.containers.mcap import MAGIC as MCAP_MAGIC
+from occmap.readers.containers.mcap_records import MAGIC as MCAP_MAGIC
 from tests.cli.runner import occmap, read_error
 from tests.readers.ros import ROS2, drive, write_mcap
 from tests.samples import SAMPLE_LOGS, write_csv

@@ -16,10 +16,10 @@ from occmap.readers.conversion.ros import convert_cloud
 from occmap.readers.decoding.shapes import as_row
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_log import RosLog
+from tests.readers.conversion.test_flatten import cloud
 from tests.readers.foxglove_logs import SECOND, Message, drive, scan, write_json
 from tests.readers.ros import ROS2, SCAN, TF, Memory, Written, transforms, write_mcap
 from tests.readers.ros import scan as ros_scan
-from tests.readers.test_flatten import cloud
 
 SCANS = [scan(index) for index in range(3)]
 

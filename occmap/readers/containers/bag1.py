@@ -12,9 +12,12 @@ from typing import BinaryIO
 
 from occmap.errors import LogError
 from occmap.readers.containers import bag1_records as records
-from occmap.readers.containers.chunked import ChunkedSource, Descriptions, Record, RecordBlock
+from occmap.readers.containers.chunked import ChunkedSource
 from occmap.readers.containers.inflate import Buffer, inflate
+from occmap.readers.containers.records import Descriptions, Record, RecordBlock
 from occmap.readers.containers.source import Channel
+
+UNCLOSED = "the bag was not closed, or its index is damaged: all of it is read"
 
 
 @dataclass
@@ -48,12 +51,30 @@ class _Index:
                 for key, messages in records.INFO_ENTRY.iter_unpack(file.read(record.length)):
                     counts[key] += messages
 
-    def count(self) -> tuple[Counter[int], Counter[int]]:
-        """Count the messages of each connection by the end of the bag, and behind its chunks."""
-        behind: Counter[int] = Counter()
+    def is_closed(self, connections: int) -> bool:
+        """Whether the bag has the index that it states, with so many connections."""
+        stated = self.bag.number(b"conn_count"), self.bag.number(b"chunk_count")
+        has_index = self.bag.number(b"index_pos") > 0 and connections > 0
+        return has_index and stated == (connections, len(self.at_end))
+
+    def find_problem(self) -> str:
+        """Say in what the index at the end differs from what lies before it; "" if in nothing."""
+        if len(self.chunks) != len(self.at_end):
+            return f"{len(self.chunks)} chunks are in it, its index has {len(self.at_end)}"
+        if self.count_behind() != self.count_at_end():
+            return "the indexes of its chunks and the one at its end differ"
+        return ""
+
+    def count_at_end(self) -> Counter[int]:
+        """Count the messages of each connection by the end of the bag."""
+        return sum(self.at_end.values(), Counter())
+
+    def count_behind(self) -> Counter[int]:
+        """Count them by the records behind its chunks."""
+        counts: Counter[int] = Counter()
         for _, key, messages in self.behind:
-            behind[key] += messages
-        return sum(self.at_end.values(), Counter()), +behind
+            counts[key] += messages
+        return +counts
 
     def count_parts(self) -> tuple[Counter[int], set[int]]:
         """Count the messages that a damaged index tells of, and find the chunks that it lost.
@@ -63,8 +84,9 @@ class _Index:
         """
         if self.at_end and max(self.at_end) not in self.chunks:
             # Bytes are lost or added, so that the positions at the end are those of no chunk.
-            at_end, behind = self.count()
-            return at_end if len(self.chunks) > len(self.at_end) else at_end | behind, set()
+            at_end = self.count_at_end()
+            has_all = len(self.chunks) <= len(self.at_end)
+            return at_end | self.count_behind() if has_all else at_end, set()
         places = sorted({*self.at_end, *self.chunks})
         by_chunk = [Counter(self.at_end.get(at)) for at in places]
         for position, key, messages in self.behind:
@@ -95,34 +117,26 @@ class Bag1Source(ChunkedSource):
         index = _Index()
         for record in self._walk(file):
             index.add(record, file)
-        bag, chunks, infos = index.bag, len(index.chunks), len(index.at_end)
-        if encryptor := bag.text(b"encryptor"):
+        if encryptor := index.bag.text(b"encryptor"):
             raise LogError(
                 f"the bag is encrypted with {encryptor}",
                 where=self.path,
                 fix="decrypt it with `rosbag decrypt` first",
             )
         channels = dict(self._describe(index.descriptions))
-        counts, behind = index.count()
-        stated = bag.number(b"conn_count"), bag.number(b"chunk_count")
-        is_closed = bag.number(b"index_pos") and stated == (len(channels), infos) and channels
-        if not is_closed:
-            problem = "the bag was not closed, or its index is damaged: all of it is read"
-        elif chunks != infos:
-            problem = f"{chunks} chunks are in it, its index has {infos}"
-        elif behind != counts:
-            problem = "the indexes of its chunks and the one at its end differ"
-        else:
+        is_closed = index.is_closed(len(channels))
+        problem = index.find_problem() if is_closed else UNCLOSED
+        if not problem:
             self._chunks = index.chunks
-            return channels, counts
+            return channels, index.count_at_end()
         if not self.notes:
             self.notes.add_damage(problem)
         counts, lost = index.count_parts()
         if lost := lost - {self._cut_at}:
-            text = f"nothing is left of the index of {len(lost)} of its {chunks} chunks"
+            text = f"nothing is left of the index of {len(lost)} of its {len(index.chunks)} chunks"
             self.notes.add_damage(f"{text}: how many messages they should hold is not known")
-        self._has_doubles = chunks > infos
         found, held = self._survey(file)
+        # Of a bag that was not closed, only what the survey finds is sure to be a connection.
         channels = found | channels if is_closed else found
         known = channels.keys() | held.keys()
         return channels, held | Counter({key: counts[key] for key in counts.keys() & known})

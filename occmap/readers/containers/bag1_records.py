@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from contextlib import suppress
 from typing import BinaryIO, NamedTuple
 
-from occmap.readers.containers.chunked import DESCRIPTION, OTHER, Inner
 from occmap.readers.containers.inflate import Buffer
+from occmap.readers.containers.records import DESCRIPTION, OTHER, Inner
 
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 """The opcodes."""
@@ -126,10 +126,11 @@ def parse_records(block: memoryview, at: int) -> Iterator[Inner]:
                 at = start + int.from_bytes(match["length"], "little")
             else:
                 header = parse_header(block, at)
-                key, record_ns, start = OTHER, 0, at + len(header.raw)
-                at = start + header.length
+                key, record_ns, start = OTHER, 0, at
+                at += len(header.raw) + header.length
                 if header.opcode == MESSAGE:
                     key, record_ns = header.number(b"conn"), _read_time(header.fields[b"time"])
+                    start = at - header.length
                 elif header.opcode == CONNECTION:
                     key = DESCRIPTION
             yield key, record_ns, start, at

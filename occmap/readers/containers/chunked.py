@@ -9,80 +9,33 @@ and rosbags needs an index, which the bags of robots that lost power do not have
 import re
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Collection, Container, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Iterator, Sequence
 from dataclasses import replace
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
-from typing import BinaryIO, ClassVar, NamedTuple, Self, TypeAlias, TypeVar
+from typing import BinaryIO, ClassVar, Self
 
 from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import NoteList, Span, make_part
-from occmap.readers.containers.inflate import Buffer
+from occmap.readers.containers.records import (
+    DESCRIPTION,
+    OTHER,
+    Descriptions,
+    Inner,
+    Record,
+    RecordBlock,
+)
 from occmap.readers.containers.source import Channel, RawMessage
 from occmap.wording import count
 
-T = TypeVar("T")
-
-NEVER_NS = 2**64 - 1
-"""A time later than any: the last of a chunk that states none."""
 LONGEST_RECORD = 2**32 - 1
 """Bytes of a record at most; one that states more is damaged."""
 EVERY_ID = range(1 << 32)
-"""All channels that there can be; each number stands for itself."""
-DESCRIPTION, OTHER = -1, -2
-"""Stand in place of a message's channel for a record that describes one, and for any other."""
+"""The numbers of all channels that there can be."""
 _WINDOW = 1 << 20
 _LONGEST_HEAD = 64
 """Bytes that `head` looks at, at most."""
-
-
-class Record(NamedTuple):
-    """A record of a file whose body is not yet read."""
-
-    opcode: int
-    """What kind of record it is"""
-    position: int
-    """In the file"""
-    head: bytes
-    """What lies before its body, with the length of the body in it"""
-    length: int
-    """Bytes of the body; of one that is cut, more than there are"""
-    is_sure: bool = False
-    """Whether the length cannot be wrong, so that it is the file that is too short"""
-
-    @property
-    def start(self) -> int:
-        """Where its body begins."""
-        return self.position + len(self.head)
-
-    @property
-    def end(self) -> int:
-        """Where its body ends."""
-        return self.start + self.length
-
-
-class RecordBlock(NamedTuple):
-    """Records that lie together: those of a chunk, or one that stands by itself."""
-
-    position: int
-    """In the file"""
-    records: Buffer
-    first_ns: int = 0
-    last_ns: int = NEVER_NS
-    """Between which times its messages were recorded, as the chunk states"""
-    indexed: int = 0
-    """How many messages the indexes after the chunk name; 0 where there are none"""
-
-
-Wanted: TypeAlias = Mapping[int, T] | Sequence[T]
-"""Channels by their numbers"""
-Inner: TypeAlias = tuple[int, int, int, int]
-"""A record of a block: a message's channel, when it was recorded (ns), and where in the block its
-own bytes begin and end. A plain tuple, since a log has tens of thousands."""
-
-Descriptions: TypeAlias = dict[bytes, int]
-"""Records that describe channels, each with the position of the chunk where it first lies."""
 
 
 class ChunkedSource(ABC):
@@ -128,7 +81,12 @@ class ChunkedSource(ABC):
         descriptions: Descriptions = {}
         with self.path.open("rb") as file:
             for block in self._iterate_blocks(file, by_id):
-                yield from self._split_block(block, by_id, descriptions)
+                view = memoryview(block.records)
+                for key, record_ns, start, end in self._list_records(block):
+                    if key in by_id:
+                        yield by_id[key], record_ns, view[start:end]
+                    elif key == DESCRIPTION:
+                        descriptions.setdefault(bytes(view[start:end]), block.position)
         for key, other in self._describe(descriptions):
             known = self._by_id.get(key, other)
             if known.description != other.description:
@@ -180,55 +138,57 @@ class ChunkedSource(ABC):
         return True
 
     def _survey(self, file: BinaryIO) -> tuple[dict[int, Channel], Counter[int]]:
-        """Find the channels and count their messages by reading the whole file."""
+        """Find the channels and count their messages by reading the whole file.
+
+        That of a file which is not as its index says may hold a chunk twice.
+        """
+        self._has_doubles = True
         descriptions: Descriptions = {}
         held: Counter[int] = Counter()
         for block in self._iterate_blocks(file, EVERY_ID):
-            held.update(key for key, _, _ in self._split_block(block, EVERY_ID, descriptions))
+            for key, _, start, end in self._list_records(block):
+                if key == DESCRIPTION:
+                    descriptions.setdefault(bytes(block.records[start:end]), block.position)
+                elif key != OTHER:
+                    held[key] += 1
         channels: dict[int, Channel] = {}
         for key, channel in self._describe(descriptions):
             channels.setdefault(key, channel)
         return channels, held
 
-    def _split_block(
-        self, block: RecordBlock, wanted: Wanted[T], descriptions: Descriptions
-    ) -> Iterator[tuple[T, int, memoryview]]:
-        """Give channel, record time (ns) and bytes of each message of some channels.
-
-        A damaged record ends nothing: the next is looked for. The records that describe channels
-        are added to `descriptions`.
-        """
+    def _list_records(self, block: RecordBlock) -> Iterator[Inner]:
+        """Give the records of a block. A damaged one ends nothing: the next is looked for."""
         view, size = memoryview(block.records), len(block.records)
         damaged: set[int] = set()
-        held, is_timely = 0, True
-        at = behind = 0
+        messages, is_timely = 0, True
+        at = before = 0
         while at < size:
-            for key, record_ns, start, end in self._parse_records(view, at):
+            for record in self._parse_records(view, at):
+                key, record_ns, _, end = record
                 if end > size:
                     break
-                if key in wanted:
+                yield record
+                if key >= 0:
+                    messages += 1
                     is_timely &= block.first_ns <= record_ns <= block.last_ns
-                    yield wanted[key], record_ns, view[start:end]
-                elif key == DESCRIPTION:
-                    descriptions.setdefault(bytes(view[at:end]), block.position)
-                held += key >= 0
-                # The record's length is not sure before what follows it is seen.
-                behind = at
-                at = end
+                before, at = at, end
             if at < size:
                 damaged.add(at)
-                at = behind = self._find_record(BytesIO(view), behind + 1, size)
+                # The length of the record before may be what is wrong, so it is searched, too.
+                at = before = self._find_record(BytesIO(view), before + 1, size)
+        self._check_block(block, damaged, messages, is_timely)
+
+    def _check_block(
+        self, block: RecordBlock, damaged: Collection[int], messages: int, is_timely: bool
+    ) -> None:
+        """Note where a block is damaged, and in what it is not as the file states."""
         if damaged:
             more = f" and in {len(damaged) - 1} more of its places" if len(damaged) > 1 else ""
             self._note(block.position, f"is damaged at byte {min(damaged)}{more}")
-        self._check_block(block, held, is_timely)
-
-    def _check_block(self, block: RecordBlock, held: int, is_timely: bool) -> None:
-        """Compare the messages of a chunk with what the file states of it."""
         if not is_timely:
             self._note(block.position, "holds messages from outside the times that it states")
-        if block.indexed not in {0, held}:
-            self._note(block.position, f"holds {held} messages, its index {block.indexed}")
+        if block.indexed not in {0, messages}:
+            self._note(block.position, f"holds {messages} messages, its index {block.indexed}")
 
     def _find_record(self, file: BinaryIO, start: int, size: int, chunk_end: int = 0) -> int:
         """Find where records go on behind damage; the size of the file where they do not.
@@ -262,30 +222,39 @@ class ChunkedSource(ABC):
 
     def _walk(self, file: BinaryIO) -> Iterator[Record]:
         """Give the records of the file one by one, with the file at the record's body."""
-        position = behind = self._span.start
-        chunk_end = 0
+        position, before = self._span.start, None
         while position < self._span.end:
             record = self._read_record(file, position)
-            is_cut = record is not None and record.end > self._size
-            if record is None or (is_cut and not record.is_sure):
-                found = self._find_record(file, behind, self._size, chunk_end)
+            is_whole = record is not None and record.end <= self._size
+            if not is_whole and not (record and record.is_sure):
+                found = self._find_behind(file, position, before)
                 if found < self._size:
-                    # If it goes on within the record before, that one states a wrong length.
-                    at = position if position < found else behind
-                    self.notes.add_damage(f"damaged at byte {at}, read on from byte {found}")
-                    position, behind = found, found + 1
+                    position, before = found, None
                     continue
-            if record is None or is_cut:
+            if record is None or not is_whole:
                 yield from self._take_rest(file, position, record)
                 return
             if record.opcode in self.last:
                 return
             file.seek(record.start)
             yield record
-            position, behind = record.end, record.start
-            chunk_end = record.end if record.opcode == self.chunk else 0
+            position, before = record.end, record
         if self.last and position == self._size:
             self.notes.add_damage(f"the file breaks off at byte {position}, where more belongs")
+
+    def _find_behind(self, file: BinaryIO, position: int, before: Record | None) -> int:
+        """Find where records go on behind a position where none is, and note the damage.
+
+        The length of the record before may be what is wrong, so the search begins within it; but
+        what a chunk holds is part of it.
+        """
+        start = before.start if before else position + 1
+        chunk_end = before.end if before and before.opcode == self.chunk else 0
+        found = self._find_record(file, start, self._size, chunk_end)
+        if found < self._size:
+            damaged = position if position < found else start
+            self.notes.add_damage(f"damaged at byte {damaged}, read on from byte {found}")
+        return found
 
     def _take_rest(self, file: BinaryIO, position: int, record: Record | None) -> Iterator[Record]:
         """Note that the last bytes hold no whole record, and give what there is of a chunk."""

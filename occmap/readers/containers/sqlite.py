@@ -100,12 +100,10 @@ class SqliteSource:
         yield from find_rows(self.path, last)
 
     def _count_messages(self, database: apsw.Connection, topics: Collection[int]) -> Counter[int]:
-        """Count the messages of each topic, and compare their number with that of the index."""
+        """Count the messages of each topic; after damage, those that are found page by page."""
         announced: int | None = None
         try:
-            query = "SELECT count(timestamp) FROM messages INDEXED BY timestamp_idx"
-            with suppress(apsw.SQLError):  # there is no index
-                ((announced,),) = database.execute(query)
+            announced = _count_indexed(database)
             query = (
                 "SELECT CAST(topic_id AS INTEGER), count(*) FROM messages NOT INDEXED GROUP BY 1"
             )
@@ -115,7 +113,7 @@ class SqliteSource:
             problem = "its table and its index differ"
         except _ERRORS as error:
             problem = str(error)
-        self._is_sound = self._has_wal  # its rows lie on no page of the file
+        self._is_sound = self._has_wal  # whose rows lie on no page of the file
         counts = Counter(topic for _, topic, _, _ in self._read_rows(database, topics))
         share = f"{counts.total()} of {announced}" if announced else f"{counts.total()}"
         self.notes.add_damage(
@@ -167,6 +165,15 @@ class SqliteSource:
         # With this, SQLite keeps the index of a write-ahead log in memory, not in a file.
         database.execute("PRAGMA locking_mode = EXCLUSIVE")
         return database
+
+
+def _count_indexed(database: apsw.Connection) -> int | None:
+    """Count the messages by the index on their times; None where there is no such index."""
+    with suppress(apsw.SQLError):
+        query = "SELECT count(timestamp) FROM messages INDEXED BY timestamp_idx"
+        ((messages,),) = database.execute(query)
+        return int(messages)
+    return None
 
 
 def _refuse_imitations(database: apsw.Connection) -> None:

@@ -17,8 +17,9 @@ import numpy as np
 _LEAF = 0x0D
 """The first byte of a page that holds rows of a table."""
 _LEAF_HEAD = 8
-_WIDTHS = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, 9: 0}
-"""Bytes of an integer by its type: 0 is NULL, 8 and 9 are the numbers 0 and 1."""
+_NULL, _ONE = 0, 9
+_WIDTHS = {_NULL: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 8: 0, _ONE: 0}
+"""Bytes of an integer by its type; 8 and 9 are the numbers 0 and 1."""
 _BLOB = 12
 """From this type on, even types are blobs."""
 
@@ -90,29 +91,33 @@ class _Pages:
                     yield number, at
 
     def parse_cell(self, number: int, at: int) -> _Cell | None:
-        """Parse the start of a row; None where it is not one of messages, or is damaged."""
+        """Parse the start of a row; None where it is not one of messages, or is damaged.
+
+        A row is the size of its record, its id, and the record: how long its head is, the type of
+        each column, and the columns.
+        """
         page = self.read(number)
-        with suppress(LookupError):
+        with suppress(LookupError):  # the page ends, or there is no such type
             size, at = _read_varint(page, at)
             key, start = _read_varint(page, at)
             length, at = _read_varint(page, start)
-            end = start + length
             kinds = []
-            while at < end:
+            while at < start + length:
                 kind, at = _read_varint(page, at)
                 kinds.append(kind)
-            numbers = []
-            for kind in kinds[:-1]:
-                value = page[end : end + _WIDTHS[kind]]
-                numbers.append(int.from_bytes(value, "big", signed=True) + (kind == 9))
-                end += len(value)
-            whole = end - start + (kinds[-1] - _BLOB) // 2 == size <= self._end
-            if whole and kinds[0] == kinds[-1] % 2 == 0 and len(kinds) == 4 and key < 2**63:
-                return _Cell(key, numbers[1], numbers[2], start, end - start, size)
+            if len(kinds) != 4 or kinds[0] != _NULL or kinds[3] % 2 or key >= 2**63:
+                return None
+            topic, at = _read_integer(page, start + length, kinds[1])
+            record_ns, at = _read_integer(page, at, kinds[2])
+            head = at - start
+            if head + (kinds[3] - _BLOB) // 2 == size <= self._end:
+                return _Cell(key, topic, record_ns, start, head, size)
         return None
 
     def read_data(self, number: int, cell: _Cell) -> bytes | None:
         """Read the message of a row from all pages that it lies on."""
+        # The format has it so: a record that no page can hold leaves the page that it begins on
+        # with as much as fills its last page, or with the least.
         most = self._usable - 35
         least = (self._usable - 12) * 32 // 255 - 23
         local = cell.size
@@ -140,3 +145,9 @@ def _read_varint(page: bytes, at: int) -> tuple[int, int]:
         if page[place] < 0x80:
             return value, place + 1
     return value << 8 | page[at + 8], at + 9
+
+
+def _read_integer(page: bytes, at: int, kind: int) -> tuple[int, int]:
+    """Read an integer of some type, and where it ends."""
+    value = page[at : at + _WIDTHS[kind]]
+    return int.from_bytes(value, "big", signed=True) + (kind == _ONE), at + len(value)

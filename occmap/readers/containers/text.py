@@ -104,10 +104,16 @@ def is_heading(line: bytes) -> bool:
     return line.removeprefix(BOM_UTF8).lstrip()[:1] in {b"", b"#"}
 
 
-def split_lines(path: Path, size: int) -> list[Span]:
-    """Cut a text file into spans of whole lines, of about `size` bytes; gzip cannot be cut.
+def _has_mac_ends(head: bytes) -> bool:
+    """Whether a text that begins like this has CR alone at the end of a line, as Macs wrote it."""
+    return b"\r" in head[:-1] and b"\n" not in head
 
-    The first span holds the head of the file and one line more, which may be a header row.
+
+def split_lines(path: Path, size: int) -> list[Span]:
+    """Cut a text file into spans of whole lines, of about `size` bytes.
+
+    The first span holds the head of the file and one line more, which may be a header row. Gzip
+    cannot be cut, and the file of an old Mac is not.
 
     Raises
     ------
@@ -115,7 +121,8 @@ def split_lines(path: Path, size: int) -> list[Span]:
         The file cannot be read.
     """
     with refuse_unreadable(path), path.open("rb") as file:
-        if file.read(2) == MAGIC:
+        head = file.read(BLOCK_BYTES)
+        if head.startswith(MAGIC) or _has_mac_ends(head):
             return [ALL]
         file.seek(0)
         while (line := file.readline(MAX_LINE_BYTES)) and is_heading(line):
@@ -147,7 +154,7 @@ def read_blocks(path: Path, notes: NoteList, span: Span = ALL) -> Iterator[Block
         size = path.stat().st_size
     limit, most_lines = max(FREE_EXPANSION_BYTES, MAX_EXPANSION * size), max(FREE_LINES, size)
     try:
-        for piece in _read_pieces(path, span):
+        for piece in _read_lines(path, span):
             begun, filled, total = filled, filled + len(piece), total + len(piece)
             if filled + len(PADDING) > len(text):
                 text = text + bytes(filled + len(PADDING))
@@ -169,6 +176,15 @@ def read_blocks(path: Path, notes: NoteList, span: Span = ALL) -> Iterator[Block
     except GUNZIP_ERRORS as error:
         reason = "cut short" if isinstance(error, EOFError) else f"corrupt: {error}"
         notes.add_damage(f"the gzip data is {reason}; all after line {number - 1} is lost")
+
+
+def _read_lines(path: Path, span: Span) -> Iterator[bytes | memoryview]:
+    """Yield the content of a file as `_read_pieces` does, with the line ends of today."""
+    has_mac_ends = False
+    for number, piece in enumerate(_read_pieces(path, span)):
+        if number == span.start == 0:
+            has_mac_ends = _has_mac_ends(bytes(piece))
+        yield bytes(piece).replace(b"\r", b"\n") if has_mac_ends else piece
 
 
 def _read_pieces(path: Path, span: Span) -> Iterator[bytes | memoryview]:

@@ -36,17 +36,30 @@ from occmap.types import UNKNOWN_POSE, Pose, PoseSample, Scan, ScanRun
 from occmap.values import as_float32, parse_seconds, shorten
 
 FRONT, REAR = "front_laser", "rear_laser"
-PLAIN_FRAMES = {"FLASER": FRONT, "RLASER": REAR}
-"""Lines that imply their angles and state no limits."""
-ROBOT_FRAMES = {"ROBOTLASER0": FRONT, "ROBOTLASER1": FRONT, "ROBOTLASER2": REAR}
-POSED_FRAMES = PLAIN_FRAMES | ROBOT_FRAMES
-"""Lines that state the pose beside the scan, so that no time is needed."""
-RAW_FRAMES = {"RAWLASER1": FRONT, "RAWLASER2": REAR}
-FRAMES = POSED_FRAMES | RAW_FRAMES
-BEHIND_LISTS = (
-    dict.fromkeys(PLAIN_FRAMES, 6) | dict.fromkeys(ROBOT_FRAMES, 11) | dict.fromkeys(RAW_FRAMES, 0)
-)
-"""How many numbers stand between the lists and the time; the first are the pose of the laser."""
+
+
+class ScanLine(NamedTuple):
+    """What lines of scans hold beside their ranges."""
+
+    frame: str
+    before: int
+    """How many numbers stand before the list of ranges; 0: the line implies its angles"""
+    behind: int
+    """How many stand between the lists and the time, the pose of the laser first; 0: it has none"""
+
+
+SCAN_LINES = {
+    "FLASER": ScanLine(FRONT, 0, 6),
+    "RLASER": ScanLine(REAR, 0, 6),
+    "ROBOTLASER0": ScanLine(FRONT, 7, 11),
+    "ROBOTLASER1": ScanLine(FRONT, 7, 11),
+    "ROBOTLASER2": ScanLine(REAR, 7, 11),
+    "RAWLASER1": ScanLine(FRONT, 7, 0),
+    "RAWLASER2": ScanLine(REAR, 7, 0),
+}
+"""The lines of scans by their keywords"""
+POSED = frozenset(word for word, line in SCAN_LINES.items() if line.behind)
+"""Those that state the pose of the laser"""
 USUAL_BEAMS = (180, 181, 360, 361)
 """How many beams a line has that is known to imply its angles."""
 FRONT_OFFSET = "robot_frontlaser_offset"
@@ -71,7 +84,7 @@ class CarmenForm:
         self._split: Split | None = None
 
     def parse(self, text: str) -> Scan:
-        """Parse a line whose keyword is one of `FRAMES`; the first shows whether all have times."""
+        """Parse one of `SCAN_LINES`; the first shows whether all lines of the log have times."""
         if self._split is None:
             self._split = split_timed
             with suppress(ValueError):
@@ -93,12 +106,12 @@ class CarmenForm:
         if self._split is not split_timed:
             raise ValueError("the lines state no times")
         words = line.raw.split()
-        is_plain = words[0].decode() in PLAIN_FRAMES
-        begin = 2 if is_plain else 9
+        before = SCAN_LINES[words[0].decode()].before
+        begin = 2 + before  # behind the keyword and the length of the list
         end = begin + int(float(words[begin - 1]))
         kinds = np.full(len(words), NUMBER, np.uint8)
         # The keyword, the angles, the limit and the lengths of lists, by their places in a line.
-        kinds[[0, begin - 1] if is_plain else [0, 2, 4, 5, begin - 1, end]] = SAME
+        kinds[[0, 2, 4, 5, begin - 1, end] if before else [0, begin - 1]] = SAME
         kinds[begin:end] = RANGE
         kinds[-3:] = SECONDS, ANY, SECONDS
         return Pattern(words, b" ", kinds)
@@ -106,7 +119,7 @@ class CarmenForm:
     def make_run(self, first: Scan, table: Table) -> ScanRun:
         """Make scans of lines like the first."""
         stamp_ns, logged_ns = table.times[-3].copy(), table.times[-1]
-        behind = BEHIND_LISTS[first.topic]
+        behind = SCAN_LINES[first.topic].behind
         return ScanRun(
             first,
             stamp_ns,
@@ -149,7 +162,7 @@ def imply_increment(beams: int) -> float:
 def split_untimed(text: str) -> _Message:
     """Split a FLASER or RLASER line after its poses; anything may follow in place of a time."""
     word, *numbers = text.split()
-    if word not in PLAIN_FRAMES or not numbers or not numbers[0].isdecimal():
+    if word not in {"FLASER", "RLASER"} or not numbers or not numbers[0].isdecimal():
         raise ValueError("it is not a line of a laser with its pose")
     size = 1 + int(numbers[0]) + 6
     if not size <= len(numbers) <= size + 3:
@@ -199,26 +212,26 @@ def _check_rest(values: Float64, at: int, size: int) -> None:
 
 
 def _make_scan(message: _Message) -> Scan:
-    word, values = message.word, message.values
-    listed = _find_list(values, 0 if word in PLAIN_FRAMES else 7)
-    end = listed.stop if word in PLAIN_FRAMES else _find_list(values, listed.stop).stop
-    _check_rest(values, end, BEHIND_LISTS[word])
+    line, values = SCAN_LINES[message.word], message.values
+    listed = _find_list(values, line.before)
+    end = _find_list(values, listed.stop).stop if line.before else listed.stop
+    _check_rest(values, end, line.behind)
     ranges = as_float32(values[listed])
     angle_min, increment, range_max = -math.pi / 2, imply_increment(ranges.size), math.inf
-    if word not in PLAIN_FRAMES:
-        _, angle_min, _, increment, maximum, *_ = values[:7].tolist()
+    if line.before:
+        _, angle_min, _, increment, maximum, *_ = values[: line.before].tolist()
         if not math.isfinite(angle_min + increment):
             raise ValueError("start_angle or resolution is not finite")
         range_max = float(as_float32(maximum)) if maximum > 0 else math.inf
     return Scan(
         stamp_ns=message.stamp_ns,
-        frame=FRAMES[word],
+        frame=line.frame,
         angle_min=angle_min,
         angle_increment=increment,
         ranges=ranges,
         range_min=0.0,
         range_max=range_max,
-        pose=make_planar(*values[end : end + 3].tolist()) if BEHIND_LISTS[word] else None,
-        topic=word,
+        pose=make_planar(*values[end : end + 3].tolist()) if line.behind else None,
+        topic=message.word,
         record_ns=message.record_ns,
     )

@@ -74,7 +74,10 @@ class Layout:
         except ValueError as error:
             raise ValueError(f"stamp: {error}") from None
         number = {name: read_number(name, texts[name]) for name in NUMBERS}
-        place = (read_number(name, texts[name].strip() or "nan") for name in POSE_NAMES)
+        pose = None
+        if "x" in texts:
+            place = (read_number(name, texts[name].strip() or "nan") for name in POSE_NAMES)
+            pose = make_planar(*place)
         return Scan(
             stamp_ns=stamp_ns,
             frame=texts["frame"].strip().lstrip("/"),
@@ -85,7 +88,7 @@ class Layout:
             range_min=float(as_float32(number["range_min"])),
             range_max=float(as_float32(number["range_max"])),
             time_increment=number["time_increment"],
-            pose=make_planar(*place) if "x" in texts else None,
+            pose=pose,
             topic=TOPIC,
             record_ns=stamp_ns,
         )
@@ -121,13 +124,17 @@ class Layout:
         increments = take("time_increment", first.time_increment)
         if not np.isfinite(increments).all():
             raise ValueError("time_increment is not a time")
-        at = self.columns.get("stamp")
-        stamp_ns = np.full(scans, first.stamp_ns) if at is None else table.times[at].copy()
-        pose = [take(name, float(self.constants.get(name, "nan"))) for name in POSE_NAMES]
-        ranges = table.ranges
-        if list(self.beams) != sorted(self.beams):
-            ranges = ranges[:, np.argsort(np.argsort(self.beams))]  # columns may stand in any order
-        poses = None if first.pose is None else stack_planar(*pose)
+        stamp_ns = np.full(scans, first.stamp_ns)
+        if "stamp" in self.columns:
+            stamp_ns = table.times[self.columns["stamp"]].copy()
+        poses = None
+        if first.pose is not None:
+            poses = stack_planar(
+                *(take(n, float(self.constants.get(n, "nan"))) for n in POSE_NAMES)
+            )
+        ranges, in_order = table.ranges, sorted(self.beams)
+        if list(self.beams) != in_order:  # columns may stand in any order
+            ranges = ranges[:, np.searchsorted(in_order, self.beams)]
         return ScanRun(first, stamp_ns, stamp_ns, ranges, increments, poses)
 
 

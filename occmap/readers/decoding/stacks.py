@@ -20,6 +20,8 @@ from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 Stacked: TypeAlias = tuple[bytes, int]
 """A message of one channel and length, and its record time (ns)."""
 
+SHORTEST_RUN = 64
+"""Fewer scans are read one by one, to be stacked with others of their kind."""
 MOST_GROUPS = 16
 """Messages of one length are grouped by the frames that they name, but not into more groups."""
 _LITTLE_ENDIAN = b"\0\1"
@@ -34,21 +36,31 @@ _POSE = 56
 """Bytes of a translation and a rotation."""
 
 
-def read_scan_run(messages: Sequence[Stacked], encoding: str, first: Scan) -> ScanRun | None:
+def read_scan_run(
+    messages: Sequence[Stacked], encoding: str, read: FromBytes[list[Scan]]
+) -> tuple[list[ScanRun], Sequence[Stacked]]:
     """Read scans of one length that follow one another.
 
     Parameters
     ----------
-    first
-        The scan of the first message.
+    read
+        Reads a single message: it tells what is the same in all of them.
 
     Returns
     -------
-    run
-        None where the scans are not all alike but for times and ranges, or not little-endian.
+    runs, others
+        One run, or all messages where they are few, not little-endian, or not alike but for times
+        and ranges.
+
+    Raises
+    ------
+    DamageError
+        The first message is damaged.
     """
-    if not _is_stackable(messages[0][0], encoding):
-        return None
+    if len(messages) < SHORTEST_RUN or not _is_stackable(messages[0][0], encoding):
+        return [], messages
+    # Decoded first: that it could be says that all its parts lie within the message.
+    (first,) = read(memoryview(messages[0][0]), messages[0][1])
     raw = _stack(messages)
     floats = _align(_FRAME + _count_at(messages[0][0], _FRAME - 4), 4, encoding)
     ranges = floats + _RANGES
@@ -61,14 +73,15 @@ def read_scan_run(messages: Sequence[Stacked], encoding: str, first: Scan) -> Sc
         (intensities + 4, raw.shape[1]),
     )
     if not _find_alike(raw, free).all():
-        return None
-    return ScanRun(
+        return [], messages
+    run = ScanRun(
         first,
         _read_stamps(raw, _STAMP),
         np.array([record_ns for _, record_ns in messages], np.int64),
         _read_columns(raw, ranges, "<f4", len(first.ranges)),
         _read_columns(raw, floats + _TIME_INCREMENT, "<f4")[:, 0].astype(np.float64),
     )
+    return [run], []
 
 
 def read_transforms(

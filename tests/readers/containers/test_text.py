@@ -1,6 +1,7 @@
 """Lines of text logs: line ends, damage, times to the nanosecond."""
 
 import gzip
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from occmap.errors import LogError
 from occmap.readers import Note, NoteList
 from occmap.readers.containers import text
-from occmap.readers.containers.text import Block, Line, read_blocks
+from occmap.readers.containers.text import Block, Line, read_blocks, split_lines
 
 
 def list_lines(block: Block) -> list[Line]:
@@ -31,6 +32,36 @@ def test_lines_have_numbers_and_no_ends(tmp_path: Path) -> None:
         Line(4, b"last", ended=False),
     ]
     assert notes == []
+
+
+@pytest.mark.parametrize("pack", [bytes, gzip.compress], ids=["plain", "gzip"])
+@pytest.mark.parametrize("size", [1 << 20, 15])
+def test_lines_of_an_old_mac_are_lines(
+    pack: Callable[[bytes], bytes], size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(text, "BLOCK_BYTES", size)
+    path = tmp_path / "log"
+    path.write_bytes(pack(b"one\r\rtwo\r" + b"more\r" * 9 + b"last"))
+    lines, notes = read(path)
+    assert [line.raw for line in lines] == [b"one", b"", b"two", *[b"more"] * 9, b"last"]
+    assert [line.number for line in lines] == list(range(1, 14))
+    assert [line.ended for line in lines] == [True] * 12 + [False]
+    assert notes == []
+
+
+def test_a_file_of_an_old_mac_is_not_cut(tmp_path: Path) -> None:
+    (tmp_path / "log").write_bytes(b"a line\r" * 100)
+    assert len(split_lines(tmp_path / "log", 50)) == 1
+
+
+@pytest.mark.parametrize("size", [4, 5, 6])
+def test_a_line_feed_in_the_next_block_is_no_line(
+    size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(text, "BLOCK_BYTES", size)
+    (tmp_path / "log").write_bytes(b"four\r\nlast\r\n")
+    lines, _ = read(tmp_path / "log")
+    assert [line.raw for line in lines] == [b"four", b"last"]
 
 
 def test_gzip_and_plain_give_the_same_lines(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from occmap.errors import LogError
 from occmap.readers import Log, open_log
 from occmap.readers.containers.source import Channel
 from occmap.readers.conversion.ros import find_oddity
-from tests.readers.mcap_variants import (
+from tests.readers.containers.mcap_variants import (
     ALONE,
     CHUNK,
     DATA_END,

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from occmap.readers import NoteList
 from occmap.readers.containers.bag1 import Bag1Source
 from occmap.readers.containers.bag1_records import CONNECTION, MESSAGE
-from occmap.readers.containers.chunked import RecordBlock
+from occmap.readers.containers.records import RecordBlock
 
 Found = tuple[int, int, bytes]
 
@@ -36,9 +36,9 @@ class Blocks(Bag1Source):
     def __init__(self) -> None:
         self.notes = NoteList()
 
-    def split_block(self, block: bytes, wanted: Sequence[int]) -> list[Found]:
-        found = self._split_block(RecordBlock(0, block), wanted, {})
-        return [(key, time, bytes(data)) for key, time, data in found]
+    def list_messages(self, block: bytes, wanted: Sequence[int]) -> list[Found]:
+        found = self._list_records(RecordBlock(0, block))
+        return [(key, time, block[start:end]) for key, time, start, end in found if key in wanted]
 
 
 def write(
@@ -78,7 +78,7 @@ def test_messages_are_those_that_were_written(
             damaged.append(start)
     source = Blocks()
 
-    assert source.split_block(block, WANTED) == expected
+    assert source.list_messages(block, WANTED) == expected
     assert source.notes or not damaged
 
 
@@ -86,7 +86,7 @@ def test_messages_are_those_that_were_written(
 def test_a_message_has_its_connection_time_and_data(order: Sequence[str]) -> None:
     block = b"".join(write(order, MESSAGE, 7 + i, (i, 5), b"data%d" % i) for i in range(3))
 
-    assert Blocks().split_block(block, range(10)) == [
+    assert Blocks().list_messages(block, range(10)) == [
         (7, 5, b"data0"),
         (8, 1_000_000_005, b"data1"),
         (9, 2_000_000_005, b"data2"),
@@ -96,4 +96,4 @@ def test_a_message_has_its_connection_time_and_data(order: Sequence[str]) -> Non
 def test_a_damaged_time_of_another_connection_ends_nothing() -> None:
     other = write(NO_TIME, MESSAGE, 8, (0, 0), b"")
     block = other + write(ORDERS[0], MESSAGE, 7, (1, 0), b"data")
-    assert [connection for connection, *_ in Blocks().split_block(block, range(8))] == [7]
+    assert [connection for connection, *_ in Blocks().list_messages(block, range(8))] == [7]
