@@ -71,6 +71,7 @@ def answering(
         @click.pass_obj
         @wraps(function)
         def run(console: Console, /, as_json: bool, **values: Any) -> None:
+            console.note(*console.announced)  # what the file of options states
             limits = values.pop("limits", None)  # None: the command takes no limits
             answer = function(console, **values)
             failed = judge([*answer.limits, *(limits or ())], answer.result)

@@ -18,7 +18,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import click
 
 from occmap.cli.console import Console, Verbosity, spell
-from occmap.cli.sections import BareOption, SectionOption, join, option
+from occmap.cli.sections import BareOption, ConfigOption, SectionOption, join, option
 from occmap.command import MODEL_PARAMETERS, NONE, spell_flag
 from occmap.errors import UsageError
 from occmap.keywords import drop_none, find_form, list_options, list_values
@@ -273,6 +273,8 @@ jobs = field(RUN, "jobs", show_default="one for each core")
 config = option(
     RUN,
     "--config",
+    cls=ConfigOption,
+    is_eager=True,  # before the options that it sets
     type=PATH,
     metavar="FILE",
     expose_value=False,

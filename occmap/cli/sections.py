@@ -2,7 +2,7 @@
 
 import inspect
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import zip_longest
 from typing import Any, TypeVar
@@ -48,6 +48,30 @@ class BareOption(SectionOption):
         return filled
 
 
+class ConfigOption(SectionOption):
+    """The option that names a file of options; what the file states are the defaults of others."""
+
+    def handle_parse_result(
+        self, ctx: click.Context, opts: Mapping[str, Any], args: list[str]
+    ) -> tuple[Any, list[str]]:
+        """Find and read the file, named or not; from then on errors name it.
+
+        Raises
+        ------
+        UsageError
+            The file is wrong.
+        """
+        from occmap.cli.config import find_config, place_error  # noqa: PLC0415  late: for few commands
+
+        config = None if ctx.resilient_parsing else find_config(ctx.command, opts)
+        if config:
+            ctx.default_map = config.values
+            console = ctx.ensure_object(Console)
+            console.place = partial(place_error, config, ctx.command)
+            console.announced.append(config.note)
+        return super().handle_parse_result(ctx, opts, args)
+
+
 class SectionCommand(click.Command):
     """A command whose --help lists its options by section, in the order of their declaration."""
 
@@ -57,13 +81,7 @@ class SectionCommand(click.Command):
     """What it prints with --json"""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Take what is not typed from a file of options, where there is one; errors name the file.
-
-        Raises
-        ------
-        UsageError
-            The file is wrong, or a short option is typed as a long one is.
-        """
+        """Fill in what may be left out; raises UsageError for `-o=map.pgm`."""
         for word in args:
             if SHORT_EQUALS.match(word):  # it would be a file called `=map.pgm`
                 fix = f"write {word[:2]} {word[3:]}"
@@ -71,20 +89,7 @@ class SectionCommand(click.Command):
         for param in self.get_params(ctx):
             if isinstance(param, BareOption):
                 args = param.fill_in(args)
-        if ctx.resilient_parsing or all(param.name != "config" for param in self.params):
-            return super().parse_args(ctx, args)
-        from occmap.cli.config import find_config, place_error  # noqa: PLC0415  late: for few commands
-
-        typed, _, _ = self.make_parser(ctx).parse_args(list(args))
-        config = find_config(self, typed)
-        if config is None:
-            return super().parse_args(ctx, args)
-        ctx.default_map = config.values
-        console = ctx.ensure_object(Console)
-        console.place = partial(place_error, config, self)
-        rest = super().parse_args(ctx, args)
-        console.announce(config.note)
-        return rest
+        return super().parse_args(ctx, args)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write one list for each section."""
