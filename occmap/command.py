@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from occmap.keywords import list_options, list_values
+from occmap.keywords import NONE, list_options, list_values
 from occmap.options import BuildOptions
 from occmap.types import Pose, PoseSample
 from occmap.writers import WriteOptions
@@ -47,9 +47,6 @@ NOT_WRITTEN = (
 )
 """Options that do not change how logs are read, or that a caller names itself"""
 
-NONE = {"align": "auto", "max_pose_gap_s": "inf"}
-"""How None is typed, where it is a value of an option and not its default"""
-
 LEVEL_RAD = 5e-6
 """A smaller angle is written as 0."""
 
@@ -87,7 +84,7 @@ def compose_build(
     """
     usual = list_values(BuildOptions())
     given = {
-        name: [NONE[name]] if value is None else list_texts(value)
+        name: [NONE[name][0]] if value is None else list_texts(value)
         for name, value in list_values(options).items()
         if value != usual[name] and name not in NOT_WRITTEN
     }

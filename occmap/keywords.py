@@ -22,11 +22,11 @@ from occmap.types import Pose, PoseSample
 
 Options = TypeVar("Options")
 
-NONE_MEANS = {
-    "align": ", or None, so that walls run along the axes",
-    "max_pose_gap_s": ", or None, to interpolate across any gap",
+NONE = {
+    "align": ("auto", "so that walls run along the axes"),
+    "max_pose_gap_s": ("inf", "to interpolate across any gap"),
 }
-"""What None does, where it is a value of an option and not its default"""
+"""How None is typed and what it does, where it is a value of an option and not its default"""
 LARGEST_ANGLE = 7.0
 """A little more than a full turn (rad), since people round."""
 
@@ -118,8 +118,8 @@ def read_option(name: str, hint: Any, value: Any) -> Any:
     except (TypeError, ValueError, OverflowError):
         if has_several:
             form = "a list of " + re.sub("such as (.*)", r"such as [\1]", form)
-        fix = f"give {form}{NONE_MEANS.get(name, '')}"
-        raise UsageError(f"{name} is {value!r}", fix=fix) from None
+        none = f", or None, {NONE[name][1]}" if name in NONE else ""
+        raise UsageError(f"{name} is {value!r}", fix=f"give {form}{none}") from None
 
 
 def read_choice(name: str, kind: type[StrEnum], value: Any) -> StrEnum:

@@ -19,9 +19,9 @@ import click
 
 from occmap.cli.console import Console, Verbosity, spell
 from occmap.cli.sections import BareOption, ConfigOption, SectionOption, join, option
-from occmap.command import MODEL_PARAMETERS, NONE, spell_flag
+from occmap.command import MODEL_PARAMETERS, spell_flag
 from occmap.errors import UsageError
-from occmap.keywords import drop_none, find_form, list_options, list_values
+from occmap.keywords import NONE, drop_none, find_form, list_options, list_values
 from occmap.options import BuildOptions
 from occmap.plain import read_texts
 from occmap.sensor.models import SensorModel, describe_model, parse_model
@@ -30,7 +30,7 @@ from occmap.writers import Shade
 
 PATH = click.Path(path_type=Path, readable=False)
 """Where click would look whether it can be read, occmap's own error says more."""
-FROM_SCANS = NONE["align"]
+FROM_SCANS = NONE["align"][0]
 FORM = re.compile(r"\((.*?)\)")
 """A tuple, as it is written in Python"""
 Values = Mapping[str, Any]

@@ -138,10 +138,9 @@ def read_request(words: Sequence[str], values: dict[str, Any]) -> tuple[list[Pat
 
 def list_idle(values: Values) -> Iterator[str]:
     """Say which options do nothing, as they are for a build by many workers."""
-    if values["dask"] is None:
-        for name, flag in (("scratch", "--scratch"), ("slice_bytes", "--slice")):
-            if values[name] is not None:
-                yield f"{flag} does nothing without --dask"
+    for flag, value in (("--scratch", values["scratch"]), ("--slice", values["slice_bytes"])):
+        if value is not None and values["dask"] is None:
+            yield f"{flag} does nothing without --dask"
 
 
 def split_words(words: Sequence[str]) -> tuple[Update, list[Path]]:
