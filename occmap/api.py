@@ -8,7 +8,7 @@ from typing import Any
 from occmap import difference, inspection, pictures, tuning
 from occmap.errors import UsageError
 from occmap.inputs import find_inputs
-from occmap.keywords import list_options, read_each, read_option, read_options
+from occmap.keywords import read_each, read_option, read_options
 from occmap.maps import Map
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.pipeline import build, list_inputs
@@ -18,6 +18,7 @@ from occmap.scoring.variants import combine
 from occmap.sensor.models import SensorModel
 from occmap.store import merging, publishing
 from occmap.store.reading import read_all
+from occmap.types import Update
 from occmap.writers import WriteOptions
 
 AnyPath = str | Path
@@ -172,10 +173,8 @@ def compare(
         As `build_map`, or no held-out beam measured a range.
     """
     paths, common = read_request(logs, options, "compare")
-    hints = list_options(BuildOptions)
     variants = combine(
-        read_each("updates", hints["update"], updates),
-        read_each("models", hints["model"], models),
+        read_each("updates", Update, updates), read_each("models", SensorModel, models)
     )
     drawn = read_option("picture", Path | None, picture)
     return pictures.compare_logs(paths, variants, common, drawn)
@@ -279,14 +278,11 @@ def read_build(options: Mapping[str, Any], call: str = "build_map") -> BuildOpti
     UsageError
         An option is unknown or out of its range.
     """
-    hints = list_options(BuildOptions)
-    given = dict(options)
-    if given.get("model") is None:
-        update = given.get("update")
-        wanted = (
-            DEFAULT_UPDATE if update is None else read_option("update", hints["update"], update)
-        )
-        given["model"] = choose_model(wanted)
+    given = {"model": None, "update": None, **options}
+    if given["update"] is None:
+        given["update"] = DEFAULT_UPDATE
+    if given["model"] is None:
+        given["model"] = choose_model(read_option("update", Update, given["update"]))
     return read_options(BuildOptions, given, call)
 
 
