@@ -10,7 +10,7 @@ from occmap.errors import UsageError
 from occmap.inputs import find_inputs
 from occmap.keywords import read_each, read_option, read_options
 from occmap.maps import Map
-from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
+from occmap.options import BuildOptions
 from occmap.pipeline import build, list_inputs
 from occmap.readers import Log, open_log
 from occmap.scoring import compare as scoring
@@ -112,7 +112,7 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
         A log cannot be read, has no scans or no poses, an option is unknown or out of its range,
         the map would be too large, or an output cannot be written.
     """
-    chosen = read_build(options)
+    chosen = read_options(BuildOptions, options, "build_map")
     files = read_each("outputs", Path, [outputs] if isinstance(outputs, AnyPath) else outputs)
     others = [*files, Path(chosen.posing.poses or "")]
     paths, notes = find_inputs(list_logs(logs, "build_map"), chosen.reading, others)
@@ -270,22 +270,6 @@ def read_log(path: AnyPath) -> Log:
     return open_log(read_option("path", Path, path))
 
 
-def read_build(options: Mapping[str, Any], call: str = "build_map") -> BuildOptions:
-    """Make the options of a build of what a caller gave by name.
-
-    Raises
-    ------
-    UsageError
-        An option is unknown or out of its range.
-    """
-    given = {"model": None, "update": None, **options}
-    if given["update"] is None:
-        given["update"] = DEFAULT_UPDATE
-    if given["model"] is None:
-        given["model"] = choose_model(read_option("update", Update, given["update"]))
-    return read_options(BuildOptions, given, call)
-
-
 def read_request(
     logs: Sequence[AnyPath], options: Mapping[str, Any], call: str
 ) -> tuple[list[Path], BuildOptions]:
@@ -300,7 +284,7 @@ def read_request(
         if name in OF_ONE_MAP or name in WriteOptions.__dataclass_fields__:
             raise UsageError(f"{call} has no option {name!r}", fix="build_map takes it")
     paths = list_logs(logs, call)
-    common = read_build(options, call)
+    common = read_options(BuildOptions, options, call)
     return find_inputs(paths, common.reading).logs, common
 
 

@@ -46,7 +46,7 @@ class BuildOptions:
     resolution: Metres = 0.05
     """Side of a cell."""
     update: Update = DEFAULT_UPDATE
-    model: SensorModel = field(default_factory=CountingModel)
+    model: SensorModel = None  # type: ignore[assignment]  # the update chooses it, below
     reading: ReaderOptions = field(default_factory=ReaderOptions)
     returns: ReturnOptions = field(default_factory=ReturnOptions)
     posing: PosingOptions = field(default_factory=PosingOptions)
@@ -74,6 +74,8 @@ class BuildOptions:
     """As `resume` if the file exists; otherwise start a new map."""
 
     def __post_init__(self) -> None:
+        if self.model is None:
+            object.__setattr__(self, "model", choose_model(self.update))
         Lattice(self.resolution)  # refuses one that is not possible
         check_passes(self.min_passes, self.model)
         found = f"`pass_gap_s={self.pass_gap_s:g}` is not possible"

@@ -40,7 +40,14 @@ def test_no_flag_leaves_every_default() -> None:
 
 @pytest.mark.parametrize("update", Update)
 def test_the_first_word_may_be_the_update(update: Update) -> None:
-    assert parse(update.value) == BuildOptions(update=update, model=choose_model(update))
+    assert parse(update.value) == BuildOptions(update=update)
+
+
+def test_the_update_chooses_the_model_where_none_is_named() -> None:
+    # docs/models.md: "With `polygon`, `counting` has a cut of 0.4 and no spread".
+    assert BuildOptions(update=Update.POLYGON).model == CountingModel(cut=0.4, spread=0.0)
+    assert BuildOptions(update=Update.BEAM).model == BuildOptions().model == CountingModel()
+    assert BuildOptions(update=Update.POLYGON, model=SimpleModel()).model == SimpleModel()
 
 
 @pytest.mark.parametrize(
