@@ -44,6 +44,16 @@ class Decision(NamedTuple):
 EVEN_ODDS = Decision(0.5, 0.5)
 
 
+def keep_largest(layer: UInt8, side: int) -> UInt8:
+    """(H / side, W / side): the largest number of each square of a layer (H, W); zeros fill it up.
+
+    Of `CellClass` it makes a square occupied where any cell is, else free where any is.
+    """
+    filled = np.pad(layer, [(0, -length % side) for length in layer.shape])
+    rows, cols = (length // side for length in filled.shape)
+    return np.asarray(filled.reshape(rows, side, cols, side).max(axis=(1, 3)))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class OccupancyMap:
     """An occupancy grid. Row 0 is the lowest y and column 0 the lowest x; only writers flip."""

@@ -6,15 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.arrays import Bool, UInt8
-from occmap.cells import OccupancyMap
+from occmap.arrays import UInt8
+from occmap.cells import OccupancyMap, keep_largest
 from occmap.grid.lattice import CellBox
 from occmap.scoring.trials import ScoredVariant
 from occmap.writers.images import Panel, write_panels
 
 LARGEST_PX, SMALLEST_PX = 1000, 360
 """The longer side of a panel."""
-UNKNOWN_GREY = 205
+UNKNOWN = 50
+"""How dark an unknown cell is"""
 RED, BLUE = (214, 39, 40), (110, 160, 230)
 
 
@@ -32,18 +33,11 @@ class Frame:
         """Rows and columns of a map's cells."""
         return CellBox.of(grid).within(self._box)
 
-    def shrink(self, cells: UInt8) -> UInt8:
-        """Draw (H, W) cells: the darkest of those that share a pixel, highest y on top."""
-        rows, cols = (-side % self._step for side in cells.shape)
-        padded = np.pad(cells, ((0, rows), (0, cols)), constant_values=255)
-        blocks = padded.reshape(padded.shape[0] // self._step, self._step, -1, self._step)
-        small = blocks.min(axis=(1, 3))[::-1]
+    def draw(self, cells: UInt8) -> UInt8:
+        """Draw (H, W) cells: the largest of those that share a pixel, highest y on top."""
+        small = keep_largest(cells, self._step)[::-1]
         drawn: UInt8 = small.repeat(self._times, axis=0).repeat(self._times, axis=1)
         return drawn
-
-    def shrink_mask(self, cells: Bool) -> Bool:
-        """Draw (H, W) cells: true where any of those that share a pixel is."""
-        return np.asarray(self.shrink(np.where(cells, 0, 255).astype(np.uint8)) == 0)
 
 
 def write_picture(path: Path, results: Sequence[ScoredVariant]) -> None:
@@ -67,10 +61,10 @@ def write_picture(path: Path, results: Sequence[ScoredVariant]) -> None:
 
 def paint_map(grid: OccupancyMap, frame: Frame) -> UInt8:
     """Paint probability as grey, dark is occupied; (h, w, 3)."""
-    cells = np.full(frame.shape, UNKNOWN_GREY, np.uint8)
-    grey = np.rint(255 * (1 - grid.probability)).astype(np.uint8)
-    cells[frame.locate(grid)] = np.where(grid.observed, grey, UNKNOWN_GREY)
-    return np.repeat(frame.shrink(cells)[..., None], 3, axis=2)
+    darkness = np.full(frame.shape, UNKNOWN, np.uint8)
+    level = 255 - np.rint(255 * (1 - grid.probability)).astype(np.uint8)
+    darkness[frame.locate(grid)] = np.where(grid.observed, level, UNKNOWN)
+    return np.repeat(255 - frame.draw(darkness)[..., None], 3, axis=2)
 
 
 def paint_disagreement(maps: Sequence[OccupancyMap], frame: Frame) -> Panel:
@@ -84,10 +78,10 @@ def paint_disagreement(maps: Sequence[OccupancyMap], frame: Frame) -> Panel:
         decided[box] += grid.free | grid.occupied
     contradicted = free & occupied
     partly = (decided > 0) & (decided < len(maps)) & ~contradicted
-    agreed = np.where(decided > 0, np.where(occupied, 0, 255), UNKNOWN_GREY).astype(np.uint8)
-    pixels = np.repeat(frame.shrink(agreed)[..., None], 3, axis=2)
-    pixels[frame.shrink_mask(partly)] = BLUE
-    pixels[frame.shrink_mask(contradicted)] = RED
+    darkness = np.where(decided > 0, np.where(occupied, 255, 0), UNKNOWN).astype(np.uint8)
+    pixels = np.repeat(255 - frame.draw(darkness)[..., None], 3, axis=2)
+    for cells, colour in ((partly, BLUE), (contradicted, RED)):
+        pixels[frame.draw(cells.astype(np.uint8)) > 0] = colour
     known = max(int(np.count_nonzero(decided)), 1)
     red, blue = (np.count_nonzero(mask) / known for mask in (contradicted, partly))
     legend = f"red: free or occupied ({red:.1%}), blue: known or not ({blue:.1%})"

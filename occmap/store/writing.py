@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from occmap.arrays import Int64, UInt8
-from occmap.cells import Evidence, Manifest, OccupancyMap
+from occmap.arrays import Int64
+from occmap.cells import Evidence, Manifest, OccupancyMap, keep_largest
 from occmap.errors import OutputError
 from occmap.evidence import paint_box, to_grid
 from occmap.grid.lattice import CellBox
@@ -155,7 +155,7 @@ def paint_block(path: Path, block: Block, keep: bool = True) -> tuple[TileGrid, 
         made = paint_box(grid, parse_model(head["model"]), block.box)
         for side in FINE_LEVELS if keep else ():
             place = layout.find_place(block, head["offset"], side)
-            root["classes"][str(side)][place] = reduce_classes(made.classes, side)
+            root["classes"][str(side)][place] = keep_largest(made.classes, side)
     return grid, made
 
 
@@ -169,14 +169,6 @@ def read_around(root: Any, head: dict[str, Any], box: CellBox) -> TileGrid:
     cells: Int64 = np.stack([first[place], second[place]])
     tiles = gather_tiles(cells, part.row // TILE, part.col // TILE)
     return to_grid(Evidence(Manifest.from_json(head), *tiles))
-
-
-def reduce_classes(classes: UInt8, side: int) -> UInt8:
-    """Make squares of cells one pixel: occupied where any cell is, else free where any is."""
-    height, width = (-(-length // side) * side for length in classes.shape)
-    classes = np.pad(classes, [(0, height - classes.shape[0]), (0, width - classes.shape[1])])
-    squares = classes.reshape(height // side, side, width // side, side)
-    return np.asarray(squares.max(axis=(1, 3)))
 
 
 def finish_store(path: Path, manifest: Manifest, records: Iterable[BlockRecord]) -> str:
@@ -229,4 +221,4 @@ def add_coarse_levels(root: Any, boxes: Sequence[CellBox]) -> None:
         reach = LEVEL_CELLS * side
         for row, col in sorted({(box.row // reach, box.col // reach) for box in boxes}):
             shard = CellBox.at(row, col).scale(LEVEL_CELLS)
-            level[shard.slices] = reduce_classes(finer[shard.scale(4).slices], 4)
+            level[shard.slices] = keep_largest(finer[shard.scale(4).slices], 4)

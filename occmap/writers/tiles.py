@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image
 
 from occmap.arrays import UInt8
-from occmap.cells import CellClass
+from occmap.cells import CellClass, keep_largest
 from occmap.writers import OneFile, Windows, WriteOptions
 from occmap.writers.atomic import make_folder
 from occmap.writers.pgm import GREYS, describe_map, write_yaml
@@ -81,9 +81,7 @@ class TileTree:
             return None
         blank = np.full((TILE_PIXELS,) * 2, CellClass.NEITHER, np.uint8)
         one, two, three, four = (blank if each is None else each for each in quarters)
-        whole = np.block([[three, four], [one, two]])
-        half = TILE_PIXELS
-        return np.asarray(whole.reshape(half, 2, half, 2).max(axis=(1, 3)))
+        return keep_largest(np.block([[three, four], [one, two]]), 2)
 
     def paint(self, x: int, y: int) -> UInt8 | None:
         """Paint the cells of a tile at the top level, and say where it lies."""
