@@ -1,6 +1,6 @@
 """Read, pose, interpret and trace the scans of a log, as a stream of batches."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from occmap.errors import MountError, name_log
@@ -16,7 +16,7 @@ from occmap.steps.batching import batch_scans, list_oddities
 from occmap.steps.mounts import name_mount
 from occmap.steps.opening import choose_topics, make_poser
 from occmap.steps.tally import Tally
-from occmap.types import Rays
+from occmap.types import Attached, Rays, ScanBatch
 from occmap.workers import Workers
 
 HANDED_BEAMS = 1 << 12
@@ -103,12 +103,10 @@ def trace(
             add_rays(rays)
 
     with name_log(drive.log.path), Workers(work, options.jobs) as workers:
-        scans = read_scans(drive.log, drive.topics)
-        batches = tally.time_each("read", batch_scans(scans, selector, limits))
+        batches = batch_scans(read_scans(drive.log, drive.topics), selector, limits)
         # Here, not in a worker: each of many short NumPy calls would wait for the GIL.
-        for attached in tally.time_each("pose", drive.poser.attach(batches)):
+        for attached in pose_scans(drive, batches, selector, tally):
             odd |= dict.fromkeys(list_oddities(attached.batch))
-            tally.drop(attached.dropped)
             if tally.recorder:
                 tally.recorder.follow(drive.log.path, drive.poser.fixed, attached)
             if attached.posed is not None:
@@ -117,11 +115,26 @@ def trace(
                 tally.use(len(rays.kind), beams)
                 reach.stretch(rays)
                 (workers.give if rays.kind.size >= HANDED_BEAMS else work)(rays)
-            tally.advance(len(attached.batch.stamp_ns))
+    first_ns = selector.seam.first_ns or 0
+    concerns = drive.poser.list_concerns(first_ns, options.returns.max_range)
+    return [*odd, *(f"{topic}: {concern.text}" for topic, concern in concerns)]
+
+
+def pose_scans(
+    drive: Drive, batches: Iterator[ScanBatch], selector: Selector, tally: Tally
+) -> Iterator[Attached]:
+    """Pose the scans of a log, or of a part of one, as a stream; count what becomes of them.
+
+    Parameters
+    ----------
+    batches
+        Of the scans that the selector passes on.
+    """
+    for attached in tally.time_each("pose", drive.poser.attach(tally.time_each("read", batches))):
+        tally.drop(attached.dropped)
+        yield attached
+        tally.advance(len(attached.batch.stamp_ns))
     tally.frames[str(drive.log.path)] = drive.poser.fixed
     tally.lasers = max(tally.lasers, len(drive.topics))
     tally.scans_read += selector.read
     tally.drop(dict(selector.left_out))
-    first_ns = selector.seam.first_ns or 0
-    concerns = drive.poser.list_concerns(first_ns, options.returns.max_range)
-    return [*odd, *(f"{topic}: {concern.text}" for topic, concern in concerns)]

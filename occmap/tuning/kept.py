@@ -18,7 +18,7 @@ from occmap.sensor.no_return import RangeLimits
 from occmap.steps.batching import list_oddities, stack
 from occmap.steps.observing import Remarks
 from occmap.steps.tally import Tally, refuse_unused
-from occmap.steps.tracing import open_drive
+from occmap.steps.tracing import open_drive, pose_scans
 from occmap.types import IDENTITY, Pose, PosedScans, ScanBatch
 
 MOST_SCANS = 1000
@@ -85,27 +85,20 @@ def keep_logs(
 def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: Remarks) -> KeptLog:
     """Read a log, and keep at most so many of the scans that have a pose."""
     drive = open_drive(log, options)
-    selector, limits = (
-        Selector(options.selection, options.posing.stamps),
-        RangeLimits(options.returns),
-    )
+    selector = Selector(options.selection, options.posing.stamps)
+    limits = RangeLimits(options.returns)
     used = selector.select(limits.watch(read_scans(log, drive.topics)))
     odd: dict[str, None] = {}
     kept: list[ScanBatch] = []
     seen, every = 0, 1
-    for batch, posed, dropped in drive.poser.attach(stack(used, selector.stamps)):
+    for batch, posed, _ in pose_scans(drive, stack(used, selector.stamps), selector, tally):
         odd |= dict.fromkeys(list_oddities(batch))
-        tally.drop(dropped)
         if posed is not None:
             kept += take_every([posed.batch], every, -seen % every)
             seen += len(posed.batch.stamp_ns)
         while sum(len(part.stamp_ns) for part in kept) > most:
             kept, every = take_every(kept, 2), 2 * every
-        tally.advance(len(batch.stamp_ns))
-    tally.frames[str(log.path)] = drive.poser.fixed
     tally.scans_used += seen
-    tally.scans_read += selector.read
-    tally.drop(dict(selector.left_out))
     limits.settle()  # only the whole log shows the limit, which then holds for all of it
     remarks.note(log.path, log.notes, [*drive.poser.notes, *odd, *limits.list_notes()])
     return KeptLog(str(log.path), drive.poser, tuple(limits.apply(each) for each in kept))
