@@ -12,7 +12,8 @@ from occmap.options import DEFAULT_UPDATE, BuildOptions
 from occmap.plain import HIDDEN, Count, Printed, printed_as
 from occmap.readers import open_log
 from occmap.remarks import list_frames
-from occmap.scoring.trials import SMALL, HoldOut, ScoredVariant, Trials
+from occmap.scoring.score import SMALL
+from occmap.scoring.trials import HoldOut, ScoredVariant, Trials
 from occmap.scoring.variants import Variant
 from occmap.steps.observing import Progress, Remarks, ignore_progress
 from occmap.steps.opening import count_scans

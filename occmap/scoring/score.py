@@ -13,6 +13,12 @@ from occmap.plain import Count, Finite, Share
 from occmap.types import Rays
 from occmap.workers import Workers
 
+NOISE = 2.0
+"""Standard errors: a difference that is not larger may be chance."""
+SMALL = 0.005
+"""A smaller difference of shares does not show in a map, however certain it is: as all maps are
+asked about the same scans, a difference of a thousandth may well be certain."""
+
 
 @dataclass(frozen=True)
 class ReliabilityBin:
@@ -61,6 +67,31 @@ class Trial(NamedTuple):
     score: Score
     predicted: Float64
     """(N, 2) of each held-out scan: beams that measured a range, and those of them it predicted"""
+
+
+class Gain(NamedTuple):
+    """How much larger the share of one map is than that of another, by the same scans."""
+
+    share: float = 0.0
+    error: float = 0.0
+    """Standard error, from the differences scan by scan; it is smaller than those of the shares,
+    since both maps are asked about the same scans"""
+
+    @property
+    def certain(self) -> bool:
+        """Whether it is more than noise, and so much that it shows in a map."""
+        return self.share > max(NOISE * self.error, SMALL)
+
+    def __neg__(self) -> "Gain":
+        """How much smaller the share is."""
+        return Gain(-self.share, self.error)
+
+    @classmethod
+    def measure(cls, before: Float64, after: Float64) -> "Gain":
+        """Measure it by how two maps fared with some scans (N, 2), as `Trial.predicted` has it."""
+        beams, now = after.T
+        more = now - before[:, 1]
+        return cls(math.fsum(more) / max(math.fsum(beams), 1), estimate_error(more, beams))
 
 
 def score_map(grid: OccupancyMap, held_out: Sequence[Rays], jobs: int) -> Trial:

@@ -13,7 +13,7 @@ from occmap.evidence import render
 from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions
 from occmap.plain import HIDDEN, IN_PLACE, Count, Finite, Share
-from occmap.scoring.score import Score, estimate_error, score_map
+from occmap.scoring.score import Gain, Score, score_map
 from occmap.scoring.variants import Variant, shorten_model
 from occmap.steps.engines import make_engine
 from occmap.types import Kind, Rays, Update
@@ -23,11 +23,6 @@ EVERY = 5
 """Every n-th scan is held out"""
 FIRST = 2
 """The first scan that is held out, counted from 0"""
-NOISE = 2.0
-"""Standard errors: a difference that is not larger may be chance."""
-SMALL = 0.005
-"""A smaller difference of shares does not show in a map, however certain it is: as all variants are
-asked about the same scans, a difference of a thousandth may well be certain."""
 
 
 class HoldOut:
@@ -138,16 +133,11 @@ class ScoredVariant:
     """Size of the evidence in memory (bytes)"""
 
     def compare_with(self, best: Self) -> Self:
-        """Measure how far the share is from the best one, scan by scan.
-
-        The error is smaller than those of the shares, since all variants are asked about the same
-        scans.
-        """
-        beams, near = best.predicted.T
-        behind = best.score.share - self.score.share
-        error = estimate_error(near - self.predicted[:, 1], beams)
-        as_good = behind <= max(NOISE * error, SMALL)
-        return replace(self, behind=behind, behind_error=error, as_good=as_good)
+        """Measure how far the share is behind the best one."""
+        behind = Gain.measure(self.predicted, best.predicted)
+        return replace(
+            self, behind=behind.share, behind_error=behind.error, as_good=not behind.certain
+        )
 
 
 class Trials:

@@ -12,12 +12,13 @@ from occmap.plain import HIDDEN, Count, Finite, Share
 from occmap.readers import open_log
 from occmap.remarks import LEAST_AGREEMENT
 from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored
+from occmap.scoring.score import Gain
 from occmap.steps.observing import Progress, Remarks, ignore_progress
 from occmap.steps.opening import count_scans
 from occmap.steps.tally import Tally
 from occmap.tuning import search
 from occmap.tuning.kept import MOST_SCANS, KeptLog, find_mount, keep_logs
-from occmap.tuning.search import Correction, Finding, Gain, Knob, Scorer, Verdict
+from occmap.tuning.search import Correction, Finding, Knob, Scorer, Verdict
 from occmap.types import Pose, Rays
 from occmap.wording import count
 
@@ -119,7 +120,7 @@ def tune(
     together = search.find_correction(scorer, way.correction, again)
     best = together.correction
     after = scorer.score(best)
-    gain, gain_error = Gain.measure(before, after)
+    gain, gain_error = Gain.measure(before.predicted, after.predicted)
     better = replace(options, posing=best.apply(options.posing, mount))
     tuning = Tuning(
         **vars(remarks),

@@ -15,8 +15,8 @@ from occmap.options import BuildOptions
 from occmap.plain import Finite
 from occmap.posing.options import PosingOptions
 from occmap.scoring.compare import refuse_unscored
-from occmap.scoring.score import Trial, estimate_error
-from occmap.scoring.trials import NOISE, SMALL, Trials
+from occmap.scoring.score import SMALL, Gain, Trial
+from occmap.scoring.trials import Trials
 from occmap.scoring.variants import Variant
 from occmap.sensor.returns import interpret
 from occmap.steps.engines import make_engine
@@ -71,8 +71,6 @@ YAW = Knob("yaw", tuple(n * QUARTER_DEG for n in (8, 4, 2, 1)), math.radians(20)
 X = Knob("x", (0.04, 0.02, 0.01, 0.005), 0.5)
 Y = replace(X, name="y")
 TOGETHER = [replace(knob, steps=knob.steps[-3:]) for knob in (TIME, YAW, X, Y)]
-
-EVERY_SCAN = slice(None)
 
 
 class Scorer:
@@ -156,30 +154,6 @@ class Verdict(StrEnum):
     UNSEEN = "unseen"
 
 
-class Gain(NamedTuple):
-    """How much larger the share of one map is than that of another, by the same scans."""
-
-    share: float = 0.0
-    error: float = 0.0
-    """Standard error, from the differences scan by scan"""
-
-    @property
-    def certain(self) -> bool:
-        """Whether it is more than noise, and so much that it shows in a map."""
-        return self.share > max(NOISE * self.error, SMALL)
-
-    def __neg__(self) -> "Gain":
-        """How much smaller the share is."""
-        return Gain(-self.share, self.error)
-
-    @classmethod
-    def measure(cls, before: Trial, after: Trial, scans: slice = EVERY_SCAN) -> "Gain":
-        """Measure it by the same held-out scans, all or some."""
-        beams, now = after.predicted[scans].T
-        more = now - before.predicted[scans, 1]
-        return cls(math.fsum(more) / max(math.fsum(beams), 1), estimate_error(more, beams))
-
-
 @dataclass(frozen=True)
 class Half:
     """What half of the held-out scans gain."""
@@ -220,14 +194,14 @@ def find_correction(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) ->
     """
     if not knobs:
         return Finding(Verdict.UNSEEN, start)
-    before, earlier = scorer.score(start), scorer.tried.keys() - {start}
+    before, earlier = scorer.score(start).predicted, scorer.tried.keys() - {start}
     best = find_best(scorer, start, knobs)
-    gain = Gain.measure(before, scorer.tried[best])
+    gain = Gain.measure(before, scorer.tried[best].predicted)
 
     of_this = [each for each in scorer.tried if each not in earlier or each == best]
-    middle = len(before.predicted) // 2
+    middle = len(before) // 2
     first, second = (
-        {each: Gain.measure(before, scorer.tried[each], half) for each in of_this}
+        {each: Gain.measure(before[half], scorer.tried[each].predicted[half]) for each in of_this}
         for half in (slice(middle), slice(middle, None))
     )
     alike = Half(best, *first[best]), Half(best, *second[best])
@@ -286,5 +260,6 @@ def choose_way(scorer: Scorer, usual: Way, other: Way) -> Way:
     if Verdict.DISAGREE in usual.verdicts and other.time.verdict is Verdict.FOUND:
         return usual
     less, more = sorted((usual, other), key=lambda way: way.verdicts.count(Verdict.FOUND))
-    gain = Gain.measure(scorer.score(less.correction), scorer.score(more.correction))
+    before, after = (scorer.score(way.correction).predicted for way in (less, more))
+    gain = Gain.measure(before, after)
     return more if gain.certain else less

@@ -7,19 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from occmap.arrays import Float64
 from occmap.command import to_rpy
 from occmap.errors import LogError, PoseError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing.options import PosingOptions
 from occmap.readers import open_log
 from occmap.scoring.compare import compare
-from occmap.scoring.score import Score, Trial
+from occmap.scoring.score import Gain
 from occmap.scoring.variants import Variant
 from occmap.steps.observing import Remarks
 from occmap.steps.tally import Tally
 from occmap.tuning import tune
 from occmap.tuning.kept import KeptLog, find_mount, keep_logs, take_every
-from occmap.tuning.search import TIME, YAW, Correction, Gain, Verdict, X
+from occmap.tuning.search import TIME, YAW, Correction, Verdict, X
 from occmap.types import Pose, ScanBatch
 from tests.samples import REAL_LOGS, SAMPLE_LOGS, write_csv
 from tests.tuning.simulated import read_drive, write_drive
@@ -235,22 +236,20 @@ def test_a_long_log_is_thinned_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "104 of 414 scans are tried, spread over the logs" in notes
 
 
-def make_trial(predicted: list[int]) -> Trial:
+def predict(predicted: list[int]) -> Float64:
     """Scans of ten beams each."""
-    share = sum(predicted) / (10 * len(predicted))
-    by_scan = np.array([(10, near) for near in predicted], float)
-    return Trial(Score(10 * len(predicted), share, 0.0, 0.0, 0.0, 0.0, 0.0), by_scan)
+    return np.array([(10, near) for near in predicted], float)
 
 
 def test_a_gain_is_measured_scan_by_scan() -> None:
-    gain = Gain.measure(make_trial([1, 4, 7, 3]), make_trial([3, 6, 9, 5]))
+    gain = Gain.measure(predict([1, 4, 7, 3]), predict([3, 6, 9, 5]))
     assert gain == pytest.approx((0.2, 0.0))
     assert gain.certain
     # Gains of 4, 0, 4, 0 beams in ten: their mean is 0.2, its error sqrt(4/3 * 4 * 4) / 40
-    noisy = Gain.measure(make_trial([1, 4, 1, 3]), make_trial([5, 4, 5, 3]))
+    noisy = Gain.measure(predict([1, 4, 1, 3]), predict([5, 4, 5, 3]))
     assert noisy == pytest.approx((0.2, math.sqrt(64 / 3) / 40))
     assert not noisy.certain
-    half = Gain.measure(make_trial([1, 4, 7, 3]), make_trial([1, 4, 8, 4]), slice(2, None))
+    half = Gain.measure(predict([7, 3]), predict([8, 4]))
     assert half == pytest.approx((0.1, 0.0))
     assert not Gain(0.004, 0.0).certain  # nobody sees that
 
