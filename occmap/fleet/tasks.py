@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from occmap.arrays import Float64
-from occmap.errors import LogError, MapError
+from occmap.errors import LogError, MapError, name_log
 from occmap.evidence.manifest import describe_files, list_files
 from occmap.fleet.runs import Job, Piece, once, read_mapped, write_mapped, write_run
 from occmap.posing.jumps import find_breaks
@@ -137,13 +137,14 @@ def trace_part(job: TraceJob) -> Traced:
     recorder = setting.keep.make_recorder(job.survey.scans, setting.logs, options.returns)
     tally, sink = Tally(recorder=recorder), RunWriter(job)
     try:
-        odd = trace(drive, options, sink.add, limits, tally)
+        with name_log(job.survey.path):
+            odd = trace(drive, options, sink.add, limits, tally)
+            sink.flush()
     except (LogError, MapError):
         # Only the log as a whole shows if it can be read, and which ranges are no walls far away.
         if job.part is not None:
             return Traced(Tally(), limits, depends=True)
         raise
-    sink.flush()
     poser, log_notes = drive.poser, tuple(drive.log.notes)
     is_damaged, has_new_frames = log_notes != job.survey.notes, set(poser.chains) != frames
     jumps = any(course.find_jumps() for course in poser.courses.values())
