@@ -49,14 +49,6 @@ class HoldOut:
         return sum(int(np.count_nonzero(rays.kind == Kind.HIT)) for rays in self.held)
 
 
-def warm_up(options: BuildOptions) -> None:
-    """Compile or load the kernels that an engine needs: those for few scans, and those for many."""
-    engine = make_engine(options)
-    for scans in (1, 500):
-        engine.add(make_scans(scans))
-    engine.finish()
-
-
 def make_scans(scans: int) -> Rays:
     """A corner of a room, from one place."""
     return Rays(
@@ -74,7 +66,11 @@ class SharedEvidence:
     """The evidence of one or more variants, and the processor time that it took."""
 
     def __init__(self, options: BuildOptions) -> None:
-        warm_up(options)  # so that no variant is charged for compiling
+        # No variant is charged for compiling kernels: those for few scans, and those for many.
+        engine = make_engine(options)
+        for scans in (1, 500):
+            engine.add(make_scans(scans))
+        engine.finish()
         self._engine = make_engine(options)
         self._seconds: list[float] = []
 

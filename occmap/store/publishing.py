@@ -19,7 +19,7 @@ from occmap.sensor.models import SensorModel, describe_model, parse_model
 from occmap.sensor.returns import ReturnCounts
 from occmap.steps.tally import ScanCounts
 from occmap.store import rendering
-from occmap.store.reading import Saved, Store, as_blocks, read_all
+from occmap.store.reading import Blocks, Saved, Store, as_blocks, read_all
 from occmap.store.writer import ZarrWriter
 from occmap.writers import Product, ProductWriter, WindowWriter, WriteOptions
 from occmap.writers.outputs import check_outputs, find_writer, list_idle, write_outputs
@@ -58,12 +58,12 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
             refuse_unknown(path, writer, options)
     model, manifest = choose_model(saved, options)
     grid: OccupancyMap | rendering.BlockMap
-    is_whole = not all(isinstance(writer, ZarrWriter | WindowWriter) for _, writer in writers)
-    if isinstance(saved, Evidence) or options.overview or is_whole:
-        grid, facts = paint_saved(saved, model, options)
-    else:
+    in_parts = all(isinstance(writer, ZarrWriter | WindowWriter) for _, writer in writers)
+    if isinstance(saved, Blocks) and in_parts and options.overview is None:
         grid = rendering.open_map(saved, model, options.framing, options.min_passes)
         facts = rendering.survey_blocks(grid, options.writing)
+    else:
+        grid, facts = paint_saved(saved, model, options)
     report = summarise(manifest, facts, options, outputs)
     keep = cache(lambda: replace(read_all(saved), manifest=manifest))
     files: list[Path] = []
