@@ -22,7 +22,7 @@ from occmap.posing.options import Concern, Deskew, DropReason, PosingOptions
 from occmap.posing.resolve import resolve
 from occmap.posing.sources import Sources, gather
 from occmap.posing.tracks import MAX_STAMP_NS
-from occmap.types import Attached, Pose, PoseBatch, PosedScans, PoseSample, ScanBatch
+from occmap.types import IDENTITY, Attached, Pose, PoseBatch, PosedScans, PoseSample, ScanBatch
 
 POSES_OF_BODY = (
     "the poses beside the scans are taken as the robot's, with the laser at `sensor_pose` on it; "
@@ -60,9 +60,9 @@ class Poser:
         self._trusts_stated = self.sources.trajectory is None
         self._leaps = LeapFilter(self.options.max_speed)
         # Where the log's map frame lies in the map that is made: mostly, they are one.
-        turned, moved = math.radians(self.options.align or 0.0), self.options.transform
-        align = Pose.planar(0.0, 0.0, turned)
-        self._above = Transforms.fixed(align.then(moved) if moved else align)
+        turned = Pose.planar(0.0, 0.0, math.radians(self.options.align or 0.0))
+        moved = Transforms.fixed(self.options.transform or IDENTITY)
+        self._above = Transforms.fixed(turned).then(moved)
 
     @classmethod
     def build(cls, samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) -> Self:
