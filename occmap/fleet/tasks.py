@@ -116,7 +116,7 @@ def count_in_window(job: TraceJob) -> int:
     selector = Selector(options.selection, options.posing.stamps, drive.seam)
     for _ in selector.judge(read_scans(drive.log, drive.topics)):
         pass
-    return selector.seam.wanted
+    return selector.wanted
 
 
 @once

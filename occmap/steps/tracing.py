@@ -122,6 +122,5 @@ def trace(
     tally.lasers = max(tally.lasers, len(drive.topics))
     tally.scans_read += selector.read
     tally.drop(dict(selector.left_out))
-    first_ns = selector.seam.first_ns or 0
-    concerns = drive.poser.list_concerns(first_ns, options.returns.max_range)
+    concerns = drive.poser.list_concerns(selector.first_ns or 0, options.returns.max_range)
     return [*odd, *(f"{topic}: {concern.text}" for topic, concern in concerns)]
