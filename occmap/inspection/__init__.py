@@ -32,6 +32,7 @@ from occmap.wording import write_unused
 __all__ = ["Inspection", "inspect"]
 
 MAX_LISTED_SHAPES = 5
+"""How many shapes of a topic are told: the most frequent ones, and how many more there are"""
 
 
 def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:

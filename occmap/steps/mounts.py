@@ -25,6 +25,7 @@ from occmap.steps.tally import Tally
 from occmap.types import IDENTITY, Kind, Pose, PosedScans
 
 MOUNT_CELL_M = 0.1
+"""Side of the cells in which the hits of a sample are counted (m)"""
 TURNS = [
     Pose.from_xyzrpy((0.0, 0.0, 0.0), (roll, 0.0, yaw))
     for roll in (0.0, math.pi)
