@@ -5,9 +5,8 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Annotated, NamedTuple, overload
+from typing import Annotated, NamedTuple
 
-from occmap.arrays import Int64
 from occmap.errors import require
 from occmap.posing.options import Stamps
 from occmap.types import Scan, ScanRun, Seconds
@@ -113,7 +112,7 @@ class Selector:
                 yield from ((scan, self._judge_next(scan)) for scan in some.split())
 
     def _judge_next(self, scan: Scan) -> LeftOut | None:
-        stamp_ns = find_stamp(scan, self.stamps)
+        stamp_ns = self.stamps.choose(scan.stamp_ns, scan.record_ns)
         self.first_ns = stamp_ns if self.first_ns is None else self.first_ns
         if (flaw := find_flaw(scan)) is not None:
             return flaw
@@ -121,12 +120,3 @@ class Selector:
             return LeftOut.TIME
         self.wanted += 1
         return LeftOut.STRIDE if (self.wanted - 1) % self.selection.stride else None
-
-
-@overload
-def find_stamp(some: Scan, stamps: Stamps) -> int: ...
-@overload
-def find_stamp(some: ScanRun, stamps: Stamps) -> Int64: ...
-def find_stamp(some: Scan | ScanRun, stamps: Stamps) -> int | Int64:
-    """Find the time that counts (ns): of a scan, or (S,) of those of a run."""
-    return some.record_ns if stamps is Stamps.RECORD else some.stamp_ns
