@@ -24,6 +24,7 @@ MOST_OFFSET = 10
 MOST_GAP = 1000
 """The largest `border_gap` (cells)"""
 SHORTEST_GAP_S, LONGEST_GAP_S = 1e-3, 1e9
+"""The least and the largest `pass_gap_s`, by which slices of time are cut"""
 DEFAULT_UPDATE = Update.SURFACE
 
 

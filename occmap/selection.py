@@ -5,9 +5,8 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Annotated, NamedTuple, overload
+from typing import Annotated, NamedTuple
 
-from occmap.arrays import Int64
 from occmap.errors import require
 from occmap.posing.options import Stamps
 from occmap.types import Scan, ScanRun, Seconds
@@ -86,8 +85,8 @@ class Selector:
         self.stamps = stamps
         """Which of a scan's two times counts"""
         self._wants_all = replace(selection, topics=()) == Selection()
-        self.seam = seam
-        """The seam between the scans so far and those to come"""
+        self.first_ns, self.wanted = seam
+        """What `Seam` says of the scans that come after those so far"""
         self.read = 0
         self.left_out: Counter[LeftOut] = Counter()
         """How many of those read `select` left out, by reason"""
@@ -113,22 +112,11 @@ class Selector:
                 yield from ((scan, self._judge_next(scan)) for scan in some.split())
 
     def _judge_next(self, scan: Scan) -> LeftOut | None:
-        first_ns, wanted = self.seam
-        stamp_ns = find_stamp(scan, self.stamps)
-        first_ns = stamp_ns if first_ns is None else first_ns
-        self.seam = Seam(first_ns, wanted)
+        stamp_ns = self.stamps.choose(scan.stamp_ns, scan.record_ns)
+        self.first_ns = stamp_ns if self.first_ns is None else self.first_ns
         if (flaw := find_flaw(scan)) is not None:
             return flaw
-        if not self.selection.start_s <= (stamp_ns - first_ns) / 1e9 < self.selection.end_s:
+        if not self.selection.start_s <= (stamp_ns - self.first_ns) / 1e9 < self.selection.end_s:
             return LeftOut.TIME
-        self.seam = Seam(first_ns, wanted + 1)
-        return LeftOut.STRIDE if wanted % self.selection.stride else None
-
-
-@overload
-def find_stamp(some: Scan, stamps: Stamps) -> int: ...
-@overload
-def find_stamp(some: ScanRun, stamps: Stamps) -> Int64: ...
-def find_stamp(some: Scan | ScanRun, stamps: Stamps) -> int | Int64:
-    """Find the time that counts (ns): of a scan, or (S,) of those of a run."""
-    return some.record_ns if stamps is Stamps.RECORD else some.stamp_ns
+        self.wanted += 1
+        return LeftOut.STRIDE if (self.wanted - 1) % self.selection.stride else None

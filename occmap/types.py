@@ -54,28 +54,6 @@ class Pose(NamedTuple):
         """Build from a pose in the plane (m, m, rad); the heading may be unwrapped."""
         return cls(x, y, 0.0, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
 
-    def then(self, below: Self) -> Self:
-        """Compose with a pose that is given in the frame of this one."""
-        x, y, z, w = self[3:]
-        bx, by, bz, bw = below[3:]
-        # v + 2 w (q x v) + 2 q x (q x v), the rotation of a vector v by a unit quaternion (q, w)
-        cx, cy, cz = y * below.z - z * below.y, z * below.x - x * below.z, x * below.y - y * below.x
-        return type(self)(
-            self.x + below.x + 2 * (w * cx + y * cz - z * cy),
-            self.y + below.y + 2 * (w * cy + z * cx - x * cz),
-            self.z + below.z + 2 * (w * cz + x * cy - y * cx),
-            w * bx + x * bw + y * bz - z * by,
-            w * by - x * bz + y * bw + z * bx,
-            w * bz + x * by - y * bx + z * bw,
-            w * bw - x * bx - y * by - z * bz,
-        )
-
-    def invert(self) -> Self:
-        """Make the inverse transform."""
-        back = type(self)(0.0, 0.0, 0.0, -self.qx, -self.qy, -self.qz, self.qw)
-        x, y, z, *_ = back.then(type(self)(-self.x, -self.y, -self.z, 0.0, 0.0, 0.0, 1.0))
-        return back._replace(x=x, y=y, z=z)
-
 
 IDENTITY = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 UNKNOWN_POSE = Pose(*[math.nan] * 7)

@@ -15,7 +15,7 @@ from occmap.fleet.runs import Job, Piece, once, read_mapped, write_mapped, write
 from occmap.posing.jumps import find_breaks
 from occmap.posing.leaps import Ends, Laser
 from occmap.readers import Note, open_log, read_scans, split_log
-from occmap.selection import Seam, Selector, find_stamp
+from occmap.selection import Seam, Selector
 from occmap.sensor.no_return import RangeLimits
 from occmap.steps.engines import make_engine
 from occmap.steps.opening import count_scans
@@ -94,8 +94,9 @@ def survey_log(job: Job) -> LogSurvey:
             find_breaks(chain)  # so that every part is pickled with tracks that have cached steps
         drives = [drive._replace(log=part) for part in parts]
         write_mapped(job.setting.folder / f"{job.name}.parts", drives)
-    first = next(iter(read_scans(log, drive.topics)), None)
-    first_ns = None if first is None else find_stamp(first.first, options.posing.stamps)
+    stamps = options.posing.stamps
+    firsts = (some.first for some in read_scans(log, drive.topics))
+    first_ns = next((stamps.choose(one.stamp_ns, one.record_ns) for one in firsts), None)
     size = sum(each.stat().st_size for each in list_files(path))
     return LogSurvey(job.name, path, scans, len(parts) or 1, size, tuple(log.notes), first_ns)
 
@@ -116,7 +117,7 @@ def count_in_window(job: TraceJob) -> int:
     selector = Selector(options.selection, options.posing.stamps, drive.seam)
     for _ in selector.judge(read_scans(drive.log, drive.topics)):
         pass
-    return selector.seam.wanted
+    return selector.wanted
 
 
 @once

@@ -7,7 +7,7 @@ missing are the scans read twice, for the mount is then guessed from them.
 `telling` puts it into words for a terminal and a page.
 """
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +21,6 @@ from occmap.inspection.ranges import measure_crossing
 from occmap.inspection.survey import Extent, Survey, TopicSurvey
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
-from occmap.posing.course import Course
 from occmap.readers import Log, open_log, read_scans
 from occmap.sensor.models import Spreading
 from occmap.sensor.no_return import RangeLimits
@@ -33,6 +32,7 @@ from occmap.wording import write_unused
 __all__ = ["Inspection", "inspect"]
 
 MAX_LISTED_SHAPES = 5
+"""How many shapes of a topic are told: the most frequent ones, and how many more there are"""
 
 
 def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
@@ -103,8 +103,7 @@ def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str
     spreads = isinstance(model, Spreading) and model.spread > 0
     aside = options.hit_offset * options.resolution, options.resolution if spreads else 0.0
     for _ in range(2):
-        unseen = replace(poser, courses=defaultdict(Course))  # as before it saw a scan
-        survey = Survey(unseen, options, expected, limits, Extent(lattice, *aside))
+        survey = Survey(poser.start_over(), options, expected, limits, Extent(lattice, *aside))
         try:
             survey.read(read_scans(log, topics))
         except LogError as error:

@@ -17,7 +17,9 @@ from occmap.steps.mounts import warn_of_misfit
 from occmap.wording import count, write_counts, write_unused
 
 SHARE_OF_NOTE = 0.05
+"""More scans of a topic without a pose than this share are worth a warning."""
 DRIFT_S = 0.1
+"""Stamps that drift by more against the record times are worth a warning (s)."""
 BYTES_PER_CELL = 4 + 1 + 8
 """In memory: log-odds, observed, and two counts of four bytes as evidence."""
 ASK_TUNE = "try `occmap tune`"

@@ -84,7 +84,7 @@ def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> Stamps:
     other = Stamps.HEADER if chosen is Stamps.RECORD else Stamps.RECORD
     poser = Poser.build(read_poses(log), replace(posing.poser.options, stamps=other))
     poser.find_chains(topic.frames)
-    stamps = topic.stamps.record_ns if other is Stamps.RECORD else topic.stamps.header_ns
+    stamps = other.choose(topic.stamps.header_ns, topic.stamps.record_ns)
     stamp_ns = np.array(stamps) + round(poser.options.time_offset_s * 1e9)
     chain = poser.chains.get(next(iter(topic.frames)))
     found = 0 if chain is None else np.count_nonzero(chain.at(stamp_ns).status == Status.POSED)

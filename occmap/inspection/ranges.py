@@ -43,6 +43,7 @@ MEANINGS = {
     "negative": "an error code",
     "< range_min": "too close to trust",
 }
+"""The kinds of ranges that are not plain measurements, and what drivers mean by them"""
 NO_RETURNS = ("+inf", "= range_max", "> range_max")
 """The kinds that `no_return` decides about; all others are skipped."""
 

@@ -201,7 +201,7 @@ class Survey:
                 yield some
             else:
                 survey.left_out[reason] += 1
-        self.first_ns = selector.seam.first_ns or 0
+        self.first_ns = selector.first_ns or 0
 
     def _find(self, topic: str) -> TopicSurvey:
         if topic not in self.topics:

@@ -11,7 +11,8 @@ A batch of scans goes this way, all of it in `attach.Poser.attach`:
 
 3. `resolve` finds the way through the tree, from the frame of the map to that of the scans.
 4. `chain` makes a `Chain` of it, and interpolates that at the stamps of the scans.
-5. `attach` leaves out scans without a pose, and gives each beam its own where that is wanted.
+5. `attach` leaves out scans without a pose, and `deskewing` gives each beam one of its own where
+   that is wanted.
 6. `leaps` leaves out scans whose poses leap away and back.
 7. `course` and `jumps` watch where the sensor goes, and say what of that spoils a map.
 

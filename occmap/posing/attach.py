@@ -1,40 +1,33 @@
 """Attachment: scans and poses become posed scans; each scan without a pose is counted.
 
-`Poser.attach` is the way of a batch that `occmap.posing` lists. A scan has one moment, its stamp,
-unless it is de-skewed: then each of its beams gets the pose of the moment at which it was measured.
+`Poser.attach` is the way of a batch that `occmap.posing` lists.
 """
 
 import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
 
-from occmap.arrays import Bool, Float64, Int64
+from occmap.arrays import Float64
 from occmap.errors import PoseError
 from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.course import STANDS, Course, list_tilts
+from occmap.posing.deskewing import choose_deskewed, list_moments, place_beams
 from occmap.posing.jumps import warn_of_jumps
 from occmap.posing.leaps import Ends, Laser, LeapFilter
 from occmap.posing.options import Concern, Deskew, DropReason, PosingOptions
 from occmap.posing.resolve import resolve
 from occmap.posing.sources import Sources, gather
 from occmap.posing.tracks import MAX_STAMP_NS
-from occmap.types import Attached, Pose, PoseBatch, PosedScans, PoseSample, ScanBatch
+from occmap.types import IDENTITY, Attached, Pose, PoseBatch, PosedScans, PoseSample, ScanBatch
 
 POSES_OF_BODY = (
     "the poses beside the scans are taken as the robot's, with the laser at `sensor_pose` on it; "
     "leave that out if they are the laser's own"
 )
-
-MAX_TURN_S = 60.0
-"""A scan that is said to take longer has a wrong time_increment."""
-MAX_AUTO_TURN_S = 1.0
-"""The slowest laser that is de-skewed unasked; some drivers write milliseconds for seconds."""
-MOMENTS = 33
-"""Poses looked up for one de-skewed scan; see `place_beams` for how close that is."""
 
 
 @dataclass(eq=False)
@@ -57,12 +50,11 @@ class Poser:
 
     def __post_init__(self) -> None:
         self._offset_ns = round(self.options.time_offset_s * 1e9)  # to the clock of the poses
-        self._trusts_stated = self.sources.trajectory is None
         self._leaps = LeapFilter(self.options.max_speed)
         # Where the log's map frame lies in the map that is made: mostly, they are one.
-        turned, moved = math.radians(self.options.align or 0.0), self.options.transform
-        align = Pose.planar(0.0, 0.0, turned)
-        self._above = Transforms.fixed(align.then(moved) if moved else align)
+        turned = Pose.planar(0.0, 0.0, math.radians(self.options.align or 0.0))
+        moved = Transforms.fixed(self.options.transform or IDENTITY)
+        self._above = Transforms.fixed(turned).then(moved)
 
     @classmethod
     def build(cls, samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) -> Self:
@@ -114,6 +106,10 @@ class Poser:
                 self._note(f"{frame!r} never moves in {self.fixed!r}, though other frames do")
         return failures
 
+    def start_over(self) -> Self:
+        """Make a poser that knows the same of frames, and has seen no scan yet."""
+        return replace(self, courses=defaultdict(Course))
+
     def attach(self, batches: Iterable[ScanBatch]) -> Iterator[Attached]:
         """Give each scan the pose of its sensor, or each beam where the scan is de-skewed.
 
@@ -134,8 +130,8 @@ class Poser:
         scans = len(batch.stamp_ns)
         if not scans:
             return
-        if batch.pose is not None and self._trusts_stated:
-            yield self._keep(batch, self._read_stated(batch.pose))
+        if (stated := self._choose_stated(batch)) is not None:
+            yield self._keep(batch, self._read_stated(stated))
             return
         if batch.frame not in self.chains:
             self.find_chains([batch.frame])
@@ -152,6 +148,10 @@ class Poser:
             yield self._keep(part, chain.at(moment_ns.ravel()))
         if not deskewed.all():
             yield self._keep(batch.take(~deskewed), chain.at(stamp_ns[~deskewed]))
+
+    def _choose_stated(self, batch: ScanBatch) -> Float64 | None:
+        """The poses (S, 7) that stand beside scans, unless the user named others."""
+        return batch.pose if self.sources.trajectory is None else None
 
     def _read_stated(self, poses: Float64) -> Transforms:
         """Read the poses (S, 7) that stand beside scans, as the sensor's or as its body's."""
@@ -174,8 +174,7 @@ class Poser:
     def _watch(self, posed: PosedScans) -> None:
         """Note where the sensor of some scans was, for what there is to say of its course."""
         batch = posed.batch
-        is_stated = batch.pose is not None and self._trusts_stated
-        chain = None if is_stated else self.chains[batch.frame]
+        chain = self.chains[batch.frame] if self._choose_stated(batch) is None else None
         self.courses[batch.topic].see(posed, batch.stamp_ns + self._offset_ns, chain)
 
     def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
@@ -222,53 +221,3 @@ def _list_idle(options: PosingOptions) -> Iterator[str]:
     for option, is_given in given.items():
         if is_given:
             yield f"{option} does nothing: the poses stand beside the scans"
-
-
-def choose_deskewed(batch: ScanBatch, deskew: Deskew, chain: Chain) -> tuple[Bool, list[str]]:
-    """Choose the scans (S) whose beams get poses of their own, and say what was decided.
-
-    AUTO asks for a believable scan time and for poses dense enough to show the motion in it.
-    """
-    if deskew is Deskew.OFF:
-        return np.zeros(len(batch.stamp_ns), np.bool_), []
-    with np.errstate(invalid="ignore", over="ignore"):  # a log may state any number
-        duration_s = np.abs(batch.time_increment) * (batch.ranges.shape[1] - 1)
-    is_auto = deskew is Deskew.AUTO
-    longest_s = MAX_AUTO_TURN_S if is_auto else MAX_TURN_S
-    chosen: Bool = (duration_s > 0) & (duration_s <= longest_s)
-    notes = []
-    if is_auto:
-        chosen &= chain.is_dense(duration_s)
-    elif not chosen.all():
-        notes.append(
-            f"scans of {batch.frame!r} that state no believable time between beams are not "
-            "de-skewed"
-        )
-    if chosen.any():
-        notes.append(f"de-skewed: each beam of {batch.frame!r} has a pose of its own")
-    return chosen, notes
-
-
-def list_moments(batch: ScanBatch) -> Int64:
-    """List the moments (S, K) of scans at which poses are looked up, from their stamps on (ns)."""
-    beams = batch.ranges.shape[1]
-    seconds = np.linspace(0, (beams - 1) * batch.time_increment, min(beams, MOMENTS), axis=1)
-    return np.round(seconds * 1e9).astype(np.int64)
-
-
-def place_beams(batch: ScanBatch, posed: Bool, found: Transforms) -> PosedScans:
-    """Keep the scans (S) that are posed; where there are K moments of each, each beam has a pose.
-
-    Between two moments positions and matrices are interpolated linearly. At 720 degrees a second
-    and ten scans a second a matrix is then off by 2e-4: 2 mm at ten metres.
-    """
-    scans = len(posed)
-    position = found.position.reshape(scans, -1, 3)[posed]
-    rotation = found.rotation.reshape(scans, -1, 9)[posed]
-    batch, moments = batch.take(posed), position.shape[1]
-    if moments == 1:
-        return PosedScans(batch, position[:, 0], rotation.reshape(-1, 3, 3))
-    at = np.linspace(0, moments - 1, batch.ranges.shape[1])
-    share = np.maximum(0, 1 - np.abs(at[:, None] - np.arange(moments)))
-    rotation = share @ rotation
-    return PosedScans(batch, share @ position, rotation.reshape(*rotation.shape[:2], 3, 3))

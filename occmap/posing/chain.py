@@ -16,7 +16,7 @@ import numpy as np
 
 from occmap.arrays import Bool, Float64, Int64, UInt8
 from occmap.posing.frames import Edge, find_moving, last_part
-from occmap.posing.rotations import rotate_by, slerp
+from occmap.posing.rotations import rotate_by, slerp, to_quaternions
 from occmap.posing.tracks import Track, find_usable
 from occmap.types import IDENTITY, Pose
 
@@ -71,6 +71,12 @@ class Transforms(NamedTuple):
         found = cls.of(poses[:, :3], poses[:, 3:] / norm[:, None])
         found.status[~usable] = Status.UNUSABLE
         return found
+
+    @property
+    def first(self) -> Pose:
+        """Where it was at the first stamp, or is at all times."""
+        quaternion = to_quaternions(self.rotation[:1])
+        return Pose(*self.position[0].tolist(), *quaternion[0].tolist())
 
     def then(self, below: Self) -> Self:
         """Compose with a transform that is given in the lower frame of this one."""
@@ -175,16 +181,19 @@ def make_chain(steps: Sequence[Edge], max_gap_s: float | None) -> Chain:
             legs.append(Moving(step, find_holds(track), np.inf))
         elif step in moving:
             legs.append(Moving(step, np.zeros(len(track), np.bool_), max_gap_ns))
+        elif legs and isinstance(legs[-1], Transforms):
+            legs[-1] = legs[-1].then(hold(step))  # once, and not for every batch
         else:
-            rigid = Transforms.of(track.position[:1], track.quaternion[:1])
-            rigid = rigid.invert() if step.inverted else rigid
-            if legs and isinstance(legs[-1], Transforms):
-                legs[-1] = legs[-1].then(rigid)  # once, and not for every batch
-            else:
-                legs.append(rigid)
+            legs.append(hold(step))
     tracks = [step.track for step in moving if step not in corrections]
     intervals = [float(np.median(track.interval_s)) for track in tracks if len(track) > 1]
     return Chain(tuple(steps), tuple(legs), max(intervals, default=0.0))
+
+
+def hold(step: Edge) -> Transforms:
+    """Make a step that never moves one transform, which holds at all times."""
+    held = Transforms.of(step.track.position[:1], step.track.quaternion[:1])
+    return held.invert() if step.inverted else held
 
 
 def find_holds(track: Track) -> Bool:

@@ -3,11 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, TypeVar
 
 from occmap.errors import require
 from occmap.types import Pose, PoseSample, Seconds
 
+Time = TypeVar("Time")
 MAX_OFFSET_S = 4e9
 """The largest offset: from a clock that begins at 0 to any date; two of them fit an int64 of ns."""
 
@@ -36,6 +37,10 @@ class Stamps(StrEnum):
     """The time that its driver wrote into it."""
     RECORD = "record"
     """The time at which the recorder stored it."""
+
+    def choose(self, stamp_ns: Time, record_ns: Time) -> Time:
+        """Choose between the two times of one message, or of many."""
+        return record_ns if self is Stamps.RECORD else stamp_ns
 
 
 class DropReason(StrEnum):

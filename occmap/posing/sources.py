@@ -62,7 +62,7 @@ def gather(samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) ->
     LogError
         The trajectory file cannot be read.
     """
-    edges, unusable, notes = _build_edges(samples, options.stamps)
+    edges, unusable, changes = _build_edges(samples, options.stamps)
     given = [
         Edge(each.parent.strip("/"), each.child.strip("/"), Track.fixed(each.pose), Source.GIVEN)
         for each in options.static_transforms
@@ -72,9 +72,10 @@ def gather(samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) ->
     tree = FrameTree([*given, *(edge for edge in edges if edge.child)])
     stated = (edge for edge in edges if edge.source is Source.ODOMETRY)
     poses = sorted(stated, key=lambda edge: (-len(edge.track), edge.topic))
-    trajectory = _find_trajectory(options, poses, notes) if options.poses else None
-    notes = [*unusable, *notes, *_list_contradictions(edges, tree)]
-    notes = [*_list_overruled(given, edges, tree), *notes]
+    of_file: list[str] = []
+    trajectory = _find_trajectory(options, poses, of_file) if options.poses else None
+    notes = [*_list_overruled(given, edges, tree), *unusable, *changes, *of_file]
+    notes += _list_contradictions(edges, tree)
     return Sources(tree, tuple(poses), trajectory, tuple(notes), tuple(unusable))
 
 

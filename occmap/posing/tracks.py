@@ -85,7 +85,7 @@ class TrackBuilder:
     def add(self, sample: PoseSample, stamps: Stamps) -> None:
         """Take a sample, dated by one of its two times."""
         record = sample.record_ns
-        stamp = record if stamps is Stamps.RECORD else sample.stamp_ns
+        stamp = stamps.choose(sample.stamp_ns, record)
         if max(abs(stamp), abs(record)) > MAX_STAMP_NS:
             self.unusable += 1
         else:
@@ -94,7 +94,7 @@ class TrackBuilder:
 
     def add_batch(self, batch: PoseBatch, stamps: Stamps) -> None:
         """Take many samples, as `add` takes one."""
-        stamp = batch.record_ns if stamps is Stamps.RECORD else batch.stamp_ns
+        stamp = stamps.choose(batch.stamp_ns, batch.record_ns)
         times = np.stack([stamp, batch.record_ns], axis=1)
         sound = ((times >= -MAX_STAMP_NS) & (times <= MAX_STAMP_NS)).all(axis=1)
         self.unusable += int(np.count_nonzero(~sound))

@@ -25,6 +25,7 @@ TimedPose: TypeAlias = tuple[int, Pose]
 NumberedLine: TypeAlias = tuple[int, str]
 
 TRAJECTORY_FRAME = "map"
+"""The frame that the poses of a file are taken to be in: no format names one"""
 QUATERNION = ("qx", "qy", "qz", "qw")
 ANGLES = ("roll", "pitch", "yaw")
 SHAPES = (

@@ -9,7 +9,7 @@ import numpy as np
 
 from occmap.arrays import Int64
 from occmap.posing.options import Stamps
-from occmap.selection import Selector, find_stamp
+from occmap.selection import Selector
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import read_limits
 from occmap.types import Scan, ScanBatch, ScanRun
@@ -80,7 +80,8 @@ def make_batch(run: ScanRun, stamps: Stamps, number: Int64 | None = None) -> Sca
     """Make a batch of scans that are alike."""
     first = run.first
     shape = first.frame, first.angle_min, first.angle_increment, *read_limits(first)
-    differing = find_stamp(run, stamps), run.ranges, run.time_increment, run.pose
+    stamp_ns = stamps.choose(run.stamp_ns, run.record_ns)
+    differing = stamp_ns, run.ranges, run.time_increment, run.pose
     return ScanBatch(*shape, *differing, first.topic, number)
 
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,9 +14,9 @@ from occmap.command import format_mount, format_static
 from occmap.errors import MountError, PoseError
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
+from occmap.posing.chain import Transforms, hold
 from occmap.posing.frames import BASE_NAMES, Edge
 from occmap.posing.options import Concern
-from occmap.posing.rotations import rotate_by
 from occmap.readers import Log, open_log, read_poses
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.steps.opening import choose_topics, make_poser
@@ -24,6 +25,7 @@ from occmap.steps.tally import Tally
 from occmap.types import IDENTITY, Kind, Pose, PosedScans
 
 MOUNT_CELL_M = 0.1
+"""Side of the cells in which the hits of a sample are counted (m)"""
 TURNS = [
     Pose.from_xyzrpy((0.0, 0.0, 0.0), (roll, 0.0, yaw))
     for roll in (0.0, math.pi)
@@ -163,7 +165,7 @@ def correct_mount(poser: Poser, frame: str, turn: Pose) -> str:
     given = poser.options.sensor_pose
     chain = poser.chains.get(frame)
     if given or chain is None:  # None: the poses stand beside the scans
-        return f"sensor_pose={format_mount((given or IDENTITY).then(turn))}"
+        return f"sensor_pose={format_mount(turn_mount(given or IDENTITY, turn))}"
     tree, base = poser.sources.tree, poser.options.base_frame
     bases = [base] if base else tree.list_bases(frame)
     if frame not in tree:  # the poses were taken as the sensor's own
@@ -173,23 +175,23 @@ def correct_mount(poser: Poser, frame: str, turn: Pose) -> str:
         return f"static_transforms={format_static(body, frame, turn)}"
     steps = tree.find_path(bases[0], frame) if len(bases) == 1 else None
     if steps and len(poser.chains) == 1 and (mount := place_on(steps)):
-        return f"sensor_pose={format_mount(mount.then(turn))}"
+        return f"sensor_pose={format_mount(turn_mount(mount, turn))}"
     last = chain.steps[-1]
     if (mount := place_on([last])) is None:
         return ""
-    return f"static_transforms={format_static(last.parent, frame, mount.then(turn))}"
+    return f"static_transforms={format_static(last.parent, frame, turn_mount(mount, turn))}"
 
 
 def place_on(steps: Sequence[Edge]) -> Pose | None:
     """Find where the last frame of some steps sits in the first; None where one of them moves."""
-    place = IDENTITY
-    for step in steps:
-        track = step.track
-        if track.moves:
-            return None
-        pose = Pose(*track.position[0].tolist(), *track.quaternion[0].tolist())
-        place = place.then(pose.invert() if step.inverted else pose)
-    return place
+    if any(step.track.moves for step in steps):
+        return None
+    return reduce(Transforms.then, map(hold, steps)).first
+
+
+def turn_mount(mount: Pose, turn: Pose) -> Pose:
+    """Turn a sensor further than it is mounted."""
+    return Transforms.fixed(mount).then(Transforms.fixed(turn)).first
 
 
 def choose_turn(marked: Sequence[int]) -> Pose | None:
@@ -209,5 +211,6 @@ def count_marked(parts: Sequence[PosedScans], mount: Pose, options: ReturnOption
 
 def mount_scans(part: PosedScans, mount: Pose) -> PosedScans:
     """Place a sensor on its body; so far its scans are posed as if it were the body."""
-    turn, place = rotate_by(np.array([mount[3:]]))[0], np.array(mount[:3])
-    return PosedScans(part.batch, part.position + part.rotation @ place, part.rotation @ turn)
+    sensor = Transforms.fixed(mount)
+    position = part.position + part.rotation @ sensor.position[0]
+    return PosedScans(part.batch, position, part.rotation @ sensor.rotation[0])

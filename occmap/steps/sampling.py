@@ -23,8 +23,11 @@ from occmap.steps.opening import count_messages
 from occmap.types import PosedScans
 
 SAMPLE_SCANS = 300
-MOST_CELLS = 10**8
+"""About so many scans of each topic are kept, spread evenly over the log."""
 MAX_SAMPLE_BEAMS = 1 << 19
+"""No more scans are kept once their beams are so many: this bounds the memory."""
+MOST_CELLS = 10**8
+"""The largest map that is made of a sample"""
 
 
 class Sample:

@@ -115,8 +115,7 @@ def trace(
                 tally.use(len(rays.kind), beams)
                 reach.stretch(rays)
                 (workers.give if rays.kind.size >= HANDED_BEAMS else work)(rays)
-    first_ns = selector.seam.first_ns or 0
-    concerns = drive.poser.list_concerns(first_ns, options.returns.max_range)
+    concerns = drive.poser.list_concerns(selector.first_ns or 0, options.returns.max_range)
     return [*odd, *(f"{topic}: {concern.text}" for topic, concern in concerns)]
 
 
