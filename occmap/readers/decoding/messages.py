@@ -9,7 +9,6 @@ import struct
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import cache, lru_cache
-from graphlib import TopologicalSorter
 from typing import Any, TypeAlias, TypeVar
 
 from rosbags.interfaces import Nodetype
@@ -41,7 +40,7 @@ _DECODE_ERRORS = (
 
 MAX_DEFINITION = 1 << 15
 """Characters of a message definition at most; none of ROS has a fifth of that, with comments."""
-MAX_FILES = 1000
+MAX_FILES = 500
 """Files of a protobuf schema at most; Foxglove's own needs six."""
 MAX_VALUES = 1000
 """Values of a message, lists aside, at most; the covariances of an odometry are 72."""
@@ -240,19 +239,13 @@ def _make_protobuf_parser(channel: Channel) -> _Parser:
 
 
 def _load_message(channel: Channel) -> Any:
-    """Load the message class, giving the pool each file after those that it is made of."""
-    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory  # noqa: PLC0415  as above
+    """Load the message class from the files of its schema."""
+    from google.protobuf import descriptor_pb2, message_factory  # noqa: PLC0415  as above
 
     files = descriptor_pb2.FileDescriptorSet.FromString(channel.descriptors).file
     if len(files) > MAX_FILES:
         raise ValueError(f"{len(files)} files make one type")
-    by_name = {file.name: file for file in files}
-    pool = descriptor_pool.DescriptorPool()
-    order = TopologicalSorter({file.name: file.dependency for file in files})
-    for name in order.static_order():
-        if name in by_name:
-            pool.Add(by_name[name])
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName(channel.type))
+    return message_factory.GetMessages(files)[channel.type]
 
 
 _PARSERS: Mapping[str, Callable[[Channel], _Parser]] = {
