@@ -152,13 +152,7 @@ class RosLog:
         `read_alike` gives what it read, and the messages that it leaves to be read one by one.
         """
         for channel, stack in self._stack(readers, most_kinds):
-            reader, left = readers[channel], stack
-            if reader.is_plain:
-                with suppress(DamageError):  # of the first; one by one it is counted
-                    together, left = read_alike(stack, reader.encoding, reader.decode)
-                    yield from together
-            for data, record_ns in left:
-                yield from reader.read(data, record_ns)
+            yield from _read_stack(readers[channel], stack, read_alike)
         self._note_damage(readers)
 
     def _stack(
@@ -241,3 +235,17 @@ class _ChannelReader(Generic[T]):
 
 
 _Readers: TypeAlias = Mapping[Channel, _ChannelReader[T]]
+
+
+def _read_stack(
+    reader: _ChannelReader[T],
+    stack: Sequence[Stacked],
+    read_alike: Callable[..., tuple[Sequence[Many], Sequence[Stacked]]],
+) -> Iterator[T | Many]:
+    """Read messages of one length together; one by one those that are damaged or not alike."""
+    if reader.is_plain:
+        with suppress(DamageError):  # of the first; one by one it is counted
+            together, stack = read_alike(stack, reader.encoding, reader.decode)
+            yield from together
+    for data, record_ns in stack:
+        yield from reader.read(data, record_ns)
