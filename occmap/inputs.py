@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from occmap.errors import LogError, OccmapError
-from occmap.readers import load_readers, open_log
+from occmap.readers import find_reader, open_log
 from occmap.readers.options import ReaderOptions
 from occmap.readers.probing import probe_path
 from occmap.steps.opening import choose_topics, take_first
@@ -86,11 +86,9 @@ def is_bag(path: Path, recordings: Collection[Path]) -> bool:
 
 def is_recording(path: Path) -> bool:
     """Whether any reader recognises a path."""
-    try:
-        probe = probe_path(path)
-    except LogError:
-        return False
-    return any(reader and reader.recognises(probe) for _, reader in load_readers())
+    with suppress(LogError):
+        return find_reader(probe_path(path)) is not None
+    return False
 
 
 def find_start(path: Path, options: ReaderOptions) -> tuple[int, str]:

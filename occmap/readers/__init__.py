@@ -12,9 +12,9 @@ from copy import copy
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeVar, cast, runtime_checkable
 
-from occmap.plugins import list_plugins, load_plugin
+from occmap.plugins import list_plugins, load_plugin, load_plugins
 from occmap.readers.options import ReaderOptions
 from occmap.readers.probing import Probe, explain_unknown, probe_path
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
@@ -193,11 +193,13 @@ class TunableReader(Protocol):
         """Open a log; raises what `open` does."""
 
 
-def load_readers() -> Iterator[tuple[str, Reader | None]]:
-    """Load the readers one by one, as the later ones take longest; None: it cannot be loaded."""
+def find_reader(probe: Probe) -> Reader | None:
+    """Find the reader that recognises a path; they are loaded one by one, the quick ones first."""
     for entry in list_plugins("occmap.readers"):
         reader_class = load_plugin("occmap.readers", entry.name)
-        yield entry.name, reader_class and reader_class()
+        if reader_class and (reader := reader_class()).recognises(probe):
+            return cast(Reader, reader)
+    return None
 
 
 def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
@@ -209,13 +211,13 @@ def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
         The path cannot be read, or no reader knows what it is.
     """
     probe = probe_path(path)
-    whole: list[str] = []
-    broken: list[str] = []
-    for name, reader in load_readers():
-        (broken if reader is None else whole).append(name)
-        if reader is not None and reader.recognises(probe):
-            if isinstance(reader, TunableReader):
-                return reader.open_tuned(path, options)
-            return reader.open(path)
-    lacking = f" ({', '.join(broken)} cannot be loaded)" if broken else ""
-    raise explain_unknown(probe, f"occmap reads {', '.join(whole)}{lacking}: see `occmap readers`")
+    reader = find_reader(probe)
+    if reader is None:
+        loaded, broken = load_plugins("occmap.readers")
+        lost = f" ({', '.join(each.name for each in broken)} cannot be loaded)" if broken else ""
+        raise explain_unknown(
+            probe, f"occmap reads {', '.join(loaded)}{lost}: see `occmap readers`"
+        )
+    if isinstance(reader, TunableReader):
+        return reader.open_tuned(path, options)
+    return reader.open(path)

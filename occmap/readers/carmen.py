@@ -42,7 +42,9 @@ LONGER = " "
 """Stands for the keyword of a line that its first eight bytes do not tell."""
 MAX_KEPT_BYTES = 1 << 26
 """The scans of a log that take no more memory are kept; larger logs are parsed once more."""
-WHOLE_MESSAGE = re.compile(r"\S+\s+\S+\s+\S.*\s(?!\d)\S+\s+[-+.e\d]+\s*")
+TELLING_LINE = re.compile(rf"#.*message formats defined|\s*({'|'.join(SCAN_LINES)}|ODOM)\s+-?\.?\d")
+"""By what a line of a CARMEN log is known: a keyword and a number, or how its comments begin."""
+WHOLE_MESSAGE = re.compile(r"\S+\s+\S+\s+\S.*\s(?![-+.\d])\S+\s+[-+.e\d]+\s*")
 """A keyword, two words or more, the name of a host, and a time."""
 FIX = "correct or delete this line"
 NO_LINES: Int64 = np.zeros(0, np.int64)
@@ -59,13 +61,11 @@ class CarmenReader:
     def recognises(self, probe: Probe) -> bool:
         """Whether the first lines are CARMEN messages; a keyword within a text does not count."""
         lines = probe.lines
-        if any(line.startswith("#") and "message formats defined" in line for line in lines):
-            return True
-        heads = [line.split(None, 2)[:2] for line in lines if line.strip() and line[0] != "#"]
-        if any(_starts_message(head) for head in heads):
+        if any(map(TELLING_LINE.match, lines)):
             return True
         # A log may begin with pages of parameters; the probe may end within its last line.
-        return len(heads) > 3 and all(head[0] in OTHER_WORDS for head in heads[:-1])
+        words = [line.split(None, 1)[0] for line in lines if line.strip() and line[0] != "#"]
+        return len(words) > 3 and all(word in OTHER_WORDS for word in words[:-1])
 
     def open(self, path: Path) -> "CarmenLog":
         """Open a log and read it once.
@@ -224,21 +224,7 @@ def _count_lines(word: str, lines: int) -> str:
     return f"{lines:,} {word if word.isascii() and word.isprintable() else shorten(word)}"
 
 
-def _starts_message(head: list[str]) -> bool:
-    """Whether a line starts as a scan or odometry message does: a keyword and a number."""
-    if len(head) < 2 or head[0] not in {*SCAN_LINES, "ODOM"}:
-        return False
-    return head[1].lstrip("-").replace(".", "", 1)[:1].isdigit()
-
-
 def _is_cut(line: Line) -> bool:
     """Whether a last line without its end is cut; for a scan, parsing it tells."""
     word = _find_word(line.raw)
-    if not word or word in SCAN_LINES:
-        return False
-    try:
-        if word == "ODOM":
-            parse_odometry(line.text)
-        return WHOLE_MESSAGE.fullmatch(line.text) is None
-    except ValueError:
-        return True
+    return word not in {"", *SCAN_LINES} and WHOLE_MESSAGE.fullmatch(line.text) is None

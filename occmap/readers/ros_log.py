@@ -23,7 +23,7 @@ from occmap.readers.containers.inflate import Buffer
 from occmap.readers.containers.source import Channel, RawMessage, Source
 from occmap.readers.conversion import ToScan
 from occmap.readers.conversion.ros import find_oddity, find_type
-from occmap.readers.decoding.messages import FromBytes, make_reader
+from occmap.readers.decoding.messages import make_reader
 from occmap.readers.decoding.shapes import Shape
 from occmap.readers.decoding.stacks import Stacked, read_scan_run, read_transforms
 from occmap.readers.options import ReaderOptions
@@ -33,11 +33,6 @@ T = TypeVar("T")
 Many = TypeVar("Many")
 Convert: TypeAlias = Callable[[Any, str, int], list[T]]
 """From a decoded message, its topic and its record time in ns."""
-ReadAlike: TypeAlias = Callable[
-    [Sequence[Stacked], str, FromBytes[list[T]]], tuple[Sequence[Many], Sequence[Stacked]]
-]
-"""Reads messages of one length together: from these, their encoding and what reads a single one, to
-what they hold and the messages that are left to be read one by one."""
 
 MESSAGE_BYTES = 100
 """What a message that is held takes in memory beside its own bytes."""
@@ -120,8 +115,11 @@ class RosLog:
         )
 
     def _make_scan_readers(self, topics: Collection[str]) -> "_Readers[Scan]":
+        def make_convert(to_scan: ToScan) -> Convert[Scan]:
+            return lambda *message: [to_scan(self._options, *message)]
+
         return self._make_readers(
-            (channel, kind.shape, partial(_convert_scan, kind.to_scan, self._options))
+            (channel, kind.shape, make_convert(kind.to_scan))
             for channel, kind in self._types.items()
             if kind and kind.to_scan and channel.topic in topics
         )
@@ -144,17 +142,17 @@ class RosLog:
         self._note_damage(readers)
 
     def _read_stacked(
-        self, readers: "_Readers[T]", read_alike: "ReadAlike[T, Many]", most_kinds: int
+        self,
+        readers: "_Readers[T]",
+        read_alike: Callable[..., tuple[Sequence[Many], Sequence[Stacked]]],
+        most_kinds: int,
     ) -> Iterator[T | Many]:
-        """Read messages of one channel and length together, of `most_kinds` kinds at a time."""
+        """Read messages of one channel and length together, of `most_kinds` kinds at a time.
+
+        `read_alike` gives what it read, and the messages that it leaves to be read one by one.
+        """
         for channel, stack in self._stack(readers, most_kinds):
-            reader, left = readers[channel], stack
-            if reader.is_plain:
-                with suppress(DamageError):  # of the first; one by one it is counted
-                    together, left = read_alike(stack, reader.encoding, reader.decode)
-                    yield from together
-            for data, record_ns in left:
-                yield from reader.read(data, record_ns)
+            yield from _read_stack(readers[channel], stack, read_alike)
         self._note_damage(readers)
 
     def _stack(
@@ -239,8 +237,15 @@ class _ChannelReader(Generic[T]):
 _Readers: TypeAlias = Mapping[Channel, _ChannelReader[T]]
 
 
-def _convert_scan(
-    to_scan: ToScan, options: ReaderOptions, message: Any, topic: str, record_ns: int
-) -> list[Scan]:
-    """Convert a message to its one scan, as messages of poses are to any number of samples."""
-    return [to_scan(options, message, topic, record_ns)]
+def _read_stack(
+    reader: _ChannelReader[T],
+    stack: Sequence[Stacked],
+    read_alike: Callable[..., tuple[Sequence[Many], Sequence[Stacked]]],
+) -> Iterator[T | Many]:
+    """Read messages of one length together; one by one those that are damaged or not alike."""
+    if reader.is_plain:
+        with suppress(DamageError):  # of the first; one by one it is counted
+            together, stack = read_alike(stack, reader.encoding, reader.decode)
+            yield from together
+    for data, record_ns in stack:
+        yield from reader.read(data, record_ns)

@@ -20,7 +20,6 @@ from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import NoteList, Span, make_part
 from occmap.readers.containers.records import (
     DESCRIPTION,
-    OTHER,
     Descriptions,
     Inner,
     Record,
@@ -82,11 +81,9 @@ class ChunkedSource(ABC):
         with self.path.open("rb") as file:
             for block in self._iterate_blocks(file, by_id):
                 view = memoryview(block.records)
-                for key, record_ns, start, end in self._list_records(block):
+                for key, record_ns, start, end in self._list_messages(block, descriptions):
                     if key in by_id:
                         yield by_id[key], record_ns, view[start:end]
-                    elif key == DESCRIPTION:
-                        descriptions.setdefault(bytes(view[start:end]), block.position)
         for key, other in self._describe(descriptions):
             known = self._by_id.get(key, other)
             if known.description != other.description:
@@ -146,31 +143,32 @@ class ChunkedSource(ABC):
         descriptions: Descriptions = {}
         held: Counter[int] = Counter()
         for block in self._iterate_blocks(file, EVERY_ID):
-            for key, _, start, end in self._list_records(block):
-                if key == DESCRIPTION:
-                    descriptions.setdefault(bytes(block.records[start:end]), block.position)
-                elif key != OTHER:
-                    held[key] += 1
+            held.update(key for key, *_ in self._list_messages(block, descriptions))
         channels: dict[int, Channel] = {}
         for key, channel in self._describe(descriptions):
             channels.setdefault(key, channel)
         return channels, held
 
-    def _list_records(self, block: RecordBlock) -> Iterator[Inner]:
-        """Give the records of a block. A damaged one ends nothing: the next is looked for."""
+    def _list_messages(self, block: RecordBlock, descriptions: Descriptions) -> Iterator[Inner]:
+        """Give the messages of a block. A damaged record ends nothing: the next is looked for.
+
+        The records that describe channels are added to `descriptions`.
+        """
         view, size = memoryview(block.records), len(block.records)
         damaged: set[int] = set()
         messages, is_timely = 0, True
         at = before = 0
         while at < size:
             for record in self._parse_records(view, at):
-                key, record_ns, _, end = record
+                key, record_ns, start, end = record
                 if end > size:
                     break
-                yield record
                 if key >= 0:
                     messages += 1
                     is_timely &= block.first_ns <= record_ns <= block.last_ns
+                    yield record
+                elif key == DESCRIPTION:
+                    descriptions.setdefault(bytes(view[start:end]), block.position)
                 before, at = at, end
             if at < size:
                 damaged.add(at)

@@ -72,21 +72,21 @@ class McapSource(ChunkedSource):
         }
         channels = dict(_make_channels(summary.channels.values(), summary.schemas))
         counts = Counter(statistics.channel_message_counts if statistics else {})
-        if (
+        is_complete = (
             statistics is not None
             and len(channels) == statistics.channel_count
             and counts.total() == statistics.message_count
             and all(key in channels and channels[key].type for key in counts)
-        ):
-            self._chunks = sorted(self._held) if self._is_checked else ()
-        else:
+        )
+        if not is_complete:
             found, held = self._survey(file)
-            stated = statistics.message_count if statistics else held.total()
-            if stated != held.total():
-                text = f"{held.total()} messages are in it, its statistics have {stated}"
-                self.notes.add_damage(text)
             channels |= found
             counts = Counter({**held, **{key: counts[key] for key in counts.keys() & channels}})
+            if statistics and statistics.message_count != held.total():
+                text = f"{held.total()} messages are in it, its statistics have"
+                self.notes.add_damage(f"{text} {statistics.message_count}")
+        elif self._is_checked:
+            self._chunks = sorted(self._held)
         for channel in channels.values():
             if channel.encoding in {"cdr", "ros1"} and not channel.type:
                 self.notes.add_damage(f"the type of the messages on {channel.topic} is not stated")

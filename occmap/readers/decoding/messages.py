@@ -9,7 +9,6 @@ import struct
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import cache, lru_cache
-from graphlib import TopologicalSorter
 from typing import Any, TypeAlias, TypeVar
 
 from rosbags.interfaces import Nodetype
@@ -41,7 +40,7 @@ _DECODE_ERRORS = (
 
 MAX_DEFINITION = 1 << 15
 """Characters of a message definition at most; none of ROS has a fifth of that, with comments."""
-MAX_FILES = 1000
+MAX_FILES = 500
 """Files of a protobuf schema at most; Foxglove's own needs six."""
 MAX_VALUES = 1000
 """Values of a message, lists aside, at most; the covariances of an odometry are 72."""
@@ -173,13 +172,16 @@ def _parse_definition(text: str, kind: str) -> Typesdict:
         raise _refuse(kind, error) from error
     types = {**get_typestore(Stores.EMPTY).fielddefs, **types}  # ROS 1 has a time of its own
     counts: dict[str, int] = {}
-    if flaw := _find_flaw(types, name, counts):
-        raise _refuse(kind, flaw if len(flaw) <= 99 else f"{flaw[:96]}...")
+    try:
+        _count_values(types, name, counts)
+    except ValueError as error:
+        flaw = str(error)
+        raise _refuse(kind, flaw if len(flaw) <= 99 else f"{flaw[:96]}...") from None
     return {part: ([], types[part][1]) for part in counts}
 
 
-def _find_flaw(types: Typesdict, name: str, counts: dict[str, int]) -> str:
-    """Count the values that a message has before any list in it; say why nobody can read it.
+def _count_values(types: Typesdict, name: str, counts: dict[str, int]) -> int:
+    """Count the values that a message has before any list in it.
 
     rosbags writes a line of code for each value, and would read what takes no bytes for ever.
 
@@ -187,22 +189,29 @@ def _find_flaw(types: Typesdict, name: str, counts: dict[str, int]) -> str:
     ----------
     counts
         Grows by the values of the type and of all that it is made of.
+
+    Raises
+    ------
+    ValueError
+        Nobody can read such a message.
     """
     if name not in types:
-        return f"{name} is not defined"
+        raise ValueError(f"{name} is not defined")
     if name in counts:
-        return "" if counts[name] else f"{name} contains itself"
+        if not counts[name]:
+            raise ValueError(f"{name} contains itself")
+        return counts[name]
     counts[name] = total = 0
     fields: Any = types[name][1]
     for _, (node, detail) in fields:
         part, repeat = (node, detail), 1
         if node in {Nodetype.ARRAY, Nodetype.SEQUENCE}:
             part, repeat = detail[0], detail[1] if node == Nodetype.ARRAY else 1
-        if part[0] == Nodetype.NAME and (flaw := _find_flaw(types, part[1], counts)):
-            return flaw
-        total += repeat * (counts[part[1]] if part[0] == Nodetype.NAME else 1)
+        total += repeat * (_count_values(types, part[1], counts) if part[0] == Nodetype.NAME else 1)
+    if not 0 < total <= MAX_VALUES:
+        raise ValueError(f"{name} holds {total} values")
     counts[name] = total
-    return "" if 0 < total <= MAX_VALUES else f"{name} holds {total} values"
+    return total
 
 
 def _make_json_parser(_channel: Channel) -> _Parser:
@@ -230,19 +239,13 @@ def _make_protobuf_parser(channel: Channel) -> _Parser:
 
 
 def _load_message(channel: Channel) -> Any:
-    """Load the message class, giving the pool each file after those that it is made of."""
-    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory  # noqa: PLC0415  as above
+    """Load the message class from the files of its schema."""
+    from google.protobuf import descriptor_pb2, message_factory  # noqa: PLC0415  as above
 
     files = descriptor_pb2.FileDescriptorSet.FromString(channel.descriptors).file
     if len(files) > MAX_FILES:
         raise ValueError(f"{len(files)} files make one type")
-    by_name = {file.name: file for file in files}
-    pool = descriptor_pool.DescriptorPool()
-    order = TopologicalSorter({file.name: file.dependency for file in files})
-    for name in order.static_order():
-        if name in by_name:
-            pool.Add(by_name[name])
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName(channel.type))
+    return message_factory.GetMessages(files)[channel.type]
 
 
 _PARSERS: Mapping[str, Callable[[Channel], _Parser]] = {

@@ -36,8 +36,8 @@ class Blocks(Bag1Source):
     def __init__(self) -> None:
         self.notes = NoteList()
 
-    def list_messages(self, block: bytes, wanted: Sequence[int]) -> list[Found]:
-        found = self._list_records(RecordBlock(0, block))
+    def list_wanted(self, block: bytes, wanted: Sequence[int]) -> list[Found]:
+        found = self._list_messages(RecordBlock(0, block), {})
         return [(key, time, block[start:end]) for key, time, start, end in found if key in wanted]
 
 
@@ -78,7 +78,7 @@ def test_messages_are_those_that_were_written(
             damaged.append(start)
     source = Blocks()
 
-    assert source.list_messages(block, WANTED) == expected
+    assert source.list_wanted(block, WANTED) == expected
     assert source.notes or not damaged
 
 
@@ -86,7 +86,7 @@ def test_messages_are_those_that_were_written(
 def test_a_message_has_its_connection_time_and_data(order: Sequence[str]) -> None:
     block = b"".join(write(order, MESSAGE, 7 + i, (i, 5), b"data%d" % i) for i in range(3))
 
-    assert Blocks().list_messages(block, range(10)) == [
+    assert Blocks().list_wanted(block, range(10)) == [
         (7, 5, b"data0"),
         (8, 1_000_000_005, b"data1"),
         (9, 2_000_000_005, b"data2"),
@@ -96,4 +96,4 @@ def test_a_message_has_its_connection_time_and_data(order: Sequence[str]) -> Non
 def test_a_damaged_time_of_another_connection_ends_nothing() -> None:
     other = write(NO_TIME, MESSAGE, 8, (0, 0), b"")
     block = other + write(ORDERS[0], MESSAGE, 7, (1, 0), b"data")
-    assert [connection for connection, *_ in Blocks().list_messages(block, range(8))] == [7]
+    assert [connection for connection, *_ in Blocks().list_wanted(block, range(8))] == [7]

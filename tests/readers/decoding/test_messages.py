@@ -148,13 +148,13 @@ def read_protobuf(files: FileDescriptorSet) -> RosLog:
 
 
 def test_a_long_chain_of_protobuf_files_is_followed() -> None:
-    log = read_protobuf(make_chain(900))
+    log = read_protobuf(make_chain(450))
     with bounded():
         assert len(list(log.scans({"/scan"}))) == 1
     assert log.notes == []
 
 
-@pytest.mark.parametrize("length", [3000, 30_000])
+@pytest.mark.parametrize("length", [600, 30_000])
 def test_a_chain_of_protobuf_files_beyond_reason_is_noted(length: int) -> None:
     log = read_protobuf(make_chain(length))
     with bounded():
@@ -169,7 +169,7 @@ def test_protobuf_files_that_need_each_other_are_noted() -> None:
     log = read_protobuf(files)
 
     assert list(log.scans({"/scan"})) == []
-    assert "cannot be understood (CycleError)" in log.notes[0].text
+    assert "the definition of foxglove.LaserScan cannot be understood" in log.notes[0].text
 
 
 def test_a_protobuf_type_that_contains_itself_is_read() -> None:
