@@ -19,10 +19,9 @@ from occmap.grid.kernels.visits import (
     Canvas,
     Tiles,
     add_notes,
-    find_place,
     list_slope,
     make_notes,
-    visit_line,
+    visit_path,
 )
 from occmap.jit import kernel, step
 
@@ -38,8 +37,7 @@ def trace_beams(beams: Beams, radial: Tables | None, corner: Int64, canvas: Canv
     corner
         (2,) x and y of the window's corner (lattice units from the anchor).
     """
-    kinds, changes, tiles = beams.rays.kind, canvas.changes, canvas.tiles
-    shape, stride, numbers = canvas.shape, canvas.stride, canvas.numbers
+    kinds, shape, tiles = beams.rays.kind, canvas.shape, canvas.tiles
     notes, fill = make_notes(shape), 0
     for s in range(kinds.shape[0]):
         for b in range(kinds.shape[1]):
@@ -48,38 +46,31 @@ def trace_beams(beams: Beams, radial: Tables | None, corner: Int64, canvas: Canv
             beam = place_beam(beams, s, b, radial, corner)
             for i in range(beam.drawn + 1):
                 path = draw_path(beam, i, radial, shape)
-                add_plain(path, radial, shape, numbers, changes, tiles)
-                if radial is None:
-                    add_hit(path, stride, numbers, tiles)
-                else:
-                    fill = list_slope(path, beam, stride, notes, fill)
+                add_path(path, radial, canvas, tiles)
+                if radial is not None:
+                    fill = list_slope(path, beam, canvas.stride, notes, fill)
                     if fill >= MANY:
-                        add_notes(notes, fill, radial, canvas, canvas.tiles)
+                        add_notes(notes, fill, radial, canvas, tiles)
                         fill = 0
     if radial is not None:
-        add_notes(notes, fill, radial, canvas, canvas.tiles)
+        add_notes(notes, fill, radial, canvas, tiles)
 
 
 @step
-def add_plain(
-    path: Path,
-    radial: Tables | None,
-    shape: tuple[int, int],
-    numbers: Int32 | Int64,
-    changes: Changes,
-    tiles: Tiles | None,
-) -> None:
-    """Add a miss, or what a radial model says of near cells, to the plain cells of a path.
+def add_path(path: Path, radial: Tables | None, canvas: Canvas, tiles: Tiles | None) -> None:
+    """Add to the plain cells of a path, and where hits are counted to its end."""
+    if tiles is None:
+        note_plain(path, canvas.changes, canvas.shape)
+        note_hit(path, radial, canvas.stride, canvas.numbers)
+    else:
+        visit_path(path, radial, canvas.numbers, tiles)
 
-    Where a window is crossed often, these are not visited: `lines` says how they are noted.
-    """
+
+@step
+def note_plain(path: Path, changes: Changes, shape: tuple[int, int]) -> None:
+    """Add the plain cells of a path, as changes along rows, or of a steep line along columns."""
     line, first, end = path.line, path.first, path.plain
-    if tiles is not None:
-        miss = 1
-        if radial is not None:
-            miss = int(radial.entries[0])
-        visit_line(line, first, end, path.weight * miss, numbers, tiles)
-    elif first < end:
+    if first < end:
         if line.steep:
             runs, steps, stride = changes.col_runs, changes.col_steps, shape[0] + PAD
             note_line(line, first, end, runs, steps, stride, path.weight)
@@ -89,8 +80,8 @@ def add_plain(
 
 
 @step
-def add_hit(path: Path, stride: int, numbers: Int32 | Int64, tiles: Tiles | None) -> None:
-    """Add a hit to the end cell of a path, where it is not plain and lies in the window."""
-    if path.plain < path.end:
-        hit = path.weight if tiles is not None else path.weight << COUNT_BITS
-        numbers[np.uint64(find_place(path.end_row, path.end_col, stride, tiles))] += hit
+def note_hit(path: Path, radial: Tables | None, stride: int, numbers: Int32 | Int64) -> None:
+    """Add a hit to the end cell of a path, where hits are counted and it lies in the window."""
+    if radial is None and path.plain < path.end:
+        place = path.end_row * stride + path.end_col
+        numbers[np.uint64(place)] += path.weight << COUNT_BITS

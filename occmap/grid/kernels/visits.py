@@ -12,7 +12,7 @@ import numpy as np
 
 from occmap.arrays import Float64, Int32, Int64
 from occmap.grid.kernels.drawing import Beam, Path
-from occmap.grid.kernels.lines import Line, count_steps, find_step, steps_after
+from occmap.grid.kernels.lines import count_steps, find_step, steps_after
 from occmap.grid.kernels.sums import Changes
 from occmap.grid.kernels.units import (
     AT_A_TIME,
@@ -135,17 +135,15 @@ def add_notes(
         place = note >> NOTE_BITS
         if tiles is not None:
             row, col = place >> col_bits, place & (canvas.stride - 1)
-            place = find_place(row, col, canvas.stride, tiles)
+            place = find_place(tiles, row, col)
         weight = (note >> ENTRY_BITS) & ((1 << WEIGHT_BITS) - 1)
         entry = entries[np.uint64(note & ((1 << ENTRY_BITS) - 1))]
         numbers[np.uint64(place)] += weight * entry
 
 
 @step
-def find_place(row: int, col: int, stride: int, tiles: Tiles | None) -> int:
+def find_place(tiles: Tiles, row: int, col: int) -> int:
     """Find the place of a cell, in the first layer of its tile, which is made if need be."""
-    if tiles is None:
-        return row * stride + col
     up, right = np.uint64(row >> TILE_BITS), np.uint64(col >> TILE_BITS)
     tile = int(tiles.table[up, right])
     if tile < 0:
@@ -156,24 +154,25 @@ def find_place(row: int, col: int, stride: int, tiles: Tiles | None) -> int:
 
 
 @step
-def visit_line(
-    line: Line, first: int, end: int, added: int, numbers: Int32 | Int64, tiles: Tiles
-) -> None:
-    """Add a number to the cells of a line from `first` to before `end`, in the last layer.
+def visit_path(path: Path, radial: Tables | None, numbers: Int32 | Int64, tiles: Tiles) -> None:
+    """Add to the plain cells of a path, in the last layer, and where hits are counted to its end.
 
     The line is followed from tile to tile. In each, the places of its cells are worked out many at
     a time, in a loop of their own.
     """
-    places = tiles.places
+    line, places, last_layer = path.line, tiles.places, (tiles.layers - 1) * TILE**2
+    added, end = path.weight, path.end
+    if radial is not None:
+        added, end = path.weight * int(radial.entries[0]), path.plain
     along, across = line.u_sign, line.v_sign * TILE
     if line.steep:
         along, across = line.u_sign * TILE, line.v_sign
-    i = first
+    i = path.first
     while i < end:
         made = count_steps(line, i)
         u, v = line.u + line.u_sign * i, line.v + line.v_sign * made
         row, col = (u, v) if line.steep else (v, u)
-        place = find_place(row, col, 0, tiles) + (tiles.layers - 1) * TILE**2
+        place = find_place(tiles, row, col) + last_layer
         # How many cells, and how many steps, until the line leaves the tile.
         left_u = TILE - (u & INSIDE) if line.u_sign > 0 else (u & INSIDE) + 1
         left_v = TILE - (v & INSIDE) if line.v_sign > 0 else (v & INSIDE) + 1
@@ -181,6 +180,8 @@ def visit_line(
         for j in range((stop - i + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
             steps = int(np.int32(steps_after(line, float(np.int32(i + j))))) - made
             places[np.uint64(j)] = place + j * along + steps * across
-        for j in range(stop - i):
+        for j in range(min(stop, path.plain) - i):
             numbers[np.uint64(places[np.uint64(j)])] += added
+        if stop > path.plain:  # the hit, in the first layer
+            numbers[np.uint64(places[np.uint64(path.plain - i)] - last_layer)] += path.weight
         i = stop
