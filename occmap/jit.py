@@ -37,15 +37,16 @@ def kernel(function: F) -> F:
 def step(function: F) -> F:
     """Compile a function that is a step of kernels' innermost loops, and put it inline there.
 
-    A call would count references to each array that is handed over.
+    It makes no array, and counts no references to those that it is handed, which would cost more
+    than all that it does.
     """
     return compile_kept(function, forceinline=True)
 
 
 def compile_kept(function: F, forceinline: bool) -> F:
-    """Compile a function at its first call, as `kernel` says."""
-    inlining = numba.njit(nogil=True, error_model="numpy", forceinline=forceinline)
-    compiled: Any = inlining(function)
+    """Compile a function at its first call, as `kernel` and `step` say."""
+    options: dict[str, Any] = {"forceinline": forceinline, "_nrt": not forceinline}
+    compiled: Any = numba.njit(nogil=True, error_model="numpy", **options)(function)
     compiled._cache = KeptCode(function)
     return compiled  # type: ignore[no-any-return]  # called like the function it was made of
 

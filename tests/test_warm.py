@@ -6,13 +6,12 @@ from typing import Any
 import pytest
 
 from occmap import jit
-from occmap.grid.kernels.beams import note_beams
+from occmap.grid.kernels.beams import trace_beams
 from occmap.grid.kernels.cast import cast_beams
 from occmap.grid.kernels.polygon import trace_polygons
 from occmap.grid.kernels.projection import project_ends
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.kernels.sums import read_tiles
-from occmap.grid.kernels.visits import trace_tiles, trace_window
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions
@@ -26,9 +25,7 @@ from occmap.warm import compile_kernels
 KERNELS: list[Any] = [
     parse_rows,
     project_ends,
-    note_beams,
-    trace_window,
-    trace_tiles,
+    trace_beams,
     trace_polygons,
     trace_radial_polygons,
     read_tiles,

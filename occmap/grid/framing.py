@@ -1,4 +1,7 @@
-"""What part of the plane a map covers: what was observed, with a margin around it, or a box."""
+"""What part of the plane a map covers: what was observed, with a margin around it, or a box.
+
+While a map is built, `Reach` says how large it is going to be at least.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -8,15 +11,17 @@ import numpy as np
 
 from occmap.cells import Box, OccupancyMap, to_log_odds
 from occmap.errors import MapError, require
-from occmap.grid.lattice import CellBox, Lattice
-from occmap.grid.tiles import refuse_large
-from occmap.types import Metres
+from occmap.grid.lattice import FARTHEST_UNIT, CellBox, Lattice
+from occmap.grid.tiles import TILE, refuse_large
+from occmap.types import Kind, Metres, Rays
 from occmap.wording import write_metres
 
 CELL_SLACK = 1e-6
 """In cells: 0.15 m is three cells of 0.05 m, whatever floats say."""
 FARTHEST_M = 1e8
 """Twice around the Earth; a bound refuses nan and inf, too."""
+BOUNDING_BEAMS = 4
+"""So many beams of each scan show how far a map reaches: a few, as all would cost time."""
 
 
 @dataclass(frozen=True)
@@ -97,3 +102,36 @@ def choose_box(whole: CellBox, framing: Framing, lattice: Lattice) -> CellBox:
         reach = ", ".join(write_metres(lattice.measure(whole)))
         raise MapError("no cell of the map lies in `extent`", fix=f"the map's own box is {reach}")
     return box
+
+
+class Reach:
+    """How far a map reaches at least: the box around the ends of some hits.
+
+    It grows in the order of the scans. So a map that is too large is refused at the same scan and
+    in the same words, whichever threads trace them.
+    """
+
+    def __init__(self, lattice: Lattice, max_cells: int) -> None:
+        self._lattice = lattice
+        self._max_cells = max_cells
+        self._box: CellBox | None = None
+
+    def stretch(self, rays: Rays) -> None:
+        """Take in more scans.
+
+        Raises
+        ------
+        MapError
+            What they hit makes the map too large.
+        """
+        some = rays.thin(max(rays.kind.shape[1] // BOUNDING_BEAMS, 1))
+        hits = some.end[some.kind == Kind.HIT]
+        farthest = float(np.abs(hits).max(initial=0.0))
+        if not len(hits) or not farthest * self._lattice.units_per_metre < FARTHEST_UNIT:
+            return  # the engine refuses a sensor that is so far away
+        first, last = (self._lattice.to_cell(*edge) for edge in (hits.min(0), hits.max(0)))
+        box = CellBox.at(*first).join(CellBox.at(*last))
+        self._box = box = self._box.join(box) if self._box else box
+        surely = box.grow(-TILE)  # a hit is moved, and rounded, by some cells
+        if surely.rows > 0 and surely.cells > self._max_cells:
+            refuse_large(box, self._lattice, self._max_cells)

@@ -61,6 +61,7 @@ def project(rays: Rays, spec: GridSpec) -> Beams:
     weights = between = np.zeros((0, 0), np.uint8)
     if spec.update is not Update.POLYGON or shape[1] == 1:  # a single beam is a line
         weights, between = np.ones(shape, np.uint8), np.zeros(shape, np.uint8)
+    drawing = spec.update is Update.SURFACE
     beams = Beams(
         rays,
         spec.lattice.units_per_metre,
@@ -71,10 +72,11 @@ def project(rays: Rays, spec: GridSpec) -> Beams:
         ranges=np.empty(shape if spec.radial else (0, 0)),
         weights=weights,
         between=between,
+        steps=np.empty((*shape, 2) if drawing else (0, 0, 2), np.int16),
         box=CellBox(0, 0, 0, 0),  # known once it is known where they end
     )
     left, bottom, right, top = project_ends(beams, spec.tables.depth)
-    if spec.update is Update.SURFACE:
+    if drawing:
         link_neighbours(beams, spec.jump)
     lowest = np.minimum(beams.origins.min(axis=(0, 1)), (left, bottom))
     highest = np.maximum(beams.origins.max(axis=(0, 1)), (right, top))

@@ -6,25 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from occmap.arrays import Float64
-from occmap.grid.kernels.units import BEAM_WEIGHT, Tables
+from occmap.grid.kernels.units import BEAM_WEIGHT, COUNT_BITS, TABLE_STEPS, Tables
 from occmap.grid.lattice import Lattice
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.types import Update
 
 WINDOW_CELLS = 1 << 24
 """The largest window; scans that need more are traced part by part."""
-COUNT_BITS = 31
-"""A window is emptied before a cell of it counts 2^31 hits or misses."""
-
-COUNTS = Tables(0.0, np.ones(1, np.int64), np.full(1, 1 << COUNT_BITS), 1.0, 1, COUNT_BITS)
-"""Tables of models that count: a cell before the end of a beam gets a miss, the end cell a hit."""
+COUNTS = Tables(0.0, np.ones(1, np.int64), 1.0, 1, COUNT_BITS)
+"""What stands for a model that counts: a plain cell gets a miss."""
 
 Formula = Callable[[Float64], Float64]
 """(T,) shares in [0, 1] to (T,) probabilities of being occupied."""
-
-TABLE_STEPS = 2048
-"""Steps of a table: a free cell's log-odds is within half a per cent of the formula's where it
-matters."""
 
 SUREST = 2.0**-53
 """No probability is tabulated nearer to 0 or 1 than this: a float has none between it and 1, and
@@ -41,10 +34,10 @@ def tabulate(free: Formula, hit: Formula, depth: float) -> Tables:
     largest = max(int(np.abs(table).max()) for table in tables)
     # A cell's sum of log-odds and number of observations, its sign apart, share 63 bits.
     bits = (63 - largest.bit_length()) // 2
-    free_entries, hit_entries = ((table << bits) + 1 for table in tables)
-    constant = int(np.argmax(np.append(free_entries[:-1], 0) != free_entries[0]))
+    entries = np.append((np.concatenate(tables) << bits) + 1, 0)
+    constant = int(np.argmax(np.append(entries[:TABLE_STEPS], 0) != entries[0]))
     plain = float(np.sqrt(constant / TABLE_STEPS))
-    return Tables(depth, free_entries, hit_entries, plain, largest, bits)
+    return Tables(depth, entries, plain, largest, bits)
 
 
 def find_unit(update: str) -> int:

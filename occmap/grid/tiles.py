@@ -16,8 +16,7 @@ from occmap.arrays import Bool, Float64, Int32, Int64
 from occmap.cells import MOST_OBSERVED
 from occmap.errors import MapError
 from occmap.grid.kernels import units
-from occmap.grid.lattice import FARTHEST_UNIT, CellBox, Lattice
-from occmap.types import Kind, Rays
+from occmap.grid.lattice import CellBox, Lattice
 from occmap.wording import write_metres
 
 TILE = units.TILE
@@ -26,8 +25,6 @@ PART = 4 * TILE
 """Cells along the side of what is worked out at a time."""
 MAX_CELLS = 10**9
 """The most cells of a map, unless the user allows more."""
-BOUNDING_BEAMS = 4
-"""So many beams of each scan show how far a map reaches: a few, as all would cost time."""
 INT32_LIMIT = 2**31 - 1
 LOG_ODDS_UNIT = 1 / 65536
 """What 1 means in a tile of log-odds."""
@@ -214,36 +211,3 @@ def refuse_large(box: CellBox, lattice: Lattice, max_cells: int) -> None:
             fix="if a pose is wrong, leave it out with `start_s` and `end_s`; else use a coarser "
             "`resolution`, a shorter `max_range`, or raise `max_cells`",
         )
-
-
-class Reach:
-    """How far a map reaches at least: the box around the ends of some hits.
-
-    It grows in the order of the scans. So a map that is too large is refused at the same scan and
-    in the same words, whichever threads trace them.
-    """
-
-    def __init__(self, lattice: Lattice, max_cells: int) -> None:
-        self._lattice = lattice
-        self._max_cells = max_cells
-        self._box: CellBox | None = None
-
-    def stretch(self, rays: Rays) -> None:
-        """Take in more scans.
-
-        Raises
-        ------
-        MapError
-            What they hit makes the map too large.
-        """
-        some = rays.thin(max(rays.kind.shape[1] // BOUNDING_BEAMS, 1))
-        hits = some.end[some.kind == Kind.HIT]
-        farthest = float(np.abs(hits).max(initial=0.0))
-        if not len(hits) or not farthest * self._lattice.units_per_metre < FARTHEST_UNIT:
-            return  # the engine refuses a sensor that is so far away
-        first, last = (self._lattice.to_cell(*edge) for edge in (hits.min(0), hits.max(0)))
-        box = CellBox.at(*first).join(CellBox.at(*last))
-        self._box = box = self._box.join(box) if self._box else box
-        surely = box.grow(-TILE)  # a hit is moved, and rounded, by some cells
-        if surely.rows > 0 and surely.cells > self._max_cells:
-            refuse_large(box, self._lattice, self._max_cells)

@@ -9,13 +9,13 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from occmap.arrays import Int64
-from occmap.grid.kernels.beams import note_beams
+from occmap.grid.kernels.beams import trace_beams
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
 from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.kernels.sums import Changes, read_tiles
-from occmap.grid.kernels.units import CELL_SHIFT, PAD, TILE, UNITS_PER_CELL
-from occmap.grid.kernels.visits import Tiles, trace_tiles, trace_window
+from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, PAD, TILE, UNITS_PER_CELL
+from occmap.grid.kernels.visits import Canvas, Tiles
 from occmap.grid.lattice import CellBox
 from occmap.grid.spec import GridSpec
 from occmap.grid.tiles import Key, Tile, view_tiles
@@ -84,7 +84,7 @@ class DenseWindow(Window):
     def packing(self) -> tuple[int, int, int]:
         """How `cells` hold the numbers of a cell, as `read_tiles` takes it."""
         every_bit = -1
-        return self.spec.tables.bits, every_bit, int(self.spec.tables.free[0])
+        return self.spec.tables.bits, every_bit, int(self.spec.tables.entries[0])
 
     def read(self) -> dict[Key, Tile]:
         inside = (self.touched or self.box).move(-self.box.row, -self.box.col).shrink(TILE)
@@ -102,10 +102,9 @@ class BeamWindow(DenseWindow):
     along_lines = True
 
     def trace(self, beams: Beams, corner: Int64) -> None:
-        if self.spec.radial is None:
-            note_beams(beams, int(self.spec.tables.hit[0]), corner, self.cells, self.changes)
-        else:
-            trace_window(beams, self.spec.tables, corner, self.cells, self.changes)
+        stride, numbers = self.cells.shape[1], self.cells.reshape(-1)
+        canvas = Canvas(self.box.shape, stride, numbers, self.changes, None)
+        trace_beams(beams, self.spec.radial, corner, canvas)
 
 
 class PolygonWindow(DenseWindow):
@@ -150,16 +149,20 @@ class SparseBeamWindow(Window):
         layers = 2 if counts else 1
         numbers = np.zeros(2 * size, np.int32) if counts else np.zeros(size, np.int64)
         table = np.full((rows // TILE, cols // TILE), -1, np.int32)
-        self.tiles = Tiles(table, np.zeros(1, np.int64), numbers, layers)
+        places = np.empty(TILE + AT_A_TIME, np.int64)
+        self.tiles = Tiles(table, np.zeros(1, np.int64), layers, places)
+        stride = 1 << (cols - 1).bit_length()
+        no_changes = Changes(*[np.zeros(0, np.int32)] * 4)
+        self.canvas = Canvas((rows, cols), stride, numbers, no_changes, self.tiles)
 
     def trace(self, beams: Beams, corner: Int64) -> None:
-        trace_tiles(beams, self.spec.tables, corner, self.tiles)
+        trace_beams(beams, self.spec.radial, corner, self.canvas)
 
     def read(self) -> dict[Key, Tile]:
         table, used = self.tiles.table, int(self.tiles.used[0])
         places = np.empty((used, 2), np.int64)
         places[table[table >= 0]] = np.argwhere(table >= 0)
-        tiles: Tile = self.tiles.numbers.reshape(-1, self.tiles.layers, TILE, TILE)[:used]
+        tiles: Tile = self.canvas.numbers.reshape(-1, self.tiles.layers, TILE, TILE)[:used]
         if self.spec.radial is not None:
             # A beam may reach a tile and add nothing to it.
             seen, bits = tiles.any(axis=(1, 2, 3)), self.spec.tables.bits

@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from occmap.errors import MountError, name_log
+from occmap.grid.framing import Reach
 from occmap.grid.lattice import Lattice
-from occmap.grid.tiles import Reach
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.readers import Log, read_scans

@@ -9,9 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from occmap.grid.kernels.units import TABLE_STEPS
 from occmap.grid.lattice import Lattice
 from occmap.grid.projection import join_viewpoints
-from occmap.grid.spec import TABLE_STEPS, WINDOW_CELLS, GridSpec, tabulate
+from occmap.grid.spec import WINDOW_CELLS, GridSpec, tabulate
 from occmap.grid.tiles import LOG_ODDS_UNIT
 from occmap.sensor.models import QuadraticModel
 from occmap.sensor.returns import ReturnOptions, interpret
@@ -236,7 +237,7 @@ def test_a_cell_has_room_for_more_observations_of_a_model_that_is_less_sure(
     tables = tabulate(lambda u: p + 0 * u, lambda w: p + 0 * w, 1.0)
     assert tables.bits == bits
     most = (1 << bits) - 1
-    assert abs(int(tables.free[0]) * most) < 2**63
+    assert abs(int(tables.entries[0]) * most) < 2**63
 
 
 def test_windows_change_nothing_in_an_office_of_many_doors() -> None:

@@ -6,6 +6,7 @@ import pytest
 from occmap.arrays import Float64
 from occmap.errors import MapError
 from occmap.evidence import render
+from occmap.grid.framing import Reach
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import find_bounds, paint
 from occmap.grid.tiles import (
@@ -13,7 +14,6 @@ from occmap.grid.tiles import (
     LOG_ODDS_UNIT,
     TILE,
     EvidenceKind,
-    Reach,
     TileGrid,
     add_stack,
     refuse_large,

@@ -49,19 +49,32 @@ def draw_line(col: int, row: int, end_col: int, end_row: int) -> Line:
 
 
 @step
+def steps_after(line: Line, i: float) -> float:
+    """How many steps along v a line has made after i cells: floor((2 i m + n) / (2 n)).
+
+    Half a unit of 1 / (2 n) keeps whole numbers from what rounding does.
+    """
+    return float(np.floor((i * (2.0 * line.m) + (line.n + 0.5)) * (0.5 / max(line.n, 1))))
+
+
+@step
 def count_steps(line: Line, i: int) -> int:
-    """How many steps along v a line has made after i cells."""
+    """The same, as an integer."""
     if i in (0, line.n):  # nearly always
         return line.m if i else 0
     return (2 * i * line.m + line.n) // (2 * line.n)
 
 
-@kernel
+@step
 def find_step(line: Line, j: int) -> int:
-    """After how many cells a line has made j steps: the inverse of `count_steps`."""
+    """After how many cells a line has made j steps: the inverse of `steps_after`."""
     if j <= 0:
         return 0
-    return (line.n * (2 * j - 1) + 2 * line.m - 1) // (2 * line.m) if j <= line.m else line.n + 1
+    return (
+        int((line.n * (2 * j - 1) + 2 * line.m - 0.5) * (0.5 / line.m))
+        if j <= line.m
+        else line.n + 1
+    )
 
 
 @step

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Float64, Int32, Int64, UInt8
+from occmap.arrays import Float64, Int16, Int32, Int64, UInt8
 from occmap.grid.kernels.units import ALONE, CELL_SHIFT, FREE, HIT, MOST_BETWEEN, NO_LENGTH
 from occmap.grid.lattice import CellBox
 from occmap.jit import kernel
@@ -46,6 +46,9 @@ class Beams(NamedTuple):
     """(S, B) what each beam counts"""
     between: UInt8
     """(S, B) how many beams are drawn between each and the next"""
+    steps: Int16
+    """(S, B, 2) x and y from the end of one of these to that of the next (units); (0, 0, 2) where
+    the update draws none"""
     box: CellBox
     """Around all cells that the beams may touch"""
 
@@ -113,7 +116,7 @@ def link_neighbours(beams: Beams, jump: float) -> None:
     """
     distance, kinds = beams.rays.distance, beams.rays.kind
     ends_x, ends_y = beams.ends_x, beams.ends_y
-    weights, between = beams.weights, beams.between
+    weights, between, steps = beams.weights, beams.between, beams.steps
     scans, count = kinds.shape
     weights[:] = ALONE
     for s in range(scans):
@@ -129,5 +132,9 @@ def link_neighbours(beams: Beams, jump: float) -> None:
             drawn = min(cells, MOST_BETWEEN) if joined else 0
             rest = MOST_BETWEEN - drawn if joined | both_free else 0
             between[s, b] = drawn
+            # Rounded down: half a unit keeps whole numbers from what rounding does.
+            share = 1.0 / (drawn + 1)
+            steps[s, b, 0] = np.int32(np.floor((ends_x[s, c] - ends_x[s, b] + 0.5) * share))
+            steps[s, b, 1] = np.int32(np.floor((ends_y[s, c] - ends_y[s, b] + 0.5) * share))
             weights[s, b] += rest
             weights[s, c] += rest

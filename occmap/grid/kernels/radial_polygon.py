@@ -27,7 +27,17 @@ from occmap.grid.kernels.sectors import (
     reach_out,
     stay_inside,
 )
-from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, HALF_CELL, HIT, PAD, Tables
+from occmap.grid.kernels.units import (
+    AT_A_TIME,
+    CELL_SHIFT,
+    FIRST_HIT,
+    HALF_CELL,
+    HIT,
+    NOTHING,
+    PAD,
+    TABLE_STEPS,
+    Tables,
+)
 from occmap.jit import kernel
 
 MANY = 4096
@@ -48,7 +58,7 @@ class View(NamedTuple):
     depth: float
     """How far about the range a hit reaches (lattice units)"""
     entries: Int64
-    """The table of free cells, a 0 for nothing, and the table of hits"""
+    """Those of `Tables`"""
 
 
 class Listed(NamedTuple):
@@ -83,14 +93,13 @@ def trace_radial_polygons(
     """
     scans, count = beams.rays.kind.shape
     rows, cols = cells.shape[0], cells.shape[1] - PAD
-    depth, steps = tables.depth * beams.units_per_metre, tables.free.size - 1
+    depth = tables.depth * beams.units_per_metre
     sectors, covering = make_sectors(count), np.empty(BEARINGS + 1, np.int32)
     limits, within = np.empty(2 * count + 2), np.empty(count)
     limits[2 * count], limits[2 * count + 1] = np.inf, -np.inf
     room = MANY + cells.shape[1] + AT_A_TIME
     places = np.empty((3, room), np.int32)
     listed = Listed(places[0], places[1], places[2], np.empty(2 * room))
-    entries = np.concatenate((tables.free[:-1], np.zeros(1, np.int64), tables.hit))
     outline, outer, inner = make_outline(4 * count + 4), make_spans(rows), make_spans(rows)
     for s in range(scans):
         ranges, kinds = beams.ranges[s], beams.rays.kind[s]
@@ -102,7 +111,7 @@ def trace_radial_polygons(
         touched = find_rows(outline.y, corners, rows)
         outer = fill_outline(outline, corners, touched, cols, outer)
         for b in range(count):
-            limits[2 * b] = steps / max(ranges[b] - depth, 0.0) ** 2
+            limits[2 * b] = TABLE_STEPS / max(ranges[b] - depth, 0.0) ** 2
             limits[2 * b + 1] = ranges[b] if kinds[b] == HIT else -np.inf
             within[b] = max(tables.plain * (ranges[b] - depth) * (1 - 1e-6) - ROUNDED, 0.0)
         inner.counts[:] = 0
@@ -110,7 +119,7 @@ def trace_radial_polygons(
             stay_inside(within, sign, sectors)
             corners = outline_sectors(at_x, at_y, sectors, outline)
             inner = fill_outline(outline, corners, touched, cols, inner)
-        view = View((at_x, at_y), covering, limits, depth, entries)
+        view = View((at_x, at_y), covering, limits, depth, tables.entries)
         _observe_spans(view, touched, outer, inner, listed, cells, runs)
 
 
@@ -158,8 +167,8 @@ def _observe_cells(view: View, listed: Listed, size: int, cells: Int64) -> None:
     (at_x, at_y), covering, entries = view.at, view.covering, view.entries
     rows, cols, places, limits = listed.rows, listed.cols, listed.places, listed.limits
     stride, flat = cells.shape[1], cells.reshape(-1)
-    steps = float(entries.size // 2 - 1)
-    to_steps, hits_from = steps / view.depth, steps + 1
+    steps, first_hit, nothing = float(TABLE_STEPS), float(FIRST_HIT), float(NOTHING)
+    to_steps = steps / view.depth
     two, one = np.uint64(2), np.uint64(1)
     for i in range(size):
         k = np.uint64(i)
@@ -177,7 +186,7 @@ def _observe_cells(view: View, listed: Listed, size: int, cells: Int64) -> None:
         squared = x * x + y * y
         as_free = squared * limits[two * k]
         off = abs(np.sqrt(squared) - limits[two * k + one]) * to_steps
-        as_hit = hits_from + off if off <= steps else steps
+        as_hit = first_hit + off if off <= steps else nothing
         places[k] = np.int32(as_free if as_free < steps else as_hit)
         rows[k] = rows[k] * stride + cols[k]  # from here on its place in the window
     for i in range(size):

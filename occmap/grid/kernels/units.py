@@ -39,9 +39,20 @@ BEAM_WEIGHT = ALONE + 2 * MOST_BETWEEN
 """The most that a beam weighs: its own 2, and 3 for each of two neighbours on its surface. The
 module `projection` says how."""
 
+COUNT_BITS = 31
+"""A window is emptied before a cell of it counts 2^31 hits or misses."""
+
+
+TABLE_STEPS = 2048
+"""Steps of a table: a free cell's log-odds is within half a per cent of the formula's where it
+matters."""
+FIRST_HIT = TABLE_STEPS + 1
+NOTHING = 2 * FIRST_HIT
+"""Places in `Tables.entries`."""
+
 
 class Tables(NamedTuple):
-    """What a beam adds to a cell, tabulated for the kernels: no cell costs a logarithm.
+    """What a radial model adds to a cell, tabulated for the kernels: no cell costs a logarithm.
 
     An entry packs both numbers of a cell: the second in the lowest `bits`, the first above them.
     So one addition to a cell counts both.
@@ -49,12 +60,11 @@ class Tables(NamedTuple):
 
     depth: float
     """How far about the range a hit reaches (m)"""
-    free: Int64
-    """(T + 1,) over (d / (r - depth))^2"""
-    hit: Int64
-    """(T + 1,) over |d - r| / depth; T = 0: the end cell alone gets the hit"""
+    entries: Int64
+    """From 0 on over (d / (r - depth))^2, from `FIRST_HIT` on over |d - r| / depth, and a 0 at
+    `NOTHING`"""
     plain: float
-    """Share of r - depth up to which all cells get `free[0]`"""
+    """Share of r - depth up to which all cells get the first entry"""
     largest: int
     """The largest number, either way, that an entry adds"""
     bits: int
