@@ -103,8 +103,8 @@ class BeamWindow(DenseWindow):
 
     def trace(self, beams: Beams, corner: Int64) -> None:
         stride, numbers = self.cells.shape[1], self.cells.reshape(-1)
-        canvas = Canvas(self.box.shape, stride, numbers, self.changes, None)
-        trace_beams(beams, self.spec.radial, corner, canvas)
+        canvas = Canvas(self.box.shape, stride, numbers, self.changes)
+        trace_beams(beams, self.spec.radial, corner, canvas, None)
 
 
 class PolygonWindow(DenseWindow):
@@ -153,10 +153,10 @@ class SparseBeamWindow(Window):
         self.tiles = Tiles(table, np.zeros(1, np.int64), layers, places)
         stride = 1 << (cols - 1).bit_length()
         no_changes = Changes(*[np.zeros(0, np.int32)] * 4)
-        self.canvas = Canvas((rows, cols), stride, numbers, no_changes, self.tiles)
+        self.canvas = Canvas((rows, cols), stride, numbers, no_changes)
 
     def trace(self, beams: Beams, corner: Int64) -> None:
-        trace_beams(beams, self.spec.radial, corner, self.canvas)
+        trace_beams(beams, self.spec.radial, corner, self.canvas, self.tiles)
 
     def read(self) -> dict[Key, Tile]:
         table, used = self.tiles.table, int(self.tiles.used[0])

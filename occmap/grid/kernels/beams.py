@@ -27,7 +27,9 @@ from occmap.jit import kernel, step
 
 
 @kernel
-def trace_beams(beams: Beams, radial: Tables | None, corner: Int64, canvas: Canvas) -> None:
+def trace_beams(
+    beams: Beams, radial: Tables | None, corner: Int64, canvas: Canvas, tiles: Tiles | None
+) -> None:
     """Add to the cells of a window what a model says of every beam.
 
     Parameters
@@ -36,8 +38,10 @@ def trace_beams(beams: Beams, radial: Tables | None, corner: Int64, canvas: Canv
         None: hits and misses are counted.
     corner
         (2,) x and y of the window's corner (lattice units from the anchor).
+    tiles
+        None: every cell of the window has a place.
     """
-    kinds, shape, tiles = beams.rays.kind, canvas.shape, canvas.tiles
+    kinds, (shape, stride, numbers, changes) = beams.rays.kind, canvas
     notes, fill = make_notes(shape), 0
     for s in range(kinds.shape[0]):
         for b in range(kinds.shape[1]):
@@ -46,24 +50,18 @@ def trace_beams(beams: Beams, radial: Tables | None, corner: Int64, canvas: Canv
             beam = place_beam(beams, s, b, radial, corner)
             for i in range(beam.drawn + 1):
                 path = draw_path(beam, i, radial, shape)
-                add_path(path, radial, canvas, tiles)
+                if tiles is None:
+                    note_plain(path, changes, shape)
+                    note_hit(path, radial, stride, numbers)
+                else:
+                    visit_path(path, radial, numbers, tiles)
                 if radial is not None:
-                    fill = list_slope(path, beam, canvas.stride, notes, fill)
+                    fill = list_slope(path, beam, stride, notes, fill)
                     if fill >= MANY:
                         add_notes(notes, fill, radial, canvas, tiles)
                         fill = 0
     if radial is not None:
         add_notes(notes, fill, radial, canvas, tiles)
-
-
-@step
-def add_path(path: Path, radial: Tables | None, canvas: Canvas, tiles: Tiles | None) -> None:
-    """Add to the plain cells of a path, and where hits are counted to its end."""
-    if tiles is None:
-        note_plain(path, canvas.changes, canvas.shape)
-        note_hit(path, radial, canvas.stride, canvas.numbers)
-    else:
-        visit_path(path, radial, canvas.numbers, tiles)
 
 
 @step

@@ -116,14 +116,13 @@ def draw_path(beam: Beam, i: int, radial: Tables | None, shape: tuple[int, int])
     col, row = x >> CELL_SHIFT, y >> CELL_SHIFT
     end_col, end_row = to_x >> CELL_SHIFT, to_y >> CELL_SHIFT
     line = draw_line(col, row, end_col, end_row)
-    first, end = 0, line.n + 1
-    if not lies_inside(col, row, end_col, end_row, shape[0], shape[1]):
-        first, end = clip_line(line, shape[0], shape[1])
-    plain = line.n + (not beam.is_hit)
+    first, plain, end = 0, line.n + (not beam.is_hit), line.n + 1
     if radial is not None:
         reach = radial.plain * max(r - beam.depth, 0.0) - begun
         plain = count_nearer(line.n, line.m, reach / UNITS_PER_CELL - FARTHEST_CENTRE)
-    plain = min(max(plain, first), end)
+    if not lies_inside(col, row, end_col, end_row, shape[0], shape[1]):
+        first, end = clip_line(line, shape[0], shape[1])
+        plain = min(max(plain, first), end)
     return Path(line, first, plain, end, end_row, end_col, weight, r)
 
 

@@ -50,11 +50,12 @@ def draw_line(col: int, row: int, end_col: int, end_row: int) -> Line:
 
 @step
 def steps_after(line: Line, i: float) -> float:
-    """How many steps along v a line has made after i cells: floor((2 i m + n) / (2 n)).
+    """How many steps along v a line has made after i cells: floor(i m / n + 1 / 2).
 
-    Half a unit of 1 / (2 n) keeps whole numbers from what rounding does.
+    A quarter of 1 / n, half of what lies between two values, keeps them from what rounding does.
     """
-    return float(np.floor((i * (2.0 * line.m) + (line.n + 0.5)) * (0.5 / max(line.n, 1))))
+    per_cell = 1.0 / max(line.n, 1)
+    return float(np.floor(i * (line.m * per_cell) + (0.5 + 0.25 * per_cell)))
 
 
 @step

@@ -12,7 +12,7 @@ import numpy as np
 
 from occmap.arrays import Float64, Int32, Int64
 from occmap.grid.kernels.drawing import Beam, Path
-from occmap.grid.kernels.lines import count_steps, find_step, steps_after
+from occmap.grid.kernels.lines import find_step, steps_after
 from occmap.grid.kernels.sums import Changes
 from occmap.grid.kernels.units import (
     AT_A_TIME,
@@ -67,8 +67,6 @@ class Canvas(NamedTuple):
     cells after the other"""
     changes: Changes
     """How often cells were plain; empty where there are tiles, and all cells are visited"""
-    tiles: Tiles | None
-    """None: every cell of the window has a place"""
 
 
 @kernel
@@ -169,7 +167,7 @@ def visit_path(path: Path, radial: Tables | None, numbers: Int32 | Int64, tiles:
         along, across = line.u_sign * TILE, line.v_sign
     i = path.first
     while i < end:
-        made = count_steps(line, i)
+        made = int(steps_after(line, float(i)))
         u, v = line.u + line.u_sign * i, line.v + line.v_sign * made
         row, col = (u, v) if line.steep else (v, u)
         place = find_place(tiles, row, col) + last_layer
