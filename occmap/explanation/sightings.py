@@ -18,7 +18,8 @@ from occmap.steps.batching import batch_scans
 from occmap.steps.engines import plan_grid
 from occmap.steps.observing import Progress
 from occmap.steps.opening import count_scans
-from occmap.steps.tracing import open_drive
+from occmap.steps.tally import Tally
+from occmap.steps.tracing import open_drive, pose_scans
 from occmap.types import PosedScans
 
 
@@ -59,21 +60,19 @@ def find_sightings(
     opened = [(use, open_log(use.log, use.options.reading)) for use in uses]
     total = sum(count_scans(log, use.options.selection.topics) for use, log in opened)
     sightings: list[Sighting] = []
-    used = 0
+    tally = Tally(lambda scans: progress(scans, total))
     for use, log in opened:
         spec, cell = plan_grid(use.options), (history.cell.row, history.cell.column)
-        for posed, read in pose_scans(log, use.options):
-            if posed is not None:
-                rays, _ = interpret(posed, use.options.returns)
-                numbers = look_at_cell(rays, spec, *cell)
-                sightings += list_sightings(use, posed, numbers, history)
-                used += len(posed.batch.stamp_ns)
-            progress(read, total)
-    return sightings, used
+        for posed in pose_again(log, use.options, tally):
+            rays, beams = interpret(posed, use.options.returns)
+            numbers = look_at_cell(rays, spec, *cell)
+            sightings += list_sightings(use, posed, numbers, history)
+            tally.use(len(numbers), beams)
+    return sightings, tally.scans_used
 
 
-def pose_scans(log: Log, options: BuildOptions) -> Iterator[tuple[PosedScans | None, int]]:
-    """Read and pose the scans of a log as a build does; of each batch say how many were read."""
+def pose_again(log: Log, options: BuildOptions, tally: Tally) -> Iterator[PosedScans]:
+    """Read and pose the scans of a log as a build does, by the limits that all of it shows."""
     drive = open_drive(log, options)
     limits = RangeLimits(options.returns)
     for some in read_scans(log, drive.topics):
@@ -81,8 +80,9 @@ def pose_scans(log: Log, options: BuildOptions) -> Iterator[tuple[PosedScans | N
     limits.settle()
     selector = Selector(options.selection, options.posing.stamps)
     batches = batch_scans(read_scans(log, drive.topics), selector, limits)
-    for batch, posed, _ in drive.poser.attach(batches):
-        yield posed, len(batch.stamp_ns)
+    for attached in pose_scans(drive, batches, selector, tally):
+        if attached.posed is not None:
+            yield attached.posed
 
 
 def list_sightings(

@@ -73,51 +73,54 @@ class GridEngine:
             self._add_prepared(prepare(rays, self.spec))
 
     def _add_prepared(self, rays: Rays) -> None:
+        """Trace rays in one window, else in halves, else a part of the window at a time."""
+        scans, beams_of_scan = rays.kind.shape
         observations, most = count_observations(rays, self.spec)
         # Where sensors are so far apart, one anchor cannot serve the ends of all beams.
         apart = float(np.ptp(rays.origin, axis=(0, 1)).max()) / self.spec.lattice.resolution
-        too_wide = apart > MOST_CELLS_OF_BEAM / 2
-        if (observations > most or too_wide) and len(rays.kind) > 1:
+        if scans > 1 and (observations > most or apart > MOST_CELLS_OF_BEAM / 2):
             self._add_halves(rays)
             return
         if observations > most:
-            found = f"a scan of {rays.kind.shape[1]} beams is more than this model can count"
+            found = f"a scan of {beams_of_scan} beams is more than this model can count"
             fix = "no laser has so many: see what is in the log with `occmap check`"
             raise MapError(found, fix=fix)
         beams = project(rays, self.spec)
-        window_types = choose_windows(self.spec, beams)
-        window_type = window_types[0]
-        most_cells = window_type.most_cells_times * self._window_cells
-        if beams.box.cells <= most_cells:
-            self._trace(beams, window_types)
-        elif beams.box.cells > MOST_PARTS * self._window_cells and len(rays.kind) > 1:
+        best, *others = choose_windows(self.spec, beams)
+        if beams.box.cells <= best.most_cells_times * self._window_cells:
+            self._trace(beams, best, *others)
+        elif beams.box.cells > MOST_PARTS * self._window_cells and scans > 1:
             self._add_halves(rays)
         else:
-            if len(rays.kind) == 1 and beams.box.cells > MARGIN * self._max_cells:
-                refuse_large(beams.box, self.spec.lattice, self._max_cells)
-            for part in split_box(beams.box.align(TILE), most_cells):
-                window = window_type(self.spec, part)
-                window.observe(beams)
-                self._empty(window)
+            self._trace_parts(beams, best)
 
     def _add_halves(self, rays: Rays) -> None:
         middle = len(rays.kind) // 2
         self._add_prepared(rays.take(slice(None, middle)))
         self._add_prepared(rays.take(slice(middle, None)))
 
-    def _trace(self, beams: Beams, window_types: tuple[type[Window], ...]) -> None:
+    def _trace(self, beams: Beams, best: type[Window], *others: type[Window]) -> None:
         """Trace in a window that nobody else is writing to, with room for the scans to come."""
         with self._lock:
             window = self._idle.pop() if self._idle else None
-        if window is not None and not (isinstance(window, window_types) and window.has_room(beams)):
+        if window and not (isinstance(window, (best, *others)) and window.has_room(beams)):
             self._empty(window)
             window = None
         if window is None:
-            most = window_types[0].most_cells_times * self._roomy_cells
-            window = window_types[0](self.spec, add_room(beams.box, most))
+            most = best.most_cells_times * self._roomy_cells
+            window = best(self.spec, add_room(beams.box, most))
         window.observe(beams)
         with self._lock:
             self._idle.append(window)
+
+    def _trace_parts(self, beams: Beams, best: type[Window]) -> None:
+        """Trace in windows that lie beside each other, one after the other."""
+        if len(beams.rays.kind) == 1 and beams.box.cells > MARGIN * self._max_cells:
+            refuse_large(beams.box, self.spec.lattice, self._max_cells)
+        for part in split_box(beams.box.align(TILE), best.most_cells_times * self._window_cells):
+            window = best(self.spec, part)
+            window.observe(beams)
+            self._empty(window)
 
     def _empty(self, window: Window) -> None:
         tiles = window.read()
