@@ -3,10 +3,11 @@
 import json
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
-from occmap import plugins, readers
+from occmap import plugins
 from tests.cli.runner import occmap, read_error
 
 
@@ -65,9 +66,9 @@ def test_a_broken_plugin_is_named_with_its_reason(command: str) -> None:
 def test_a_log_that_a_broken_reader_may_know_names_the_reader(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    known = plugins.list_plugins("occmap.readers")
-    broken = EntryPoint("sonar", "there.is.no.such:Module", "occmap.readers")
-    monkeypatch.setattr(readers, "list_plugins", lambda _group: (*known, broken))
+    known = {group: plugins.list_plugins(group) for group in get_args(plugins.Group)}
+    known["occmap.readers"] += (EntryPoint("sonar", "there.is.no.such:Module", "occmap.readers"),)
+    monkeypatch.setattr(plugins, "list_plugins", known.__getitem__)
     (tmp_path / "x.log").write_text("hello\n")
     error = read_error(occmap("build", tmp_path / "x.log", "-o", tmp_path / "m.pgm"), 1)
     fix = "carmen, csv, mcap, rosbag (sonar cannot be loaded): see `occmap readers`"
