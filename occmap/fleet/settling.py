@@ -45,10 +45,11 @@ class LogTrace:
             and not leap([part.ends for part in parts], max_speed)
         )
 
-    def become_whole(self) -> None:
-        """Plan to trace the log as a single part."""
-        name = f"{self.survey.name}-whole"
-        self.jobs = [replace(self.jobs[0], name=name, part=None, seam=FROM_THE_START)]
+    def become_whole(self, limits: RangeLimits | None = None) -> None:
+        """Plan to trace the log as a single part, by its limits where these are known."""
+        job = replace(self.jobs[0], part=None, seam=FROM_THE_START, limits=limits)
+        self.jobs = [replace(job, name=f"{self.survey.name}-whole")]
+        self.traced.clear()
 
     def settle_limits(self) -> list[int]:
         """Find the limits of the whole log; plan anew, and list, the parts that had others."""
@@ -106,6 +107,11 @@ def trace_logs(
         log.become_whole()
     trace([(log, 0) for log in dependent])
     trace([(log, place) for log in logs for place in log.settle_limits()])
+    # Some parts may show only by the limit of the whole log that they depend on it.
+    dependent = [log for log in logs if not log.is_sum_of_parts()]
+    for log in dependent:
+        log.become_whole(log.limits)
+    trace([(log, 0) for log in dependent])
     return logs
 
 

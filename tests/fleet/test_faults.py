@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from threading import Thread
 
+import numpy as np
 import pytest
 from distributed import Client
 
@@ -74,6 +75,32 @@ def test_a_worker_is_killed(address: str, tmp_path: Path, expected: bytes, phase
         observe = Fleet(address, scratch, SLICE).observe
         build(LOGS, OPTIONS, [tmp_path / "map.npz"], observe=observe)
     assert (tmp_path / "map.npz").read_bytes() == expected
+
+
+def test_a_part_that_makes_too_large_a_map_by_the_limit_of_its_log_is_not_lost(
+    address: str, tmp_path: Path
+) -> None:
+    """The first half shows a band at 79.9 m, beyond which the second half measures walls."""
+    random = np.random.default_rng(1)
+    lines = []
+    for scan in range(600):
+        ranges = 3 + 8 * random.random(360)
+        if scan < 290:
+            ranges[random.random(360) < 0.2] = 79.9
+        elif scan > 305:
+            ranges[178:182] = random.uniform(100, 102, 4)
+        words = " ".join(f"{value:.2f}" for value in ranges)
+        pose, time_s = f"{scan * 0.02:.2f} 0 0", f"{100 + scan / 10:.1f}"
+        lines.append(f"FLASER 360 {words} {pose} {pose} {time_s} host {time_s}\n")
+    log = tmp_path / "bands.log"
+    log.write_text("".join(lines))
+    options = replace(OPTIONS, max_cells=4_500_000)
+    with pytest.raises(MapError):
+        build([log], options)
+    fleet = Fleet(address, tmp_path / "scratch", log.stat().st_size // 2 + 2000)
+    with pytest.raises(MapError) as caught:
+        build([log], options, observe=fleet.observe)
+    assert caught.value.where == str(log)
 
 
 def test_a_map_that_is_too_large_names_the_log(address: str, tmp_path: Path) -> None:
