@@ -87,9 +87,10 @@ class GridEngine:
             raise MapError(found, fix=fix)
         beams = project(rays, self.spec)
         best, *others = choose_windows(self.spec, beams)
-        if beams.box.cells <= best.most_cells_times * self._window_cells:
+        cells = beams.box.align(TILE).cells
+        if cells <= best.most_cells_times * self._window_cells:
             self._trace(beams, best, *others)
-        elif beams.box.cells > MOST_PARTS * self._window_cells and scans > 1:
+        elif cells > MOST_PARTS * self._window_cells and scans > 1:
             self._add_halves(rays)
         else:
             self._trace_parts(beams, best)
@@ -108,7 +109,7 @@ class GridEngine:
             window = None
         if window is None:
             most = best.most_cells_times * self._roomy_cells
-            window = best(self.spec, add_room(beams.box, most))
+            window = best(self.spec, add_room(beams.box.align(TILE), most))
         window.observe(beams)
         with self._lock:
             self._idle.append(window)
@@ -212,10 +213,10 @@ class SlicedEngine(GridEngine):
 
 
 def add_room(box: CellBox, most_cells: int) -> CellBox:
-    """Grow a box by half its size on each side, as far as the number of cells allows."""
+    """Grow a box of whole tiles by half its size on each side, as far as its cells may be."""
     limit = max(most_cells, box.cells)
     room = max(box.rows // 2, box.cols // 2, 128)
-    while room > 0 and (box.rows + 2 * room) * (box.cols + 2 * room) > limit:
+    while room > 0 and box.grow(room).align(TILE).cells > limit:
         room //= 2
     return box.grow(room)
 

@@ -16,7 +16,7 @@ from occmap.grid.lattice import Lattice
 from occmap.grid.projection import join_viewpoints, prepare, project
 from occmap.grid.spec import WINDOW_CELLS, GridSpec, tabulate
 from occmap.grid.tiles import TILE
-from occmap.grid.windows import Window, choose_windows
+from occmap.grid.windows import BeamWindow, Window, choose_windows
 from occmap.sensor.models import QuadraticModel
 from occmap.types import Kind, Rays, Update
 from tests.grid import reference
@@ -277,6 +277,34 @@ def test_a_wild_pose_costs_only_the_tiles_that_it_touches(update: Update) -> Non
     for tile_row, tile_col in tiles:
         assert any(abs(tile_row - at) <= side + 2 and abs(tile_col - at) <= side + 2
                    for at in (0, far))  # fmt: skip
+
+
+def test_a_low_wide_scan_has_no_window_of_more_cells_than_its_limit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its box is 4 rows high, but these lie in two rows of tiles."""
+    windows: list[int] = []
+    allocate = BeamWindow.allocate
+
+    def remember(self: BeamWindow, rows: int, cols: int) -> None:
+        windows.append(rows * cols)
+        allocate(self, rows, cols)
+
+    monkeypatch.setattr(BeamWindow, "allocate", remember)
+    most = 2 * TILE * 4 * TILE
+    rays = Rays.along(
+        origin=np.array([[[0.5, TILE]]]),
+        direction=np.array([[[1.0, 0.001], [1.0, -0.001]] * 64]),
+        distance=np.full((1, 128), 900, np.float32),
+        kind=np.full((1, 128), Kind.FREE, np.uint8),
+        stamp_ns=np.zeros(1, np.int64),
+        full_circle=False,
+    )
+    engine = GridEngine(GridSpec(Update.BEAM, Lattice(1.0)), window_cells=most)
+    engine.add(rays)
+    assert windows
+    assert max(windows) <= most
+    assert read_cells(engine.finish()) == reference.trace_beams(rays, 1.0)
 
 
 def test_a_beam_that_is_too_long_is_refused_with_what_to_do() -> None:
