@@ -37,8 +37,8 @@ def kernel(function: F) -> F:
 def step(function: F) -> F:
     """Compile a function that is a step of kernels' innermost loops, and put it inline there.
 
-    It makes no array, and counts no references to those that it is handed, which would cost more
-    than all that it does.
+    It counts no references to arrays, which would cost more than all that it does. So it makes,
+    slices and returns none.
     """
     return compile_kept(function, forceinline=True)
 

@@ -247,8 +247,8 @@ class ScanBatch:
     topic: str = ""
     """The stream in its log that the scans came from."""
     number: Int64 | None = None
-    """(S,) the number of each scan in its log; None unless scans from between these, of the same
-    topic and frame but another geometry, are in another batch"""
+    """(S,) numbers that put the scans in the order of their log; None unless scans from between
+    these, of the same topic and frame but another geometry, are in another batch"""
 
     def take(self, scans: Bool | Int64) -> Self:
         """Select scans by a mask (S,) or by their indices; nothing is copied for a mask of all."""

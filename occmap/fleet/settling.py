@@ -74,7 +74,7 @@ class LogTrace:
         if self.survey.parts == 1 and self.survey.bytes > 2 * self.jobs[0].setting.slice_bytes:
             found.append(
                 "is traced by one worker, since it cannot be cut: it is packed, its index is "
-                "missing, or another's reader reads it"
+                "missing, its lines end in CR alone, or another's reader reads it"
             )
         return found
 

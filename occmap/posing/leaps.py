@@ -256,7 +256,7 @@ class _Path:
         begins = list_moments(np.append(0, cuts + 1))
         ends = list_moments(np.append(cuts, len(stamp_ns) - 1))
         rows = list(map(Row, begins, ends))
-        if self._rows:
+        if self._rows:  # the first row begins with the last scan so far, and goes on with its row
             self._rows[-1].last = rows[0].last
         else:
             self._rows.append(rows[0])

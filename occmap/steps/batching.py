@@ -60,7 +60,7 @@ def stack(scans: Iterable[Scan | ScanRun], stamps: Stamps) -> Iterator[ScanBatch
 
 
 def release(held: Mapping[Geometry, Mapping[int, Scan]], stamps: Stamps) -> Iterator[ScanBatch]:
-    """Make a batch of the scans of each geometry; these are held by their number in the log."""
+    """Make a batch of the scans of each geometry; these are held by their places in the stream."""
     lasers = Counter(laser for laser, _ in held)
     for (laser, _), numbered in held.items():
         scans = list(numbered.values())

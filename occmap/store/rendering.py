@@ -86,11 +86,11 @@ class BlockMap:
         """
         blocks, model = self.source.blocks, self.model
         beside = {each for block in blocks for each in list_blocks(block.box.grow(1))}
-        # What was forgotten may lie beyond the cells that are left.
-        is_cut = self.is_part or self.min_passes is None
+        # Cells that were forgotten count as lost, and may lie beyond those that are left.
+        counts_beyond = self.min_passes is not None and not self.is_part
         for block in sorted(beside, key=lambda each: (each.row // STRIPE, each.col, each.row)):
             box = self.box.clip(block.box)
-            area = box if is_cut else block.box
+            area = block.box if counts_beyond else box
             if not area.cells:
                 continue
             grid, lasting = read_lasting(self.source, area, self.min_passes)

@@ -41,7 +41,8 @@ def trace_beams(
     tiles
         None: every cell of the window has a place.
     """
-    kinds, (shape, stride, numbers, changes) = beams.rays.kind, canvas
+    kinds = beams.rays.kind
+    shape, stride, numbers, changes = canvas
     notes, fill = make_notes(shape), 0
     for s in range(kinds.shape[0]):
         for b in range(kinds.shape[1]):

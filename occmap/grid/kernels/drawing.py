@@ -32,7 +32,7 @@ class Beam(NamedTuple):
     to_y: int
     is_hit: bool
     weight: int
-    """What the beam counts"""
+    """How many times each of its cells gets what the model says"""
     range: float
     """On the map; 0 where the model does not ask"""
     depth: float
@@ -58,7 +58,7 @@ class Path(NamedTuple):
     """The cell in which the beam ends"""
     end_col: int
     weight: int
-    """What the beam counts"""
+    """How many times each of its cells gets what the model says"""
     range: float
     """On the map (lattice units); 0 where the model does not ask"""
 

@@ -60,8 +60,8 @@ def steps_after(line: Line, i: float) -> float:
 
 @step
 def count_steps(line: Line, i: int) -> int:
-    """The same, as an integer."""
-    if i in (0, line.n):  # nearly always
+    """`steps_after` as an integer; at the ends of a line, its usual places, without a division."""
+    if i in (0, line.n):
         return line.m if i else 0
     return (2 * i * line.m + line.n) // (2 * line.n)
 
@@ -71,11 +71,9 @@ def find_step(line: Line, j: int) -> int:
     """After how many cells a line has made j steps: the inverse of `steps_after`."""
     if j <= 0:
         return 0
-    return (
-        int((line.n * (2 * j - 1) + 2 * line.m - 0.5) * (0.5 / line.m))
-        if j <= line.m
-        else line.n + 1
-    )
+    if j > line.m:
+        return line.n + 1
+    return int((line.n * (2 * j - 1) + 2 * line.m - 0.5) * (0.5 / line.m))
 
 
 @step

@@ -37,7 +37,7 @@ ENTRY_BITS = 13
 WEIGHT_BITS = BEAM_WEIGHT.bit_length()
 NOTE_BITS = ENTRY_BITS + WEIGHT_BITS
 """A note says what a cell gets: its place above these bits, below it the weight, and in the lowest
-bits the entry. A window has less than 2^28 places, so that a float holds all of them."""
+bits the entry. Of the 53 bits of a float, 36 are left for the place, of which there are 2^28."""
 INSIDE = TILE - 1
 """Mask of the row or column inside a tile."""
 
@@ -52,7 +52,7 @@ class Tiles(NamedTuple):
     layers: int
     """Layers of cells of each tile: 2 where plain cells have one of their own, the last"""
     places: Int64
-    """(TILE + AT_A_TIME,) to work with"""
+    """(TILE + AT_A_TIME,) places of the cells of a line in one tile, written anew for each"""
 
 
 class Canvas(NamedTuple):
@@ -159,8 +159,9 @@ def visit_path(path: Path, radial: Tables | None, numbers: Int32 | Int64, tiles:
     a time, in a loop of their own.
     """
     line, places, last_layer = path.line, tiles.places, (tiles.layers - 1) * TILE**2
-    added, end = path.weight, path.end
-    if radial is not None:
+    if radial is None:
+        added, end = path.weight, path.end
+    else:
         added, end = path.weight * int(radial.entries[0]), path.plain
     along, across = line.u_sign, line.v_sign * TILE
     if line.steep:
