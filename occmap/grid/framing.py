@@ -129,8 +129,7 @@ class Reach:
         farthest = float(np.abs(hits).max(initial=0.0))
         if not len(hits) or not farthest * self._lattice.units_per_metre < FARTHEST_UNIT:
             return  # the engine refuses a sensor that is so far away
-        first, last = (self._lattice.to_cell(*edge) for edge in (hits.min(0), hits.max(0)))
-        box = CellBox.at(*first).join(CellBox.at(*last))
+        box = self._lattice.enclose(hits)
         self._box = box = self._box.join(box) if self._box else box
         surely = box.grow(-TILE)  # a hit is moved, and rounded, by some cells
         if surely.rows > 0 and surely.cells > self._max_cells:

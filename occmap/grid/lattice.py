@@ -162,6 +162,13 @@ class Lattice:
         row, col = (round(each * self.units_per_metre) >> CELL_SHIFT for each in (y, x))
         return row, col
 
+    def enclose(self, points: Float64, around: float = 0.0) -> CellBox:
+        """The box of the cells that hold points (N, 2), at least one, and what is so near (m)."""
+        x, y = points.T  # one by one: NumPy is slow at the minimum of a short axis
+        low = self.to_cell(float(x.min()) - around, float(y.min()) - around)
+        high = self.to_cell(float(x.max()) + around, float(y.max()) + around)
+        return CellBox.at(*low).join(CellBox.at(*high))
+
     def to_metres(self, cells: int) -> float:
         """The coordinate of the lower or left edge of a row or column (m)."""
         return round(cells * self.resolution, 12)  # -3.05, and not -3.0500000000000003

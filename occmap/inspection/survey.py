@@ -119,10 +119,7 @@ class Extent:
     def _take(self, places: Float64, around: float = 0.0) -> None:
         """Take in places (N, 2)."""
         if len(places):
-            x, y = places.T  # one by one: NumPy is slow at the minimum of a short axis
-            low = self.lattice.to_cell(float(x.min()) - around, float(y.min()) - around)
-            high = self.lattice.to_cell(float(x.max()) + around, float(y.max()) + around)
-            box = CellBox.at(*low).join(CellBox.at(*high))
+            box = self.lattice.enclose(places, around)
             self.box = box.join(self.box) if self.box else box
 
 

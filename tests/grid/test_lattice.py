@@ -88,3 +88,10 @@ def test_boxes_of_cells() -> None:
 
 def test_the_edge_of_a_cell_is_the_number_that_a_person_writes() -> None:
     assert Lattice(0.05).to_metres(-61) == -3.05  # and not -3.0500000000000003
+
+
+def test_points_lie_in_the_box_that_encloses_them_and_so_does_what_is_near() -> None:
+    points = np.array([[0.5, -0.1], [2.0, 3.9], [1.0, 1.0]])
+    assert Lattice(1.0).enclose(points) == CellBox(-1, 0, 4, 3)
+    assert Lattice(1.0).enclose(points, around=0.6) == CellBox(-1, -1, 5, 3)
+    assert Lattice(0.5).enclose(points[:1]) == CellBox.at(-1, 1)
