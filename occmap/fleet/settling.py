@@ -24,8 +24,8 @@ class LogTrace:
     survey: LogSurvey
     jobs: list[TraceJob]
     """One for each part, or one for all of the log"""
-    limits: RangeLimits
-    """Those that all of the log shows, once it is traced"""
+    limits: RangeLimits | None = None
+    """Those that all of the log shows; None until it is traced"""
     traced: dict[int, Traced] = field(default_factory=dict)
     """What the jobs showed, by their places"""
 
@@ -45,32 +45,31 @@ class LogTrace:
             and not leap([part.ends for part in parts], max_speed)
         )
 
-    def become_whole(self, limits: RangeLimits | None = None) -> None:
+    def become_whole(self) -> None:
         """Plan to trace the log as a single part, by its limits where these are known."""
-        job = replace(self.jobs[0], part=None, seam=FROM_THE_START, limits=limits)
+        job = replace(self.jobs[0], part=None, seam=FROM_THE_START, limits=self.limits)
         self.jobs = [replace(job, name=f"{self.survey.name}-whole")]
         self.traced.clear()
 
     def settle_limits(self) -> list[int]:
         """Find the limits of the whole log; plan anew, and list, the parts that had others."""
+        self.limits = limits = RangeLimits(self.jobs[0].setting.options.returns)
         for part in self.parts:
-            self.limits.merge(part.limits)
-        self.limits.settle()
+            limits.merge(part.limits)
+        limits.settle()
         wrong = [
-            place
-            for place, part in enumerate(self.parts)
-            if not part.limits.agrees_with(self.limits)
+            place for place, part in enumerate(self.parts) if not part.limits.agrees_with(limits)
         ]
         for place in wrong:
             job = self.jobs[place]
-            self.jobs[place] = replace(job, name=f"{job.name}-again", limits=self.limits)
+            self.jobs[place] = replace(job, name=f"{job.name}-again", limits=limits)
         return wrong
 
     def list_findings(self) -> list[str]:
         """List what there is to say of its poses, scans and ranges, and of how it was traced."""
         first = self.parts[0]
         found = [*(first.notes if len(self.parts) == 1 else list_lasting(first))]
-        found += self.limits.list_notes()
+        found += self.limits.list_notes() if self.limits else ()
         if self.survey.parts == 1 and self.survey.bytes > 2 * self.jobs[0].setting.slice_bytes:
             found.append(
                 "is traced by one worker, since it cannot be cut: it is packed, its index is "
@@ -100,18 +99,18 @@ def trace_logs(
         for (log, place), traced in zip(places, found, strict=True):
             log.traced[place] = traced
 
+    def trace_dependent() -> None:
+        dependent = [log for log in logs if not log.is_sum_of_parts()]
+        for log in dependent:
+            log.become_whole()
+        trace([(log, 0) for log in dependent])
+
     logs = plan_traces(cluster, setting, surveys)
     trace([(log, place) for log in logs for place in range(len(log.jobs))])
-    dependent = [log for log in logs if not log.is_sum_of_parts()]
-    for log in dependent:
-        log.become_whole()
-    trace([(log, 0) for log in dependent])
+    trace_dependent()
     trace([(log, place) for log in logs for place in log.settle_limits()])
     # Some parts may show only by the limit of the whole log that they depend on it.
-    dependent = [log for log in logs if not log.is_sum_of_parts()]
-    for log in dependent:
-        log.become_whole(log.limits)
-    trace([(log, 0) for log in dependent])
+    trace_dependent()
     return logs
 
 
@@ -119,13 +118,13 @@ def plan_traces(cluster: Cluster, setting: Setting, surveys: Sequence[LogSurvey]
     """Plan the parts of all logs; for a stride, the wanted scans of each are counted first."""
     logs = []
     for survey in surveys:
-        limits, jobs = RangeLimits(setting.options.returns), []
+        jobs = []
         for part in range(survey.parts):
             # The log's first scan lies in its first part; the others are told its stamp.
             seam = Seam(survey.first_ns) if part else FROM_THE_START
             name, number = f"{survey.name}-{part:05}", part if survey.parts > 1 else None
             jobs.append(TraceJob(setting, name, str(survey.path), survey, number, seam))
-        logs.append(LogTrace(survey, jobs, limits))
+        logs.append(LogTrace(survey, jobs))
     if setting.options.selection.stride == 1:
         return logs
     cut = [log for log in logs if len(log.jobs) > 1]

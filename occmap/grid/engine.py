@@ -109,7 +109,7 @@ class GridEngine:
             window = None
         if window is None:
             most = best.most_cells_times * self._roomy_cells
-            window = best(self.spec, add_room(beams.box.align(TILE), most))
+            window = best(self.spec, add_room(beams.box, most))
         window.observe(beams)
         with self._lock:
             self._idle.append(window)
@@ -118,7 +118,7 @@ class GridEngine:
         """Trace in windows that lie beside each other, one after the other."""
         if len(beams.rays.kind) == 1 and beams.box.cells > MARGIN * self._max_cells:
             refuse_large(beams.box, self.spec.lattice, self._max_cells)
-        for part in split_box(beams.box.align(TILE), best.most_cells_times * self._window_cells):
+        for part in split_box(beams.box, best.most_cells_times * self._window_cells):
             window = best(self.spec, part)
             window.observe(beams)
             self._empty(window)
@@ -213,7 +213,11 @@ class SlicedEngine(GridEngine):
 
 
 def add_room(box: CellBox, most_cells: int) -> CellBox:
-    """Grow a box of whole tiles by half its size on each side, as far as its cells may be."""
+    """Grow a box by half its size on each side, as far as its number of cells, in whole tiles, may.
+
+    It may be that of the box itself.
+    """
+    box = box.align(TILE)
     limit = max(most_cells, box.cells)
     room = max(box.rows // 2, box.cols // 2, 128)
     while room > 0 and box.grow(room).align(TILE).cells > limit:
@@ -222,7 +226,8 @@ def add_room(box: CellBox, most_cells: int) -> CellBox:
 
 
 def split_box(box: CellBox, most_cells: int) -> list[CellBox]:
-    """Cut a box of whole tiles into boxes of at most so many cells, or of one tile."""
+    """Cut a box, grown to whole tiles, into boxes of at most so many cells, or of one tile."""
+    box = box.align(TILE)
     side = max(int(most_cells**0.5) // TILE, 1) * TILE
     return [
         CellBox(row, col, min(row + side, box.row_end), min(col + side, box.col_end))
